@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: Apache-2.0
+// From a folder on disk to a Sequence, or a sentence saying which file and field is wrong.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <optional>
+#include <string>
+
+#include <relidar/sequence.hpp>
+
+namespace relidar {
+
+/// Half-open range of the dataset's own frame numbers, as "a:b" on the command line; either side may be empty.
+struct FrameRange {
+    int begin = 0;
+    int end = -1;   ///< -1: to the last frame
+};
+
+/// What to read of a log.
+struct DatasetOptions {
+    FrameRange frames;
+    std::filesystem::path poses_file;   ///< 12 numbers a line, world_from_sensor of frame i on line i; empty = the dataset's own
+    double max_range_m = 80.0;          ///< returns beyond are treated as dropped
+};
+
+/// Reads a log. @param dataset a path (format recognised) or "kind:path" with kind kitti_raw or synthetic
+/// @throws DataError naming the file and what is wrong with it; UsageError for an unknown kind or an empty frame range
+Sequence load_sequence(const std::string& dataset, const DatasetOptions& options);
+
+/// Kind of a dataset path ("kitti_raw", "synthetic"). @throws DataError where it is none of the known ones
+std::string recognise_dataset(const std::filesystem::path& path);
+
+/// Parameters of the synthetic street: facades, poles, parked cars and two moving cars, cast exactly.
+struct SyntheticOptions {
+    std::uint64_t seed = 1;
+    int n_frames = 30;
+    int rows = 32;
+    int columns = 512;
+    double range_noise_m = 0.01;      ///< standard deviation
+    double speed_mps = 8.0;           ///< of the sensor along the street
+    bool moving_cars = true;
+};
+
+/// Makes the synthetic street log in memory, ground truth by exact ray casting with a rolling shutter.
+Sequence make_synthetic_street(const SyntheticOptions& options);
+
+/// Casts any rays into the synthetic street at their own times: the exact answer for a novel sensor or pose. Noise-free;
+/// a dropped ray has range 0. @param world_from_sensor pose of the sensor against time
+Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
+
+/// Writes a synthetic log as a folder that load_sequence reads (kind "synthetic": street.toml with the options).
+void save_synthetic(const SyntheticOptions& options, const std::filesystem::path& folder);
+
+}  // namespace relidar

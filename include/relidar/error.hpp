@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// Failures a caller can meet. Every message is one line: what was being done: what was found, what was expected.
+#pragma once
+
+#include <stdexcept>
+#include <string>
+
+namespace relidar {
+
+/// Exit codes of the command line tool.
+enum class ExitCode : int { ok = 0, bug = 1, usage = 2, data = 3, device = 4, interrupted = 130 };
+
+/// Base of all failures relidar reports.
+class Error : public std::runtime_error {
+public:
+    Error(ExitCode code, const std::string& message) : std::runtime_error(message), code_(code) {}
+    ExitCode code() const { return code_; }
+
+private:
+    ExitCode code_;
+};
+
+/// A wrong flag, key or combination of options (exit code 2).
+struct UsageError : Error {
+    explicit UsageError(const std::string& message) : Error(ExitCode::usage, message) {}
+};
+
+/// A file or value in the input is missing, malformed or impossible; output that cannot be written (exit code 3).
+struct DataError : Error {
+    explicit DataError(const std::string& message) : Error(ExitCode::data, message) {}
+};
+
+/// No device, a missing feature, a failed Vulkan call or exhausted device memory (exit code 4).
+struct DeviceError : Error {
+    explicit DeviceError(const std::string& message) : Error(ExitCode::device, message) {}
+};
+
+}  // namespace relidar

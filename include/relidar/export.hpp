@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+// Files other tools open. Every writer writes to a temporary name and renames, so no partial file ever has a final name.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <map>
+#include <string>
+#include <vector>
+
+#include <glm/glm.hpp>
+
+#include <relidar/metrics.hpp>
+
+namespace relidar {
+
+/// Writes a file by calling `write` on a temporary path beside it, flushing to disk and renaming.
+/// @throws DataError where the folder cannot be written or the disk is full; the temporary file is removed
+void write_atomically(const std::filesystem::path& path, const std::function<void(const std::filesystem::path&)>& write);
+void write_text(const std::filesystem::path& path, const std::string& text);
+
+/// An n-dimensional array of an npz or safetensors file, row-major, little-endian.
+struct NamedArray {
+    std::string name;
+    std::string dtype;                 ///< "f4", "f8", "i4", "i8", "u1", "u2", "i2", "i1", "b1" (numpy without byte order)
+    std::vector<std::size_t> shape;
+    std::vector<std::byte> bytes;
+
+    std::size_t count() const;
+    /// Values converted to float (dtype f4, f8, integers). @throws DataError for other types
+    std::vector<float> as_float() const;
+};
+
+/// Array of floats. @throws DataError where values.size() is not the product of shape
+NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values, std::size_t n);
+NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values, std::size_t n);
+NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values, std::size_t n);
+
+void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays);          ///< deflated; read by numpy.load
+std::vector<NamedArray> read_npz(const std::filesystem::path& path);                               ///< stored or deflated entries
+void write_safetensors(const std::filesystem::path& path, const std::vector<NamedArray>& arrays,
+                       const std::map<std::string, std::string>& metadata);
+std::vector<NamedArray> read_safetensors(const std::filesystem::path& path, std::map<std::string, std::string>* metadata = nullptr);
+
+/// A point cloud in the sensor's frame.
+struct PointCloud {
+    std::vector<glm::vec3> position_m;   ///< [n]
+    std::vector<float> intensity;        ///< [n]
+    std::vector<std::uint16_t> channel;  ///< [n] or empty
+    std::vector<float> time_offset_s;    ///< [n] or empty
+};
+void write_ply(const std::filesystem::path& path, const PointCloud& cloud);         ///< binary little-endian
+void write_pcd(const std::filesystem::path& path, const PointCloud& cloud);         ///< PCD 0.7, binary
+void write_kitti_bin(const std::filesystem::path& path, const PointCloud& cloud);   ///< n x float32 x y z intensity
+
+/// Float channels of one image. @param channels name -> [rows*columns]
+void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels);
+
+/// 8-bit RGB image.
+struct Image {
+    int rows = 0;
+    int columns = 0;
+    std::vector<std::uint8_t> rgb;   ///< [rows*columns*3]
+};
+/// Colour map of a scalar image: "turbo" (range), "gray" (intensity, drop), "heat" (error). Values outside [low, high] clamp;
+/// NaN and pixels with mask 0 are dark gray. @param mask [n] or empty
+Image colour_map(const std::vector<float>& values, int rows, int columns, float low, float high, const std::string& map,
+                 const std::vector<float>& mask = {});
+/// Stacks images of one width, separated by a thin line, each enlarged vertically by `stretch` (a LiDAR row is taller than its column is wide).
+Image stack(const std::vector<Image>& images, int stretch = 1);
+void write_png(const std::filesystem::path& path, const Image& image);
+std::vector<std::uint8_t> encode_png(const Image& image);
+
+/// One picture row of the report: real, rendered, error.
+struct ReportFigure {
+    std::string title;
+    std::vector<std::pair<std::string, Image>> images;   ///< caption, picture
+};
+struct ReportCurve {
+    std::string name;
+    std::vector<double> x, y;
+};
+/// A self-contained HTML page: no file or network beside it.
+struct Report {
+    std::string title;
+    std::string summary;                                              ///< one paragraph
+    std::vector<std::pair<std::string, std::string>> facts;           ///< device, sizes, times
+    std::vector<ReportCurve> curves;                                  ///< loss curves, log scale
+    std::vector<std::pair<std::string, MetricRow>> metrics;           ///< column title -> values
+    std::vector<std::pair<std::string, MetricRow>> timings_ms;        ///< table title -> kernel -> ms
+    std::vector<ReportFigure> figures;
+};
+void write_report(const std::filesystem::path& path, const Report& report);
+
+}  // namespace relidar

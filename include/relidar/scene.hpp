@@ -1,0 +1,100 @@
+// SPDX-License-Identifier: Apache-2.0
+// A scene of 2D Gaussians (surfels): a background and one set per actor, each set a model, placed by instances (Eq. 1, 4, 5).
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include <glm/glm.hpp>
+
+#include <relidar/math.hpp>
+#include <relidar/sequence.hpp>
+
+namespace relidar {
+
+inline constexpr int kShCoefficients = 16;   ///< real SH basis of degree 3
+inline constexpr int kShChannels = 3;        ///< intensity, hit logit, drop logit
+inline constexpr int kShFloats = kShChannels * kShCoefficients;
+
+/// Surfels as they are stored and optimised (structure of arrays). All frames are the model's own.
+struct Surfels {
+    std::vector<glm::vec3> mean;          ///< [n,3] metres
+    std::vector<glm::vec4> rotation;      ///< [n,4] quaternion w, x, y, z, unnormalised; columns of R: a_u, a_v, normal
+    std::vector<glm::vec2> log_scale;     ///< [n,2] ln metres, standard deviations along a_u, a_v
+    std::vector<float> opacity_logit;     ///< [n]
+    std::vector<float> sh;                ///< [n,3,16] channel-major: value = 0.5 + basis(direction) . coefficients
+
+    std::size_t size() const { return mean.size(); }
+    void resize(std::size_t n);
+    /// Appends the surfels of another set.
+    void append(const Surfels& other);
+    /// Reorders: surfel i of the result is surfel order[i] of this set.
+    Surfels permuted(const std::vector<std::uint32_t>& order) const;
+    /// @throws DataError where the arrays disagree in length
+    void check_shapes() const;
+};
+
+/// A contiguous range of a scene's surfels with a frame of its own.
+struct Model {
+    std::string name;   ///< "background" or the track id
+    std::uint32_t first = 0;
+    std::uint32_t count = 0;
+};
+
+/// A model placed in the world. Instance 0 is the background with the identity pose.
+struct Instance {
+    std::uint32_t model = 0;
+    std::string track;   ///< empty for the background
+};
+
+/// Everything that can be rendered.
+struct Scene {
+    Surfels surfels;
+    std::vector<Model> models;
+    std::vector<Instance> instances;
+};
+
+/// A scene of one model, the background, with one instance.
+Scene make_background_scene(Surfels surfels);
+
+/// How a scene is initialised from a log.
+struct InitialiseOptions {
+    double voxel_m = 0.15;             ///< points of all training frames are averaged per voxel
+    double voxel_growth = 0.0;         ///< voxel edge grows by this share of the range to the nearest sensor position (0 = paper)
+    bool normals = true;               ///< surfel normals from the k nearest neighbours; false = random orientation (ablation)
+    int normal_neighbours = 6;
+    double opacity = 0.1;
+    double max_scale_m = 0.5;          ///< initial standard deviations are clamped to this
+    double scale_factor = 1.0;         ///< times the mean distance to the 3 nearest neighbours
+    double actor_min_step_m = 0.01;    ///< boxes moving more than this a frame hold actors: their points are left out
+    double actor_margin_m = 0.2;       ///< boxes are grown by this when points are left out
+    std::uint64_t seed = 1;
+};
+
+/// Background surfels from the training frames of a log, in the recentred world.
+/// Order: kd (recursive object median along the longest axis), which software BVH builders without sorting need.
+/// @throws DataError where no training frame has a usable point
+Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options);
+
+/// Recursive object-median order of points along the longest axis, split at (first + last) / 2.
+/// @return [n] permutation: position i of the sorted array holds point order[i]
+std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points);
+
+/// The deterministic benchmark street of surfels (families A: refine = false, B: refine = true), bit-equal up to the
+/// last place with ../shared/bench/scene_gen.py `street(n, seed, refine)`; kd order is not applied.
+Surfels make_benchmark_street(std::uint32_t n, std::uint32_t seed = 20261120, bool refine = false);
+
+/// Its rays: kind "waymo" (64 x 2650) or "kitti" (66 x 1030), all from (0, -2, 1.8); or any size with a given field of view.
+RayTable make_benchmark_rays(const std::string& kind);
+RayTable make_benchmark_rays(int rows, int columns, double top_deg, double bottom_deg);
+
+/// Where training's extent-relative settings come from: 3 x the 90th percentile of 2 |p - centre|.
+double background_extent(const Surfels& surfels);
+
+/// Saves parameters as safetensors / loads them. @throws DataError for missing, misshapen or non-finite arrays
+void save_model(const std::filesystem::path& path, const Scene& scene, const std::string& relidar_version);
+Scene load_model(const std::filesystem::path& path);
+
+}  // namespace relidar

@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a LiDAR is: a table of rays. A spinning LiDAR is a generator for such a table, a range grid a convention for
+// ordering points into an image. Sensor frame: x forward, y left, z up, metres.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <glm/glm.hpp>
+
+namespace relidar {
+
+/// A table of rays in range-image order; ray (row, column) is entry row * columns + column, row 0 the highest beam,
+/// column 0 at azimuth +180 degrees, azimuth falling with the column. A sensor without image order has rows = 1.
+struct RayTable {
+    int rows = 0;
+    int columns = 0;
+    std::vector<glm::vec3> origin;      ///< [rows*columns] metres, sensor frame: where the beam starts
+    std::vector<glm::vec3> direction;   ///< [rows*columns] unit, sensor frame
+    std::vector<float> time_offset_s;   ///< [rows*columns] firing time relative to the frame's reference time
+    std::vector<std::uint16_t> channel; ///< [rows*columns] beam number, 0 = highest
+    float divergence_rad = 0.0f;        ///< full beam divergence; 0 = ideal ray
+
+    std::size_t size() const { return direction.size(); }
+};
+
+/// One laser of a spinning LiDAR. The ray of a head at azimuth `theta` (counter-clockwise) starts at
+///   R_z(theta) * (origin_offset_m - origin_up_m * sin(elevation), origin_left_m, origin_up_m * cos(elevation))
+/// and points along elevation_rad, azimuth theta + azimuth_offset_rad.
+struct Beam {
+    double elevation_rad = 0.0;
+    double azimuth_offset_rad = 0.0;
+    double origin_offset_m = 0.0;  ///< along the head direction
+    double origin_up_m = 0.0;      ///< at right angles to the beam, in its vertical plane
+    double origin_left_m = 0.0;
+};
+
+/// A spinning LiDAR: its beams, the number of azimuth steps a turn, and the turn itself.
+struct SpinningSensor {
+    std::string name;
+    std::vector<Beam> beams;           ///< highest first
+    int columns = 0;                   ///< azimuth steps a turn
+    double period_s = 0.1;             ///< time of one turn
+    bool clockwise = true;             ///< seen from above
+    double first_azimuth_rad = 0.0;    ///< azimuth of the centre of column 0 (pi - pi/columns: bins centred on half steps)
+    double min_range_m = 0.0;
+    double max_range_m = 80.0;
+    double divergence_rad = 0.0;
+};
+
+/// Rays of one turn. Time 0 is the moment the head faces forward (azimuth 0); a clockwise head reaches azimuth a at
+/// -a / (2 pi) * period.
+/// @throws UsageError where the sensor has no beams, no columns or a non-finite value
+RayTable make_rays(const SpinningSensor& sensor);
+
+/// A linear image of elevation by azimuth. Pixel (i, j) is centred on elevation fov_up - i * fov / rows and azimuth
+/// 180 - j * 360 / columns degrees. (bench/score.py's convention for the KITTI-360 grid)
+struct RangeGrid {
+    std::string name;
+    int rows = 0;
+    int columns = 0;
+    double fov_up_rad = 0.0;    ///< elevation of row 0
+    double fov_rad = 0.0;       ///< total vertical field of view
+    double max_range_m = 80.0;
+};
+
+/// The KITTI-360 convention of published results: 66 x 1030, +2.0 ... -24.9 degrees, 80 m.
+RangeGrid kitti360_grid();
+
+/// Rays through the pixel centres of a grid, starting at the sensor origin; clockwise, 0.1 s a turn.
+RayTable make_rays(const RangeGrid& grid);
+
+/// Nearest pixel of a point, the forward half of the sensor model (Eq. 6-7).
+/// @param point_m [3] metres, sensor frame
+/// @return row * columns + column, or nothing outside the vertical field of view, at range 0 or beyond max_range_m
+/// @differs Eq. 7 as printed divides |f_down| alone by f_v; Eq. 6 writes arctan(y, x), arcsin(z, d).
+std::optional<int> project(const RangeGrid& grid, const glm::dvec3& point_m);
+
+/// A range image gathered by projecting points: the nearest point wins a pixel.
+struct GridImage {
+    int rows = 0;
+    int columns = 0;
+    std::vector<float> range_m;     ///< [rows*columns] 0 where no point fell
+    std::vector<float> intensity;   ///< [rows*columns]
+    std::vector<int> source;        ///< [rows*columns] index of the winning point, -1 where none
+};
+
+/// Projects points into a grid. @param points_m [n] metres, sensor frame @param intensity [n]
+GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& points_m, const std::vector<float>& intensity);
+
+/// A sensor by name ("kitti360", "VLP-16", ...) or from a CSV beam table with the columns elevation_deg,
+/// azimuth_offset_deg, origin_offset_m, origin_up_m, origin_left_m (rows from the highest beam down; missing = 0),
+/// optionally followed by ":columns[xHz]" as in "beams.csv:1024x10".
+/// @throws UsageError for an unknown name (the nearest known one is named), DataError for a bad file
+SpinningSensor find_sensor(const std::string& name_or_file);
+
+/// Names find_sensor knows.
+std::vector<std::string> sensor_names();
+
+/// A grid by name ("kitti360"). @throws UsageError for an unknown name
+RangeGrid find_grid(const std::string& name);
+
+}  // namespace relidar

@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a LiDAR log is: scans with their rays, sensor poses in time, tracked boxes, and which frames are held out.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <relidar/math.hpp>
+#include <relidar/sensor.hpp>
+
+namespace relidar {
+
+/// Poses at ascending times.
+struct PoseTrack {
+    std::vector<double> time_s;
+    std::vector<Pose> pose;
+
+    /// Interpolated pose (slerp, lerp). Outside the first and last time the end segment's velocity continues.
+    /// @throws DataError where the track is empty
+    Pose at(double t_s) const;
+    bool covers(double t_s) const { return !time_s.empty() && t_s >= time_s.front() && t_s <= time_s.back(); }
+};
+
+/// One measured (or simulated) turn: its rays and what came back along each.
+struct Scan {
+    RayTable rays;                   ///< a returned ray carries its own direction and origin
+    std::vector<float> range_m;      ///< [n] along the ray from its origin; 0 = dropped
+    std::vector<float> intensity;    ///< [n] 0..1; 0 where dropped
+
+    /// End point of a ray. @return [3] metres, sensor frame at the ray's firing time
+    glm::vec3 point(std::size_t ray) const { return rays.origin[ray] + range_m[ray] * rays.direction[ray]; }
+    std::size_t count_returns() const;
+};
+
+/// One turn of the log.
+struct Frame {
+    int index = 0;          ///< the dataset's own frame number
+    double time_s = 0.0;    ///< reference time: the head faces forward
+    Scan scan;
+};
+
+/// One tracked box. The box frame has x along the length, y along the width, z up, origin at the centre.
+struct BoxTrack {
+    std::string id;              ///< unique in the sequence
+    std::string category;        ///< the dataset's own class name
+    glm::dvec3 size_m{0.0};      ///< length, width, height
+    PoseTrack world_from_box;    ///< at the times of the frames in which the box was labelled
+
+    /// Mean motion of the box's centre from one observation to the next, metres.
+    double mean_step_m() const;
+};
+
+/// A LiDAR log, recentred: the world origin is the sensor position in the middle frame.
+struct Sequence {
+    std::string name;
+    std::string source;                   ///< path it was read from
+    SpinningSensor sensor;                ///< nominal sensor: for rays of frames that have no scan of their own
+    std::vector<Frame> frames;            ///< ascending time
+    PoseTrack world_from_sensor;          ///< one entry a frame, at Frame::time_s
+    std::vector<BoxTrack> boxes;
+    glm::dvec3 world_offset_m{0.0};       ///< add to relidar's world to get the dataset's world
+    std::string conventions;              ///< one line a human reads: frames, units, time reference
+    bool rolling_shutter = true;          ///< rays were fired at their own times (scans are not motion-compensated)
+};
+
+/// A ray in the world at the moment it was fired.
+struct WorldRay {
+    glm::dvec3 origin_m;
+    glm::dvec3 direction;
+};
+
+/// Where a ray of a frame starts and points, the sensor pose interpolated to the ray's own firing time where the
+/// sequence has a rolling shutter.
+/// @param time_s        reference time of the turn
+/// @param ray           index into rays
+WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter);
+
+/// Whether a world point lies in any box that moves more than min_step_m a frame, each box grown by margin_m, at time t_s.
+/// Boxes are interpolated in time and absent outside their first and last observation.
+bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m);
+
+/// Frames for training and for testing. Every `test_every`-th position is held out, the first one excepted
+/// (frames 10, 20, ... of 0:50 with test_every = 10).
+struct Split {
+    std::vector<int> train;   ///< positions in Sequence::frames
+    std::vector<int> test;
+};
+Split split_frames(const Sequence& sequence, int test_every);
+
+}  // namespace relidar
