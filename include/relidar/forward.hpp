@@ -8,20 +8,11 @@
 
 #include <glm/glm.hpp>
 
+#include <relidar/accel.hpp>
+#include <relidar/gpu.hpp>
+#include <relidar/scene.hpp>
+
 namespace relidar {
-
-/// Direction in which spherical harmonics are evaluated.
-enum class ShDirection { ray, surfel };
-
-/// The constants of the image formation model, docs/method.md sections 2-3.
-struct ImageModel {
-    float near_m = 0.2f;                     ///< hits nearer than this are ignored
-    float alpha_min = 1.0f / 255.0f;         ///< a surfel contributing less is skipped
-    float alpha_max = 0.99f;                 ///< alpha is clamped to this (gradient zero where clamped)
-    float transmittance_min = 1e-4f;         ///< a surfel that would bring T under this is not blended and ends the ray
-    int sh_degree = 3;                       ///< active SH degree, 0..3
-    ShDirection sh_direction = ShDirection::ray;
-};
 
 /// Rays in world coordinates.
 struct WorldRays {
@@ -42,5 +33,58 @@ struct Rendering {
     std::vector<std::uint32_t> hits;   ///< blended surfels
     std::size_t size() const { return depth.size(); }
 };
+
+/// The forward kernel with its settings. Rendered rays stay on the device: kRenderedFloats floats a ray (see shaders/shared/trace.h).
+inline constexpr int kRenderedFloats = 8;
+class ForwardPass {
+public:
+    ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options);
+    ~ForwardPass();
+    /// Records the trace of a batch. The scene must be activated and accel updated before, in the same stream.
+    /// @param rendered  [>= n_rays * kRenderedFloats] output
+    void run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered);
+    /// Rays that reached the cap of passes since the last call (they end early, which is an error). Blocks.
+    std::uint32_t take_pass_cap_count();
+    const ImageModel& image_model() const;
+    void set_sh_degree(int degree);
+
+    struct Impl;
+    Impl& impl() const { return *impl_; }
+
+private:
+    std::unique_ptr<Impl> impl_;
+};
+
+/// Rendered rays as host arrays.
+Rendering to_rendering(const std::vector<float>& rendered, std::size_t n_rays);
+
+/// A scene ready to be traced: parameters on the device, records, acceleration structure, forward kernel.
+class Renderer {
+public:
+    Renderer(Device& device, const Scene& scene, const ImageModel& model, const AccelOptions& accel = {}, const TraceOptions& trace = {});
+    ~Renderer();
+    /// Poses of all instances, world_from_model. Takes effect with the next trace.
+    void set_poses(const std::vector<Pose>& world_from_instance);
+    /// @param view_origin_m  where SH directions start with ShDirection::surfel: the sensor's position
+    /// @throws DeviceError where a ray reaches the cap of passes
+    Rendering trace(const WorldRays& rays, const glm::vec3& view_origin_m);
+    const KernelTimes& times() const;
+    void reset_times();
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+/// Ordered hits of each ray, all of them: for tests of the traversal contract.
+struct CollectedHits {
+    std::uint32_t max_hits = 0;
+    std::vector<std::uint32_t> counts;     ///< [n_rays] may exceed max_hits
+    std::vector<float> t;                  ///< [n_rays, max_hits] metres
+    std::vector<std::uint32_t> instance;   ///< [n_rays, max_hits]
+    std::vector<std::uint32_t> surfel;     ///< [n_rays, max_hits]
+};
+CollectedHits collect_hits(Device& device, const Scene& scene, const std::vector<Pose>& world_from_instance, const WorldRays& rays,
+                           const ImageModel& model, const AccelOptions& accel, const TraceOptions& trace, std::uint32_t max_hits);
 
 }  // namespace relidar

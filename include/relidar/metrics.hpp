@@ -32,16 +32,24 @@ struct MetricOptions {
 };
 
 /// All metrics of one rendering against the real image of the same rays.
-///   peer/depth_{rmse_m,mae_m,medae_m,psnr_db,ssim}, peer/intensity_{...}, peer/cd_sq_m2, peer/f_score
-///   strict/depth_{rmse_m,medae_m,...} over pixels returned in both, strict/cd_{mean_m,sq_m2}, strict/f_{5cm,22cm},
-///   strict/drop_{accuracy,f1}
-/// @throws DataError where the images differ in shape
+///   peer/depth_{rmse_m,mae_m,medae_m,psnr_db,ssim}       every pixel, 0 where dropped, clamped to [1e-6, max_range_m]
+///   peer/intensity_{rmse,mae,medae,psnr_db,ssim}         the same, clamped to [1e-6, 1]
+///   peer/{cd_sq_m2,f_score}                              returned pixels; F-score at a squared distance of 0.05 m^2
+///   strict/depth_{rmse_m,mae_m,medae_m}, strict/intensity_{rmse,mae,medae}   pixels returned in both
+///   strict/{cd_mean_m,cd_sq_m2}                          sum of the two means (one a direction)
+///   strict/{f_5cm,f_22cm}                                F-score at 0.05 m and sqrt(0.05) m
+///   strict/drop_{accuracy,precision,recall,f1}           positive = dropped
+/// A pixel counts as returned where drop_prob is below the threshold and range_m above 0. A metric that is undefined
+/// (nothing returned, image below 7 x 7 for SSIM) is left out; an F-score against an empty cloud is 0.
+/// @throws DataError where the images differ in shape or hold a value that is not finite
 MetricRow evaluate(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options = {});
 
 /// Structural similarity, scikit-image's defaults: 7x7 uniform window, sample covariance, borders cropped by 3 pixels.
+/// @param a,b [rows*columns] @throws DataError below 7 x 7 pixels or where data_range is not positive
 double ssim(const std::vector<double>& a, const std::vector<double>& b, int rows, int columns, double data_range);
 
-/// Distance from each query point to its nearest target point (exact). @return [n] metres
+/// Distance from each query point to its nearest target point (exact, on all cores). @return [n] metres
+/// @throws DataError where there is no target point or a coordinate is not finite
 std::vector<double> nearest_distances(const std::vector<glm::dvec3>& query, const std::vector<glm::dvec3>& target);
 
 /// Mean over frames, metric by metric, over the frames that have it.

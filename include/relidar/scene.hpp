@@ -9,6 +9,7 @@
 
 #include <glm/glm.hpp>
 
+#include <relidar/gpu.hpp>
 #include <relidar/math.hpp>
 #include <relidar/sequence.hpp>
 
@@ -59,6 +60,19 @@ struct Scene {
 /// A scene of one model, the background, with one instance.
 Scene make_background_scene(Surfels surfels);
 
+/// Direction in which spherical harmonics are evaluated.
+enum class ShDirection { ray, surfel };
+
+/// The constants of the image formation model, docs/method.md sections 2-3.
+struct ImageModel {
+    float near_m = 0.2f;                     ///< hits nearer than this are ignored
+    float alpha_min = 1.0f / 255.0f;         ///< a surfel contributing less is skipped
+    float alpha_max = 0.99f;                 ///< alpha is clamped to this (gradient zero where clamped)
+    float transmittance_min = 1e-4f;         ///< a surfel that would bring T under this is not blended and ends the ray
+    int sh_degree = 3;                       ///< active SH degree, 0..3
+    ShDirection sh_direction = ShDirection::ray;
+};
+
 /// How a scene is initialised from a log.
 struct InitialiseOptions {
     double voxel_m = 0.15;             ///< points of all training frames are averaged per voxel
@@ -96,5 +110,46 @@ double background_extent(const Surfels& surfels);
 /// Saves parameters as safetensors / loads them. @throws DataError for missing, misshapen or non-finite arrays
 void save_model(const std::filesystem::path& path, const Scene& scene, const std::string& relidar_version);
 Scene load_model(const std::filesystem::path& path);
+
+/// Parameters, gradients or moments of all surfels on a device, one array a group in the layout of Surfels.
+struct SurfelArrays {
+    Array<float> mean, rotation, log_scale, opacity_logit, sh;
+    std::uint32_t n = 0;
+
+    SurfelArrays() = default;
+    SurfelArrays(Device& device, std::uint32_t n, const std::string& what);
+    void upload(const Surfels& surfels);
+    Surfels download() const;
+    void fill_zero(Stream& stream);
+};
+
+/// A scene on a device: parameters, the records that hits read, and the instance table.
+class DeviceScene {
+public:
+    DeviceScene(Device& device, const Scene& scene);
+    ~DeviceScene();
+
+    /// Poses of all instances, world_from_model, one each. Blocking upload.
+    void set_poses(const std::vector<Pose>& world_from_instance);
+    const std::vector<Pose>& poses() const;
+    /// Records the activation kernel: records from parameters (M1, M2), channels too with ShDirection::surfel.
+    /// @param view_origin_m [3] world. A model placed twice sees it from its first instance.
+    void activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m);
+    /// Records the chain rule back from record gradients to parameters. @param d_records [n,16] @param touched [n]
+    /// SH gradients are written with ShDirection::surfel; with ShDirection::ray the hits have accumulated them already.
+    void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m, const Array<float>& d_records,
+                      SurfelArrays& d_surfels, Array<std::uint32_t>& touched, Array<float>& d_view_origin);
+
+    const Scene& layout() const;   ///< models and instances; its surfels are empty
+    SurfelArrays& parameters();
+    const SurfelArrays& parameters() const;
+    const Array<float>& records() const;      ///< [n,16]
+    std::uint64_t instances_address() const;  ///< of the instance table
+    std::uint32_t size() const;               ///< surfels
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
 
 }  // namespace relidar

@@ -28,15 +28,16 @@ struct RayTable {
     std::size_t size() const { return direction.size(); }
 };
 
-/// One laser of a spinning LiDAR. The ray of a head at azimuth `theta` (counter-clockwise) starts at
-///   R_z(theta) * (origin_offset_m - origin_up_m * sin(elevation), origin_left_m, origin_up_m * cos(elevation))
-/// and points along elevation_rad, azimuth theta + azimuth_offset_rad.
+/// One laser of a spinning LiDAR. The ray of a head at azimuth `theta` (counter-clockwise) points along elevation_rad,
+/// azimuth theta + azimuth_offset_rad, and starts at
+///   R_z(theta) * (origin_offset_m, 0, 0)
+///   + R_z(theta + azimuth_offset_rad) * (-origin_up_m * sin(elevation), origin_left_m, origin_up_m * cos(elevation))
 struct Beam {
     double elevation_rad = 0.0;
     double azimuth_offset_rad = 0.0;
     double origin_offset_m = 0.0;  ///< along the head direction
     double origin_up_m = 0.0;      ///< at right angles to the beam, in its vertical plane
-    double origin_left_m = 0.0;
+    double origin_left_m = 0.0;    ///< to the left of the beam
 };
 
 /// A spinning LiDAR: its beams, the number of azimuth steps a turn, and the turn itself.
@@ -51,6 +52,19 @@ struct SpinningSensor {
     double max_range_m = 80.0;
     double divergence_rad = 0.0;
 };
+
+/// Where a beam starts and points, sensor frame.
+struct BeamRay {
+    glm::dvec3 origin_m;
+    glm::dvec3 direction;
+};
+
+/// Ray of one beam while the head stands at an azimuth, by the equation of Beam.
+BeamRay beam_ray(const Beam& beam, double head_azimuth_rad);
+
+/// Columns by which a beam's firings are moved in the image, so that a column keeps one azimuth: image column j holds
+/// firing (j + shift) mod columns, shift = azimuth_offset in columns, rounded.
+int column_shift(const Beam& beam, int columns);
 
 /// Rays of one turn. Time 0 is the moment the head faces forward (azimuth 0); a clockwise head reaches azimuth a at
 /// -a / (2 pi) * period.

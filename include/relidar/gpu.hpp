@@ -1,0 +1,149 @@
+// SPDX-License-Identifier: Apache-2.0
+// Device, memory and submission, without a Vulkan type: what a stage needs to own arrays and run kernels on them.
+// The objects behind these handles live in src/gpu.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+namespace relidar {
+
+/// How rays find surfels.
+enum class Traversal { automatic, ray_query, software };
+
+/// One Vulkan device of this machine and what relidar can do with it.
+struct DeviceInfo {
+    int index = 0;
+    std::string name;
+    std::string type;                  ///< "discrete GPU", "integrated GPU", "CPU", ...
+    std::string driver;                ///< driver name and version
+    std::string api_version;           ///< "1.3.240"
+    std::uint64_t memory_bytes = 0;    ///< of the largest device-local heap
+    bool ray_query = false;            ///< hardware (or driver) ray queries with acceleration structures
+    bool float_atomics = false;        ///< float atomic add on buffers; otherwise compare-and-swap
+    bool timestamps = false;           ///< compute timestamps
+    std::string why_not_ray_query;     ///< missing extensions and features, empty where ray_query
+    std::string why_not_usable;        ///< missing base features, empty where relidar runs at all
+};
+
+/// Every Vulkan device, in the loader's order. @throws DeviceError where no Vulkan loader or driver is installed
+std::vector<DeviceInfo> list_devices();
+
+struct DeviceOptions {
+    int index = -1;                              ///< of list_devices; -1 = first GPU with ray query, else first usable device
+    Traversal traversal = Traversal::automatic;
+    bool validation = false;                     ///< Khronos validation layer; also RELIDAR_VALIDATION=1
+};
+
+/// An open device. Everything made from it must be destroyed first.
+class Device {
+public:
+    /// @throws DeviceError naming all missing features at once, or the device that does not exist
+    explicit Device(const DeviceOptions& options = {});
+    ~Device();
+    Device(const Device&) = delete;
+    Device& operator=(const Device&) = delete;
+
+    const DeviceInfo& info() const;
+    Traversal traversal() const;
+    /// Device memory held now / at most since the device was opened, bytes.
+    std::uint64_t allocated_bytes() const;
+    std::uint64_t peak_bytes() const;
+    /// Validation messages of severity warning or error seen so far (0 without validation).
+    std::size_t validation_messages() const;
+
+    struct Impl;
+    Impl& impl() const { return *impl_; }
+
+private:
+    std::unique_ptr<Impl> impl_;
+};
+
+/// A piece of device memory with an address. Move-only.
+class Buffer {
+public:
+    Buffer() = default;
+    /// @param what  name used in messages @throws DeviceError where memory is exhausted, with size and what was asked for
+    Buffer(Device& device, std::size_t n_bytes, const std::string& what);
+    ~Buffer();
+    Buffer(Buffer&&) noexcept;
+    Buffer& operator=(Buffer&&) noexcept;
+
+    std::uint64_t address() const;
+    std::size_t size_bytes() const;
+    explicit operator bool() const { return impl_ != nullptr; }
+    /// Blocking copies through staging memory. @throws DeviceError on a lost device
+    void upload(const void* data, std::size_t n_bytes, std::size_t offset_bytes = 0);
+    void download(void* data, std::size_t n_bytes, std::size_t offset_bytes = 0) const;
+
+    struct Impl;
+    Impl& impl() const { return *impl_; }
+
+private:
+    std::unique_ptr<Impl> impl_;
+};
+
+/// Device array of trivially copyable values.
+template <class T>
+class Array {
+public:
+    Array() = default;
+    Array(Device& device, std::size_t n, const std::string& what) : buffer_(device, (n ? n : 1) * sizeof(T), what), n_(n) {}
+    Array(Device& device, std::span<const T> values, const std::string& what) : Array(device, values.size(), what) { upload(values); }
+
+    std::size_t size() const { return n_; }
+    std::uint64_t address() const { return buffer_.address(); }
+    const Buffer& buffer() const { return buffer_; }
+    void upload(std::span<const T> values, std::size_t first = 0) { if (!values.empty()) buffer_.upload(values.data(), values.size_bytes(), first * sizeof(T)); }
+    std::vector<T> download() const {
+        std::vector<T> values(n_);
+        if (n_) buffer_.download(values.data(), n_ * sizeof(T));
+        return values;
+    }
+
+private:
+    Buffer buffer_;
+    std::size_t n_ = 0;
+};
+
+/// Milliseconds a kernel over the submissions measured.
+struct KernelTimes {
+    std::map<std::string, std::vector<double>> milliseconds;   ///< kernel name -> one entry a launch, at most the last 4096 (older ones are dropped)
+};
+
+/// Records kernels and submits them. Each launch sees the results of all earlier ones.
+class Stream {
+public:
+    explicit Stream(Device& device, bool timing = false);
+    ~Stream();
+    Stream(const Stream&) = delete;
+    Stream& operator=(const Stream&) = delete;
+
+    /// Sets an array to a 32-bit pattern.
+    void fill(const Buffer& buffer, std::uint32_t pattern = 0);
+    template <class T>
+    void fill(const Array<T>& array, std::uint32_t pattern = 0) { fill(array.buffer(), pattern); }
+    /// Submits what was recorded. @return a ticket for wait()
+    std::uint64_t submit();
+    /// Blocks until a ticket is done. @throws DeviceError on a lost device or a device-side check, with the kernel's name
+    void wait(std::uint64_t ticket);
+    /// submit and wait.
+    void finish() { wait(submit()); }
+    /// Times measured so far (only with timing = true and a device with timestamps).
+    const KernelTimes& times() const;
+    void reset_times();
+    Device& device() const;
+
+    struct Impl;
+    Impl& impl() const { return *impl_; }
+
+private:
+    std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace relidar

@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+// Adam over the parameter groups of all surfels, with one learning rate a group.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+
+#include <relidar/gpu.hpp>
+#include <relidar/scene.hpp>
+
+namespace relidar {
+
+/// Learning rates of one step.
+struct LearningRates {
+    double mean = 1.6e-4;          ///< metres; the schedule multiplies by the extent
+    double rotation = 1e-3;
+    double log_scale = 5e-3;
+    double opacity_logit = 0.05;
+    double sh = 2.5e-3;            ///< DC coefficient of each channel
+    double sh_rest_factor = 0.05;  ///< of the other coefficients
+};
+
+struct AdamOptions {
+    double beta1 = 0.9;
+    double beta2 = 0.999;
+    double epsilon = 1e-15;
+    bool only_touched = false;   ///< surfels without a gradient in this batch keep values and moments
+};
+
+/// Exponential interpolation from `start` at step 0 to `end` at step n_steps.
+double exponential_schedule(double start, double end, int step, int n_steps);
+
+class Adam {
+public:
+    Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options);
+    ~Adam();
+    /// Records one step. @param step counts from 1 @param touched [n] @param sh_degree active degree: higher coefficients are left alone
+    void step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients, const Array<std::uint32_t>& touched,
+              const LearningRates& rates, int step, int sh_degree);
+    SurfelArrays& moment1();
+    SurfelArrays& moment2();
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace relidar

@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// All hits of each ray in order, chunk by chunk and without any cut by transmittance: the traversal contract made visible, for
+// its conformance tests. One thread a ray. Input: scene. Output: counts, t, instance, surfel.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../traversal/includes.glsl"
+RELIDAR_PARAMS(CollectHitsParams);
+
+void main() {
+    uint ray_index = gl_GlobalInvocationID.x;
+    if (ray_index >= params.scene.n_rays) return;
+    RayEntry entry = params.scene.rays.at[params.scene.first_ray + ray_index * params.scene.ray_stride];
+    Ray ray = Ray(entry.origin, entry.direction);
+    Key after = first_key(params.scene);
+    uint count = 0u;
+    bool more = true;
+    for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && more; ++pass) {
+        next_hits(params.scene, ray, after, 1e30);
+        for (uint i = 0u; i < n_hits; ++i, ++count) {
+            if (count >= params.max_hits) continue;
+            uint slot = ray_index * params.max_hits + count;
+            params.t.at[slot] = hit_t[i];
+            params.instance.at[slot] = hit_instance[i];
+            params.surfel.at[slot] = hit_surfel[i];
+        }
+        more = hits_closed;
+        if (more) after = hit_key(n_hits - 1u);
+    }
+    if (more) atomicAdd(params.scene.pass_cap_count.at[0], 1u);
+    params.counts.at[ray_index] = count;
+}

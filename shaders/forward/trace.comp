@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+// Forward pass (Eq. 2-4; M4, M5): collects hits chunk by chunk, blends nearest first. One thread a ray.
+// Input: scene (rays, records, instances, sh, acceleration structure). Output: rendered. Accumulated: scene.pass_cap_count.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../traversal/includes.glsl"
+RELIDAR_PARAMS(ForwardParams);
+
+RenderedRay render(TraceScene scene, Ray ray) {
+    RenderedRay r = RenderedRay(0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0u);
+    ray_basis_instance = kNoInstance;
+    Key after = first_key(scene);
+    bool ended = false;
+    uint pass = 0u;
+    for (; pass < RELIDAR_MAX_PASSES && !ended; ++pass) {
+        next_hits(scene, ray, after, remaining_budget(scene, r.transmittance));
+        for (uint i = 0u; i < n_hits && !ended; ++i) {
+            float alpha = min(hit_alpha[i], scene.alpha_max);
+            float next = r.transmittance * (1.0 - alpha);
+            if (next < scene.transmittance_min) { ended = true; break; }
+            float w = alpha * r.transmittance;
+            vec3 c = hit_channels(scene, ray, hit_instance[i], hit_surfel[i], scene.records.at[hit_surfel[i]]);
+            r.depth += w * hit_t[i];
+            r.weight += w;
+            r.intensity += w * c.x;
+            r.hit_logit += w * c.y;
+            r.drop_logit += w * c.z;
+            if (r.transmittance > 0.5 && next <= 0.5) r.median_depth = hit_t[i];
+            r.transmittance = next;
+            ++r.n_hits;
+        }
+        if (!hits_closed) ended = true;
+        else after = hit_key(n_hits - 1u);
+    }
+    if (!ended) atomicAdd(scene.pass_cap_count.at[0], 1u);
+    r.drop_logit += r.transmittance;   // background: intensity 0, hit 0, drop 1
+    return r;
+}
+
+void main() {
+    uint i = gl_GlobalInvocationID.x;
+    if (i >= params.scene.n_rays) return;
+    RayEntry entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
+    params.rendered.at[i] = render(params.scene, Ray(entry.origin, entry.direction));
+}

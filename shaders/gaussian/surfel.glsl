@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: Apache-2.0
+// The one ray-surfel function of the program (M1, M2) and its derivative (M8). Every pass, forward and backward, every backend
+// sorts and blends the t computed here, from the original ray: `precise` keeps it the same number in every kernel.
+#ifndef RELIDAR_INCLUDED_GAUSSIAN_SURFEL_GLSL
+#define RELIDAR_INCLUDED_GAUSSIAN_SURFEL_GLSL
+
+/// Where a ray meets a surfel's plane, in the frame of the record.
+struct SurfelHit {
+    float t;       // m along the ray
+    float u, v;    // in standard deviations
+    float alpha;   // sigma G, not clamped
+};
+
+float exact_dot(vec3 a, vec3 b) {
+    precise float sum = a.x * b.x + a.y * b.y + a.z * b.z;
+    return sum;
+}
+
+/// @param origin, direction  ray in the model frame, m
+/// @return false where the ray lies in the plane (n . d = 0) or anything is not finite
+bool intersect(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {
+    precise vec3 to_mean = s.mean - origin;
+    precise float facing = exact_dot(s.normal, direction);
+    precise float t = exact_dot(s.normal, to_mean) / facing;
+    precise vec3 p = t * direction - to_mean;
+    hit.t = t;
+    hit.u = exact_dot(s.axis_u, p);
+    hit.v = exact_dot(s.axis_v, p);
+    hit.alpha = s.opacity * exp(-0.5 * (hit.u * hit.u + hit.v * hit.v));
+    return facing != 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
+}
+
+/// Gradient of a record, in its layout.
+struct SurfelHitGradient {
+    vec3 d_mean;
+    vec3 d_axis_u;
+    vec3 d_axis_v;
+    vec3 d_normal;
+    float d_opacity;
+    vec3 d_origin;      // of the ray, model frame
+    vec3 d_direction;
+};
+
+/// @param d_t      dL/dt at fixed u, v
+/// @param d_alpha  dL/d(sigma G); 0 where alpha was clamped
+SurfelHitGradient intersect_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit, float d_t, float d_alpha) {
+    SurfelHitGradient g;
+    vec3 p = hit.t * direction - (s.mean - origin);
+    float d_u = -d_alpha * hit.alpha * hit.u;
+    float d_v = -d_alpha * hit.alpha * hit.v;
+    vec3 d_p = d_u * s.axis_u + d_v * s.axis_v;
+    d_t += dot(d_p, direction);
+    vec3 dt_dmean = s.normal / dot(s.normal, direction);   // dt/d(mean) = n / (n . d)
+    g.d_opacity = d_alpha * hit.alpha / s.opacity;
+    g.d_axis_u = d_u * p;
+    g.d_axis_v = d_v * p;
+    g.d_normal = -d_t * p / dot(s.normal, direction);      // dt/dn = (mean - p_hit) / (n . d)
+    g.d_mean = d_t * dt_dmean - d_p;
+    g.d_origin = d_p - d_t * dt_dmean;
+    g.d_direction = hit.t * (d_p - d_t * dt_dmean);
+    return g;
+}
+#endif

@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+// Records of surfels from their parameters (docs/method.md section 2): normalised rotation, exp scale, sigmoid opacity; channel
+// values where SH are evaluated once a surfel, in the direction view_origin -> mean. One thread a surfel.
+// Input: surfels. Output: records. A surfel with a non-finite value, or too faint to be seen, gets opacity 0 and is never hit.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../common/kernel.glsl"
+#include "../shared/scene.h"
+#include "../gaussian/quaternion.glsl"
+#include "../gaussian/sh.glsl"
+RELIDAR_PARAMS(ActivateParams);
+
+float channel(uint surfel, uint c, float basis[16], uint n) {
+    float value = 0.5;
+    for (uint k = 0u; k < n; ++k) value += basis[k] * params.surfels.sh.at[surfel * RELIDAR_SH_FLOATS + c * 16u + k];
+    return value;
+}
+
+bool finite3(vec3 v) { return !any(isnan(v)) && !any(isinf(v)); }
+
+void main() {
+    uint i = gl_GlobalInvocationID.x;
+    if (i >= params.n_surfels) return;
+    uint surfel = params.first_surfel + i;
+    Floats mean = params.surfels.mean, rotation = params.surfels.rotation, log_scale = params.surfels.log_scale;
+    SurfelRecord s;
+    s.mean = vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]);
+    mat3 r = rotation_matrix(vec4(rotation.at[4 * surfel], rotation.at[4 * surfel + 1], rotation.at[4 * surfel + 2], rotation.at[4 * surfel + 3]));
+    s.axis_u = r[0] * exp(-log_scale.at[2 * surfel]);
+    s.axis_v = r[1] * exp(-log_scale.at[2 * surfel + 1]);
+    s.normal = r[2];
+    s.opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
+    s.intensity = 0.0;
+    s.hit_logit = 0.0;
+    s.drop_logit = 0.0;
+    if (params.sh_per_surfel != 0u) {
+        float basis[16];
+        sh_basis(normalize(s.mean - params.view_origin), params.sh_degree, basis);
+        uint n = sh_count(params.sh_degree);
+        s.intensity = max(channel(surfel, 0u, basis, n), 0.0);
+        s.hit_logit = channel(surfel, 1u, basis, n);
+        s.drop_logit = channel(surfel, 2u, basis, n);
+    }
+    vec3 channels = vec3(s.intensity, s.hit_logit, s.drop_logit);
+    vec2 inverse_scale = vec2(length(s.axis_u), length(s.axis_v));   // scales outside 1e-6 m .. 1e6 m are no surfels
+    bool finite = all(greaterThan(inverse_scale, vec2(1e-6))) && all(lessThan(inverse_scale, vec2(1e6))) && finite3(s.mean) && finite3(s.axis_u) && finite3(s.axis_v) && finite3(s.normal) && finite3(channels);
+    if (!finite || !(s.opacity > params.alpha_min)) {
+        bool placed = finite3(s.mean);
+        s = SurfelRecord(placed ? s.mean : vec3(0.0), 0.0, vec3(1.0, 0.0, 0.0), 0.0, vec3(0.0, 1.0, 0.0), 0.0, vec3(0.0, 0.0, 1.0), 0.0);
+    }
+    params.records.at[surfel] = s;
+}

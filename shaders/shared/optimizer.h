@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: Apache-2.0
+// Adam over one parameter group.
+#ifndef RELIDAR_INCLUDED_SHARED_OPTIMIZER_H
+#define RELIDAR_INCLUDED_SHARED_OPTIMIZER_H
+#include "lang.h"
+
+RELIDAR_SHARED_BEGIN
+
+struct AdamParams {
+    Floats values;         // in place [n_rows,stride]
+    Floats gradients;      // input [n_rows,stride]
+    Floats moment1;        // in place
+    Floats moment2;        // in place
+    Uints touched;         // input [n_rows] rows to update, or address 0 = all
+    float learning_rate;
+    float beta1;
+    float beta2;
+    float epsilon;
+    float correction1;     // 1 / (1 - beta1^step)
+    float correction2;     // 1 / (1 - beta2^step)
+    float first_scale;     // learning-rate factor of column 0 of each block (SH: DC against the rest)
+    uint n_rows;
+    uint stride;           // floats a row
+    uint block;            // columns a block: column 0 of each block has its own rate
+    uint n_active;          // columns updated in each block, the first ones
+};
+
+RELIDAR_SHARED_END
+#endif

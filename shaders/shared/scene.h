@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: Apache-2.0
+// Surfels as kernels see them: parameters (what is optimised) and records (what a hit reads), docs/method.md sections 2 and 4.
+// Quaternions are w, x, y, z everywhere.
+#ifndef RELIDAR_INCLUDED_SHARED_SCENE_H
+#define RELIDAR_INCLUDED_SHARED_SCENE_H
+#include "lang.h"
+
+RELIDAR_SHARED_BEGIN
+
+#define RELIDAR_SH_COEFFICIENTS 16
+#define RELIDAR_SH_FLOATS 48
+
+/// One surfel in its model's own frame, activated: 64 bytes, one cache line a hit. Never-hit surfels have opacity 0.
+struct SurfelRecord {
+    vec3 mean;         // m
+    float opacity;     // sigma, 0..1
+    vec3 axis_u;       // a_u / s_u, 1/m
+    float intensity;   // channel values where SH are evaluated once a surfel
+    vec3 axis_v;       // a_v / s_v, 1/m
+    float hit_logit;
+    vec3 normal;       // unit
+    float drop_logit;
+};
+RELIDAR_POINTER(Records, SurfelRecord);
+
+/// A model placed in the world.
+struct InstanceEntry {
+    vec4 row0;            // model_from_world, rows of a 3x4 matrix
+    vec4 row1;
+    vec4 row2;
+    uint first_surfel;    // of the model, in the scene's surfel arrays
+    uint n_surfels;
+};
+RELIDAR_POINTER(Instances, InstanceEntry);
+
+/// Parameters, gradients or moments of all surfels: one array a group.
+struct SurfelPointers {
+    Floats mean;            // [n,3]
+    Floats rotation;        // [n,4]
+    Floats log_scale;       // [n,2]
+    Floats opacity_logit;   // [n]
+    Floats sh;              // [n,3,16]
+};
+
+/// Records of all surfels from their parameters (scene/activate.comp).
+struct ActivateParams {
+    SurfelPointers surfels;   // input
+    Records records;          // output [n]
+    vec3 view_origin;         // where SH directions start, model frame, m (SH a surfel only)
+    float alpha_min;          // surfels of lower opacity get opacity 0
+    uint first_surfel;        // of the model whose view_origin this is
+    uint n_surfels;
+    uint sh_degree;           // active degree 0..3
+    uint sh_per_surfel;       // 1: evaluate channels here, 0: a hit does
+};
+
+/// Parameter gradients from record gradients (scene/activate_vjp.comp).
+struct ActivateVjpParams {
+    SurfelPointers surfels;     // input
+    Floats d_records;           // input [n,16], laid out as SurfelRecord
+    SurfelPointers d_surfels;   // output; sh is accumulated where SH are evaluated a hit
+    Uints touched;              // output [n] 1 where any record gradient is not zero
+    Floats d_view_origin;       // accumulated [3], model frame
+    vec3 view_origin;
+    uint first_surfel;
+    uint n_surfels;
+    uint sh_degree;
+    uint sh_per_surfel;
+};
+
+RELIDAR_SHARED_END
+#endif

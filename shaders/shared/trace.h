@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the kernels that trace rays share: rays, targets, rendered values and their gradients (forward, loss, backward).
+#ifndef RELIDAR_INCLUDED_SHARED_TRACE_H
+#define RELIDAR_INCLUDED_SHARED_TRACE_H
+#include "scene.h"
+
+RELIDAR_SHARED_BEGIN
+
+#define RELIDAR_MAX_PASSES 4096u
+
+struct RayEntry {
+    vec3 origin;      // world, m
+    vec3 direction;   // world, unit
+};
+RELIDAR_POINTER(Rays, RayEntry);
+
+/// What a ray measured.
+struct RayTarget {
+    float range_m;     // 0 = dropped
+    float intensity;   // 0..1
+    float weight;      // 0 = unknown (masked), takes no part in any loss
+};
+RELIDAR_POINTER(Targets, RayTarget);
+
+/// What a ray renders (M5).
+struct RenderedRay {
+    float depth;           // D = sum w t, m
+    float weight;          // W = sum w
+    float intensity;
+    float hit_logit;
+    float drop_logit;      // includes the background's T * 1
+    float transmittance;   // T after the last blended surfel
+    float median_depth;    // t where T crosses 0.5, 0 where it never does
+    uint n_hits;
+};
+RELIDAR_POINTER(RenderedRays, RenderedRay);
+
+/// Gradient of the loss with respect to what a ray renders.
+struct RayGradient {
+    float depth;
+    float weight;
+    float intensity;
+    float hit_logit;
+    float drop_logit;
+};
+RELIDAR_POINTER(RayGradients, RayGradient);
+
+/// What every tracing kernel needs. Ray k of the launch is entry first_ray + k * ray_stride of `rays`.
+struct TraceScene {
+    uint64_t tlas;          // acceleration structure address (ray query)
+    Rays rays;              // input
+    Records records;        // input
+    Instances instances;    // input
+    Floats sh;              // input [n,3,16], read where SH are evaluated a hit
+    Uints pass_cap_count;   // accumulated [1]: rays that reached the cap of passes
+    float near_m;
+    float alpha_min;
+    float alpha_max;
+    float transmittance_min;
+    uint n_instances;
+    uint sh_degree;
+    uint n_rays;
+    uint first_ray;
+    uint ray_stride;
+};
+
+struct ForwardParams {
+    TraceScene scene;
+    RenderedRays rendered;   // output [n_rays]
+};
+
+struct BackwardParams {
+    TraceScene scene;
+    RenderedRays rendered;     // input [n_rays], of the forward pass with the same scene
+    RayGradients upstream;     // input [n_rays]
+    Floats d_records;          // accumulated [n,16]
+    Floats d_sh;               // accumulated [n,3,16], where SH are evaluated a hit
+    Floats d_rays;             // output [n_rays,6] d_origin, d_direction, or address 0
+};
+
+/// Ordered hits of each ray, for tests of the traversal contract.
+struct CollectHitsParams {
+    TraceScene scene;
+    Uints counts;        // output [n_rays] hits found, also beyond max_hits
+    Floats t;            // output [n_rays,max_hits] m
+    Uints instance;      // output [n_rays,max_hits]
+    Uints surfel;        // output [n_rays,max_hits]
+    uint max_hits;
+};
+
+RELIDAR_SHARED_END
+#endif

@@ -1,0 +1,14 @@
+// SPDX-License-Identifier: Apache-2.0
+// Backend: every surfel of every instance is a candidate. The oracle for the other backends on the device itself.
+#ifndef RELIDAR_INCLUDED_TRAVERSAL_BRUTE_FORCE_GLSL
+#define RELIDAR_INCLUDED_TRAVERSAL_BRUTE_FORCE_GLSL
+
+void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
+    reset_hits(budget);
+    for (uint instance = 0u; instance < scene.n_instances; ++instance) {
+        uint first = scene.instances.at[instance].first_surfel;
+        uint count = scene.instances.at[instance].n_surfels;
+        for (uint i = 0u; i < count; ++i) offer(scene, ray, after, instance, first + i);
+    }
+}
+#endif

@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// Channel values of a hit (intensity, hit logit, drop logit): from the record where SH are evaluated once a surfel, else from the
+// coefficients in the direction of the ray in the model's frame (docs/method.md section 3).
+#ifndef RELIDAR_INCLUDED_TRAVERSAL_SHADING_GLSL
+#define RELIDAR_INCLUDED_TRAVERSAL_SHADING_GLSL
+layout(constant_id = 3) const uint SH_PER_SURFEL = 1u;
+
+const uint kNoInstance = 0xffffffffu;
+float ray_basis[16];              // SH basis of the current ray in the frame of ray_basis_instance
+uint ray_basis_instance;
+
+void use_basis(TraceScene scene, Ray ray, uint instance) {
+    if (ray_basis_instance == instance) return;
+    sh_basis(model_vector(scene.instances.at[instance], ray.direction), scene.sh_degree, ray_basis);
+    ray_basis_instance = instance;
+}
+
+float evaluate_channel(TraceScene scene, uint surfel, uint channel) {
+    float value = 0.5;
+    uint first = surfel * RELIDAR_SH_FLOATS + channel * RELIDAR_SH_COEFFICIENTS;
+    for (uint k = 0u; k < sh_count(scene.sh_degree); ++k) value += ray_basis[k] * scene.sh.at[first + k];
+    return value;
+}
+
+/// @return intensity (clamped at 0), hit logit, drop logit
+vec3 hit_channels(TraceScene scene, Ray ray, uint instance, uint surfel, SurfelRecord record) {
+    if (SH_PER_SURFEL != 0u) return vec3(record.intensity, record.hit_logit, record.drop_logit);
+    use_basis(scene, ray, instance);
+    return vec3(max(evaluate_channel(scene, surfel, 0u), 0.0), evaluate_channel(scene, surfel, 1u), evaluate_channel(scene, surfel, 2u));
+}
+#endif

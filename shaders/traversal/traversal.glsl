@@ -1,0 +1,118 @@
+// SPDX-License-Identifier: Apache-2.0
+// The traversal contract. next_hits() fills the hit buffer with the at most CHUNK surfels that the ray meets strictly after the
+// key `after`, ascending by key (t, instance, surfel), each at most once. A backend only proposes candidate ids through offer();
+// intersection, order, de-duplication and insertion are here, so backends cannot disagree. See README.md beside this file.
+#ifndef RELIDAR_INCLUDED_TRAVERSAL_TRAVERSAL_GLSL
+#define RELIDAR_INCLUDED_TRAVERSAL_TRAVERSAL_GLSL
+layout(constant_id = 1) const uint CHUNK = 16u;
+
+struct Key {
+    float t;
+    uint instance;
+    uint surfel;
+};
+
+struct Ray {
+    vec3 origin;      // world, m
+    vec3 direction;   // world, unit
+};
+
+// The buffer: sorted hits, nearest first.
+float hit_t[CHUNK];
+float hit_alpha[CHUNK];    // sigma G, not clamped
+uint hit_instance[CHUNK];
+uint hit_surfel[CHUNK];
+uint n_hits;
+bool hits_closed;          // nothing beyond the last hit can matter any more in this pass: the ray may end there
+float hits_optical_depth;  // sum of -log(1 - alpha) over the buffer
+float optical_budget;      // hits behind this optical depth cannot be blended; huge = keep all
+
+bool before(Key a, Key b) {
+    if (a.t != b.t) return a.t < b.t;
+    if (a.instance != b.instance) return a.instance < b.instance;
+    return a.surfel < b.surfel;
+}
+
+Key hit_key(uint i) { return Key(hit_t[i], hit_instance[i], hit_surfel[i]); }
+
+vec3 model_point(InstanceEntry m, vec3 p) {
+    return vec3(exact_dot(m.row0.xyz, p) + m.row0.w, exact_dot(m.row1.xyz, p) + m.row1.w, exact_dot(m.row2.xyz, p) + m.row2.w);
+}
+vec3 model_vector(InstanceEntry m, vec3 d) {
+    return vec3(exact_dot(m.row0.xyz, d), exact_dot(m.row1.xyz, d), exact_dot(m.row2.xyz, d));
+}
+vec3 world_vector(InstanceEntry m, vec3 g) { return m.row0.xyz * g.x + m.row1.xyz * g.y + m.row2.xyz * g.z; }
+
+float optical_depth(float alpha, float alpha_max) { return -log(1.0 - min(alpha, alpha_max)); }
+
+/// Drops the farthest hits while those before them already end the ray (T under T_min whatever comes behind).
+void cut_by_transmittance(float alpha_max) {
+    while (n_hits > 1u) {
+        float last = optical_depth(hit_alpha[n_hits - 1u], alpha_max);
+        if (hits_optical_depth - last < optical_budget) return;
+        hits_optical_depth -= last;
+        --n_hits;
+        hits_closed = true;
+    }
+}
+
+void insert(Key key, float alpha, float alpha_max) {
+    uint slot = n_hits;
+    while (slot > 0u && !before(hit_key(slot - 1u), key)) --slot;
+    if (slot < n_hits && hit_key(slot) == key) return;   // the second triangle of one surfel
+    if (n_hits == CHUNK) {
+        hits_optical_depth -= optical_depth(hit_alpha[CHUNK - 1u], alpha_max);
+        --n_hits;
+    }
+    for (uint i = n_hits; i > slot; --i) {
+        hit_t[i] = hit_t[i - 1u];
+        hit_alpha[i] = hit_alpha[i - 1u];
+        hit_instance[i] = hit_instance[i - 1u];
+        hit_surfel[i] = hit_surfel[i - 1u];
+    }
+    hit_t[slot] = key.t;
+    hit_alpha[slot] = alpha;
+    hit_instance[slot] = key.instance;
+    hit_surfel[slot] = key.surfel;
+    ++n_hits;
+    hits_optical_depth += optical_depth(alpha, alpha_max);
+    if (n_hits == CHUNK) hits_closed = true;
+    cut_by_transmittance(alpha_max);
+}
+
+/// Takes a candidate proposed by a backend.
+void offer(TraceScene scene, Ray ray, Key after, uint instance, uint surfel) {
+    InstanceEntry m = scene.instances.at[instance];
+    SurfelHit hit;
+    if (!intersect(scene.records.at[surfel], model_point(m, ray.origin), model_vector(m, ray.direction), hit)) return;
+    if (!(hit.alpha >= scene.alpha_min)) return;
+    Key key = Key(hit.t, instance, surfel);
+    if (!before(after, key)) return;
+    if (hits_closed && !before(key, hit_key(n_hits - 1u))) return;
+    insert(key, hit.alpha, scene.alpha_max);
+}
+
+void reset_hits(float budget) {
+    n_hits = 0u;
+    hits_closed = false;
+    hits_optical_depth = 0.0;
+    optical_budget = budget;
+}
+
+/// The key before the first hit a sensor can see: hits at t <= near are ignored.
+Key first_key(TraceScene scene) { return Key(scene.near_m, 0xffffffffu, 0xffffffffu); }
+
+/// Where a continued search may start: hits before are known. Rounding of a backend's own t is far below this (docs: platform).
+float search_start(Key after) { return max(after.t - (1e-4 + 1e-5 * after.t), 0.0); }
+
+/// Optical depth still to go before a ray that has transmittance T left must end, with room for rounding of the sum.
+float remaining_budget(TraceScene scene, float transmittance) {
+    return log(transmittance / scene.transmittance_min) + 0.01;
+}
+
+#ifdef RELIDAR_TRAVERSAL_RAY_QUERY
+#include "ray_query.glsl"
+#else
+#include "brute_force.glsl"
+#endif
+#endif

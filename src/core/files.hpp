@@ -1,0 +1,28 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reading files whole, and numbers out of their lines. Every failure is a DataError that names the file.
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace relidar {
+
+/// Content of a file. @throws DataError where it is missing or cannot be read
+std::string read_file(const std::filesystem::path& path);
+
+/// Lines without their ends ("\n" or "\r\n"); a final newline makes no empty line.
+std::vector<std::string> split_lines(const std::string& text);
+
+/// Text without blanks at both ends.
+std::string_view trimmed(std::string_view text);
+
+/// One number that fills the text, "nan" and "inf" included. @return nothing where it is no number
+std::optional<double> parse_number(std::string_view text);
+
+/// All numbers of a line parted by blanks. @return nothing where a word is no number
+std::optional<std::vector<double>> parse_numbers(std::string_view line);
+
+}  // namespace relidar

@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// A loop over independent items on a few threads.
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <exception>
+#include <thread>
+#include <vector>
+
+namespace relidar {
+
+/// Runs task(i) for every i in [0, n). What a task throws is thrown again once all threads have ended; of several
+/// failures the one of the smallest i, so that a message does not depend on timing.
+template <class Task>
+void run_parallel(int n, const Task& task) {
+    const int n_threads = std::clamp(static_cast<int>(std::thread::hardware_concurrency()), 1, std::max(n, 1));
+    std::vector<std::exception_ptr> failure(static_cast<std::size_t>(std::max(n, 0)));
+    std::atomic<int> next{0};
+    const auto work = [&] {
+        for (int i = next++; i < n; i = next++) {
+            try {
+                task(i);
+            } catch (...) {
+                failure[static_cast<std::size_t>(i)] = std::current_exception();
+            }
+        }
+    };
+    std::vector<std::thread> threads;
+    for (int t = 1; t < n_threads; ++t) threads.emplace_back(work);
+    work();
+    for (std::thread& thread : threads) thread.join();
+    for (const std::exception_ptr& f : failure) {
+        if (f) std::rethrow_exception(f);
+    }
+}
+
+}  // namespace relidar

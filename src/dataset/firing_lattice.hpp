@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+// When an HDL-64E fired. All 64 lasers fire together, about 2152 times a turn, and the head angle of a firing is read from
+// an encoder with 0.09 degree ticks. So the azimuth of a point of laser k is
+//   azimuth = head + offset_k + asin(left_k / rho),   head = tick * n + constant
+// with the same set of ticks for all lasers of a turn. From that the log tells each laser's azimuth offset and left offset,
+// and the firings of a turn: a firing without a point is a dropped return.
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include "dataset/hdl64_rings.hpp"
+
+namespace relidar::kitti {
+
+/// The lattice of head angles and every laser's place in it.
+struct FiringLattice {
+    double tick_rad = 0.0;
+    int n_ticks = 0;                          ///< a turn
+    double zero_rad = 0.0;                    ///< head azimuth of tick 0
+    bool every_tick = false;                  ///< fires at every tick (no encoder ticks were found)
+    std::array<double, kRings> offset_rad{};  ///< azimuth of the beam relative to the head, mean 0
+    std::array<double, kRings> left_m{};      ///< the beam passes the spin axis this far to its left
+
+    /// Head azimuth at which laser `ring` saw a point.
+    double head_azimuth(const glm::vec4& point, int ring) const;
+    /// Tick nearest to a head azimuth, in [0, n_ticks).
+    int tick(double head_azimuth_rad) const;
+    /// Head azimuth of a tick in (-pi, pi].
+    double azimuth_of(int tick) const;
+};
+
+/// Finds the lattice in a few scans. Where azimuths follow none (a resampled log), the steps are even and offsets 0.
+FiringLattice fit_lattice(const std::vector<const RawScan*>& scans);
+
+/// Ticks at which the head fired in this turn, in order of time (clockwise, azimuth falling from +pi).
+std::vector<int> find_firings(const RawScan& scan, const FiringLattice& lattice);
+
+}  // namespace relidar::kitti

@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: Apache-2.0
+// The single files of a KITTI raw drive, each checked while read. Formats: KITTI raw development kit.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include <glm/glm.hpp>
+
+#include <relidar/sequence.hpp>
+
+namespace relidar::kitti {
+
+/// Frame numbers of the scans in velodyne_points/data within [begin, end), ascending; end -1 = open.
+/// @throws DataError without that folder or any scan, UsageError where none lies in the range
+std::vector<int> list_scans(const std::filesystem::path& drive, int begin, int end);
+
+/// Points of a scan: x, y, z (metres, sensor frame), reflectance. @throws DataError for a truncated, empty or impossible scan
+std::vector<glm::vec4> read_scan(const std::filesystem::path& file);
+
+/// Seconds of every line, counted from the file's first line (days included).
+std::vector<double> read_timestamps(const std::filesystem::path& file);
+
+/// Median time of one turn from timestamps_start.txt and timestamps_end.txt.
+double read_period(const std::filesystem::path& drive);
+
+/// Rigid transform with the keys R (9 numbers, row-major) and T (3).
+Pose read_calibration(const std::filesystem::path& file);
+
+/// world_from_sensor of the given frames from OXTS: Mercator about the latitude of the log's first frame, x east, y north.
+/// Dataset's world: origin at the IMU in the log's first frame.
+std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive, const std::vector<int>& frames);
+
+/// world_from_sensor of the given frames: 12 numbers a line, 3x4 row-major, frame i on line i.
+std::vector<Pose> read_pose_file(const std::filesystem::path& file, const std::vector<int>& frames);
+
+/// Boxes of tracklet_labels.xml for the given frames, in the world of the poses; none without that file.
+/// @param world_from_sensor one entry for each of `frames`
+std::vector<BoxTrack> read_tracklets(const std::filesystem::path& file, const std::vector<int>& frames,
+                                     const PoseTrack& world_from_sensor);
+
+}  // namespace relidar::kitti

@@ -1,0 +1,124 @@
+// SPDX-License-Identifier: Apache-2.0
+// KITTI raw: reads a drive's files, recovers the sensor from its own scans (rings, cones, firing lattice), and puts every
+// turn on the rays that were fired. The scans are not motion-compensated: each ray keeps its own firing time.
+#include "dataset/kitti_raw.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include "core/parallel.hpp"
+#include "dataset/kitti_files.hpp"
+#include "dataset/kitti_grid.hpp"
+#include <relidar/error.hpp>
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using namespace kitti;
+
+// The fits are far better than the file's millimetres with a few turns; more would only cost time.
+constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
+
+std::vector<const RawScan*> spread(const std::vector<RawScan>& scans, std::size_t n) {
+    std::vector<const RawScan*> some;
+    n = std::min(n, scans.size());
+    for (std::size_t i = 0; i < n; ++i) some.push_back(&scans[i * scans.size() / n]);
+    return some;
+}
+
+std::vector<RawScan> read_scans(const fs::path& drive, const std::vector<int>& frames) {
+    std::vector<RawScan> scans(frames.size());
+    run_parallel(static_cast<int>(frames.size()), [&](int i) {
+        const std::size_t at = static_cast<std::size_t>(i);
+        scans[at] = split_rings(read_scan(drive / "velodyne_points/data" / fmt::format("{:010d}.bin", frames[at])));
+    });
+    return scans;
+}
+
+PoseTrack read_poses(const fs::path& drive, const std::vector<int>& frames, const fs::path& poses_file) {
+    const fs::path file = drive / "velodyne_points/timestamps.txt";
+    const std::vector<double> time_s = read_timestamps(file);
+    PoseTrack track;
+    for (const int frame : frames) {
+        if (static_cast<std::size_t>(frame) >= time_s.size()) {
+            throw DataError(fmt::format("{}: {} lines, frame {} needs line {}", file.string(), time_s.size(), frame, frame + 1));
+        }
+        track.time_s.push_back(time_s[static_cast<std::size_t>(frame)]);
+        const std::size_t n = track.time_s.size();
+        if (n > 1 && !(track.time_s[n - 1] > track.time_s[n - 2])) {
+            throw DataError(fmt::format("{} line {}: not later than that of frame {}, expected rising times", file.string(), frame + 1, frames[n - 2]));
+        }
+    }
+    track.pose = poses_file.empty() ? read_oxts_poses(drive, frames) : read_pose_file(poses_file, frames);
+    return track;
+}
+
+/// Makes the scans of all frames from their points; sets the sensor's beams and columns.
+void grid_scans(std::vector<RawScan>& raw, Sequence& sequence, const fs::path& drive, double max_range_m) {
+    Hdl64 hdl64;
+    const Cones cones = fit_cones(spread(raw, kFitScans), (drive / "velodyne_points/data").string());
+    run_parallel(static_cast<int>(raw.size()), [&](int i) { correct_rings(raw[static_cast<std::size_t>(i)], cones); });
+    hdl64.lattice = fit_lattice(spread(raw, kLatticeScans));
+
+    std::vector<std::vector<int>> firings(raw.size());
+    run_parallel(static_cast<int>(raw.size()), [&](int i) {
+        const std::size_t at = static_cast<std::size_t>(i);
+        firings[at] = find_firings(raw[at], hdl64.lattice);
+        if (firings[at].empty()) {
+            throw DataError(fmt::format("{}/{:010d}.bin: {} points without a firing in common, expected a turn of an HDL-64E",
+                                        (drive / "velodyne_points/data").string(), sequence.frames[at].index, raw[at].points.size()));
+        }
+    });
+    SpinningSensor& sensor = sequence.sensor;
+    sensor.beams = make_beams(cones, hdl64.lattice);
+    for (const auto& turn : firings) sensor.columns = std::max(sensor.columns, static_cast<int>(turn.size()));
+    sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
+    hdl64.sensor = sensor;
+    run_parallel(static_cast<int>(raw.size()), [&](int i) {
+        const std::size_t at = static_cast<std::size_t>(i);
+        sequence.frames[at].scan = make_scan(raw[at], firings[at], hdl64, max_range_m).scan;
+        raw[at] = {};
+    });
+}
+
+/// Moves the world's origin to the sensor position in the middle frame: float precision downstream.
+void recentre(Sequence& sequence) {
+    PoseTrack& track = sequence.world_from_sensor;
+    sequence.world_offset_m = track.pose[track.pose.size() / 2].translation;
+    for (Pose& pose : track.pose) pose.translation -= sequence.world_offset_m;
+}
+
+}  // namespace
+
+Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
+    std::error_code failed;
+    if (!fs::is_directory(folder, failed)) {
+        throw DataError(fmt::format("{}: no such folder, expected a KITTI raw drive (velodyne_points/)", folder.string()));
+    }
+    const fs::path drive = fs::canonical(folder);
+    const std::vector<int> frames = list_scans(drive, options.frames.begin, options.frames.end);
+
+    Sequence sequence;
+    sequence.name = drive.filename().string();
+    sequence.source = folder.string();
+    sequence.conventions = fmt::format("sensor x forward, y left, z up; metres; time = head faces forward, seconds after the log's first "
+                                       "turn; poses from {}; scans not motion-compensated; boxes in the front camera's view only",
+                                       options.poses_file.empty() ? "OXTS (Mercator)" : options.poses_file.string());
+    sequence.sensor.name = "HDL-64E fitted to " + sequence.name;
+    sequence.sensor.period_s = read_period(drive);
+    sequence.sensor.max_range_m = options.max_range_m;
+    sequence.world_from_sensor = read_poses(drive, frames, options.poses_file);
+    recentre(sequence);
+    sequence.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, sequence.world_from_sensor);
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+        sequence.frames.push_back({.index = frames[i], .time_s = sequence.world_from_sensor.time_s[i], .scan = {}});
+    }
+    std::vector<RawScan> raw = read_scans(drive, frames);
+    grid_scans(raw, sequence, drive, options.max_range_m);
+    return sequence;
+}
+
+}  // namespace relidar

@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which reader a dataset path belongs to: one row a kind. A new dataset is one reader and one row here.
+#include <relidar/dataset.hpp>
+
+#include <fmt/format.h>
+
+#include "core/nearest_name.hpp"
+#include "dataset/kitti_raw.hpp"
+#include "dataset/synthetic.hpp"
+#include <relidar/error.hpp>
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Kind {
+    const char* name;
+    const char* marker;    ///< file or folder that tells the kind
+    const char* describe;
+    Sequence (*load)(const fs::path&, const DatasetOptions&);
+};
+
+constexpr Kind kKinds[] = {
+    {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
+    {"synthetic", "street.toml", "a synthetic street", load_synthetic},
+};
+
+std::vector<std::string> kind_names() {
+    std::vector<std::string> names;
+    for (const Kind& kind : kKinds) names.emplace_back(kind.name);
+    return names;
+}
+
+const Kind& find_kind(const std::string& name) {
+    for (const Kind& kind : kKinds) {
+        if (name == kind.name) return kind;
+    }
+    throw UsageError(fmt::format("dataset kind '{}': unknown, did you mean '{}'? (known: {})", name,
+                                 nearest_name(name, kind_names()), fmt::join(kind_names(), ", ")));
+}
+
+void check_range(const FrameRange& range) {
+    if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end)) {
+        throw UsageError(fmt::format("frames {}:{}: an empty range, expected a:b with 0 <= a < b", range.begin, range.end));
+    }
+}
+
+}  // namespace
+
+std::string recognise_dataset(const fs::path& path) {
+    std::error_code failed;
+    if (!fs::is_directory(path, failed)) throw DataError(fmt::format("{}: no such folder, expected a dataset", path.string()));
+    std::string known;
+    for (const Kind& kind : kKinds) {
+        if (fs::exists(path / kind.marker, failed)) return kind.name;
+        known += fmt::format("{}{} ({})", known.empty() ? "" : ", ", kind.describe, kind.marker);
+    }
+    throw DataError(fmt::format("{}: not a dataset, expected one of: {}", path.string(), known));
+}
+
+Sequence load_sequence(const std::string& dataset, const DatasetOptions& options) {
+    check_range(options.frames);
+    if (!(options.max_range_m > 0.0)) {
+        throw UsageError(fmt::format("max_range: {} m, expected above 0", options.max_range_m));
+    }
+    std::error_code failed;
+    const std::size_t colon = dataset.find(':');
+    const bool has_kind = colon != std::string::npos && dataset.find('/') > colon && !fs::exists(dataset, failed);
+    const fs::path path = has_kind ? dataset.substr(colon + 1) : dataset;
+    const std::string kind = has_kind ? dataset.substr(0, colon) : recognise_dataset(path);
+    return find_kind(kind).load(path, options);
+}
+
+}  // namespace relidar

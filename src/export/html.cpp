@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+// Text for HTML pages; see html.hpp. Base64 is that of RFC 4648 with padding.
+#include "html.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+namespace relidar::export_detail {
+namespace {
+
+constexpr std::string_view kDigits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+
+std::string base64(const std::vector<std::uint8_t>& bytes) {
+    std::string text;
+    text.reserve((bytes.size() + 2) / 3 * 4);
+    for (std::size_t i = 0; i < bytes.size(); i += 3) {
+        const std::size_t n = std::min<std::size_t>(3, bytes.size() - i);
+        std::uint32_t group = 0;
+        for (std::size_t k = 0; k < 3; ++k) group = group << 8 | (k < n ? bytes[i + k] : 0u);
+        for (std::size_t k = 0; k < 4; ++k) text += k <= n ? kDigits[group >> (18 - 6 * k) & 63] : '=';
+    }
+    return text;
+}
+
+}  // namespace
+
+std::string escape_html(std::string_view text) {
+    std::string result;
+    for (char c : text) {
+        switch (c) {
+            case '&': result += "&amp;"; break;
+            case '<': result += "&lt;"; break;
+            case '>': result += "&gt;"; break;
+            case '"': result += "&quot;"; break;
+            case '\'': result += "&#39;"; break;
+            default: result += c;
+        }
+    }
+    return result;
+}
+
+std::string format_number(double value) {
+    if (std::isnan(value)) return "\u2013";
+    const double size = std::abs(value);
+    if (value == 0.0 || (size >= 1e-4 && size < 1e7)) {
+        const int digits = value == 0.0 ? 0 : std::clamp(3 - int(std::floor(std::log10(size))), 0, 7);
+        return fmt::format("{:.{}f}", value, digits);
+    }
+    return fmt::format("{:.3g}", value);
+}
+
+std::string png_data_url(const Image& image) { return "data:image/png;base64," + base64(encode_png(image)); }
+
+}  // namespace relidar::export_detail

@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: Apache-2.0
+// Arrays with a name, a type and a shape, and the checks that npz and safetensors share.
+#include "named_array.hpp"
+
+#include <array>
+#include <cstring>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar {
+namespace {
+
+template <class T>
+NamedArray make(std::string name, std::vector<std::size_t> shape, const char* dtype, const T* values, std::size_t n) {
+    NamedArray array{std::move(name), dtype, std::move(shape), {}};
+    if (array.count() != n)
+        throw DataError(fmt::format("array '{}': {} values, expected {} for shape [{}]", array.name, n, array.count(),
+                                    fmt::join(array.shape, ", ")));
+    array.bytes.resize(n * sizeof(T));
+    if (n > 0) std::memcpy(array.bytes.data(), values, array.bytes.size());
+    return array;
+}
+
+template <class T>
+std::vector<float> convert(const NamedArray& array) {
+    std::vector<float> result(array.bytes.size() / sizeof(T));
+    for (std::size_t i = 0; i < result.size(); ++i) {
+        T value;
+        std::memcpy(&value, array.bytes.data() + i * sizeof(T), sizeof(T));
+        result[i] = static_cast<float>(value);
+    }
+    return result;
+}
+
+using Converter = std::vector<float> (*)(const NamedArray&);
+
+Converter converter(std::string_view dtype) {
+    static constexpr std::array<std::pair<std::string_view, Converter>, 11> kConverters{{
+        {"f4", convert<float>}, {"f8", convert<double>},
+        {"i1", convert<std::int8_t>}, {"i2", convert<std::int16_t>}, {"i4", convert<std::int32_t>}, {"i8", convert<std::int64_t>},
+        {"u1", convert<std::uint8_t>}, {"u2", convert<std::uint16_t>}, {"u4", convert<std::uint32_t>}, {"u8", convert<std::uint64_t>},
+        {"b1", convert<std::uint8_t>},
+    }};
+    for (const auto& [name, function] : kConverters)
+        if (name == dtype) return function;
+    return nullptr;
+}
+
+}  // namespace
+
+namespace export_detail {
+
+std::size_t item_size(std::string_view dtype) {
+    if (dtype == "f2") return 2;
+    if (!converter(dtype)) return 0;
+    return std::size_t(dtype[1] - '0');
+}
+
+std::optional<std::size_t> byte_count(const std::vector<std::size_t>& shape, std::size_t item_size) {
+    std::size_t product = item_size;
+    bool overflow = false, empty = false;
+    for (std::size_t extent : shape) {
+        empty = empty || extent == 0;
+        overflow = __builtin_mul_overflow(product, extent, &product) || overflow;
+    }
+    if (empty) return 0;   // an extent of 0 makes any other extent legal
+    if (overflow) return std::nullopt;
+    return product;
+}
+
+void check_array(const NamedArray& array) {
+    if (array.name.empty()) throw DataError("an array has no name");
+    const std::size_t size = item_size(array.dtype);
+    if (size == 0) throw DataError(fmt::format("array '{}': type '{}' is not supported", array.name, array.dtype));
+    const auto expected = byte_count(array.shape, size);
+    if (!expected || *expected != array.bytes.size())
+        throw DataError(fmt::format("array '{}': {} bytes do not fill shape [{}] of {}", array.name, array.bytes.size(),
+                                    fmt::join(array.shape, ", "), array.dtype));
+}
+
+}  // namespace export_detail
+
+std::size_t NamedArray::count() const {
+    const auto n = export_detail::byte_count(shape, 1);
+    if (!n) throw DataError(fmt::format("array '{}': shape [{}] is too large", name, fmt::join(shape, ", ")));
+    return *n;
+}
+
+std::vector<float> NamedArray::as_float() const {
+    export_detail::check_array(*this);
+    const Converter function = converter(dtype);
+    if (!function) throw DataError(fmt::format("array '{}': type '{}' cannot be read as float", name, dtype));
+    return function(*this);
+}
+
+NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values, std::size_t n) {
+    return make(std::move(name), std::move(shape), "f4", values, n);
+}
+NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values, std::size_t n) {
+    return make(std::move(name), std::move(shape), "f8", values, n);
+}
+NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values, std::size_t n) {
+    return make(std::move(name), std::move(shape), "i4", values, n);
+}
+
+}  // namespace relidar

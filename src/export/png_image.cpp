@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+// 8-bit RGB images as PNG, by libpng's simplified interface, whose failures are return values instead of jumps.
+#include <relidar/export.hpp>
+
+#include <algorithm>
+#include <string_view>
+
+#include <fmt/format.h>
+#include <png.h>
+
+#include <relidar/error.hpp>
+
+#include "file_io.hpp"
+
+namespace relidar {
+
+std::vector<std::uint8_t> encode_png(const Image& image) {
+    const std::size_t n = std::size_t(std::max(image.rows, 0)) * std::size_t(std::max(image.columns, 0)) * 3;
+    if (n == 0 || image.rgb.size() != n)
+        throw DataError(fmt::format("PNG image of {} x {} pixels: {} bytes, expected {}", image.rows, image.columns, image.rgb.size(), n));
+    png_image description{};
+    description.version = PNG_IMAGE_VERSION;
+    description.width = png_uint_32(image.columns);
+    description.height = png_uint_32(image.rows);
+    description.format = PNG_FORMAT_RGB;
+    png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(description);   // upper bound; the call below sets the true size
+    std::vector<std::uint8_t> bytes(size);
+    const int done = png_image_write_to_memory(&description, bytes.data(), &size, 0, image.rgb.data(), 0, nullptr);
+    const std::string message = description.message;
+    png_image_free(&description);
+    if (!done) throw DataError("encoding a PNG image: " + message);
+    bytes.resize(size);
+    return bytes;
+}
+
+void write_png(const std::filesystem::path& path, const Image& image) {
+    const std::vector<std::uint8_t> bytes = encode_png(image);
+    export_detail::write_file(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
+}
+
+}  // namespace relidar

@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: Apache-2.0
+// Style sheet of the report: one column of cards, light or dark as the reader's system asks. Private to export.
+// Curve colours differ in lightness as well as hue, so that they stay apart for colour-blind readers and in print.
+#pragma once
+
+#include <string_view>
+
+namespace relidar::export_detail {
+
+inline constexpr std::string_view kReportStyle = R"css(
+:root { color-scheme: light dark; --page: #f4f5f7; --card: #ffffff; --ink: #1b1f24; --soft: #5d6672; --line: #e1e4e8; --shade: #f6f7f9;
+  --accent: #1f6feb; --best: #0a7d4b;
+  --c0: #1f6feb; --c1: #d9580f; --c2: #12966b; --c3: #b0389c; --c4: #a07600; --c5: #5b4bd1; --c6: #d12f4b; --c7: #4c8fb5; }
+@media (prefers-color-scheme: dark) { :root { --page: #0f1216; --card: #181c22; --ink: #e4e8ee; --soft: #98a2b0; --line: #2b313a; --shade: #1e232a;
+  --accent: #5b9dff; --best: #45c98f;
+  --c0: #5b9dff; --c1: #ff9152; --c2: #3ecb9a; --c3: #e07fd0; --c4: #e0b83d; --c5: #9c8cff; --c6: #ff7389; --c7: #8cc4e3; } }
+* { box-sizing: border-box; }
+body { margin: 0; padding: 40px 24px 32px; background: var(--page); color: var(--ink);
+  font: 15px/1.55 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
+main { max-width: 1180px; margin: 0 auto; }
+h1 { margin: 0 0 6px; font-size: 28px; line-height: 1.2; letter-spacing: -0.01em; }
+h2 { margin: 0 0 14px; font-size: 17px; }
+h3 { margin: 18px 0 8px; font-size: 14px; }
+.summary { max-width: 75ch; margin: 0 0 24px; color: var(--soft); }
+section { margin: 0 0 20px; padding: 20px 24px 22px; background: var(--card); border: 1px solid var(--line); border-radius: 10px; }
+.note { margin: 10px 0 0; color: var(--soft); font-size: 13px; }
+dl { display: grid; grid-template-columns: repeat(auto-fit, minmax(240px, 1fr)); gap: 12px 28px; margin: 0; }
+dt { color: var(--soft); font-size: 13px; }
+dd { margin: 0; font-weight: 600; overflow-wrap: anywhere; }
+.scroll { overflow-x: auto; }
+table { border-collapse: collapse; min-width: 100%; font-variant-numeric: tabular-nums; }
+th, td { padding: 6px 12px; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap; }
+th { font-weight: 600; } thead th { border-bottom-width: 2px; vertical-align: bottom; }
+th:first-child, td:first-child { text-align: left; padding-left: 4px; }
+tbody tr:last-child td { border-bottom: 0; }
+td.name { font-family: ui-monospace, "SF Mono", Menlo, Consolas, "Liberation Mono", monospace; font-size: 13px; }
+tr.group td { padding-top: 14px; color: var(--soft); font-size: 12px; font-weight: 600; letter-spacing: 0.05em; text-transform: uppercase; }
+td.best { color: var(--best); font-weight: 700; }
+tr.total td { font-weight: 700; }
+td.bar { width: 50%; min-width: 160px; padding-right: 0; }
+td.bar div { height: 10px; min-width: 1px; border-radius: 3px; background: var(--accent); }
+.charts { display: grid; grid-template-columns: repeat(auto-fit, minmax(420px, 1fr)); gap: 22px 30px; }
+.charts h3 { margin-top: 0; }
+svg { display: block; width: 100%; height: auto; }
+svg .line { fill: none; stroke-width: 1.8; stroke-linejoin: round; } svg circle { stroke: none; }
+svg .faint { stroke-width: 1; opacity: 0.28; }
+svg .grid { stroke: var(--line); } svg .tick { stroke: var(--soft); } svg .axis { fill: var(--soft); font-size: 11.5px; }
+.legend { display: flex; flex-wrap: wrap; gap: 4px 18px; margin: 6px 0 0 58px; padding: 0; list-style: none; font-size: 13px; }
+.legend i { display: inline-block; width: 18px; height: 3px; margin-right: 7px; border-radius: 2px; vertical-align: middle; }
+figure { margin: 0 0 14px; } figure:last-child { margin-bottom: 0; }
+figcaption { margin: 0 0 4px; color: var(--soft); font-size: 13px; }
+img { display: block; width: 100%; border-radius: 4px; image-rendering: pixelated; }
+footer { color: var(--soft); font-size: 13px; text-align: center; }
+)css"
+    R"css(.line.c0 { stroke: var(--c0); } .line.c1 { stroke: var(--c1); } .line.c2 { stroke: var(--c2); } .line.c3 { stroke: var(--c3); }
+.line.c4 { stroke: var(--c4); } .line.c5 { stroke: var(--c5); } .line.c6 { stroke: var(--c6); } .line.c7 { stroke: var(--c7); }
+i.c0 { background: var(--c0); } i.c1 { background: var(--c1); } i.c2 { background: var(--c2); } i.c3 { background: var(--c3); }
+i.c4 { background: var(--c4); } i.c5 { background: var(--c5); } i.c6 { background: var(--c6); } i.c7 { background: var(--c7); }
+circle.c0 { fill: var(--c0); } circle.c1 { fill: var(--c1); } circle.c2 { fill: var(--c2); } circle.c3 { fill: var(--c3); }
+circle.c4 { fill: var(--c4); } circle.c5 { fill: var(--c5); } circle.c6 { fill: var(--c6); } circle.c7 { fill: var(--c7); }
+@media (max-width: 560px) { .charts { grid-template-columns: 1fr; } body { padding: 24px 12px; } section { padding: 16px; } }
+@media print { body { background: none; padding: 0; } section { break-inside: avoid; border: 0; padding: 0; } }
+)css";
+
+}  // namespace relidar::export_detail

@@ -1,0 +1,171 @@
+// SPDX-License-Identifier: Apache-2.0
+// safetensors: u64 header size, JSON header (type, shape and byte range of each array, and string metadata), then the data
+// without gaps (formats.md, section h). A reader trusts nothing: sizes, ranges and coverage are all checked, so that a file
+// cut anywhere is refused. Whether values are finite is for the caller to judge.
+#include <relidar/export.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include <relidar/error.hpp>
+
+#include "file_io.hpp"
+#include "named_array.hpp"
+
+namespace relidar {
+namespace {
+
+using Json = nlohmann::ordered_json;
+using export_detail::byte_count;
+using export_detail::item_size;
+
+constexpr std::size_t kMaxHeader = 100'000'000;   // the format's own limit
+constexpr const char* kMetadata = "__metadata__";
+
+constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypes{{
+    {"BOOL", "b1"}, {"U8", "u1"}, {"I8", "i1"}, {"U16", "u2"}, {"I16", "i2"}, {"F16", "f2"},
+    {"U32", "u4"}, {"I32", "i4"}, {"F32", "f4"}, {"U64", "u8"}, {"I64", "i8"}, {"F64", "f8"},
+}};
+
+std::string tensor_type(const std::string& dtype) {
+    const auto it = std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& type) { return type.second == dtype; });
+    return std::string(it->first);   // check_array has refused unknown types
+}
+
+std::string numpy_type(const std::string& name, const std::string& type) {
+    const auto it = std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& known) { return known.first == type; });
+    if (it == kTypes.end()) throw DataError(fmt::format("array '{}': type '{}' is not supported", name, type));
+    return std::string(it->second);
+}
+
+std::string make_header(const std::vector<NamedArray>& arrays, const std::map<std::string, std::string>& metadata) {
+    Json header = Json::object();
+    if (!metadata.empty()) header[kMetadata] = metadata;
+    std::size_t offset = 0;
+    for (const NamedArray& array : arrays) {
+        export_detail::check_array(array);
+        if (array.name == kMetadata || header.contains(array.name))
+            throw DataError(fmt::format("array name '{}' is reserved or used twice", array.name));
+        const std::size_t end = offset + array.bytes.size();
+        header[array.name] = {{"dtype", tensor_type(array.dtype)}, {"shape", array.shape}, {"data_offsets", {offset, end}}};
+        offset = end;
+    }
+    std::string text = header.dump();
+    text.resize((text.size() + 7) / 8 * 8, ' ');   // data starts at a multiple of 8
+    if (text.size() > kMaxHeader) throw DataError("the header would exceed 100 MB");
+    return text;
+}
+
+Json parse_header(const std::vector<std::byte>& file, std::size_t& data_start) {
+    std::uint64_t size = 0;
+    if (file.size() < sizeof size) throw DataError(fmt::format("{} bytes, expected at least 8", file.size()));
+    std::memcpy(&size, file.data(), sizeof size);
+    if (size > kMaxHeader) throw DataError(fmt::format("header of {} bytes, expected at most {}", size, kMaxHeader));
+    if (size > file.size() - sizeof size)
+        throw DataError(fmt::format("header of {} bytes, but the file ends after {}", size, file.size() - sizeof size));
+    data_start = sizeof size + size;
+    const char* text = reinterpret_cast<const char*>(file.data()) + sizeof size;
+    Json header = Json::parse(text, text + size, nullptr, false);
+    if (header.is_discarded()) throw DataError("the header is not valid JSON");
+    if (!header.is_object()) throw DataError("the header is not a JSON object");
+    return header;
+}
+
+/// Value of a list of non-negative integers.
+std::vector<std::size_t> integers(const std::string& name, const Json& entry, const char* key) {
+    if (!entry.is_object() || !entry.contains(key) || !entry[key].is_array())
+        throw DataError(fmt::format("array '{}': no list '{}'", name, key));
+    std::vector<std::size_t> result;
+    for (const Json& value : entry[key]) {
+        if (!value.is_number_unsigned()) throw DataError(fmt::format("array '{}': '{}' holds {}", name, key, value.type_name()));
+        result.push_back(value.get<std::size_t>());
+    }
+    return result;
+}
+
+struct Range {
+    std::size_t begin = 0, end = 0;
+};
+
+/// Array description without its bytes, and where they lie.
+std::pair<NamedArray, Range> parse_entry(const std::string& name, const Json& entry, std::size_t n_data) {
+    if (!entry.is_object() || !entry.contains("dtype") || !entry["dtype"].is_string())
+        throw DataError(fmt::format("array '{}': no string 'dtype'", name));
+    NamedArray array{name, numpy_type(name, entry["dtype"].get<std::string>()), integers(name, entry, "shape"), {}};
+    const std::vector<std::size_t> offsets = integers(name, entry, "data_offsets");
+    if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > n_data)
+        throw DataError(fmt::format("array '{}': data_offsets [{}] do not lie in the {} bytes of data", name,
+                                    fmt::join(offsets, ", "), n_data));
+    const auto expected = byte_count(array.shape, item_size(array.dtype));
+    if (!expected || *expected != offsets[1] - offsets[0])
+        throw DataError(fmt::format("array '{}': {} bytes do not fill its shape", name, offsets[1] - offsets[0]));
+    return {std::move(array), {offsets[0], offsets[1]}};
+}
+
+std::map<std::string, std::string> parse_metadata(const Json& entry) {
+    std::map<std::string, std::string> result;
+    if (!entry.is_object()) throw DataError("__metadata__ is not an object");
+    for (const auto& [key, value] : entry.items()) {
+        if (!value.is_string()) throw DataError(fmt::format("__metadata__ '{}' is not a string", key));
+        result[key] = value.get<std::string>();
+    }
+    return result;
+}
+
+std::vector<NamedArray> parse(const std::vector<std::byte>& file, std::map<std::string, std::string>* metadata) {
+    std::size_t data_start = 0;
+    const Json header = parse_header(file, data_start);
+    const std::size_t n_data = file.size() - data_start;
+    std::vector<std::pair<NamedArray, Range>> entries;
+    std::map<std::string, std::string> found;
+    for (const auto& [name, entry] : header.items()) {
+        if (name == kMetadata) found = parse_metadata(entry);
+        else entries.push_back(parse_entry(name, entry, n_data));
+    }
+    std::stable_sort(entries.begin(), entries.end(), [](const auto& a, const auto& b) {
+        return std::pair(a.second.begin, a.second.end) < std::pair(b.second.begin, b.second.end);
+    });
+    std::size_t covered = 0;
+    std::vector<NamedArray> arrays;
+    for (auto& [array, range] : entries) {
+        if (range.begin != covered)
+            throw DataError(fmt::format("array '{}' starts at byte {}, expected {} (no gap, no overlap)", array.name, range.begin, covered));
+        const auto data = file.begin() + std::ptrdiff_t(data_start);
+        array.bytes.assign(data + std::ptrdiff_t(range.begin), data + std::ptrdiff_t(range.end));
+        covered = range.end;
+        arrays.push_back(std::move(array));
+    }
+    if (covered != n_data) throw DataError(fmt::format("{} bytes of data, the header describes {}", n_data, covered));
+    if (metadata) *metadata = std::move(found);
+    return arrays;
+}
+
+}  // namespace
+
+void write_safetensors(const std::filesystem::path& path, const std::vector<NamedArray>& arrays,
+                       const std::map<std::string, std::string>& metadata) {
+    write_atomically(path, [&](const std::filesystem::path& temporary) {
+        const std::string header = make_header(arrays, metadata);
+        const std::uint64_t size = header.size();
+        export_detail::OutputFile file(temporary);
+        file.write(&size, sizeof size);
+        file.write(header);
+        for (const NamedArray& array : arrays) file.write(array.bytes.data(), array.bytes.size());
+        file.close();
+    });
+}
+
+std::vector<NamedArray> read_safetensors(const std::filesystem::path& path, std::map<std::string, std::string>* metadata) {
+    const std::vector<std::byte> file = export_detail::read_file(path);
+    try {
+        return parse(file, metadata);
+    } catch (const std::exception& error) {
+        throw DataError(fmt::format("reading safetensors '{}': {}", path.string(), error.what()));
+    }
+}
+
+}  // namespace relidar

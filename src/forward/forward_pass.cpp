@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of forward/trace: rays in, rendered rays out (Eq. 2-4).
+#include <relidar/forward.hpp>
+
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "traversal/trace_scene.hpp"
+#include "gpu/stream.hpp"
+
+namespace relidar {
+
+static_assert(sizeof(shared::RenderedRay) == kRenderedFloats * sizeof(float));
+static_assert(sizeof(shared::RayEntry) == sizeof(DeviceRay));
+
+struct ForwardPass::Impl {
+    ImageModel model;
+    Kernel<shared::ForwardParams> trace;
+    Array<std::uint32_t> pass_cap;
+
+    Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options)
+        : model(m),
+          trace(device, "forward/trace" + traversal_variant(options),
+                {{1u, static_cast<std::uint32_t>(options.chunk)}, {2u, proxy == Proxy::boxes ? 1u : 0u}, {3u, m.sh_direction == ShDirection::surfel ? 1u : 0u}}),
+          pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count") {}
+};
+
+ForwardPass::ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options) {
+    if (options.chunk < 1 || options.chunk > 64) throw UsageError(fmt::format("setting trace.chunk: found {}, expected 1 to 64", options.chunk));
+    impl_ = std::make_unique<Impl>(device, model, proxy, options);
+}
+
+ForwardPass::~ForwardPass() = default;
+const ImageModel& ForwardPass::image_model() const { return impl_->model; }
+void ForwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
+
+void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered) {
+    if (rendered.size() < std::size_t(batch.n_rays) * kRenderedFloats)
+        throw Error(ExitCode::bug, fmt::format("tracing {} rays: rendered holds {} floats, expected {}", batch.n_rays, rendered.size(), batch.n_rays * kRenderedFloats));
+    relidar::run(stream, impl_->trace, batch.n_rays, {trace_scene(scene, accel, batch, impl_->model, impl_->pass_cap.address()), rendered.address()});
+}
+
+std::uint32_t ForwardPass::take_pass_cap_count() {
+    const std::uint32_t count = impl_->pass_cap.download()[0];
+    if (count) impl_->pass_cap.upload(std::vector<std::uint32_t>{0u});
+    return count;
+}
+
+Rendering to_rendering(const std::vector<float>& rendered, std::size_t n_rays) {
+    Rendering r;
+    for (std::size_t i = 0; i < n_rays; ++i) {
+        shared::RenderedRay ray;
+        std::memcpy(&ray, rendered.data() + i * kRenderedFloats, sizeof(ray));
+        r.depth.push_back(ray.depth);
+        r.weight.push_back(ray.weight);
+        r.intensity.push_back(ray.intensity);
+        r.hit_logit.push_back(ray.hit_logit);
+        r.drop_logit.push_back(ray.drop_logit);
+        r.transmittance.push_back(ray.transmittance);
+        r.median_depth.push_back(ray.median_depth);
+        r.hits.push_back(ray.n_hits);
+    }
+    return r;
+}
+
+}  // namespace relidar

@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+// A scene ready to be traced: the composition of activation, acceleration structure and forward pass for one-off rendering.
+#include <relidar/forward.hpp>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "traversal/trace_scene.hpp"
+#include "gpu/stream.hpp"
+
+namespace relidar {
+
+namespace {
+
+std::vector<DeviceRay> interleave(const WorldRays& rays) {
+    std::vector<DeviceRay> result;
+    for (std::size_t i = 0; i < rays.size(); ++i) result.push_back({rays.origin[i], rays.direction[i]});
+    return result;
+}
+
+}  // namespace
+
+struct Renderer::Impl {
+    Device& device;
+    ImageModel model;
+    Stream stream;
+    DeviceScene scene;
+    Accel accel;
+    ForwardPass forward;
+    bool built = false;
+    Array<DeviceRay> rays;
+    Array<float> rendered;
+
+    Impl(Device& d, const Scene& s, const ImageModel& m, const AccelOptions& a, const TraceOptions& t)
+        : device(d), model(m), stream(d, true), scene(d, s), accel(d, scene, a), forward(d, m, accel.proxy(), t) {}
+};
+
+Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model, const AccelOptions& accel, const TraceOptions& trace)
+    : impl_(std::make_unique<Impl>(device, scene, model, accel, trace)) {}
+Renderer::~Renderer() = default;
+void Renderer::set_poses(const std::vector<Pose>& world_from_instance) { impl_->scene.set_poses(world_from_instance); }
+const KernelTimes& Renderer::times() const { return impl_->stream.times(); }
+void Renderer::reset_times() { impl_->stream.reset_times(); }
+
+Rendering Renderer::trace(const WorldRays& rays, const glm::vec3& view_origin_m) {
+    Impl& r = *impl_;
+    if (rays.size() != r.rays.size()) {
+        r.rays = Array<DeviceRay>(r.device, rays.size(), "rays");
+        r.rendered = Array<float>(r.device, rays.size() * kRenderedFloats, "rendered rays");
+    }
+    r.rays.upload(interleave(rays));
+    if (!r.built || r.model.sh_direction == ShDirection::surfel) r.scene.activate(r.stream, r.model, view_origin_m);
+    if (r.built) r.accel.move(r.stream, r.scene);
+    else r.accel.update(r.stream, r.scene);
+    r.built = true;
+    r.forward.run(r.stream, r.scene, r.accel, {&r.rays, 0, 1, static_cast<std::uint32_t>(rays.size())}, r.rendered);
+    r.stream.finish();
+    if (const std::uint32_t capped = r.forward.take_pass_cap_count())
+        throw DeviceError(fmt::format("tracing {} rays: {} of them reached the cap of {} passes, expected every ray to end", rays.size(), capped, RELIDAR_MAX_PASSES));
+    return to_rendering(r.rendered.download(), rays.size());
+}
+
+CollectedHits collect_hits(Device& device, const Scene& scene, const std::vector<Pose>& world_from_instance, const WorldRays& rays,
+                           const ImageModel& model, const AccelOptions& accel_options, const TraceOptions& trace, std::uint32_t max_hits) {
+    Stream stream(device);
+    DeviceScene on_device(device, scene);
+    on_device.set_poses(world_from_instance);
+    Accel accel(device, on_device, accel_options);
+    const Kernel<shared::CollectHitsParams> kernel(device, "forward/collect_hits" + traversal_variant(trace),
+                                                   {{1u, static_cast<std::uint32_t>(trace.chunk)}, {2u, accel.proxy() == Proxy::boxes ? 1u : 0u}});
+    const std::size_t n = rays.size();
+    const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(interleave(rays)), "rays");
+    const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
+    const Array<std::uint32_t> counts(device, n, "hit counts"), instance(device, n * max_hits, "hit instances"), surfel(device, n * max_hits, "hit surfels");
+    const Array<float> t(device, n * max_hits, "hit distances");
+    on_device.activate(stream, model, glm::vec3(0.0f));
+    accel.update(stream, on_device);
+    run(stream, kernel, n,
+        {trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)}, model, pass_cap.address()), counts.address(), t.address(), instance.address(), surfel.address(), max_hits});
+    stream.finish();
+    if (const std::uint32_t capped = pass_cap.download()[0])
+        throw DeviceError(fmt::format("collecting hits of {} rays: {} reached the cap of {} passes, expected every ray to end", n, capped, RELIDAR_MAX_PASSES));
+    return {max_hits, counts.download(), t.download(), instance.download(), surfel.download()};
+}
+
+}  // namespace relidar

@@ -1,0 +1,242 @@
+// SPDX-License-Identifier: Apache-2.0
+// Opening a device: the instance, the features relidar needs (all missing ones are reported at once), one compute queue and the
+// pipeline layout that every kernel shares.
+#include "gpu/context.hpp"
+
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar::gpu {
+
+void check(VkResult result, const char* call) {
+    if (result >= 0) return;
+    throw DeviceError(fmt::format("{}: the driver answered {}, expected VK_SUCCESS", call, result_name(result)));
+}
+
+std::string result_name(VkResult result) {
+    switch (result) {
+        case VK_ERROR_OUT_OF_HOST_MEMORY: return "VK_ERROR_OUT_OF_HOST_MEMORY";
+        case VK_ERROR_OUT_OF_DEVICE_MEMORY: return "VK_ERROR_OUT_OF_DEVICE_MEMORY";
+        case VK_ERROR_INITIALIZATION_FAILED: return "VK_ERROR_INITIALIZATION_FAILED";
+        case VK_ERROR_DEVICE_LOST: return "VK_ERROR_DEVICE_LOST";
+        case VK_ERROR_LAYER_NOT_PRESENT: return "VK_ERROR_LAYER_NOT_PRESENT";
+        case VK_ERROR_EXTENSION_NOT_PRESENT: return "VK_ERROR_EXTENSION_NOT_PRESENT";
+        case VK_ERROR_FEATURE_NOT_PRESENT: return "VK_ERROR_FEATURE_NOT_PRESENT";
+        case VK_ERROR_INCOMPATIBLE_DRIVER: return "VK_ERROR_INCOMPATIBLE_DRIVER";
+        case VK_TIMEOUT: return "VK_TIMEOUT";
+        default: return fmt::format("VkResult {}", static_cast<int>(result));
+    }
+}
+
+namespace {
+
+VkBool32 on_message(VkDebugUtilsMessageSeverityFlagBitsEXT, VkDebugUtilsMessageTypeFlagsEXT,
+                    const VkDebugUtilsMessengerCallbackDataEXT* data, void* user) {
+    static_cast<Instance*>(user)->n_messages++;
+    std::fprintf(stderr, "validation: %s\n", data->pMessage);
+    return VK_FALSE;
+}
+
+VkDebugUtilsMessengerCreateInfoEXT messenger_info(Instance* instance) {
+    VkDebugUtilsMessengerCreateInfoEXT info{VK_STRUCTURE_TYPE_DEBUG_UTILS_MESSENGER_CREATE_INFO_EXT};
+    info.messageSeverity = VK_DEBUG_UTILS_MESSAGE_SEVERITY_WARNING_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_SEVERITY_ERROR_BIT_EXT;
+    info.messageType = VK_DEBUG_UTILS_MESSAGE_TYPE_VALIDATION_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_TYPE_PERFORMANCE_BIT_EXT;
+    info.pfnUserCallback = on_message;
+    info.pUserData = instance;
+    return info;
+}
+
+}  // namespace
+
+Instance::Instance(bool validation) {
+    if (volkInitialize() != VK_SUCCESS)
+        throw DeviceError("opening Vulkan: found no Vulkan loader (libvulkan.so.1), expected one; tools/dev/setup installs it");
+    VkApplicationInfo app{VK_STRUCTURE_TYPE_APPLICATION_INFO};
+    app.pApplicationName = "relidar";
+    app.apiVersion = VK_API_VERSION_1_3;
+    const char* layer = "VK_LAYER_KHRONOS_validation";
+    const char* extension = VK_EXT_DEBUG_UTILS_EXTENSION_NAME;
+    VkInstanceCreateInfo info{VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO};
+    info.pApplicationInfo = &app;
+    VkDebugUtilsMessengerCreateInfoEXT debug = messenger_info(this);
+    if (validation) {
+        info.pNext = &debug;
+        info.enabledLayerCount = 1;
+        info.ppEnabledLayerNames = &layer;
+        info.enabledExtensionCount = 1;
+        info.ppEnabledExtensionNames = &extension;
+    }
+    const VkResult result = vkCreateInstance(&info, nullptr, &handle);
+    if (result == VK_ERROR_INCOMPATIBLE_DRIVER)
+        throw DeviceError("opening Vulkan: found a loader but no Vulkan driver, expected at least one (see VK_DRIVER_FILES); tools/dev/setup installs a software driver");
+    if (result == VK_ERROR_LAYER_NOT_PRESENT)
+        throw DeviceError("opening Vulkan: found no VK_LAYER_KHRONOS_validation, expected it because validation was asked for (package vulkan-validationlayers)");
+    check(result, "vkCreateInstance");
+    volkLoadInstance(handle);
+    if (validation) check(vkCreateDebugUtilsMessengerEXT(handle, &debug, nullptr, &messenger), "vkCreateDebugUtilsMessengerEXT");
+}
+
+Instance::~Instance() {
+    if (messenger) vkDestroyDebugUtilsMessengerEXT(handle, messenger, nullptr);
+    if (handle) vkDestroyInstance(handle, nullptr);
+}
+
+std::vector<VkPhysicalDevice> Instance::physical_devices() const {
+    std::uint32_t n = 0;
+    check(vkEnumeratePhysicalDevices(handle, &n, nullptr), "vkEnumeratePhysicalDevices");
+    std::vector<VkPhysicalDevice> devices(n);
+    check(vkEnumeratePhysicalDevices(handle, &n, devices.data()), "vkEnumeratePhysicalDevices");
+    return devices;
+}
+
+}  // namespace relidar::gpu
+
+namespace relidar {
+
+namespace {
+
+bool validation_wanted(const DeviceOptions& options) {
+    const char* text = std::getenv("RELIDAR_VALIDATION");
+    return options.validation || (text && std::strcmp(text, "1") == 0);
+}
+
+std::vector<DeviceInfo> describe_all(const std::vector<VkPhysicalDevice>& physical) {
+    std::vector<DeviceInfo> infos;
+    for (std::size_t i = 0; i < physical.size(); ++i) infos.push_back(gpu::describe(physical[i], static_cast<int>(i)));
+    return infos;
+}
+
+/// The device asked for, or the best one: a GPU with ray query, then a CPU with ray query.
+int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
+    if (infos.empty()) throw DeviceError("opening a device: found no Vulkan device, expected at least one; `tools/dev/setup` installs a software driver");
+    const int n = static_cast<int>(infos.size());
+    if (options.index >= n)
+        throw DeviceError(fmt::format("opening device {}: found {} devices (0 to {}), expected a number `relidar devices` lists", options.index, n, n - 1));
+    if (options.index >= 0) return options.index;
+    int best = 0, best_score = -1;
+    for (const DeviceInfo& d : infos) {
+        const int score = (d.why_not_usable.empty() ? 4 : 0) + (d.ray_query ? 2 : 0) + (d.type != "CPU" ? 1 : 0);
+        if (score > best_score) { best = d.index; best_score = score; }
+    }
+    return best;
+}
+
+void require(const DeviceInfo& info, const DeviceOptions& options) {
+    if (!info.why_not_usable.empty())
+        throw DeviceError(fmt::format("opening device {} ({}): it lacks {}, expected all of them", info.index, info.name, info.why_not_usable));
+    if (options.traversal == Traversal::software)
+        throw DeviceError("opening a device with --traversal software: this version traverses by ray query only (the software BVH is planned), expected auto or ray_query");
+    if (!info.ray_query)
+        throw DeviceError(fmt::format("opening device {} ({}) with ray query: it lacks {}, expected them; Mesa lavapipe 24.1 or newer has them on any CPU (tools/dev/setup)",
+                                      info.index, info.name, info.why_not_ray_query));
+}
+
+}  // namespace
+
+std::vector<DeviceInfo> list_devices() {
+    const gpu::Instance instance(false);
+    return describe_all(instance.physical_devices());
+}
+
+Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
+    const bool validation = validation_wanted(options);
+    impl_->instance = std::make_unique<gpu::Instance>(validation);
+    const std::vector<VkPhysicalDevice> physical = impl_->instance->physical_devices();
+    const std::vector<DeviceInfo> infos = describe_all(physical);
+    const int index = choose(infos, options);
+    impl_->info = infos[static_cast<std::size_t>(index)];
+    require(impl_->info, options);
+    impl_->physical = physical[static_cast<std::size_t>(index)];
+    impl_->open(validation);
+}
+
+Device::~Device() = default;
+const DeviceInfo& Device::info() const { return impl_->info; }
+Traversal Device::traversal() const { return impl_->traversal; }
+std::uint64_t Device::allocated_bytes() const { return impl_->allocated; }
+std::uint64_t Device::peak_bytes() const { return impl_->peak; }
+std::size_t Device::validation_messages() const { return impl_->instance->n_messages; }
+
+void Device::Impl::open(bool) {
+    std::uint32_t n = 0;
+    vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, nullptr);
+    std::vector<VkQueueFamilyProperties> families(n);
+    vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, families.data());
+    while (queue_family < n && !(families[queue_family].queueFlags & VK_QUEUE_COMPUTE_BIT)) ++queue_family;
+    const float priority = 1.0f;
+    VkDeviceQueueCreateInfo queue_info{VK_STRUCTURE_TYPE_DEVICE_QUEUE_CREATE_INFO};
+    queue_info.queueFamilyIndex = queue_family;
+    queue_info.queueCount = 1;
+    queue_info.pQueuePriorities = &priority;
+
+    VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
+    accel.accelerationStructure = VK_TRUE;
+    VkPhysicalDeviceRayQueryFeaturesKHR query{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_RAY_QUERY_FEATURES_KHR, &accel};
+    query.rayQuery = VK_TRUE;
+    VkPhysicalDeviceShaderAtomicFloatFeaturesEXT atomics{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_ATOMIC_FLOAT_FEATURES_EXT};
+    atomics.shaderBufferFloat32AtomicAdd = VK_TRUE;
+    VkPhysicalDeviceVulkan13Features v13{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES};
+    v13.maintenance4 = VK_TRUE;
+    VkPhysicalDeviceVulkan12Features v12{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, &v13};
+    v12.bufferDeviceAddress = VK_TRUE;
+    v12.scalarBlockLayout = VK_TRUE;
+    v12.timelineSemaphore = VK_TRUE;
+    v12.hostQueryReset = VK_TRUE;
+    VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
+    features.features.shaderInt64 = VK_TRUE;
+
+    std::vector<const char*> extensions;
+    void** tail = &v13.pNext;
+    if (info.ray_query) {
+        extensions.insert(extensions.end(), {VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, VK_KHR_RAY_QUERY_EXTENSION_NAME, VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME});
+        *tail = &query;
+        tail = &accel.pNext;
+    }
+    if (info.float_atomics) {
+        extensions.push_back(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME);
+        *tail = &atomics;
+    }
+    VkDeviceCreateInfo device_info{VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO, &features};
+    device_info.queueCreateInfoCount = 1;
+    device_info.pQueueCreateInfos = &queue_info;
+    device_info.enabledExtensionCount = static_cast<std::uint32_t>(extensions.size());
+    device_info.ppEnabledExtensionNames = extensions.data();
+    gpu::check(vkCreateDevice(physical, &device_info, nullptr, &device), "vkCreateDevice");
+    volkLoadDevice(device);
+    vkGetDeviceQueue(device, queue_family, 0, &queue);
+    vkGetPhysicalDeviceMemoryProperties(physical, &memory);
+
+    VkPhysicalDeviceAccelerationStructurePropertiesKHR accel_properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_PROPERTIES_KHR};
+    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &accel_properties};
+    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
+    vkGetPhysicalDeviceProperties2(physical, &properties);
+    timestamp_period_ns = properties.properties.limits.timestampPeriod;
+    workgroup_size = std::max(32u, subgroup.subgroupSize);
+    if (info.ray_query) scratch_alignment = std::max(1u, accel_properties.minAccelerationStructureScratchOffsetAlignment);
+
+    const VkPushConstantRange range{VK_SHADER_STAGE_COMPUTE_BIT, 0, 8};
+    VkPipelineLayoutCreateInfo layout{VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO};
+    layout.pushConstantRangeCount = 1;
+    layout.pPushConstantRanges = &range;
+    gpu::check(vkCreatePipelineLayout(device, &layout, nullptr, &pipeline_layout), "vkCreatePipelineLayout");
+}
+
+Device::Impl::~Impl() {
+    if (!device) return;
+    vkDeviceWaitIdle(device);
+    if (pipeline_layout) vkDestroyPipelineLayout(device, pipeline_layout, nullptr);
+    vkDestroyDevice(device, nullptr);
+}
+
+std::uint32_t Device::Impl::memory_type(std::uint32_t allowed, VkMemoryPropertyFlags wanted) const {
+    for (std::uint32_t i = 0; i < memory.memoryTypeCount; ++i)
+        if ((allowed >> i & 1u) && (memory.memoryTypes[i].propertyFlags & wanted) == wanted) return i;
+    throw DeviceError(fmt::format("choosing memory on {}: found no memory type with property flags {:#x}, expected one", info.name, wanted));
+}
+
+}  // namespace relidar

@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a physical device offers against what relidar needs, with every missing extension and feature named at once.
+#include <algorithm>
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include "gpu/context.hpp"
+
+namespace relidar::gpu {
+
+namespace {
+
+std::vector<VkExtensionProperties> extensions_of(VkPhysicalDevice physical) {
+    std::uint32_t n = 0;
+    check(vkEnumerateDeviceExtensionProperties(physical, nullptr, &n, nullptr), "vkEnumerateDeviceExtensionProperties");
+    std::vector<VkExtensionProperties> extensions(n);
+    check(vkEnumerateDeviceExtensionProperties(physical, nullptr, &n, extensions.data()), "vkEnumerateDeviceExtensionProperties");
+    return extensions;
+}
+
+/// Collects names of what is missing, in words for a message.
+struct Missing {
+    std::string text;
+    void need(bool present, const char* name) {
+        if (!present) text += (text.empty() ? "" : ", ") + std::string(name);
+    }
+};
+
+const char* type_name(VkPhysicalDeviceType type) {
+    switch (type) {
+        case VK_PHYSICAL_DEVICE_TYPE_DISCRETE_GPU: return "discrete GPU";
+        case VK_PHYSICAL_DEVICE_TYPE_INTEGRATED_GPU: return "integrated GPU";
+        case VK_PHYSICAL_DEVICE_TYPE_VIRTUAL_GPU: return "virtual GPU";
+        case VK_PHYSICAL_DEVICE_TYPE_CPU: return "CPU";
+        default: return "other";
+    }
+}
+
+std::uint64_t largest_local_heap(VkPhysicalDevice physical) {
+    VkPhysicalDeviceMemoryProperties memory;
+    vkGetPhysicalDeviceMemoryProperties(physical, &memory);
+    std::uint64_t largest = 0;
+    for (std::uint32_t i = 0; i < memory.memoryHeapCount; ++i)
+        if (memory.memoryHeaps[i].flags & VK_MEMORY_HEAP_DEVICE_LOCAL_BIT) largest = std::max<std::uint64_t>(largest, memory.memoryHeaps[i].size);
+    return largest;
+}
+
+std::string version_text(std::uint32_t v) { return fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(v), VK_API_VERSION_MINOR(v), VK_API_VERSION_PATCH(v)); }
+
+}  // namespace
+
+DeviceInfo describe(VkPhysicalDevice physical, int index) {
+    const std::vector<VkExtensionProperties> extensions = extensions_of(physical);
+    const auto has = [&](const char* name) {
+        return std::any_of(extensions.begin(), extensions.end(), [&](const VkExtensionProperties& e) { return std::strcmp(e.extensionName, name) == 0; });
+    };
+    VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES};
+    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &driver};
+    vkGetPhysicalDeviceProperties2(physical, &properties);
+
+    VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
+    VkPhysicalDeviceRayQueryFeaturesKHR query{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_RAY_QUERY_FEATURES_KHR, &accel};
+    VkPhysicalDeviceShaderAtomicFloatFeaturesEXT atomics{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_ATOMIC_FLOAT_FEATURES_EXT, &query};
+    VkPhysicalDeviceVulkan13Features v13{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES, &atomics};
+    VkPhysicalDeviceVulkan12Features v12{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, &v13};
+    VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
+    const bool is_13 = properties.properties.apiVersion >= VK_API_VERSION_1_3;
+    if (is_13) vkGetPhysicalDeviceFeatures2(physical, &features);
+
+    DeviceInfo info;
+    info.index = index;
+    info.name = properties.properties.deviceName;
+    info.type = type_name(properties.properties.deviceType);
+    info.driver = fmt::format("{} {}", driver.driverName, driver.driverInfo);
+    info.api_version = version_text(properties.properties.apiVersion);
+    info.memory_bytes = largest_local_heap(physical);
+    info.timestamps = properties.properties.limits.timestampComputeAndGraphics != 0;
+    info.float_atomics = has(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) && atomics.shaderBufferFloat32AtomicAdd;
+
+    Missing base;
+    base.need(is_13, "Vulkan 1.3");
+    base.need(v12.bufferDeviceAddress, "bufferDeviceAddress");
+    base.need(v12.scalarBlockLayout, "scalarBlockLayout");
+    base.need(v12.timelineSemaphore, "timelineSemaphore");
+    base.need(v12.hostQueryReset, "hostQueryReset");
+    base.need(v13.maintenance4, "maintenance4");
+    base.need(features.features.shaderInt64, "shaderInt64");
+    info.why_not_usable = base.text;
+
+    Missing rays;
+    rays.need(has(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME), VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME);
+    rays.need(has(VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME), VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME);
+    rays.need(has(VK_KHR_RAY_QUERY_EXTENSION_NAME), VK_KHR_RAY_QUERY_EXTENSION_NAME);
+    rays.need(accel.accelerationStructure, "accelerationStructure");
+    rays.need(query.rayQuery, "rayQuery");
+    info.why_not_ray_query = rays.text;
+    info.ray_query = rays.text.empty() && base.text.empty();
+    return info;
+}
+
+}  // namespace relidar::gpu

@@ -1,0 +1,173 @@
+// SPDX-License-Identifier: Apache-2.0
+// Recording, submission on a timeline, and timestamps a launch.
+#include "gpu/stream.hpp"
+
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar {
+
+Stream::Impl::Impl(Device& d, bool with_timing) : owner(&d), device(&d.impl()), timing(with_timing && d.info().timestamps) {
+    params = std::make_unique<Buffer::Impl>(*device, kSlots * kParamBytes, true, "kernel parameters");
+    VkSemaphoreTypeCreateInfo type{VK_STRUCTURE_TYPE_SEMAPHORE_TYPE_CREATE_INFO};
+    type.semaphoreType = VK_SEMAPHORE_TYPE_TIMELINE;
+    VkSemaphoreCreateInfo semaphore{VK_STRUCTURE_TYPE_SEMAPHORE_CREATE_INFO, &type};
+    gpu::check(vkCreateSemaphore(device->device, &semaphore, nullptr, &timeline), "vkCreateSemaphore");
+    for (Slot& slot : slots) {
+        VkCommandPoolCreateInfo pool{VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
+        pool.queueFamilyIndex = device->queue_family;
+        gpu::check(vkCreateCommandPool(device->device, &pool, nullptr, &slot.pool), "vkCreateCommandPool");
+        VkCommandBufferAllocateInfo allocate{VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
+        allocate.commandPool = slot.pool;
+        allocate.commandBufferCount = 1;
+        gpu::check(vkAllocateCommandBuffers(device->device, &allocate, &slot.commands), "vkAllocateCommandBuffers");
+        if (!timing) continue;
+        VkQueryPoolCreateInfo queries{VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO};
+        queries.queryType = VK_QUERY_TYPE_TIMESTAMP;
+        queries.queryCount = 2 * kMaxLaunches;
+        gpu::check(vkCreateQueryPool(device->device, &queries, nullptr, &slot.queries), "vkCreateQueryPool");
+    }
+}
+
+Stream::Impl::~Impl() {
+    vkDeviceWaitIdle(device->device);
+    for (Slot& slot : slots) {
+        if (slot.queries) vkDestroyQueryPool(device->device, slot.queries, nullptr);
+        if (slot.pool) vkDestroyCommandPool(device->device, slot.pool, nullptr);
+    }
+    if (timeline) vkDestroySemaphore(device->device, timeline, nullptr);
+}
+
+VkCommandBuffer Stream::Impl::commands() {
+    Slot& slot = slots[current];
+    if (recording) return slot.commands;
+    wait(slot.ticket);
+    collect_times(slot);
+    slot.param_bytes = 0;
+    gpu::check(vkResetCommandPool(device->device, slot.pool, 0), "vkResetCommandPool");
+    if (timing) vkResetQueryPool(device->device, slot.queries, 0, 2 * kMaxLaunches);
+    VkCommandBufferBeginInfo begin{VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
+    begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
+    gpu::check(vkBeginCommandBuffer(slot.commands, &begin), "vkBeginCommandBuffer");
+    recording = true;
+    return slot.commands;
+}
+
+void Stream::Impl::barrier() {
+    VkMemoryBarrier all{VK_STRUCTURE_TYPE_MEMORY_BARRIER};
+    all.srcAccessMask = VK_ACCESS_MEMORY_WRITE_BIT;
+    all.dstAccessMask = VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT;
+    vkCmdPipelineBarrier(commands(), VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 1, &all, 0, nullptr, 0, nullptr);
+}
+
+void Stream::Impl::begin_timing(const std::string& name) {
+    last_kernel = name;
+    VkCommandBuffer buffer = commands();
+    Slot& slot = slots[current];
+    if (!timing || slot.launches.size() >= kMaxLaunches) return;
+    slot.launches.push_back(name);
+    vkCmdWriteTimestamp(buffer, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries, 2 * static_cast<std::uint32_t>(slot.launches.size() - 1));
+}
+
+void Stream::Impl::end_timing() {
+    Slot& slot = slots[current];
+    if (timing && !slot.launches.empty() && slot.launches.back() == last_kernel)
+        vkCmdWriteTimestamp(slot.commands, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries, 2 * static_cast<std::uint32_t>(slot.launches.size() - 1) + 1);
+    barrier();
+}
+
+std::uint64_t Stream::Impl::store(const void* bytes, std::size_t n_bytes) {
+    commands();
+    Slot& slot = slots[current];
+    const std::size_t aligned = (n_bytes + 63) / 64 * 64;
+    if (slot.param_bytes + aligned > kParamBytes)
+        throw Error(ExitCode::bug, fmt::format("recording {}: the parameters of one submission pass {} bytes, expected a submit() before", last_kernel, kParamBytes));
+    const std::size_t offset = current * kParamBytes + slot.param_bytes;
+    slot.param_bytes += aligned;
+    std::memcpy(params->mapped + offset, bytes, n_bytes);
+    return params->address + offset;
+}
+
+void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, const void* bytes, std::size_t n_bytes) {
+    begin_timing(kernel.impl().name);
+    const std::uint64_t address = store(bytes, n_bytes);
+    VkCommandBuffer buffer = commands();
+    vkCmdBindPipeline(buffer, VK_PIPELINE_BIND_POINT_COMPUTE, kernel.impl().pipeline);
+    vkCmdPushConstants(buffer, device->pipeline_layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, 8, &address);
+    vkCmdDispatch(buffer, (n_threads + device->workgroup_size - 1) / device->workgroup_size, 1, 1);
+    end_timing();
+}
+
+void Stream::Impl::wait(std::uint64_t ticket) {
+    if (!ticket) return;
+    VkSemaphoreWaitInfo info{VK_STRUCTURE_TYPE_SEMAPHORE_WAIT_INFO};
+    info.semaphoreCount = 1;
+    info.pSemaphores = &timeline;
+    info.pValues = &ticket;
+    const VkResult result = vkWaitSemaphores(device->device, &info, ~std::uint64_t(0));
+    if (result != VK_SUCCESS)
+        throw DeviceError(fmt::format("waiting for {}: the driver answered {} (last kernel recorded: {})", device->info.name, gpu::result_name(result), last_kernel));
+}
+
+void Stream::Impl::collect_times(Slot& slot) {
+    if (slot.launches.empty()) return;
+    std::vector<std::uint64_t> stamps(2 * slot.launches.size());
+    const VkResult result = vkGetQueryPoolResults(device->device, slot.queries, 0, static_cast<std::uint32_t>(stamps.size()), stamps.size() * 8, stamps.data(), 8, VK_QUERY_RESULT_64_BIT);
+    for (std::size_t i = 0; result == VK_SUCCESS && i < slot.launches.size(); ++i) {
+        std::vector<double>& entry = times.milliseconds[slot.launches[i]];
+        if (entry.size() >= 4096) entry.erase(entry.begin());
+        entry.push_back(double(stamps[2 * i + 1] - stamps[2 * i]) * device->timestamp_period_ns * 1e-6);
+    }
+    slot.launches.clear();
+}
+
+Stream::Stream(Device& device, bool timing) : impl_(std::make_unique<Impl>(device, timing)) {}
+Stream::~Stream() = default;
+Device& Stream::device() const { return *impl_->owner; }
+void Stream::wait(std::uint64_t ticket) { impl_->wait(ticket); }
+
+void Stream::fill(const Buffer& buffer, std::uint32_t pattern) {
+    impl_->begin_timing("fill");
+    vkCmdFillBuffer(impl_->commands(), buffer.impl().handle, 0, VK_WHOLE_SIZE, pattern);
+    impl_->end_timing();
+}
+
+std::uint64_t Stream::submit() {
+    Impl& s = *impl_;
+    VkCommandBuffer commands = s.commands();
+    gpu::check(vkEndCommandBuffer(commands), "vkEndCommandBuffer");
+    const std::uint64_t ticket = s.last_ticket + 1;
+    VkTimelineSemaphoreSubmitInfo values{VK_STRUCTURE_TYPE_TIMELINE_SEMAPHORE_SUBMIT_INFO};
+    values.signalSemaphoreValueCount = 1;
+    values.pSignalSemaphoreValues = &ticket;
+    VkSubmitInfo info{VK_STRUCTURE_TYPE_SUBMIT_INFO, &values};
+    info.commandBufferCount = 1;
+    info.pCommandBuffers = &commands;
+    info.signalSemaphoreCount = 1;
+    info.pSignalSemaphores = &s.timeline;
+    gpu::check(vkQueueSubmit(s.device->queue, 1, &info, VK_NULL_HANDLE), "vkQueueSubmit");
+    s.recording = false;
+    s.last_ticket = s.slots[s.current].ticket = ticket;
+    s.current = (s.current + 1) % Impl::kSlots;
+    return ticket;
+}
+
+const KernelTimes& Stream::times() const {
+    for (Impl::Slot& slot : impl_->slots) {
+        const bool open = impl_->recording && &slot == &impl_->slots[impl_->current];
+        if (open || !slot.ticket) continue;
+        impl_->wait(slot.ticket);
+        impl_->collect_times(slot);
+    }
+    return impl_->times;
+}
+
+void Stream::reset_times() {
+    times();
+    impl_->times.milliseconds.clear();
+}
+
+}  // namespace relidar

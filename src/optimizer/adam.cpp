@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of optimizer/adam: one launch a parameter group.
+#include <relidar/optimizer.hpp>
+
+#include <algorithm>
+#include <cmath>
+
+#include "gpu/stream.hpp"
+#include "shared/optimizer.h"
+
+namespace relidar {
+
+double exponential_schedule(double start, double end, int step, int n_steps) {
+    const double s = n_steps > 0 ? std::clamp(double(step) / n_steps, 0.0, 1.0) : 1.0;
+    return std::exp((1.0 - s) * std::log(start) + s * std::log(end));
+}
+
+struct Adam::Impl {
+    AdamOptions options;
+    SurfelArrays moment1, moment2;
+    Kernel<shared::AdamParams> kernel;
+    bool zeroed = false;
+};
+
+Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options)
+    : impl_(new Impl{options, {device, n_surfels, "first moment"}, {device, n_surfels, "second moment"}, {device, "optimizer/adam"}}) {}
+Adam::~Adam() = default;
+SurfelArrays& Adam::moment1() { return impl_->moment1; }
+SurfelArrays& Adam::moment2() { return impl_->moment2; }
+
+void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t>& touched, const LearningRates& rates, int step, int sh_degree) {
+    Impl& a = *impl_;
+    if (!a.zeroed) {
+        a.moment1.fill_zero(stream);
+        a.moment2.fill_zero(stream);
+        a.zeroed = true;
+    }
+    const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step)));
+    const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step)));
+    const auto update = [&](Array<float>& value, const Array<float>& gradient, Array<float>& m, Array<float>& v, double rate, double first_scale, std::uint32_t stride,
+                            std::uint32_t block, std::uint32_t active) {
+        run(stream, a.kernel, p.n,
+            {value.address(), gradient.address(), m.address(), v.address(), a.options.only_touched ? touched.address() : 0, static_cast<float>(rate),
+             static_cast<float>(a.options.beta1), static_cast<float>(a.options.beta2), static_cast<float>(a.options.epsilon), correction1, correction2,
+             static_cast<float>(first_scale), p.n, stride, block, active});
+    };
+    SurfelArrays &m = a.moment1, &v = a.moment2;
+    const std::uint32_t active = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
+    update(p.mean, g.mean, m.mean, v.mean, rates.mean, 1.0, 3, 3, 3);
+    update(p.rotation, g.rotation, m.rotation, v.rotation, rates.rotation, 1.0, 4, 4, 4);
+    update(p.log_scale, g.log_scale, m.log_scale, v.log_scale, rates.log_scale, 1.0, 2, 2, 2);
+    update(p.opacity_logit, g.opacity_logit, m.opacity_logit, v.opacity_logit, rates.opacity_logit, 1.0, 1, 1, 1);
+    update(p.sh, g.sh, m.sh, v.sh, rates.sh * rates.sh_rest_factor, 1.0 / std::max(rates.sh_rest_factor, 1e-12), kShFloats, kShCoefficients, active);
+}
+
+}  // namespace relidar

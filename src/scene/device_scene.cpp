@@ -1,0 +1,149 @@
+// SPDX-License-Identifier: Apache-2.0
+// The scene on the device: parameter arrays, records, the instance table, and the activation kernels between them.
+#include <relidar/scene.hpp>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "gpu/stream.hpp"
+#include "shared/scene.h"
+
+namespace relidar {
+
+static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry) == 56);
+static_assert(RELIDAR_SH_COEFFICIENTS == kShCoefficients && RELIDAR_SH_FLOATS == kShFloats);
+
+SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& what)
+    : mean(device, 3 * std::size_t(count), what + " mean"),
+      rotation(device, 4 * std::size_t(count), what + " rotation"),
+      log_scale(device, 2 * std::size_t(count), what + " log_scale"),
+      opacity_logit(device, count, what + " opacity"),
+      sh(device, kShFloats * std::size_t(count), what + " sh"),
+      n(count) {}
+
+void SurfelArrays::upload(const Surfels& s) {
+    s.check_shapes();
+    mean.upload({&s.mean.data()->x, 3 * s.size()});
+    rotation.upload({&s.rotation.data()->x, 4 * s.size()});
+    log_scale.upload({&s.log_scale.data()->x, 2 * s.size()});
+    opacity_logit.upload(s.opacity_logit);
+    sh.upload(s.sh);
+}
+
+Surfels SurfelArrays::download() const {
+    Surfels s;
+    s.resize(n);
+    if (n == 0) return s;
+    mean.buffer().download(s.mean.data(), s.mean.size() * sizeof(glm::vec3));
+    rotation.buffer().download(s.rotation.data(), s.rotation.size() * sizeof(glm::vec4));
+    log_scale.buffer().download(s.log_scale.data(), s.log_scale.size() * sizeof(glm::vec2));
+    s.opacity_logit = opacity_logit.download();
+    s.sh = sh.download();
+    return s;
+}
+
+void SurfelArrays::fill_zero(Stream& stream) {
+    for (Array<float>* array : {&mean, &rotation, &log_scale, &opacity_logit, &sh}) stream.fill(*array);
+}
+
+namespace {
+
+shared::SurfelPointers pointers(const SurfelArrays& arrays) {
+    return {arrays.mean.address(), arrays.rotation.address(), arrays.log_scale.address(), arrays.opacity_logit.address(), arrays.sh.address()};
+}
+
+Scene layout_of(const Scene& scene) {
+    Scene layout;
+    layout.models = scene.models;
+    layout.instances = scene.instances;
+    return layout;
+}
+
+void check_layout(const Scene& scene) {
+    for (const Model& model : scene.models)
+        if (std::size_t(model.first) + model.count > scene.surfels.size())
+            throw DataError(fmt::format("loading scene: model {} ends at surfel {}, expected at most {}", model.name, model.first + model.count, scene.surfels.size()));
+    for (const Instance& instance : scene.instances)
+        if (instance.model >= scene.models.size())
+            throw DataError(fmt::format("loading scene: an instance places model {}, expected one of {}", instance.model, scene.models.size()));
+}
+
+}  // namespace
+
+struct DeviceScene::Impl {
+    Scene layout;
+    SurfelArrays parameters;
+    Array<float> records;
+    Array<shared::InstanceEntry> instances;
+    std::vector<Pose> poses;
+    Kernel<shared::ActivateParams> activate;
+    Kernel<shared::ActivateVjpParams> activate_vjp;
+
+    Impl(Device& device, const Scene& scene)
+        : layout(layout_of(scene)),
+          parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel"),
+          records(device, 16 * scene.surfels.size(), "surfel records"),
+          instances(device, scene.instances.size(), "instance table"),
+          activate(device, "scene/activate"),
+          activate_vjp(device, accumulating_variant(device, "scene/activate_vjp@")) {}
+
+    /// View origin in the frame of a model, as its first instance sees it.
+    glm::vec3 view_origin(std::size_t model, const glm::vec3& world) const {
+        for (std::size_t i = 0; i < layout.instances.size(); ++i)
+            if (layout.instances[i].model == model) return glm::vec3(inverse(poses[i]) * glm::dvec3(world));
+        return world;
+    }
+};
+
+DeviceScene::DeviceScene(Device& device, const Scene& scene) {
+    check_layout(scene);
+    impl_ = std::make_unique<Impl>(device, scene);
+    impl_->parameters.upload(scene.surfels);
+    set_poses(std::vector<Pose>(scene.instances.size()));
+}
+
+DeviceScene::~DeviceScene() = default;
+
+void DeviceScene::set_poses(const std::vector<Pose>& world_from_instance) {
+    if (world_from_instance.size() != impl_->layout.instances.size())
+        throw DataError(fmt::format("placing instances: found {} poses, expected {}", world_from_instance.size(), impl_->layout.instances.size()));
+    impl_->poses = world_from_instance;
+    std::vector<shared::InstanceEntry> entries;
+    for (std::size_t i = 0; i < world_from_instance.size(); ++i) {
+        const glm::mat4 m(to_matrix(inverse(world_from_instance[i])));
+        const Model& model = impl_->layout.models[impl_->layout.instances[i].model];
+        entries.push_back({{m[0].x, m[1].x, m[2].x, m[3].x}, {m[0].y, m[1].y, m[2].y, m[3].y}, {m[0].z, m[1].z, m[2].z, m[3].z}, model.first, model.count});
+    }
+    impl_->instances.upload(entries);
+}
+
+void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m) {
+    for (std::size_t i = 0; i < impl_->layout.models.size(); ++i) {
+        const Model& range = impl_->layout.models[i];
+        run(stream, impl_->activate, range.count,
+            {pointers(impl_->parameters), impl_->records.address(), impl_->view_origin(i, view_origin_m), model.alpha_min, range.first, range.count,
+             static_cast<std::uint32_t>(model.sh_degree), model.sh_direction == ShDirection::surfel ? 1u : 0u});
+    }
+}
+
+void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m, const Array<float>& d_records,
+                               SurfelArrays& d_surfels, Array<std::uint32_t>& touched, Array<float>& d_view_origin) {
+    for (std::size_t i = 0; i < impl_->layout.models.size(); ++i) {
+        const Model& range = impl_->layout.models[i];
+        run(stream, impl_->activate_vjp, range.count,
+            {pointers(impl_->parameters), d_records.address(), pointers(d_surfels), touched.address(), d_view_origin.address(),
+             impl_->view_origin(i, view_origin_m), range.first, range.count, static_cast<std::uint32_t>(model.sh_degree),
+             model.sh_direction == ShDirection::surfel ? 1u : 0u});
+    }
+}
+
+const std::vector<Pose>& DeviceScene::poses() const { return impl_->poses; }
+const Scene& DeviceScene::layout() const { return impl_->layout; }
+SurfelArrays& DeviceScene::parameters() { return impl_->parameters; }
+const SurfelArrays& DeviceScene::parameters() const { return impl_->parameters; }
+const Array<float>& DeviceScene::records() const { return impl_->records; }
+std::uint64_t DeviceScene::instances_address() const { return impl_->instances.address(); }
+std::uint32_t DeviceScene::size() const { return impl_->parameters.n; }
+
+}  // namespace relidar

@@ -1,0 +1,238 @@
+// SPDX-License-Identifier: Apache-2.0
+// The benchmark street: a deterministic synthetic scene of surfels (docs/method.md section 2) and its sensor, the same numbers as
+// ../shared/bench/scene_gen.py draws with numpy. The random stream is numpy's legacy RandomState: MT19937 seeded by one integer,
+// 53-bit uniforms, the polar method for normals, keeping the second of each pair for the next call. Draws follow the script's order.
+#include <relidar/scene.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <random>
+
+#include <relidar/error.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr double kLength_m = 160.0, kHalfWidth_m = 12.0, kHeight_m = 9.0;
+constexpr double kShC0 = 0.28209479177387814;
+const glm::vec3 kSensor_m(0.0f, -2.0f, 1.8f);
+
+/// numpy.random.RandomState(seed).
+class LegacyRandom {
+public:
+    explicit LegacyRandom(std::uint32_t seed) : generator_(seed) {}
+
+    /// [0, 1) with 53 bits
+    double uniform() {
+        const std::uint32_t high = std::uint32_t(generator_()) >> 5, low = std::uint32_t(generator_()) >> 6;
+        return (high * 67108864.0 + low) / 9007199254740992.0;
+    }
+    double normal() {
+        if (has_next_) {
+            has_next_ = false;
+            return next_;
+        }
+        double x, y, r2;
+        do {
+            x = 2.0 * uniform() - 1.0;
+            y = 2.0 * uniform() - 1.0;
+            r2 = x * x + y * y;
+        } while (r2 >= 1.0 || r2 == 0.0);
+        const double scale = std::sqrt(-2.0 * std::log(r2) / r2);
+        next_ = scale * x;
+        has_next_ = true;
+        return scale * y;
+    }
+
+private:
+    std::mt19937 generator_;
+    double next_ = 0.0;
+    bool has_next_ = false;
+};
+
+/// A wall, a car's face or the ground.
+struct Rectangle {
+    glm::dvec3 corner, edge_u, edge_v;
+    double intensity;
+    glm::dvec3 normal = glm::normalize(glm::cross(edge_u, edge_v));
+    double area = glm::length(glm::cross(edge_u, edge_v));
+};
+
+/// Five faces of a box standing 0.2 m above the ground: right, left, back, front, roof.
+void add_car(const glm::dvec3& centre, double intensity, std::vector<Rectangle>& rectangles) {
+    const double length = 4.4, width = 1.8, height = 1.5 - 0.2;
+    const glm::dvec3 x(length, 0, 0), y(0, width, 0), z(0, 0, height);
+    const glm::dvec3 base = centre + glm::dvec3(-0.5 * length, -0.5 * width, 0.2);
+    rectangles.push_back({base, x, z, intensity});
+    rectangles.push_back({base + y + x, -x, z, intensity});
+    rectangles.push_back({base + y, -y, z, intensity});
+    rectangles.push_back({base + x, y, z, intensity});
+    rectangles.push_back({base + z, x, y, intensity});
+}
+
+void add_facades(int side, LegacyRandom& random, std::vector<Rectangle>& rectangles) {
+    const double half = kLength_m / 2;
+    for (double x = -half; x < half - 1e-9;) {
+        const double width = std::min(8 + 10 * random.uniform(), half - x);
+        const double setback = 1.5 * random.uniform();
+        const double intensity = 0.25 + 0.4 * random.uniform();
+        const bool gap = random.uniform() < 0.1;
+        const double y = side * (kHalfWidth_m - setback);
+        const glm::dvec3 up(0, 0, kHeight_m);
+        if (!gap && side > 0) rectangles.push_back({{x, y, 0}, {width, 0, 0}, up, intensity});
+        if (!gap && side < 0) rectangles.push_back({{x + width, y, 0}, {-width, 0, 0}, up, intensity});
+        x += width;
+    }
+}
+
+void add_parked_cars(int side, LegacyRandom& random, std::vector<Rectangle>& rectangles) {
+    const double half = kLength_m / 2;
+    for (double x = -half + 3; x < half - 5; x += 6.5) {
+        const bool skip = random.uniform() < 0.3;
+        const double along = random.uniform();
+        const double across = 0.3 * random.uniform();
+        const double intensity = 0.3 + 0.6 * random.uniform();
+        if (!skip) add_car({x + along, side * (7.5 + across), 0.0}, intensity, rectangles);
+    }
+}
+
+/// Ground, facades and parked cars: always the same (seed 1).
+std::vector<Rectangle> street_layout() {
+    LegacyRandom random(1);
+    std::vector<Rectangle> rectangles{{{-kLength_m / 2, -kHalfWidth_m, 0}, {kLength_m, 0, 0}, {0, 2 * kHalfWidth_m, 0}, 0.2}};
+    for (const int side : {-1, 1}) {
+        add_facades(side, random, rectangles);
+        add_parked_cars(side, random, rectangles);
+    }
+    return rectangles;
+}
+
+/// A rectangle for each surfel, in proportion to its area.
+std::vector<std::uint16_t> pick_rectangles(std::size_t n, const std::vector<Rectangle>& rectangles, LegacyRandom& random) {
+    std::vector<double> cumulative;
+    double total = 0.0;
+    for (const Rectangle& r : rectangles) cumulative.push_back(total += r.area);
+    for (double& c : cumulative) c /= total;
+    std::vector<std::uint16_t> index(n);
+    for (std::uint16_t& i : index) {
+        const auto at = std::upper_bound(cumulative.begin(), cumulative.end(), random.uniform()) - cumulative.begin();
+        i = std::uint16_t(std::min<std::ptrdiff_t>(at, std::ptrdiff_t(rectangles.size()) - 1));
+    }
+    return index;
+}
+
+void draw_means(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index, LegacyRandom& random, Surfels& surfels) {
+    std::vector<glm::dvec2> along(index.size());
+    for (glm::dvec2& ab : along) {
+        ab.x = random.uniform();
+        ab.y = random.uniform();
+    }
+    for (std::size_t i = 0; i < index.size(); ++i) {
+        const Rectangle& r = rectangles[index[i]];
+        surfels.mean[i] = glm::vec3(r.corner + along[i].x * r.edge_u + along[i].y * r.edge_v + r.normal * (0.02 * random.normal()));
+    }
+}
+
+/// Unit quaternion (w, x, y, z) of the rotation with the given columns; its largest component is positive.
+glm::dvec4 quaternion_of(const glm::dvec3& x, const glm::dvec3& y, const glm::dvec3& z) {
+    const double trace = x.x + y.y + z.z;
+    const std::array<glm::dvec4, 4> candidates{{{1 + trace, y.z - z.y, z.x - x.z, x.y - y.x},
+                                                {y.z - z.y, 1 + 2 * x.x - trace, x.y + y.x, z.x + x.z},
+                                                {z.x - x.z, x.y + y.x, 1 + 2 * y.y - trace, y.z + z.y},
+                                                {x.y - y.x, z.x + x.z, y.z + z.y, 1 + 2 * z.z - trace}}};
+    int best = 0;
+    for (int k = 1; k < 4; ++k)
+        if (candidates[k][k] > candidates[best][best]) best = k;
+    return glm::normalize(candidates[best]);
+}
+
+/// Normals scatter about the rectangle's; the angle in the plane is uniform.
+void draw_rotations(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index, LegacyRandom& random, Surfels& surfels) {
+    std::vector<glm::dvec3> normal(index.size());
+    for (std::size_t i = 0; i < index.size(); ++i) {
+        glm::dvec3 noise;
+        for (int axis = 0; axis < 3; ++axis) noise[axis] = random.normal();
+        normal[i] = glm::normalize(rectangles[index[i]].normal + 0.05 * noise);
+    }
+    for (std::size_t i = 0; i < index.size(); ++i) {
+        const glm::dvec3 z = normal[i];
+        const glm::dvec3 helper = std::abs(z.x) < 0.9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0);
+        const glm::dvec3 x0 = glm::normalize(glm::cross(helper, z)), y0 = glm::cross(z, x0);
+        const double phi = 2.0 * kPi * random.uniform();
+        const glm::dvec3 x = std::cos(phi) * x0 + std::sin(phi) * y0;
+        surfels.rotation[i] = glm::vec4(quaternion_of(x, glm::cross(z, x), z));
+    }
+}
+
+void draw_scales_and_opacities(bool refine, LegacyRandom& random, Surfels& surfels) {
+    const double factor = refine ? std::sqrt(1e5 / double(surfels.mean.size())) : 1.0;
+    for (glm::vec2& log_scale : surfels.log_scale)
+        for (int axis = 0; axis < 2; ++axis) log_scale[axis] = float(std::log(0.1 * std::pow(3.0, random.uniform()) * factor));
+    for (float& logit : surfels.opacity_logit) {
+        const double opacity = 0.1 + 0.89 * random.uniform();
+        logit = float(std::log(opacity / (1.0 - opacity)));
+    }
+}
+
+/// Coefficients on grids of 1/4096 (DC) and 1/256, ties to even as numpy rounds them.
+void draw_sh(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index, LegacyRandom& random, Surfels& surfels) {
+    const auto put_dc = [&](std::size_t i, int channel, double value) {
+        const double steps = std::clamp(std::nearbyint((value - 0.5) / kShC0 * 4096), -32000.0, 32000.0);
+        surfels.sh[i * kShFloats + std::size_t(channel) * kShCoefficients] = float(steps / 4096);
+    };
+    const std::size_t n = index.size();
+    for (std::size_t i = 0; i < n; ++i) put_dc(i, 0, std::clamp(rectangles[index[i]].intensity + 0.08 * random.normal(), 0.02, 0.98));
+    for (std::size_t i = 0; i < n; ++i) put_dc(i, 1, 1.0 + 0.3 * random.normal());
+    for (std::size_t i = 0; i < n; ++i) put_dc(i, 2, 0.3 * random.normal());
+    for (std::size_t i = 0; i < n; ++i)
+        for (int k = 1; k < kShCoefficients; ++k)
+            for (int channel = 0; channel < kShChannels; ++channel) {
+                const double steps = std::clamp(std::nearbyint(0.05 * random.normal() * 256), -127.0, 127.0);
+                surfels.sh[i * kShFloats + std::size_t(channel * kShCoefficients + k)] = float(steps / 256);
+            }
+}
+
+}  // namespace
+
+Surfels make_benchmark_street(std::uint32_t n, std::uint32_t seed, bool refine) {
+    const std::vector<Rectangle> rectangles = street_layout();
+    LegacyRandom random(seed);
+    Surfels surfels;
+    surfels.resize(n);
+    const std::vector<std::uint16_t> index = pick_rectangles(n, rectangles, random);
+    draw_means(rectangles, index, random, surfels);
+    draw_rotations(rectangles, index, random, surfels);
+    draw_scales_and_opacities(refine, random, surfels);
+    draw_sh(rectangles, index, random, surfels);
+    return surfels;
+}
+
+RayTable make_benchmark_rays(int rows, int columns, double top_deg, double bottom_deg) {
+    if (rows <= 0 || columns <= 0) throw UsageError("make_benchmark_rays: rows and columns must be positive");
+    RayTable table;
+    table.rows = rows;
+    table.columns = columns;
+    const std::size_t n = std::size_t(rows) * std::size_t(columns);
+    table.origin.assign(n, kSensor_m);
+    table.time_offset_s.assign(n, 0.0f);
+    table.direction.reserve(n);
+    table.channel.reserve(n);
+    for (int row = 0; row < rows; ++row) {
+        const double elevation = (top_deg + (row + 0.5) / rows * (bottom_deg - top_deg)) * (kPi / 180.0);
+        for (int column = 0; column < columns; ++column) {
+            const double azimuth = kPi - (column + 0.5) / columns * 2.0 * kPi;
+            table.direction.emplace_back(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
+            table.channel.push_back(std::uint16_t(row));
+        }
+    }
+    return table;
+}
+
+RayTable make_benchmark_rays(const std::string& kind) {
+    if (kind == "waymo") return make_benchmark_rays(64, 2650, 2.4, -17.6);
+    if (kind == "kitti") return make_benchmark_rays(66, 1030, 2.0, -24.9);
+    throw UsageError("make_benchmark_rays: found \"" + kind + "\", expected waymo or kitti");
+}
+
+}  // namespace relidar

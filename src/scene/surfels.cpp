@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: Apache-2.0
+// Host-side surfel arrays: shapes, order, concatenation.
+#include <relidar/scene.hpp>
+
+#include <algorithm>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar {
+
+void Surfels::resize(std::size_t n) {
+    mean.resize(n);
+    rotation.resize(n);
+    log_scale.resize(n);
+    opacity_logit.resize(n);
+    sh.resize(n * kShFloats);
+}
+
+void Surfels::check_shapes() const {
+    const std::size_t n = mean.size();
+    if (rotation.size() != n || log_scale.size() != n || opacity_logit.size() != n || sh.size() != n * kShFloats)
+        throw DataError(fmt::format("reading surfels: mean has {} rows, rotation {}, log_scale {}, opacity_logit {}, sh {} values, expected equal rows and {} sh values a row",
+                                    n, rotation.size(), log_scale.size(), opacity_logit.size(), sh.size(), kShFloats));
+}
+
+void Surfels::append(const Surfels& other) {
+    mean.insert(mean.end(), other.mean.begin(), other.mean.end());
+    rotation.insert(rotation.end(), other.rotation.begin(), other.rotation.end());
+    log_scale.insert(log_scale.end(), other.log_scale.begin(), other.log_scale.end());
+    opacity_logit.insert(opacity_logit.end(), other.opacity_logit.begin(), other.opacity_logit.end());
+    sh.insert(sh.end(), other.sh.begin(), other.sh.end());
+}
+
+Surfels Surfels::permuted(const std::vector<std::uint32_t>& order) const {
+    Surfels result;
+    result.resize(order.size());
+    for (std::size_t i = 0; i < order.size(); ++i) {
+        const std::size_t from = order[i];
+        result.mean[i] = mean[from];
+        result.rotation[i] = rotation[from];
+        result.log_scale[i] = log_scale[from];
+        result.opacity_logit[i] = opacity_logit[from];
+        std::copy_n(sh.begin() + static_cast<std::ptrdiff_t>(from * kShFloats), kShFloats, result.sh.begin() + static_cast<std::ptrdiff_t>(i * kShFloats));
+    }
+    return result;
+}
+
+Scene make_background_scene(Surfels surfels) {
+    Scene scene;
+    scene.models.push_back({"background", 0, static_cast<std::uint32_t>(surfels.size())});
+    scene.instances.push_back({0, ""});
+    scene.surfels = std::move(surfels);
+    return scene;
+}
+
+std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points) {
+    std::vector<std::uint32_t> order(points.size());
+    std::iota(order.begin(), order.end(), 0u);
+    std::vector<std::pair<std::size_t, std::size_t>> ranges{{0, order.size()}};
+    while (!ranges.empty()) {
+        const auto [first, last] = ranges.back();
+        ranges.pop_back();
+        if (last - first < 3) continue;
+        glm::vec3 low(1e30f), high(-1e30f);
+        for (std::size_t i = first; i < last; ++i) {
+            low = glm::min(low, points[order[i]]);
+            high = glm::max(high, points[order[i]]);
+        }
+        const glm::vec3 size = high - low;
+        const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
+        const std::size_t middle = (first + last) / 2;
+        std::nth_element(order.begin() + static_cast<std::ptrdiff_t>(first), order.begin() + static_cast<std::ptrdiff_t>(middle),
+                         order.begin() + static_cast<std::ptrdiff_t>(last), [&](std::uint32_t a, std::uint32_t b) { return points[a][axis] < points[b][axis]; });
+        ranges.push_back({first, middle});
+        ranges.push_back({middle, last});
+    }
+    return order;
+}
+
+double background_extent(const Surfels& surfels) {
+    if (surfels.size() == 0) return 1.0;
+    glm::dvec3 centre(0.0);
+    for (const glm::vec3& p : surfels.mean) centre += glm::dvec3(p);
+    centre /= double(surfels.size());
+    std::vector<double> distance;
+    for (const glm::vec3& p : surfels.mean) distance.push_back(2.0 * glm::length(glm::dvec3(p) - centre));
+    const auto q90 = distance.begin() + static_cast<std::ptrdiff_t>(0.9 * double(distance.size() - 1));
+    std::nth_element(distance.begin(), q90, distance.end());
+    return 3.0 * *q90;
+}
+
+}  // namespace relidar

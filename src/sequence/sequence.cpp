@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+// Poses and boxes between their observations, rays in the world, and the train/test split (paper Sec. 4).
+//   pose(t) = slerp / lerp between the neighbours of t; the end segments continue at constant velocity.
+#include <relidar/sequence.hpp>
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar {
+namespace {
+
+/// Where a time lies in a track: between entries `left` and `left + 1`, at fraction s.
+struct Place {
+    std::size_t left;
+    double s;
+};
+
+Place find_place(const std::vector<double>& time_s, double t_s) {
+    const auto after = std::upper_bound(time_s.begin(), time_s.end(), t_s);
+    const std::ptrdiff_t last = static_cast<std::ptrdiff_t>(time_s.size()) - 2;
+    const std::size_t left = static_cast<std::size_t>(std::clamp<std::ptrdiff_t>(after - time_s.begin() - 1, 0, last));
+    const double span = time_s[left + 1] - time_s[left];
+    return {left, span > 0.0 ? (t_s - time_s[left]) / span : 0.0};
+}
+
+bool box_holds(const BoxTrack& box, const glm::dvec3& point_m, double t_s, double margin_m) {
+    const glm::dvec3 half = 0.5 * box.size_m + glm::dvec3(margin_m);
+    const PoseTrack& track = box.world_from_box;
+    if (track.pose.size() > 1) {  // the centre alone rules most points out, without a slerp
+        const Place at = find_place(track.time_s, t_s);
+        const glm::dvec3 centre = glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
+        const glm::dvec3 d = point_m - centre;
+        if (glm::dot(d, d) > glm::dot(half, half)) return false;
+    }
+    const glm::dvec3 local = glm::abs(inverse(track.at(t_s)) * point_m);
+    return local.x <= half.x && local.y <= half.y && local.z <= half.z;
+}
+
+}  // namespace
+
+Pose PoseTrack::at(double t_s) const {
+    if (pose.empty() || pose.size() != time_s.size()) {
+        throw DataError(fmt::format("pose track: {} poses at {} times, expected at least one of each", pose.size(), time_s.size()));
+    }
+    if (pose.size() == 1) return pose.front();
+    const Place place = find_place(time_s, t_s);
+    return interpolate(pose[place.left], pose[place.left + 1], place.s);
+}
+
+std::size_t Scan::count_returns() const {
+    return static_cast<std::size_t>(std::count_if(range_m.begin(), range_m.end(), [](float r) { return r > 0.0f; }));
+}
+
+double BoxTrack::mean_step_m() const {
+    const std::vector<Pose>& pose = world_from_box.pose;
+    if (pose.size() < 2) return 0.0;
+    double sum = 0.0;
+    for (std::size_t i = 1; i < pose.size(); ++i) sum += glm::length(pose[i].translation - pose[i - 1].translation);
+    return sum / static_cast<double>(pose.size() - 1);
+}
+
+WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter) {
+    const double t_s = rolling_shutter ? time_s + static_cast<double>(rays.time_offset_s[ray]) : time_s;
+    const Pose pose = world_from_sensor.at(t_s);
+    return {pose * glm::dvec3(rays.origin[ray]), glm::normalize(pose.rotation * glm::dvec3(rays.direction[ray]))};
+}
+
+bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m) {
+    return std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& box) {
+        return box.world_from_box.covers(t_s) && box_holds(box, point_m, t_s, margin_m) && box.mean_step_m() > min_step_m;
+    });
+}
+
+Split split_frames(const Sequence& sequence, int test_every) {
+    if (test_every < 0 || test_every == 1) {
+        throw UsageError(fmt::format("test_every: {}, expected 0 (hold out nothing) or at least 2", test_every));
+    }
+    Split split;
+    for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i) {
+        const bool held_out = test_every > 0 && i > 0 && i % test_every == 0;
+        (held_out ? split.test : split.train).push_back(i);
+    }
+    return split;
+}
+
+}  // namespace relidar

@@ -1,0 +1,16 @@
+// SPDX-License-Identifier: Apache-2.0
+// The smallest user of the installed library: a table of rays, and the devices that could trace them.
+#include <cstdio>
+
+#include <relidar/error.hpp>
+#include <relidar/gpu.hpp>
+#include <relidar/sensor.hpp>
+
+int main() {
+    std::printf("%zu rays\n", relidar::make_rays(relidar::kitti360_grid()).size());
+    try {
+        for (const relidar::DeviceInfo& device : relidar::list_devices()) std::printf("device %d: %s\n", device.index, device.name.c_str());
+    } catch (const relidar::DeviceError& error) {
+        std::printf("no device: %s\n", error.what());
+    }
+}

@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+// Loss terms of the oracle (docs/method.md section 5; M6). The cross-entropy is written with softplus, so that extreme logits
+// neither overflow nor lose their derivative: with x = drop - hit, ln(1 + e^x) - y x, derivative beta - y.
+#include "loss.hpp"
+
+#include <cmath>
+#include <stdexcept>
+
+namespace relidar::reference {
+namespace {
+
+double sign(double x) { return x > 0.0 ? 1.0 : x < 0.0 ? -1.0 : 0.0; }
+double softplus(double x) { return std::max(x, 0.0) + std::log1p(std::exp(-std::abs(x))); }
+
+}  // namespace
+
+double drop_probability(double hit_logit, double drop_logit) { return 1.0 / (1.0 + std::exp(hit_logit - drop_logit)); }
+
+LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, const LossWeights& weights, DepthKind kind,
+                        std::vector<PixelGradient>* d_pixels) {
+    if (pixels.size() != targets.size()) throw std::logic_error("evaluate_loss: pixels and targets differ in length");
+    std::vector<PixelGradient> d(pixels.size());
+    double n_returned = 0.0;
+    for (const Target& target : targets) n_returned += target.range_m > 0.0 ? 1.0 : 0.0;
+    const double n_rays = double(pixels.size());
+    LossTerms terms;
+    for (std::size_t i = 0; i < pixels.size(); ++i) {
+        const Pixel& p = pixels[i];
+        const bool returned = targets[i].range_m > 0.0;
+        if (returned && (kind == DepthKind::blended || p.weight > 0.0)) {
+            const double scale = kind == DepthKind::blended ? 1.0 : 1.0 / p.weight;
+            const double residual = scale * p.depth - targets[i].range_m;
+            terms.depth += std::abs(residual) / n_returned;
+            d[i].depth = weights.depth * sign(residual) * scale / n_returned;
+            if (kind == DepthKind::normalised) d[i].weight = -d[i].depth * p.depth * scale;
+        }
+        if (returned) {
+            const double residual = p.intensity - targets[i].intensity;
+            terms.intensity += std::abs(residual) / n_returned;
+            d[i].intensity = weights.intensity * sign(residual) / n_returned;
+        }
+        const double x = p.drop_logit - p.hit_logit, y = returned ? 0.0 : 1.0;
+        terms.drop += (softplus(x) - y * x) / n_rays;
+        d[i].drop_logit = weights.drop * (drop_probability(p.hit_logit, p.drop_logit) - y) / n_rays;
+        d[i].hit_logit = -d[i].drop_logit;
+    }
+    terms.total = weights.depth * terms.depth + weights.intensity * terms.intensity + weights.drop * terms.drop;
+    if (d_pixels != nullptr) *d_pixels = std::move(d);
+    return terms;
+}
+
+}  // namespace relidar::reference

@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: Apache-2.0
+// Forward half of the oracle: shading of a hit (M1, M2, SH) and blending nearest first (M4, M5), in chunks as a GPU does it and
+// over the complete list. The two differ only in how hits are fetched.
+#include "render.hpp"
+
+#include <algorithm>
+
+namespace relidar::reference {
+namespace {
+
+/// Running sums of M4 and M5.
+class Blend {
+public:
+    explicit Blend(const ImageModel& model) : transmittance_min_(double(model.transmittance_min)) {}
+
+    /// Adds a surfel; false, without adding it, where it would take T under T_min.
+    bool add(const ShadedHit& s) {
+        const double next = pixel_.transmittance * (1.0 - s.alpha);
+        if (next < transmittance_min_) return false;
+        const double w = s.alpha * pixel_.transmittance;   // M4
+        pixel_.depth += w * s.t;
+        pixel_.weight += w;
+        pixel_.intensity += w * s.value[0];
+        pixel_.hit_logit += w * s.value[1];
+        drop_sum_ += w * s.value[2];
+        if (pixel_.transmittance > 0.5 && next <= 0.5) pixel_.median_depth = s.t;
+        pixel_.transmittance = next;
+        pixel_.hits += 1;
+        return true;
+    }
+
+    /// M5: the background (0, 0, 1) seen through what is left.
+    Pixel finish() const {
+        Pixel result = pixel_;
+        result.drop_logit = drop_sum_ + pixel_.transmittance;
+        return result;
+    }
+
+private:
+    double transmittance_min_;
+    double drop_sum_ = 0.0;
+    Pixel pixel_;
+};
+
+}  // namespace
+
+ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, const Hit& hit) {
+    const Surfel& surfel = world.surfels[hit.surfel];
+    const Pose& pose = world.instances[hit.instance].world_from_model;
+    const Activated a = activate(surfel);
+    const LocalRay<double> local = to_model(pose, ray);
+    ShadedHit s{};
+    s.hit = hit;
+    const glm::dvec3 normal = a.rotation[2];
+    s.t = glm::dot(normal, a.mean - local.origin) / glm::dot(normal, local.direction);   // M1
+    const glm::dvec3 p = local.origin + s.t * local.direction;
+    s.u = glm::dot(a.rotation[0], p - a.mean) / a.scale.x;
+    s.v = glm::dot(a.rotation[1], p - a.mean) / a.scale.y;
+    s.gauss = std::exp(-0.5 * (s.u * s.u + s.v * s.v));                                  // M2
+    const double alpha_max = double(settings.image.alpha_max);
+    s.alpha_clamped = a.opacity * s.gauss > alpha_max;
+    s.alpha = s.alpha_clamped ? alpha_max : a.opacity * s.gauss;
+    const glm::dvec3 view = to_model(pose, {settings.view_origin, glm::dvec3(0.0)}).origin;
+    const glm::dvec3 direction = settings.image.sh_direction == ShDirection::ray ? local.direction : glm::normalize(a.mean - view);
+    s.value = sh_values(surfel, direction, settings.image.sh_degree);
+    s.raw_intensity = s.value[0];
+    s.intensity_clamped = s.raw_intensity < 0.0;
+    s.value[0] = std::max(s.raw_intensity, 0.0);
+    return s;
+}
+
+Pixel render(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray, int chunk,
+             std::vector<ShadedHit>* blended) {
+    Blend blend(settings.image);
+    std::vector<Hit> hits;
+    HitKey after;
+    do {
+        provider.next_hits(ray, after, chunk, hits);
+        for (const Hit& hit : hits) {
+            const ShadedHit s = shade(world, settings, ray, hit);
+            if (!blend.add(s)) return blend.finish();
+            if (blended != nullptr) blended->push_back(s);
+            after = hit;
+        }
+    } while (int(hits.size()) == chunk);
+    return blend.finish();
+}
+
+Pixel render_all_at_once(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray,
+                         std::vector<ShadedHit>* blended) {
+    Blend blend(settings.image);
+    std::vector<Hit> hits;
+    provider.next_hits(ray, HitKey{}, std::numeric_limits<int>::max(), hits);
+    for (const Hit& hit : hits) {
+        const ShadedHit s = shade(world, settings, ray, hit);
+        if (!blend.add(s)) break;
+        if (blended != nullptr) blended->push_back(s);
+    }
+    return blend.finish();
+}
+
+}  // namespace relidar::reference

@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+// The oracle's image formation in double precision: blending along a ray (M4), outputs (M5), and the gradients of both (M7, M8)
+// with respect to every surfel parameter, the ray, the view origin and the pose of each instance. Hits come from any HitProvider;
+// their order and the skip rule are the provider's, t, u, v and alpha are evaluated again here in double.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "traversal.hpp"
+
+namespace relidar::reference {
+
+/// How rays are rendered.
+struct Settings {
+    ImageModel image;
+    glm::dvec3 view_origin{0.0};   ///< metres, world: where ShDirection::surfel looks from
+};
+
+/// What one ray brings back (M5).
+struct Pixel {
+    double depth = 0.0;           ///< D = sum w t
+    double weight = 0.0;          ///< W = sum w
+    double intensity = 0.0;       ///< sum w c, background 0
+    double hit_logit = 0.0;       ///< sum w c, background 0
+    double drop_logit = 1.0;      ///< sum w c + T_N * 1
+    double transmittance = 1.0;   ///< T_N, after the last blended surfel
+    double median_depth = 0.0;    ///< t of the surfel that takes T from above 0.5 to 0.5 or less; 0 where none does
+    std::uint32_t hits = 0;       ///< blended surfels
+};
+
+/// dL/d(Pixel) for the outputs a loss can use.
+struct PixelGradient {
+    double depth = 0.0, weight = 0.0, intensity = 0.0, hit_logit = 0.0, drop_logit = 0.0;
+};
+
+/// One hit with everything blending needs.
+struct ShadedHit {
+    Hit hit;
+    double t, u, v;
+    double gauss;              ///< G
+    double alpha;              ///< min(alpha_max, sigma G)
+    bool alpha_clamped;        ///< sigma G > alpha_max: no gradient through alpha
+    glm::dvec3 value;          ///< channels; intensity clamped at >= 0
+    double raw_intensity;      ///< before the clamp
+    bool intensity_clamped;    ///< raw intensity < 0: no gradient through it
+};
+ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, const Hit& hit);
+
+/// Renders a ray, `chunk` hits at a time. @param blended  if given, receives the blended hits in order
+Pixel render(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray, int chunk,
+             std::vector<ShadedHit>* blended = nullptr);
+/// The same from the list of all hits at once.
+Pixel render_all_at_once(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray,
+                         std::vector<ShadedHit>* blended = nullptr);
+
+/// Gradient with respect to an instance's pose.
+///   world_from_model becomes (exp([rotation]x) R, translation' = translation + d_translation): the rotation vector is
+///   expressed in the world and turns the model about its own origin; the translation is not turned.
+struct PoseGradient {
+    glm::dvec3 translation{0.0};
+    glm::dvec3 rotation{0.0};
+};
+
+/// Accumulated over rays.
+struct Gradients {
+    std::vector<Surfel> surfels;             ///< [n] dL/d(parameter), same layout as the parameters
+    std::vector<PoseGradient> instances;     ///< [instances]
+    glm::dvec3 view_origin{0.0};             ///< zero unless ShDirection::surfel
+
+    explicit Gradients(const World& world);  ///< zeros
+};
+
+/// Of one ray; the direction is a free 3-vector (not renormalised, the SH polynomials take it as it is).
+struct RayGradient {
+    glm::dvec3 origin{0.0};
+    glm::dvec3 direction{0.0};
+};
+
+/// Second cast of the ray, front to back (M7, M8): adds to `gradients`, returns the ray's own.
+RayGradient backward(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray, int chunk,
+                     const PixelGradient& d_pixel, Gradients& gradients);
+
+}  // namespace relidar::reference

@@ -1,0 +1,134 @@
+// SPDX-License-Identifier: Apache-2.0
+// Backward half of the oracle. M7 turns dL/d(pixel) into dL/d(alpha), dL/d(t) and dL/d(channels) of each blended hit; M8 carries
+// these through the ray-plane intersection to the surfel's parameters, the ray, the view origin and the instance's pose.
+#include "render.hpp"
+
+namespace relidar::reference {
+namespace {
+
+/// Upstream of one hit.
+struct HitGradient {
+    double alpha = 0.0;
+    double t = 0.0;   // direct part g_D w; what flows through u, v is added with the geometry
+    glm::dvec3 value{0.0};
+};
+
+/// Gradients of a hit's geometry in the model's frame.
+struct LocalGradient {
+    glm::dvec3 origin{0.0}, direction{0.0}, view{0.0};
+};
+
+/// M7, front to back: needs the final pixel, the running sums and T before each hit.
+std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits, const Pixel& pixel, const PixelGradient& g) {
+    std::vector<HitGradient> result(hits.size());
+    double transmittance = 1.0;
+    Pixel sum;   // C_{<=i}: without any background
+    sum.drop_logit = 0.0;
+    for (std::size_t i = 0; i < hits.size(); ++i) {
+        const ShadedHit& s = hits[i];
+        const double w = s.alpha * transmittance;
+        sum.depth += w * s.t;
+        sum.weight += w;
+        sum.intensity += w * s.value[0];
+        sum.hit_logit += w * s.value[1];
+        sum.drop_logit += w * s.value[2];
+        const auto slope = [&](double c, double total, double so_far) { return transmittance * c - (total - so_far) / (1.0 - s.alpha); };
+        result[i].alpha = g.depth * slope(s.t, pixel.depth, sum.depth) + g.weight * slope(1.0, pixel.weight, sum.weight) +
+                          g.intensity * slope(s.value[0], pixel.intensity, sum.intensity) +
+                          g.hit_logit * slope(s.value[1], pixel.hit_logit, sum.hit_logit) +
+                          g.drop_logit * slope(s.value[2], pixel.drop_logit, sum.drop_logit);
+        if (s.alpha_clamped) result[i].alpha = 0.0;
+        result[i].t = g.depth * w;
+        result[i].value = w * glm::dvec3(s.intensity_clamped ? 0.0 : g.intensity, g.hit_logit, g.drop_logit);
+        transmittance *= 1.0 - s.alpha;
+    }
+    return result;
+}
+
+/// Channels: to the SH coefficients and to the direction they are evaluated in.
+void value_backward(const Surfel& surfel, const Settings& settings, const LocalRay<double>& ray, const glm::dvec3& view,
+                    const glm::dvec3& d_value, Surfel& d_surfel, LocalGradient& d_local) {
+    const bool along_ray = settings.image.sh_direction == ShDirection::ray;
+    const glm::dvec3 to_mean = surfel.mean - view;
+    const glm::dvec3 direction = along_ray ? ray.direction : glm::normalize(to_mean);
+    const auto basis = sh_basis(direction, settings.image.sh_degree);
+    const auto slope = sh_basis_gradient(direction, settings.image.sh_degree);
+    glm::dvec3 d_direction(0.0);
+    for (int channel = 0; channel < kShChannels; ++channel)
+        for (int k = 0; k < kShCoefficients; ++k) {
+            const int entry = channel * kShCoefficients + k;
+            d_surfel.sh[entry] += d_value[channel] * basis[k];
+            d_direction += d_value[channel] * surfel.sh[entry] * slope[k];
+        }
+    if (along_ray) {
+        d_local.direction += d_direction;
+    } else {
+        const glm::dvec3 d_to_mean = (d_direction - direction * glm::dot(direction, d_direction)) / glm::length(to_mean);
+        d_surfel.mean += d_to_mean;
+        d_local.view -= d_to_mean;
+    }
+}
+
+/// Opacity and geometry (M8): alpha = sigma exp(-(u^2 + v^2)/2), p = t d - q with q = mean - origin, t = n.q / n.d.
+void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s, const HitGradient& g, Surfel& d_surfel,
+                       LocalGradient& d_local) {
+    const Activated a = activate(surfel);
+    d_surfel.opacity_logit += g.alpha * s.gauss * a.opacity * (1.0 - a.opacity);
+    const double d_u = -g.alpha * a.opacity * s.gauss * s.u;
+    const double d_v = -g.alpha * a.opacity * s.gauss * s.v;
+    d_surfel.log_scale += glm::dvec2(-s.u * d_u, -s.v * d_v);   // u falls as 1 / s_u
+
+    const glm::dvec3 normal = a.rotation[2];
+    const double facing = glm::dot(normal, ray.direction);
+    const glm::dvec3 p = s.t * ray.direction - (a.mean - ray.origin);
+    const glm::dvec3 d_p = a.rotation[0] * (d_u / a.scale.x) + a.rotation[1] * (d_v / a.scale.y);
+    const double d_t = g.t + glm::dot(ray.direction, d_p);      // p moves by d
+    const glm::dvec3 d_q = normal * (d_t / facing) - d_p;       // dt/dmean = n / (n.d)
+    d_surfel.mean += d_q;
+    d_local.origin -= d_q;
+    d_local.direction += s.t * d_p - normal * (d_t * s.t / facing);
+    const glm::dmat3 d_rotation(p * (d_u / a.scale.x), p * (d_v / a.scale.y), -p * (d_t / facing));   // dt/dn = (mean - hit) / (n.d)
+    d_surfel.rotation += rotation_matrix_vjp(surfel.rotation, d_rotation);
+}
+
+/// From the model's frame to the world: x_m = R^T (x_w - translation), and R -> exp([w]x) R turns x_m by -R^T (w cross ...).
+void pose_backward(const Pose& pose, const Ray& ray, const glm::dvec3& view_origin, const LocalGradient& d_local, PoseGradient& d_pose,
+                   RayGradient& d_ray, glm::dvec3& d_view) {
+    const glm::dmat3 r = glm::mat3_cast(pose.rotation);
+    const glm::dvec3 origin = r * d_local.origin, direction = r * d_local.direction, view = r * d_local.view;
+    d_ray.origin += origin;
+    d_ray.direction += direction;
+    d_view += view;
+    d_pose.translation -= origin + view;
+    d_pose.rotation -= glm::cross(ray.origin - pose.translation, origin) + glm::cross(ray.direction, direction) +
+                       glm::cross(view_origin - pose.translation, view);
+}
+
+}  // namespace
+
+Gradients::Gradients(const World& world) : surfels(world.surfels.size()), instances(world.instances.size()) {
+    for (Surfel& s : surfels) s.rotation = glm::dvec4(0.0);   // Surfel's default is the identity rotation
+}
+
+RayGradient backward(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray, int chunk,
+                     const PixelGradient& d_pixel, Gradients& gradients) {
+    std::vector<ShadedHit> hits;
+    const Pixel pixel = render(world, provider, settings, ray, chunk, &hits);
+    const std::vector<HitGradient> d_hits = hit_gradients(hits, pixel, d_pixel);
+    RayGradient d_ray;
+    for (std::size_t i = 0; i < hits.size(); ++i) {
+        const ShadedHit& s = hits[i];
+        const Surfel& surfel = world.surfels[s.hit.surfel];
+        const Pose& pose = world.instances[s.hit.instance].world_from_model;
+        const LocalRay<double> local = to_model(pose, ray);
+        const glm::dvec3 view = to_model(pose, {settings.view_origin, glm::dvec3(0.0)}).origin;
+        Surfel& d_surfel = gradients.surfels[s.hit.surfel];
+        LocalGradient d_local;
+        value_backward(surfel, settings, local, view, d_hits[i].value, d_surfel, d_local);
+        geometry_backward(surfel, local, s, d_hits[i], d_surfel, d_local);
+        pose_backward(pose, ray, settings.view_origin, d_local, gradients.instances[s.hit.instance], d_ray, gradients.view_origin);
+    }
+    return d_ray;
+}
+
+}  // namespace relidar::reference

@@ -1,0 +1,199 @@
+// SPDX-License-Identifier: Apache-2.0
+// Image formation and its gradient against closed forms: one surfel head-on, two surfels at equal depth, the background counted once
+// (the note to M7), clamps without gradient, the stop rule, the median range, chunked against all at once.
+#include <gtest/gtest.h>
+
+#include "../support/random_scene.hpp"
+#include "../support/surfels.hpp"
+#include "render.hpp"
+
+namespace relidar::reference {
+namespace {
+
+constexpr double kC0 = 0.28209479177387814;
+
+/// Facing the sensor at (x, 0, 0) with constant channel values.
+Surfel facing_surfel(double x, double opacity, const glm::dvec3& value) {
+    Surfel s;
+    s.mean = {x, 0, 0};
+    s.rotation = {0.5, 0.5, 0.5, 0.5};
+    s.log_scale = {std::log(0.5), std::log(0.5)};
+    s.opacity_logit = std::log(opacity / (1.0 - opacity));
+    for (int c = 0; c < 3; ++c) s.sh[c * kShCoefficients] = (value[c] - 0.5) / kC0;
+    return s;
+}
+
+World world_of(const std::vector<Surfel>& surfels) { return {surfels, {{0, std::uint32_t(surfels.size()), {}}}}; }
+
+struct Case {
+    World world;
+    Settings settings{};
+    Ray ray{};
+    BruteForce provider() const { return {world, settings.image, Precision::double_record}; }
+    Pixel image(int chunk = 16) const { return render(world, provider(), settings, ray, chunk); }
+    Gradients gradient(const PixelGradient& g) const {
+        Gradients sum(world);
+        backward(world, provider(), settings, ray, 16, g, sum);
+        return sum;
+    }
+};
+
+TEST(ReferenceRender, EmptySceneIsBackground) {
+    for (const World& world : {World{}, world_of({}), world_of({facing_surfel(-5, 0.5, {1, 1, 1})})}) {
+        const Pixel p = Case{world}.image();
+        EXPECT_EQ(p.depth, 0.0);
+        EXPECT_EQ(p.weight, 0.0);
+        EXPECT_EQ(p.intensity, 0.0);
+        EXPECT_EQ(p.hit_logit, 0.0);
+        EXPECT_EQ(p.drop_logit, 1.0);
+        EXPECT_EQ(p.transmittance, 1.0);
+        EXPECT_EQ(p.median_depth, 0.0);
+        EXPECT_EQ(p.hits, 0u);
+    }
+}
+
+TEST(ReferenceRender, OneSurfelHeadOn) {
+    const Pixel p = Case{world_of({facing_surfel(5, 0.8, {0.3, 2.0, -1.0})})}.image();
+    EXPECT_NEAR(p.depth, 4.0, 1e-12);
+    EXPECT_NEAR(p.weight, 0.8, 1e-12);
+    EXPECT_NEAR(p.intensity, 0.24, 1e-12);
+    EXPECT_NEAR(p.hit_logit, 1.6, 1e-12);
+    EXPECT_NEAR(p.drop_logit, -0.8 + 0.2, 1e-12);
+    EXPECT_NEAR(p.transmittance, 0.2, 1e-12);
+    EXPECT_NEAR(p.median_depth, 5.0, 1e-12);
+    EXPECT_EQ(p.hits, 1u);
+}
+
+TEST(ReferenceRender, MedianIsWhereTransmittanceCrossesHalf) {
+    const Pixel p = Case{world_of({facing_surfel(6, 0.4, glm::dvec3(1)), facing_surfel(4, 0.4, glm::dvec3(1)), facing_surfel(8, 0.4, glm::dvec3(1))})}.image();
+    EXPECT_NEAR(p.median_depth, 6.0, 1e-12);   // T: 1, 0.6, 0.36, 0.216
+    EXPECT_EQ((Case{world_of({facing_surfel(6, 0.4, glm::dvec3(1))})}.image().median_depth), 0.0);
+}
+
+TEST(ReferenceRender, EqualDepthIsOrderedByInstanceThenSurfel) {
+    const Surfel a = facing_surfel(5, 0.5, {1, 0, 0}), b = facing_surfel(5, 0.5, {0, 1, 0});
+    std::vector<ShadedHit> blended;
+    const auto ids = [&](const World& world) {
+        blended.clear();
+        const Case c{world};
+        render(c.world, c.provider(), c.settings, c.ray, 1, &blended);   // chunks of one: the key continues, not t
+        std::vector<std::pair<std::uint32_t, std::uint32_t>> result;
+        for (const ShadedHit& s : blended) result.emplace_back(s.hit.instance, s.hit.surfel);
+        return result;
+    };
+    using Ids = std::vector<std::pair<std::uint32_t, std::uint32_t>>;
+    EXPECT_EQ(ids(world_of({a, b, a})), (Ids{{0, 0}, {0, 1}, {0, 2}}));
+    EXPECT_EQ(ids({{a, b}, {{1, 1, {}}, {0, 1, {}}}}), (Ids{{0, 1}, {1, 0}}));
+    const Pixel p = Case{world_of({a, b})}.image();
+    EXPECT_NEAR(p.intensity, 0.5, 1e-12);
+    EXPECT_NEAR(p.hit_logit, 0.25, 1e-12);
+}
+
+TEST(ReferenceRender, StopsBeforeTheSurfelThatGoesUnderTheMinimum) {
+    std::vector<Surfel> surfels;
+    for (int i = 0; i < 6; ++i) surfels.push_back(facing_surfel(5 + i, 0.9, glm::dvec3(1)));
+    Case c{world_of(surfels)};
+    c.settings.image.transmittance_min = 0.5e-3f;
+    const Pixel p = c.image();
+    EXPECT_EQ(p.hits, 3u);   // the fourth would bring 1e-3 to 1e-4
+    EXPECT_NEAR(p.transmittance, 1e-3, 1e-12);
+    for (const int chunk : {1, 2, 3, 4}) EXPECT_EQ(c.image(chunk).hits, 3u);
+}
+
+TEST(ReferenceRender, NearPlane) {
+    EXPECT_EQ((Case{world_of({facing_surfel(0.19, 0.5, glm::dvec3(1))})}.image().hits), 0u);
+    EXPECT_EQ((Case{world_of({facing_surfel(0.21, 0.5, glm::dvec3(1))})}.image().hits), 1u);
+}
+
+TEST(ReferenceRender, ChunkedEqualsAllAtOnce) {
+    for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
+        Settings settings;
+        settings.image.sh_direction = direction;
+        const test::RandomScene scene = test::make_random_scene({}, settings);
+        settings.view_origin = scene.view_origin;
+        for (const Precision precision : {Precision::double_record, Precision::float_record}) {
+            const BruteForce provider(scene.world, settings.image, precision);
+            for (const Ray& ray : scene.rays) {
+                const Pixel all = render_all_at_once(scene.world, provider, settings, ray);
+                for (int chunk = 1; chunk <= 32; ++chunk) {
+                    const Pixel p = render(scene.world, provider, settings, ray, chunk);
+                    EXPECT_EQ(p.depth, all.depth);
+                    EXPECT_EQ(p.drop_logit, all.drop_logit);
+                    EXPECT_EQ(p.hits, all.hits);
+                }
+            }
+        }
+    }
+}
+
+TEST(ReferenceRender, ShDirectionInTheModelsFrame) {
+    Surfel s = facing_surfel(0, 0.8, glm::dvec3(0.5));
+    s.sh[kShCoefficients + 3] = 1.0;   // hit logit: -C1 x
+    const Pose turned{glm::angleAxis(kPi / 2, glm::dvec3(0, 0, 1)), {0, 5, 0}};   // the model's x axis is the world's y
+    Case c{{{s}, {{0, 1, turned}}}, {}, {{0, 0, 0}, {0, 1, 0}}};
+    EXPECT_NEAR(c.image().hit_logit, 0.8 * (0.5 - 0.4886025119029199), 1e-12);
+    c.settings.image.sh_direction = ShDirection::surfel;
+    c.settings.view_origin = {5, 5, 0};   // the mean is seen along the world's -x = the model's y
+    EXPECT_NEAR(c.image().hit_logit, 0.8 * 0.5, 1e-12);
+}
+
+TEST(ReferenceBackward, OneSurfelClosedForm) {
+    Case c{world_of({facing_surfel(5, 0.8, {0.3, 2.0, -1.0})})};
+    c.ray.origin = {0, 0.25, 0};   // u = 0.5
+    const double gauss = std::exp(-0.125), alpha = 0.8 * gauss;
+    const Gradients depth = c.gradient({1, 0, 0, 0, 0});
+    EXPECT_NEAR(depth.surfels[0].mean.x, alpha, 1e-12);                      // dt/dmean = n / (n.d)
+    EXPECT_NEAR(depth.surfels[0].mean.y, 5.0 * alpha * 0.5 / 0.5, 1e-12);    // u falls as the mean approaches the ray
+    EXPECT_NEAR(depth.surfels[0].opacity_logit, 5.0 * gauss * 0.8 * 0.2, 1e-12);
+    EXPECT_NEAR(depth.surfels[0].log_scale.x, 5.0 * alpha * 0.25, 1e-12);    // u^2 alpha
+    EXPECT_NEAR(depth.surfels[0].log_scale.y, 0.0, 1e-12);
+    const Gradients hit = c.gradient({0, 0, 0, 1, 0});
+    EXPECT_NEAR(hit.surfels[0].sh[kShCoefficients], alpha * kC0, 1e-12);
+    const Gradients weight = c.gradient({0, 1, 0, 0, 0});
+    EXPECT_NEAR(weight.surfels[0].opacity_logit, gauss * 0.8 * 0.2, 1e-12);
+}
+
+TEST(ReferenceBackward, BackgroundIsCountedOnce) {
+    // drop = alpha c + (1 - alpha) * 1, so d drop / d alpha = c - 1. Counted twice it would be c - 2.
+    const Case one{world_of({facing_surfel(5, 0.8, {0.3, 2.0, 3.0})})};
+    EXPECT_NEAR(one.gradient({0, 0, 0, 0, 1}).surfels[0].opacity_logit, (3.0 - 1.0) * 0.8 * 0.2, 1e-12);
+    // Two: drop = a c + (1 - a) b e + (1 - a)(1 - b): d/da = c - b e - (1 - b), d/db = (1 - a)(e - 1).
+    const Case two{world_of({facing_surfel(5, 0.8, {0.3, 2.0, 3.0}), facing_surfel(6, 0.6, {0.3, 2.0, -2.0})})};
+    const Gradients d = two.gradient({0, 0, 0, 0, 1});
+    EXPECT_NEAR(d.surfels[0].opacity_logit, (3.0 - 0.6 * -2.0 - 0.4) * 0.8 * 0.2, 1e-12);
+    EXPECT_NEAR(d.surfels[1].opacity_logit, 0.2 * (-2.0 - 1.0) * 0.6 * 0.4, 1e-12);
+    EXPECT_NEAR(two.gradient({0, 1, 0, 0, 0}).surfels[0].opacity_logit, 0.4 * 0.8 * 0.2, 1e-12);   // T_N / (1 - alpha)
+}
+
+TEST(ReferenceBackward, ClampedAlphaHasNoGradient) {
+    Case c{world_of({facing_surfel(5, 0.995, {0.3, 2.0, 3.0})})};
+    EXPECT_NEAR(c.image().weight, double(0.99f), 1e-12);
+    const Gradients d = c.gradient({1, 1, 1, 1, 1});
+    EXPECT_EQ(d.surfels[0].opacity_logit, 0.0);
+    EXPECT_EQ(d.surfels[0].log_scale, glm::dvec2(0.0));
+    EXPECT_NEAR(d.surfels[0].mean.x, double(0.99f), 1e-12) << "t still has its gradient";
+    EXPECT_GT(d.surfels[0].sh[kShCoefficients], 0.0) << "the channels still have theirs";
+}
+
+TEST(ReferenceBackward, ClampedIntensityHasNoGradient) {
+    const Case c{world_of({facing_surfel(5, 0.8, {-0.3, 2.0, 3.0})})};
+    EXPECT_EQ(c.image().intensity, 0.0);
+    const Gradients d = c.gradient({0, 0, 1, 0, 0});
+    for (const double x : d.surfels[0].sh) EXPECT_EQ(x, 0.0);
+    EXPECT_EQ(d.surfels[0].opacity_logit, 0.0);
+}
+
+TEST(ReferenceBackward, SurfelsBehindTheStopHaveNoGradient) {
+    std::vector<Surfel> surfels;
+    for (int i = 0; i < 6; ++i) surfels.push_back(facing_surfel(5 + i, 0.95, glm::dvec3(1)));
+    const Case c{world_of(surfels)};
+    const Gradients d = c.gradient({1, 1, 1, 1, 1});
+    for (std::size_t i = c.image().hits; i < surfels.size(); ++i) {
+        EXPECT_EQ(d.surfels[i].mean, glm::dvec3(0.0));
+        EXPECT_EQ(d.surfels[i].opacity_logit, 0.0);
+    }
+    EXPECT_EQ(c.image().hits, 3u);
+}
+
+}  // namespace
+}  // namespace relidar::reference

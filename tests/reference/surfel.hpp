@@ -1,0 +1,120 @@
+// SPDX-License-Identifier: Apache-2.0
+// One surfel in double precision, written from docs/method.md alone: activations (section 2), the real spherical
+// harmonics of degree 3, the ray-surfel intersection (M1) and its opacity (M2), each with its derivative. Part of the oracle:
+// nothing here may include shaders/ or src/. `float_hit` is the same formula in single precision, the form a shader uses,
+// so that hit ids of any traversal can be compared exactly.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <optional>
+
+#include <glm/glm.hpp>
+
+#include <relidar/forward.hpp>
+#include <relidar/math.hpp>
+#include <relidar/scene.hpp>
+
+namespace relidar::reference {
+
+/// Parameters of one surfel, model frame; the same 58 numbers as one row of relidar::Surfels. Also holds their gradient.
+struct Surfel {
+    glm::dvec3 mean{0.0};                    ///< metres
+    glm::dvec4 rotation{1.0, 0.0, 0.0, 0.0}; ///< quaternion, components in the order w, x, y, z, unnormalised
+    glm::dvec2 log_scale{0.0};               ///< ln metres
+    double opacity_logit = 0.0;
+    std::array<double, kShFloats> sh{};      ///< [3,16] channel-major: intensity, hit logit, drop logit
+};
+
+/// Activated values: mean, R (columns a_u, a_v, normal), (s_u, s_v) metres, sigma.
+struct Activated {
+    glm::dvec3 mean;
+    glm::dmat3 rotation;
+    glm::dvec2 scale;
+    double opacity;
+};
+Activated activate(const Surfel& surfel);
+
+/// R of the normalised quaternion (w, x, y, z). Non-finite for a zero quaternion.
+glm::dmat3 rotation_matrix(const glm::dvec4& quaternion);
+/// dL/d(quaternion) from dL/dR (same layout as R: [column][row]); always at right angles to the quaternion.
+glm::dvec4 rotation_matrix_vjp(const glm::dvec4& quaternion, const glm::dmat3& d_rotation);
+
+/// Real SH basis of 3D Gaussian splatting: order l, m = -l..l, with the Condon-Shortley sign (-1)^m, as homogeneous
+/// polynomials of the direction (not renormalised). Entries above `degree` are 0.
+std::array<double, kShCoefficients> sh_basis(const glm::dvec3& direction, int degree);
+/// d basis / d direction of the same polynomials.
+std::array<glm::dvec3, kShCoefficients> sh_basis_gradient(const glm::dvec3& direction, int degree);
+
+/// The three channels 0.5 + basis . coefficients, before the intensity is clamped.
+glm::dvec3 sh_values(const Surfel& surfel, const glm::dvec3& direction, int degree);
+
+/// What an intersection needs, in the model's own frame: 13 numbers a surfel.
+template <typename Real>
+struct Record {
+    glm::vec<3, Real> mean;
+    Real sigma;
+    glm::vec<3, Real> axis_u;   ///< a_u / s_u
+    glm::vec<3, Real> axis_v;   ///< a_v / s_v
+    glm::vec<3, Real> normal;
+};
+using FloatRecord = Record<float>;
+using DoubleRecord = Record<double>;
+
+/// Computed in double; the float record is rounded at the end.
+DoubleRecord make_record(const Surfel& surfel);
+FloatRecord make_float_record(const Surfel& surfel);
+
+/// A ray in a model's frame. The direction keeps the length it has in the world, so t is the same in both.
+template <typename Real>
+struct LocalRay {
+    glm::vec<3, Real> origin;
+    glm::vec<3, Real> direction;
+};
+
+/// A ray in world coordinates. The oracle treats the direction as a free vector and never renormalises it.
+struct Ray {
+    glm::dvec3 origin{0.0};
+    glm::dvec3 direction{1.0, 0.0, 0.0};
+};
+LocalRay<double> to_model(const Pose& world_from_model, const Ray& ray);
+
+/// Rows of the 3x4 matrix model_from_world, computed in double and rounded.
+struct FloatRows {
+    float row[3][4];
+};
+FloatRows model_from_world_rows(const Pose& world_from_model);
+LocalRay<float> to_model(const FloatRows& model_from_world, const glm::vec3& origin, const glm::vec3& direction);
+
+template <typename Real>
+struct PlaneHit {
+    Real t;
+    Real u, v;    ///< standard deviations from the mean along a_u, a_v
+    Real alpha;   ///< sigma * G, not yet clamped to alpha_max
+};
+
+/// M1 and M2: where and how strongly a ray meets a surfel; nothing where it does not. The one formula of every provider:
+///   hit if denom != 0, t finite, t > near, sigma * exp(-r2 / 2) >= alpha_min, record finite, sigma > alpha_min
+template <typename Real>
+std::optional<PlaneHit<Real>> surfel_hit(const Record<Real>& s, const LocalRay<Real>& ray, const ImageModel& model) {
+    const glm::vec<3, Real> to_mean = s.mean - ray.origin;
+    const Real denom = glm::dot(s.normal, ray.direction);
+    if (denom == Real(0)) return std::nullopt;
+    const Real t = glm::dot(s.normal, to_mean) / denom;
+    if (!std::isfinite(t) || !(t > Real(model.near_m))) return std::nullopt;
+    const glm::vec<3, Real> p = t * ray.direction - to_mean;
+    const Real u = glm::dot(s.axis_u, p);
+    const Real v = glm::dot(s.axis_v, p);
+    const Real r2 = u * u + v * v;
+    const Real alpha = s.sigma * std::exp(Real(-0.5) * r2);
+    if (!(alpha >= Real(model.alpha_min))) return std::nullopt;   // also where r2 is NaN
+    const auto finite = [](const glm::vec<3, Real>& x) { return std::isfinite(x.x) && std::isfinite(x.y) && std::isfinite(x.z); };
+    if (!finite(s.mean) || !finite(s.axis_u) || !finite(s.axis_v) || !finite(s.normal)) return std::nullopt;
+    if (!std::isfinite(s.sigma) || !(s.sigma > Real(model.alpha_min))) return std::nullopt;
+    return PlaneHit<Real>{t, u, v, alpha};
+}
+
+std::optional<PlaneHit<float>> float_hit(const FloatRecord& record, const LocalRay<float>& ray, const ImageModel& model);
+std::optional<PlaneHit<double>> double_hit(const DoubleRecord& record, const LocalRay<double>& ray, const ImageModel& model);
+
+}  // namespace relidar::reference

@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+// The traversal contract of docs/architecture.md section 7 in C++: "at most `chunk` surfels strictly after a key, ascending by
+// (t, instance, surfel), each at most once". BruteForce tries every surfel; EmbreeFilter lets Embree propose candidates through the
+// proxies of M3. Both let the one canonical function of surfel.hpp decide, in float (ids comparable with the GPU) or double.
+#pragma once
+
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <tuple>
+#include <vector>
+
+#include "surfel.hpp"
+
+namespace relidar::reference {
+
+/// A model (range of surfels) placed in the world.
+struct Placement {
+    std::uint32_t first = 0;
+    std::uint32_t count = 0;
+    Pose world_from_model;
+};
+
+/// All that can be hit. Surfel ids are indices into `surfels`, instance ids indices into `instances`.
+struct World {
+    std::vector<Surfel> surfels;
+    std::vector<Placement> instances;
+};
+
+/// Position of a hit in the order of a ray.
+struct HitKey {
+    double t = -std::numeric_limits<double>::infinity();
+    std::uint32_t instance = 0;
+    std::uint32_t surfel = 0;
+
+    friend bool operator<(const HitKey& a, const HitKey& b) {
+        return std::tie(a.t, a.instance, a.surfel) < std::tie(b.t, b.instance, b.surfel);
+    }
+    friend bool operator==(const HitKey& a, const HitKey& b) {
+        return std::tie(a.t, a.instance, a.surfel) == std::tie(b.t, b.instance, b.surfel);
+    }
+};
+
+/// One hit; t as the canonical function of the chosen precision gives it.
+using Hit = HitKey;
+
+class HitProvider {
+public:
+    virtual ~HitProvider() = default;
+    /// Replaces `hits` by the at most `chunk` (>= 1) hits strictly after `after`, in ascending order. Fewer than `chunk`: nothing remains.
+    virtual void next_hits(const Ray& ray, const HitKey& after, int chunk, std::vector<Hit>& hits) const = 0;
+};
+
+/// All hits of a ray, fetched `chunk` at a time.
+/// @throws std::logic_error where the provider breaks the contract: too many, unsorted, or not after the key
+std::vector<Hit> all_hits(const HitProvider& provider, const Ray& ray, int chunk);
+
+enum class Precision { float_record, double_record };
+
+/// Every surfel of every instance, one after the other.
+class BruteForce : public HitProvider {
+public:
+    BruteForce(const World& world, const ImageModel& model, Precision precision);
+    void next_hits(const Ray& ray, const HitKey& after, int chunk, std::vector<Hit>& hits) const override;
+
+private:
+    void collect(const Ray& ray, const HitKey& after, std::vector<Hit>& hits) const;
+
+    ImageModel model_;
+    Precision precision_;
+    std::vector<Placement> instances_;
+    std::vector<FloatRows> rows_;
+    std::vector<FloatRecord> float_records_;
+    std::vector<DoubleRecord> double_records_;
+};
+
+/// Half sizes of the proxy rectangles: k s * scale + pad_m, k = sqrt(2 ln(sigma / alpha_min)) (M3).
+struct ProxyMargin {
+    double scale = 1.002;
+    double pad_m = 1e-4;
+};
+
+/// Embree over two triangles a surfel, one scene a model, one instance geometry a placement; float canonical.
+/// Surfels that are not finite or too transparent have no proxy. Half sizes are cut at 1e5 m.
+class EmbreeFilter : public HitProvider {
+public:
+    EmbreeFilter(const World& world, const ImageModel& model, ProxyMargin margin = {});
+    ~EmbreeFilter() override;
+    void next_hits(const Ray& ray, const HitKey& after, int chunk, std::vector<Hit>& hits) const override;
+
+private:
+    struct State;
+    std::unique_ptr<State> state_;
+};
+
+}  // namespace relidar::reference

@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "rules.hpp"
+
+#include <set>
+
+namespace relidar::structure {
+namespace {
+
+constexpr int kFunctionLines = 60;
+constexpr int kArguments = 7;
+
+const std::set<std::string> kCompositionRoots = {"src/train/train.cpp", "tools/relidar/main.cpp"};
+
+/// Longest allowed length of a file, or 0 where there is no limit.
+int line_limit(const std::string& path) {
+    if (kCompositionRoots.contains(path)) return 150;
+    if (path.starts_with("include/relidar/")) return 300;
+    if (path.starts_with("shaders/shared/")) return 150;
+    if (has_extension(path, {".comp"})) return 200;
+    if (has_extension(path, {".cpp", ".hpp", ".h", ".glsl", ".cmake"})) return 500;
+    return 0;
+}
+
+}  // namespace
+
+Violations check_budgets(const SourceTree& tree) {
+    Violations violations;
+    for (const auto& [path, file] : tree) {
+        const int limit = line_limit(path);
+        if (limit == 0) continue;
+        const int n_lines = static_cast<int>(file.lines.size());
+        if (n_lines > limit) violations.push_back(path + ":1: " + std::to_string(n_lines) + " lines, at most " + std::to_string(limit));
+        if (has_extension(path, {".cmake"})) continue;
+        for (const Function& function : functions_of(file)) {
+            const std::string where = path + ":" + std::to_string(function.first_line) + ": " + function.name;
+            if (function.has_body && function.n_lines() > kFunctionLines) {
+                violations.push_back(where + " has " + std::to_string(function.n_lines()) + " lines, at most " + std::to_string(kFunctionLines));
+            }
+            if (function.n_arguments > kArguments) {
+                violations.push_back(where + " takes " + std::to_string(function.n_arguments) + " arguments, at most " +
+                                     std::to_string(kArguments) + ", then a struct");
+            }
+        }
+    }
+    return violations;
+}
+
+}  // namespace relidar::structure

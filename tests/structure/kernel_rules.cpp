@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "rules.hpp"
+
+namespace relidar::structure {
+namespace {
+
+bool any_file(const SourceTree& tree, const std::string& prefix, const std::vector<std::string>& extensions, const std::string& word) {
+    for (auto it = tree.lower_bound(prefix); it != tree.end() && it->first.starts_with(prefix); ++it) {
+        const SourceFile& file = it->second;
+        if (file.path.starts_with("tests/structure/") || !has_extension(file.path, extensions)) continue;
+        if (stem(file.path).starts_with(word) || contains_word(file.text, word)) return true;
+    }
+    return false;
+}
+
+bool has_folder(const SourceTree& tree, const std::string& prefix) {
+    const auto it = tree.lower_bound(prefix);
+    return it != tree.end() && it->first.starts_with(prefix);
+}
+
+}  // namespace
+
+Violations check_kernels(const SourceTree& tree) {
+    Violations violations;
+    const auto readme = tree.find("shaders/README.md");
+    for (const auto& [path, file] : tree) {
+        if (folder(path, 0) != "shaders" || !has_extension(path, {".comp"})) continue;
+        const std::string stage = folder(path, 1), word = stem(path);
+        // A kernel outside the stages (a harness in shaders/gaussian) may be bound in tests/.
+        const bool own_stage = is_stage(stage);
+        if (!any_file(tree, own_stage ? "src/" + stage + "/" : "tests/", {".cpp"}, word)) {
+            violations.push_back(path + ":1: no binding: '" + word + "' occurs in no .cpp of " + (own_stage ? "src/" + stage : "tests"));
+        }
+        const bool own_tests = has_folder(tree, "tests/" + stage + "/");
+        if (!any_file(tree, own_tests ? "tests/" + stage + "/" : "tests/", {".cpp"}, word)) {
+            violations.push_back(path + ":1: no test: '" + word + "' occurs in no .cpp of tests" + (own_tests ? "/" + stage : ""));
+        }
+        if (readme == tree.end() || !contains_word(readme->second.text, stage + "/" + word)) {
+            violations.push_back(path + ":1: no row '" + stage + "/" + word + "' in shaders/README.md");
+        }
+    }
+    return violations;
+}
+
+}  // namespace relidar::structure

@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: Apache-2.0
+// Each rule of rules.hpp finds what it is there to find: small trees with one planted violation each.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "rules.hpp"
+
+namespace relidar::structure {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+
+SourceTree make_tree(const std::map<std::string, std::string>& files) {
+    SourceTree tree;
+    for (const auto& [path, text] : files) tree.emplace(path, make_file(path, text));
+    return tree;
+}
+
+TEST(Reader, BlanksCommentsAndLiterals) {
+    EXPECT_EQ(blank_comments_and_literals("a // b\nc"), "a     \nc");
+    EXPECT_EQ(blank_comments_and_literals("x = \"{ // \"; y"), "x =        ; y");
+    EXPECT_EQ(blank_comments_and_literals("/* {\n */z"), "    \n   z");
+    EXPECT_EQ(blank_comments_and_literals("R\"js(\" } )js\" + '{' + 1'000"), "              +     + 1'000");
+}
+
+TEST(Reader, FindsFunctions) {
+    const SourceFile file = make_file("a.cpp",
+                                      "namespace n {\n"
+                                      "struct S {\n"
+                                      "public:\n"
+                                      "    S(int a, int b) : a_(a), b_{b} {\n"
+                                      "    }\n"
+                                      "    int a_ = 0;\n"
+                                      "    bool operator==(const S&) const;\n"
+                                      "};\n"
+                                      "const int table[] = {1, 2};\n"
+                                      "template <class T>\n"
+                                      "T f(std::map<int, T> m,\n"
+                                      "    T x = {}) {\n"
+                                      "    if (x) { return m(x, 1); }\n"
+                                      "    return x;\n"
+                                      "}\n"
+                                      "void g();\n"
+                                      "}\n");
+    const std::vector<Function> functions = functions_of(file);
+    ASSERT_EQ(functions.size(), 4u);
+    EXPECT_EQ(functions[0].name, "S");
+    EXPECT_EQ(functions[0].scope, "S");
+    EXPECT_EQ(functions[0].n_arguments, 2);
+    EXPECT_EQ(functions[0].first_line, 4);
+    EXPECT_EQ(functions[1].name, "operator==");
+    EXPECT_EQ(functions[2].name, "f");
+    EXPECT_EQ(functions[2].n_arguments, 2);
+    EXPECT_EQ(functions[2].first_line, 10);
+    EXPECT_EQ(functions[2].n_lines(), 6);
+    EXPECT_EQ(functions[3].name, "g");
+    EXPECT_EQ(functions[3].n_arguments, 0);
+    EXPECT_FALSE(functions[3].has_body);
+}
+
+TEST(Rules, IncludeUpwardsIsFound) {
+    const SourceTree tree = make_tree({{"include/relidar/sensor.hpp", "#include <relidar/scene.hpp>\n"}, {"include/relidar/scene.hpp", ""}});
+    EXPECT_THAT(check_include_edges(tree), ElementsAre(HasSubstr("sensor may not include scene")));
+}
+
+TEST(Rules, IncludePastAFaceIsFound) {
+    const SourceTree tree = make_tree({{"src/forward/a.cpp", "#include \"scene/sorted.hpp\"\n"}, {"src/scene/sorted.hpp", ""}});
+    EXPECT_THAT(check_include_edges(tree), ElementsAre(HasSubstr("only through <relidar/scene.hpp>")));
+}
+
+TEST(Rules, InfrastructureMayBeIncludedDirectly) {
+    const SourceTree tree = make_tree({{"src/forward/a.cpp", "#include \"gpu/stream.hpp\"\n#include \"shared/forward.h\"\n"},
+                                       {"src/gpu/stream.hpp", ""},
+                                       {"shaders/shared/forward.h", ""}});
+    EXPECT_THAT(check_include_edges(tree), IsEmpty());
+}
+
+TEST(Rules, ReferenceAndShadersAndToolsKeepApart) {
+    const SourceTree tree = make_tree({{"tests/reference/a.cpp", "#include \"shared/forward.h\"\n"},
+                                       {"shaders/loss/a.comp", "#include \"../forward/b.glsl\"\n"},
+                                       {"tools/relidar/a.cpp", "#include \"../../src/core/log.hpp\"\n"},
+                                       {"shaders/forward/b.glsl", ""},
+                                       {"shaders/shared/forward.h", ""},
+                                       {"src/core/log.hpp", ""}});
+    EXPECT_EQ(check_include_edges(tree).size(), 3u);
+}
+
+TEST(Rules, ReferenceTestsMayUseTestSupport) {
+    const SourceTree tree = make_tree({{"tests/reference/a_test.cpp", "#include \"support/b.hpp\"\n"},
+                                       {"tests/reference/a.cpp", "#include \"support/b.hpp\"\n"},
+                                       {"tests/support/b.hpp", ""}});
+    EXPECT_THAT(check_include_edges(tree), ElementsAre(HasSubstr("tests/reference/a.cpp:1")));
+}
+
+TEST(Rules, CycleIsFound) {
+    const SourceTree tree = make_tree({{"src/gpu/a.hpp", "#include \"b.hpp\"\n"}, {"src/gpu/b.hpp", "#include \"a.hpp\"\n"}});
+    EXPECT_THAT(check_include_chains(tree), ElementsAre(HasSubstr("cycle")));
+}
+
+TEST(Rules, LongChainIsFound) {
+    std::map<std::string, std::string> files;
+    for (int i = 0; i < 9; ++i) files["src/gpu/f" + std::to_string(i) + ".hpp"] = "#include \"f" + std::to_string(i + 1) + ".hpp\"\n";
+    EXPECT_THAT(check_include_chains(make_tree(files)), ElementsAre(HasSubstr("chain of 9")));
+}
+
+TEST(Rules, KernelWithoutCompanyIsFound) {
+    EXPECT_EQ(check_kernels(make_tree({{"shaders/loss/bce.comp", ""}})).size(), 3u);
+    const SourceTree bound_elsewhere = make_tree({{"shaders/loss/bce.comp", ""}, {"src/forward/a.cpp", "bce"}, {"tests/a.cpp", "bce"}});
+    EXPECT_THAT(check_kernels(bound_elsewhere), ElementsAre(HasSubstr("no binding"), HasSubstr("no row")));
+    const SourceTree complete = make_tree({{"shaders/loss/bce.comp", ""},
+                                           {"shaders/README.md", "| loss/bce | cross-entropy |"},
+                                           {"src/loss/loss.cpp", "run(bce)"},
+                                           {"tests/loss/bce_test.cpp", ""}});
+    EXPECT_THAT(check_kernels(complete), IsEmpty());
+}
+
+TEST(Rules, BudgetsAreCounted) {
+    std::string body;
+    for (int i = 0; i < 60; ++i) body += "    step();\n";
+    const SourceTree tree = make_tree({{"src/core/long_function.cpp", "void f() {\n" + body + "}\n"},
+                                       {"src/core/many.cpp", "void g(int a, int b, int c, int d, int e, int f, int g, int h) {}\n"},
+                                       {"shaders/loss/long.comp", std::string(201, '\n')}});
+    EXPECT_EQ(check_budgets(tree).size(), 3u);
+}
+
+TEST(Rules, VulkanNameIsFound) {
+    const SourceTree tree = make_tree({{"src/forward/a.cpp", "// VkBuffer\nVkBuffer b;\n"}, {"src/gpu/a.cpp", "VkBuffer b;\n"}});
+    EXPECT_THAT(check_vulkan_names(tree), ElementsAre(HasSubstr("a.cpp:2: VkBuffer")));
+}
+
+TEST(Rules, UncommentedFunctionIsFound) {
+    const SourceTree tree = make_tree({{"include/relidar/a.hpp", "/// Does.\nint f(int x);\nint g(int x);\n\nint h(int x);\nint k;  ///< a count\n"}});
+    EXPECT_THAT(check_face_comments(tree), ElementsAre(HasSubstr("a.hpp:5: h")));
+}
+
+TEST(Rules, MissingLicenceIsFound) {
+    const SourceTree tree = make_tree({{"a.cpp", "int x;\n"}, {"tools/go", "#!/bin/sh\n"}, {"notes.md", ""}});
+    EXPECT_EQ(check_licence_lines(tree).size(), 2u);
+}
+
+TEST(Rules, MirrorIsFound) {
+    const std::string host = std::string("deb.") + "debian.org";
+    EXPECT_THAT(check_mirror_names(make_tree({{"tools/go", "x http://" + host + "/y\n"}})), ElementsAre(HasSubstr(host)));
+}
+
+TEST(Rules, ReadmeCallingNothingIsFound) {
+    const std::string block = "<!-- runnable -->\n```sh\ntools/demo\n```\n";
+    EXPECT_THAT(check_readme(make_tree({{"README.md", block}})), ElementsAre(HasSubstr("README.md:3")));
+    EXPECT_THAT(check_readme(make_tree({{"README.md", block}, {"tools/demo", ""}})), IsEmpty());
+    EXPECT_THAT(check_readme(make_tree({{"README.md", "text"}})), ElementsAre(HasSubstr("no block")));
+    EXPECT_THAT(check_readme({}), ElementsAre(HasSubstr("missing")));
+}
+
+}  // namespace
+}  // namespace relidar::structure

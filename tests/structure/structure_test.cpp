@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+// The rules of rules.hpp hold for this checkout.
+#include <gtest/gtest.h>
+
+#include "rules.hpp"
+
+namespace relidar::structure {
+namespace {
+
+const SourceTree& checkout() {
+    static const SourceTree tree = read_tree(RELIDAR_SOURCE_DIR);
+    return tree;
+}
+
+void expect_none(const Violations& violations) {
+    for (const std::string& violation : violations) ADD_FAILURE() << violation;
+}
+
+TEST(Structure, LayerTableHasNoCycle) { expect_none(check_layer_table()); }
+TEST(Structure, IncludesFollowTheLayers) { expect_none(check_include_edges(checkout())); }
+TEST(Structure, IncludeChainsAreShortAndAcyclic) { expect_none(check_include_chains(checkout())); }
+TEST(Structure, KernelsHaveBindingTestAndRow) { expect_none(check_kernels(checkout())); }
+TEST(Structure, BudgetsAreKept) { expect_none(check_budgets(checkout())); }
+TEST(Structure, VulkanStaysInGpuAndAccel) { expect_none(check_vulkan_names(checkout())); }
+TEST(Structure, FacesAreCommented) { expect_none(check_face_comments(checkout())); }
+TEST(Structure, LicenceIsNamed) { expect_none(check_licence_lines(checkout())); }
+TEST(Structure, NoMirrorIsNamed) { expect_none(check_mirror_names(checkout())); }
+TEST(Structure, ReadmeCommandsExist) { expect_none(check_readme(checkout())); }
+
+TEST(Structure, CheckoutWasRead) {
+    EXPECT_TRUE(checkout().contains("LICENSE"));
+    EXPECT_TRUE(checkout().contains("include/relidar/sensor.hpp"));
+    EXPECT_FALSE(functions_of(checkout().at("include/relidar/sensor.hpp")).empty());
+}
+
+}  // namespace
+}  // namespace relidar::structure

@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "rules.hpp"
+
+#include <algorithm>
+#include <regex>
+#include <set>
+#include <sstream>
+
+namespace relidar::structure {
+namespace {
+
+std::string at(const std::string& path, std::size_t line) { return path + ":" + std::to_string(line) + ": "; }
+
+std::vector<std::string> split_lines(const std::string& text) {
+    std::vector<std::string> lines;
+    std::istringstream in(text);
+    for (std::string line; std::getline(in, line);) lines.push_back(line);
+    return lines;
+}
+
+bool is_comment(const std::string& line) {
+    const std::size_t begin = line.find_first_not_of(" \t");
+    return begin != std::string::npos && line.compare(begin, 2, "//") == 0;
+}
+
+/// Needs no sentence: operators, constructors, accessors without arguments, members defined on their own line, deleted ones.
+bool explains_itself(const Function& function) {
+    if (function.name.starts_with("operator") || function.name.starts_with("~") || function.header.ends_with("= delete") ||
+        function.header.ends_with("= default")) {
+        return true;
+    }
+    if (function.scope.empty()) return false;
+    return function.name == function.scope || function.n_arguments == 0 || (function.has_body && function.n_lines() == 1);
+}
+
+bool has_trailing_comment(const SourceFile& file, const Function& function) {
+    for (int line = function.first_line; line <= function.last_line; ++line) {
+        if (file.lines[static_cast<std::size_t>(line) - 1].find("//") != std::string::npos) return true;
+    }
+    return false;
+}
+
+void check_face(const SourceFile& file, Violations& violations) {
+    std::set<int> ends_of_explained;   // a run of declarations without an empty line shares the comment above it
+    for (const Function& function : functions_of(file)) {
+        const bool below_comment = function.first_line > 1 && is_comment(file.lines[static_cast<std::size_t>(function.first_line) - 2]);
+        const bool in_run = ends_of_explained.contains(function.first_line - 1);
+        if (below_comment || in_run || explains_itself(function) || has_trailing_comment(file, function)) {
+            ends_of_explained.insert(function.last_line);
+        } else {
+            violations.push_back(at(file.path, static_cast<std::size_t>(function.first_line)) + function.name + " has no comment");
+        }
+    }
+}
+
+/// First word of a command line, and of `bash word`, the word after it.
+std::string called_script(const std::string& command) {
+    std::istringstream in(command);
+    std::string word;
+    in >> word;
+    if (word == "bash" || word == "sh") in >> word;
+    return word.starts_with("./") ? word.substr(2) : word;
+}
+
+}  // namespace
+
+Violations check_vulkan_names(const SourceTree& tree) {
+    static const std::regex kName(R"(\b(vk[A-Z]\w*|Vk[A-Z]\w*|VK_[A-Z]\w*)\b)");
+    Violations violations;
+    for (const auto& [path, file] : tree) {
+        const std::string top = folder(path, 0), second = folder(path, 1);
+        if (top != "src" && top != "include" && top != "tools" && path.find("tests/reference/") != 0) continue;
+        if (top == "src" && (second == "gpu" || second == "accel")) continue;
+        if (!has_extension(path, {".cpp", ".hpp", ".h"})) continue;
+        const std::vector<std::string> lines = split_lines(file.code);
+        for (std::size_t i = 0; i < lines.size(); ++i) {
+            std::smatch match;
+            if (std::regex_search(lines[i], match, kName)) violations.push_back(at(path, i + 1) + match[1].str() + " outside src/gpu and src/accel");
+        }
+    }
+    return violations;
+}
+
+Violations check_face_comments(const SourceTree& tree) {
+    Violations violations;
+    for (const auto& [path, file] : tree) {
+        if (path.starts_with("include/relidar/")) check_face(file, violations);
+    }
+    return violations;
+}
+
+Violations check_licence_lines(const SourceTree& tree) {
+    Violations violations;
+    for (const auto& [path, file] : tree) {
+        const bool script = file.text.starts_with("#!");
+        const bool source = has_extension(path, {".cpp", ".hpp", ".h", ".comp", ".glsl", ".cmake", ".py", ".sh", ".in"});
+        if (!script && !source && !path.ends_with("CMakeLists.txt")) continue;
+        const std::size_t n = std::min<std::size_t>(file.lines.size(), 3);
+        const bool named = std::any_of(file.lines.begin(), file.lines.begin() + static_cast<std::ptrdiff_t>(n), [](const std::string& line) {
+            return line.find("SPDX-License-Identifier: Apache-2.0") != std::string::npos;
+        });
+        if (!named) violations.push_back(at(path, 1) + "no SPDX-License-Identifier line at the top");
+    }
+    return violations;
+}
+
+Violations check_mirror_names(const SourceTree& tree) {
+    static const std::regex kMirror(R"(\b(deb|ftp|archive|security|snapshot|ports|mirrors?)[\w.-]*\.(debian|ubuntu|kernel|canonical)\.\w+)");
+    Violations violations;
+    for (const auto& [path, file] : tree) {
+        for (std::size_t i = 0; i < file.lines.size(); ++i) {
+            std::smatch match;
+            if (file.lines[i].size() < 2000 && std::regex_search(file.lines[i], match, kMirror)) {
+                violations.push_back(at(path, i + 1) + "names the package mirror " + match[0].str());
+            }
+        }
+    }
+    return violations;
+}
+
+Violations check_readme(const SourceTree& tree) {
+    const auto readme = tree.find("README.md");
+    if (readme == tree.end()) return {"README.md:1: missing"};
+    Violations violations;
+    int n_blocks = 0;
+    bool marked = false, inside = false;
+    const std::vector<std::string>& lines = readme->second.lines;
+    for (std::size_t i = 0; i < lines.size(); ++i) {
+        const std::string& line = lines[i];
+        if (line.starts_with("```")) {
+            inside = !inside && marked;
+            if (inside) ++n_blocks;
+            marked = false;
+        } else if (line.find("<!-- runnable -->") != std::string::npos) {
+            marked = true;
+        } else if (inside) {
+            const std::string script = called_script(line);
+            const bool ours = script.starts_with("tools/") || script.starts_with(".ci/");
+            if (ours && !tree.contains(script)) violations.push_back(at("README.md", i + 1) + "calls " + script + ", which does not exist");
+        }
+    }
+    if (n_blocks == 0) violations.push_back("README.md:1: no block marked <!-- runnable -->");
+    return violations;
+}
+
+}  // namespace relidar::structure

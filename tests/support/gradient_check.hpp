@@ -1,0 +1,112 @@
+// SPDX-License-Identifier: Apache-2.0
+// Gradients against central differences, row by row: a row is one parameter of one surfel (mean [3], rotation [4], ...). The error of
+// a row is |difference - analytic| over the row's norm; a table reports the worst row of each group and how many rows were not zero.
+// Links (i) and (ii) of the gradient chain in docs/architecture.md section 10 use the same table.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <functional>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "tolerances.hpp"
+
+namespace relidar::test {
+
+/// Rows of one parameter group and what was found.
+struct GradientGroup {
+    std::vector<std::vector<double>> expected;   ///< [rows][components]
+    std::vector<std::vector<double>> actual;
+
+    /// Euclidean norm of a row.
+    static double norm(const std::vector<double>& row) {
+        double sum = 0.0;
+        for (double x : row) sum += x * x;
+        return std::sqrt(sum);
+    }
+    double largest_row() const {
+        double largest = 0.0;
+        for (const auto& row : expected) largest = std::max(largest, norm(row));
+        return largest;
+    }
+    std::size_t nonzero_rows() const {
+        return std::size_t(std::count_if(expected.begin(), expected.end(), [](const auto& row) { return norm(row) > 0.0; }));
+    }
+    /// Rows with an expected gradient (above the small-row bound) for which nothing was accumulated.
+    std::size_t missing_rows() const {
+        const double bound = kSmallRow * largest_row();
+        std::size_t missing = 0;
+        for (std::size_t i = 0; i < expected.size(); ++i) missing += norm(expected[i]) > bound && norm(actual[i]) == 0.0;
+        return missing;
+    }
+    /// Worst |actual - expected| / max(|expected|, small-row bound); infinite where a value is not finite.
+    double worst_error() const {
+        const double bound = kSmallRow * largest_row();
+        double worst = 0.0;
+        for (std::size_t i = 0; i < expected.size(); ++i) {
+            std::vector<double> difference = expected[i];
+            for (std::size_t k = 0; k < difference.size(); ++k) difference[k] -= actual[i][k];
+            const double error = norm(difference), scale = std::max(norm(expected[i]), bound);
+            if (!std::isfinite(error)) return HUGE_VAL;
+            if (error > 0.0) worst = std::max(worst, scale > 0.0 ? error / scale : HUGE_VAL);
+        }
+        return worst;
+    }
+};
+
+/// Named groups of rows, with a table at the end.
+class GradientTable {
+public:
+    void add_row(const std::string& group, std::vector<double> expected, std::vector<double> actual) {
+        groups_[group].expected.push_back(std::move(expected));
+        groups_[group].actual.push_back(std::move(actual));
+    }
+    const std::map<std::string, GradientGroup>& groups() const { return groups_; }
+    double worst_error() const {
+        double worst = 0.0;
+        for (const auto& [name, group] : groups_) worst = std::max(worst, group.worst_error());
+        return worst;
+    }
+    void print(const std::string& title) const {
+        std::printf("%s\n  %-16s %8s %8s %8s %14s %14s\n", title.c_str(), "group", "rows", "nonzero", "missing", "largest row", "worst rel.");
+        for (const auto& [name, g] : groups_)
+            std::printf("  %-16s %8zu %8zu %8zu %14.4e %14.3e\n", name.c_str(), g.expected.size(), g.nonzero_rows(), g.missing_rows(),
+                        g.largest_row(), g.worst_error());
+        std::fflush(stdout);
+    }
+
+private:
+    std::map<std::string, GradientGroup> groups_;
+};
+
+/// d(sum of terms)/d(component) by central differences; the terms are differenced one by one before they are summed, which keeps
+/// the cancellation error that of one term.
+/// @param set    set(k, offset) gives component k of the parameter its present value plus offset; called with h, -h, 0
+/// @param terms  the loss, as a list of terms, at the parameters as they are set
+inline std::vector<double> central_differences(int components, const std::function<void(int, double)>& set,
+                                               const std::function<std::vector<double>()>& terms, double h = kDifferenceStep) {
+    std::vector<double> result;
+    for (int k = 0; k < components; ++k) {
+        set(k, h);
+        const std::vector<double> above = terms();
+        set(k, -h);
+        const std::vector<double> below = terms();
+        set(k, 0.0);
+        double sum = 0.0;
+        for (std::size_t i = 0; i < above.size(); ++i) sum += above[i] - below[i];
+        result.push_back(sum / (2.0 * h));
+    }
+    return result;
+}
+
+/// The same for a parameter that lies in memory as consecutive doubles.
+inline std::vector<double> central_differences(double* parameter, int components, const std::function<std::vector<double>()>& terms,
+                                               double h = kDifferenceStep) {
+    const std::vector<double> start(parameter, parameter + components);
+    return central_differences(components, [&](int k, double offset) { parameter[k] = start[std::size_t(k)] + offset; }, terms, h);
+}
+
+}  // namespace relidar::test

@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+// Random scenes with margins: surfels are drawn in a corridor in front of the sensor, facing it within 50 degrees; rays are drawn
+// into it and kept where all margins hold (the discontinuities of M1, M2, M4 and of the intensity clamp).
+#include "random_scene.hpp"
+
+#include <cmath>
+#include <random>
+#include <stdexcept>
+
+#include "surfels.hpp"
+
+namespace relidar::test {
+namespace {
+
+using Random = std::mt19937_64;
+
+double uniform(Random& random, double low, double high) { return std::uniform_real_distribution<double>(low, high)(random); }
+
+glm::dvec3 unit_vector(Random& random) {
+    std::normal_distribution<double> normal;
+    return glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)));
+}
+
+/// Quaternion (w, x, y, z) whose third axis lies within `cone_rad` of -x or +x, the in-plane angle and the length arbitrary.
+glm::dvec4 facing_rotation(Random& random, double cone_rad) {
+    const double angle = uniform(random, 0.0, 2.0 * kPi), tilt = uniform(random, 0.0, cone_rad), side = uniform(random, 0.0, 1.0);
+    const glm::dvec3 tilt_axis(0.0, std::cos(angle), std::sin(angle));
+    const glm::dquat to_x = glm::angleAxis(side < 0.5 ? kPi / 2 : -kPi / 2, glm::dvec3(0, 1, 0));
+    const glm::dquat q = glm::angleAxis(tilt, tilt_axis) * to_x * glm::angleAxis(uniform(random, 0.0, 2.0 * kPi), glm::dvec3(0, 0, 1));
+    return uniform(random, 0.5, 2.0) * glm::dvec4(q.w, q.x, q.y, q.z);
+}
+
+reference::Surfel random_surfel(Random& random, const glm::dvec3& low, const glm::dvec3& high, const RandomSceneOptions& options) {
+    std::normal_distribution<double> normal;
+    reference::Surfel s;
+    s.mean = {uniform(random, low.x, high.x), uniform(random, low.y, high.y), uniform(random, low.z, high.z)};
+    s.rotation = facing_rotation(random, 50.0 / 180.0 * kPi);
+    const double size = std::log(uniform(random, 0.15, 0.5)), stretch = uniform(random, 0.0, 1.0) < 0.25 ? std::log(2.0) : 0.0;
+    s.log_scale = {size + stretch, size - stretch};
+    const double opacity = uniform(random, options.opacity_low, options.opacity_high);
+    s.opacity_logit = std::log(opacity / (1.0 - opacity));
+    for (int k = 0; k < kShFloats; ++k) s.sh[k] = (k % kShCoefficients == 0 ? 0.8 : 0.15) * normal(random);
+    return s;
+}
+
+/// Every surfel of an instance the ray's line could matter to: not cut or clamped by a hair, not grazing, not at the near plane.
+bool surfel_is_smooth(const reference::Surfel& surfel, const reference::Ray& ray, const reference::LocalRay<double>& local,
+                      const reference::Settings& settings, const Margins& m) {
+    const reference::DoubleRecord r = reference::make_record(surfel);
+    const double facing = glm::dot(r.normal, local.direction) / glm::length(ray.direction);
+    const double t = glm::dot(r.normal, r.mean - local.origin) / glm::dot(r.normal, local.direction);
+    const glm::dvec3 p = local.origin + t * local.direction - r.mean;
+    const double log_gauss = -0.5 * (std::pow(glm::dot(r.axis_u, p), 2) + std::pow(glm::dot(r.axis_v, p), 2));
+    const double log_alpha = std::log(r.sigma) + log_gauss;
+    if (std::abs(log_alpha - std::log(double(settings.image.alpha_min))) < m.log_alpha) return false;
+    if (std::abs(log_alpha - std::log(double(settings.image.alpha_max))) < m.log_clamp) return false;
+    if (log_alpha < std::log(double(settings.image.alpha_min))) return true;   // skipped: the rest cannot matter
+    return std::abs(facing) >= m.facing && std::abs(t - double(settings.image.near_m)) >= m.near_m;
+}
+
+/// Order, stop and intensity clamp along the sorted hits.
+bool hits_are_smooth(const reference::World& world, const reference::Settings& settings, const reference::Ray& ray, const Margins& m) {
+    const reference::BruteForce brute(world, settings.image, reference::Precision::double_record);
+    std::vector<reference::Hit> hits;
+    brute.next_hits(ray, {}, 1 << 20, hits);
+    double transmittance = 1.0;
+    for (std::size_t i = 0; i < hits.size(); ++i) {
+        const reference::ShadedHit s = reference::shade(world, settings, ray, hits[i]);
+        if (i > 0 && hits[i].t - hits[i - 1].t < m.separation_m) return false;
+        if (std::abs(s.raw_intensity) < m.intensity) return false;
+        transmittance *= 1.0 - s.alpha;
+        if (std::abs(std::log(transmittance / double(settings.image.transmittance_min))) < m.log_stop) return false;
+        if (transmittance < double(settings.image.transmittance_min)) return true;
+    }
+    return true;
+}
+
+std::vector<reference::Surfel> rounded(const std::vector<reference::Surfel>& surfels) { return to_reference(to_surfels(surfels)); }
+
+}  // namespace
+
+bool keeps_margins(const reference::World& world, const reference::Settings& settings, const reference::Ray& ray, const Margins& margins) {
+    for (const reference::Placement& p : world.instances) {
+        const auto local = reference::to_model(p.world_from_model, ray);
+        for (std::uint32_t s = p.first; s < p.first + p.count; ++s)
+            if (!surfel_is_smooth(world.surfels[s], ray, local, settings, margins)) return false;
+    }
+    return hits_are_smooth(world, settings, ray, margins);
+}
+
+RandomScene make_random_scene(const RandomSceneOptions& options, const reference::Settings& settings, const Margins& margins) {
+    Random random(options.seed);
+    RandomScene scene;
+    std::vector<reference::Surfel> surfels;
+    for (int i = 0; i < options.background_surfels; ++i) surfels.push_back(random_surfel(random, {2, -0.6, -0.6}, {10, 0.6, 0.6}, options));
+    for (int i = 0; i < options.actor_surfels; ++i) surfels.push_back(random_surfel(random, {-1, -0.5, -0.5}, {1, 0.5, 0.5}, options));
+    for (int i = 0; i < options.wide_surfels; ++i) {
+        surfels[std::size_t(i)].log_scale = glm::dvec2(std::log(4.0));
+        surfels[std::size_t(i)].mean = {3.0 + 2.0 * i, 0.0, 0.0};
+        surfels[std::size_t(i)].opacity_logit = std::log(0.997 / 0.003);
+    }
+    scene.world.surfels = rounded(surfels);
+    const auto n_background = std::uint32_t(options.background_surfels);
+    scene.world.instances.push_back({0, n_background, {}});
+    for (int i = 0; i < options.actor_instances; ++i) {
+        const glm::dquat turn = glm::angleAxis(uniform(random, -0.5, 0.5), unit_vector(random));
+        const glm::dvec3 place(uniform(random, 4, 8), uniform(random, -0.4, 0.4), uniform(random, -0.4, 0.4));
+        scene.world.instances.push_back({n_background, std::uint32_t(options.actor_surfels), {turn, place}});
+    }
+    scene.view_origin = glm::dvec3(glm::vec3(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3), 0.2));
+    reference::Settings viewed = settings;
+    viewed.view_origin = scene.view_origin;
+    for (int attempt = 0; attempt < 1000 * options.rays && int(scene.rays.size()) < options.rays; ++attempt) {
+        const glm::dvec3 origin(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3));
+        const glm::dvec3 towards(8.0, uniform(random, -0.8, 0.8), uniform(random, -0.8, 0.8));
+        const reference::Ray ray{glm::dvec3(glm::vec3(origin)), glm::dvec3(glm::vec3(glm::normalize(towards - origin)))};
+        if (keeps_margins(scene.world, viewed, ray, margins)) scene.rays.push_back(ray);
+    }
+    if (int(scene.rays.size()) < options.rays) throw std::runtime_error("make_random_scene: too few rays keep the margins");
+    return scene;
+}
+
+}  // namespace relidar::test

@@ -1,0 +1,59 @@
+// SPDX-License-Identifier: Apache-2.0
+// Conversions between the library's Surfels and the oracle's, both ways (docs/method.md section 2 names the 58 numbers).
+#include "surfels.hpp"
+
+namespace relidar::test {
+
+std::vector<reference::Surfel> to_reference(const Surfels& surfels) {
+    std::vector<reference::Surfel> result(surfels.mean.size());
+    for (std::size_t i = 0; i < result.size(); ++i) {
+        reference::Surfel& s = result[i];
+        s.mean = glm::dvec3(surfels.mean[i]);
+        s.rotation = glm::dvec4(surfels.rotation[i]);
+        s.log_scale = glm::dvec2(surfels.log_scale[i]);
+        s.opacity_logit = double(surfels.opacity_logit[i]);
+        for (int k = 0; k < kShFloats; ++k) s.sh[k] = double(surfels.sh[i * kShFloats + k]);
+    }
+    return result;
+}
+
+Surfels to_surfels(const std::vector<reference::Surfel>& surfels) {
+    Surfels result;
+    for (const reference::Surfel& s : surfels) {
+        result.mean.emplace_back(s.mean);
+        result.rotation.emplace_back(s.rotation);
+        result.log_scale.emplace_back(s.log_scale);
+        result.opacity_logit.push_back(float(s.opacity_logit));
+        result.sh.insert(result.sh.end(), s.sh.begin(), s.sh.end());
+    }
+    return result;
+}
+
+std::vector<reference::FloatRecord> to_records(const Surfels& surfels) {
+    std::vector<reference::FloatRecord> records;
+    for (const reference::Surfel& s : to_reference(surfels)) records.push_back(reference::make_float_record(s));
+    return records;
+}
+
+std::vector<reference::Ray> to_reference(const WorldRays& rays) {
+    std::vector<reference::Ray> result;
+    for (std::size_t i = 0; i < rays.size(); ++i) result.push_back({glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i])});
+    return result;
+}
+
+WorldRays to_world_rays(const RayTable& table) { return {table.origin, table.direction}; }
+
+Surfels take(const Surfels& surfels, const std::vector<std::uint32_t>& order) {
+    Surfels result;
+    for (const std::uint32_t i : order) {
+        result.mean.push_back(surfels.mean[i]);
+        result.rotation.push_back(surfels.rotation[i]);
+        result.log_scale.push_back(surfels.log_scale[i]);
+        result.opacity_logit.push_back(surfels.opacity_logit[i]);
+        const auto sh = surfels.sh.begin() + std::ptrdiff_t(i) * kShFloats;
+        result.sh.insert(result.sh.end(), sh, sh + kShFloats);
+    }
+    return result;
+}
+
+}  // namespace relidar::test

@@ -1,0 +1,22 @@
+// SPDX-License-Identifier: Apache-2.0
+// The tolerances of the suite in one place, each with its reason (docs/architecture.md section 10).
+#pragma once
+
+namespace relidar::test {
+
+/// Central differences of the double reference: truncation h^2 f'''/6 and cancellation eps L / h balance near h = 1e-5.
+inline constexpr double kDifferenceStep = 1e-5;
+/// Reference backward against these differences, relative to the row's norm.
+inline constexpr double kReferenceGradient = 1e-6;
+/// Rows smaller than this share of the largest row of their group are compared against that share: below it the differences hold no
+/// digits (cancellation is absolute, about 1e-10).
+inline constexpr double kSmallRow = 1e-3;
+/// Kernel against double reference backward, relative to the row's norm: single precision with some tens of hits a ray.
+inline constexpr double kKernelGradient = 1e-4;
+/// Kernel values against the double reference, normalised mean squared error.
+inline constexpr double kKernelNmse = 1e-7;
+/// The released implementation (float, GPU) against a double renderer: 2.4e-4 m was measured (../shared/bench/README.md).
+inline constexpr double kPeerDepth_m = 5e-4;
+inline constexpr double kPeerChannel = 2e-5;
+
+}  // namespace relidar::test

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+# Where each dependency comes from: one line a dependency, each becomes one target `relidar::dep_<name>`.
+# Why each is here, which versions and which licence: README.md beside this file.
+#
+# Read by relidar's own build and, installed as relidarDependencies.cmake, by find_package(relidar), which sets
+# RELIDAR_FOR_PACKAGE: there, what only building needs may be absent.
+
+option(RELIDAR_FETCH_DEPENDENCIES "Download header-only dependencies that are not installed, at pinned versions" OFF)
+
+set(RELIDAR_MISSING_DEPENDENCIES "")   # apt names of what was not found, for one message at the end
+
+# relidar_dependency(<name>
+#     APT <package>                Debian package, for the message
+#     [PACKAGE <name>]             1st: find_package(<name> [COMPONENTS...]), taking every target of TARGETS that exists
+#     [COMPONENTS <name>...] [TARGETS <target>...]
+#     [HEADER <file>] [LIBRARY <name>...]   2nd: find_path and find_library
+#     [FETCH <url> <tag> <folder>] 3rd: with RELIDAR_FETCH_DEPENDENCIES, headers of that folder at that tag
+#     [DEFINE <macro>...] [LINK <target>...] [FETCH_DEFINE <macro>...]
+#     [BUILD_ONLY])                an installed relidar does not need it
+function(relidar_dependency name)
+    cmake_parse_arguments(PARSE_ARGV 1 dep "BUILD_ONLY" "APT;PACKAGE;HEADER" "COMPONENTS;TARGETS;LIBRARY;FETCH;FETCH_DEFINE;DEFINE;LINK")
+    set(target relidar::dep_${name})
+    if(TARGET ${target})
+        return()
+    endif()
+    add_library(${target} INTERFACE IMPORTED GLOBAL)
+    target_compile_definitions(${target} INTERFACE ${dep_DEFINE})
+    target_link_libraries(${target} INTERFACE ${dep_LINK})
+
+    relidar_dependency_from_package(found)
+    if(NOT found AND dep_HEADER)
+        relidar_dependency_from_files(found)
+    endif()
+    if(NOT found AND dep_FETCH AND RELIDAR_FETCH_DEPENDENCIES)
+        relidar_dependency_from_source(found)
+    endif()
+    if(NOT found AND NOT (RELIDAR_FOR_PACKAGE AND dep_BUILD_ONLY))
+        list(APPEND RELIDAR_MISSING_DEPENDENCIES ${dep_APT})
+        set(RELIDAR_MISSING_DEPENDENCIES ${RELIDAR_MISSING_DEPENDENCIES} PARENT_SCOPE)
+    endif()
+endfunction()
+
+# The three sources below see the dep_ variables and `target` of relidar_dependency and set `result` to ON or OFF.
+function(relidar_dependency_from_package result)
+    set(${result} OFF PARENT_SCOPE)
+    if(NOT dep_PACKAGE)
+        return()
+    endif()
+    set(CMAKE_MESSAGE_LOG_LEVEL WARNING)   # some packages chat even when QUIET
+    if(dep_COMPONENTS)
+        list(PREPEND dep_COMPONENTS COMPONENTS)
+    endif()
+    find_package(${dep_PACKAGE} QUIET GLOBAL ${dep_COMPONENTS})
+    foreach(candidate IN LISTS dep_TARGETS)
+        if(TARGET ${candidate})
+            target_link_libraries(${target} INTERFACE ${candidate})
+            set(${result} ON PARENT_SCOPE)
+            return()
+        endif()
+    endforeach()
+endfunction()
+
+function(relidar_dependency_from_files result)
+    find_path(RELIDAR_${name}_INCLUDE ${dep_HEADER})
+    mark_as_advanced(RELIDAR_${name}_INCLUDE)
+    set(${result} OFF PARENT_SCOPE)
+    if(NOT RELIDAR_${name}_INCLUDE)
+        return()
+    endif()
+    if(dep_LIBRARY)
+        find_library(RELIDAR_${name}_LIBRARY NAMES ${dep_LIBRARY})
+        mark_as_advanced(RELIDAR_${name}_LIBRARY)
+        if(NOT RELIDAR_${name}_LIBRARY)
+            return()
+        endif()
+        target_link_libraries(${target} INTERFACE ${RELIDAR_${name}_LIBRARY})
+    endif()
+    target_include_directories(${target} SYSTEM INTERFACE ${RELIDAR_${name}_INCLUDE})
+    set(${result} ON PARENT_SCOPE)
+endfunction()
+
+function(relidar_dependency_from_source result)
+    include(FetchContent)
+    list(GET dep_FETCH 0 url)
+    list(GET dep_FETCH 1 tag)
+    list(GET dep_FETCH 2 folder)
+    # A SOURCE_SUBDIR without CMakeLists.txt: download, do not build.
+    FetchContent_Declare(relidar_${name} GIT_REPOSITORY ${url} GIT_TAG ${tag} GIT_SHALLOW ON SOURCE_SUBDIR relidar-headers-only)
+    FetchContent_MakeAvailable(relidar_${name})
+    target_include_directories(${target} SYSTEM INTERFACE ${relidar_${name}_SOURCE_DIR}/${folder})
+    target_compile_definitions(${target} INTERFACE ${dep_FETCH_DEFINE})
+    set(${result} ON PARENT_SCOPE)
+endfunction()
+
+# --- the library -----------------------------------------------------------------------------------------------------
+relidar_dependency(glm APT libglm-dev PACKAGE glm TARGETS glm::glm HEADER glm/glm.hpp
+    FETCH https://github.com/g-truc/glm.git 0.9.9.8 .)
+relidar_dependency(fmt APT libfmt-dev PACKAGE fmt TARGETS fmt::fmt
+    FETCH https://github.com/fmtlib/fmt.git 9.1.0 include FETCH_DEFINE FMT_HEADER_ONLY)
+relidar_dependency(vulkan_headers BUILD_ONLY APT libvulkan-dev PACKAGE VulkanHeaders TARGETS Vulkan::Headers HEADER vulkan/vulkan.h
+    DEFINE VK_NO_PROTOTYPES FETCH https://github.com/KhronosGroup/Vulkan-Headers.git v1.3.239 include)
+relidar_dependency(volk APT libvulkan-volk-dev BUILD_ONLY HEADER volk.h
+    LINK relidar::dep_vulkan_headers ${CMAKE_DL_LIBS} FETCH https://github.com/zeux/volk.git sdk-1.3.239.0 .)
+relidar_dependency(nanoflann APT libnanoflann-dev BUILD_ONLY PACKAGE nanoflann TARGETS nanoflann::nanoflann HEADER nanoflann.hpp
+    FETCH https://github.com/jlblancoc/nanoflann.git v1.4.3 include)
+relidar_dependency(tbb APT libtbb-dev PACKAGE TBB COMPONENTS tbb TARGETS TBB::tbb)
+relidar_dependency(nlohmann_json APT nlohmann-json3-dev BUILD_ONLY PACKAGE nlohmann_json TARGETS nlohmann_json::nlohmann_json
+    HEADER nlohmann/json.hpp FETCH https://github.com/nlohmann/json.git v3.11.2 include)
+relidar_dependency(tomlplusplus APT libtomlplusplus-dev PACKAGE tomlplusplus TARGETS tomlplusplus::tomlplusplus
+    HEADER toml++/toml.h FETCH https://github.com/marzer/tomlplusplus.git v3.3.0 include)
+relidar_dependency(pugixml APT libpugixml-dev PACKAGE pugixml TARGETS pugixml::pugixml pugixml HEADER pugixml.hpp LIBRARY pugixml)
+relidar_dependency(png APT libpng-dev PACKAGE PNG TARGETS PNG::PNG)
+relidar_dependency(openexr APT libopenexr-dev PACKAGE OpenEXR TARGETS OpenEXR::OpenEXR)
+relidar_dependency(zlib APT zlib1g-dev PACKAGE ZLIB TARGETS ZLIB::ZLIB)
+
+# --- the command line tool -------------------------------------------------------------------------------------------
+if(RELIDAR_BUILD_TOOLS AND NOT RELIDAR_FOR_PACKAGE)
+    relidar_dependency(cli11 APT libcli11-dev PACKAGE CLI11 TARGETS CLI11::CLI11 HEADER CLI/CLI.hpp
+        FETCH https://github.com/CLIUtils/CLI11.git v2.3.1 include)
+endif()
+
+# --- tests -----------------------------------------------------------------------------------------------------------
+if(RELIDAR_BUILD_TESTS AND NOT RELIDAR_FOR_PACKAGE)
+    relidar_dependency(gtest APT libgtest-dev PACKAGE GTest TARGETS GTest::gtest)
+    relidar_dependency(gmock APT libgmock-dev PACKAGE GTest TARGETS GTest::gmock LINK relidar::dep_gtest)
+    # Embree 3 and 4 both call their target `embree`; only the header's folder differs.
+    find_package(embree QUIET GLOBAL)
+    relidar_dependency(embree APT libembree-dev PACKAGE embree TARGETS embree DEFINE "RELIDAR_EMBREE_VERSION=${embree_VERSION_MAJOR}")
+endif()
+
+if(RELIDAR_MISSING_DEPENDENCIES AND NOT RELIDAR_FOR_PACKAGE)
+    list(REMOVE_DUPLICATES RELIDAR_MISSING_DEPENDENCIES)
+    list(JOIN RELIDAR_MISSING_DEPENDENCIES " " missing)
+    message(FATAL_ERROR "relidar: not found (names as in Debian): ${missing}. Run tools/dev/setup, or install them; "
+        "-DRELIDAR_FETCH_DEPENDENCIES=ON downloads those that are header-only.")
+endif()
