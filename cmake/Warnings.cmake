@@ -10,7 +10,7 @@ function(relidar_set_warnings target)
         -Wall -Wextra -Wpedantic -Wshadow -Wnon-virtual-dtor -Woverloaded-virtual -Wcast-qual -Wformat=2 -Wundef
         $<$<BOOL:${RELIDAR_WERROR}>:-Werror>)
     if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
-        # Only suspicions of the optimiser, and wrong ones about GLM's unions and std::vector in g++ 12.
-        target_compile_options(${target} PRIVATE -Wno-maybe-uninitialized -Wno-array-bounds -Wno-stringop-overflow)
+        # Suspicions of the optimiser, wrong ones about GLM, std::vector and std::string in g++ 12.
+        target_compile_options(${target} PRIVATE -Wno-maybe-uninitialized -Wno-array-bounds -Wno-stringop-overflow -Wno-restrict)
     endif()
 endfunction()

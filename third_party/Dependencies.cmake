@@ -103,6 +103,8 @@ relidar_dependency(volk APT libvulkan-volk-dev BUILD_ONLY HEADER volk.h
     LINK relidar::dep_vulkan_headers ${CMAKE_DL_LIBS} FETCH https://github.com/zeux/volk.git sdk-1.3.239.0 .)
 relidar_dependency(nanoflann APT libnanoflann-dev BUILD_ONLY PACKAGE nanoflann TARGETS nanoflann::nanoflann HEADER nanoflann.hpp
     FETCH https://github.com/jlblancoc/nanoflann.git v1.4.3 include)
+relidar_dependency(eigen APT libeigen3-dev BUILD_ONLY PACKAGE Eigen3 TARGETS Eigen3::Eigen HEADER Eigen/Core
+    FETCH https://gitlab.com/libeigen/eigen.git 3.4.0 .)
 relidar_dependency(tbb APT libtbb-dev PACKAGE TBB COMPONENTS tbb TARGETS TBB::tbb)
 relidar_dependency(nlohmann_json APT nlohmann-json3-dev BUILD_ONLY PACKAGE nlohmann_json TARGETS nlohmann_json::nlohmann_json
     HEADER nlohmann/json.hpp FETCH https://github.com/nlohmann/json.git v3.11.2 include)

@@ -4,6 +4,8 @@
 
 #include <stdexcept>
 #include <string>
+#include <string_view>
+#include <vector>
 
 namespace relidar {
 
@@ -34,5 +36,9 @@ struct DataError : Error {
 struct DeviceError : Error {
     explicit DeviceError(const std::string& message) : Error(ExitCode::device, message) {}
 };
+
+/// The known name a mistyped one was most likely meant to be (smallest edit distance, case ignored), for "did you mean".
+/// @return empty where `known` is empty
+std::string nearest_name(std::string_view wanted, const std::vector<std::string>& known);
 
 }  // namespace relidar

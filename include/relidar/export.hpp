@@ -16,19 +16,21 @@
 namespace relidar {
 
 /// Writes a file by calling `write` on a temporary path beside it, flushing to disk and renaming.
-/// @throws DataError where the folder cannot be written or the disk is full; the temporary file is removed
+/// The folder must exist. A link is followed; a target that is no regular file (a folder, /dev/null) is refused.
+/// @throws DataError where the folder cannot be written or the disk is full; the temporary file is removed. A DataError or
+/// standard exception of `write` comes out as a DataError naming the path, other relidar errors as they are.
 void write_atomically(const std::filesystem::path& path, const std::function<void(const std::filesystem::path&)>& write);
 void write_text(const std::filesystem::path& path, const std::string& text);
 
 /// An n-dimensional array of an npz or safetensors file, row-major, little-endian.
 struct NamedArray {
     std::string name;
-    std::string dtype;                 ///< "f4", "f8", "i4", "i8", "u1", "u2", "i2", "i1", "b1" (numpy without byte order)
+    std::string dtype;                 ///< f4 f8 f2, i1 i2 i4 i8, u1 u2 u4 u8, b1: numpy's names without byte order
     std::vector<std::size_t> shape;
     std::vector<std::byte> bytes;
 
     std::size_t count() const;
-    /// Values converted to float (dtype f4, f8, integers). @throws DataError for other types
+    /// Values converted to float (f4, f8, integers, b1 as 0 or 1). @throws DataError for f2
     std::vector<float> as_float() const;
 };
 
@@ -37,10 +39,14 @@ NamedArray make_array(std::string name, std::vector<std::size_t> shape, const fl
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values, std::size_t n);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values, std::size_t n);
 
-void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays);          ///< deflated; read by numpy.load
-std::vector<NamedArray> read_npz(const std::filesystem::path& path);                               ///< stored or deflated entries
+/// npz as numpy.savez_compressed writes it; equal arrays make equal files. @throws DataError beyond 4 GiB, as for write_atomically
+void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays);
+/// Arrays of an npz file, stored or deflated, row-major and little-endian. @throws DataError for anything else, or damage
+std::vector<NamedArray> read_npz(const std::filesystem::path& path);
+/// safetensors, arrays in the given order. @throws DataError for names used twice or not UTF-8, as for write_atomically
 void write_safetensors(const std::filesystem::path& path, const std::vector<NamedArray>& arrays,
                        const std::map<std::string, std::string>& metadata);
+/// Arrays in the order of their data. Whether values are finite is not checked. @throws DataError for a file that is damaged
 std::vector<NamedArray> read_safetensors(const std::filesystem::path& path, std::map<std::string, std::string>* metadata = nullptr);
 
 /// A point cloud in the sensor's frame.
@@ -50,11 +56,12 @@ struct PointCloud {
     std::vector<std::uint16_t> channel;  ///< [n] or empty
     std::vector<float> time_offset_s;    ///< [n] or empty
 };
+/// Point cloud files; fields that are empty are left out. @throws DataError where lengths differ, as for write_atomically
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud);         ///< binary little-endian
 void write_pcd(const std::filesystem::path& path, const PointCloud& cloud);         ///< PCD 0.7, binary
 void write_kitti_bin(const std::filesystem::path& path, const PointCloud& cloud);   ///< n x float32 x y z intensity
 
-/// Float channels of one image. @param channels name -> [rows*columns]
+/// Float channels of one image, ZIP compressed. @param channels name -> [rows*columns]
 void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels);
 
 /// 8-bit RGB image.
@@ -64,11 +71,14 @@ struct Image {
     std::vector<std::uint8_t> rgb;   ///< [rows*columns*3]
 };
 /// Colour map of a scalar image: "turbo" (range), "gray" (intensity, drop), "heat" (error). Values outside [low, high] clamp;
-/// NaN and pixels with mask 0 are dark gray. @param mask [n] or empty
+/// NaN and pixels with mask 0 are dark gray. @param mask [rows*columns] or empty
+/// @throws UsageError for an unknown map, DataError for wrong counts or limits that are not finite
 Image colour_map(const std::vector<float>& values, int rows, int columns, float low, float high, const std::string& map,
                  const std::vector<float>& mask = {});
-/// Stacks images of one width, separated by a thin line, each enlarged vertically by `stretch` (a LiDAR row is taller than its column is wide).
+/// Stacks images of one width, separated by a thin line, each enlarged vertically by `stretch` (a LiDAR row is taller than
+/// its column is wide). @throws DataError where widths differ
 Image stack(const std::vector<Image>& images, int stretch = 1);
+/// @throws DataError where rgb is not rows*columns*3 bytes, or nothing
 void write_png(const std::filesystem::path& path, const Image& image);
 std::vector<std::uint8_t> encode_png(const Image& image);
 
@@ -78,7 +88,7 @@ struct ReportFigure {
     std::vector<std::pair<std::string, Image>> images;   ///< caption, picture
 };
 struct ReportCurve {
-    std::string name;
+    std::string name;   ///< curves whose names share the part before '/' ("loss/total", "loss/depth") share a chart
     std::vector<double> x, y;
 };
 /// A self-contained HTML page: no file or network beside it.
@@ -86,11 +96,12 @@ struct Report {
     std::string title;
     std::string summary;                                              ///< one paragraph
     std::vector<std::pair<std::string, std::string>> facts;           ///< device, sizes, times
-    std::vector<ReportCurve> curves;                                  ///< loss curves, log scale
-    std::vector<std::pair<std::string, MetricRow>> metrics;           ///< column title -> values
-    std::vector<std::pair<std::string, MetricRow>> timings_ms;        ///< table title -> kernel -> ms
+    std::vector<ReportCurve> curves;                                  ///< log scale where positive and spanning more than 4x
+    std::vector<std::pair<std::string, MetricRow>> metrics;           ///< column title -> values, grouped by the part before '/'
+    std::vector<std::pair<std::string, MetricRow>> timings_ms;        ///< table title -> kernel -> ms; shares of "total" or the sum
     std::vector<ReportFigure> figures;
 };
+/// @throws DataError where x and y of a curve differ in length, as for write_atomically
 void write_report(const std::filesystem::path& path, const Report& report);
 
 }  // namespace relidar

@@ -67,7 +67,7 @@ private:
 /// A piece of device memory with an address. Move-only.
 class Buffer {
 public:
-    Buffer() = default;
+    Buffer();
     /// @param what  name used in messages @throws DeviceError where memory is exhausted, with size and what was asked for
     Buffer(Device& device, std::size_t n_bytes, const std::string& what);
     ~Buffer();

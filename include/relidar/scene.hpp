@@ -3,7 +3,6 @@
 #pragma once
 
 #include <cstdint>
-#include <filesystem>
 #include <string>
 #include <vector>
 
@@ -82,6 +81,7 @@ struct InitialiseOptions {
     double opacity = 0.1;
     double max_scale_m = 0.5;          ///< initial standard deviations are clamped to this
     double scale_factor = 1.0;         ///< times the mean distance to the 3 nearest neighbours
+    bool remove_unlabelled_movers = false;   ///< leave out points that other training frames see through (not in the paper)
     double actor_min_step_m = 0.01;    ///< boxes moving more than this a frame hold actors: their points are left out
     double actor_margin_m = 0.2;       ///< boxes are grown by this when points are left out
     std::uint64_t seed = 1;
@@ -106,10 +106,6 @@ RayTable make_benchmark_rays(int rows, int columns, double top_deg, double botto
 
 /// Where training's extent-relative settings come from: 3 x the 90th percentile of 2 |p - centre|.
 double background_extent(const Surfels& surfels);
-
-/// Saves parameters as safetensors / loads them. @throws DataError for missing, misshapen or non-finite arrays
-void save_model(const std::filesystem::path& path, const Scene& scene, const std::string& relidar_version);
-Scene load_model(const std::filesystem::path& path);
 
 /// Parameters, gradients or moments of all surfels on a device, one array a group in the layout of Surfels.
 struct SurfelArrays {

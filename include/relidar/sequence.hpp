@@ -77,7 +77,8 @@ struct WorldRay {
 WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter);
 
 /// Whether a world point lies in any box that moves more than min_step_m a frame, each box grown by margin_m, at time t_s.
-/// Boxes are interpolated in time and absent outside their first and last observation.
+/// Boxes are interpolated in time; they are absent before their first and after their last observation, half a step
+/// between observations allowed, for the rays of the turn in which they were labelled.
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m);
 
 /// Frames for training and for testing. Every `test_every`-th position is held out, the first one excepted

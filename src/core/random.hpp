@@ -17,7 +17,9 @@ inline std::uint64_t hash64(std::uint64_t x) {
 }
 
 /// Hash of a pair, order matters.
-inline std::uint64_t hash64(std::uint64_t a, std::uint64_t b) { return hash64(hash64(a) ^ (b * 0xD6E8FEB86659FD93ull)); }
+inline std::uint64_t hash64(std::uint64_t a, std::uint64_t b) {
+    return hash64(hash64(a) ^ (b * 0xD6E8FEB86659FD93ull));
+}
 
 /// A stream of random numbers.
 class Random {

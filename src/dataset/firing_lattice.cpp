@@ -9,8 +9,8 @@
 #include <complex>
 #include <numeric>
 
-#include "core/parallel.hpp"
 #include <relidar/math.hpp>
+#include "core/parallel.hpp"
 
 namespace relidar::kitti {
 namespace {
@@ -160,7 +160,9 @@ int best_shift(const std::vector<Ticks>& ticks, std::size_t ring, const std::vec
         for (std::size_t s = 0; s < ticks.size(); ++s) {
             for (const int t : ticks[s][ring]) {
                 const int moved = t - shift;
-                hits += static_cast<std::size_t>(pattern[s][static_cast<std::size_t>(moved < 0 ? moved + n_ticks : moved >= n_ticks ? moved - n_ticks : moved)]);
+                hits += static_cast<std::size_t>(pattern[s][static_cast<std::size_t>(moved < 0          ? moved + n_ticks
+                                                                                     : moved >= n_ticks ? moved - n_ticks
+                                                                                                        : moved)]);
             }
         }
         if (i == 0) at_zero = hits;
@@ -213,7 +215,9 @@ int FiringLattice::tick(double head_azimuth_rad) const {
     return static_cast<int>(t < 0 ? t + n_ticks : t);
 }
 
-double FiringLattice::azimuth_of(int tick) const { return std::remainder(zero_rad + tick * tick_rad, 2.0 * kPi); }
+double FiringLattice::azimuth_of(int tick) const {
+    return std::remainder(zero_rad + tick * tick_rad, 2.0 * kPi);
+}
 
 FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
     constexpr double kFound = 0.8;  // mean concentration: 0.98 on KITTI, 0 for azimuths off the lattice

@@ -18,7 +18,9 @@ struct Sample {
     double rho_m, z_m;
 };
 
-double residual(const Cone& cone, const Sample& s) { return s.z_m - cone.z0_m - s.rho_m * cone.tan_el; }
+double residual(const Cone& cone, const Sample& s) {
+    return s.z_m - cone.z0_m - s.rho_m * cone.tan_el;
+}
 
 /// Line through the samples whose residual against `previous` is below a limit.
 Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double limit_m) {
@@ -28,7 +30,7 @@ Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double l
         n += 1, sr += s.rho_m, sz += s.z_m, srr += s.rho_m * s.rho_m, srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
-    if (n < 16 || spread < 0.25 * n * n) return {};  // ranges must spread by half a metre to part z0 from the slope
+    if (n < 16 || spread < 36.0 * n) return {};  // 0.3 mm of rounding would leave the slope more than 5e-5 uncertain
     const double slope = (n * srz - sr * sz) / spread;
     return {(sz - slope * sr) / n, slope, static_cast<std::size_t>(n)};
 }
@@ -45,27 +47,58 @@ Cone fit_cone(const std::vector<Sample>& samples) {
     return cone;
 }
 
-/// Fills rings that have too few points: the slope between the neighbours, the height on its block's line z0(tan el).
-void fill_gaps(Cones& cones, const std::string& where) {
-    for (int block = 0; block < 2; ++block) {
-        double n = 0, st = 0, sz = 0, stt = 0, stz = 0;
-        const int first = block * kRings / 2, last = first + kRings / 2;
-        std::vector<int> good;
-        for (int k = first; k < last; ++k) {
-            const Cone& c = cones[static_cast<std::size_t>(k)];
-            if (c.n == 0) continue;
-            good.push_back(k);
-            n += 1, st += c.tan_el, sz += c.z0_m, stt += c.tan_el * c.tan_el, stz += c.tan_el * c.z0_m;
+/// Height of a block's lenses against the slope of the beam, z0 = mean_z0 + slope * (tan_el - mean_tan).
+struct BlockLine {
+    double mean_tan = 0.0, mean_z0 = 0.0, slope = 0.0;
+    double at(double tan_el) const { return mean_z0 + slope * (tan_el - mean_tan); }
+};
+
+BlockLine fit_block(const Cones& cones, const std::vector<std::size_t>& good) {
+    BlockLine line;
+    double tt = 0.0, tz = 0.0;
+    for (const std::size_t k : good) {
+        line.mean_tan += cones[k].tan_el / static_cast<double>(good.size());
+        line.mean_z0 += cones[k].z0_m / static_cast<double>(good.size());
+    }
+    for (const std::size_t k : good) {
+        const double t = cones[k].tan_el - line.mean_tan;
+        tt += t * t, tz += t * (cones[k].z0_m - line.mean_z0);
+    }
+    line.slope = tz / std::max(tt, 1e-12);
+    return line;
+}
+
+/// Slope of a ring whose ranges are too alike to part it from z0: the height is the block's, the slope the median.
+double slope_at_height(const std::vector<Sample>& samples, const BlockLine& line, double tan_el) {
+    std::vector<double> slope(samples.size());
+    for (int pass = 0; pass < 3; ++pass) {
+        for (std::size_t i = 0; i < samples.size(); ++i) slope[i] = (samples[i].z_m - line.at(tan_el)) / std::max(samples[i].rho_m, 0.1);
+        const auto middle = slope.begin() + static_cast<std::ptrdiff_t>(slope.size() / 2);
+        std::nth_element(slope.begin(), middle, slope.end());
+        tan_el = *middle;
+    }
+    return tan_el;
+}
+
+/// Completes rings that could not be fitted, from the lasers of their block of 32 that could.
+void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samples, const std::string& where) {
+    for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
+        std::vector<std::size_t> good;
+        for (std::size_t k = first; k < first + kRings / 2; ++k) {
+            if (cones[k].n > 0) good.push_back(k);
         }
-        if (good.size() < 2) throw DataError(where + ": fewer than two lasers of a block of 32 can be fitted, expected an HDL-64E log");
-        const double slope = (n * stz - st * sz) / std::max(n * stt - st * st, 1e-12);
-        for (int k = first; k < last; ++k) {
-            Cone& cone = cones[static_cast<std::size_t>(k)];
-            if (cone.n > 0) continue;
+        if (good.size() < 2) {
+            throw DataError(where + ": fewer than two lasers of a block of 32 have enough returns, expected an HDL-64E log");
+        }
+        const BlockLine line = fit_block(cones, good);
+        for (std::size_t k = first; k < first + kRings / 2; ++k) {
+            if (cones[k].n > 0) continue;
             const auto next = std::lower_bound(good.begin() + 1, good.end() - 1, k);
-            const Cone &a = cones[static_cast<std::size_t>(next[-1])], &b = cones[static_cast<std::size_t>(*next)];
-            cone.tan_el = a.tan_el + (b.tan_el - a.tan_el) * (k - next[-1]) / static_cast<double>(*next - next[-1]);
-            cone.z0_m = (sz + slope * (n * cone.tan_el - st)) / n;
+            const std::size_t a = next[-1], b = *next;
+            const double along = (static_cast<double>(k) - static_cast<double>(a)) / static_cast<double>(b - a);
+            cones[k].tan_el = cones[a].tan_el + (cones[b].tan_el - cones[a].tan_el) * along;
+            if (samples[k].size() >= 16) cones[k].tan_el = slope_at_height(samples[k], line, cones[k].tan_el);
+            cones[k].z0_m = line.at(cones[k].tan_el);
         }
     }
 }
@@ -121,7 +154,7 @@ Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& whe
     }
     Cones cones;
     for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_cone(samples[k]);
-    fill_gaps(cones, where);
+    fill_gaps(cones, samples, where);
     return cones;
 }
 

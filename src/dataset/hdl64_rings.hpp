@@ -16,16 +16,16 @@ constexpr int kRings = 64;
 
 /// A scan in file order and the laser of each point, 0 = highest.
 struct RawScan {
-    std::vector<glm::vec4> points;     ///< x, y, z (metres, sensor frame), reflectance
+    std::vector<glm::vec4> points;  ///< x, y, z (metres, sensor frame), reflectance
     std::vector<std::uint8_t> ring;
-    int n_rings = 0;                   ///< runs of points found in the file, 64 in a whole scan
+    int n_rings = 0;  ///< runs of points found in the file, 64 in a whole scan
 };
 
 /// Cone of one laser.
 struct Cone {
-    double z0_m = 0.0;      ///< height at which the beam crosses the spin axis
+    double z0_m = 0.0;  ///< height at which the beam crosses the spin axis
     double tan_el = 0.0;
-    std::size_t n = 0;      ///< points it was fitted to; 0 = filled in from its neighbours
+    std::size_t n = 0;  ///< points it was fitted to; 0 = filled in from its neighbours
 };
 using Cones = std::array<Cone, kRings>;
 

@@ -13,8 +13,8 @@
 
 #include <fmt/format.h>
 
-#include "core/files.hpp"
 #include <relidar/error.hpp>
+#include "core/files.hpp"
 
 namespace relidar::kitti {
 namespace fs = std::filesystem;
@@ -30,9 +30,10 @@ Pose make_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const 
         for (int r = 0; r < 3; ++r) worst = std::max(worst, std::abs(excess[c][r]));
     }
     if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0) {
-        throw DataError(fmt::format("{}: the 3x3 block is no rotation (R^T R differs from 1 by {:.3g}, determinant {:.3g}), "
-                                    "expected orthonormal within 0.001",
-                                    where, worst, glm::determinant(rotation)));
+        throw DataError(
+            fmt::format("{}: the 3x3 block is no rotation (R^T R differs from 1 by {:.3g}, determinant {:.3g}), "
+                        "expected orthonormal within 0.001",
+                        where, worst, glm::determinant(rotation)));
     }
     return {glm::normalize(glm::quat_cast(rotation)), translation};
 }
@@ -63,8 +64,8 @@ std::int64_t parse_timestamp(const std::string& line, const std::string& where) 
     int year = 0, month = 0, day = 0, hour = 0, minute = 0, used = 0;
     const int n = std::sscanf(line.c_str(), "%4d-%2d-%2d %2d:%2d:%n", &year, &month, &day, &hour, &minute, &used);
     const auto second = n == 5 && used > 0 ? parse_number(trimmed(line).substr(static_cast<std::size_t>(used))) : std::nullopt;
-    const bool sane = second && *second >= 0.0 && *second < 61.0 && year >= 1970 && month >= 1 && month <= 12 && day >= 1 &&
-                      day <= 31 && hour >= 0 && hour < 24 && minute >= 0 && minute < 60;
+    const bool sane = second && *second >= 0.0 && *second < 61.0 && year >= 1970 && month >= 1 && month <= 12 && day >= 1 && day <= 31 &&
+                      hour >= 0 && hour < 24 && minute >= 0 && minute < 60;
     if (!sane) throw DataError(fmt::format("{}: '{}', expected YYYY-MM-DD HH:MM:SS.nnnnnnnnn", where, line));
     const std::int64_t minutes = (days_of(year, month, day) * 24 + hour) * 60 + minute;
     return minutes * 60'000'000'000ll + std::llround(*second * 1e9);
@@ -80,7 +81,9 @@ std::vector<std::int64_t> parse_timestamps(const fs::path& file) {
     return time_ns;
 }
 
-fs::path oxts_file(const fs::path& drive, int frame) { return drive / "oxts/data" / fmt::format("{:010d}.txt", frame); }
+fs::path oxts_file(const fs::path& drive, int frame) {
+    return drive / "oxts/data" / fmt::format("{:010d}.txt", frame);
+}
 
 /// world_from_imu before the first frame's position is taken off.
 Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
@@ -92,8 +95,8 @@ Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
     constexpr double kEarthRadius_m = 6378137.0;
     const double lat = v[0] * kPi / 180.0, lon = v[1] * kPi / 180.0;
     if (!scale) scale = std::cos(lat);
-    const glm::dquat rotation = glm::angleAxis(v[5], glm::dvec3(0, 0, 1)) * glm::angleAxis(v[4], glm::dvec3(0, 1, 0)) *
-                                glm::angleAxis(v[3], glm::dvec3(1, 0, 0));
+    const glm::dquat rotation =
+        glm::angleAxis(v[5], glm::dvec3(0, 0, 1)) * glm::angleAxis(v[4], glm::dvec3(0, 1, 0)) * glm::angleAxis(v[3], glm::dvec3(1, 0, 0));
     return {rotation, {*scale * kEarthRadius_m * lon, *scale * kEarthRadius_m * std::log(std::tan(kPi / 4 + lat / 2)), v[2]}};
 }
 
@@ -106,7 +109,8 @@ int first_oxts(const fs::path& drive) {
         if (entry.path().extension() == ".txt" && number && (first < 0 || *number < first)) first = static_cast<int>(*number);
     }
     if (first < 0) {
-        throw DataError(fmt::format("{}: no poses, expected OXTS files %010d.txt (or give a file of poses)", (drive / "oxts/data").string()));
+        throw DataError(
+            fmt::format("{}: no poses, expected OXTS files %010d.txt (or give a file of poses)", (drive / "oxts/data").string()));
     }
     return first;
 }
@@ -150,8 +154,8 @@ std::vector<glm::vec4> read_scan(const fs::path& file) {
         const bool finite = std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z) && std::isfinite(p.w);
         const double largest = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
         if (finite && largest <= kFarthest_m) continue;
-        throw DataError(fmt::format("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values within {} m",
-                                    file.string(), i, p.x, p.y, p.z, p.w, kFarthest_m));
+        throw DataError(fmt::format("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values within {} m", file.string(), i,
+                                    p.x, p.y, p.z, p.w, kFarthest_m));
     }
     return points;
 }

@@ -37,7 +37,6 @@ std::vector<Pose> read_pose_file(const std::filesystem::path& file, const std::v
 
 /// Boxes of tracklet_labels.xml for the given frames, in the world of the poses; none without that file.
 /// @param world_from_sensor one entry for each of `frames`
-std::vector<BoxTrack> read_tracklets(const std::filesystem::path& file, const std::vector<int>& frames,
-                                     const PoseTrack& world_from_sensor);
+std::vector<BoxTrack> read_tracklets(const std::filesystem::path& file, const std::vector<int>& frames, const PoseTrack& world_from_sensor);
 
 }  // namespace relidar::kitti

@@ -54,7 +54,9 @@ std::vector<int> fill_columns(const std::vector<int>& firings, const FiringLatti
     return slot;
 }
 
-float range_of(const RawScan& raw, int point) { return glm::length(glm::vec3(raw.points[static_cast<std::size_t>(point)])); }
+float range_of(const RawScan& raw, int point) {
+    return glm::length(glm::vec3(raw.points[static_cast<std::size_t>(point)]));
+}
 
 /// Assigns points to cells; a second point of a cell moves to a free neighbour, else the nearer stays.
 Cells assign(const RawScan& raw, const std::vector<int>& firings, const FiringLattice& lattice, double max_range_m, GriddedScan& out) {
@@ -136,7 +138,8 @@ GriddedScan make_scan(const RawScan& raw, const std::vector<int>& firings, const
         const Beam& beam = hdl64.sensor.beams[ring];
         const int shift = column_shift(beam, columns);
         for (int column = 0; column < columns; ++column, ++at) {
-            const std::size_t firing = static_cast<std::size_t>(slot[static_cast<std::size_t>(((column + shift) % columns + columns) % columns)]);
+            const std::size_t firing =
+                static_cast<std::size_t>(slot[static_cast<std::size_t>(((column + shift) % columns + columns) % columns)]);
             const double head = hdl64.lattice.azimuth_of(firings[firing]);
             const int point = cells.at(ring, firing);
             scan.rays.time_offset_s[at] = static_cast<float>(-head / (2.0 * kPi) * hdl64.sensor.period_s);

@@ -14,7 +14,7 @@ namespace relidar::kitti {
 /// The sensor as recovered from a log.
 struct Hdl64 {
     FiringLattice lattice;
-    SpinningSensor sensor;   ///< beams highest first; columns = most firings in one turn
+    SpinningSensor sensor;  ///< beams highest first; columns = most firings in one turn
 };
 
 /// Beams of the cones and the lattice: elevation, azimuth offset, origin up = z0 cos(elevation), origin left.
@@ -24,8 +24,8 @@ std::vector<Beam> make_beams(const Cones& cones, const FiringLattice& lattice);
 struct GriddedScan {
     Scan scan;
     std::size_t n_points = 0;
-    std::size_t n_beyond = 0;   ///< farther than max_range_m: kept as dropped rays
-    std::size_t n_lost = 0;     ///< two points for one ray, no free cell beside it: the nearer was kept
+    std::size_t n_beyond = 0;  ///< farther than max_range_m: kept as dropped rays
+    std::size_t n_lost = 0;    ///< two points for one ray, no free cell beside it: the nearer was kept
 };
 
 /// Puts every point on the ray that took it. A return keeps its own direction, its ray starts at the beam's origin; a firing

@@ -8,10 +8,10 @@
 
 #include <fmt/format.h>
 
+#include <relidar/error.hpp>
 #include "core/parallel.hpp"
 #include "dataset/kitti_files.hpp"
 #include "dataset/kitti_grid.hpp"
-#include <relidar/error.hpp>
 
 namespace relidar {
 namespace {
@@ -49,7 +49,8 @@ PoseTrack read_poses(const fs::path& drive, const std::vector<int>& frames, cons
         track.time_s.push_back(time_s[static_cast<std::size_t>(frame)]);
         const std::size_t n = track.time_s.size();
         if (n > 1 && !(track.time_s[n - 1] > track.time_s[n - 2])) {
-            throw DataError(fmt::format("{} line {}: not later than that of frame {}, expected rising times", file.string(), frame + 1, frames[n - 2]));
+            throw DataError(
+                fmt::format("{} line {}: not later than that of frame {}, expected rising times", file.string(), frame + 1, frames[n - 2]));
         }
     }
     track.pose = poses_file.empty() ? read_oxts_poses(drive, frames) : read_pose_file(poses_file, frames);
@@ -104,9 +105,10 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     Sequence sequence;
     sequence.name = drive.filename().string();
     sequence.source = folder.string();
-    sequence.conventions = fmt::format("sensor x forward, y left, z up; metres; time = head faces forward, seconds after the log's first "
-                                       "turn; poses from {}; scans not motion-compensated; boxes in the front camera's view only",
-                                       options.poses_file.empty() ? "OXTS (Mercator)" : options.poses_file.string());
+    sequence.conventions = fmt::format(
+        "sensor x forward, y left, z up; metres; time = head faces forward, seconds after the log's first "
+        "turn; poses from {}; scans not motion-compensated; boxes in the front camera's view only",
+        options.poses_file.empty() ? "OXTS (Mercator)" : options.poses_file.string());
     sequence.sensor.name = "HDL-64E fitted to " + sequence.name;
     sequence.sensor.period_s = read_period(drive);
     sequence.sensor.max_range_m = options.max_range_m;

@@ -9,8 +9,8 @@
 #include <fmt/format.h>
 #include <pugixml.hpp>
 
-#include "core/files.hpp"
 #include <relidar/error.hpp>
+#include "core/files.hpp"
 
 namespace relidar::kitti {
 namespace {
@@ -39,7 +39,8 @@ BoxTrack read_track(const pugi::xml_node& item, const std::vector<int>& frames, 
     track.category = item.child_value("objectType");
     track.size_m = {number_of(item, "l", where), number_of(item, "w", where), number_of(item, "h", where)};
     if (!(std::min({track.size_m.x, track.size_m.y, track.size_m.z}) > 0.0)) {
-        throw DataError(fmt::format("{}: size l {} w {} h {} m, expected all above 0", where, track.size_m.x, track.size_m.y, track.size_m.z));
+        throw DataError(
+            fmt::format("{}: size l {} w {} h {} m, expected all above 0", where, track.size_m.x, track.size_m.y, track.size_m.z));
     }
     int frame = static_cast<int>(number_of(item, "first_frame", where));
     for (const pugi::xml_node& pose : item.child("poses").children("item")) {
@@ -56,7 +57,8 @@ BoxTrack read_track(const pugi::xml_node& item, const std::vector<int>& frames, 
 
 }  // namespace
 
-std::vector<BoxTrack> read_tracklets(const std::filesystem::path& file, const std::vector<int>& frames, const PoseTrack& world_from_sensor) {
+std::vector<BoxTrack> read_tracklets(const std::filesystem::path& file, const std::vector<int>& frames,
+                                     const PoseTrack& world_from_sensor) {
     std::error_code failed;
     if (!std::filesystem::exists(file, failed)) return {};
     const std::string text = read_file(file);

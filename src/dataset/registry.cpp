@@ -4,10 +4,10 @@
 
 #include <fmt/format.h>
 
+#include <relidar/error.hpp>
 #include "core/nearest_name.hpp"
 #include "dataset/kitti_raw.hpp"
 #include "dataset/synthetic.hpp"
-#include <relidar/error.hpp>
 
 namespace relidar {
 namespace {
@@ -16,7 +16,7 @@ namespace fs = std::filesystem;
 
 struct Kind {
     const char* name;
-    const char* marker;    ///< file or folder that tells the kind
+    const char* marker;  ///< file or folder that tells the kind
     const char* describe;
     Sequence (*load)(const fs::path&, const DatasetOptions&);
 };
@@ -36,8 +36,8 @@ const Kind& find_kind(const std::string& name) {
     for (const Kind& kind : kKinds) {
         if (name == kind.name) return kind;
     }
-    throw UsageError(fmt::format("dataset kind '{}': unknown, did you mean '{}'? (known: {})", name,
-                                 nearest_name(name, kind_names()), fmt::join(kind_names(), ", ")));
+    throw UsageError(fmt::format("dataset kind '{}': unknown, did you mean '{}'? (known: {})", name, nearest_name(name, kind_names()),
+                                 fmt::join(kind_names(), ", ")));
 }
 
 void check_range(const FrameRange& range) {

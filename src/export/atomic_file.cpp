@@ -49,7 +49,8 @@ fs::path final_path(const fs::path& path) {
     }
     const fs::path folder = path.has_parent_path() ? path.parent_path() : fs::path(".");
     const fs::file_status parent = fs::status(folder, error);
-    if (!fs::exists(parent)) fail(path, fmt::format("folder '{}': {}", folder.string(), system_message(error ? error.value() : ENOENT)));
+    if (!fs::exists(parent))
+        fail(path, fmt::format("folder '{}': {}", folder.string(), system_message(error ? error.value() : ENOENT)));
     if (!fs::is_directory(parent)) fail(path, fmt::format("'{}' is no folder", folder.string()));
     return folder / path.filename();
 }

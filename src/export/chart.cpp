@@ -162,7 +162,8 @@ std::string axes(const Axis& x, const Axis& y) {
         svg += fmt::format("<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.1f}\" y2=\"{2:.1f}\"/>"
                            "<text class=\"axis\" x=\"{0:.1f}\" y=\"{3:.1f}\" text-anchor=\"middle\">{4}</text>\n",
                            x.place(tick), y.at_low, y.at_low + 4, y.at_low + 18, tick_label(tick));
-    return svg + fmt::format("<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>\n", x.at_low, x.at_high, y.at_low);
+    return svg + fmt::format("<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>\n", x.at_low,
+                             x.at_high, y.at_low);
 }
 
 }  // namespace

@@ -62,7 +62,7 @@ void write_exr(const std::filesystem::path& path, int rows, int columns, const s
         const std::size_t stride = sizeof(float);
         for (const auto& [name, values] : channels) {
             header.channels().insert(name, imf::Channel(imf::FLOAT));
-            char* base = reinterpret_cast<char*>(const_cast<float*>(values.data()));   // read only, though the type says otherwise
+            char* base = reinterpret_cast<char*>(const_cast<float*>(values.data()));   // OpenEXR only reads from it
             buffer.insert(name, imf::Slice(imf::FLOAT, base, stride, stride * std::size_t(columns)));
         }
         imf::OutputFile file(stream, header);

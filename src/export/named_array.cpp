@@ -40,8 +40,10 @@ using Converter = std::vector<float> (*)(const NamedArray&);
 Converter converter(std::string_view dtype) {
     static constexpr std::array<std::pair<std::string_view, Converter>, 11> kConverters{{
         {"f4", convert<float>}, {"f8", convert<double>},
-        {"i1", convert<std::int8_t>}, {"i2", convert<std::int16_t>}, {"i4", convert<std::int32_t>}, {"i8", convert<std::int64_t>},
-        {"u1", convert<std::uint8_t>}, {"u2", convert<std::uint16_t>}, {"u4", convert<std::uint32_t>}, {"u8", convert<std::uint64_t>},
+        {"i1", convert<std::int8_t>}, {"i2", convert<std::int16_t>},
+        {"i4", convert<std::int32_t>}, {"i8", convert<std::int64_t>},
+        {"u1", convert<std::uint8_t>}, {"u2", convert<std::uint16_t>},
+        {"u4", convert<std::uint32_t>}, {"u8", convert<std::uint64_t>},
         {"b1", convert<std::uint8_t>},
     }};
     for (const auto& [name, function] : kConverters)

@@ -113,7 +113,8 @@ std::string end_record(std::size_t n_entries, std::size_t directory_size, std::s
 }
 
 void check_size(const std::string& what, std::uint64_t n_bytes) {
-    if (n_bytes >= kLimit) throw DataError(fmt::format("{} takes {} bytes, npz files end at 4 GiB; use safetensors", what, n_bytes));
+    if (n_bytes >= kLimit)
+        throw DataError(fmt::format("{} takes {} bytes, npz files end at 4 GiB; use safetensors", what, n_bytes));
 }
 
 /// Writes one array at `offset`. @return its directory entry

@@ -17,7 +17,8 @@ namespace relidar {
 std::vector<std::uint8_t> encode_png(const Image& image) {
     const std::size_t n = std::size_t(std::max(image.rows, 0)) * std::size_t(std::max(image.columns, 0)) * 3;
     if (n == 0 || image.rgb.size() != n)
-        throw DataError(fmt::format("PNG image of {} x {} pixels: {} bytes, expected {}", image.rows, image.columns, image.rgb.size(), n));
+        throw DataError(fmt::format("PNG image of {} x {} pixels: {} bytes, expected {}", image.rows, image.columns, image.rgb.size(),
+                                    n));
     png_image description{};
     description.version = PNG_IMAGE_VERSION;
     description.width = png_uint_32(image.columns);

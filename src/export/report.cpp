@@ -92,7 +92,8 @@ std::string metrics(const Report& report) {
         for (const auto& [name, value] : row) names.insert(name);
     if (names.empty()) return "";
     std::string head = "<th>Metric</th>", rows, group;
-    for (const auto& [column, row] : report.metrics) head += fmt::format("<th>{}</th>", escape_html(column));
+    for (const auto& [column, row] : report.metrics)
+        head += fmt::format("<th style=\"width:{:.1f}%\">{}</th>", 72.0 / double(report.metrics.size()), escape_html(column));
     for (const std::string& name : names) {
         const auto [name_group, metric] = split_group(name);
         if (name_group != group)
@@ -101,7 +102,8 @@ std::string metrics(const Report& report) {
         group = name_group;
         rows += fmt::format("<tr><td class=\"name\">{}</td>{}</tr>\n", escape_html(metric), metric_cells(report, name));
     }
-    const std::string note = report.metrics.size() > 1 ? "<p class=\"note\">Green: best of the row. Dash: not given or not defined.</p>\n" : "";
+    const std::string note =
+        report.metrics.size() > 1 ? "<p class=\"note\">Green: best of the row. Dash: not given or not defined.</p>\n" : "";
     return table(head, rows) + note;
 }
 
@@ -136,8 +138,8 @@ std::string timing_row(const std::string& name, double ms, double whole, double 
     const bool known = std::isfinite(ms) && ms >= 0.0;
     const std::string share = known && whole > 0.0 ? fmt::format("{:.1f} %", 100.0 * ms / whole) : "\u2013";
     const std::string bar = known && longest > 0.0 ? fmt::format("<div style=\"width:{:.2f}%\"></div>", 100.0 * ms / longest) : "";
-    return fmt::format("<td class=\"name\">{}</td><td>{}</td><td>{}</td><td class=\"bar\">{}</td></tr>\n", escape_html(name),
-                       format_number(ms), share, bar);
+    return fmt::format("<td class=\"name\">{}</td><td>{:.3f}</td><td>{}</td><td class=\"bar\">{}</td></tr>\n", escape_html(name), ms,
+                       share, bar);
 }
 
 /// Longest first. Shares are of the entry "total" where there is one, else of the sum; that row comes last.
@@ -157,7 +159,7 @@ std::string timing_table(const MetricRow& timings) {
     std::string body;
     for (const auto& [name, ms] : rows) body += "<tr>" + timing_row(name, ms, whole, longest);
     body += "<tr class=\"total\">" + timing_row(total ? "total" : "sum", whole, whole, 0.0);
-    return table("<th>Kernel</th><th>ms</th><th>share</th><th></th>", body);
+    return table("<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th style=\"width:12%\">share</th><th></th>", body);
 }
 
 std::string timings(const Report& report) {
@@ -173,7 +175,8 @@ std::string figure(const ReportFigure& figure) {
         const std::string url = export_detail::png_data_url(image);
         const double aspect = std::min(kMaxAspect, double(image.columns) / double(image.rows));
         body += fmt::format("<figure><figcaption>{}</figcaption>", escape_html(caption));
-        body += fmt::format("<img alt=\"{}\" style=\"aspect-ratio:{:.4f}\" src=\"{}\"></figure>\n", escape_html(caption), aspect, url);
+        body += fmt::format("<img alt=\"{}\" style=\"aspect-ratio:{:.4f}\" src=\"{}\"></figure>\n", escape_html(caption), aspect,
+                            url);
     }
     return body;
 }

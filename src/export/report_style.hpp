@@ -8,10 +8,11 @@
 namespace relidar::export_detail {
 
 inline constexpr std::string_view kReportStyle = R"css(
-:root { color-scheme: light dark; --page: #f4f5f7; --card: #ffffff; --ink: #1b1f24; --soft: #5d6672; --line: #e1e4e8; --shade: #f6f7f9;
+:root { color-scheme: light dark; --page: #f4f5f7; --card: #ffffff; --ink: #1b1f24; --soft: #5d6672; --line: #e1e4e8;
   --accent: #1f6feb; --best: #0a7d4b;
   --c0: #1f6feb; --c1: #d9580f; --c2: #12966b; --c3: #b0389c; --c4: #a07600; --c5: #5b4bd1; --c6: #d12f4b; --c7: #4c8fb5; }
-@media (prefers-color-scheme: dark) { :root { --page: #0f1216; --card: #181c22; --ink: #e4e8ee; --soft: #98a2b0; --line: #2b313a; --shade: #1e232a;
+@media (prefers-color-scheme: dark) { :root { --page: #0f1216; --card: #181c22; --ink: #e4e8ee;
+  --soft: #98a2b0; --line: #2b313a;
   --accent: #5b9dff; --best: #45c98f;
   --c0: #5b9dff; --c1: #ff9152; --c2: #3ecb9a; --c3: #e07fd0; --c4: #e0b83d; --c5: #9c8cff; --c6: #ff7389; --c7: #8cc4e3; } }
 * { box-sizing: border-box; }

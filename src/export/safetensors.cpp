@@ -133,7 +133,8 @@ std::vector<NamedArray> parse(const std::vector<std::byte>& file, std::map<std::
     std::vector<NamedArray> arrays;
     for (auto& [array, range] : entries) {
         if (range.begin != covered)
-            throw DataError(fmt::format("array '{}' starts at byte {}, expected {} (no gap, no overlap)", array.name, range.begin, covered));
+            throw DataError(fmt::format("array '{}' starts at byte {}, expected {} (no gap, no overlap)", array.name, range.begin,
+                                        covered));
         const auto data = file.begin() + std::ptrdiff_t(data_start);
         array.bytes.assign(data + std::ptrdiff_t(range.begin), data + std::ptrdiff_t(range.end));
         covered = range.end;

@@ -83,6 +83,7 @@ Buffer::Impl::~Impl() {
 }
 
 Buffer::Buffer(Device& device, std::size_t n_bytes, const std::string& what) : impl_(std::make_unique<Impl>(device.impl(), n_bytes, false, what)) {}
+Buffer::Buffer() = default;
 Buffer::~Buffer() = default;
 Buffer::Buffer(Buffer&&) noexcept = default;
 Buffer& Buffer::operator=(Buffer&&) noexcept = default;

@@ -5,19 +5,18 @@
 
 #include <array>
 #include <cmath>
-#include <regex>
+#include <optional>
 
 #include <fmt/format.h>
 
-#include "core/files.hpp"
 #include <relidar/error.hpp>
 #include <relidar/math.hpp>
+#include "core/files.hpp"
 
 namespace relidar {
 namespace {
 
-constexpr std::array<const char*, 5> kFields{"elevation_deg", "azimuth_offset_deg", "origin_offset_m", "origin_up_m",
-                                             "origin_left_m"};
+constexpr std::array<const char*, 5> kFields{"elevation_deg", "azimuth_offset_deg", "origin_offset_m", "origin_up_m", "origin_left_m"};
 
 std::vector<std::string_view> split_commas(std::string_view line) {
     std::vector<std::string_view> cells;
@@ -59,19 +58,22 @@ Beam parse_beam(const std::vector<std::string_view>& cells, const std::array<int
 }  // namespace
 
 BeamTableName parse_beam_table_name(const std::string& name) {
-    static const std::regex kSuffix(R"((.+):([0-9]{1,6})(?:x([0-9]+(?:\.[0-9]+)?))?)");
     BeamTableName table;
-    std::smatch match;
-    if (!std::regex_match(name, match, kSuffix)) {
-        table.path = name;
-        return table;
+    table.path = name;
+    const std::size_t colon = name.rfind(':');
+    if (colon == std::string::npos || colon == 0) return table;
+    const std::string_view suffix = std::string_view(name).substr(colon + 1);
+    const std::size_t x = std::min(suffix.find('x'), suffix.size());
+    const auto columns = parse_number(suffix.substr(0, x));
+    const auto rate_hz = x < suffix.size() ? parse_number(suffix.substr(x + 1)) : std::optional<double>(table.rate_hz);
+    if (!columns || !rate_hz) return table;  // a colon of the path itself
+    if (!(*columns >= 1.0 && *columns <= 1e6) || *columns != std::floor(*columns) || !(*rate_hz > 0.0 && *rate_hz <= 1e4)) {
+        throw UsageError(
+            fmt::format("sensor '{}': {} columns at {} Hz, expected a whole number and a rate, both above 0", name, *columns, *rate_hz));
     }
-    table.path = match[1].str();
-    table.columns = std::stoi(match[2]);
-    if (match[3].matched) table.rate_hz = std::stod(match[3]);
-    if (table.columns < 1 || !(table.rate_hz > 0.0)) {
-        throw UsageError(fmt::format("sensor '{}': {} columns at {} Hz, expected both above 0", name, table.columns, table.rate_hz));
-    }
+    table.path = name.substr(0, colon);
+    table.columns = static_cast<int>(*columns);
+    table.rate_hz = *rate_hz;
     return table;
 }
 

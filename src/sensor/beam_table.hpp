@@ -12,7 +12,7 @@ namespace relidar {
 /// A beam table as named on the command line: "path[:columns[xHz]]".
 struct BeamTableName {
     std::filesystem::path path;
-    int columns = 1800;   ///< 0.2 degrees a step
+    int columns = 1800;  ///< 0.2 degrees a step
     double rate_hz = 10.0;
 };
 

@@ -7,10 +7,10 @@
 
 #include <fmt/format.h>
 
-#include "core/nearest_name.hpp"
-#include "sensor/beam_table.hpp"
 #include <relidar/error.hpp>
 #include <relidar/math.hpp>
+#include "core/nearest_name.hpp"
+#include "sensor/beam_table.hpp"
 
 namespace relidar {
 namespace {
@@ -85,9 +85,10 @@ SpinningSensor find_sensor(const std::string& name_or_file) {
     }
     const BeamTableName table = parse_beam_table_name(name_or_file);
     if (table.path.extension() == ".csv" || std::filesystem::is_regular_file(table.path)) return read_beam_table(table);
-    throw UsageError(fmt::format("sensor '{}': unknown name, did you mean '{}'? (known: {}; the path of a CSV beam table "
-                                 "works too, as beams.csv:1024x10)",
-                                 name_or_file, nearest_name(name_or_file, sensor_names()), fmt::join(sensor_names(), ", ")));
+    throw UsageError(
+        fmt::format("sensor '{}': unknown name, did you mean '{}'? (known: {}; the path of a CSV beam table "
+                    "works too, as beams.csv:1024x10)",
+                    name_or_file, nearest_name(name_or_file, sensor_names()), fmt::join(sensor_names(), ", ")));
 }
 
 }  // namespace relidar

@@ -7,9 +7,9 @@
 
 #include <fmt/format.h>
 
-#include "core/nearest_name.hpp"
 #include <relidar/error.hpp>
 #include <relidar/math.hpp>
+#include "core/nearest_name.hpp"
 
 namespace relidar {
 
@@ -40,8 +40,8 @@ std::optional<int> project(const RangeGrid& grid, const glm::dvec3& point_m) {
 
 GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& points_m, const std::vector<float>& intensity) {
     if (points_m.size() != intensity.size()) {
-        throw UsageError(fmt::format("project_points: intensity has {} entries, expected {} as points_m",
-                                     intensity.size(), points_m.size()));
+        throw UsageError(
+            fmt::format("project_points: intensity has {} entries, expected {} as points_m", intensity.size(), points_m.size()));
     }
     GridImage image;
     image.rows = grid.rows;

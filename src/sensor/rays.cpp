@@ -28,9 +28,7 @@ RayTable empty_table(int rows, int columns, double divergence_rad) {
 }
 
 void check(const SpinningSensor& sensor) {
-    const auto fail = [&](const std::string& what) {
-        throw UsageError(fmt::format("sensor '{}': {}", sensor.name, what));
-    };
+    const auto fail = [&](const std::string& what) { throw UsageError(fmt::format("sensor '{}': {}", sensor.name, what)); };
     if (sensor.beams.empty()) fail("has no beams, expected at least one");
     if (sensor.beams.size() > 65535) fail(fmt::format("has {} beams, expected at most 65535", sensor.beams.size()));
     if (sensor.columns <= 0) fail(fmt::format("has {} columns, expected at least one", sensor.columns));
@@ -42,8 +40,7 @@ void check(const SpinningSensor& sensor) {
     }
     for (std::size_t b = 0; b < sensor.beams.size(); ++b) {
         const Beam& beam = sensor.beams[b];
-        const double sum = beam.elevation_rad + beam.azimuth_offset_rad + beam.origin_offset_m + beam.origin_up_m +
-                           beam.origin_left_m;
+        const double sum = beam.elevation_rad + beam.azimuth_offset_rad + beam.origin_offset_m + beam.origin_up_m + beam.origin_left_m;
         if (!std::isfinite(sum)) fail(fmt::format("beam {} holds a value that is not finite", b));
     }
 }
@@ -62,8 +59,7 @@ BeamRay beam_ray(const Beam& beam, double head_azimuth_rad) {
     const double forward = -beam.origin_up_m * se, left = beam.origin_left_m;
     BeamRay ray;
     ray.origin_m = glm::dvec3(beam.origin_offset_m * std::cos(head_azimuth_rad) + forward * c - left * s,
-                              beam.origin_offset_m * std::sin(head_azimuth_rad) + forward * s + left * c,
-                              beam.origin_up_m * ce);
+                              beam.origin_offset_m * std::sin(head_azimuth_rad) + forward * s + left * c, beam.origin_up_m * ce);
     ray.direction = glm::dvec3(ce * c, ce * s, se);
     return ray;
 }

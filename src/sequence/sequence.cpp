@@ -26,6 +26,13 @@ Place find_place(const std::vector<double>& time_s, double t_s) {
     return {left, span > 0.0 ? (t_s - time_s[left]) / span : 0.0};
 }
 
+/// Whether a track was observed at a time, or half a mean step beside it: a turn takes that long to either side of its label.
+bool present(const PoseTrack& track, double t_s) {
+    if (track.pose.size() < 2) return track.covers(t_s);
+    const double half_step = 0.5 * (track.time_s.back() - track.time_s.front()) / static_cast<double>(track.time_s.size() - 1);
+    return t_s >= track.time_s.front() - half_step && t_s <= track.time_s.back() + half_step;
+}
+
 bool box_holds(const BoxTrack& box, const glm::dvec3& point_m, double t_s, double margin_m) {
     const glm::dvec3 half = 0.5 * box.size_m + glm::dvec3(margin_m);
     const PoseTrack& track = box.world_from_box;
@@ -70,7 +77,7 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
 
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m) {
     return std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& box) {
-        return box.world_from_box.covers(t_s) && box_holds(box, point_m, t_s, margin_m) && box.mean_step_m() > min_step_m;
+        return present(box.world_from_box, t_s) && box_holds(box, point_m, t_s, margin_m) && box.mean_step_m() > min_step_m;
     });
 }
 

@@ -65,9 +65,9 @@ TEST(ReferenceRender, OneSurfelHeadOn) {
 }
 
 TEST(ReferenceRender, MedianIsWhereTransmittanceCrossesHalf) {
-    const Pixel p = Case{world_of({facing_surfel(6, 0.4, glm::dvec3(1)), facing_surfel(4, 0.4, glm::dvec3(1)), facing_surfel(8, 0.4, glm::dvec3(1))})}.image();
-    EXPECT_NEAR(p.median_depth, 6.0, 1e-12);   // T: 1, 0.6, 0.36, 0.216
-    EXPECT_EQ((Case{world_of({facing_surfel(6, 0.4, glm::dvec3(1))})}.image().median_depth), 0.0);
+    const auto at = [](double x) { return facing_surfel(x, 0.4, glm::dvec3(1)); };
+    EXPECT_NEAR((Case{world_of({at(6), at(4), at(8)})}.image().median_depth), 6.0, 1e-12);   // T: 1, 0.6, 0.36, 0.216
+    EXPECT_EQ((Case{world_of({at(6)})}.image().median_depth), 0.0);
 }
 
 TEST(ReferenceRender, EqualDepthIsOrderedByInstanceThenSurfel) {

@@ -24,20 +24,24 @@ const std::map<std::string, Stages>& layer_table() {
         {"metrics", {"sequence", "sensor", "gpu"}},
         {"refine", {"sequence", "sensor", "gpu"}},
         {"export", {"metrics", "scene", "sequence", "sensor"}},   // metrics: the rows a report shows
-        {"forward", {"accel", "scene", "sequence", "sensor", "gpu"}},
+        {"forward", {"traversal", "accel", "scene", "sequence", "sensor", "gpu"}},
         {"densify", {"optimizer", "scene", "gpu"}},
         {"checkpoint", {"export", "scene", "optimizer", "refine", "gpu"}},   // export: safetensors
-        {"backward", {"forward", "accel", "scene", "gpu"}},
-        {"render", {"forward", "refine", "accel", "scene", "sequence", "sensor", "gpu"}},
+        {"traversal", {"accel", "scene", "gpu"}},   // no face: what forward and backward share on the host, open to both
+        {"backward", {"traversal", "forward", "accel", "scene", "gpu"}},
+        {"config", {"accel", "forward", "loss", "optimizer", "densify", "scene", "sequence", "sensor", "gpu"}},   // options of all of them
+        {"run", {"config", "export", "scene", "sequence", "sensor"}},   // a run's folder; export: safetensors
+        {"render", {"config", "run", "forward", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
         {"train",
-         {"backward", "forward", "densify", "checkpoint", "accel", "optimizer", "loss", "metrics", "refine", "dataset", "scene", "sequence",
-          "sensor", "gpu"}},
+         {"config", "run", "backward", "forward", "densify", "checkpoint", "accel", "optimizer", "loss", "metrics", "refine", "dataset",
+          "scene", "sequence", "sensor", "gpu"}},
     };
     return table;
 }
 
 const std::string kFaces = "include/relidar/";
 const Stages kCoreFaces = {"error", "math", "version"};
+const Stages kOpenFolders = {"core", "gpu", "traversal", "shared"};   // infrastructure: its headers are included directly
 
 /// Layer of a file: a stage; "shared"; "shaders/<folder>"; "tools/<name>"; "tests/<folder>"; or empty for others.
 std::string layer_of(const std::string& path) {
@@ -76,7 +80,7 @@ std::string judge(const std::string& from_path, const std::string& to_path) {
     if (!layer_table().contains(from)) return "'" + from + "' is no stage of the layer table";
     if (from_path.starts_with(kFaces) && !to_face) return "a face includes only other faces";
     if (!stage_may_include(from, to)) return from + " may not include " + to;
-    if (!to_face && to != "core" && to != "gpu" && to != "shared") return "another stage is reached only through <relidar/" + to + ".hpp>";
+    if (!to_face && !kOpenFolders.contains(to)) return "another stage is reached only through <relidar/" + to + ".hpp>";
     return "";
 }
 

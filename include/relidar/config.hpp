@@ -1,0 +1,98 @@
+// SPDX-License-Identifier: Apache-2.0
+// Every choice of a run, one field each, so that each ablation of the paper is one `--set`. Keys are the field names below,
+// joined by a dot: `loss.depth`, `init.voxel_m`.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <relidar/accel.hpp>
+#include <relidar/loss.hpp>
+#include <relidar/optimizer.hpp>
+#include <relidar/scene.hpp>
+
+namespace relidar {
+
+struct DatasetConfig {
+    std::string path;              ///< dataset as given on the command line
+    int frames_begin = 0;
+    int frames_end = -1;           ///< -1: to the last
+    int test_every = 10;
+    std::string poses;             ///< file with 12 numbers a line; empty = the dataset's own
+    double max_range_m = 80.0;
+};
+
+struct SensorConfig {
+    std::string grid = "native";          ///< "native" or "kitti360": the image that is rendered and scored
+    std::string grid_method = "project";  ///< "project": simulate the native scan and bin its points as the real ones were; "cast": rays through cell centres
+    bool rolling_shutter = true;          ///< rays start where the sensor was when they were fired
+};
+
+struct TrainConfig {
+    int iterations = 30000;
+    int rays_per_iteration = 0;      ///< 0 = all rays of one frame (paper)
+    int sh_degree_interval = 1000;   ///< +1 degree this often
+    double mean_rate = 1.6e-4;       ///< times the extent
+    double mean_rate_final = 1.6e-6;
+    double rotation_rate = 1e-3;
+    double scale_rate = 5e-3;
+    double opacity_rate = 0.05;
+    double sh_rate = 2.5e-3;
+    double sh_rest_factor = 0.05;
+    double rate_decay = 1.0;         ///< all rates but the mean's end at this share of their start, exponentially (1 = paper)
+    double extent_m = 0.0;           ///< 0 = from the scene
+    bool only_touched = false;       ///< Adam leaves surfels without a gradient in this batch alone
+    int log_every = 50;
+    std::uint64_t seed = 1;
+};
+
+struct RenderConfig {
+    std::string range = "normalised";   ///< "expected" (D, paper), "normalised" (D / W) or "median"
+};
+
+struct TraceConfig {
+    int chunk = 16;
+    std::string proxy = "automatic";   ///< "automatic", "triangles", "boxes"
+};
+
+struct Config {
+    std::string preset = "default";
+    DatasetConfig dataset;
+    SensorConfig sensor;
+    InitialiseOptions init;
+    ImageModel image;
+    LossWeights loss;
+    TrainConfig train;
+    RenderConfig render;
+    TraceConfig trace;
+};
+
+/// The named preset: "paper", "default" or "quick". @throws UsageError for another name, naming the nearest
+Config make_preset(const std::string& name);
+
+/// A key with its present value as text and what it means.
+struct ConfigKey {
+    std::string key;
+    std::string value;
+    std::string help;
+};
+std::vector<ConfigKey> config_keys(const Config& config);
+
+/// Sets one field from text. @throws UsageError for an unknown key (the nearest known one is named) or a value of the wrong kind or out of range
+void set_key(Config& config, const std::string& key, const std::string& value);
+
+/// Reads a TOML file over `config`: tables are the first part of a key. @throws UsageError as set_key, DataError for a malformed or missing file
+void load_config(Config& config, const std::filesystem::path& path);
+
+/// Every value used, as TOML with its help as comments; load_config reads it back to the same values.
+std::string to_toml(const Config& config);
+
+/// Enum fields.
+AccelOptions accel_options(const Config& config);
+TraceOptions trace_options(const Config& config);
+
+}  // namespace relidar

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+// Any pose, time and sensor to a scan.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <relidar/config.hpp>
+#include <relidar/forward.hpp>
+#include <relidar/gpu.hpp>
+#include <relidar/metrics.hpp>
+#include <relidar/scene.hpp>
+#include <relidar/sequence.hpp>
+
+namespace relidar {
+
+/// A simulated scan: a range image with the ray of each pixel, in the sensor's frame.
+struct RenderedScan {
+    RangeImage image;                   ///< range as config.render.range says; drop_prob from the two logits (M6)
+    std::vector<float> median_range_m;  ///< [n] t where T crosses 0.5 (0 where never), along the ray
+    std::vector<float> weight;          ///< [n] accumulated alpha W
+    std::vector<float> time_offset_s;   ///< [n] firing time of each ray
+    std::vector<std::uint16_t> channel; ///< [n]
+    Pose world_from_sensor;             ///< at the reference time, in the dataset's world
+    double time_s = 0.0;
+    double trace_ms = 0.0;
+};
+
+/// The sensor whose scan is wanted.
+struct SensorChoice {
+    RayTable rays;
+    std::optional<RangeGrid> grid;   ///< bin the simulated points into this grid afterwards
+};
+
+/// What config.sensor says: the log's own sensor, or the grid by projection or by casting.
+SensorChoice configured_sensor(const Config& config, const Sequence& sequence);
+/// A sensor by name, CSV file or grid name. "kitti360" follows config.sensor.grid_method.
+SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence);
+
+/// Renders scans of a trained scene.
+class ScanRenderer {
+public:
+    ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
+    ~ScanRenderer();
+    /// @param sensor_from_mount  offset of the simulated sensor in the log's sensor frame (identity = where the real one was)
+    RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {});
+    const KernelTimes& times() const;
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+/// Bins a simulated scan into a grid as the dataset's points were: the nearest returned point wins a cell; the cell is dropped where
+/// every ray that falls into it is, so its drop probability is the product of theirs. Empty cells are dropped.
+RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid);
+
+/// The real image of a frame on the pixels of the configured sensor, for comparison with a rendering.
+/// The native grid returns the scan as it is; a grid bins its points.
+RangeImage real_image(const Config& config, const Scan& scan);
+
+}  // namespace relidar

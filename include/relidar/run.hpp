@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+// A run folder is self-describing: config.toml, model.safetensors, scene.json (sensor, frames, poses, boxes, split, units,
+// conventions), log.jsonl, report.html. It renders without the dataset.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include <relidar/config.hpp>
+#include <relidar/scene.hpp>
+#include <relidar/sequence.hpp>
+
+namespace relidar {
+
+/// What a run folder holds. The sequence has frames without scans: index, time, nothing else.
+struct Run {
+    std::filesystem::path folder;
+    Config config;
+    Sequence sequence;
+    Split split;
+    Scene scene;
+};
+
+/// Writes config.toml, scene.json and model.safetensors, each atomically. The folder is made where missing.
+/// @throws DataError where the folder cannot be made or written
+void save_run(const Run& run);
+
+/// @throws DataError naming the file that is missing, truncated or inconsistent
+Run load_run(const std::filesystem::path& folder);
+
+/// Saves a scene as safetensors: mean [n,3], rotation [n,4], log_scale [n,2], opacity_logit [n], sh [n,3,16], models and instances in
+/// the metadata. @throws DataError where an array is misshapen or not finite, or the file cannot be written
+void save_model(const std::filesystem::path& path, const Scene& scene);
+/// Reads it back. @throws DataError for missing, misshapen or non-finite arrays, naming array and row
+Scene load_model(const std::filesystem::path& path);
+
+/// Whether a path looks like a run folder (has a scene.json or a model).
+bool is_run(const std::filesystem::path& path);
+
+/// Fails early, before long work: makes the folder and a probe file in it. @throws DataError where that is impossible
+void check_writable(const std::filesystem::path& folder);
+
+}  // namespace relidar

@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: Apache-2.0
+// The one table of settings: key, value, what it accepts, what it means. Keys, `--set`, TOML in and out and `--help` all walk
+// it, so a new setting is a field in <relidar/config.hpp> and a line here. Private to config.
+#pragma once
+
+#include <limits>
+#include <string>
+#include <type_traits>
+#include <vector>
+
+#include <relidar/config.hpp>
+
+namespace relidar::config_detail {
+
+/// What a field accepts.
+struct Accepts {
+    double low = std::numeric_limits<double>::lowest();
+    double high = std::numeric_limits<double>::max();
+    bool above_low = false;              ///< low itself is refused
+    std::vector<std::string> choices;    ///< of a text or enum field; an enum's value is its place in this list
+};
+
+inline Accepts anything() { return {}; }
+inline Accepts at_least(double low) { return {low, std::numeric_limits<double>::max(), false, {}}; }
+inline Accepts above(double low) { return {low, std::numeric_limits<double>::max(), true, {}}; }
+inline Accepts between(double low, double high) { return {low, high, false, {}}; }
+inline Accepts one_of(std::vector<std::string> names) {
+    Accepts accepts;
+    accepts.choices = std::move(names);
+    return accepts;
+}
+
+inline constexpr double kMaxCount = 2147483647.0;
+inline constexpr double kMaxSeed = 9007199254740992.0;   // 2^53: a TOML integer and a double hold it exactly
+
+template <class C, class Visitor>
+void visit_dataset(C& c, Visitor&& f) {
+    f("dataset.path", c.dataset.path, anything(), "dataset: a path, or kind:path; `relidar train` fills it in");
+    f("dataset.frames_begin", c.dataset.frames_begin, between(0, kMaxCount), "first frame, by the dataset's own number");
+    f("dataset.frames_end", c.dataset.frames_end, between(-1, kMaxCount), "frame after the last one; -1: to the end of the log");
+    f("dataset.test_every", c.dataset.test_every, between(0, kMaxCount), "every so many frames one is held out for testing; 0: none");
+    f("dataset.poses", c.dataset.poses, anything(), "file with 12 numbers a line, world_from_sensor of each frame; empty: the dataset's own poses");
+    f("dataset.max_range_m", c.dataset.max_range_m, above(0), "returns beyond this range count as dropped, metres");
+}
+
+template <class C, class Visitor>
+void visit_sensor(C& c, Visitor&& f) {
+    f("sensor.grid", c.sensor.grid, one_of({"native", "kitti360"}), "image that is rendered and scored: the sensor's own, or the KITTI-360 grid (66 x 1030)");
+    f("sensor.grid_method", c.sensor.grid_method, one_of({"project", "cast"}), "grid images: simulate the native scan and bin its points, or cast rays through the cell centres");
+    f("sensor.rolling_shutter", c.sensor.rolling_shutter, anything(), "rays start where the sensor was when they were fired");
+}
+
+template <class C, class Visitor>
+void visit_scene(C& c, Visitor&& f) {
+    f("init.voxel_m", c.init.voxel_m, above(0), "points of all training frames are averaged per voxel of this edge, metres");
+    f("init.voxel_growth", c.init.voxel_growth, at_least(0), "the voxel edge grows by this share of the range to the nearest sensor position; 0: paper");
+    f("init.normals", c.init.normals, anything(), "orient surfels along normals of the nearest neighbours; false: at random");
+    f("init.normal_neighbours", c.init.normal_neighbours, between(3, 1000), "neighbours a normal is fitted to");
+    f("init.opacity", c.init.opacity, Accepts{0.0, 0.99, true, {}}, "opacity of new surfels");
+    f("init.max_scale_m", c.init.max_scale_m, above(0), "largest standard deviation of a new surfel, metres");
+    f("init.scale_factor", c.init.scale_factor, above(0), "standard deviation of a new surfel over the mean distance to its 3 nearest neighbours");
+    f("init.actor_min_step_m", c.init.actor_min_step_m, at_least(0), "boxes that move more than this a frame are actors: their points are left out, metres");
+    f("init.actor_margin_m", c.init.actor_margin_m, at_least(0), "boxes are grown by this when points are left out, metres");
+    f("init.seed", c.init.seed, between(0, kMaxSeed), "seed of the initialisation");
+    f("image.near_m", c.image.near_m, at_least(0), "hits nearer than this are ignored, metres");
+    f("image.alpha_min", c.image.alpha_min, between(1e-6, 0.5), "a surfel that contributes less alpha is skipped");
+    f("image.alpha_max", c.image.alpha_max, between(0.5, 0.9999), "alpha is clamped to this");
+    f("image.transmittance_min", c.image.transmittance_min, between(0, 0.5), "a surfel that would bring the transmittance below this ends the ray");
+    f("image.sh_degree", c.image.sh_degree, between(0, 3), "degree of the spherical harmonics");
+    f("image.sh_direction", c.image.sh_direction, one_of({"ray", "surfel"}), "spherical harmonics are evaluated per hit along the ray, or once a surfel along sensor to mean");
+}
+
+template <class C, class Visitor>
+void visit_training(C& c, Visitor&& f) {
+    f("loss.depth", c.loss.depth, at_least(0), "weight of the range term, L1 on returned rays");
+    f("loss.intensity", c.loss.intensity, at_least(0), "weight of the intensity term, L1 on returned rays");
+    f("loss.drop", c.loss.drop, at_least(0), "weight of the ray-drop term, cross-entropy on all rays");
+    f("loss.opacity", c.loss.opacity, at_least(0), "weight of (1 - W)^2 on returned rays");
+    f("loss.normalised_depth", c.loss.normalised_depth, anything(), "the range term compares D / W; false: D, as the paper does");
+    f("train.iterations", c.train.iterations, between(0, kMaxCount), "optimiser steps; 0: keep the initial scene");
+    f("train.rays_per_iteration", c.train.rays_per_iteration, between(0, kMaxCount), "rays of one step; 0: all rays of one frame");
+    f("train.sh_degree_interval", c.train.sh_degree_interval, between(1, kMaxCount), "the active degree of the spherical harmonics rises by one after so many steps");
+    f("train.mean_rate", c.train.mean_rate, at_least(0), "learning rate of the means at the start, times the extent");
+    f("train.mean_rate_final", c.train.mean_rate_final, at_least(0), "learning rate of the means at the end, times the extent");
+    f("train.rotation_rate", c.train.rotation_rate, at_least(0), "learning rate of the rotations");
+    f("train.scale_rate", c.train.scale_rate, at_least(0), "learning rate of the log scales");
+    f("train.opacity_rate", c.train.opacity_rate, at_least(0), "learning rate of the opacity logits");
+    f("train.sh_rate", c.train.sh_rate, at_least(0), "learning rate of the constant coefficient of each channel");
+    f("train.sh_rest_factor", c.train.sh_rest_factor, at_least(0), "rate of the other coefficients over train.sh_rate");
+    f("train.rate_decay", c.train.rate_decay, Accepts{0.0, 1.0, true, {}}, "every rate but the mean's ends at this share of its start; 1: constant, as in the paper");
+    f("train.extent_m", c.train.extent_m, at_least(0), "extent of the scene, metres; 0: measured");
+    f("train.only_touched", c.train.only_touched, anything(), "surfels without a gradient in a step keep their values and moments");
+    f("train.log_every", c.train.log_every, between(1, kMaxCount), "steps between two lines of the log");
+    f("train.seed", c.train.seed, between(0, kMaxSeed), "seed of the order of frames and rays");
+}
+
+/// Calls f(key, field, accepts, help) for every setting, in the order of the TOML file.
+template <class C, class Visitor>
+void visit(C& c, Visitor&& f) {
+    f("preset", c.preset, one_of({"paper", "default", "quick"}), "where all values start from; setting it replaces every other value");
+    visit_dataset(c, f);
+    visit_sensor(c, f);
+    visit_scene(c, f);
+    visit_training(c, f);
+    f("render.range", c.render.range, one_of({"expected", "normalised", "median"}), "range of a ray: D (paper), D / W, or where the transmittance crosses 0.5");
+    f("trace.chunk", c.trace.chunk, between(1, 64), "hits sorted at a time");
+    f("trace.proxy", c.trace.proxy, one_of({"automatic", "triangles", "boxes"}), "what stands for a surfel in the acceleration structure");
+}
+
+}  // namespace relidar::config_detail

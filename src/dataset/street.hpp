@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+// The synthetic street as shapes, and exact ray casting against them. Street frame: x along the street, y to the left,
+// z up, metres; x = 0 half-way through the log, ground at z = 0.
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include <relidar/dataset.hpp>
+
+namespace relidar::street {
+
+/// What a surface looks like at the LiDAR's wavelength.
+enum class Material { road, pavement, wall, metal, paint, leaves };
+
+/// An upright box, or an upright cylinder with radius half.x and half height half.z.
+struct Shape {
+    enum class Kind { box, cylinder } kind = Kind::box;
+    glm::dvec3 centre{0.0};
+    glm::dvec3 half{0.0};
+    double yaw_rad = 0.0;
+    Material material = Material::wall;
+    double reflectance = 0.5;  ///< 0..1
+};
+
+/// A car that drives straight on at constant speed; its shapes lie about the origin of the box frame.
+struct MovingCar {
+    glm::dvec3 start_m{0.0};  ///< centre of its box at time 0
+    double yaw_rad = 0.0;
+    double speed_mps = 0.0;
+    glm::dvec3 size_m{0.0};  ///< of its box, a little larger than the shapes
+    std::vector<Shape> shapes;
+
+    Pose world_from_box(double t_s) const;
+};
+
+struct Street {
+    std::vector<Shape> shapes;
+    std::vector<MovingCar> cars;
+};
+
+/// Builds the street of some options: the seed places facades, poles, trees and parked cars.
+Street make_street(const SyntheticOptions& options);
+
+/// Pose of the sensor, street frame: a gentle swing across the lane, yaw along it, small pitch. Time 0 is frame 0.
+Pose sensor_pose(const SyntheticOptions& options, double t_s);
+
+/// Reference time of a frame.
+inline double frame_time_s(int frame) {
+    return 0.1 * frame;
+}
+
+struct Hit {
+    double range_m;
+    double cosine;  ///< of the angle between ray and surface normal, 0..1
+    double reflectance;
+};
+
+/// First surface along a ray at a moment, at most max_range_m away.
+std::optional<Hit> cast(const Street& street, const WorldRay& ray, double t_s, double max_range_m);
+
+}  // namespace relidar::street

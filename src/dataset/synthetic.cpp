@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: Apache-2.0
+// The synthetic log: a spinning LiDAR drives through the street, each ray cast at its own time. The echo is
+//   s = reflectance * cosine * min(1, (25 m / range)^2),   intensity = reflectance * (0.3 + 0.7 cosine) * (1 - range / 160 m)
+//   P(drop) = 1 / (1 + (s / s0)^3),  s0 = 0.01,  drawn by a hash of seed, frame and ray, so that a log is always the same.
+#include "dataset/synthetic.hpp"
+
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include "core/parallel.hpp"
+#include "core/random.hpp"
+#include "dataset/street.hpp"
+
+namespace relidar {
+namespace {
+
+using street::Hit;
+
+constexpr double kMaxRange_m = 80.0;
+
+void check(const SyntheticOptions& options) {
+    const auto in_range = [](const char* name, double value, double low, double high) {
+        if (value >= low && value <= high) return;
+        throw UsageError(fmt::format("synthetic street: {} is {}, expected {} ... {}", name, value, low, high));
+    };
+    in_range("n_frames", options.n_frames, 1, 10000);
+    in_range("rows", options.rows, 2, 256);
+    in_range("columns", options.columns, 8, 8192);
+    in_range("range_noise_m", options.range_noise_m, 0.0, 1.0);
+    in_range("speed_mps", options.speed_mps, 0.0, 40.0);
+}
+
+SpinningSensor make_sensor(const SyntheticOptions& options) {
+    SpinningSensor sensor;
+    sensor.name = "synthetic";
+    const double spacing_deg = 28.0 / (options.rows - 1);
+    for (int i = 0; i < options.rows; ++i) {  // a real sensor's beams are not quite even
+        const double elevation_deg = 3.0 - spacing_deg * (i + 0.2 * std::sin(2.1 * i));
+        sensor.beams.push_back({.elevation_rad = elevation_deg * kPi / 180.0});
+    }
+    sensor.columns = options.columns;
+    sensor.first_azimuth_rad = kPi - kPi / options.columns;
+    sensor.max_range_m = kMaxRange_m;
+    return sensor;
+}
+
+double drop_probability(const Hit& hit) {
+    const double echo = hit.reflectance * hit.cosine * std::min(1.0, std::pow(25.0 / hit.range_m, 2));
+    return 1.0 / (1.0 + std::pow(echo / 0.01, 3));
+}
+
+double echo_intensity(const Hit& hit) {
+    return glm::clamp(hit.reflectance * (0.3 + 0.7 * hit.cosine) * (1.0 - hit.range_m / 160.0), 0.0, 1.0);
+}
+
+/// Casts every ray at its own time; `receive(ray, hit)` decides what the sensor makes of a hit.
+template <class Receive>
+void cast_rays(const street::Street& street, const glm::dvec3& offset_m, const PoseTrack& track, double time_s, const RayTable& rays,
+               const Receive& receive) {
+    for (std::size_t ray = 0; ray < rays.size(); ++ray) {
+        WorldRay in_street = world_ray(track, time_s, rays, ray, true);
+        in_street.origin_m += offset_m;
+        const double t_s = time_s + static_cast<double>(rays.time_offset_s[ray]);
+        if (const std::optional<Hit> hit = street::cast(street, in_street, t_s, kMaxRange_m)) receive(ray, *hit);
+    }
+}
+
+Scan empty_scan(const RayTable& rays) {
+    return {rays, std::vector<float>(rays.size(), 0.0f), std::vector<float>(rays.size(), 0.0f)};
+}
+
+/// Position in the street of relidar's origin: the sensor in the middle frame.
+glm::dvec3 origin_of(const SyntheticOptions& options) {
+    return street::sensor_pose(options, street::frame_time_s(options.n_frames / 2)).translation;
+}
+
+Scan measure(const SyntheticOptions& options, const street::Street& street, const Sequence& sequence, const RayTable& rays, int frame) {
+    Scan scan = empty_scan(rays);
+    const std::uint64_t seed = hash64(options.seed, static_cast<std::uint64_t>(frame));
+    const double time_s = street::frame_time_s(frame);
+    cast_rays(street, sequence.world_offset_m, sequence.world_from_sensor, time_s, rays, [&](std::size_t ray, const Hit& hit) {
+        Random random(hash64(seed, ray));
+        if (random.uniform() < drop_probability(hit)) return;
+        const double range = hit.range_m + options.range_noise_m * random.normal();
+        scan.range_m[ray] = static_cast<float>(std::max(range, 0.01));
+        scan.intensity[ray] = static_cast<float>(glm::clamp(echo_intensity(hit) + 0.01 * random.normal(), 0.0, 1.0));
+    });
+    return scan;
+}
+
+void add_boxes(Sequence& sequence, const street::Street& street, const std::vector<int>& frames) {
+    for (std::size_t c = 0; c < street.cars.size(); ++c) {
+        BoxTrack box;
+        box.id = std::to_string(c);
+        box.category = "Car";
+        box.size_m = street.cars[c].size_m;
+        for (const int frame : frames) {
+            Pose pose = street.cars[c].world_from_box(street::frame_time_s(frame));
+            pose.translation -= sequence.world_offset_m;
+            box.world_from_box.time_s.push_back(street::frame_time_s(frame));
+            box.world_from_box.pose.push_back(pose);
+        }
+        sequence.boxes.push_back(std::move(box));
+    }
+}
+
+}  // namespace
+
+Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int end) {
+    check(options);
+    const street::Street street = street::make_street(options);
+    Sequence sequence;
+    sequence.name = fmt::format("synthetic street {}", options.seed);
+    sequence.source = "synthetic";
+    sequence.conventions =
+        "sensor x forward, y left, z up; metres; time = head faces forward, seconds after frame 0; exact poses; "
+        "each ray cast at its own time";
+    sequence.sensor = make_sensor(options);
+    sequence.world_offset_m = origin_of(options);
+    std::vector<int> frames;
+    for (int frame = begin; frame < end; ++frame) {
+        frames.push_back(frame);
+        Pose pose = street::sensor_pose(options, street::frame_time_s(frame));
+        pose.translation -= sequence.world_offset_m;
+        sequence.world_from_sensor.time_s.push_back(street::frame_time_s(frame));
+        sequence.world_from_sensor.pose.push_back(pose);
+        sequence.frames.push_back({.index = frame, .time_s = street::frame_time_s(frame), .scan = {}});
+    }
+    add_boxes(sequence, street, frames);
+    const RayTable rays = make_rays(sequence.sensor);
+    run_parallel(end - begin, [&](int i) {
+        Frame& frame = sequence.frames[static_cast<std::size_t>(i)];
+        frame.scan = measure(options, street, sequence, rays, frame.index);
+    });
+    return sequence;
+}
+
+Sequence make_synthetic_street(const SyntheticOptions& options) {
+    return make_synthetic_frames(options, 0, options.n_frames);
+}
+
+Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s) {
+    check(options);
+    const street::Street street = street::make_street(options);
+    Scan scan = empty_scan(rays);
+    cast_rays(street, origin_of(options), world_from_sensor, time_s, rays, [&](std::size_t ray, const Hit& hit) {
+        if (drop_probability(hit) > 0.5) return;
+        scan.range_m[ray] = static_cast<float>(hit.range_m);
+        scan.intensity[ray] = static_cast<float>(echo_intensity(hit));
+    });
+    return scan;
+}
+
+}  // namespace relidar

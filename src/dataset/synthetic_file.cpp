@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: Apache-2.0
+// street.toml: the options of a synthetic log, one key each; missing keys keep their defaults, unknown ones are refused.
+#include "dataset/synthetic.hpp"
+
+#include <algorithm>
+#include <fstream>
+
+#include <fmt/format.h>
+#include <toml++/toml.h>
+
+#include <relidar/error.hpp>
+#include "core/files.hpp"
+#include "core/nearest_name.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+const std::vector<std::string> kKeys{"seed", "n_frames", "rows", "columns", "range_noise_m", "speed_mps", "moving_cars"};
+
+/// Value of a key where it is there. @throws DataError where it has another type (whole numbers serve as real ones)
+template <class T>
+void read_value(const toml::table& table, const char* key, const char* type, const std::string& file, T& value) {
+    const toml::node* node = table.get(key);
+    if (!node) return;
+    const auto found = node->value<T>();
+    if (!found)
+        throw DataError(fmt::format("{} line {}: {} has the wrong type or size, expected {}", file, node->source().begin.line, key, type));
+    value = *found;
+}
+
+SyntheticOptions read_options(const fs::path& path) {
+    const std::string file = path.string();
+    toml::table table;
+    try {
+        table = toml::parse(read_file(path), file);
+    } catch (const toml::parse_error& error) {
+        throw DataError(fmt::format("{} line {}: malformed TOML: {}", file, error.source().begin.line, error.description()));
+    }
+    for (const auto& [key, value] : table) {
+        const std::string name(key.str());
+        if (std::find(kKeys.begin(), kKeys.end(), name) != kKeys.end()) continue;
+        throw DataError(fmt::format("{} line {}: unknown key '{}', did you mean '{}'?", file, value.source().begin.line, name,
+                                    nearest_name(name, kKeys)));
+    }
+    SyntheticOptions options;
+    std::int64_t seed = static_cast<std::int64_t>(options.seed);
+    read_value(table, "seed", "a whole number", file, seed);
+    options.seed = static_cast<std::uint64_t>(seed);
+    read_value(table, "n_frames", "a whole number", file, options.n_frames);
+    read_value(table, "rows", "a whole number", file, options.rows);
+    read_value(table, "columns", "a whole number", file, options.columns);
+    read_value(table, "range_noise_m", "a number", file, options.range_noise_m);
+    read_value(table, "speed_mps", "a number", file, options.speed_mps);
+    read_value(table, "moving_cars", "true or false", file, options.moving_cars);
+    return options;
+}
+
+}  // namespace
+
+Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
+    const fs::path file = folder / "street.toml";
+    if (!options.poses_file.empty()) {
+        throw UsageError(
+            fmt::format("poses file {}: a synthetic log has exact poses, expected no poses file", options.poses_file.string()));
+    }
+    const SyntheticOptions street = read_options(file);
+    const int end = options.frames.end < 0 ? street.n_frames : std::min(options.frames.end, street.n_frames);
+    if (street.n_frames > 0 && options.frames.begin >= end) {
+        throw UsageError(fmt::format("frames {}:{}: no frame of {} lies in it, expected numbers in [0, {}]", options.frames.begin,
+                                     options.frames.end < 0 ? "" : std::to_string(options.frames.end), folder.string(),
+                                     street.n_frames - 1));
+    }
+    Sequence sequence;
+    try {
+        sequence = make_synthetic_frames(street, options.frames.begin, end);
+    } catch (const UsageError& error) {  // here the value stands in a file, not on a command line
+        throw DataError(fmt::format("{}: {}", file.string(), error.what()));
+    }
+    sequence.source = folder.string();
+    sequence.sensor.max_range_m = std::min(sequence.sensor.max_range_m, options.max_range_m);
+    for (Frame& frame : sequence.frames) {
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
+            if (frame.scan.range_m[i] > options.max_range_m) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;
+        }
+    }
+    return sequence;
+}
+
+void save_synthetic(const SyntheticOptions& options, const fs::path& folder) {
+    std::error_code failed;
+    fs::create_directories(folder, failed);
+    const fs::path file = folder / "street.toml";
+    std::ofstream out(file);
+    out << fmt::format("seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {:#}\nspeed_mps = {:#}\nmoving_cars = {}\n",
+                       static_cast<std::int64_t>(options.seed), options.n_frames, options.rows, options.columns, options.range_noise_m,
+                       options.speed_mps, options.moving_cars);
+    if (!out.flush()) throw DataError(fmt::format("{}: cannot be written", file.string()));
+}
+
+}  // namespace relidar

@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: Apache-2.0
+// Any pose, time and sensor to a scan: rays of the sensor at their own times, traced, turned into range, intensity and ray-drop.
+#include <relidar/render.hpp>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar {
+
+namespace {
+
+constexpr float kMinWeight = 1e-3f;   ///< below this a ray met nothing that has a range
+
+float chosen_range(const Rendering& r, std::size_t i, const std::string& which) {
+    if (which == "expected") return r.depth[i];
+    if (r.weight[i] < kMinWeight) return 0.0f;
+    const float normalised = r.depth[i] / r.weight[i];
+    if (which == "median") return r.median_depth[i] > 0.0f ? r.median_depth[i] : normalised;
+    return normalised;
+}
+
+float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
+
+}  // namespace
+
+struct ScanRenderer::Impl {
+    const Config config;
+    PoseTrack world_from_sensor;
+    glm::dvec3 world_offset_m;
+    bool rolling_shutter;
+    Renderer renderer;
+};
+
+ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
+    : impl_(new Impl{config, sequence.world_from_sensor, sequence.world_offset_m, sequence.rolling_shutter && config.sensor.rolling_shutter,
+                     Renderer(device, scene, config.image, accel_options(config), trace_options(config))}) {}
+ScanRenderer::~ScanRenderer() = default;
+const KernelTimes& ScanRenderer::times() const { return impl_->renderer.times(); }
+
+RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset) {
+    const Impl& s = *impl_;
+    PoseTrack track = s.world_from_sensor;
+    for (Pose& pose : track.pose) pose = pose * sensor_offset;
+    WorldRays rays;
+    for (std::size_t i = 0; i < sensor.rays.size(); ++i) {
+        const WorldRay w = world_ray(track, time_s, sensor.rays, i, s.rolling_shutter);
+        rays.origin.push_back(glm::vec3(w.origin_m));
+        rays.direction.push_back(glm::vec3(w.direction));
+    }
+    const Pose pose = track.at(time_s);
+    const auto start = std::chrono::steady_clock::now();
+    const Rendering r = impl_->renderer.trace(rays, glm::vec3(pose.translation));
+
+    RenderedScan scan;
+    scan.trace_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+    scan.image.rows = sensor.rays.rows;
+    scan.image.columns = sensor.rays.columns;
+    scan.image.origin = sensor.rays.origin;
+    scan.image.direction = sensor.rays.direction;
+    scan.image.intensity = r.intensity;
+    scan.median_range_m = r.median_depth;
+    scan.weight = r.weight;
+    scan.time_offset_s = sensor.rays.time_offset_s;
+    scan.channel = sensor.rays.channel;
+    for (std::size_t i = 0; i < r.size(); ++i) {
+        scan.image.range_m.push_back(chosen_range(r, i, s.config.render.range));
+        scan.image.drop_prob.push_back(drop_probability(r, i));
+    }
+    scan.world_from_sensor = {pose.rotation, pose.translation + s.world_offset_m};
+    scan.time_s = time_s;
+    return sensor.grid ? project_scan(scan, *sensor.grid) : scan;
+}
+
+}  // namespace relidar

@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which sensor to simulate, and the grid convention of published results: real points are binned into a linear image of elevation
+// by azimuth, so a faithful simulation bins the simulated points of the real beams the same way.
+#include <relidar/render.hpp>
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar {
+
+namespace {
+
+constexpr float kMinWeight = 0.05f;   ///< a simulated ray that met less than this has no point to bin
+
+SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequence& sequence) {
+    if (config.sensor.grid_method == "cast") return {make_rays(grid), std::nullopt};
+    if (config.sensor.grid_method == "project") return {make_rays(sequence.sensor), grid};
+    throw UsageError(fmt::format("choosing the sensor: found sensor.grid_method = \"{}\", expected project or cast", config.sensor.grid_method));
+}
+
+void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, std::size_t cell) {
+    const glm::vec3 point = from.image.origin[source] + from.image.range_m[source] * from.image.direction[source];
+    to.image.range_m[cell] = glm::length(point);
+    to.image.intensity[cell] = from.image.intensity[source];
+    to.median_range_m[cell] = from.median_range_m[source] > 0.0f ? glm::length(from.image.origin[source] + from.median_range_m[source] * from.image.direction[source]) : 0.0f;
+    to.weight[cell] = from.weight[source];
+    to.time_offset_s[cell] = from.time_offset_s[source];
+}
+
+}  // namespace
+
+SensorChoice configured_sensor(const Config& config, const Sequence& sequence) {
+    if (config.sensor.grid == "native") return {make_rays(sequence.sensor), std::nullopt};
+    return grid_choice(find_grid(config.sensor.grid), config, sequence);
+}
+
+SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence) {
+    if (name_or_file == "native") return {make_rays(sequence.sensor), std::nullopt};
+    if (name_or_file == kitti360_grid().name) return grid_choice(kitti360_grid(), config, sequence);
+    return {make_rays(find_sensor(name_or_file)), std::nullopt};
+}
+
+RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
+    const RayTable cells = make_rays(grid);
+    const std::size_t n = cells.size();
+    RenderedScan result;
+    result.image.rows = grid.rows;
+    result.image.columns = grid.columns;
+    result.image.origin = cells.origin;
+    result.image.direction = cells.direction;
+    result.image.range_m.assign(n, 0.0f);
+    result.image.intensity.assign(n, 0.0f);
+    result.image.drop_prob.assign(n, 1.0f);
+    result.median_range_m.assign(n, 0.0f);
+    result.weight.assign(n, 0.0f);
+    result.time_offset_s.assign(n, 0.0f);
+    result.channel = cells.channel;
+    result.world_from_sensor = scan.world_from_sensor;
+    result.time_s = scan.time_s;
+    result.trace_ms = scan.trace_ms;
+    std::vector<float> winner_drop(n, 2.0f);   // of the ray that owns a cell so far; 2 = none
+    for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
+        if (!(scan.image.range_m[i] > 0.0f) || scan.weight[i] < kMinWeight) continue;
+        const std::optional<int> cell = project(grid, glm::dvec3(scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]));
+        if (!cell) continue;
+        const std::size_t c = std::size_t(*cell);
+        const float drop = scan.image.drop_prob[i];
+        result.image.drop_prob[c] *= drop;
+        const bool returns = drop < 0.5f, winner_returns = winner_drop[c] < 0.5f;
+        const float range = glm::length(scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]);
+        const bool wins = returns != winner_returns ? returns : returns ? range < result.image.range_m[c] : drop < winner_drop[c];
+        if (!wins && winner_drop[c] < 1.5f) continue;
+        winner_drop[c] = drop;
+        copy_pixel(scan, i, result, c);
+    }
+    return result;
+}
+
+RangeImage real_image(const Config& config, const Scan& scan) {
+    RangeImage image;
+    if (config.sensor.grid == "native") {
+        image = {scan.rays.rows, scan.rays.columns, scan.range_m, scan.intensity, {}, scan.rays.origin, scan.rays.direction};
+    } else {
+        const RangeGrid grid = find_grid(config.sensor.grid);
+        std::vector<glm::vec3> points;
+        std::vector<float> intensity;
+        for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
+            if (!(scan.range_m[i] > 0.0f)) continue;
+            points.push_back(scan.point(i));
+            intensity.push_back(scan.intensity[i]);
+        }
+        const GridImage binned = project_points(grid, points, intensity);
+        const RayTable cells = make_rays(grid);
+        image = {grid.rows, grid.columns, binned.range_m, binned.intensity, {}, cells.origin, cells.direction};
+    }
+    for (const float range : image.range_m) image.drop_prob.push_back(range > 0.0f ? 0.0f : 1.0f);
+    return image;
+}
+
+}  // namespace relidar

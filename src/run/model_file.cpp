@@ -1,0 +1,152 @@
+// SPDX-License-Identifier: Apache-2.0
+// model.safetensors: the parameters of all surfels as five arrays of the whole scene, and which range of them is which model
+// placed by which instance, as JSON in the metadata. Everything is checked on the way in: a run may have been edited.
+#include <relidar/run.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <span>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include "run/json_field.hpp"
+#include <relidar/error.hpp>
+#include <relidar/export.hpp>
+
+namespace relidar {
+namespace {
+
+using run_detail::JsonField;
+
+constexpr const char* kFormat = "relidar model";
+constexpr const char* kVersion = "1";
+constexpr std::int64_t kMaxSurfels = 4294967295;
+
+/// One array: where its values live in Surfels, and its shape after the first dimension.
+struct Group {
+    const char* name;
+    std::vector<std::size_t> row_shape;
+    std::span<float> values;
+
+    std::size_t row_size() const {
+        std::size_t size = 1;
+        for (const std::size_t n : row_shape) size *= n;
+        return size;
+    }
+};
+
+template <class V>
+std::span<float> floats(std::vector<V>& values) {
+    return {reinterpret_cast<float*>(values.data()), values.size() * sizeof(V) / sizeof(float)};
+}
+
+std::array<Group, 5> groups(Surfels& s) {
+    return {Group{"mean", {3}, floats(s.mean)}, Group{"rotation", {4}, floats(s.rotation)}, Group{"log_scale", {2}, floats(s.log_scale)},
+            Group{"opacity_logit", {}, floats(s.opacity_logit)}, Group{"sh", {kShChannels, kShCoefficients}, floats(s.sh)}};
+}
+
+std::string layout_json(const Scene& scene) {
+    nlohmann::ordered_json json = {{"models", nlohmann::ordered_json::array()}, {"instances", nlohmann::ordered_json::array()}};
+    for (const Model& m : scene.models) json["models"].push_back({{"name", m.name}, {"first", m.first}, {"count", m.count}});
+    for (const Instance& i : scene.instances) json["instances"].push_back({{"model", i.model}, {"track", i.track}});
+    return json.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
+}
+
+void check_finite(const Group& group, const std::string& file) {
+    const auto bad = std::find_if(group.values.begin(), group.values.end(), [](float v) { return !std::isfinite(v); });
+    if (bad == group.values.end()) return;
+    const auto row = static_cast<std::size_t>(bad - group.values.begin()) / group.row_size();
+    throw DataError(fmt::format("{}: array {}: row {} holds {}, expected finite numbers", file, group.name, row, *bad));
+}
+
+const NamedArray& find_array(const std::vector<NamedArray>& arrays, const std::string& name, const std::string& file) {
+    const auto it = std::find_if(arrays.begin(), arrays.end(), [&](const NamedArray& a) { return a.name == name; });
+    if (it == arrays.end()) throw DataError(fmt::format("{}: array {}: missing, expected it", file, name));
+    return *it;
+}
+
+void read_group(const Group& group, const NamedArray& array, std::size_t n, const std::string& file) {
+    std::vector<std::size_t> expected{n};
+    expected.insert(expected.end(), group.row_shape.begin(), group.row_shape.end());
+    if (array.shape != expected || array.dtype != "f4") {
+        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [{}]", file, group.name, array.dtype, fmt::join(array.shape, ", "), fmt::join(expected, ", ")));
+    }
+    const std::vector<float> values = array.as_float();
+    std::copy(values.begin(), values.end(), group.values.begin());
+    check_finite(group, file);
+}
+
+void read_layout(const JsonField& layout, Scene& scene) {
+    const auto n = static_cast<std::int64_t>(scene.surfels.size());
+    const JsonField models = layout.at("models"), instances = layout.at("instances");
+    std::int64_t next = 0;
+    for (std::size_t i = 0; i < models.size(); ++i) {
+        const JsonField m = models.at(i);
+        const std::int64_t first = m.at("first").integer(0, kMaxSurfels), count = m.at("count").integer(0, kMaxSurfels);
+        if (first != next) m.at("first").fail(fmt::format("found {}", first), fmt::format("expected {}, where the model before ends", next));
+        next = first + count;
+        scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first), static_cast<std::uint32_t>(count)});
+    }
+    if (next != n) models.fail(fmt::format("found models of {} surfels", next), fmt::format("expected {}", n));
+    if (models.size() == 0 || instances.size() == 0) models.fail("found no model or no instance", "expected at least one each");
+    for (std::size_t i = 0; i < instances.size(); ++i) {
+        const JsonField instance = instances.at(i);
+        const std::int64_t model = instance.at("model").integer(0, static_cast<std::int64_t>(models.size()) - 1);
+        scene.instances.push_back({static_cast<std::uint32_t>(model), instance.at("track").text()});
+    }
+}
+
+void check_metadata(const std::map<std::string, std::string>& metadata, const std::string& file) {
+    const auto value = [&](const char* key) {
+        const auto it = metadata.find(key);
+        return it == metadata.end() ? std::string() : it->second;
+    };
+    if (value("format") != kFormat) throw DataError(fmt::format("{}: metadata format: found \"{}\", expected \"{}\"", file, value("format"), kFormat));
+    if (value("version") != kVersion) throw DataError(fmt::format("{}: metadata version: found \"{}\", this relidar ({}) reads version {}", file, value("version"), RELIDAR_VERSION, kVersion));
+    if (!metadata.contains("layout")) throw DataError(fmt::format("{}: metadata layout: missing, expected it", file));
+}
+
+}  // namespace
+
+void save_model(const std::filesystem::path& path, const Scene& scene) {
+    scene.surfels.check_shapes();
+    Surfels surfels = scene.surfels;
+    const std::size_t n = surfels.size();
+    std::vector<NamedArray> arrays;
+    for (const Group& group : groups(surfels)) {
+        check_finite(group, path.string());
+        std::vector<std::size_t> shape{n};
+        shape.insert(shape.end(), group.row_shape.begin(), group.row_shape.end());
+        arrays.push_back(make_array(group.name, shape, static_cast<const float*>(group.values.data()), group.values.size()));
+    }
+    write_safetensors(path, arrays, {{"format", kFormat}, {"version", kVersion}, {"relidar", RELIDAR_VERSION}, {"layout", layout_json(scene)}});
+}
+
+Scene load_model(const std::filesystem::path& path) {
+    const std::string file = path.string();
+    std::error_code failed;
+    if (!std::filesystem::is_regular_file(path, failed)) throw DataError(fmt::format("{}: no such file", file));
+    std::map<std::string, std::string> metadata;
+    const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
+    check_metadata(metadata, file);
+    const NamedArray& mean = find_array(arrays, "mean", file);
+    if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
+        throw DataError(fmt::format("{}: array mean: found shape [{}], expected [n, 3]", file, fmt::join(mean.shape, ", ")));
+    Surfels none;
+    for (const Group& group : groups(none)) {   // row counts first: nothing is allocated for a file that lies
+        const NamedArray& array = find_array(arrays, group.name, file);
+        if (array.shape.empty() || array.shape[0] != mean.shape[0])
+            throw DataError(fmt::format("{}: array {}: found shape [{}], expected {} rows as in mean", file, group.name, fmt::join(array.shape, ", "), mean.shape[0]));
+    }
+    Scene scene;
+    scene.surfels.resize(mean.shape[0]);
+    for (const Group& group : groups(scene.surfels)) read_group(group, find_array(arrays, group.name, file), mean.shape[0], file);
+    const std::string where = file + ": metadata layout";
+    const nlohmann::json layout = run_detail::parse_json(metadata.at("layout"), where);
+    read_layout(JsonField(layout, where, ""), scene);
+    return scene;
+}
+
+}  // namespace relidar

@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: Apache-2.0
+// A run folder: written file by file, each whole or not at all, scene.json last, so that a folder with one has all of them.
+// Read back with every complaint naming its file.
+#include <relidar/run.hpp>
+
+#include <fmt/format.h>
+
+#include "core/files.hpp"
+#include "run/scene_json.hpp"
+#include <relidar/error.hpp>
+#include <relidar/export.hpp>
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kConfigFile = "config.toml";
+constexpr const char* kModelFile = "model.safetensors";
+constexpr const char* kSceneFile = "scene.json";
+
+void make_folder(const fs::path& folder) {
+    std::error_code failed;
+    fs::create_directories(folder, failed);
+    if (!fs::is_directory(folder)) throw DataError(fmt::format("{}: cannot be made a folder: {}", folder.string(), failed ? failed.message() : "something else has that name"));
+}
+
+/// In a run, a wrong setting is damage to a file, not a wrong command line.
+Config read_config(const fs::path& path) {
+    Config config;
+    try {
+        load_config(config, path);
+    } catch (const UsageError& error) {
+        throw DataError(error.what());
+    }
+    return config;
+}
+
+}  // namespace
+
+void save_run(const Run& run) {
+    make_folder(run.folder);
+    const std::string scene_json = run_detail::to_scene_json(run);
+    write_text(run.folder / kConfigFile, to_toml(run.config));
+    save_model(run.folder / kModelFile, run.scene);
+    write_text(run.folder / kSceneFile, scene_json);
+}
+
+Run load_run(const fs::path& folder) {
+    std::error_code failed;
+    if (!fs::is_directory(folder, failed)) throw DataError(fmt::format("{}: no such folder, expected a run of `relidar train`", folder.string()));
+    for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
+        if (!fs::exists(folder / name, failed)) throw DataError(fmt::format("{}: no such file, expected it in a run of `relidar train`", (folder / name).string()));
+    }
+    Run run;
+    run.folder = folder;
+    run.config = read_config(folder / kConfigFile);
+    const fs::path scene_path = folder / kSceneFile;
+    run_detail::SceneFile scene = run_detail::parse_scene_json(read_file(scene_path), scene_path.string());
+    run.sequence = std::move(scene.sequence);
+    run.split = std::move(scene.split);
+    run.scene = load_model(folder / kModelFile);
+    if (run.scene.surfels.size() != scene.n_surfels) {
+        throw DataError(fmt::format("{}: counts.surfels: found {}, but {} holds {}", scene_path.string(), scene.n_surfels, kModelFile, run.scene.surfels.size()));
+    }
+    return run;
+}
+
+bool is_run(const fs::path& path) {
+    std::error_code failed;
+    return fs::is_regular_file(path / kSceneFile, failed) || fs::is_regular_file(path / kModelFile, failed);
+}
+
+void check_writable(const fs::path& folder) {
+    make_folder(folder);
+    const fs::path probe = folder / ".relidar-probe";
+    write_text(probe, "");
+    std::error_code failed;
+    fs::remove(probe, failed);
+}
+
+}  // namespace relidar

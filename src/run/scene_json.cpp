@@ -1,0 +1,191 @@
+// SPDX-License-Identifier: Apache-2.0
+// scene.json, format version 1. Numbers are written in the shortest form that reads back to the same double. A pose is seven
+// numbers, translation x y z then unit quaternion w x y z: p_world = R(q) p + t, in the recentred world.
+#include "run/scene_json.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include "run/json_field.hpp"
+#include <relidar/error.hpp>
+
+namespace relidar::run_detail {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr const char* kFormat = "relidar scene";
+constexpr int kVersion = 1;
+constexpr double kHuge = 1e12;   // of any length or time in a log: beyond it a value is damage
+constexpr std::int64_t kMaxInt = 2147483647;
+constexpr const char* kUnits = "metres, seconds, radians";
+constexpr const char* kConventions =
+    "Sensor frame: x forward, y left, z up. World: the dataset's world minus world_offset_m. A pose a_from_b is translation x y z and unit "
+    "quaternion w x y z: p_a = R(q) p_b + t. Box frame: x along the length, y along the width, z up, origin at the centre. Image row 0 is the "
+    "highest beam, column 0 azimuth +180 degrees, falling. frames[].time_s: the head faces forward. beams: one row a beam, highest first.";
+
+Json to_json(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
+Json to_json(const Pose& p) {
+    return {p.translation.x, p.translation.y, p.translation.z, p.rotation.w, p.rotation.x, p.rotation.y, p.rotation.z};
+}
+
+Json to_json(const SpinningSensor& sensor) {
+    Json json = {{"name", sensor.name},
+                 {"columns", sensor.columns},
+                 {"period_s", sensor.period_s},
+                 {"clockwise", sensor.clockwise},
+                 {"first_azimuth_rad", sensor.first_azimuth_rad},
+                 {"min_range_m", sensor.min_range_m},
+                 {"max_range_m", sensor.max_range_m},
+                 {"divergence_rad", sensor.divergence_rad},
+                 {"beam_fields", {"elevation_rad", "azimuth_offset_rad", "origin_offset_m", "origin_up_m", "origin_left_m"}},
+                 {"beams", Json::array()}};
+    for (const Beam& b : sensor.beams)
+        json["beams"].push_back({b.elevation_rad, b.azimuth_offset_rad, b.origin_offset_m, b.origin_up_m, b.origin_left_m});
+    return json;
+}
+
+Json to_json(const BoxTrack& box) {
+    Json json = {{"id", box.id}, {"category", box.category}, {"size_m", to_json(box.size_m)}, {"time_s", box.world_from_box.time_s}, {"world_from_box", Json::array()}};
+    for (const Pose& pose : box.world_from_box.pose) json["world_from_box"].push_back(to_json(pose));
+    return json;
+}
+
+Json frames_json(const Sequence& sequence, const Split& split) {
+    Json frames = Json::array();
+    for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
+        const auto in = [&](const std::vector<int>& positions) { return std::find(positions.begin(), positions.end(), static_cast<int>(i)) != positions.end(); };
+        const char* part = in(split.train) ? "train" : in(split.test) ? "test" : "unused";
+        const Frame& frame = sequence.frames[i];
+        frames.push_back({{"index", frame.index}, {"time_s", frame.time_s}, {"split", part}, {"world_from_sensor", to_json(sequence.world_from_sensor.pose[i])}});
+    }
+    return frames;
+}
+
+Pose read_pose(const JsonField& field) {
+    const auto v = field.numbers<7>();
+    const glm::dquat q(v[3], v[4], v[5], v[6]);
+    const double length = glm::length(q);
+    if (std::abs(length - 1.0) > 1e-6) field.fail(fmt::format("found a quaternion of length {}", length), "expected 1");
+    return {q, {v[0], v[1], v[2]}};   // as written: normalising again would move the last digit
+}
+
+glm::dvec3 read_vector(const JsonField& field) {
+    const auto v = field.numbers<3>();
+    return {v[0], v[1], v[2]};
+}
+
+SpinningSensor read_sensor(const JsonField& field) {
+    SpinningSensor sensor;
+    sensor.name = field.at("name").text();
+    sensor.columns = static_cast<int>(field.at("columns").integer(1, 1000000));
+    sensor.period_s = field.at("period_s").number(0.0, 3600.0);
+    sensor.clockwise = field.at("clockwise").boolean();
+    sensor.first_azimuth_rad = field.at("first_azimuth_rad").number();
+    sensor.min_range_m = field.at("min_range_m").number(0.0, kHuge);
+    sensor.max_range_m = field.at("max_range_m").number(0.0, kHuge);
+    sensor.divergence_rad = field.at("divergence_rad").number(0.0, 10.0);
+    const JsonField beams = field.at("beams");
+    for (std::size_t i = 0; i < beams.size(); ++i) {
+        const auto v = beams.at(i).numbers<5>();
+        sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4]});
+    }
+    if (sensor.beams.empty()) beams.fail("found no beam", "expected at least one");
+    return sensor;
+}
+
+void read_frames(const JsonField& field, SceneFile& scene) {
+    for (std::size_t i = 0; i < field.size(); ++i) {
+        const JsonField entry = field.at(i);
+        Frame frame;
+        frame.index = static_cast<int>(entry.at("index").integer(0, kMaxInt));
+        frame.time_s = entry.at("time_s").number(-kHuge, kHuge);
+        if (i > 0 && frame.time_s <= scene.sequence.frames.back().time_s) entry.at("time_s").fail(fmt::format("found {}", frame.time_s), "expected times that rise");
+        const std::string part = entry.at("split").text();
+        if (part == "train") scene.split.train.push_back(static_cast<int>(i));
+        else if (part == "test") scene.split.test.push_back(static_cast<int>(i));
+        else if (part != "unused") entry.at("split").fail("found \"" + part + "\"", "expected train, test or unused");
+        scene.sequence.world_from_sensor.time_s.push_back(frame.time_s);
+        scene.sequence.world_from_sensor.pose.push_back(read_pose(entry.at("world_from_sensor")));
+        scene.sequence.frames.push_back(std::move(frame));
+    }
+    if (scene.sequence.frames.empty()) field.fail("found no frame", "expected at least one");
+}
+
+BoxTrack read_box(const JsonField& field) {
+    BoxTrack box;
+    box.id = field.at("id").text();
+    box.category = field.at("category").text();
+    box.size_m = read_vector(field.at("size_m"));
+    box.world_from_box.time_s = field.at("time_s").numbers();
+    const JsonField poses = field.at("world_from_box");
+    for (std::size_t i = 0; i < poses.size(); ++i) box.world_from_box.pose.push_back(read_pose(poses.at(i)));
+    const std::size_t n = box.world_from_box.time_s.size();
+    if (poses.size() != n) poses.fail(fmt::format("found {} poses", poses.size()), fmt::format("expected {}, one a time", n));
+    if (!std::is_sorted(box.world_from_box.time_s.begin(), box.world_from_box.time_s.end())) field.at("time_s").fail("found falling times", "expected times that rise");
+    return box;
+}
+
+/// A number per list in the file, against lists cut by hand or by a bad merge.
+void check_counts(const JsonField& root, const SceneFile& scene) {
+    const auto check = [&](const char* name, std::size_t n) {
+        const JsonField count = root.at("counts").at(name);
+        if (count.integer(0, kMaxInt) != static_cast<std::int64_t>(n)) count.fail(fmt::format("found {}", count.integer(0, kMaxInt)), fmt::format("expected {}, as many as are listed", n));
+    };
+    check("frames", scene.sequence.frames.size());
+    check("boxes", scene.sequence.boxes.size());
+}
+
+}  // namespace
+
+std::string to_scene_json(const Run& run) {
+    const Sequence& s = run.sequence;
+    if (s.world_from_sensor.pose.size() != s.frames.size())
+        throw DataError(fmt::format("writing scene.json: {} sensor poses for {} frames, expected one a frame", s.world_from_sensor.pose.size(), s.frames.size()));
+    Json boxes = Json::array();
+    for (const BoxTrack& box : s.boxes) boxes.push_back(to_json(box));
+    const Json json = {{"format", kFormat},
+                       {"version", kVersion},
+                       {"relidar", RELIDAR_VERSION},
+                       {"units", kUnits},
+                       {"conventions", kConventions},
+                       {"name", s.name},
+                       {"source", s.source},
+                       {"source_conventions", s.conventions},
+                       {"counts", {{"frames", s.frames.size()}, {"boxes", s.boxes.size()}, {"surfels", run.scene.surfels.size()}}},
+                       {"world_offset_m", to_json(s.world_offset_m)},
+                       {"rolling_shutter", s.rolling_shutter},
+                       {"sensor", to_json(s.sensor)},
+                       {"frames", frames_json(s, run.split)},
+                       {"boxes", boxes}};
+    const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
+    parse_scene_json(text, "writing scene.json");   // what could not be read back (a NaN pose) is refused before it is written
+    return text + "\n";
+}
+
+SceneFile parse_scene_json(const std::string& text, const std::string& file) {
+    const nlohmann::json json = parse_json(text, file);
+    const JsonField root(json, file, "");
+    if (const std::string format = root.at("format").text(); format != kFormat) root.at("format").fail("found \"" + format + "\"", fmt::format("expected \"{}\"", kFormat));
+    if (const std::int64_t version = root.at("version").integer(0, kMaxInt); version != kVersion)
+        root.at("version").fail(fmt::format("found {}", version), fmt::format("this relidar ({}) reads version {}", RELIDAR_VERSION, kVersion));
+    SceneFile scene;
+    Sequence& s = scene.sequence;
+    s.name = root.at("name").text();
+    s.source = root.at("source").text();
+    s.conventions = root.at("source_conventions").text();
+    s.world_offset_m = read_vector(root.at("world_offset_m"));
+    s.rolling_shutter = root.at("rolling_shutter").boolean();
+    s.sensor = read_sensor(root.at("sensor"));
+    read_frames(root.at("frames"), scene);
+    const JsonField boxes = root.at("boxes");
+    for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box(boxes.at(i)));
+    check_counts(root, scene);
+    scene.n_surfels = static_cast<std::size_t>(root.at("counts").at("surfels").integer(0, 4294967295));
+    return scene;
+}
+
+}  // namespace relidar::run_detail

@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: Apache-2.0
+// Training rays and targets from scans.
+#include "train/frame_data.hpp"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "core/parallel.hpp"
+
+namespace relidar {
+
+namespace {
+
+/// A moving box where it is now, grown by the margin.
+struct PlacedBox {
+    Pose box_from_world;
+    glm::dvec3 half_size_m;
+};
+
+std::vector<PlacedBox> moving_boxes_at(const Sequence& sequence, double t_s, const InitialiseOptions& moving) {
+    std::vector<PlacedBox> placed;
+    for (const BoxTrack& box : sequence.boxes)
+        if (box.mean_step_m() > moving.actor_min_step_m && box.world_from_box.covers(t_s))
+            placed.push_back({inverse(box.world_from_box.at(t_s)), 0.5 * box.size_m + moving.actor_margin_m});
+    return placed;
+}
+
+/// Interval of a ray inside a box. @return entry > exit where it misses
+glm::dvec2 box_interval(const PlacedBox& box, const WorldRay& ray) {
+    const glm::dvec3 o = box.box_from_world * ray.origin_m, d = box.box_from_world.rotation * ray.direction;
+    glm::dvec2 interval(0.0, 1e30);
+    for (int axis = 0; axis < 3; ++axis) {
+        if (std::abs(d[axis]) < 1e-12) {
+            if (std::abs(o[axis]) > box.half_size_m[axis]) return {1.0, 0.0};
+            continue;
+        }
+        const double a = (-box.half_size_m[axis] - o[axis]) / d[axis], b = (box.half_size_m[axis] - o[axis]) / d[axis];
+        interval = {std::max(interval.x, std::min(a, b)), std::min(interval.y, std::max(a, b))};
+    }
+    return interval;
+}
+
+bool is_unknown(const std::vector<PlacedBox>& boxes, const WorldRay& ray, double range_m) {
+    return std::any_of(boxes.begin(), boxes.end(), [&](const PlacedBox& box) {
+        const glm::dvec2 inside = box_interval(box, ray);
+        return inside.x <= inside.y && (range_m <= 0.0 || (range_m >= inside.x && range_m <= inside.y));
+    });
+}
+
+}  // namespace
+
+void make_targets(const Sequence& sequence, const Frame& frame, const InitialiseOptions& moving, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
+    const Scan& scan = frame.scan;
+    const std::vector<PlacedBox> boxes = moving_boxes_at(sequence, frame.time_s, moving);   // moved less than the margin within a turn
+    for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
+        const WorldRay w = world_ray(sequence.world_from_sensor, frame.time_s, scan.rays, i, sequence.rolling_shutter);
+        const bool unknown = is_unknown(boxes, w, scan.range_m[i]);
+        rays.push_back({glm::vec3(w.origin_m), glm::vec3(w.direction)});
+        targets.push_back({scan.range_m[i], scan.intensity[i], unknown ? 0.0f : 1.0f});
+    }
+}
+
+std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, const std::vector<int>& positions, const InitialiseOptions& moving) {
+    std::vector<std::vector<DeviceRay>> rays(positions.size());
+    std::vector<std::vector<DeviceTarget>> targets(positions.size());
+    run_parallel(static_cast<int>(positions.size()), [&](int i) {
+        const std::size_t k = std::size_t(i);
+        make_targets(sequence, sequence.frames[std::size_t(positions[k])], moving, rays[k], targets[k]);
+    });
+    std::vector<FrameData> frames;
+    for (std::size_t k = 0; k < positions.size(); ++k) {
+        const Frame& frame = sequence.frames[std::size_t(positions[k])];
+        if (rays[k].empty()) throw DataError(fmt::format("preparing frame {} of {}: it has no rays, expected at least one", frame.index, sequence.name));
+        FrameData& data = frames.emplace_back();
+        data.frame_index = frame.index;
+        data.rays = Array<DeviceRay>(device, std::span<const DeviceRay>(rays[k]), "training rays");
+        data.targets = Array<DeviceTarget>(device, std::span<const DeviceTarget>(targets[k]), "training targets");
+        data.n_rays = static_cast<std::uint32_t>(rays[k].size());
+        for (const DeviceTarget& t : targets[k]) {
+            data.n_known += t.weight > 0.0f;
+            data.n_returned += t.weight > 0.0f && t.range_m > 0.0f;
+        }
+        data.sensor_position_m = glm::vec3(sequence.world_from_sensor.at(frame.time_s).translation);
+    }
+    return frames;
+}
+
+}  // namespace relidar

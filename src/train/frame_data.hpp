@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+// The training frames on the device: world rays, each from where the sensor was when it fired, and what each measured.
+#pragma once
+
+#include <vector>
+
+#include <relidar/accel.hpp>
+#include <relidar/config.hpp>
+#include <relidar/gpu.hpp>
+#include <relidar/loss.hpp>
+#include <relidar/sequence.hpp>
+
+namespace relidar {
+
+/// One frame, resident on the device.
+struct FrameData {
+    int frame_index = 0;              ///< the dataset's own number, for messages
+    Array<DeviceRay> rays;            ///< [n]
+    Array<DeviceTarget> targets;      ///< [n]
+    std::uint32_t n_rays = 0;
+    double n_returned = 0.0;          ///< known rays that returned
+    double n_known = 0.0;
+    glm::vec3 sensor_position_m{0.0f};   ///< world, at the reference time
+};
+
+/// Rays and targets of one frame on the host. Rays that meet a moving box about where they returned, or that were dropped and may
+/// have met one, are unknown (weight 0): the background must not learn them.
+void make_targets(const Sequence& sequence, const Frame& frame, const InitialiseOptions& moving, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets);
+
+/// @throws DataError where a frame has no usable ray
+std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, const std::vector<int>& positions, const InitialiseOptions& moving);
+
+}  // namespace relidar

@@ -1,0 +1,176 @@
+// SPDX-License-Identifier: Apache-2.0
+// KITTI raw: what the reader recovers from a virtual drive against the truth it was written from, and from the real drive
+// 2011_09_26_drive_0005_sync where RELIDAR_KITTI_DRIVE names its folder.
+#include <relidar/dataset.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <cstring>
+#include <fstream>
+
+#include <gtest/gtest.h>
+
+#include <relidar/error.hpp>
+#include "dataset/kitti_drive.hpp"
+
+namespace relidar {
+namespace {
+
+using test::KittiDrive;
+
+TEST(KittiRaw, RecoversTheSensorFromItsScans) {
+    const KittiDrive drive("sensor");
+    const Sequence log = load_sequence("kitti_raw:" + drive.folder.string(), {});
+    EXPECT_EQ(log.sensor.columns, KittiDrive::kFirings);
+    EXPECT_NEAR(log.sensor.period_s, 0.1, 1e-9);
+    ASSERT_EQ(log.sensor.beams.size(), 64u);
+    for (std::size_t k = 0; k < 64; ++k) {
+        const Beam &found = log.sensor.beams[k], &truth = drive.beams[k];
+        EXPECT_NEAR(found.elevation_rad, truth.elevation_rad, 1e-4) << k;
+        EXPECT_NEAR(found.origin_up_m / std::cos(found.elevation_rad), truth.origin_up_m / std::cos(truth.elevation_rad), 1e-3) << k;
+        EXPECT_NEAR(found.azimuth_offset_rad, truth.azimuth_offset_rad, 2e-4) << k;
+        EXPECT_NEAR(found.origin_left_m, truth.origin_left_m, 1e-3) << k;
+    }
+}
+
+TEST(KittiRaw, EveryPointAndEveryDropHasItsRay) {
+    const KittiDrive drive("rays");
+    const Sequence log = load_sequence(drive.folder.string(), {});
+    const Scan& scan = log.frames[0].scan;
+    ASSERT_EQ(scan.rays.rows, 64);
+    ASSERT_EQ(scan.rays.columns, KittiDrive::kFirings);
+    EXPECT_EQ(scan.count_returns(), drive.n_points);
+    std::vector<glm::dvec3> model;
+    for (std::size_t i = 0; i < scan.rays.size(); ++i) {
+        if (scan.range_m[i] > 0.0f) continue;
+        model.emplace_back(scan.rays.direction[i]);
+        EXPECT_EQ(scan.intensity[i], 0.0f);
+    }
+    ASSERT_EQ(model.size(), drive.dropped.size());
+    for (const glm::dvec3& truth : drive.dropped) {
+        double nearest = 1.0;
+        for (const glm::dvec3& d : model) nearest = std::min(nearest, glm::length(d - truth));
+        ASSERT_LT(nearest, 3e-4);  // a step is 9e-3
+    }
+    // Times follow the head, columns the azimuth.
+    for (std::size_t i = 0; i < scan.rays.size(); ++i) {
+        const double azimuth = std::atan2(scan.rays.direction[i].y, scan.rays.direction[i].x);
+        const double head = azimuth - log.sensor.beams[scan.rays.channel[i]].azimuth_offset_rad;
+        const double late = std::remainder(scan.rays.time_offset_s[i] + head / (2 * kPi) * 0.1, 0.1);
+        ASSERT_LT(std::abs(late), 2e-4);  // the left offset turns a ray by 26 mm over its range
+        const double column_azimuth = kPi - (static_cast<double>(i % KittiDrive::kFirings) + 0.5) * 2 * kPi / KittiDrive::kFirings;
+        ASSERT_LT(std::abs(std::remainder(azimuth - column_azimuth, 2 * kPi)), 0.03);
+    }
+}
+
+TEST(KittiRaw, WithoutEncoderTicksStepsAreEven) {
+    const KittiDrive even("even", test::Heads::even), jittered("jittered", test::Heads::jittered);
+    Sequence log = load_sequence(even.folder.string(), {});
+    EXPECT_EQ(log.sensor.columns, KittiDrive::kFirings);
+    EXPECT_EQ(log.frames[0].scan.count_returns(), even.n_points);
+    log = load_sequence(jittered.folder.string(), {});
+    EXPECT_NEAR(log.sensor.columns, KittiDrive::kFirings, 15);
+    EXPECT_GT(static_cast<double>(log.frames[0].scan.count_returns()), 0.99 * static_cast<double>(jittered.n_points));
+}
+
+TEST(KittiRaw, LaserWithoutReturnsInOneScan) {
+    const KittiDrive drive("ring");
+    const std::string whole = test::read_text(drive.scan(1));
+    std::size_t end = 16;  // first ring: until the azimuth wraps
+    const auto y = [&](std::size_t at) {
+        float v;
+        std::memcpy(&v, whole.data() + at + 4, 4);
+        return v;
+    };
+    while (!(y(end - 16) < 0.0f && y(end) >= 0.0f)) end += 16;
+    test::write_text(drive.scan(1), whole.substr(end));
+    const Scan scan = load_sequence(drive.folder.string(), {}).frames[1].scan;
+    EXPECT_EQ(scan.count_returns(), (whole.size() - end) / 16);
+    for (int c = 0; c < KittiDrive::kFirings; ++c) EXPECT_EQ(scan.range_m[static_cast<std::size_t>(c)], 0.0f);
+}
+
+TEST(KittiRaw, PosesTimesAndBoxes) {
+    const KittiDrive drive("poses");
+    const Sequence log = load_sequence(drive.folder.string(), {});
+    ASSERT_EQ(log.frames.size(), 3u);
+    EXPECT_NEAR(log.frames[2].time_s, 0.2, 1e-9);  // over midnight and New Year
+    // Mercator: s R dlon with s = cos 60; the sensor keeps its place on the car.
+    const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;
+    const PoseTrack& track = log.world_from_sensor;
+    EXPECT_NEAR(track.pose[1].translation.x, 0.0, 1e-9);
+    EXPECT_NEAR(track.pose[2].translation.x - track.pose[1].translation.x, step, 1e-6);
+    EXPECT_NEAR(track.pose[2].translation.y, 0.0, 1e-6);
+    // The sensor sits at -T = (0.8, -0.3, 0.8) in the car, which is turned a quarter to the left.
+    EXPECT_NEAR(log.world_offset_m.x - step, 0.3, 1e-6);
+    EXPECT_NEAR(log.world_offset_m.y, 0.8, 1e-6);
+    EXPECT_NEAR(log.world_offset_m.z, 0.8, 1e-6);
+    ASSERT_EQ(log.boxes.size(), 1u);
+    const BoxTrack& box = log.boxes[0];
+    EXPECT_EQ(box.category, "Van");
+    EXPECT_EQ(box.size_m, glm::dvec3(4.4, 1.8, 2.0));
+    ASSERT_EQ(box.world_from_box.pose.size(), 2u);
+    EXPECT_DOUBLE_EQ(box.world_from_box.time_s[0], log.frames[1].time_s);
+    const glm::dvec3 centre = box.world_from_box.pose[0].translation;  // sensor (10, 2, -1.5 + h/2) of frame 1
+    EXPECT_NEAR(glm::length(centre - glm::dvec3(-2, 10, -0.5)), 0.0, 1e-6);
+    const glm::dvec3 ahead = box.world_from_box.pose[0].rotation * glm::dvec3(1, 0, 0);
+    EXPECT_NEAR(std::atan2(ahead.y, ahead.x), kPi / 2 + 0.5, 1e-9);
+}
+
+TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
+    const KittiDrive drive("range");
+    std::filesystem::remove(drive.scan(1));
+    std::filesystem::remove(drive.file("tracklet_labels.xml"));
+    const auto poses = drive.file("poses.txt");
+    test::write_text(poses, "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n0 -1 0 5 1 0 0 6 0 0 1 7\n");
+    DatasetOptions options;
+    options.poses_file = poses;
+    Sequence log = load_sequence(drive.folder.string(), options);
+    ASSERT_EQ(log.frames.size(), 2u);
+    EXPECT_EQ(log.frames[1].index, 2);
+    EXPECT_NEAR(log.frames[1].time_s, 0.2, 1e-9);
+    EXPECT_TRUE(log.boxes.empty());
+    EXPECT_EQ(log.world_offset_m, glm::dvec3(5, 6, 7));
+    const glm::dvec3 x = log.world_from_sensor.pose[1].rotation * glm::dvec3(1, 0, 0);
+    EXPECT_NEAR(x.y, 1.0, 1e-12);
+    options.frames = {2, -1};
+    EXPECT_EQ(load_sequence(drive.folder.string(), options).frames.size(), 1u);
+}
+
+TEST(KittiRaw, ReturnsBeyondTheLimitAreDropped) {
+    const KittiDrive drive("limit");
+    DatasetOptions options;
+    options.max_range_m = 10.0;
+    const Scan scan = load_sequence(drive.folder.string(), options).frames[0].scan;
+    EXPECT_LT(scan.count_returns(), drive.n_points * 3 / 4);
+    EXPECT_LT(*std::max_element(scan.range_m.begin(), scan.range_m.end()), 10.3f);
+}
+
+TEST(KittiRaw, RealDrive) {
+    const char* folder = std::getenv("RELIDAR_KITTI_DRIVE");
+    if (!folder) GTEST_SKIP() << "RELIDAR_KITTI_DRIVE names no KITTI raw drive";
+    DatasetOptions options;
+    options.frames = {0, 12};
+    const Sequence log = load_sequence(folder, options);
+    ASSERT_EQ(log.frames.size(), 12u);
+    EXPECT_NEAR(log.sensor.columns, 2152, 10);
+    EXPECT_NEAR(log.sensor.beams[0].elevation_rad * 180 / kPi, 1.94, 0.02);
+    EXPECT_NEAR(log.sensor.beams[63].elevation_rad * 180 / kPi, -25.0, 0.05);
+    const RayTable nominal = make_rays(log.sensor);
+    for (const Frame& frame : log.frames) {
+        const Scan& scan = frame.scan;
+        ASSERT_EQ(scan.rays.size(), nominal.size());
+        double elevation_error = 0.0;
+        for (std::size_t i = 0; i < scan.rays.size(); ++i) {
+            if (scan.range_m[i] > 5.0f)
+                elevation_error = std::max<double>(elevation_error, std::abs(scan.rays.direction[i].z - nominal.direction[i].z));
+        }
+        EXPECT_LT(elevation_error, 5e-4) << "frame " << frame.index;
+        const double returned = static_cast<double>(scan.count_returns()) / static_cast<double>(scan.rays.size());
+        EXPECT_GT(returned, 0.8);
+        EXPECT_LT(returned, 0.95);
+    }
+}
+
+}  // namespace
+}  // namespace relidar

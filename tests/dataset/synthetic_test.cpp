@@ -1,0 +1,160 @@
+// SPDX-License-Identifier: Apache-2.0
+// The synthetic street: casts against closed forms, determinism, moving cars in their boxes, the file and its messages.
+#include <relidar/dataset.hpp>
+
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+SyntheticOptions small() {
+    SyntheticOptions options;
+    options.n_frames = 5;
+    options.rows = 16;
+    options.columns = 256;
+    return options;
+}
+
+RayTable one_ray(const glm::vec3& direction) {
+    RayTable rays;
+    rays.rows = rays.columns = 1;
+    rays.origin = {{0, 0, 0}};
+    rays.direction = {direction};
+    rays.time_offset_s = {0.0f};
+    rays.channel = {0};
+    return rays;
+}
+
+TEST(Synthetic, GroundLiesAtHeightOverSineOfTheElevation) {
+    const SyntheticOptions options = small();
+    const PoseTrack level{{0.2}, {Pose{}}};  // relidar's origin: the sensor in the middle frame, 1.8 m up
+    for (const double elevation : {-0.8, -0.5, -0.4}) {
+        const glm::vec3 d(0.0f, std::cos(elevation), std::sin(elevation));
+        const Scan scan = cast_synthetic_street(options, one_ray(d), level, 0.2);
+        EXPECT_NEAR(scan.range_m[0], 1.8 / std::sin(-elevation), 1e-5);
+        EXPECT_GT(scan.intensity[0], 0.05f);
+    }
+    EXPECT_EQ(cast_synthetic_street(options, one_ray({0, 0, 1}), level, 0.2).range_m[0], 0.0f);
+}
+
+TEST(Synthetic, MovingCarIsMetWhereItsSpeedPutsIt) {
+    // At the middle frame the car ahead has its centre 12 m ahead; it drives 1.05 times as fast as the sensor.
+    const SyntheticOptions options = small();
+    PoseTrack still{{0.2}, {Pose{{1, 0, 0, 0}, {0, 0, -1.2}}}};  // 0.6 m above the ground, in the car's body
+    const double rear = 12.0 - 0.5 * 4.3;
+    const double t = 0.05;
+    EXPECT_NEAR(cast_synthetic_street(options, one_ray({1, 0, 0}), still, 0.2).range_m[0], rear, 1e-5);
+    EXPECT_NEAR(cast_synthetic_street(options, one_ray({1, 0, 0}), still, 0.2 + t).range_m[0], rear + 8.4 * t, 1e-5);
+    RayTable late = one_ray({1, 0, 0});
+    late.time_offset_s[0] = static_cast<float>(t);
+    EXPECT_NEAR(cast_synthetic_street(options, late, still, 0.2).range_m[0], rear + 8.4 * t, 1e-5);
+}
+
+TEST(Synthetic, SameSeedSameLog) {
+    const Sequence a = make_synthetic_street(small()), b = make_synthetic_street(small());
+    SyntheticOptions other = small();
+    other.seed = 2;
+    const Sequence c = make_synthetic_street(other);
+    for (std::size_t f = 0; f < a.frames.size(); ++f) {
+        EXPECT_EQ(a.frames[f].scan.range_m, b.frames[f].scan.range_m);
+        EXPECT_EQ(a.frames[f].scan.intensity, b.frames[f].scan.intensity);
+    }
+    EXPECT_NE(a.frames[0].scan.range_m, c.frames[0].scan.range_m);
+}
+
+TEST(Synthetic, LogAgreesWithTheCastUpToNoiseAndDrops) {
+    SyntheticOptions options = small();
+    options.range_noise_m = 0.0;
+    const Sequence log = make_synthetic_street(options);
+    EXPECT_NEAR(glm::length(log.world_from_sensor.pose[2].translation), 0.0, 1e-12);
+    for (const Frame& frame : log.frames) {
+        const Scan exact = cast_synthetic_street(options, frame.scan.rays, log.world_from_sensor, frame.time_s);
+        std::size_t agree = 0;
+        for (std::size_t i = 0; i < exact.range_m.size(); ++i) {
+            const bool hit = exact.range_m[i] > 0.0f, measured = frame.scan.range_m[i] > 0.0f;
+            agree += hit == measured;
+            if (!hit || !measured) continue;
+            ASSERT_FLOAT_EQ(exact.range_m[i], frame.scan.range_m[i]);
+        }
+        EXPECT_GT(agree, exact.range_m.size() * 9 / 10);
+        EXPECT_LT(exact.count_returns(), exact.range_m.size());
+    }
+}
+
+TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
+    SyntheticOptions with = small(), without = small();
+    with.range_noise_m = without.range_noise_m = 0.0;
+    without.moving_cars = false;
+    const Sequence log = make_synthetic_street(with), empty = make_synthetic_street(without);
+    ASSERT_EQ(log.boxes.size(), 2u);
+    EXPECT_TRUE(empty.boxes.empty());
+    std::size_t on_cars = 0;
+    for (std::size_t f = 0; f < log.frames.size(); ++f) {
+        const Scan &scan = log.frames[f].scan, &bare = empty.frames[f].scan;
+        for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
+            const double t = log.frames[f].time_s + static_cast<double>(scan.rays.time_offset_s[i]);
+            const glm::dvec3 world = log.world_from_sensor.at(t) * glm::dvec3(scan.point(i));
+            const bool changed = scan.range_m[i] > 0.0f && scan.range_m[i] != bare.range_m[i];
+            on_cars += changed;
+            if (scan.range_m[i] == 0.0f) continue;
+            ASSERT_EQ(changed, in_moving_box(log.boxes, world, t, 0.1, 0.0)) << f << " " << i;
+        }
+    }
+    EXPECT_GT(on_cars, 50u);
+}
+
+TEST(Synthetic, SavedAndLoadedAgain) {
+    const fs::path folder = fs::path(testing::TempDir()) / "relidar_street";
+    SyntheticOptions options = small();
+    options.seed = 99;
+    options.speed_mps = 6;
+    save_synthetic(options, folder);
+    EXPECT_EQ(recognise_dataset(folder), "synthetic");
+    const Sequence made = make_synthetic_street(options);
+    DatasetOptions range;
+    range.frames = {1, 3};
+    const Sequence read = load_sequence("synthetic:" + folder.string(), range);
+    ASSERT_EQ(read.frames.size(), 2u);
+    EXPECT_EQ(read.frames[1].index, 2);
+    EXPECT_EQ(read.world_offset_m, made.world_offset_m);
+    const Scan whole = load_sequence(folder.string(), {}).frames[2].scan;
+    EXPECT_EQ(whole.range_m, made.frames[2].scan.range_m);
+    range.frames = {5, 9};
+    EXPECT_THROW(load_sequence(folder.string(), range), UsageError);
+}
+
+TEST(Synthetic, WrongFilesAreNamed) {
+    const fs::path folder = fs::path(testing::TempDir()) / "relidar_wrong_street";
+    fs::create_directories(folder);
+    const auto message = [&](const std::string& text) -> std::string {
+        std::ofstream(folder / "street.toml") << text;
+        try {
+            load_sequence(folder.string(), {});
+        } catch (const DataError& error) {
+            return error.what();
+        }
+        return "no DataError";
+    };
+    using testing::HasSubstr;
+    EXPECT_THAT(message("row = 16\n"), HasSubstr("street.toml line 1: unknown key 'row', did you mean 'rows'?"));
+    EXPECT_THAT(message("rows = 1\n"), HasSubstr("rows is 1, expected 2 ... 256"));
+    EXPECT_THAT(message("range_noise_m = nan\n"), HasSubstr("range_noise_m is nan"));
+    EXPECT_THAT(message("speed_mps = \"fast\"\n"), HasSubstr("line 1: speed_mps has the wrong type"));
+    EXPECT_THAT(message("n_frames = 0\n"), HasSubstr("n_frames is 0"));
+    EXPECT_THAT(message("rows = \n"), HasSubstr("street.toml line 1: malformed TOML"));
+    SyntheticOptions options;
+    options.columns = 0;
+    EXPECT_THROW(make_synthetic_street(options), UsageError);
+}
+
+}  // namespace
+}  // namespace relidar

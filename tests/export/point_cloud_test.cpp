@@ -1,0 +1,124 @@
+// SPDX-License-Identifier: Apache-2.0
+// PLY, PCD and KITTI .bin files, read back by a reader of ten lines: header lines as documented, then packed records.
+#include <relidar/export.hpp>
+
+#include <cstring>
+#include <sstream>
+
+#include "temporary_folder.hpp"
+
+namespace relidar {
+namespace {
+
+using PointCloudFile = TemporaryFolder;
+
+PointCloud some_cloud() {
+    PointCloud cloud;
+    cloud.position_m = {{1.5f, -2.0f, 0.25f}, {10.0f, 20.0f, 30.0f}, {-0.5f, 0.0f, 80.0f}};
+    cloud.intensity = {0.1f, 0.5f, 1.0f};
+    cloud.channel = {0, 63, 65535};
+    cloud.time_offset_s = {-0.05f, 0.0f, 0.05f};
+    return cloud;
+}
+
+/// Header lines up to and including the last one, and what follows.
+struct Parsed {
+    std::vector<std::string> header;
+    std::string body;
+};
+
+Parsed parse(const std::string& file, const std::string& last_line) {
+    Parsed parsed;
+    std::istringstream stream(file);
+    for (std::string line; std::getline(stream, line);) {
+        parsed.header.push_back(line);
+        if (line == last_line) break;
+    }
+    parsed.body = file.substr(std::size_t(stream.tellg()));
+    return parsed;
+}
+
+template <class T>
+T value_at(const std::string& bytes, std::size_t offset) {
+    T value;
+    std::memcpy(&value, bytes.data() + offset, sizeof value);
+    return value;
+}
+
+void expect_records(const std::string& body, const PointCloud& cloud, std::size_t stride) {
+    ASSERT_EQ(body.size(), cloud.position_m.size() * stride);
+    for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
+        for (int axis = 0; axis < 3; ++axis)
+            EXPECT_EQ(value_at<float>(body, i * stride + 4 * std::size_t(axis)), cloud.position_m[i][axis]);
+        EXPECT_EQ(value_at<float>(body, i * stride + 12), cloud.intensity[i]);
+        if (stride != 22) continue;
+        EXPECT_EQ(value_at<std::uint16_t>(body, i * stride + 16), cloud.channel[i]);
+        EXPECT_EQ(value_at<float>(body, i * stride + 18), cloud.time_offset_s[i]);
+    }
+}
+
+TEST_F(PointCloudFile, WritesPly) {
+    write_ply(folder / "a.ply", some_cloud());
+    const Parsed file = parse(contents(folder / "a.ply"), "end_header");
+    const std::vector<std::string> expected{
+        "ply", "format binary_little_endian 1.0", "comment relidar: metres, sensor frame", "element vertex 3",
+        "property float x", "property float y", "property float z", "property float intensity", "property ushort channel",
+        "property float time_offset_s", "end_header"};
+    EXPECT_EQ(file.header, expected);
+    expect_records(file.body, some_cloud(), 22);
+}
+
+TEST_F(PointCloudFile, WritesPcd) {
+    write_pcd(folder / "a.pcd", some_cloud());
+    const Parsed file = parse(contents(folder / "a.pcd"), "DATA binary");
+    const std::vector<std::string> expected{
+        "# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", "FIELDS x y z intensity channel time_offset_s",
+        "SIZE 4 4 4 4 2 4", "TYPE F F F F U F", "COUNT 1 1 1 1 1 1", "WIDTH 3", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", "POINTS 3", "DATA binary"};
+    EXPECT_EQ(file.header, expected);
+    expect_records(file.body, some_cloud(), 22);
+}
+
+TEST_F(PointCloudFile, LeavesOutFieldsThatAreMissing) {
+    PointCloud cloud = some_cloud();
+    cloud.channel.clear();
+    cloud.time_offset_s.clear();
+    write_ply(folder / "a.ply", cloud);
+    write_pcd(folder / "a.pcd", cloud);
+    expect_records(parse(contents(folder / "a.ply"), "end_header").body, cloud, 16);
+    const Parsed pcd = parse(contents(folder / "a.pcd"), "DATA binary");
+    EXPECT_EQ(pcd.header[2], "FIELDS x y z intensity");
+    EXPECT_EQ(pcd.header[3], "SIZE 4 4 4 4");
+    EXPECT_EQ(pcd.header[4], "TYPE F F F F");
+    EXPECT_EQ(pcd.header[5], "COUNT 1 1 1 1");
+    expect_records(pcd.body, cloud, 16);
+}
+
+TEST_F(PointCloudFile, WritesKittiBin) {
+    write_kitti_bin(folder / "a.bin", some_cloud());
+    expect_records(contents(folder / "a.bin"), some_cloud(), 16);
+}
+
+TEST_F(PointCloudFile, WritesEmptyClouds) {
+    write_ply(folder / "a.ply", {});
+    write_pcd(folder / "a.pcd", {});
+    write_kitti_bin(folder / "a.bin", {});
+    EXPECT_EQ(parse(contents(folder / "a.ply"), "end_header").header[3], "element vertex 0");
+    EXPECT_EQ(parse(contents(folder / "a.pcd"), "DATA binary").body, "");
+    EXPECT_EQ(contents(folder / "a.bin"), "");
+}
+
+TEST_F(PointCloudFile, RefusesArraysOfUnequalLength) {
+    for (int which : {0, 1, 2}) {
+        PointCloud cloud = some_cloud();
+        if (which == 0) cloud.intensity.pop_back();
+        if (which == 1) cloud.channel.pop_back();
+        if (which == 2) cloud.time_offset_s.pop_back();
+        data_error([&] { write_ply(folder / "a", cloud); });
+        data_error([&] { write_pcd(folder / "a", cloud); });
+        data_error([&] { write_kitti_bin(folder / "a", cloud); });
+    }
+    EXPECT_TRUE(files().empty());
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sensors by name and from CSV tables, and the messages for names and tables that are wrong.
+#include <relidar/sensor.hpp>
+
+#include <filesystem>
+#include <fstream>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <relidar/error.hpp>
+#include <relidar/math.hpp>
+
+namespace relidar {
+namespace {
+
+using testing::HasSubstr;
+
+std::string write(const std::string& name, const std::string& text) {
+    const auto path = std::filesystem::path(testing::TempDir()) / name;
+    std::ofstream(path) << text;
+    return path.string();
+}
+
+std::string message(const std::string& sensor) {
+    try {
+        find_sensor(sensor);
+    } catch (const Error& error) {
+        return error.what();
+    }
+    return "";
+}
+
+TEST(KnownSensors, EveryNameMakesRaysHighestBeamFirst) {
+    for (const std::string& name : sensor_names()) {
+        const SpinningSensor sensor = find_sensor(name);
+        EXPECT_EQ(make_rays(sensor).size(), sensor.beams.size() * static_cast<std::size_t>(sensor.columns)) << name;
+        for (std::size_t b = 1; b < sensor.beams.size(); ++b) EXPECT_LT(sensor.beams[b].elevation_rad, sensor.beams[b - 1].elevation_rad);
+    }
+    EXPECT_NEAR(find_sensor("VLP-16").beams[15].elevation_rad, -15 * kPi / 180, 1e-12);
+    EXPECT_EQ(make_rays(find_sensor("kitti360")).direction, make_rays(kitti360_grid()).direction);
+}
+
+TEST(KnownSensors, UnknownNameNamesTheNearestAndTheCsvWay) {
+    EXPECT_THAT(message("vlp16"), testing::AllOf(HasSubstr("'VLP-16'"), HasSubstr("CSV")));
+    EXPECT_THROW(find_sensor("vlp16"), UsageError);
+}
+
+TEST(KnownSensors, CsvTableByHeaderName) {
+    const std::string path = write("beams.csv", "channel,azimuth_offset_deg,elevation_deg,origin_up_m\n0,1.5,10,0.2\n1,-1.5,-10,0.1\n");
+    const SpinningSensor sensor = find_sensor(path + ":512x20");
+    ASSERT_EQ(sensor.beams.size(), 2u);
+    EXPECT_EQ(sensor.columns, 512);
+    EXPECT_DOUBLE_EQ(sensor.period_s, 0.05);
+    EXPECT_NEAR(sensor.beams[0].elevation_rad, 10 * kPi / 180, 1e-12);
+    EXPECT_NEAR(sensor.beams[1].azimuth_offset_rad, -1.5 * kPi / 180, 1e-12);
+    EXPECT_DOUBLE_EQ(sensor.beams[1].origin_up_m, 0.1);
+    EXPECT_DOUBLE_EQ(sensor.beams[1].origin_left_m, 0.0);
+    EXPECT_EQ(find_sensor(path).columns, 1800);
+}
+
+TEST(KnownSensors, WrongTablesAreNamed) {
+    EXPECT_THAT(message("/nowhere/beams.csv"), HasSubstr("/nowhere/beams.csv: no such file"));
+    EXPECT_THAT(message(write("a.csv", "channel\n1\n")), HasSubstr("a.csv: no column 'elevation_deg'"));
+    EXPECT_THAT(message(write("b.csv", "elevation_deg\n1\nabc\n")), HasSubstr("b.csv line 3: elevation_deg is 'abc'"));
+    EXPECT_THAT(message(write("c.csv", "elevation_deg\nnan\n")), HasSubstr("'nan'"));
+    EXPECT_THAT(message(write("d.csv", "elevation_deg\n1\n2\n")), HasSubstr("highest beam down"));
+    EXPECT_THAT(message(write("e.csv", "elevation_deg,channel\n1\n")), HasSubstr("1 values, expected 2"));
+    EXPECT_THAT(message(write("f.csv", "elevation_deg\n")), HasSubstr("no beams"));
+    EXPECT_THAT(message(write("f.csv", "elevation_deg\n1\n") + ":0"), HasSubstr("both above 0"));
+}
+
+}  // namespace
+}  // namespace relidar

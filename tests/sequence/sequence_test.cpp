@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+// Poses between observations, rays in the world, moving boxes and the split, against hand-computed numbers.
+#include <relidar/sequence.hpp>
+
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar {
+namespace {
+
+Pose turned(double yaw, const glm::dvec3& t) {
+    return {glm::angleAxis(yaw, glm::dvec3(0, 0, 1)), t};
+}
+
+double yaw_of(const Pose& pose) {
+    const glm::dvec3 x = pose.rotation * glm::dvec3(1, 0, 0);
+    return std::atan2(x.y, x.x);
+}
+
+TEST(PoseTrack, InterpolatesAndContinuesAtTheEnds) {
+    const PoseTrack track{{0.0, 1.0, 3.0}, {turned(0.0, {0, 0, 0}), turned(0.2, {1, 0, 0}), turned(0.2, {1, 4, 0})}};
+    EXPECT_NEAR(track.at(0.5).translation.x, 0.5, 1e-12);
+    EXPECT_NEAR(yaw_of(track.at(0.5)), 0.1, 1e-9);
+    EXPECT_NEAR(track.at(2.0).translation.y, 2.0, 1e-12);
+    EXPECT_NEAR(track.at(-0.5).translation.x, -0.5, 1e-12);
+    EXPECT_NEAR(yaw_of(track.at(-0.5)), -0.1, 1e-9);
+    EXPECT_NEAR(track.at(3.5).translation.y, 5.0, 1e-12);
+    EXPECT_THROW(PoseTrack{}.at(0.0), DataError);
+    const PoseTrack one{{2.0}, {turned(0.3, {1, 2, 3})}};
+    EXPECT_NEAR(one.at(7.0).translation.z, 3.0, 1e-12);
+}
+
+TEST(WorldRay, UsesThePoseAtTheRaysOwnTime) {
+    const PoseTrack track{{0.0, 1.0}, {turned(0.0, {0, 0, 0}), turned(0.0, {10, 0, 0})}};
+    RayTable rays;
+    rays.origin = {{0, 0, 0.2f}};
+    rays.direction = {{0, 1, 0}};
+    rays.time_offset_s = {0.05f};
+    const WorldRay rolling = world_ray(track, 0.5, rays, 0, true), global = world_ray(track, 0.5, rays, 0, false);
+    EXPECT_NEAR(rolling.origin_m.x, 5.5, 1e-6);
+    EXPECT_NEAR(global.origin_m.x, 5.0, 1e-12);
+    EXPECT_NEAR(rolling.origin_m.z, 0.2, 1e-6);
+}
+
+TEST(Scan, PointsAndReturns) {
+    Scan scan;
+    scan.rays.origin = {{0, 0, 1}, {0, 0, 0}};
+    scan.rays.direction = {{1, 0, 0}, {0, 1, 0}};
+    scan.range_m = {3.0f, 0.0f};
+    EXPECT_EQ(scan.count_returns(), 1u);
+    EXPECT_EQ(scan.point(0), glm::vec3(3, 0, 1));
+}
+
+TEST(MovingBox, OnlyMovingBoxesAtTheirTimes) {
+    BoxTrack car;
+    car.size_m = {4, 2, 1.5};
+    car.world_from_box = {{0.0, 0.1, 0.2}, {turned(kPi / 2, {0, 0, 0}), turned(kPi / 2, {0, 1, 0}), turned(kPi / 2, {0, 2, 0})}};
+    EXPECT_NEAR(car.mean_step_m(), 1.0, 1e-12);
+    EXPECT_TRUE(in_moving_box({car}, {0.9, 2.4, 0.0}, 0.05, 0.5, 0.0));  // length lies along y: centre 0.5, half 2
+    EXPECT_FALSE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.5, 0.0));
+    EXPECT_TRUE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.5, 0.2));
+    EXPECT_FALSE(in_moving_box({car}, {0.0, 0.5, 0.0}, 0.05, 1.5, 0.0));  // too slow
+    EXPECT_TRUE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.04, 0.5, 0.0));  // the turn of the first label
+    EXPECT_FALSE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.06, 0.5, 0.0));
+}
+
+TEST(Split, EveryTenthOfFiftyButTheFirst) {
+    Sequence sequence;
+    sequence.frames.resize(50);
+    const Split split = split_frames(sequence, 10);
+    EXPECT_EQ(split.test, (std::vector<int>{10, 20, 30, 40}));
+    EXPECT_EQ(split.train.size(), 46u);
+    EXPECT_EQ(split_frames(sequence, 0).train.size(), 50u);
+    EXPECT_THROW(split_frames(sequence, 1), UsageError);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: Apache-2.0
+// Classification of differences between hit providers (docs/architecture.md sections 7 and 10; boundaries of M1 and M2).
+#include "hit_comparison.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <map>
+#include <utility>
+
+namespace relidar::test {
+namespace {
+
+using Id = std::pair<std::uint32_t, std::uint32_t>;
+
+Id id_of(const reference::Hit& hit) { return {hit.instance, hit.surfel}; }
+
+std::string describe(std::size_t ray_index, const char* what, const reference::Hit& hit) {
+    char text[160];
+    std::snprintf(text, sizeof text, "ray %zu: %s (instance %u, surfel %u) at t = %.9g", ray_index, what, hit.instance, hit.surfel, hit.t);
+    return text;
+}
+
+void add_error(HitDifferences& d, const std::string& message) {
+    if (d.n_errors++ == 0) d.first_error = message;
+}
+
+}  // namespace
+
+bool on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray, const reference::Hit& hit) {
+    const reference::DoubleRecord r = reference::make_record(world.surfels[hit.surfel]);
+    const auto local = reference::to_model(world.instances[hit.instance].world_from_model, ray);
+    const double facing = glm::dot(r.normal, local.direction);
+    const double t = glm::dot(r.normal, r.mean - local.origin) / facing;
+    const glm::dvec3 p = local.origin + t * local.direction - r.mean;
+    const glm::dvec2 uv(glm::dot(r.axis_u, p), glm::dot(r.axis_v, p));
+    const glm::dvec2 slope(glm::dot(r.axis_u, local.direction), glm::dot(r.axis_v, local.direction));
+    const double size_m = glm::length(ray.origin) + glm::length(r.mean) + glm::length(r.mean - local.origin) + std::abs(t);
+    const double t_error = 4e-7 * size_m / std::abs(facing);
+    const double log_alpha = std::log(r.sigma) - 0.5 * glm::dot(uv, uv);
+    const double uv_error = glm::length(slope) * t_error + 4e-7 * size_m * (glm::length(r.axis_u) + glm::length(r.axis_v));
+    const bool at_cut = !(std::abs(log_alpha - std::log(double(model.alpha_min))) > 1e-5 + glm::length(uv) * uv_error);   // NaN: yes
+    const bool at_near = !(std::abs(t - double(model.near_m)) > t_error);
+    return at_cut || at_near;
+}
+
+void compare_hits(const reference::World& world, const ImageModel& model, const reference::Ray& ray, std::size_t ray_index,
+                  const std::vector<reference::Hit>& expected, const std::vector<reference::Hit>& actual, HitDifferences& d) {
+    d.n_rays += 1;
+    d.n_hits += expected.size();
+    const auto same_id = [](const reference::Hit& a, const reference::Hit& b) { return id_of(a) == id_of(b); };
+    if (std::equal(expected.begin(), expected.end(), actual.begin(), actual.end(), same_id)) return;
+    d.n_different_rays += 1;
+    std::map<Id, double> expected_t;
+    std::map<Id, int> seen;
+    for (const reference::Hit& hit : expected) expected_t[id_of(hit)] = hit.t;
+    double last_t = -HUGE_VAL;
+    for (const reference::Hit& hit : actual) {
+        if (++seen[id_of(hit)] > 1) add_error(d, describe(ray_index, "reported twice:", hit));
+        const auto found = expected_t.find(id_of(hit));
+        if (found == expected_t.end()) {
+            if (on_boundary(world, model, ray, hit)) d.n_flips += 1;
+            else add_error(d, describe(ray_index, "not a hit:", hit));
+            continue;
+        }
+        if (found->second < last_t) {
+            if (last_t - found->second <= 1e-5 * (1.0 + std::abs(last_t))) d.n_swaps += 1;
+            else add_error(d, describe(ray_index, "out of order:", hit));
+        }
+        last_t = std::max(last_t, found->second);
+    }
+    for (const reference::Hit& hit : expected) {
+        if (seen.contains(id_of(hit))) continue;
+        if (on_boundary(world, model, ray, hit)) d.n_flips += 1;
+        else add_error(d, describe(ray_index, "missed:", hit));
+    }
+}
+
+std::string HitDifferences::summary(const std::string& title) const {
+    char text[240];
+    std::snprintf(text, sizeof text, "%-14s %7zu rays %9zu hits %6zu different: %5zu flips %4zu swaps %4zu errors", title.c_str(), n_rays, n_hits,
+                  n_different_rays, n_flips, n_swaps, n_errors);
+    return text + (first_error.empty() ? std::string() : "; first: " + first_error);
+}
+
+}  // namespace relidar::test

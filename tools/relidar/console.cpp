@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "console.hpp"
+
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <cstdio>
+
+#include <unistd.h>
+
+#include <fmt/format.h>
+
+namespace relidar::cli {
+namespace {
+
+constexpr std::chrono::seconds kPlainInterval{10};
+constexpr std::chrono::milliseconds kTerminalInterval{100};
+
+bool line_open = false;   // a progress line without its line break is on the terminal
+
+/// Columns a text takes on the terminal: its UTF-8 characters.
+std::size_t width(const std::string& text) {
+    return static_cast<std::size_t>(std::count_if(text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; }));
+}
+
+bool is_number(const std::string& text) {
+    return text.empty() || text == "-" || std::isdigit(static_cast<unsigned char>(text.front())) || (text.size() > 1 && text.front() == '-' && std::isdigit(static_cast<unsigned char>(text[1])));
+}
+
+}  // namespace
+
+std::string table(const std::vector<std::vector<std::string>>& rows) {
+    std::vector<std::size_t> widths;
+    std::vector<bool> right;
+    for (std::size_t r = 0; r < rows.size(); ++r) {
+        widths.resize(std::max(widths.size(), rows[r].size()), 0);
+        right.resize(widths.size(), true);
+        for (std::size_t c = 0; c < rows[r].size(); ++c) {
+            widths[c] = std::max(widths[c], width(rows[r][c]));
+            if (r > 0 && !is_number(rows[r][c])) right[c] = false;
+        }
+    }
+    std::string text;
+    for (const auto& row : rows) {
+        std::string line;
+        for (std::size_t c = 0; c < row.size(); ++c) {
+            const std::string gap(widths[c] - width(row[c]), ' ');
+            line += (c > 0 ? "  " : "") + (right[c] ? gap + row[c] : row[c] + gap);
+        }
+        text += line.substr(0, line.find_last_not_of(' ') + 1) + "\n";
+    }
+    return text;
+}
+
+std::string duration(double seconds) {
+    if (!std::isfinite(seconds) || seconds > 3.6e8) return "unknown";
+    const auto s = static_cast<long long>(std::llround(std::max(seconds, 0.0)));
+    if (s < 3600) return fmt::format("{}:{:02}", s / 60, s % 60);
+    return fmt::format("{}:{:02}:{:02}", s / 3600, s / 60 % 60, s % 60);
+}
+
+std::string byte_size(std::uint64_t n_bytes) {
+    constexpr const char* kUnits[] = {"B", "KiB", "MiB", "GiB", "TiB"};
+    auto value = static_cast<double>(n_bytes);
+    std::size_t unit = 0;
+    while (value >= 1024.0 && unit + 1 < std::size(kUnits)) value /= 1024.0, ++unit;
+    return unit == 0 ? fmt::format("{} B", n_bytes) : fmt::format("{:.1f} {}", value, kUnits[unit]);
+}
+
+std::string number(double value) { return fmt::format("{:.4g}", value); }
+
+std::string one_line(std::string text) {
+    std::replace_if(text.begin(), text.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
+    return text;
+}
+
+std::string shell_word(const std::string& word) {
+    const bool plain = !word.empty() && std::all_of(word.begin(), word.end(), [](unsigned char c) { return std::isalnum(c) || std::string("-_./=:,+%@").find(static_cast<char>(c)) != std::string::npos; });
+    if (plain) return word;
+    std::string quoted = "'";
+    for (const char c : word) quoted += c == '\'' ? "'\\''" : std::string(1, c);
+    return quoted + "'";
+}
+
+void print(const std::string& text) { std::fputs(text.c_str(), stdout); }
+
+void end_progress_line() {
+    if (line_open) std::fputs("\n", stderr);
+    line_open = false;
+}
+
+Progress::Progress(bool quiet) : quiet_(quiet), terminal_(::isatty(STDERR_FILENO) == 1) {}
+
+void Progress::show(const std::string& text, bool now) {
+    const auto time = Clock::now();
+    const bool first = last_ == Clock::time_point{};
+    if (quiet_ || (!now && !first && time - last_ < (terminal_ ? Clock::duration(kTerminalInterval) : Clock::duration(kPlainInterval)))) return;
+    last_ = time;
+    std::fputs(terminal_ ? ("\r" + text + "\x1b[K").c_str() : (text + "\n").c_str(), stderr);
+    std::fflush(stderr);
+    line_open = terminal_;
+}
+
+void Progress::count(const std::string& what, std::size_t done, std::size_t total) {
+    const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
+    const double rate = static_cast<double>(done) / std::max(seconds, 1e-9);
+    show(fmt::format("{} {}/{}  {:.2f}/s  eta {}", what, done, total, rate, duration(static_cast<double>(total - done) / std::max(rate, 1e-9))), done == total);
+}
+
+}  // namespace relidar::cli

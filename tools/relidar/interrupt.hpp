@@ -1,0 +1,13 @@
+// SPDX-License-Identifier: Apache-2.0
+// Ctrl-C ends long work in order: finished files stay, the rest stops at the next safe point. A second Ctrl-C ends at once.
+#pragma once
+
+namespace relidar::cli {
+
+/// From now on SIGINT and SIGTERM are remembered instead of ending the program.
+void catch_interrupts();
+bool interrupted();
+/// @throws Error with exit code 130 where the user has interrupted
+void stop_if_interrupted();
+
+}  // namespace relidar::cli

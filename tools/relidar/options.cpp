@@ -1,0 +1,116 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "options.hpp"
+
+#include <charconv>
+#include <cmath>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar::cli {
+namespace {
+
+namespace fs = std::filesystem;
+
+template <class T>
+bool parse(const std::string& text, T& value) {
+    const char* begin = text.data() + (!text.empty() && text.front() == '+' ? 1 : 0);
+    const char* end = text.data() + text.size();
+    const auto [stop, error] = std::from_chars(begin, end, value);
+    return begin != end && error == std::errc() && stop == end;
+}
+
+}  // namespace
+
+void add_device_options(CLI::App& command, DeviceChoice& choice) {
+    command.add_option("--device", choice.index, "Vulkan device by its number in `relidar devices` (default: first GPU with ray query, else first usable device)")->type_name("N");
+    command.add_option("--traversal", choice.traversal, "how rays find surfels: auto, ray_query or software (default: auto)")
+        ->type_name("HOW")
+        ->check(CLI::IsMember({"auto", "ray_query", "software"}));
+}
+
+DeviceOptions device_options(const DeviceChoice& choice) {
+    DeviceOptions options;
+    if (choice.index < -1) throw UsageError(fmt::format("--device: found {}, expected a number that `relidar devices` lists", choice.index));
+    options.index = choice.index;
+    if (choice.traversal == "ray_query") options.traversal = Traversal::ray_query;
+    if (choice.traversal == "software") options.traversal = Traversal::software;
+    return options;
+}
+
+void add_set_option(CLI::App& command, std::vector<std::string>& sets) {
+    command.add_option("--set", sets, "change one setting, as in loss.depth=0.2; repeatable; `relidar config` lists all keys")->type_name("KEY=VALUE")->type_size(1)->allow_extra_args(false);
+}
+
+void add_settings_options(CLI::App& command, Settings& settings) {
+    command.add_option("--preset", settings.preset, "settings to start from: default, quick (minutes on a CPU) or paper")->type_name("NAME");
+    command.add_option("--config", settings.file, "TOML file with settings, over the preset")->type_name("FILE");
+    add_set_option(command, settings.sets);
+}
+
+Config resolve(const Settings& settings) {
+    Config config = make_preset(settings.preset);
+    if (!settings.file.empty()) load_config(config, settings.file);
+    apply_sets(config, settings.sets);
+    return config;
+}
+
+void apply_sets(Config& config, const std::vector<std::string>& sets) {
+    for (const std::string& set : sets) {
+        const std::size_t equals = set.find('=');
+        if (equals == std::string::npos || equals == 0) throw UsageError(fmt::format("--set: found \"{}\", expected key=value, as in loss.depth=0.2", set));
+        set_key(config, set.substr(0, equals), set.substr(equals + 1));
+    }
+}
+
+FrameRange parse_frames(const std::string& text) {
+    FrameRange range;
+    const std::size_t colon = text.find(':');
+    const std::string begin = text.substr(0, colon), end = colon == std::string::npos ? "" : text.substr(colon + 1);
+    const bool good = colon != std::string::npos && (begin.empty() || parse(begin, range.begin)) && (end.empty() || parse(end, range.end));
+    if (!good || range.begin < 0 || (!end.empty() && range.end < 0)) {
+        throw UsageError(fmt::format("--frames: found \"{}\", expected first:end with end left out of the range, as in 0:50", text));
+    }
+    if (range.end != -1 && range.begin >= range.end) throw UsageError(fmt::format("--frames: found \"{}\", an empty range, expected first < end", text));
+    return range;
+}
+
+std::vector<double> parse_list(const std::string& option, const std::string& text) {
+    std::vector<double> numbers;
+    for (const std::string& word : split(text, ',')) {
+        double value = 0.0;
+        if (!parse(word, value) || !std::isfinite(value)) throw UsageError(fmt::format("{}: found \"{}\" in \"{}\", expected numbers parted by commas", option, word, text));
+        numbers.push_back(value);
+    }
+    return numbers;
+}
+
+std::vector<std::string> split(const std::string& text, char separator) {
+    std::vector<std::string> words{""};
+    for (const char c : text) {
+        if (c == separator) words.emplace_back();
+        else words.back() += c;
+    }
+    return words;
+}
+
+std::string absolute_path(const std::string& path) {
+    if (path.empty()) return path;
+    const std::string clean = fs::absolute(path).lexically_normal().string();
+    return clean.size() > 1 && clean.back() == '/' ? clean.substr(0, clean.size() - 1) : clean;
+}
+
+std::string absolute_dataset(const std::string& dataset) {
+    std::error_code failed;
+    const std::size_t colon = dataset.find(':');
+    const bool has_kind = colon != std::string::npos && dataset.find('/') > colon && !fs::exists(dataset, failed);
+    return has_kind ? dataset.substr(0, colon + 1) + absolute_path(dataset.substr(colon + 1)) : absolute_path(dataset);
+}
+
+Sequence load_dataset(const Config& config) {
+    return load_sequence(config.dataset.path, {{config.dataset.frames_begin, config.dataset.frames_end}, config.dataset.poses, config.dataset.max_range_m});
+}
+
+}  // namespace relidar::cli

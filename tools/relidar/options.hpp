@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+// Options that several commands share, and how they become settings, a device and a loaded log.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <relidar/config.hpp>
+#include <relidar/dataset.hpp>
+#include <relidar/gpu.hpp>
+
+namespace CLI {
+class App;
+}
+
+namespace relidar::cli {
+
+/// --device and --traversal.
+struct DeviceChoice {
+    int index = -1;
+    std::string traversal = "auto";
+};
+void add_device_options(CLI::App& command, DeviceChoice& choice);
+DeviceOptions device_options(const DeviceChoice& choice);
+
+/// --preset, --config and --set, in the order in which they take effect.
+struct Settings {
+    std::string preset = "default";
+    std::string file;
+    std::vector<std::string> sets;   ///< "key=value"
+};
+void add_settings_options(CLI::App& command, Settings& settings);
+/// --set alone: for commands whose settings come with a run.
+void add_set_option(CLI::App& command, std::vector<std::string>& sets);
+Config resolve(const Settings& settings);
+void apply_sets(Config& config, const std::vector<std::string>& sets);
+
+/// "a:b", either side may be empty. @throws UsageError
+FrameRange parse_frames(const std::string& text);
+/// Numbers parted by commas. @throws UsageError naming the option
+std::vector<double> parse_list(const std::string& option, const std::string& text);
+std::vector<std::string> split(const std::string& text, char separator);
+
+/// A dataset as given, made independent of the working folder; a kind in front stays.
+std::string absolute_dataset(const std::string& dataset);
+std::string absolute_path(const std::string& path);   ///< empty stays empty
+/// The log that config.dataset describes.
+Sequence load_dataset(const Config& config);
+
+}  // namespace relidar::cli

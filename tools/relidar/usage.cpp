@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+// The parser leaves words it did not expect in the (sub)command that met them; the first of them is what the user mistyped.
+#include "usage.hpp"
+
+#include <vector>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar::cli {
+namespace {
+
+std::vector<std::string> command_names(const CLI::App& app) {
+    std::vector<std::string> names;
+    for (const CLI::App* command : app.get_subcommands([](const CLI::App*) { return true; })) names.push_back(command->get_name());
+    return names;
+}
+
+std::vector<std::string> option_names(const CLI::App& command) {
+    std::vector<std::string> names;
+    for (const CLI::Option* option : command.get_options()) {
+        for (const std::string& name : option->get_lnames()) names.push_back("--" + name);
+    }
+    return names;
+}
+
+std::string without_value(const std::string& option) { return option.substr(0, option.find('=')); }
+
+}  // namespace
+
+std::string usage_message(const CLI::App& app, const std::string& what) {
+    const std::vector<CLI::App*> chosen = app.get_subcommands();
+    const CLI::App& command = chosen.empty() ? app : *chosen.front();
+    const std::string help = chosen.empty() ? "relidar --help" : fmt::format("relidar {} --help", command.get_name());
+    std::vector<std::string> unexpected = app.remaining(true);
+    if (unexpected.empty()) return fmt::format("{} (see `{}`)", what, help);
+    const std::string word = without_value(unexpected.front());
+    if (word.size() > 1 && word.front() == '-') {
+        return fmt::format("option {}: unknown, did you mean {}? (see `{}`)", word, nearest_name(word, option_names(command)), help);
+    }
+    if (chosen.empty()) return fmt::format("command {}: unknown, did you mean {}? (see `{}`)", word, nearest_name(word, command_names(app)), help);
+    return fmt::format("argument {}: not expected (see `{}`)", word, help);
+}
+
+}  // namespace relidar::cli
