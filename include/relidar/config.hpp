@@ -80,6 +80,7 @@ struct ConfigKey {
     std::string value;
     std::string help;
 };
+/// All settings, in the order of the TOML file.
 std::vector<ConfigKey> config_keys(const Config& config);
 
 /// Sets one field from text. @throws UsageError for an unknown key (the nearest known one is named) or a value of the wrong kind or out of range

@@ -20,6 +20,7 @@ namespace relidar {
 /// @throws DataError where the folder cannot be written or the disk is full; the temporary file is removed. A DataError or
 /// standard exception of `write` comes out as a DataError naming the path, other relidar errors as they are.
 void write_atomically(const std::filesystem::path& path, const std::function<void(const std::filesystem::path&)>& write);
+/// Writes a text through write_atomically.
 void write_text(const std::filesystem::path& path, const std::string& text);
 
 /// An n-dimensional array of an npz or safetensors file, row-major, little-endian.
@@ -34,7 +35,7 @@ struct NamedArray {
     std::vector<float> as_float() const;
 };
 
-/// Array of floats. @throws DataError where values.size() is not the product of shape
+/// Array of float, double or int32 values. @throws DataError where n is not the product of shape
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values, std::size_t n);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values, std::size_t n);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values, std::size_t n);
@@ -78,7 +79,7 @@ Image colour_map(const std::vector<float>& values, int rows, int columns, float 
 /// Stacks images of one width, separated by a thin line, each enlarged vertically by `stretch` (a LiDAR row is taller than
 /// its column is wide). @throws DataError where widths differ
 Image stack(const std::vector<Image>& images, int stretch = 1);
-/// @throws DataError where rgb is not rows*columns*3 bytes, or nothing
+/// PNG file, or its bytes. @throws DataError where rgb is not rows*columns*3 bytes, or nothing
 void write_png(const std::filesystem::path& path, const Image& image);
 std::vector<std::uint8_t> encode_png(const Image& image);
 
@@ -101,7 +102,7 @@ struct Report {
     std::vector<std::pair<std::string, MetricRow>> timings_ms;        ///< table title -> kernel -> ms; shares of "total" or the sum
     std::vector<ReportFigure> figures;
 };
-/// @throws DataError where x and y of a curve differ in length, as for write_atomically
+/// Writes the page. @throws DataError where x and y of a curve differ in length, as for write_atomically
 void write_report(const std::filesystem::path& path, const Report& report);
 
 }  // namespace relidar

@@ -84,7 +84,17 @@ struct CollectedHits {
     std::vector<std::uint32_t> instance;   ///< [n_rays, max_hits]
     std::vector<std::uint32_t> surfel;     ///< [n_rays, max_hits]
 };
-CollectedHits collect_hits(Device& device, const Scene& scene, const std::vector<Pose>& world_from_instance, const WorldRays& rays,
-                           const ImageModel& model, const AccelOptions& accel, const TraceOptions& trace, std::uint32_t max_hits);
+
+/// A scene with its instances placed, and how it is traced.
+struct PlacedScene {
+    const Scene* scene = nullptr;
+    std::vector<Pose> world_from_instance;
+    ImageModel model;
+    AccelOptions accel;
+    TraceOptions trace;
+};
+
+/// @param max_hits  hits kept a ray; all are counted @throws DeviceError where a ray reaches the cap of passes
+CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays, std::uint32_t max_hits);
 
 }  // namespace relidar

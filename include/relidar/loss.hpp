@@ -18,6 +18,16 @@ struct DeviceTarget {
     float weight = 1.0f;      ///< 0 = unknown: takes no part in any loss
 };
 
+/// Targets of a batch of rays: those of ray k are entry first + k * stride.
+struct TargetBatch {
+    const Array<DeviceTarget>* targets = nullptr;
+    std::uint32_t first = 0;
+    std::uint32_t stride = 1;
+    std::uint32_t n_rays = 0;
+    double n_returned = 0.0;   ///< known rays of the batch that returned: what depth and intensity are averaged over
+    double n_known = 0.0;      ///< known rays of the batch: what ray-drop is averaged over
+};
+
 /// Weights of the terms; each is a mean over its pixels.
 struct LossWeights {
     float depth = 0.1f;             ///< L1 on returned rays, metres
@@ -37,12 +47,9 @@ public:
     ~ImageLoss();
     /// Records the loss of a batch.
     /// @param rendered    [n_rays, kRenderedFloats] input
-    /// @param targets     ray k of the batch is entry first + k * stride
-    /// @param n_returned, n_known  pixels the means are taken over
     /// @param upstream    [n_rays, kUpstreamFloats] output
     /// @param terms       [kLossTerms] accumulated, weighted
-    void run(Stream& stream, const Array<float>& rendered, const Array<DeviceTarget>& targets, std::uint32_t first, std::uint32_t stride,
-             std::uint32_t n_rays, double n_returned, double n_known, Array<float>& upstream, const Array<float>& terms);
+    void run(Stream& stream, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const Array<float>& terms);
 
 private:
     struct Impl;

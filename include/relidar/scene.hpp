@@ -78,6 +78,7 @@ struct InitialiseOptions {
     double voxel_growth = 0.0;         ///< voxel edge grows by this share of the range to the nearest sensor position (0 = paper)
     bool normals = true;               ///< surfel normals from the k nearest neighbours; false = random orientation (ablation)
     int normal_neighbours = 6;
+    bool smooth = false;               ///< move each mean onto the plane of its neighbours (not in the paper)
     double opacity = 0.1;
     double max_scale_m = 0.5;          ///< initial standard deviations are clamped to this
     double scale_factor = 1.0;         ///< times the mean distance to the 3 nearest neighbours
@@ -119,6 +120,15 @@ struct SurfelArrays {
     void fill_zero(Stream& stream);
 };
 
+/// What the activation's derivative reads and writes.
+struct ActivationGradients {
+    const Array<float>* d_records = nullptr;       ///< [n,16] input
+    SurfelArrays* d_surfels = nullptr;             ///< output
+    Array<std::uint32_t>* touched = nullptr;       ///< [n] output: 1 where any record gradient is not zero
+    Array<float>* d_view_origin = nullptr;         ///< [3] accumulated
+    bool zero_untouched = true;                    ///< write zeros for surfels without a gradient
+};
+
 /// A scene on a device: parameters, the records that hits read, and the instance table.
 class DeviceScene {
 public:
@@ -131,10 +141,9 @@ public:
     /// Records the activation kernel: records from parameters (M1, M2), channels too with ShDirection::surfel.
     /// @param view_origin_m [3] world. A model placed twice sees it from its first instance.
     void activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m);
-    /// Records the chain rule back from record gradients to parameters. @param d_records [n,16] @param touched [n]
+    /// Records the chain rule back from record gradients to parameters.
     /// SH gradients are written with ShDirection::surfel; with ShDirection::ray the hits have accumulated them already.
-    void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m, const Array<float>& d_records,
-                      SurfelArrays& d_surfels, Array<std::uint32_t>& touched, Array<float>& d_view_origin);
+    void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m, const ActivationGradients& gradients);
 
     const Scene& layout() const;   ///< models and instances; its surfels are empty
     SurfelArrays& parameters();

@@ -9,6 +9,7 @@
 #extension GL_EXT_shader_atomic_float : enable
 #include "../traversal/includes.glsl"
 #include "../common/atomic_add.glsl"
+#include "../common/compensated.glsl"
 RELIDAR_PARAMS(BackwardParams);
 
 vec3 d_ray_origin;      // world
@@ -47,41 +48,88 @@ void add_sh_gradient(TraceScene scene, InstanceEntry m, vec3 direction, uint sur
     d_ray_direction += world_vector(m, sh_basis_vjp(direction, scene.sh_degree, d_basis));
 }
 
-/// One hit. @param behind  sum over the hits behind it of their share g . c w in the loss, background included
-void add_hit(TraceScene scene, Ray ray, RayGradient g, uint i, float transmittance, float w, vec3 channels, float behind, float shade) {
-    InstanceEntry m = scene.instances.at[hit_instance[i]];
-    SurfelRecord record = scene.records.at[hit_surfel[i]];
+/// A hit as it was blended.
+struct BlendedHit {
+    uint instance;
+    uint surfel;
+    float transmittance;   // before it
+    float w;               // alpha times that
+    float intensity;
+    float shade;           // g . c less the shift
+    float behind;          // sum of w shade over the hits behind it, background included
+};
+
+void add_hit(TraceScene scene, Ray ray, RayGradient g, BlendedHit blended) {
+    InstanceEntry m = scene.instances.at[blended.instance];
+    SurfelRecord record = scene.records.at[blended.surfel];
     vec3 origin = model_point(m, ray.origin), direction = model_vector(m, ray.direction);
     SurfelHit hit;
     intersect(record, origin, direction, hit);
     float alpha = min(hit.alpha, scene.alpha_max);
-    float d_alpha = hit.alpha > scene.alpha_max ? 0.0 : transmittance * shade - behind / (1.0 - alpha);   // Eq. 9
-    SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, g.depth * w, d_alpha);
-    vec3 d_channel = w * vec3(g.intensity, g.hit_logit, g.drop_logit);
-    add_record_gradient(hit_surfel[i], d, d_channel);
+    float d_alpha = hit.alpha > scene.alpha_max ? 0.0 : blended.transmittance * blended.shade - blended.behind / (1.0 - alpha);   // Eq. 9
+    SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, g.depth * blended.w, d_alpha);
+    vec3 d_channel = blended.w * vec3(g.intensity, g.hit_logit, g.drop_logit);
+    add_record_gradient(blended.surfel, d, d_channel);
     d_ray_origin += world_vector(m, d.d_origin);
     d_ray_direction += world_vector(m, d.d_direction);
-    if (SH_PER_SURFEL == 0u) add_sh_gradient(scene, m, direction, hit_surfel[i], d_channel, channels.x);
+    if (SH_PER_SURFEL == 0u) add_sh_gradient(scene, m, direction, blended.surfel, d_channel, blended.intensity);
+}
+
+// One chunk as it was blended, so that what lies behind a hit is summed back to front instead of by subtracting two long sums: no
+// digits are lost where 1 / (1 - alpha) is large.
+float chunk_transmittance[CHUNK];
+float chunk_w[CHUNK];
+float chunk_shade[CHUNK];
+float chunk_intensity[CHUNK];
+
+/// g . c of a hit in the buffer: what a unit of its weight is worth to the loss.
+float shade_of(TraceScene scene, Ray ray, RayGradient g, uint i, out float intensity) {
+    vec3 c = hit_channels(scene, ray, hit_instance[i], hit_surfel[i], scene.records.at[hit_surfel[i]]);
+    intensity = c.x;
+    return g.depth * hit_t[i] + g.weight + g.intensity * c.x + g.hit_logit * c.y + g.drop_logit * c.z;
+}
+
+/// Blends the hits in the buffer front to back, n of them, and takes their share of the loss from what remains.
+void blend_chunk(TraceScene scene, Ray ray, RayGradient g, uint n, float shift, inout float transmittance, inout float remaining, inout float lost) {
+    for (uint i = 0u; i < n; ++i) {
+        float alpha = min(hit_alpha[i], scene.alpha_max);
+        chunk_transmittance[i] = transmittance;
+        chunk_w[i] = alpha * transmittance;
+        chunk_shade[i] = shade_of(scene, ray, g, i, chunk_intensity[i]) - shift;
+        add_compensated(remaining, lost, -chunk_w[i] * chunk_shade[i]);
+        transmittance *= 1.0 - alpha;
+    }
 }
 
 void backward(TraceScene scene, Ray ray, RenderedRay final, RayGradient g) {
-    float total = g.depth * final.depth + g.weight * final.weight + g.intensity * final.intensity
-                + g.hit_logit * final.hit_logit + g.drop_logit * final.drop_logit;
-    float transmittance = 1.0, seen = 0.0;
+    precise float remaining = g.depth * final.depth;
+    remaining += g.weight * final.weight + g.intensity * final.intensity + g.hit_logit * final.hit_logit + g.drop_logit * final.drop_logit;
+    // Eq. 9 does not change when the same number is taken from every value and from the background's, for all weights sum to 1.
+    // With the nearest surface's worth as that number, small differences are no longer differences of large numbers.
+    float shift = 0.0;
+    float transmittance = 1.0, lost = 0.0;
     uint blended = 0u;
     Key after = first_key(scene);
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && blended < final.n_hits; ++pass) {
         next_hits(scene, ray, after, remaining_budget(scene, transmittance));
-        for (uint i = 0u; i < n_hits && blended < final.n_hits; ++i, ++blended) {
-            float alpha = min(hit_alpha[i], scene.alpha_max);
-            float w = alpha * transmittance;
-            vec3 c = hit_channels(scene, ray, hit_instance[i], hit_surfel[i], scene.records.at[hit_surfel[i]]);
-            float shade = g.depth * hit_t[i] + g.weight + g.intensity * c.x + g.hit_logit * c.y + g.drop_logit * c.z;
-            seen += w * shade;
-            add_hit(scene, ray, g, i, transmittance, w, c, total - seen, shade);
-            transmittance *= 1.0 - alpha;
+        uint n = min(n_hits, final.n_hits - blended);
+        if (pass == 0u) {
+            float unused;
+            shift = shade_of(scene, ray, g, 0u, unused);
+            add_compensated(remaining, lost, -shift * final.weight);
+            add_compensated(remaining, lost, -shift * final.transmittance);
         }
-        if (!hits_closed) return;
+        blended += n;
+        blend_chunk(scene, ray, g, n, shift, transmittance, remaining, lost);
+        bool ends = blended == final.n_hits || !hits_closed;
+        float behind = ends ? transmittance * (g.drop_logit - shift) : remaining;   // background: drop logit 1
+        for (uint k = n; k > 0u; --k) {
+            uint i = k - 1u;
+            use_basis(scene, ray, hit_instance[i]);
+            add_hit(scene, ray, g, BlendedHit(hit_instance[i], hit_surfel[i], chunk_transmittance[i], chunk_w[i], chunk_intensity[i], chunk_shade[i], behind));
+            behind += chunk_w[i] * chunk_shade[i];
+        }
+        if (ends) return;
         after = hit_key(n_hits - 1u);
     }
 }

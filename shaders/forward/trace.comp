@@ -4,10 +4,12 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../traversal/includes.glsl"
+#include "../common/compensated.glsl"
 RELIDAR_PARAMS(ForwardParams);
 
 RenderedRay render(TraceScene scene, Ray ray) {
     RenderedRay r = RenderedRay(0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0u);
+    float lost[5] = float[](0.0, 0.0, 0.0, 0.0, 0.0);
     ray_basis_instance = kNoInstance;
     Key after = first_key(scene);
     bool ended = false;
@@ -20,11 +22,11 @@ RenderedRay render(TraceScene scene, Ray ray) {
             if (next < scene.transmittance_min) { ended = true; break; }
             float w = alpha * r.transmittance;
             vec3 c = hit_channels(scene, ray, hit_instance[i], hit_surfel[i], scene.records.at[hit_surfel[i]]);
-            r.depth += w * hit_t[i];
-            r.weight += w;
-            r.intensity += w * c.x;
-            r.hit_logit += w * c.y;
-            r.drop_logit += w * c.z;
+            add_compensated(r.depth, lost[0], w * hit_t[i]);
+            add_compensated(r.weight, lost[1], w);
+            add_compensated(r.intensity, lost[2], w * c.x);
+            add_compensated(r.hit_logit, lost[3], w * c.y);
+            add_compensated(r.drop_logit, lost[4], w * c.z);
             if (r.transmittance > 0.5 && next <= 0.5) r.median_depth = hit_t[i];
             r.transmittance = next;
             ++r.n_hits;
@@ -33,7 +35,7 @@ RenderedRay render(TraceScene scene, Ray ray) {
         else after = hit_key(n_hits - 1u);
     }
     if (!ended) atomicAdd(scene.pass_cap_count.at[0], 1u);
-    r.drop_logit += r.transmittance;   // background: intensity 0, hit 0, drop 1
+    add_compensated(r.drop_logit, lost[4], r.transmittance);   // background: intensity 0, hit 0, drop 1
     return r;
 }
 

@@ -16,6 +16,14 @@ float channel(uint surfel, uint c, float basis[16], uint n) {
     return value;
 }
 
+/// Whether every active SH coefficient is finite. The channels themselves do not tell: max(NaN, 0) is 0.
+bool finite_sh(uint surfel, uint n) {
+    float sum = 0.0;
+    for (uint c = 0u; c < 3u; ++c)
+        for (uint k = 0u; k < n; ++k) sum += abs(params.surfels.sh.at[surfel * RELIDAR_SH_FLOATS + c * 16u + k]);
+    return !isnan(sum) && !isinf(sum);
+}
+
 bool finite3(vec3 v) { return !any(isnan(v)) && !any(isinf(v)); }
 
 void main() {
@@ -25,7 +33,9 @@ void main() {
     Floats mean = params.surfels.mean, rotation = params.surfels.rotation, log_scale = params.surfels.log_scale;
     SurfelRecord s;
     s.mean = vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]);
-    mat3 r = rotation_matrix(vec4(rotation.at[4 * surfel], rotation.at[4 * surfel + 1], rotation.at[4 * surfel + 2], rotation.at[4 * surfel + 3]));
+    vec4 q = vec4(rotation.at[4 * surfel], rotation.at[4 * surfel + 1], rotation.at[4 * surfel + 2], rotation.at[4 * surfel + 3]);
+    float q_length2 = dot(q, q);   // under- and overflow would leave some other rotation
+    mat3 r = rotation_matrix(q);
     s.axis_u = r[0] * exp(-log_scale.at[2 * surfel]);
     s.axis_v = r[1] * exp(-log_scale.at[2 * surfel + 1]);
     s.normal = r[2];
@@ -33,17 +43,16 @@ void main() {
     s.intensity = 0.0;
     s.hit_logit = 0.0;
     s.drop_logit = 0.0;
+    uint n = sh_count(params.sh_degree);
     if (params.sh_per_surfel != 0u) {
         float basis[16];
         sh_basis(normalize(s.mean - params.view_origin), params.sh_degree, basis);
-        uint n = sh_count(params.sh_degree);
         s.intensity = max(channel(surfel, 0u, basis, n), 0.0);
         s.hit_logit = channel(surfel, 1u, basis, n);
         s.drop_logit = channel(surfel, 2u, basis, n);
     }
-    vec3 channels = vec3(s.intensity, s.hit_logit, s.drop_logit);
     vec2 inverse_scale = vec2(length(s.axis_u), length(s.axis_v));   // scales outside 1e-6 m .. 1e6 m are no surfels
-    bool finite = all(greaterThan(inverse_scale, vec2(1e-6))) && all(lessThan(inverse_scale, vec2(1e6))) && finite3(s.mean) && finite3(s.axis_u) && finite3(s.axis_v) && finite3(s.normal) && finite3(channels);
+    bool finite = q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(inverse_scale, vec2(1e-6))) && all(lessThan(inverse_scale, vec2(1e6))) && finite3(s.mean) && finite3(s.axis_u) && finite3(s.axis_v) && finite3(s.normal) && finite_sh(surfel, n);
     if (!finite || !(s.opacity > params.alpha_min)) {
         bool placed = finite3(s.mean);
         s = SurfelRecord(placed ? s.mean : vec3(0.0), 0.0, vec3(1.0, 0.0, 0.0), 0.0, vec3(0.0, 1.0, 0.0), 0.0, vec3(0.0, 0.0, 1.0), 0.0);

@@ -50,7 +50,10 @@ void main() {
     bool any_gradient = false;
     for (uint k = 0u; k < 16u; ++k) any_gradient = any_gradient || params.d_records.at[row + k] != 0.0;
     params.touched.at[surfel] = any_gradient ? 1u : 0u;
-    if (!any_gradient) { store_zero(surfel); return; }
+    if (!any_gradient) {
+        if (params.zero_untouched != 0u) store_zero(surfel);
+        return;
+    }
 
     vec3 d_mean = load3(params.d_records, row);
     float d_opacity = params.d_records.at[row + 3];

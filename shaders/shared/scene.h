@@ -66,6 +66,7 @@ struct ActivateVjpParams {
     uint n_surfels;
     uint sh_degree;
     uint sh_per_surfel;
+    uint zero_untouched;        // 1: write zeros where touched is 0
 };
 
 RELIDAR_SHARED_END

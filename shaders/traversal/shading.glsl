@@ -9,8 +9,9 @@ const uint kNoInstance = 0xffffffffu;
 float ray_basis[16];              // SH basis of the current ray in the frame of ray_basis_instance
 uint ray_basis_instance;
 
+/// Makes ray_basis that of an instance's frame, where SH are evaluated a hit.
 void use_basis(TraceScene scene, Ray ray, uint instance) {
-    if (ray_basis_instance == instance) return;
+    if (SH_PER_SURFEL != 0u || ray_basis_instance == instance) return;
     sh_basis(model_vector(scene.instances.at[instance], ray.direction), scene.sh_degree, ray_basis);
     ray_basis_instance = instance;
 }

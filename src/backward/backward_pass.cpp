@@ -36,16 +36,15 @@ BackwardPass::BackwardPass(Device& device, const ImageModel& model, Proxy proxy,
 BackwardPass::~BackwardPass() = default;
 void BackwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 
-void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, const RayBatch& batch, const Array<float>& rendered,
-                       const Array<float>& upstream, const glm::vec3& view_origin_m, Gradients& gradients) {
+void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch, const glm::vec3& view_origin_m, Gradients& gradients) {
     const ImageModel& model = impl_->model;
     stream.fill(gradients.records);
     stream.fill(gradients.view_origin);
     if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);
-    relidar::run(stream, impl_->trace, batch.n_rays,
-                 {trace_scene(scene, accel, batch, model, impl_->pass_cap.address()), rendered.address(), upstream.address(), gradients.records.address(),
+    relidar::run(stream, impl_->trace, batch.rays.n_rays,
+                 {trace_scene(scene, accel, batch.rays, model, impl_->pass_cap.address()), batch.rendered->address(), batch.upstream->address(), gradients.records.address(),
                   gradients.surfels.sh.address(), gradients.rays.size() ? gradients.rays.address() : 0});
-    scene.activate_vjp(stream, model, view_origin_m, gradients.records, gradients.surfels, gradients.touched, gradients.view_origin);
+    scene.activate_vjp(stream, model, view_origin_m, {&gradients.records, &gradients.surfels, &gradients.touched, &gradients.view_origin, gradients.zero_untouched});
 }
 
 }  // namespace relidar

@@ -61,23 +61,22 @@ Rendering Renderer::trace(const WorldRays& rays, const glm::vec3& view_origin_m)
     return to_rendering(r.rendered.download(), rays.size());
 }
 
-CollectedHits collect_hits(Device& device, const Scene& scene, const std::vector<Pose>& world_from_instance, const WorldRays& rays,
-                           const ImageModel& model, const AccelOptions& accel_options, const TraceOptions& trace, std::uint32_t max_hits) {
+CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays, std::uint32_t max_hits) {
     Stream stream(device);
-    DeviceScene on_device(device, scene);
-    on_device.set_poses(world_from_instance);
-    Accel accel(device, on_device, accel_options);
-    const Kernel<shared::CollectHitsParams> kernel(device, "forward/collect_hits" + traversal_variant(trace),
-                                                   {{1u, static_cast<std::uint32_t>(trace.chunk)}, {2u, accel.proxy() == Proxy::boxes ? 1u : 0u}});
+    DeviceScene on_device(device, *placed.scene);
+    on_device.set_poses(placed.world_from_instance);
+    Accel accel(device, on_device, placed.accel);
+    const Kernel<shared::CollectHitsParams> kernel(device, "forward/collect_hits" + traversal_variant(placed.trace),
+                                                   {{1u, static_cast<std::uint32_t>(placed.trace.chunk)}, {2u, accel.proxy() == Proxy::boxes ? 1u : 0u}});
     const std::size_t n = rays.size();
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(interleave(rays)), "rays");
     const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
     const Array<std::uint32_t> counts(device, n, "hit counts"), instance(device, n * max_hits, "hit instances"), surfel(device, n * max_hits, "hit surfels");
     const Array<float> t(device, n * max_hits, "hit distances");
-    on_device.activate(stream, model, glm::vec3(0.0f));
+    on_device.activate(stream, placed.model, glm::vec3(0.0f));
     accel.update(stream, on_device);
     run(stream, kernel, n,
-        {trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)}, model, pass_cap.address()), counts.address(), t.address(), instance.address(), surfel.address(), max_hits});
+        {trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)}, placed.model, pass_cap.address()), counts.address(), t.address(), instance.address(), surfel.address(), max_hits});
     stream.finish();
     if (const std::uint32_t capped = pass_cap.download()[0])
         throw DeviceError(fmt::format("collecting hits of {} rays: {} reached the cap of {} passes, expected every ray to end", n, capped, RELIDAR_MAX_PASSES));

@@ -41,6 +41,11 @@ void copy_now(Device::Impl& device, VkBuffer from, VkBuffer to, const VkBufferCo
     gpu::check(result, "copying a buffer");
 }
 
+DeviceError out_of_memory(const Device::Impl& device, std::size_t size, const std::string& what, VkResult result) {
+    return DeviceError(fmt::format("allocating {:.1f} MiB for {}: the driver answered {} with {:.1f} MiB in use, expected room on {}", double(size) / 1048576.0, what,
+                                   gpu::result_name(result), double(device.allocated) / 1048576.0, device.info.name));
+}
+
 }  // namespace
 
 Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, bool host_visible, const std::string& what) : device(&owner), n_bytes(size) {
@@ -49,7 +54,8 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, bool host_visible, con
     info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT | VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
     if (owner.info.ray_query)
         info.usage |= VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR | VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
-    gpu::check(vkCreateBuffer(owner.device, &info, nullptr, &handle), "vkCreateBuffer");
+    const VkResult created = vkCreateBuffer(owner.device, &info, nullptr, &handle);
+    if (created != VK_SUCCESS) throw out_of_memory(owner, size, what, created);
     VkMemoryRequirements needs;
     vkGetBufferMemoryRequirements(owner.device, handle, &needs);
     const VkMemoryPropertyFlags wanted = host_visible ? VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT : VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT;
@@ -61,8 +67,7 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, bool host_visible, con
     const VkResult result = vkAllocateMemory(owner.device, &allocate, nullptr, &memory);
     if (result != VK_SUCCESS) {
         vkDestroyBuffer(owner.device, handle, nullptr);
-        throw DeviceError(fmt::format("allocating {:.1f} MiB for {}: the driver answered {} with {:.1f} MiB in use, expected room on {}", double(size) / 1048576.0, what,
-                                      gpu::result_name(result), double(owner.allocated) / 1048576.0, owner.info.name));
+        throw out_of_memory(owner, size, what, result);
     }
     allocated_bytes = needs.size;
     vkBindBufferMemory(owner.device, handle, memory, 0);

@@ -152,7 +152,7 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     impl_->info = infos[static_cast<std::size_t>(index)];
     require(impl_->info, options);
     impl_->physical = physical[static_cast<std::size_t>(index)];
-    impl_->open(validation);
+    impl_->open();
 }
 
 Device::~Device() = default;
@@ -162,7 +162,7 @@ std::uint64_t Device::allocated_bytes() const { return impl_->allocated; }
 std::uint64_t Device::peak_bytes() const { return impl_->peak; }
 std::size_t Device::validation_messages() const { return impl_->instance->n_messages; }
 
-void Device::Impl::open(bool) {
+void Device::Impl::open() {
     std::uint32_t n = 0;
     vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, nullptr);
     std::vector<VkQueueFamilyProperties> families(n);
@@ -211,6 +211,11 @@ void Device::Impl::open(bool) {
     vkGetDeviceQueue(device, queue_family, 0, &queue);
     vkGetPhysicalDeviceMemoryProperties(physical, &memory);
 
+    read_limits();
+    make_pipeline_layout();
+}
+
+void Device::Impl::read_limits() {
     VkPhysicalDeviceAccelerationStructurePropertiesKHR accel_properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_PROPERTIES_KHR};
     VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &accel_properties};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
@@ -218,7 +223,9 @@ void Device::Impl::open(bool) {
     timestamp_period_ns = properties.properties.limits.timestampPeriod;
     workgroup_size = std::max(32u, subgroup.subgroupSize);
     if (info.ray_query) scratch_alignment = std::max(1u, accel_properties.minAccelerationStructureScratchOffsetAlignment);
+}
 
+void Device::Impl::make_pipeline_layout() {
     const VkPushConstantRange range{VK_SHADER_STAGE_COMPUTE_BIT, 0, 8};
     VkPipelineLayoutCreateInfo layout{VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO};
     layout.pushConstantRangeCount = 1;

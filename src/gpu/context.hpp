@@ -55,7 +55,9 @@ struct Device::Impl {
     std::atomic<std::uint64_t> peak{0};
 
     ~Impl();
-    void open(bool validation);
+    void open();
+    void read_limits();
+    void make_pipeline_layout();
     std::uint32_t memory_type(std::uint32_t allowed, VkMemoryPropertyFlags wanted) const;
 };
 

@@ -127,14 +127,13 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
     }
 }
 
-void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m, const Array<float>& d_records,
-                               SurfelArrays& d_surfels, Array<std::uint32_t>& touched, Array<float>& d_view_origin) {
+void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m, const ActivationGradients& g) {
     for (std::size_t i = 0; i < impl_->layout.models.size(); ++i) {
         const Model& range = impl_->layout.models[i];
         run(stream, impl_->activate_vjp, range.count,
-            {pointers(impl_->parameters), d_records.address(), pointers(d_surfels), touched.address(), d_view_origin.address(),
+            {pointers(impl_->parameters), g.d_records->address(), pointers(*g.d_surfels), g.touched->address(), g.d_view_origin->address(),
              impl_->view_origin(i, view_origin_m), range.first, range.count, static_cast<std::uint32_t>(model.sh_degree),
-             model.sh_direction == ShDirection::surfel ? 1u : 0u});
+             model.sh_direction == ShDirection::surfel ? 1u : 0u, g.zero_untouched ? 1u : 0u});
     }
 }
 

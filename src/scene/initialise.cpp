@@ -124,9 +124,16 @@ struct Cloud {
 };
 using Tree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Cloud>, Cloud, 3, std::size_t>;
 
-/// Normal of a neighbourhood: eigenvector of the smallest eigenvalue. Points along one scan line leave it free to turn about the
-/// line; then it faces the sensor as far as the line allows.
-glm::dvec3 fit_normal(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours, const glm::dvec3& view) {
+/// The plane of a neighbourhood.
+struct Plane {
+    glm::dvec3 point{0.0};
+    glm::dvec3 normal{0.0};
+    bool is_surface = false;   ///< the points spread along two axes and hardly along the third
+};
+
+/// Normal: eigenvector of the smallest eigenvalue. Points along one scan line leave it free to turn about the line; then it faces
+/// the sensor as far as the line allows.
+Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours, const glm::dvec3& view) {
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
     for (const std::size_t j : neighbours) mean += Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z);
     mean /= double(neighbours.size());
@@ -145,7 +152,7 @@ glm::dvec3 fit_normal(const std::vector<Sample>& samples, const std::vector<std:
         normal = -view + (values[2] > 0.0 ? glm::dot(view, line) * line : glm::dvec3(0.0));
     }
     const double length = glm::length(normal);
-    return length > 1e-9 ? normal / length : -view;
+    return {{mean.x(), mean.y(), mean.z()}, length > 1e-9 ? normal / length : -view, !is_line && values[0] < 0.04 * values[1]};
 }
 
 /// Rotation whose third column is the normal, turned about it by an angle.
@@ -174,9 +181,11 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
     const double scale = n_near ? distance / double(n_near) : options.voxel_m;
     Random random(hash64(options.seed, i));
     found.resize(std::min<std::size_t>(n_found, std::size_t(options.normal_neighbours) + 1));
-    const glm::dvec3 normal = options.normals && found.size() >= 3 ? fit_normal(samples, found, samples[i].view) : random_direction(random);
+    Plane plane{{}, random_direction(random)};
+    if (options.normals && found.size() >= 3) plane = fit_plane(samples, found, samples[i].view);
     surfels.mean[i] = samples[i].position;
-    surfels.rotation[i] = rotation_to(normal, random.uniform(0.0, 2.0 * kPi));
+    if (options.smooth && plane.is_surface) surfels.mean[i] -= glm::vec3(glm::dot(glm::dvec3(samples[i].position) - plane.point, plane.normal) * plane.normal);
+    surfels.rotation[i] = rotation_to(plane.normal, random.uniform(0.0, 2.0 * kPi));
     surfels.log_scale[i] = glm::vec2(static_cast<float>(std::log(std::clamp(scale * options.scale_factor, 1e-3, options.max_scale_m))));
     surfels.opacity_logit[i] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
     float* sh = surfels.sh.data() + i * kShFloats;

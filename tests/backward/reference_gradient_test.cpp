@@ -58,8 +58,8 @@ std::vector<double> row(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
 
 void check_surfels(Problem& p, const Gradients& gradients, GradientTable& table) {
     const auto terms = [&] { return p.terms(); };
-    const auto add = [&](const char* group, double* parameter, const double* d_parameter, int n) {
-        table.add_row(group, test::central_differences(parameter, n, terms), row(d_parameter, n));
+    const auto add = [&](const char* group, double* parameter, const double* d_parameter, int n, double step = test::kDifferenceStep) {
+        table.add_row(group, test::central_differences(parameter, n, terms, step), row(d_parameter, n));
     };
     for (std::size_t i = 0; i < p.scene.world.surfels.size(); ++i) {
         Surfel& s = p.scene.world.surfels[i];
@@ -67,10 +67,10 @@ void check_surfels(Problem& p, const Gradients& gradients, GradientTable& table)
         add("mean", &s.mean.x, &d.mean.x, 3);
         add("rotation", &s.rotation.x, &d.rotation.x, 4);
         add("log_scale", &s.log_scale.x, &d.log_scale.x, 2);
-        add("opacity_logit", &s.opacity_logit, &d.opacity_logit, 1);
-        add("sh intensity", s.sh.data(), d.sh.data(), kShCoefficients);
-        add("sh hit", s.sh.data() + kShCoefficients, d.sh.data() + kShCoefficients, kShCoefficients);
-        add("sh drop", s.sh.data() + 2 * kShCoefficients, d.sh.data() + 2 * kShCoefficients, kShCoefficients);
+        add("opacity_logit", &s.opacity_logit, &d.opacity_logit, 1, test::kLogitStep);
+        const char* channels[] = {"sh intensity", "sh hit", "sh drop"};
+        for (int c = 0; c < kShChannels; ++c)
+            add(channels[c], s.sh.data() + c * kShCoefficients, d.sh.data() + c * kShCoefficients, kShCoefficients, test::kLogitStep);
     }
 }
 
@@ -79,7 +79,7 @@ void check_rays_and_poses(Problem& p, const Gradients& gradients, const std::vec
     for (std::size_t i = 0; i < p.scene.rays.size(); ++i) {
         const auto term = [&] { return std::vector<double>{p.term(provider, i)}; };
         table.add_row("ray origin", test::central_differences(&p.scene.rays[i].origin.x, 3, term), row(d_rays[i].origin));
-        table.add_row("ray direction", test::central_differences(&p.scene.rays[i].direction.x, 3, term), row(d_rays[i].direction));
+        table.add_row("ray direction", test::central_differences(&p.scene.rays[i].direction.x, 3, term, test::kAngleStep), row(d_rays[i].direction));
     }
     const auto terms = [&] { return p.terms(); };
     table.add_row("view origin", test::central_differences(&p.settings.view_origin.x, 3, terms), row(gradients.view_origin));
@@ -92,7 +92,7 @@ void check_rays_and_poses(Problem& p, const Gradients& gradients, const std::vec
             axis[k] = 1.0;
             pose.rotation = glm::angleAxis(angle, axis) * start;
         };
-        table.add_row("pose rotation", test::central_differences(3, turn, terms), row(gradients.instances[i].rotation));
+        table.add_row("pose rotation", test::central_differences(3, turn, terms, test::kAngleStep), row(gradients.instances[i].rotation));
     }
 }
 

@@ -75,7 +75,39 @@ bool hits_are_smooth(const reference::World& world, const reference::Settings& s
     return true;
 }
 
-std::vector<reference::Surfel> rounded(const std::vector<reference::Surfel>& surfels) { return to_reference(to_surfels(surfels)); }
+/// Surfels, placements and view origin, all rounded to float where the library stores floats.
+RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
+    RandomScene scene;
+    std::vector<reference::Surfel> surfels;
+    for (int i = 0; i < options.background_surfels; ++i) surfels.push_back(random_surfel(random, {2, -0.6, -0.6}, {10, 0.6, 0.6}, options));
+    for (int i = 0; i < options.actor_surfels; ++i) surfels.push_back(random_surfel(random, {-1, -0.5, -0.5}, {1, 0.5, 0.5}, options));
+    for (int i = 0; i < options.wide_surfels; ++i) {
+        surfels[std::size_t(i)].log_scale = glm::dvec2(std::log(4.0));
+        surfels[std::size_t(i)].mean = {3.0 + 2.0 * i, 0.0, 0.0};
+        surfels[std::size_t(i)].opacity_logit = std::log(0.997 / 0.003);
+    }
+    scene.world.surfels = to_reference(to_surfels(surfels));
+    const auto n_background = std::uint32_t(options.background_surfels);
+    scene.world.instances.push_back({0, n_background, {}});
+    for (int i = 0; i < options.actor_instances; ++i) {
+        const double angle = uniform(random, -0.5, 0.5);
+        const glm::dquat turn = glm::angleAxis(angle, unit_vector(random));
+        const glm::dvec3 place(uniform(random, 4, 8), uniform(random, -0.4, 0.4), uniform(random, -0.4, 0.4));
+        scene.world.instances.push_back({n_background, std::uint32_t(options.actor_surfels), {turn, place}});
+    }
+    scene.view_origin = glm::dvec3(glm::vec3(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3), 0.2));
+    return scene;
+}
+
+/// Draws rays into the corridor and keeps those with margins, until there are enough or too many were drawn.
+void add_rays(Random& random, const RandomSceneOptions& options, const reference::Settings& settings, const Margins& margins, RandomScene& scene) {
+    for (int attempt = 0; attempt < 200 * options.rays && int(scene.rays.size()) < options.rays; ++attempt) {
+        const glm::dvec3 origin(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3));
+        const glm::dvec3 towards(8.0, uniform(random, -0.8, 0.8), uniform(random, -0.8, 0.8));
+        const reference::Ray ray{glm::dvec3(glm::vec3(origin)), glm::dvec3(glm::vec3(glm::normalize(towards - origin)))};
+        if (keeps_margins(scene.world, settings, ray, margins)) scene.rays.push_back(ray);
+    }
+}
 
 }  // namespace
 
@@ -90,34 +122,14 @@ bool keeps_margins(const reference::World& world, const reference::Settings& set
 
 RandomScene make_random_scene(const RandomSceneOptions& options, const reference::Settings& settings, const Margins& margins) {
     Random random(options.seed);
-    RandomScene scene;
-    std::vector<reference::Surfel> surfels;
-    for (int i = 0; i < options.background_surfels; ++i) surfels.push_back(random_surfel(random, {2, -0.6, -0.6}, {10, 0.6, 0.6}, options));
-    for (int i = 0; i < options.actor_surfels; ++i) surfels.push_back(random_surfel(random, {-1, -0.5, -0.5}, {1, 0.5, 0.5}, options));
-    for (int i = 0; i < options.wide_surfels; ++i) {
-        surfels[std::size_t(i)].log_scale = glm::dvec2(std::log(4.0));
-        surfels[std::size_t(i)].mean = {3.0 + 2.0 * i, 0.0, 0.0};
-        surfels[std::size_t(i)].opacity_logit = std::log(0.997 / 0.003);
+    for (int attempt = 0; attempt < 50; ++attempt) {   // one unlucky surfel (say, an intensity near 0) can spoil every ray
+        RandomScene scene = random_surfels(random, options);
+        reference::Settings viewed = settings;
+        viewed.view_origin = scene.view_origin;
+        add_rays(random, options, viewed, margins, scene);
+        if (int(scene.rays.size()) == options.rays) return scene;
     }
-    scene.world.surfels = rounded(surfels);
-    const auto n_background = std::uint32_t(options.background_surfels);
-    scene.world.instances.push_back({0, n_background, {}});
-    for (int i = 0; i < options.actor_instances; ++i) {
-        const glm::dquat turn = glm::angleAxis(uniform(random, -0.5, 0.5), unit_vector(random));
-        const glm::dvec3 place(uniform(random, 4, 8), uniform(random, -0.4, 0.4), uniform(random, -0.4, 0.4));
-        scene.world.instances.push_back({n_background, std::uint32_t(options.actor_surfels), {turn, place}});
-    }
-    scene.view_origin = glm::dvec3(glm::vec3(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3), 0.2));
-    reference::Settings viewed = settings;
-    viewed.view_origin = scene.view_origin;
-    for (int attempt = 0; attempt < 1000 * options.rays && int(scene.rays.size()) < options.rays; ++attempt) {
-        const glm::dvec3 origin(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3));
-        const glm::dvec3 towards(8.0, uniform(random, -0.8, 0.8), uniform(random, -0.8, 0.8));
-        const reference::Ray ray{glm::dvec3(glm::vec3(origin)), glm::dvec3(glm::vec3(glm::normalize(towards - origin)))};
-        if (keeps_margins(scene.world, viewed, ray, margins)) scene.rays.push_back(ray);
-    }
-    if (int(scene.rays.size()) < options.rays) throw std::runtime_error("make_random_scene: too few rays keep the margins");
-    return scene;
+    throw std::runtime_error("make_random_scene: too few rays keep the margins");
 }
 
 }  // namespace relidar::test

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdio>
 
+#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include <fmt/format.h>
@@ -21,6 +22,13 @@ bool line_open = false;   // a progress line without its line break is on the te
 /// Columns a text takes on the terminal: its UTF-8 characters.
 std::size_t width(const std::string& text) {
     return static_cast<std::size_t>(std::count_if(text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; }));
+}
+
+/// A line that wraps could not be rewritten.
+std::string cut_to_terminal(const std::string& text) {
+    winsize size{};
+    const bool known = ::ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1;
+    return text.substr(0, known ? size.ws_col - 1u : std::string::npos);
 }
 
 bool is_number(const std::string& text) {
@@ -96,7 +104,7 @@ void Progress::show(const std::string& text, bool now) {
     const bool first = last_ == Clock::time_point{};
     if (quiet_ || (!now && !first && time - last_ < (terminal_ ? Clock::duration(kTerminalInterval) : Clock::duration(kPlainInterval)))) return;
     last_ = time;
-    std::fputs(terminal_ ? ("\r" + text + "\x1b[K").c_str() : (text + "\n").c_str(), stderr);
+    std::fputs(terminal_ ? ("\r" + cut_to_terminal(text) + "\x1b[K").c_str() : (text + "\n").c_str(), stderr);
     std::fflush(stderr);
     line_open = terminal_;
 }

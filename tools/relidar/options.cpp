@@ -26,9 +26,7 @@ bool parse(const std::string& text, T& value) {
 
 void add_device_options(CLI::App& command, DeviceChoice& choice) {
     command.add_option("--device", choice.index, "Vulkan device by its number in `relidar devices` (default: first GPU with ray query, else first usable device)")->type_name("N");
-    command.add_option("--traversal", choice.traversal, "how rays find surfels: auto, ray_query or software (default: auto)")
-        ->type_name("HOW")
-        ->check(CLI::IsMember({"auto", "ray_query", "software"}));
+    command.add_option("--traversal", choice.traversal, "how rays find surfels: auto, ray_query or software (default: auto)")->type_name("HOW");
 }
 
 DeviceOptions device_options(const DeviceChoice& choice) {
@@ -36,7 +34,8 @@ DeviceOptions device_options(const DeviceChoice& choice) {
     if (choice.index < -1) throw UsageError(fmt::format("--device: found {}, expected a number that `relidar devices` lists", choice.index));
     options.index = choice.index;
     if (choice.traversal == "ray_query") options.traversal = Traversal::ray_query;
-    if (choice.traversal == "software") options.traversal = Traversal::software;
+    else if (choice.traversal == "software") options.traversal = Traversal::software;
+    else if (choice.traversal != "auto") throw UsageError(fmt::format("--traversal: found \"{}\", expected auto, ray_query or software", choice.traversal));
     return options;
 }
 
@@ -71,7 +70,7 @@ FrameRange parse_frames(const std::string& text) {
     const std::string begin = text.substr(0, colon), end = colon == std::string::npos ? "" : text.substr(colon + 1);
     const bool good = colon != std::string::npos && (begin.empty() || parse(begin, range.begin)) && (end.empty() || parse(end, range.end));
     if (!good || range.begin < 0 || (!end.empty() && range.end < 0)) {
-        throw UsageError(fmt::format("--frames: found \"{}\", expected first:end with end left out of the range, as in 0:50", text));
+        throw UsageError(fmt::format("--frames: found \"{}\", expected first:end, end not included, as in 0:50", text));
     }
     if (range.end != -1 && range.begin >= range.end) throw UsageError(fmt::format("--frames: found \"{}\", an empty range, expected first < end", text));
     return range;

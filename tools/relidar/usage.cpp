@@ -26,6 +26,14 @@ std::vector<std::string> option_names(const CLI::App& command) {
     return names;
 }
 
+/// "Could not convert: --device = x" is the one message of the parser that does not say what it wants.
+std::string in_our_words(const std::string& what) {
+    const std::string start = "Could not convert: ", middle = " = ";
+    const std::size_t at = what.find(middle);
+    if (what.rfind(start, 0) != 0 || at == std::string::npos) return what;
+    return fmt::format("{}: found \"{}\", expected an integer", what.substr(start.size(), at - start.size()), what.substr(at + middle.size()));
+}
+
 std::string without_value(const std::string& option) { return option.substr(0, option.find('=')); }
 
 }  // namespace
@@ -35,7 +43,7 @@ std::string usage_message(const CLI::App& app, const std::string& what) {
     const CLI::App& command = chosen.empty() ? app : *chosen.front();
     const std::string help = chosen.empty() ? "relidar --help" : fmt::format("relidar {} --help", command.get_name());
     std::vector<std::string> unexpected = app.remaining(true);
-    if (unexpected.empty()) return fmt::format("{} (see `{}`)", what, help);
+    if (unexpected.empty()) return fmt::format("{} (see `{}`)", in_our_words(what), help);
     const std::string word = without_value(unexpected.front());
     if (word.size() > 1 && word.front() == '-') {
         return fmt::format("option {}: unknown, did you mean {}? (see `{}`)", word, nearest_name(word, option_names(command)), help);

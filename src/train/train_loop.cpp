@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: Apache-2.0
+// One iteration: sample a frame, render its rays, compare, differentiate, step (docs/method.md sections 4-6). One submission an
+// iteration; losses are read back at log lines only.
+#include "train/train_loop.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar {
+
+FrameSampler::FrameSampler(std::size_t n, std::uint64_t seed) : order_(n), random_(seed) { std::iota(order_.begin(), order_.end(), std::size_t(0)); }
+
+std::size_t FrameSampler::next() {
+    if (position_ == 0)
+        for (std::size_t i = order_.size(); i > 1; --i) std::swap(order_[i - 1], order_[random_.next() % i]);
+    const std::size_t frame = order_[position_];
+    position_ = (position_ + 1) % order_.size();
+    return frame;
+}
+
+namespace {
+
+LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
+    const double decay = exponential_schedule(1.0, c.rate_decay, step, c.iterations);
+    return {exponential_schedule(c.mean_rate, c.mean_rate_final, step, c.iterations) * extent_m, c.rotation_rate * decay, c.scale_rate * decay,
+            c.opacity_rate * decay, c.sh_rate * decay, c.sh_rest_factor};
+}
+
+ImageModel with_degree(ImageModel model, int degree) {
+    model.sh_degree = std::min(model.sh_degree, degree);
+    return model;
+}
+
+}  // namespace
+
+TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial, const Config& config)
+    : config_(config),
+      frames_(upload_frames(device, sequence, split.train, config.init)),
+      stream_(device, true),
+      scene_(device, initial),
+      accel_(device, scene_, accel_options(config)),
+      forward_(device, config.image, accel_.proxy(), trace_options(config)),
+      loss_(device, config.loss),
+      backward_(device, config.image, accel_.proxy(), trace_options(config)),
+      adam_(device, scene_.size(), {.only_touched = config.train.only_touched}),
+      gradients_(device, scene_.size()),
+      rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
+      upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
+      terms_(device, std::vector<float>(kLossTerms, 0.0f), "loss terms"),
+      extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial.surfels)),
+      sampler_(frames_.size(), config.train.seed) {
+    gradients_.zero_untouched = !config.train.only_touched;
+}
+
+std::uint32_t TrainLoop::largest_batch() const {
+    std::uint32_t largest = 0;
+    for (const FrameData& frame : frames_) largest = std::max(largest, frame.n_rays);
+    return largest;
+}
+
+void TrainLoop::iterate(int step) {
+    const FrameData& frame = frames_[sampler_.next()];
+    const std::uint32_t wanted = config_.train.rays_per_iteration > 0 ? static_cast<std::uint32_t>(config_.train.rays_per_iteration) : frame.n_rays;
+    const std::uint32_t stride = std::max(1u, frame.n_rays / std::max(wanted, 1u));
+    const std::uint32_t first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
+    const RayBatch rays{&frame.rays, first, stride, (frame.n_rays - first + stride - 1) / stride};
+    const TargetBatch targets{&frame.targets, first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride};
+    const ImageModel model = with_degree(config_.image, (step - 1) / std::max(1, config_.train.sh_degree_interval));
+    forward_.set_sh_degree(model.sh_degree);
+    backward_.set_sh_degree(model.sh_degree);
+
+    scene_.activate(stream_, model, frame.sensor_position_m);
+    accel_.update(stream_, scene_);
+    forward_.run(stream_, scene_, accel_, rays, rendered_);                                                              // Eq. 2-4
+    loss_.run(stream_, targets, rendered_, upstream_, terms_);                                                           // Eq. 10
+    backward_.run(stream_, scene_, accel_, {rays, &rendered_, &upstream_}, frame.sensor_position_m, gradients_);         // Eq. 9
+    adam_.step(stream_, scene_.parameters(), gradients_.surfels, gradients_.touched, rates_at(config_.train, extent_m_, step), step, model.sh_degree);
+    stream_.submit();
+}
+
+std::array<double, kLossTerms> TrainLoop::take_terms(int n, int step) {
+    stream_.finish();
+    const std::vector<float> sums = terms_.download();
+    std::array<double, kLossTerms> means{};
+    for (std::size_t k = 0; k < kLossTerms; ++k) {
+        means[k] = sums[k] / std::max(n, 1);
+        if (!std::isfinite(sums[k]))
+            throw DataError(fmt::format("training, iterations {} to {}: the {} loss is {}, expected a finite number", step - n + 1, step, kLossTermNames[k], sums[k]));
+    }
+    if (const std::uint32_t capped = forward_.take_pass_cap_count())
+        throw DeviceError(fmt::format("training, iterations {} to {}: {} rays reached the cap of passes, expected every ray to end", step - n + 1, step, capped));
+    terms_.upload(std::vector<float>(kLossTerms, 0.0f));
+    return means;
+}
+
+Scene TrainLoop::download() {
+    stream_.finish();
+    Scene scene = scene_.layout();
+    scene.surfels = scene_.parameters().download();
+    return scene;
+}
+
+}  // namespace relidar

@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: Apache-2.0
+// accel/proxies and the acceleration structure (M3, Fig. 3): proxies hold all of sigma G >= alpha_min (rays at the rim are found), a
+// refit follows moved surfels, moving an instance builds no bottom level.
+#include <cmath>
+
+#include <relidar/accel.hpp>
+#include <relidar/forward.hpp>
+
+#include "../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+class Proxies : public test::DeviceTest {};
+
+/// One surfel facing the sensor at x = 10, 0.5 m by 0.25 m.
+Surfels one_surfel(float opacity) {
+    Surfels s;
+    s.resize(1);
+    s.mean[0] = {10.0f, 0.0f, 0.0f};
+    s.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};   // a_u = -z, a_v = y, normal = x
+    s.log_scale[0] = {std::log(0.5f), std::log(0.25f)};
+    s.opacity_logit[0] = std::log(opacity / (1.0f - opacity));
+    std::fill(s.sh.begin(), s.sh.end(), 0.0f);
+    return s;
+}
+
+/// Parallel rays along x at k (cos, sin) times the half axes of the ellipse sigma G = alpha_min, times `factor`.
+WorldRays rim_rays(float opacity, double factor) {
+    const double k = std::sqrt(2.0 * std::log(255.0 * opacity)) * factor;
+    WorldRays rays;
+    for (int i = 0; i < 360; ++i) {
+        const double angle = i * kPi / 180.0;
+        rays.origin.push_back({0.0f, static_cast<float>(0.25 * k * std::sin(angle)), static_cast<float>(0.5 * k * std::cos(angle))});
+        rays.direction.push_back({1.0f, 0.0f, 0.0f});
+    }
+    return rays;
+}
+
+TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
+    for (const Proxy proxy : {Proxy::triangles, Proxy::boxes})
+        for (const float opacity : {0.005f, 0.1f, 0.6f, 0.999f}) {
+            Renderer renderer(device(), make_background_scene(one_surfel(opacity)), {}, {.proxy = proxy});
+            for (const std::uint32_t n : renderer.trace(rim_rays(opacity, 0.999), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 1u) << "opacity " << opacity;
+            for (const std::uint32_t n : renderer.trace(rim_rays(opacity, 1.001), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 0u) << "opacity " << opacity;
+        }
+    Renderer renderer(device(), make_background_scene(one_surfel(1.0f / 256.0f)), {});   // sigma under the cut has no proxy
+    for (const std::uint32_t n : renderer.trace(rim_rays(0.5f, 0.1), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 0u);
+}
+
+TEST_F(Proxies, RefitFollowsMovedSurfelsAndMovingInstancesBuildsNothing) {
+    for (const Proxy proxy : {Proxy::triangles, Proxy::boxes}) {
+        Stream stream(device());
+        DeviceScene scene(device(), make_background_scene(one_surfel(0.9f)));
+        Accel accel(device(), scene, {.proxy = proxy});
+        ForwardPass forward(device(), {}, accel.proxy(), {});
+        const Array<DeviceRay> ray(device(), std::vector<DeviceRay>{{{0, 0, 0}, {1, 0, 0}}}, "ray");
+        Array<float> rendered(device(), kRenderedFloats, "rendered");
+        const auto depth = [&] {
+            forward.run(stream, scene, accel, {&ray, 0, 1, 1}, rendered);
+            stream.finish();
+            const std::vector<float> r = rendered.download();
+            return r[0] / r[1];
+        };
+        scene.activate(stream, {}, glm::vec3(0.0f));
+        accel.update(stream, scene);
+        EXPECT_NEAR(depth(), 10.0f, 1e-5f);
+        Surfels moved = one_surfel(0.9f);
+        moved.mean[0].x = 4.0f;
+        scene.parameters().upload(moved);
+        scene.activate(stream, {}, glm::vec3(0.0f));
+        accel.update(stream, scene);
+        EXPECT_NEAR(depth(), 4.0f, 1e-5f);
+        const std::uint64_t builds = accel.builds();
+        Pose pose;
+        pose.translation.x = 3.0;
+        scene.set_poses({pose});
+        accel.move(stream, scene);
+        EXPECT_NEAR(depth(), 7.0f, 1e-5f);
+        EXPECT_EQ(accel.builds(), builds);
+    }
+}
+
+}  // namespace
+}  // namespace relidar

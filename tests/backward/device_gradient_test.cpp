@@ -1,0 +1,205 @@
+// SPDX-License-Identifier: Apache-2.0
+// Link (ii) of the gradient chain: backward/trace and scene/activate_vjp against the double reference backward (Eq. 9; M7, M8), every
+// parameter lane of every surfel and the ray, in both SH direction modes; and a few direct differences of the device itself, so that
+// the chain is tested as a whole.
+#include <cmath>
+#include <random>
+
+#include <relidar/backward.hpp>
+#include <relidar/loss.hpp>
+
+#include "../support/device.hpp"
+#include "../support/gradient_check.hpp"
+#include "../support/placed.hpp"
+#include "../support/random_scene.hpp"
+
+namespace relidar {
+namespace {
+
+using reference::PixelGradient;
+using test::GradientTable;
+
+/// Everything one forward and backward pass needs, on the device.
+struct Passes {
+    Device& device;
+    ImageModel model;
+    test::SceneAndPoses placed;
+    Stream stream;
+    DeviceScene scene;
+    Accel accel;
+    ForwardPass forward;
+    BackwardPass backward;
+    Array<DeviceRay> rays;
+    Array<float> rendered, upstream;
+    Gradients gradients;
+    glm::vec3 view_origin;
+
+    Passes(Device& d, const ImageModel& m, const test::RandomScene& s, const std::vector<PixelGradient>& g, Proxy proxy, const TraceOptions& trace)
+        : device(d), model(m), placed(test::to_scene(test::to_surfels(s.world.surfels), s.world.instances)), stream(d), scene(d, placed.scene),
+          accel(d, scene, {.proxy = proxy}), forward(d, m, proxy, trace), backward(d, m, proxy, trace), rays(d, s.rays.size(), "rays"),
+          rendered(d, s.rays.size() * kRenderedFloats, "rendered"), upstream(d, s.rays.size() * kUpstreamFloats, "upstream"),
+          gradients(d, scene.size(), static_cast<std::uint32_t>(s.rays.size())), view_origin(s.view_origin) {
+        scene.set_poses(placed.world_from_instance);
+        std::vector<DeviceRay> r;
+        std::vector<float> u;
+        for (std::size_t i = 0; i < s.rays.size(); ++i) {
+            r.push_back({glm::vec3(s.rays[i].origin), glm::vec3(s.rays[i].direction)});
+            for (const double x : {g[i].depth, g[i].weight, g[i].intensity, g[i].hit_logit, g[i].drop_logit}) u.push_back(static_cast<float>(x));
+        }
+        rays.upload(r);
+        upstream.upload(u);
+    }
+
+    RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size())}; }
+    void run_forward() {
+        scene.activate(stream, model, view_origin);
+        accel.update(stream, scene);
+        forward.run(stream, scene, accel, batch(), rendered);
+    }
+    void run() {
+        run_forward();
+        backward.run(stream, scene, accel, {batch(), &rendered, &upstream}, view_origin, gradients);
+        stream.finish();
+    }
+    /// sum over rays of upstream . rendered, in double
+    double loss() {
+        run_forward();
+        stream.finish();
+        const std::vector<float> r = rendered.download(), u = upstream.download();
+        double sum = 0.0;
+        for (std::size_t i = 0; i < rays.size(); ++i)
+            for (int k = 0; k < kUpstreamFloats; ++k) sum += double(r[i * kRenderedFloats + std::size_t(k)]) * u[i * kUpstreamFloats + std::size_t(k)];
+        return sum;
+    }
+};
+
+std::vector<PixelGradient> random_upstream(std::size_t n, std::uint64_t seed) {
+    std::mt19937_64 random(seed);
+    std::normal_distribution<float> normal;
+    std::vector<PixelGradient> g;
+    for (std::size_t i = 0; i < n; ++i) {
+        const float depth = 0.3f * normal(random);
+        g.push_back({depth, normal(random), normal(random), normal(random), normal(random)});
+    }
+    return g;
+}
+
+template <class Vector>
+std::vector<double> lanes(const Vector& v, int n) {
+    std::vector<double> row;
+    for (int k = 0; k < n; ++k) row.push_back(v[k]);
+    return row;
+}
+
+void add_surfel_rows(GradientTable& table, const std::vector<reference::Surfel>& expected, const Surfels& actual) {
+    for (std::size_t i = 0; i < expected.size(); ++i) {
+        table.add_row("mean", lanes(expected[i].mean, 3), lanes(actual.mean[i], 3));
+        table.add_row("rotation", lanes(expected[i].rotation, 4), lanes(actual.rotation[i], 4));
+        table.add_row("log_scale", lanes(expected[i].log_scale, 2), lanes(actual.log_scale[i], 2));
+        table.add_row("opacity_logit", {expected[i].opacity_logit}, {actual.opacity_logit[i]});
+        const char* names[] = {"sh intensity", "sh hit", "sh drop"};
+        for (int c = 0; c < kShChannels; ++c)
+            table.add_row(names[c], lanes(expected[i].sh.data() + c * kShCoefficients, kShCoefficients), lanes(actual.sh.data() + i * kShFloats + std::size_t(c * kShCoefficients), kShCoefficients));
+    }
+}
+
+class DeviceGradient : public test::DeviceTest {
+protected:
+    void expect_agreement(ShDirection direction, const test::RandomSceneOptions& options, Proxy proxy, int chunk, const std::string& title, bool brute_force = false, double tolerance = test::kKernelGradient) {
+        reference::Settings settings;
+        settings.image.sh_direction = direction;
+        const test::RandomScene scene = test::make_random_scene(options, settings);
+        settings.view_origin = scene.view_origin;
+        const std::vector<PixelGradient> upstream = random_upstream(scene.rays.size(), options.seed);
+        const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
+        reference::Gradients expected(scene.world);
+        std::vector<reference::RayGradient> d_rays;
+        for (std::size_t i = 0; i < scene.rays.size(); ++i) d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], chunk, upstream[i], expected));
+
+        Passes passes(device(), settings.image, scene, upstream, proxy, {.chunk = chunk, .brute_force = brute_force});
+        passes.run();
+        GradientTable table;
+        add_surfel_rows(table, expected.surfels, passes.gradients.surfels.download());
+        const std::vector<float> rays = passes.gradients.rays.download(), view = passes.gradients.view_origin.download();
+        for (std::size_t i = 0; i < d_rays.size(); ++i) {
+            table.add_row("ray origin", lanes(d_rays[i].origin, 3), lanes(rays.data() + 6 * i, 3));
+            table.add_row("ray direction", lanes(d_rays[i].direction, 3), lanes(rays.data() + 6 * i + 3, 3));
+        }
+        if (direction == ShDirection::surfel && options.actor_instances == 0) table.add_row("view origin", lanes(expected.view_origin, 3), lanes(view, 3));
+        table.print(title + " on " + device().info().name);
+        for (const auto& [name, group] : table.groups()) {
+            EXPECT_LE(group.worst_error(), tolerance) << name << ", " << title;
+            EXPECT_EQ(group.missing_rows(), 0u) << name << ", " << title;
+            EXPECT_GT(group.nonzero_rows(), 0u) << name << ", " << title;
+        }
+    }
+};
+
+TEST_F(DeviceGradient, ShAlongRayWithInstances) {
+    test::RandomSceneOptions options;
+    options.seed = 31;
+    options.rays = 60;
+    expect_agreement(ShDirection::ray, options, Proxy::triangles, 4, "triangles, SH along the ray, 3 instances, chunk 4");
+}
+
+TEST_F(DeviceGradient, ShAlongSurfelWithInstance) {
+    test::RandomSceneOptions options;
+    options.seed = 32;
+    options.rays = 60;
+    options.actor_instances = 1;
+    expect_agreement(ShDirection::surfel, options, Proxy::boxes, 16, "boxes, SH along sensor -> mean, 2 instances, chunk 16");
+}
+
+TEST_F(DeviceGradient, ViewOriginAndLongLists) {
+    test::RandomSceneOptions options;
+    options.seed = 33;
+    options.rays = 40;
+    options.actor_instances = 0;
+    options.actor_surfels = 0;
+    options.background_surfels = 80;
+    options.opacity_low = 0.02, options.opacity_high = 0.2;
+    expect_agreement(ShDirection::surfel, options, Proxy::boxes, 16, "transparent, long lists, chunk 16");
+}
+
+TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
+    test::RandomSceneOptions options;
+    options.seed = 34;
+    options.opacity_low = 0.5, options.opacity_high = 0.98, options.wide_surfels = 2;
+    // An opacity near 0.99 is rounded to 6e-8, which is 6e-6 of 1 - alpha; Eq. 9 divides by that, and the transmittance behind such a
+    // wall carries it on to rows that are themselves small. Single precision holds no fourth digit there.
+    const double tolerance = 10.0 * test::kKernelGradient;
+    expect_agreement(ShDirection::ray, options, Proxy::boxes, 16, "brute force, opaque, chunk 16", true, tolerance);
+    expect_agreement(ShDirection::ray, options, Proxy::boxes, 2, "brute force, opaque, chunk 2", true, tolerance);
+}
+
+/// Direct differences of the device: blunt (single precision), but nothing of the chain is shared with the reference.
+TEST_F(DeviceGradient, EndToEndDifferences) {
+    reference::Settings settings;
+    test::RandomSceneOptions options;
+    options.seed = 35;
+    const test::RandomScene scene = test::make_random_scene(options, settings);
+    Passes passes(device(), settings.image, scene, random_upstream(scene.rays.size(), 3), Proxy::boxes, {.chunk = 16});
+    passes.run();
+    const Surfels d = passes.gradients.surfels.download();
+    const Surfels start = passes.scene.parameters().download();
+    std::size_t strongest = 0;
+    for (std::size_t i = 0; i < d.size(); ++i)
+        if (glm::length(d.mean[i]) > glm::length(d.mean[strongest])) strongest = i;
+    const auto difference = [&](const std::function<void(Surfels&, float)>& move, float h) {
+        Surfels above = start, below = start;
+        move(above, h);
+        move(below, -h);
+        passes.scene.parameters().upload(above);
+        const double high = passes.loss();
+        passes.scene.parameters().upload(below);
+        return (high - passes.loss()) / (2.0 * h);
+    };
+    const auto near_enough = [](double actual, double expected, double scale) { EXPECT_NEAR(actual, expected, 0.01 * std::abs(expected) + 2e-3 * scale); };
+    const double scale = glm::length(d.mean[strongest]);
+    for (int k = 0; k < 3; ++k) near_enough(d.mean[strongest][k], difference([&](Surfels& s, float h) { s.mean[strongest][k] += h; }, 5e-4f), scale);
+    for (int k = 0; k < 2; ++k) near_enough(d.log_scale[strongest][k], difference([&](Surfels& s, float h) { s.log_scale[strongest][k] += h; }, 2e-3f), scale);
+    near_enough(d.opacity_logit[strongest], difference([&](Surfels& s, float h) { s.opacity_logit[strongest] += h; }, 5e-3f), scale);
+}
+
+}  // namespace
+}  // namespace relidar

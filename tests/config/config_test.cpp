@@ -1,0 +1,232 @@
+// SPDX-License-Identifier: Apache-2.0
+// Settings: every key survives TOML, wrong keys and values get one clear line, presets are what docs/method.md says.
+#include <relidar/config.hpp>
+
+#include <set>
+
+#include "../export/temporary_folder.hpp"
+
+namespace relidar {
+namespace {
+
+using ConfigFile = TemporaryFolder;
+
+/// Message of the UsageError a call throws.
+template <class Call>
+std::string usage_error(const Call& call) {
+    try {
+        call();
+    } catch (const UsageError& error) {
+        const std::string message = error.what();
+        EXPECT_EQ(message.find('\n'), std::string::npos) << "more than one line: " << message;
+        return message;
+    } catch (const std::exception& error) {
+        ADD_FAILURE() << "threw something else: " << error.what();
+        return "";
+    }
+    ADD_FAILURE() << "threw nothing";
+    return "";
+}
+
+std::string set_error(const std::string& key, const std::string& value) {
+    return usage_error([&] {
+        Config config;
+        set_key(config, key, value);
+    });
+}
+
+std::string value_of(const Config& config, const std::string& key) {
+    for (const ConfigKey& entry : config_keys(config))
+        if (entry.key == key) return entry.value;
+    ADD_FAILURE() << "no key " << key;
+    return "";
+}
+
+void expect_equal(const Config& a, const Config& b) {
+    const std::vector<ConfigKey> x = config_keys(a), y = config_keys(b);
+    ASSERT_EQ(x.size(), y.size());
+    for (std::size_t i = 0; i < x.size(); ++i) EXPECT_EQ(x[i].value, y[i].value) << x[i].key;
+}
+
+Config through_toml(const Config& config, const std::filesystem::path& folder) {
+    put(folder / "config.toml", to_toml(config));
+    Config result;
+    load_config(result, folder / "config.toml");
+    return result;
+}
+
+/// Gives a key another value that it accepts.
+bool change(Config& config, const std::string& key) {
+    const std::string before = value_of(config, key);
+    for (const char* value : {"0.12345678", "0.6000001", "0.25", "2", "7", "123456", "true", "false", "kitti360", "cast", "ray", "surfel", "median", "expected", "boxes", "a \"b\" \\c"}) {
+        if (value == before) continue;
+        try {
+            set_key(config, key, value);
+            return true;
+        } catch (const UsageError&) {
+        }
+    }
+    return false;
+}
+
+TEST_F(ConfigFile, PresetsRoundTrip) {
+    for (const char* name : {"paper", "default", "quick"}) {
+        const Config config = make_preset(name);
+        EXPECT_EQ(config.preset, name);
+        expect_equal(config, through_toml(config, folder));
+    }
+}
+
+TEST_F(ConfigFile, EveryKeyRoundTrips) {
+    const Config defaults = make_preset("default");
+    Config all = defaults;
+    for (const ConfigKey& entry : config_keys(defaults)) {
+        if (entry.key == "preset") continue;
+        Config one = defaults;
+        ASSERT_TRUE(change(one, entry.key)) << entry.key << " takes no other value";
+        EXPECT_NE(value_of(one, entry.key), entry.value) << entry.key;
+        expect_equal(one, through_toml(one, folder));
+        change(all, entry.key);
+    }
+    expect_equal(all, through_toml(all, folder));
+}
+
+TEST_F(ConfigFile, ValuesReadBackBitByBit) {
+    Config config;
+    config.loss.depth = 0.1f / 3.0f;
+    config.train.mean_rate = 1.6e-4 / 7.0;
+    config.init.seed = 9007199254740991u;
+    const Config read = through_toml(config, folder);
+    EXPECT_EQ(read.loss.depth, config.loss.depth);
+    EXPECT_EQ(read.train.mean_rate, config.train.mean_rate);
+    EXPECT_EQ(read.init.seed, config.init.seed);
+    EXPECT_EQ(read.image.alpha_min, 1.0f / 255.0f);
+}
+
+TEST(Config, KeysAreUniqueAndExplained) {
+    std::set<std::string> seen;
+    for (const ConfigKey& entry : config_keys(Config{})) {
+        EXPECT_TRUE(seen.insert(entry.key).second) << entry.key << " twice";
+        EXPECT_GT(entry.help.size(), 10u) << entry.key;
+        if (entry.key == "preset") continue;
+        Config config;
+        EXPECT_NO_THROW(set_key(config, entry.key, entry.value)) << entry.key << ": the default is not accepted";
+    }
+    EXPECT_GT(seen.size(), 45u);
+}
+
+TEST(Config, UnknownKeyNamesTheNearest) {
+    EXPECT_EQ(set_error("loss.dept", "1"), "setting loss.dept: unknown key, did you mean loss.depth?");
+    EXPECT_EQ(set_error("train.iteration", "1"), "setting train.iteration: unknown key, did you mean train.iterations?");
+    EXPECT_NE(set_error("", "1").find("unknown key"), std::string::npos);
+}
+
+TEST(Config, BadValuesGetOneClearLine) {
+    EXPECT_EQ(set_error("loss.depth", "abc"), "setting loss.depth: found \"abc\", expected a number >= 0");
+    EXPECT_EQ(set_error("loss.depth", "-0.1"), "setting loss.depth: found \"-0.1\", expected a number >= 0");
+    EXPECT_EQ(set_error("loss.depth", "nan"), "setting loss.depth: found \"nan\", expected a number >= 0");
+    EXPECT_EQ(set_error("loss.depth", "inf"), "setting loss.depth: found \"inf\", expected a number >= 0");
+    EXPECT_EQ(set_error("loss.depth", "1e99"), "setting loss.depth: found \"1e99\", expected a number >= 0");
+    EXPECT_EQ(set_error("loss.depth", ""), "setting loss.depth: found \"\", expected a number >= 0");
+    EXPECT_EQ(set_error("loss.depth", "0.1 "), "setting loss.depth: found \"0.1 \", expected a number >= 0");
+    EXPECT_EQ(set_error("train.iterations", "1.5"), "setting train.iterations: found \"1.5\", expected an integer >= 0");
+    EXPECT_EQ(set_error("train.iterations", "99999999999"), "setting train.iterations: found \"99999999999\", expected an integer >= 0");
+    EXPECT_EQ(set_error("trace.chunk", "65"), "setting trace.chunk: found \"65\", expected an integer in 1..64");
+    EXPECT_EQ(set_error("init.voxel_m", "0"), "setting init.voxel_m: found \"0\", expected a number > 0");
+    EXPECT_EQ(set_error("init.normals", "yes"), "setting init.normals: found \"yes\", expected true or false");
+    EXPECT_EQ(set_error("image.sh_direction", "hit"), "setting image.sh_direction: found \"hit\", expected one of ray, surfel");
+    EXPECT_EQ(set_error("train.seed", "-1"), "setting train.seed: found \"-1\", expected an integer >= 0");
+    EXPECT_NE(set_error("dataset.poses", "a\nb").find("expected text"), std::string::npos);
+}
+
+TEST(Config, FailedSetChangesNothing) {
+    Config config;
+    EXPECT_THROW(set_key(config, "image.sh_degree", "9"), UsageError);
+    expect_equal(config, Config{});
+}
+
+TEST(Config, PresetReplacesEverything) {
+    Config config;
+    set_key(config, "loss.depth", "5");
+    set_key(config, "preset", "paper");
+    expect_equal(config, make_preset("paper"));
+    EXPECT_NE(usage_error([] { make_preset("papr"); }).find("did you mean 'paper'"), std::string::npos);
+}
+
+TEST(Config, PaperIsThePaper) {
+    const Config c = make_preset("paper");
+    EXPECT_EQ(c.train.iterations, 30000);
+    EXPECT_EQ(c.train.rays_per_iteration, 0);
+    EXPECT_EQ(c.train.sh_degree_interval, 1000);
+    EXPECT_EQ(c.train.mean_rate, 1.6e-4);
+    EXPECT_EQ(c.train.mean_rate_final, 1.6e-6);
+    EXPECT_EQ(c.train.rate_decay, 1.0);
+    EXPECT_EQ(c.init.voxel_m, 0.15);
+    EXPECT_EQ(c.init.voxel_growth, 0.0);
+    EXPECT_EQ(c.init.normal_neighbours, 6);
+    EXPECT_EQ(c.init.opacity, 0.1);
+    EXPECT_EQ(c.loss.depth, 0.1f);
+    EXPECT_EQ(c.loss.drop, 0.01f);
+    EXPECT_FALSE(c.loss.normalised_depth);
+    EXPECT_EQ(c.image.sh_direction, ShDirection::ray);
+    EXPECT_EQ(c.render.range, "expected");
+    EXPECT_EQ(trace_options(c).chunk, 16);
+}
+
+TEST(Config, EnumFieldsReachTheirStages) {
+    Config config;
+    EXPECT_EQ(accel_options(config).proxy, Proxy::automatic);
+    set_key(config, "trace.proxy", "boxes");
+    EXPECT_EQ(accel_options(config).proxy, Proxy::boxes);
+    set_key(config, "trace.proxy", "triangles");
+    EXPECT_EQ(accel_options(config).proxy, Proxy::triangles);
+    set_key(config, "trace.chunk", "8");
+    EXPECT_EQ(trace_options(config).chunk, 8);
+}
+
+TEST_F(ConfigFile, BadFilesNameFileAndKey) {
+    const auto error = [&](const std::string& text) {
+        put(folder / "c.toml", text);
+        return usage_error([&] {
+            Config config;
+            load_config(config, folder / "c.toml");
+        });
+    };
+    const std::string file = (folder / "c.toml").string() + ": ";
+    EXPECT_EQ(error("[loss]\ndpth = 1\n"), file + "setting loss.dpth: unknown key, did you mean loss.depth?");
+    EXPECT_EQ(error("[loss]\ndepth = nan\n"), file + "setting loss.depth: found \"nan\", expected a number >= 0");
+    EXPECT_EQ(error("[loss]\ndepth = \"0.1\"\n"), file + "setting loss.depth: found \"0.1\", expected a number >= 0 without quotes");
+    EXPECT_EQ(error("[sensor]\ngrid = 360\n"), file + "setting sensor.grid: found \"360\", expected one of native, kitti360 in quotes");
+    EXPECT_EQ(error("[loss]\ndepth = [1, 2]\n"), file + "setting loss.depth: found a TOML array, expected a single value");
+    EXPECT_EQ(error("loss = 1\n"), file + "setting loss: unknown key, did you mean " + "preset?");
+    EXPECT_NE(error("[\"lo\\nss\"]\ndepth = 1\n").find("unknown key"), std::string::npos);
+}
+
+TEST_F(ConfigFile, DamagedFilesAreDataErrors) {
+    Config config;
+    put(folder / "c.toml", "[loss]\ndepth = \n");
+    const std::string message = data_error([&] { load_config(config, folder / "c.toml"); });
+    EXPECT_NE(message.find("c.toml:2: not valid TOML"), std::string::npos) << message;
+    EXPECT_NE(data_error([&] { load_config(config, folder / "missing.toml"); }).find("missing.toml: no such file"), std::string::npos);
+    EXPECT_NE(data_error([&] { load_config(config, folder); }).find(folder.string()), std::string::npos);
+}
+
+TEST_F(ConfigFile, FileStartsFromItsPresetAndFailsWhole) {
+    Config config;
+    put(folder / "c.toml", "[train]\niterations = 5\n[loss]\ndepth = 1\n");   // no preset: what is not named stays
+    set_key(config, "train.seed", "42");
+    load_config(config, folder / "c.toml");
+    EXPECT_EQ(config.train.iterations, 5);
+    EXPECT_EQ(config.train.seed, 42u);
+    put(folder / "c.toml", "preset = \"quick\"\n[train]\niterations = 6\n");
+    load_config(config, folder / "c.toml");
+    Config expected = make_preset("quick");
+    expected.train.iterations = 6;
+    expect_equal(config, expected);
+    put(folder / "c.toml", "[train]\niterations = 7\nseed = -1\n");
+    EXPECT_THROW(load_config(config, folder / "c.toml"), UsageError);
+    expect_equal(config, expected);
+}
+
+}  // namespace
+}  // namespace relidar

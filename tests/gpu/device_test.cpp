@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+// Devices, memory and submission: what is listed, copies of every size, fills, memory accounting, impossible requests.
+#include <numeric>
+
+#include <relidar/error.hpp>
+#include <relidar/gpu.hpp>
+
+#include "../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+class Gpu : public test::DeviceTest {};
+
+TEST_F(Gpu, EveryDeviceIsDescribed) {
+    const std::vector<DeviceInfo> devices = list_devices();
+    ASSERT_FALSE(devices.empty());
+    for (std::size_t i = 0; i < devices.size(); ++i) {
+        EXPECT_EQ(devices[i].index, static_cast<int>(i));
+        EXPECT_FALSE(devices[i].name.empty());
+        EXPECT_EQ(devices[i].ray_query, devices[i].why_not_ray_query.empty() && devices[i].why_not_usable.empty());
+    }
+}
+
+TEST_F(Gpu, UploadsAndDownloadsAreEqual) {
+    for (const std::size_t n : {std::size_t(1), std::size_t(1000), std::size_t(9) << 20}) {   // the last one passes the staging size
+        std::vector<std::uint32_t> values(n);
+        std::iota(values.begin(), values.end(), 7u);
+        const Array<std::uint32_t> array(device(), std::span<const std::uint32_t>(values), "test");
+        EXPECT_EQ(array.download(), values);
+    }
+}
+
+TEST_F(Gpu, MemoryIsCountedAndReturned) {
+    const std::uint64_t before = device().allocated_bytes();
+    {
+        const Array<float> array(device(), 1 << 20, "test");
+        EXPECT_GE(device().allocated_bytes(), before + (4u << 20));
+        EXPECT_GE(device().peak_bytes(), before + (4u << 20));
+    }
+    EXPECT_EQ(device().allocated_bytes(), before);
+}
+
+TEST_F(Gpu, FillsAreOrderedAndManySubmissionsOverlap) {
+    Array<std::uint32_t> array(device(), 100, "test");
+    Stream stream(device(), true);
+    for (std::uint32_t i = 0; i < 20; ++i) {
+        stream.fill(array, i);
+        stream.submit();
+    }
+    stream.finish();
+    EXPECT_EQ(array.download(), std::vector<std::uint32_t>(100, 19u));
+    EXPECT_EQ(stream.times().milliseconds.at("fill").size(), device().info().timestamps ? 20u : 0u);
+}
+
+TEST_F(Gpu, ImpossibleRequestsSayWhatWasAsked) {
+    try {
+        const Array<float> array(device(), std::size_t(1) << 44, "a test of the impossible");
+        FAIL() << "expected DeviceError";
+    } catch (const DeviceError& error) {
+        EXPECT_NE(std::string(error.what()).find("a test of the impossible"), std::string::npos) << error.what();
+    }
+    EXPECT_THROW(Device({.index = 1000}), DeviceError);
+    EXPECT_THROW(Device({.traversal = Traversal::software}), DeviceError);
+}
+
+}  // namespace
+}  // namespace relidar

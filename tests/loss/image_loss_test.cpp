@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+// loss/image_loss (Eq. 10, M6) against the double reference, values and derivatives, on both depth terms; masked rays, extreme logits,
+// strided batches.
+#include <cmath>
+#include <random>
+
+#include <relidar/forward.hpp>
+#include <relidar/loss.hpp>
+
+#include "../reference/loss.hpp"
+#include "../support/device.hpp"
+#include "../support/tolerances.hpp"
+
+namespace relidar {
+namespace {
+
+class ImageLossTest : public test::DeviceTest {};
+
+struct Data {
+    std::vector<float> rendered;
+    std::vector<DeviceTarget> targets;
+    std::vector<reference::Pixel> pixels;
+    std::vector<reference::Target> expected_targets;
+};
+
+Data random_data(std::size_t n, std::uint64_t seed) {
+    std::mt19937_64 random(seed);
+    std::uniform_real_distribution<float> unit(0.0f, 1.0f);
+    Data d;
+    for (std::size_t i = 0; i < n; ++i) {
+        const float weight = 0.2f + 0.8f * unit(random), range = 2.0f + 50.0f * unit(random), depth = weight * (range + unit(random) - 0.5f);
+        const float spread = i % 7 == 0 ? 80.0f : 3.0f;   // extreme logits, too
+        const float hit = spread * (unit(random) - 0.5f), drop = spread * (unit(random) - 0.5f), intensity = unit(random);
+        const bool dropped = unit(random) < 0.3f;
+        for (const float x : {depth, weight, intensity, hit, drop, 1.0f - weight, range}) d.rendered.push_back(x);
+        d.rendered.push_back(0.0f);
+        d.targets.push_back({dropped ? 0.0f : range, dropped ? 0.0f : unit(random), 1.0f});
+        reference::Pixel p;
+        p.depth = depth, p.weight = weight, p.intensity = intensity, p.hit_logit = hit, p.drop_logit = drop;
+        d.pixels.push_back(p);
+        d.expected_targets.push_back({d.targets.back().range_m, d.targets.back().intensity});
+    }
+    return d;
+}
+
+TEST_F(ImageLossTest, AgreesWithReference) {
+    for (const std::size_t n : {std::size_t(1), std::size_t(1000), std::size_t(1037)})
+        for (const bool normalised : {false, true}) {
+            const Data d = random_data(n, n);
+            LossWeights weights;
+            weights.normalised_depth = normalised;
+            std::vector<reference::PixelGradient> expected;
+            const reference::LossTerms terms = reference::evaluate_loss(d.pixels, d.expected_targets, {weights.depth, weights.intensity, weights.drop},
+                                                                        normalised ? reference::DepthKind::normalised : reference::DepthKind::blended, &expected);
+            ImageLoss loss(device(), weights);
+            Stream stream(device());
+            const Array<float> rendered(device(), std::span<const float>(d.rendered), "rendered");
+            const Array<DeviceTarget> targets(device(), std::span<const DeviceTarget>(d.targets), "targets");
+            Array<float> upstream(device(), n * kUpstreamFloats + 4, "upstream");   // four guard words behind
+            const Array<float> sums(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
+            stream.fill(upstream, 0x7fc00000u);
+            double returned = 0.0;
+            for (const DeviceTarget& t : d.targets) returned += t.range_m > 0.0f;
+            loss.run(stream, {&targets, 0, 1, static_cast<std::uint32_t>(n), returned, double(n)}, rendered, upstream, sums);
+            stream.finish();
+            const std::vector<float> g = upstream.download(), s = sums.download();
+            EXPECT_NEAR(s[0], weights.depth * terms.depth, 1e-4 * weights.depth * terms.depth);
+            EXPECT_NEAR(s[1], weights.intensity * terms.intensity, 1e-4 * weights.intensity * terms.intensity);
+            EXPECT_NEAR(s[2], weights.drop * terms.drop, 1e-4 * weights.drop * terms.drop);
+            for (std::size_t i = 0; i < n; ++i) {
+                const double row[] = {expected[i].depth, expected[i].weight, expected[i].intensity, expected[i].hit_logit, expected[i].drop_logit};
+                for (std::size_t k = 0; k < kUpstreamFloats; ++k) EXPECT_NEAR(g[i * kUpstreamFloats + k], row[k], 1e-6 * (std::abs(row[k]) + 1.0 / double(n))) << "ray " << i << " lane " << k;
+            }
+            for (std::size_t k = 0; k < 4; ++k) EXPECT_TRUE(std::isnan(g[n * kUpstreamFloats + k])) << "wrote past the end";
+        }
+}
+
+TEST_F(ImageLossTest, MaskedRaysTakeNoPartAndStrideSelects) {
+    Data d = random_data(64, 9);
+    for (std::size_t i = 0; i < 64; ++i) d.targets[i].weight = i % 4 == 1 ? 1.0f : 0.0f;
+    ImageLoss loss(device(), {});
+    Stream stream(device());
+    const Array<DeviceTarget> targets(device(), std::span<const DeviceTarget>(d.targets), "targets");
+    const Array<float> rendered(device(), std::span<const float>(d.rendered), "rendered");
+    const Array<float> sums(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
+    Array<float> upstream(device(), 16 * kUpstreamFloats, "upstream");
+    loss.run(stream, {&targets, 0, 4, 16, 16.0, 16.0}, rendered, upstream, sums);   // targets 0, 4, 8, ...: all masked
+    stream.finish();
+    for (const float x : upstream.download()) EXPECT_EQ(x, 0.0f);
+    for (const float x : sums.download()) EXPECT_EQ(x, 0.0f);
+    loss.run(stream, {&targets, 1, 4, 16, 16.0, 16.0}, rendered, upstream, sums);   // targets 1, 5, 9, ...: all known
+    stream.finish();
+    EXPECT_GT(sums.download()[2], 0.0f);
+}
+
+}  // namespace
+}  // namespace relidar

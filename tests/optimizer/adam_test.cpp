@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: Apache-2.0
+// optimizer/adam against Adam written out in double, every parameter group, untouched rows, inactive SH coefficients, and the schedule.
+#include <cmath>
+#include <random>
+
+#include <relidar/optimizer.hpp>
+
+#include "../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+class AdamTest : public test::DeviceTest {};
+
+Surfels random_surfels(std::uint32_t n, std::uint64_t seed) {
+    std::mt19937_64 random(seed);
+    std::normal_distribution<float> normal;
+    Surfels s;
+    s.resize(n);
+    for (auto& x : s.mean) x = {normal(random), normal(random), normal(random)};
+    for (auto& x : s.rotation) x = {normal(random), normal(random), normal(random), normal(random)};
+    for (auto& x : s.log_scale) x = {normal(random), normal(random)};
+    for (auto& x : s.opacity_logit) x = normal(random);
+    for (auto& x : s.sh) x = normal(random);
+    return s;
+}
+
+/// One scalar's history.
+struct Scalar {
+    double value, m = 0.0, v = 0.0;
+    void step(double g, double rate, int t) {
+        m = 0.9 * m + 0.1 * g;
+        v = 0.999 * v + 0.001 * g * g;
+        value -= rate * (m / (1.0 - std::pow(0.9, t))) / (std::sqrt(v / (1.0 - std::pow(0.999, t))) + 1e-15);
+    }
+};
+
+TEST_F(AdamTest, AgreesWithAdamInDouble) {
+    const std::uint32_t n = 133;
+    const LearningRates rates{1e-3, 2e-3, 3e-3, 4e-2, 5e-3, 0.05};
+    for (const bool only_touched : {false, true}) {
+        Adam adam(device(), n, {.only_touched = only_touched});
+        Stream stream(device());
+        SurfelArrays parameters(device(), n, "parameters"), gradients(device(), n, "gradients");
+        const Surfels start = random_surfels(n, 1);
+        parameters.upload(start);
+        std::vector<std::uint32_t> touched(n);
+        for (std::uint32_t i = 0; i < n; ++i) touched[i] = i % 3 != 0;
+        const Array<std::uint32_t> on_device(device(), std::span<const std::uint32_t>(touched), "touched");
+        std::vector<Surfels> g;
+        for (int t = 1; t <= 3; ++t) {
+            g.push_back(random_surfels(n, 10 + std::uint64_t(t)));
+            gradients.upload(g.back());
+            adam.step(stream, parameters, gradients, on_device, rates, t, 2);
+            stream.finish();
+        }
+        const Surfels actual = parameters.download();
+        for (std::uint32_t i = 0; i < n; ++i) {
+            const bool frozen = only_touched && !touched[i];
+            const auto expect = [&](double first, double result, double rate, auto&& gradient) {
+                Scalar s{first};
+                for (int t = 1; t <= 3 && !frozen; ++t) s.step(gradient(g[std::size_t(t - 1)]), rate, t);
+                EXPECT_NEAR(result, s.value, 2e-6 * (1.0 + std::abs(s.value)));
+            };
+            for (int k = 0; k < 3; ++k) expect(start.mean[i][k], actual.mean[i][k], rates.mean, [&](const Surfels& s) { return s.mean[i][k]; });
+            for (int k = 0; k < 4; ++k) expect(start.rotation[i][k], actual.rotation[i][k], rates.rotation, [&](const Surfels& s) { return s.rotation[i][k]; });
+            for (int k = 0; k < 2; ++k) expect(start.log_scale[i][k], actual.log_scale[i][k], rates.log_scale, [&](const Surfels& s) { return s.log_scale[i][k]; });
+            expect(start.opacity_logit[i], actual.opacity_logit[i], rates.opacity_logit, [&](const Surfels& s) { return s.opacity_logit[i]; });
+            for (std::size_t k = 0; k < kShFloats; ++k) {
+                const std::size_t within = k % kShCoefficients, slot = i * kShFloats + k;
+                const double rate = within >= 9 ? 0.0 : rates.sh * (within == 0 ? 1.0 : rates.sh_rest_factor);   // degree 2: nine coefficients
+                expect(start.sh[slot], actual.sh[slot], rate, [&](const Surfels& s) { return s.sh[slot]; });
+            }
+        }
+    }
+}
+
+TEST(Schedule, IsExponentialBetweenItsEnds) {
+    EXPECT_DOUBLE_EQ(exponential_schedule(1e-2, 1e-4, 0, 100), 1e-2);
+    EXPECT_NEAR(exponential_schedule(1e-2, 1e-4, 50, 100), 1e-3, 1e-15);
+    EXPECT_NEAR(exponential_schedule(1e-2, 1e-4, 100, 100), 1e-4, 1e-16);
+    EXPECT_NEAR(exponential_schedule(1e-2, 1e-4, 1000, 100), 1e-4, 1e-16);
+}
+
+}  // namespace
+}  // namespace relidar

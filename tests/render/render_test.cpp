@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: Apache-2.0
+// Scans in a grid: binning simulated points as real ones are binned, choice of sensor, and rendering a wall at a known place.
+#include <cmath>
+
+#include <relidar/error.hpp>
+#include <relidar/render.hpp>
+
+#include "../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+class Render : public test::DeviceTest {};
+
+RenderedScan scan_of(const std::vector<glm::vec3>& points, const std::vector<float>& drop) {
+    RenderedScan scan;
+    scan.image.rows = 1;
+    scan.image.columns = static_cast<int>(points.size());
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const glm::vec3 origin(0.0f, 0.0f, 0.2f);
+        scan.image.origin.push_back(origin);
+        scan.image.direction.push_back(glm::normalize(points[i] - origin));
+        scan.image.range_m.push_back(glm::length(points[i] - origin));
+        scan.image.intensity.push_back(0.1f * float(i + 1));
+        scan.image.drop_prob.push_back(drop[i]);
+        scan.median_range_m.push_back(scan.image.range_m.back());
+        scan.weight.push_back(1.0f);
+        scan.time_offset_s.push_back(0.0f);
+        scan.channel.push_back(0);
+    }
+    return scan;
+}
+
+TEST(ProjectScan, NearestReturnedPointWinsAndDropsMultiply) {
+    const RangeGrid grid = kitti360_grid();
+    const glm::vec3 a(10.0f, 0.0f, -0.5f);
+    // a cell with a returned far point, a nearer returned one, and a nearest that is dropped
+    const RenderedScan near = project_scan(scan_of({a, 0.9f * a, 0.5f * a}, {0.1f, 0.2f, 0.9f}), grid);
+    const std::size_t cell = std::size_t(*project(grid, glm::dvec3(a)));
+    EXPECT_NEAR(near.image.range_m[cell], 0.9f * glm::length(a), 1e-4f);
+    EXPECT_NEAR(near.image.intensity[cell], 0.2f, 1e-6f);
+    EXPECT_NEAR(near.image.drop_prob[cell], 0.1f * 0.2f * 0.9f, 1e-6f);
+    std::size_t filled = 0;
+    for (std::size_t i = 0; i < near.image.range_m.size(); ++i) {
+        filled += near.image.range_m[i] > 0.0f;
+        if (i != cell) EXPECT_EQ(near.image.drop_prob[i], 1.0f);
+    }
+    EXPECT_EQ(filled, 1u);
+}
+
+TEST(ProjectScan, RealAndSimulatedPointsAreBinnedAlike) {
+    Scan real;
+    std::vector<glm::vec3> points;
+    for (int i = 0; i < 500; ++i) points.push_back({12.0f * std::cos(0.0123f * i), 12.0f * std::sin(0.0123f * i), -0.004f * i + 0.2f});
+    const RenderedScan simulated = scan_of(points, std::vector<float>(points.size(), 0.0f));
+    real.rays.rows = 1;
+    real.rays.columns = 500;
+    real.rays.origin = simulated.image.origin;
+    real.rays.direction = simulated.image.direction;
+    real.range_m = simulated.image.range_m;
+    real.intensity = simulated.image.intensity;
+    Config config;
+    config.sensor.grid = "kitti360";
+    const RangeImage image = real_image(config, real);
+    const RenderedScan projected = project_scan(simulated, kitti360_grid());
+    for (std::size_t i = 0; i < image.range_m.size(); ++i) {
+        EXPECT_NEAR(image.range_m[i], projected.image.range_m[i], 1e-5f);
+        EXPECT_EQ(image.drop_prob[i], projected.image.drop_prob[i]);
+    }
+}
+
+TEST_F(Render, WallIsWhereItStands) {
+    Surfels wall;
+    wall.resize(1);
+    wall.mean[0] = {10.0f, 0.0f, 0.0f};
+    wall.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
+    wall.log_scale[0] = glm::vec2(std::log(5.0f));
+    wall.opacity_logit[0] = 6.0f;
+    std::fill(wall.sh.begin(), wall.sh.end(), 0.0f);
+    wall.sh[kShCoefficients] = 20.0f;   // hit logit
+    Sequence sequence;
+    sequence.sensor.beams = {{0.0}};
+    sequence.sensor.columns = 8;
+    sequence.sensor.first_azimuth_rad = kPi;
+    sequence.world_from_sensor.time_s = {0.0, 1.0};
+    sequence.world_from_sensor.pose = {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}};   // 2 m/s towards the wall
+    Config config;
+    ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
+    const SensorChoice sensor = configured_sensor(config, sequence);
+    std::size_t ahead = 0;
+    for (std::size_t i = 0; i < sensor.rays.size(); ++i)
+        if (sensor.rays.direction[i].x > 0.999f) ahead = i;
+    config.render.range = "normalised";
+    const RenderedScan at_half = renderer.render(sensor, 0.5);
+    const double fired_at = 0.5 + sensor.rays.time_offset_s[ahead];
+    EXPECT_NEAR(at_half.image.range_m[ahead], 10.0 - 2.0 * fired_at, 1e-4);
+    EXPECT_LT(at_half.image.drop_prob[ahead], 0.5f);
+    EXPECT_GT(at_half.image.drop_prob[(ahead + 4) % 8], 0.5f) << "nothing stands behind";
+    Pose back;
+    back.translation.x = -3.0;
+    EXPECT_NEAR(renderer.render(sensor, 0.5, back).image.range_m[ahead], 13.0 - 2.0 * fired_at, 1e-4);
+}
+
+}  // namespace
+}  // namespace relidar

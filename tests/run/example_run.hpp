@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: Apache-2.0
+// A small run with values that no short decimal form holds, for the tests of run folders.
+#pragma once
+
+#include <cmath>
+#include <filesystem>
+
+#include <relidar/run.hpp>
+
+namespace relidar {
+
+inline Pose example_pose(double s) {
+    return {glm::normalize(glm::dquat(1.0, 0.1 / 3.0 * s, -0.7 / 9.0, 0.2 * s)), {1.0 / 3.0 * s, -2e-7 / 3.0, 4.1e3 + s / 7.0}};
+}
+
+inline Surfels example_surfels(std::size_t n) {
+    Surfels surfels;
+    surfels.resize(n);
+    for (std::size_t i = 0; i < n; ++i) {
+        const float x = static_cast<float>(i) + 1.0f / 3.0f;
+        surfels.mean[i] = {x, -x / 7.0f, 1e-20f * x};
+        surfels.rotation[i] = {1.0f, x, 2.0f * x, -x};
+        surfels.log_scale[i] = {-x, -2.0f * x};
+        surfels.opacity_logit[i] = -2.2f + x;
+        for (std::size_t k = 0; k < kShFloats; ++k) surfels.sh[i * kShFloats + k] = std::sin(x * static_cast<float>(k));
+    }
+    return surfels;
+}
+
+inline Run example_run(const std::filesystem::path& folder) {
+    Run run;
+    run.folder = folder;
+    run.config = make_preset("quick");
+    run.config.dataset.path = "/data/log \"one\"";
+    Sequence& s = run.sequence;
+    s.name = "example \xC3\xA9";
+    s.source = "somewhere";
+    s.conventions = "none";
+    s.world_offset_m = {1e6 / 3.0, -5e6 / 7.0, 0.1};
+    s.rolling_shutter = false;
+    s.sensor = {"sensor", {{0.1, 0.0, 0.0, 0.2, 0.01}, {-0.1 / 3.0, 1e-3, 0.0, 0.12, 0.0}}, 1030, 0.1, true, 3.14, 0.5, 80.0, 1e-3};
+    for (int i = 0; i < 4; ++i) {
+        s.frames.push_back({10 + i, 1.3e9 + i / 10.0, {}});
+        s.world_from_sensor.time_s.push_back(s.frames.back().time_s);
+        s.world_from_sensor.pose.push_back(example_pose(i));
+    }
+    s.boxes.push_back({"7", "Car", {4.2, 1.8, 1.5}, {{1.3e9, 1.3e9 + 0.1}, {example_pose(0.5), example_pose(0.6)}}});
+    s.boxes.push_back({"8", "Van", {5.2, 2.0, 2.5}, {}});
+    run.split = {{0, 1}, {2}};   // frame 3 is unused
+    run.scene = make_background_scene(example_surfels(5));
+    return run;
+}
+
+}  // namespace relidar

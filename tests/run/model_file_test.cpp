@@ -1,0 +1,134 @@
+// SPDX-License-Identifier: Apache-2.0
+// model.safetensors: exact round trip, and refusal of cut files, missing or misshapen arrays, values that are not finite and
+// models that do not cover the surfels.
+#include <relidar/run.hpp>
+
+#include <limits>
+
+#include <relidar/export.hpp>
+
+#include "../export/temporary_folder.hpp"
+#include "example_run.hpp"
+
+namespace relidar {
+namespace {
+
+class ModelFile : public TemporaryFolder {
+protected:
+    void SetUp() override {
+        TemporaryFolder::SetUp();
+        path = folder / "model.safetensors";
+        scene = make_background_scene(example_surfels(4));
+        scene.models = {{"background", 0, 3}, {"track 7", 3, 1}};
+        scene.instances = {{0, ""}, {1, "7"}};
+        save_model(path, scene);
+        arrays = read_safetensors(path, &metadata);
+    }
+    std::string load_error() {
+        return data_error([&] { load_model(path); });
+    }
+    std::string error_with_layout(const std::string& layout) {
+        metadata["layout"] = layout;
+        write_safetensors(path, arrays, metadata);
+        return load_error();
+    }
+    NamedArray& array(const std::string& name) {
+        return *std::find_if(arrays.begin(), arrays.end(), [&](const NamedArray& a) { return a.name == name; });
+    }
+
+    std::filesystem::path path;
+    Scene scene;
+    std::vector<NamedArray> arrays;
+    std::map<std::string, std::string> metadata;
+};
+
+TEST_F(ModelFile, RoundTripsExactly) {
+    const Scene read = load_model(path);
+    EXPECT_EQ(read.surfels.mean, scene.surfels.mean);
+    EXPECT_EQ(read.surfels.rotation, scene.surfels.rotation);
+    EXPECT_EQ(read.surfels.log_scale, scene.surfels.log_scale);
+    EXPECT_EQ(read.surfels.opacity_logit, scene.surfels.opacity_logit);
+    EXPECT_EQ(read.surfels.sh, scene.surfels.sh);
+    ASSERT_EQ(read.models.size(), 2u);
+    EXPECT_EQ(read.models[1].name, "track 7");
+    EXPECT_EQ(read.models[1].first, 3u);
+    EXPECT_EQ(read.models[1].count, 1u);
+    ASSERT_EQ(read.instances.size(), 2u);
+    EXPECT_EQ(read.instances[1].model, 1u);
+    EXPECT_EQ(read.instances[1].track, "7");
+}
+
+TEST_F(ModelFile, HasTheDocumentedArrays) {
+    const std::map<std::string, std::vector<std::size_t>> expected{{"mean", {4, 3}}, {"rotation", {4, 4}}, {"log_scale", {4, 2}}, {"opacity_logit", {4}}, {"sh", {4, 3, 16}}};
+    ASSERT_EQ(arrays.size(), expected.size());
+    for (const NamedArray& a : arrays) {
+        EXPECT_EQ(a.shape, expected.at(a.name)) << a.name;
+        EXPECT_EQ(a.dtype, "f4");
+    }
+}
+
+TEST_F(ModelFile, AnEmptySceneRoundTrips) {
+    save_model(path, make_background_scene({}));
+    EXPECT_EQ(load_model(path).surfels.size(), 0u);
+}
+
+TEST_F(ModelFile, CutFilesAreRefused) {
+    const std::string whole = contents(path);
+    for (std::size_t keep = 0; keep < whole.size(); keep += keep < 600 ? 37 : 211) {
+        put(path, std::string_view(whole).substr(0, keep));
+        EXPECT_NE(load_error().find("model.safetensors"), std::string::npos) << keep;
+    }
+    std::filesystem::remove(path);
+    EXPECT_NE(load_error().find("model.safetensors: no such file"), std::string::npos);
+}
+
+TEST_F(ModelFile, ArraysAreChecked) {
+    const std::vector<NamedArray> whole = arrays;
+    for (const char* name : {"mean", "rotation", "log_scale", "opacity_logit", "sh"}) {
+        arrays = whole;
+        std::erase_if(arrays, [&](const NamedArray& a) { return a.name == name; });
+        write_safetensors(path, arrays, metadata);
+        EXPECT_NE(load_error().find(std::string("array ") + name + ": missing"), std::string::npos);
+    }
+    arrays = whole;
+    array("sh").shape = {4, 48};
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array sh: found f4 [4, 48], expected f4 [4, 3, 16]"), std::string::npos);
+    arrays = whole;
+    const float one_row[4] = {1, 0, 0, 0};
+    array("rotation") = make_array("rotation", {1, 4}, one_row, 4);
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array rotation: found shape [1, 4], expected 4 rows"), std::string::npos);
+}
+
+TEST_F(ModelFile, ValuesThatAreNotFiniteAreNamed) {
+    const float bad[8] = {0, 0, 0, 0, 0, std::numeric_limits<float>::quiet_NaN(), 0, 0};
+    array("log_scale") = make_array("log_scale", {4, 2}, bad, 8);
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array log_scale: row 2 holds nan"), std::string::npos);
+    scene.surfels.sh[1 * kShFloats + 5] = std::numeric_limits<float>::infinity();
+    EXPECT_NE(data_error([&] { save_model(path, scene); }).find("array sh: row 1 holds inf"), std::string::npos);
+    scene.surfels.rotation.pop_back();
+    EXPECT_THROW(save_model(path, scene), DataError);
+}
+
+TEST_F(ModelFile, ModelsMustCoverTheSurfels) {
+    const std::string instances = R"(,"instances":[{"model":0,"track":""}]})";
+    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":3}])" + instances).find("models of 3 surfels, expected 4"), std::string::npos);
+    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":1,"count":3}])" + instances).find("models[0].first: found 1, expected 0"), std::string::npos);
+    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":-4}])" + instances).find("models[0].count: found -4"), std::string::npos);
+    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":4}],"instances":[{"model":1,"track":""}]})").find("instances[0].model: found 1"), std::string::npos);
+    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":4}],"instances":[]})").find("found no model or no instance"), std::string::npos);
+    EXPECT_NE(error_with_layout("{").find("metadata layout: not valid JSON"), std::string::npos);
+}
+
+TEST_F(ModelFile, OtherFilesAreRefused) {
+    write_safetensors(path, arrays, {{"format", "pt"}});
+    EXPECT_NE(load_error().find("metadata format: found \"pt\", expected \"relidar model\""), std::string::npos);
+    metadata["version"] = "9";
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("metadata version: found \"9\""), std::string::npos);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,180 @@
+// SPDX-License-Identifier: Apache-2.0
+// Run folders: what was saved comes back bit by bit; anything cut, missing or changed is refused by file and field.
+#include <relidar/run.hpp>
+
+#include <limits>
+
+#include <nlohmann/json.hpp>
+
+#include "../export/temporary_folder.hpp"
+#include "example_run.hpp"
+
+namespace relidar {
+namespace {
+
+using Json = nlohmann::json;
+
+class RunFolder : public TemporaryFolder {
+protected:
+    void SetUp() override {
+        TemporaryFolder::SetUp();
+        run = example_run(folder / "run");
+        save_run(run);
+        scene = contents(run.folder / "scene.json");
+    }
+    std::string load_error() {
+        return data_error([&] { load_run(run.folder); });
+    }
+    /// Message after scene.json has been changed.
+    std::string error_with(const Json& changed) {
+        put(run.folder / "scene.json", changed.dump());
+        return load_error();
+    }
+
+    relidar::Run run;
+    std::string scene;
+};
+
+void expect_equal(const Pose& a, const Pose& b) {
+    EXPECT_EQ(a.translation, b.translation);
+    for (int k = 0; k < 4; ++k) EXPECT_EQ(a.rotation[k], b.rotation[k]);
+}
+
+TEST_F(RunFolder, RoundTripsExactly) {
+    const relidar::Run read = load_run(run.folder);
+    EXPECT_EQ(to_toml(read.config), to_toml(run.config));
+    const Sequence &a = read.sequence, &b = run.sequence;
+    EXPECT_EQ(a.name, b.name);
+    EXPECT_EQ(a.source, b.source);
+    EXPECT_EQ(a.conventions, b.conventions);
+    EXPECT_EQ(a.world_offset_m, b.world_offset_m);
+    EXPECT_EQ(a.rolling_shutter, b.rolling_shutter);
+    ASSERT_EQ(a.frames.size(), b.frames.size());
+    for (std::size_t i = 0; i < a.frames.size(); ++i) {
+        EXPECT_EQ(a.frames[i].index, b.frames[i].index);
+        EXPECT_EQ(a.frames[i].time_s, b.frames[i].time_s);
+        EXPECT_EQ(a.world_from_sensor.time_s[i], b.world_from_sensor.time_s[i]);
+        expect_equal(a.world_from_sensor.pose[i], b.world_from_sensor.pose[i]);
+    }
+    ASSERT_EQ(a.boxes.size(), 2u);
+    EXPECT_EQ(a.boxes[0].size_m, b.boxes[0].size_m);
+    EXPECT_EQ(a.boxes[0].world_from_box.time_s, b.boxes[0].world_from_box.time_s);
+    expect_equal(a.boxes[0].world_from_box.pose[1], b.boxes[0].world_from_box.pose[1]);
+    EXPECT_EQ(a.boxes[1].category, "Van");
+    EXPECT_EQ(read.split.train, run.split.train);
+    EXPECT_EQ(read.split.test, run.split.test);
+}
+
+TEST_F(RunFolder, SensorRoundTripsExactly) {
+    const SpinningSensor a = load_run(run.folder).sequence.sensor, &b = run.sequence.sensor;
+    EXPECT_EQ(a.name, b.name);
+    EXPECT_EQ(a.columns, b.columns);
+    EXPECT_EQ(a.period_s, b.period_s);
+    EXPECT_EQ(a.clockwise, b.clockwise);
+    EXPECT_EQ(a.first_azimuth_rad, b.first_azimuth_rad);
+    EXPECT_EQ(a.max_range_m, b.max_range_m);
+    EXPECT_EQ(a.divergence_rad, b.divergence_rad);
+    ASSERT_EQ(a.beams.size(), b.beams.size());
+    for (std::size_t i = 0; i < a.beams.size(); ++i) {
+        EXPECT_EQ(a.beams[i].elevation_rad, b.beams[i].elevation_rad);
+        EXPECT_EQ(a.beams[i].azimuth_offset_rad, b.beams[i].azimuth_offset_rad);
+        EXPECT_EQ(a.beams[i].origin_up_m, b.beams[i].origin_up_m);
+        EXPECT_EQ(a.beams[i].origin_left_m, b.beams[i].origin_left_m);
+    }
+}
+
+TEST_F(RunFolder, TruncatedSceneIsRefused) {
+    for (std::size_t keep = 0; keep < scene.size() - 2; keep += 97) {
+        put(run.folder / "scene.json", scene.substr(0, keep));
+        const std::string message = load_error();
+        EXPECT_NE(message.find("scene.json: not valid JSON"), std::string::npos) << keep << ": " << message;
+    }
+}
+
+TEST_F(RunFolder, EveryFieldIsNeeded) {
+    const Json whole = Json::parse(scene);
+    const std::vector<std::string> told = {"/relidar", "/units", "/conventions", "/sensor/beam_fields"};   // for people only
+    int n_tried = 0;
+    const Json flat = whole.flatten();
+    for (const auto& [pointer, value] : flat.items()) {
+        std::string field = pointer;
+        while (std::isdigit(static_cast<unsigned char>(field.back()))) field = field.substr(0, field.find_last_of('/'));   // an array goes as a whole
+        if (std::any_of(told.begin(), told.end(), [&](const std::string& t) { return field.rfind(t, 0) == 0; })) continue;
+        Json changed = whole;
+        const Json::json_pointer at(field);
+        changed.at(at.parent_pointer()).erase(at.back());
+        const std::string message = error_with(changed);
+        EXPECT_NE(message.find("scene.json: "), std::string::npos) << message;
+        EXPECT_NE(message.find(at.back()), std::string::npos) << field << ": " << message;
+        ++n_tried;
+    }
+    EXPECT_GT(n_tried, 60);
+}
+
+TEST_F(RunFolder, WrongKindsAreRefused) {
+    const Json whole = Json::parse(scene);
+    const auto replaced = [&](const char* pointer, const Json& value) {
+        Json changed = whole;
+        changed[Json::json_pointer(pointer)] = value;
+        return error_with(changed);
+    };
+    EXPECT_NE(replaced("/frames/2/time_s", nullptr).find("frames[2].time_s: found null, expected a finite number"), std::string::npos);
+    EXPECT_NE(replaced("/frames/2/time_s", 0.0).find("frames[2].time_s: found 0, expected times that rise"), std::string::npos);
+    EXPECT_NE(replaced("/frames/1/split", "tset").find("frames[1].split: found \"tset\""), std::string::npos);
+    EXPECT_NE(replaced("/frames/1/world_from_sensor", {1, 2, 3}).find("found 3 numbers, expected 7"), std::string::npos);
+    EXPECT_NE(replaced("/frames/1/world_from_sensor/4", 5.0).find("quaternion of length"), std::string::npos);
+    EXPECT_NE(replaced("/frames", Json::array()).find("frames: found no frame"), std::string::npos);
+    EXPECT_NE(replaced("/version", 2).find("version: found 2, this relidar"), std::string::npos);
+    EXPECT_NE(replaced("/format", "other").find("format: found \"other\""), std::string::npos);
+    EXPECT_NE(replaced("/counts/boxes", 3).find("counts.boxes: found 3, expected 2"), std::string::npos);
+    EXPECT_NE(replaced("/counts/surfels", 3).find("counts.surfels: found 3, but model.safetensors holds 5"), std::string::npos);
+    EXPECT_NE(replaced("/boxes/0/time_s", {1.0}).find("boxes[0].world_from_box: found 2 poses, expected 1"), std::string::npos);
+    EXPECT_NE(replaced("/sensor/columns", 0).find("sensor.columns: found 0, expected an integer in 1.."), std::string::npos);
+    EXPECT_NE(replaced("/sensor/beams/1", "x").find("sensor.beams[1]: found \"x\", expected an array"), std::string::npos);
+    EXPECT_NE(replaced("/rolling_shutter", 1).find("rolling_shutter: found 1, expected true or false"), std::string::npos);
+    put(run.folder / "scene.json", "[1, 2]");
+    EXPECT_NE(load_error().find("scene.json: found an array of 2, expected an object"), std::string::npos);
+    put(run.folder / "scene.json", "{\"format\": 1e999}");
+    EXPECT_NE(load_error().find("scene.json"), std::string::npos);
+}
+
+TEST_F(RunFolder, MissingFilesAreNamed) {
+    for (const char* name : {"config.toml", "scene.json", "model.safetensors"}) {
+        std::filesystem::rename(run.folder / name, folder / name);
+        const std::string message = load_error();
+        EXPECT_NE(message.find(std::string(name) + ": no such file"), std::string::npos) << message;
+        std::filesystem::rename(folder / name, run.folder / name);
+    }
+    EXPECT_NE(data_error([&] { load_run(folder / "nowhere"); }).find("nowhere: no such folder"), std::string::npos);
+    EXPECT_TRUE(is_run(run.folder));
+    EXPECT_FALSE(is_run(folder));
+    EXPECT_FALSE(is_run(folder / "nowhere"));
+}
+
+TEST_F(RunFolder, WrongSettingIsDamage) {
+    put(run.folder / "config.toml", "[loss]\ndepht = 1\n");
+    const std::string message = load_error();
+    EXPECT_NE(message.find("config.toml: setting loss.depht: unknown key, did you mean loss.depth?"), std::string::npos) << message;
+}
+
+TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
+    run.folder = folder / "second";
+    run.sequence.world_from_sensor.pose[1].translation.x = std::numeric_limits<double>::quiet_NaN();
+    EXPECT_NE(data_error([&] { save_run(run); }).find("frames[1].world_from_sensor[0]"), std::string::npos);
+    EXPECT_FALSE(is_run(run.folder));
+    run = example_run(folder / "second");
+    run.sequence.world_from_sensor.pose.pop_back();
+    EXPECT_NE(data_error([&] { save_run(run); }).find("3 sensor poses for 4 frames"), std::string::npos);
+}
+
+TEST_F(RunFolder, UnwritableFoldersFailEarly) {
+    put(folder / "file", "x");
+    EXPECT_NE(data_error([&] { check_writable(folder / "file"); }).find("cannot be made a folder"), std::string::npos);
+    EXPECT_NE(data_error([&] { check_writable(folder / "file" / "run"); }).find("cannot be made a folder"), std::string::npos);
+    EXPECT_NE(data_error([&] { check_writable("/proc/relidar"); }).find("/proc/relidar"), std::string::npos);
+    check_writable(folder / "a" / "b");
+    EXPECT_TRUE(std::filesystem::is_empty(folder / "a" / "b"));
+}
+
+}  // namespace
+}  // namespace relidar

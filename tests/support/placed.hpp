@@ -1,0 +1,20 @@
+// SPDX-License-Identifier: Apache-2.0
+// Between the oracle's worlds and the library's scenes: one model a range of surfels that some instance places.
+#pragma once
+
+#include <relidar/forward.hpp>
+
+#include "surfels.hpp"
+
+namespace relidar::test {
+
+/// The scene and poses of a world, every distinct range of surfels a model.
+struct SceneAndPoses {
+    Scene scene;
+    std::vector<Pose> world_from_instance;
+};
+SceneAndPoses to_scene(Surfels surfels, const std::vector<reference::Placement>& placements);
+
+WorldRays to_world_rays(const std::vector<reference::Ray>& rays);
+
+}  // namespace relidar::test

@@ -1,0 +1,233 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+#
+# The command line tool as a user meets it: every command on a tiny synthetic street, and every bad input answered with one
+# line and the right exit code.
+#
+#   cli_test.sh RELIDAR [WORK_FOLDER]
+#
+# Exits 77 (skipped) where there is no Vulkan device, or fails there with RELIDAR_REQUIRE_GPU=1.
+set -uo pipefail
+relidar=$(realpath "${1:?usage: cli_test.sh RELIDAR [WORK_FOLDER]}")
+work=${2:-$(mktemp -d)}
+rm -rf "$work" && mkdir -p "$work" && cd "$work" || exit 1
+n_checks=0 n_failed=0
+
+fail() { n_failed=$((n_failed + 1)); printf 'FAILED: %s\n' "$*"; [[ ! -s err ]] || sed 's/^/    stderr: /' err; }
+check() { n_checks=$((n_checks + 1)); "${@:2}" || fail "$1"; }
+exists() { check "$1 is missing or empty" test -s "$1"; }
+absent() { check "$1 was left behind" test ! -e "$1"; }
+says() { check "stdout of the last command lacks: $1" grep -Eq -- "$1" out; }
+
+# good ARGS...: succeeds.
+good() {
+    "$relidar" "$@" >out 2>err
+    local code=$?
+    check "relidar $*: exit code $code, expected 0" test "$code" = 0
+}
+
+# bad CODE PATTERN ARGS...: fails with this code and one line on stderr that matches.
+bad() {
+    local code=$1 pattern=$2
+    shift 2
+    "$relidar" "$@" >out 2>err
+    local found=$?
+    check "relidar $*: exit code $found, expected $code" test "$found" = "$code"
+    check "relidar $*: more or less than one line on stderr" test "$(wc -l <err)" = 1
+    check "relidar $*: the message lacks '$pattern'" grep -Eq -- "^relidar: .*$pattern" err
+}
+
+help_tells() {
+    good --help
+    for command in devices config info train render eval demo; do
+        says "^  $command "
+    done
+    for command in devices config info train render eval demo; do
+        good "$command" --help
+        says "Example"
+    done
+    good --version
+    says "^relidar [0-9]+\.[0-9]+"
+    good config --preset paper
+    says "^iterations = 30000$"
+}
+
+wrong_usage() {
+    bad 2 "found no command"
+    bad 2 "command trian: unknown, did you mean train\?" trian
+    bad 2 "option --sed: unknown, did you mean --" train street --out x --sed 1
+    bad 2 "DATASET is required" train
+    bad 2 "argument extra: not expected" info street extra
+    bad 2 "setting loss.dept: unknown key, did you mean loss.depth\?" train street --out x --set loss.dept=1
+    bad 2 'setting loss.depth: found "abc", expected a number >= 0' train street --out x --set loss.depth=abc
+    bad 2 'setting loss.depth: found "nan"' train street --out x --set loss.depth=nan
+    bad 2 '--set: found "loss.depth", expected key=value' train street --out x --set loss.depth
+    bad 2 "preset 'papr': unknown, did you mean 'paper'" train street --out x --preset papr
+    bad 2 'setting init.seed: found "-1"' train street --out x --seed -1
+    bad 2 'device: found "x", expected an integer' train street --out x --device x
+    bad 2 'traversal: found "x", expected auto' train street --out x --traversal x
+    bad 2 'an empty range, expected first < end' train street --out x --frames 5:5
+    bad 2 'expected first:end' train street --out x --frames 5
+    bad 3 "missing.toml: no such file" train street --out x --config missing.toml
+    printf '[loss]\ndepth = \n' >broken.toml
+    bad 3 "broken.toml:2: not valid TOML" config --config broken.toml
+    printf '[loss]\ndpth = 1\n' >unknown.toml
+    bad 2 "unknown.toml: setting loss.dpth: unknown key, did you mean loss.depth\?" config --config unknown.toml
+    bad 3 "nowhere: no such folder" info nowhere
+    bad 3 "not a dataset" info .
+    bad 2 "dataset kind 'kity': unknown" info kity:street
+    bad 3 "cannot be made a folder" train street --out broken.toml/run
+    bad 3 "/proc/" train street --out /proc/relidar
+    mkdir full && printf 'x' >full/file
+    bad 2 "full: the folder is not empty.*--force" train street --out full
+    bad 3 "nowhere: no such folder" render nowhere --out x
+    bad 3 "nowhere: no such folder" eval nowhere
+    absent x
+}
+
+no_driver() {
+    for command in "devices" "train street --out x" "demo --out x"; do
+        VK_DRIVER_FILES=/nonexistent VK_ICD_FILENAMES=/nonexistent "$relidar" $command >out 2>err
+        local code=$?
+        check "relidar $command without a driver: exit code $code, expected 4" test "$code" = 4
+        check "relidar $command without a driver: not one line" test "$(wc -l <err)" = 1
+        check "relidar $command without a driver: the message names no driver" grep -q "driver" err
+    done
+    absent x
+}
+
+devices() {
+    good devices
+    says "ray query"
+    good devices --json
+    says '"traversal"'
+    bad 4 "device 99" train street --out x --device 99
+    bad 2 "no frame" train street --out x --frames 50:60
+    absent x
+}
+
+log_info() {
+    good info street
+    says "8 rows x 96 columns"
+    says "12 \(0 to 11\)"
+    good info synthetic:street --frames 2:5 --json
+    says '"frames": 3'
+    says '"returns_share": 0\.'
+}
+
+training() {
+    good train street --out run --preset quick --set train.iterations=6 --set train.log_every=2 --set dataset.test_every=5 --seed 3
+    for file in config.toml scene.json model.safetensors log.jsonl metrics.json report.html; do exists run/$file; done
+    check "log.jsonl has other than 4 lines" test "$(wc -l <run/log.jsonl)" = 4
+    check "config.toml lacks the seed" grep -qx "seed = 3" run/config.toml
+    check "config.toml lacks the iterations" grep -qx "iterations = 6" run/config.toml
+    check "progress lacks rate and eta" grep -Eq "^iteration 6/6  [0-9.]+ it/s  eta 0:00  loss [0-9.e-]+ \(depth" err
+    bad 2 "run: the folder is not empty" train street --out run
+    good train street --out again --config run/config.toml --set train.iterations=0 --no-eval --quiet
+    check "--quiet prints" test ! -s out -a ! -s err
+    absent again/metrics.json
+    good train street --out again --config run/config.toml --set train.iterations=2 --no-eval --force
+    good info run
+    says "10 training frames, 2 test frames \(5, 10\)"
+    good info run --json
+    says '"surfels": [1-9]'
+}
+
+rendering() {
+    good render run --out scans --format npz,exr,ply,pcd,bin,png
+    for frame in 000005 000010; do
+        for format in npz exr ply pcd bin png; do exists scans/frame_$frame.$format; done
+    done
+    check "render wrote other than 12 files" test "$(ls scans | wc -l)" = 12
+    good render run --out left --frames 2:4 --offset -1,2.5,1,90
+    exists left/frame_000002.npz
+    exists left/frame_000003.npz
+    good render run --out other --frames 11: --sensor VLP-16
+    good render run --out grid --frames all --sensor kitti360 --quiet
+    check "--frames all wrote other than 12 files" test "$(ls grid | wc -l)" = 12
+    printf 'elevation_deg\n5\n0\n-5\n' >beams.csv
+    good render run --out table --frames 0:1 --sensor beams.csv:64x10
+    bad 2 "no frame of run lies in it" render run --out x --frames 100:200
+    bad 2 'format: found "npy", did you mean npz' render run --out x --format npy
+    bad 2 "offset: found 2 numbers" render run --out x --offset 1,2
+    bad 2 "offset: found \"x\"" render run --out x --offset 1,2,x
+    bad 2 "did you mean 'VLP-16'" render run --out x --sensor VLP16
+    bad 3 "cannot be made a folder" render run --out broken.toml/x
+    absent x
+}
+
+evaluation() {
+    cp run/metrics.json before.json
+    good eval run
+    says "strict/depth_medae_m"
+    check "eval gives other numbers than train" diff <(sed -n '/"mean"/,/}/p' before.json) <(sed -n '/"mean"/,/}/p' run/metrics.json)
+    good eval run --out sub/metrics.json --set render.range=normalised
+    exists sub/metrics.json
+    bad 3 "cannot be made a folder" eval run --out broken.toml/m.json
+    bad 3 "nowhere: no such folder" eval run --set dataset.path=nowhere
+    mkdir short && sed 's/^n_frames.*/n_frames = 8/' street/street.toml >short/street.toml
+    bad 3 "frame 10 is not there" eval run --set dataset.path=short
+}
+
+damaged_runs() {
+    rm -rf hurt && cp -r run hurt && head -c 3000 run/scene.json >hurt/scene.json
+    bad 3 "hurt/scene.json: not valid JSON" render hurt --out x
+    cp run/scene.json hurt/ && head -c 5000 run/model.safetensors >hurt/model.safetensors
+    bad 3 "hurt/model.safetensors" render hurt --out x
+    rm hurt/model.safetensors
+    bad 3 "hurt/model.safetensors: no such file" render hurt --out x
+    cp run/model.safetensors hurt/ && printf '[loss]\ndpth = 1\n' >hurt/config.toml
+    bad 3 "hurt/config.toml: setting loss.dpth: unknown key" info hurt
+    printf 'n_frames = "x"\n' >short/street.toml
+    bad 3 "short/street.toml.*n_frames" info short
+    absent x
+}
+
+# Ctrl-C while training: the scene so far is saved, exit code 130.
+interruption() {
+    "$relidar" train street --out stopped --preset quick --set train.iterations=1000000 --set train.log_every=1 >out 2>err &
+    local pid=$!
+    for _ in $(seq 600); do
+        [[ ! -s stopped/log.jsonl ]] || break
+        sleep 0.1
+    done
+    kill -TERM $pid
+    wait $pid
+    local code=$?
+    check "interrupted training: exit code $code, expected 130" test "$code" = 130
+    check "interrupted training says nothing" grep -q "^relidar: interrupted after iteration" err
+    good info stopped
+}
+
+demo() {
+    good demo --out demo --iterations 2 --set init.voxel_m=0.5
+    for file in report.html street/street.toml run/model.safetensors run/report.html run/metrics.json; do exists demo/$file; done
+    for folder in held_out shifted; do
+        for format in npz png ply exr; do exists demo/$folder/frame_000010.$format; done
+    done
+    says "shifted sensor"
+    says "report +/.*/demo/report.html"
+}
+
+mkdir street
+printf 'seed = 5\nn_frames = 12\nrows = 8\ncolumns = 96\n' >street/street.toml
+help_tells
+wrong_usage
+no_driver
+log_info
+if "$relidar" devices >out 2>err; then
+    devices
+    training
+    rendering
+    evaluation
+    damaged_runs
+    interruption
+    demo
+elif [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]]; then
+    fail "no Vulkan device, and RELIDAR_REQUIRE_GPU=1"
+else
+    skipped=1
+fi
+printf '%d checks, %d failed%s\n' "$n_checks" "$n_failed" "${skipped:+; no Vulkan device: the rest was skipped}"
+[[ $n_failed == 0 ]] || exit 1
+[[ -z ${skipped:-} ]] || exit 77

@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: Apache-2.0
+// Training on a small synthetic street: the loss falls, held-out frames get better than the initialisation, interruption keeps the
+// scene so far, moving boxes are masked, a log that cannot train is refused.
+#include <algorithm>
+#include <cmath>
+
+#include <relidar/dataset.hpp>
+#include <relidar/error.hpp>
+#include <relidar/render.hpp>
+#include <relidar/train.hpp>
+
+#include "../support/device.hpp"
+#include "train/frame_data.hpp"
+
+namespace relidar {
+namespace {
+
+class Train : public test::DeviceTest {};
+
+SyntheticOptions small_street() {
+    SyntheticOptions options;
+    options.n_frames = 11;
+    options.rows = 16;
+    options.columns = 256;
+    return options;
+}
+
+Config small_config() {
+    Config config = make_preset("quick");
+    config.init.voxel_m = 0.4;
+    config.train.iterations = 60;
+    config.train.rays_per_iteration = 0;
+    config.train.log_every = 10;
+    return config;
+}
+
+double held_out_error(Device& device, const Scene& scene, const Config& config, const Sequence& street, const Split& split) {
+    ScanRenderer renderer(device, scene, config, street);
+    const Frame& frame = street.frames[std::size_t(split.test[0])];
+    const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
+    return evaluate(scan.image, real_image(config, frame.scan)).at("strict/depth_mae_m");
+}
+
+TEST_F(Train, LearnsTheStreet) {
+    const Sequence street = make_synthetic_street(small_street());
+    const Split split = split_frames(street, 10);
+    Config config = small_config();
+    const TrainResult result = train(device(), street, split, config, [](const TrainProgress&) { return true; });
+    ASSERT_GE(result.log.size(), 6u);
+    EXPECT_LT(result.log.back().loss, 0.7 * result.log.front().loss);
+    EXPECT_EQ(result.log.back().iteration, 60);
+    EXPECT_FALSE(result.interrupted);
+    config.train.iterations = 1;
+    config.train.mean_rate = config.train.rotation_rate = config.train.scale_rate = config.train.opacity_rate = config.train.sh_rate = 1e-12;
+    const TrainResult untrained = train(device(), street, split, config, [](const TrainProgress&) { return true; });
+    EXPECT_LT(held_out_error(device(), result.scene, config, street, split), 0.9 * held_out_error(device(), untrained.scene, config, street, split));
+}
+
+TEST_F(Train, StopsWhenAskedAndKeepsTheScene) {
+    const Sequence street = make_synthetic_street(small_street());
+    int calls = 0;
+    const TrainResult result = train(device(), street, split_frames(street, 10), small_config(), [&](const TrainProgress&) { return ++calls < 2; });
+    EXPECT_TRUE(result.interrupted);
+    EXPECT_EQ(result.log.back().iteration, 10);
+    EXPECT_GT(result.scene.surfels.size(), 100u);
+    for (const glm::vec3& p : result.scene.surfels.mean) ASSERT_TRUE(std::isfinite(p.x + p.y + p.z));
+}
+
+TEST(Targets, RaysOfMovingBoxesAreUnknown) {
+    const Sequence street = make_synthetic_street(small_street());
+    std::size_t masked_cars = 0, cars = 0, masked_rest = 0, rest = 0;
+    for (const Frame& frame : street.frames) {
+        std::vector<DeviceRay> rays;
+        std::vector<DeviceTarget> targets;
+        make_targets(street, frame, {}, rays, targets);
+        for (std::size_t i = 0; i < rays.size(); ++i) {
+            if (!(targets[i].range_m > 0.0f)) continue;
+            const glm::dvec3 p = glm::dvec3(rays[i].origin) + double(targets[i].range_m) * glm::dvec3(rays[i].direction);
+            const bool car = in_moving_box(street.boxes, p, frame.time_s, 0.01, 0.0);
+            (car ? cars : rest) += 1;
+            (car ? masked_cars : masked_rest) += targets[i].weight == 0.0f;
+        }
+    }
+    ASSERT_GT(cars, 50u);
+    EXPECT_GE(double(masked_cars), 0.99 * double(cars));
+    EXPECT_LE(double(masked_rest), 0.05 * double(rest));
+}
+
+TEST_F(Train, NothingToTrainOnIsAnError) {
+    const Sequence street = make_synthetic_street(small_street());
+    EXPECT_THROW(train(device(), street, Split{}, small_config(), [](const TrainProgress&) { return true; }), DataError);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar info: what a log or a run holds.
+#include <filesystem>
+#include <memory>
+
+#include <CLI/CLI.hpp>
+
+#include "command.hpp"
+#include "console.hpp"
+#include "info_text.hpp"
+#include "options.hpp"
+
+namespace relidar::cli {
+namespace {
+
+struct Options {
+    std::string path;
+    std::string frames;
+    Settings settings;
+    bool json = false;
+};
+
+void show_run(const Options& options) {
+    const RunSummary summary = summarise(load_run(options.path));
+    print(options.json ? to_json(summary) : to_text(summary));
+}
+
+void show_log(const Options& options) {
+    Config config = resolve(options.settings);
+    config.dataset.path = options.path;
+    if (!options.frames.empty()) {
+        const FrameRange range = parse_frames(options.frames);
+        config.dataset.frames_begin = range.begin;
+        config.dataset.frames_end = range.end;
+    }
+    const LogSummary summary = summarise(load_dataset(config), config.init.actor_min_step_m);
+    print(options.json ? to_json(summary) : to_text(summary));
+}
+
+}  // namespace
+
+void add_info(CLI::App& app, Call& call) {
+    CLI::App* command = app.add_subcommand("info", "say what a log or a run holds");
+    const auto options = std::make_shared<Options>();
+    command->add_option("DATASET|RUN", options->path, "log (path, or kind:path) or run folder")->required();
+    command->add_option("--frames", options->frames, "frames of a log to read, first:end (default: all)")->type_name("A:B");
+    add_set_option(*command, options->settings.sets);
+    command->add_flag("--json", options->json, "print JSON");
+    command->footer("Examples:\n"
+                    "  relidar info data/kitti/2011_09_26/2011_09_26_drive_0005_sync --frames 0:50\n"
+                    "  relidar info run --json");
+    command->callback([&call, options] {
+        call.run = [options] { is_run(options->path) ? show_run(*options) : show_log(*options); };
+    });
+}
+
+}  // namespace relidar::cli

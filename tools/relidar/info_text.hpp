@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+// What `relidar info` says of a log or a run, as numbers, for people and as JSON.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <relidar/run.hpp>
+
+namespace relidar::cli {
+
+struct BoxSummary {
+    std::string id, category;
+    glm::dvec3 size_m{0.0};
+    std::size_t n_frames = 0;
+    double path_m = 0.0;
+    bool moves = false;
+};
+
+struct LogSummary {
+    std::string name, source, conventions;
+    std::string sensor;
+    std::size_t n_beams = 0;
+    int columns = 0;
+    double top_deg = 0.0, bottom_deg = 0.0;
+    double period_s = 0.0, max_range_m = 0.0;
+    bool rolling_shutter = false;
+    std::size_t n_frames = 0;
+    int first_frame = 0, last_frame = 0;
+    double seconds = 0.0, path_m = 0.0;
+    std::optional<double> returns_share;   ///< none where the scans are not there
+    std::vector<BoxSummary> boxes;
+};
+
+/// @param min_step_m  boxes that move more a frame count as moving
+LogSummary summarise(const Sequence& sequence, double min_step_m);
+
+struct RunSummary {
+    LogSummary log;
+    std::string preset;
+    int iterations = 0;
+    std::size_t n_surfels = 0;
+    std::vector<std::pair<std::string, std::size_t>> models;         ///< name, surfels
+    std::size_t n_train = 0;
+    std::vector<int> test_frames;
+    std::vector<std::pair<std::string, std::uint64_t>> files;        ///< name, bytes
+};
+RunSummary summarise(const Run& run);
+
+std::string to_text(const LogSummary& log);
+std::string to_text(const RunSummary& run);
+std::string to_json(const LogSummary& log);
+std::string to_json(const RunSummary& run);
+
+}  // namespace relidar::cli

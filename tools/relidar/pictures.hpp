@@ -1,0 +1,28 @@
+// SPDX-License-Identifier: Apache-2.0
+// Range images as pictures: real, rendered and error side by side for the report, and one picture a rendered scan.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include <relidar/export.hpp>
+
+namespace relidar {
+struct RenderedScan;
+}
+
+namespace relidar::cli {
+
+struct ScoredFrame;
+
+/// Range, intensity and ray-drop of a frame, each real, rendered and error.
+/// @param title in front of each figure's name @param real caption of the real images
+std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title, const std::string& real, double max_range_m);
+
+/// Range, intensity and drop probability stacked, for --format png.
+Image scan_picture(const RenderedScan& scan);
+
+/// Real and rendered range stacked.
+Image range_pair(const ScoredFrame& frame, double max_range_m);
+
+}  // namespace relidar::cli

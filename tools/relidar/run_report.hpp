@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+// The HTML report of a run, put together from training and evaluation.
+#pragma once
+
+#include <string>
+
+#include <relidar/export.hpp>
+
+namespace relidar {
+struct Run;
+struct TrainResult;
+class Device;
+}
+
+namespace relidar::cli {
+
+struct Evaluation;
+
+/// Facts, loss curves and kernel times of training.
+Report make_report(const Run& run, const TrainResult& result, const Device& device, const std::string& command_line);
+
+/// What a set of scored frames is called.
+struct EvaluationTitle {
+    std::string column;        ///< of the metric table: "held out"
+    std::string real;          ///< caption of the real images: "real", "exact"
+};
+/// Adds a metric column, a timing table and pictures of one frame.
+void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run, const EvaluationTitle& title);
+
+}  // namespace relidar::cli
