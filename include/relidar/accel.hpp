@@ -44,24 +44,4 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Rays on a device, ready to be traced in batches.
-struct DeviceRay {
-    glm::vec3 origin;      ///< metres, world
-    glm::vec3 direction;   ///< unit, world
-};
-
-/// Ray k of a batch is entry first + k * stride.
-struct RayBatch {
-    const Array<DeviceRay>* rays = nullptr;
-    std::uint32_t first = 0;
-    std::uint32_t stride = 1;
-    std::uint32_t n_rays = 0;
-};
-
-/// How rays are traced; none of it changes the image.
-struct TraceOptions {
-    int chunk = 16;               ///< hits sorted at a time, 1..64
-    bool brute_force = false;     ///< test every surfel instead of using the acceleration structure (tests)
-};
-
 }  // namespace relidar

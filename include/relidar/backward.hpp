@@ -6,7 +6,7 @@
 #include <memory>
 
 #include <relidar/accel.hpp>
-#include <relidar/forward.hpp>
+#include <relidar/traversal.hpp>
 #include <relidar/gpu.hpp>
 #include <relidar/scene.hpp>
 

@@ -10,12 +10,14 @@
 #include <string_view>
 #include <vector>
 
-#include <relidar/accel.hpp>
 #include <relidar/loss.hpp>
 #include <relidar/optimizer.hpp>
 #include <relidar/scene.hpp>
 
 namespace relidar {
+
+struct AccelOptions;
+struct TraceOptions;
 
 struct DatasetConfig {
     std::string path;              ///< dataset as given on the command line
@@ -46,6 +48,7 @@ struct TrainConfig {
     double rate_decay = 1.0;         ///< all rates but the mean's end at this share of their start, exponentially (1 = paper)
     double extent_m = 0.0;           ///< 0 = from the scene
     bool only_touched = false;       ///< Adam leaves surfels without a gradient in this batch alone
+    bool sensor_drop = false;        ///< learn what the sensor itself never sees apart from the scene (stands in for the paper's U-Net)
     int log_every = 50;
     std::uint64_t seed = 1;
 };

@@ -11,15 +11,9 @@
 #include <relidar/accel.hpp>
 #include <relidar/gpu.hpp>
 #include <relidar/scene.hpp>
+#include <relidar/traversal.hpp>
 
 namespace relidar {
-
-/// Rays in world coordinates.
-struct WorldRays {
-    std::vector<glm::vec3> origin;      ///< [n] metres
-    std::vector<glm::vec3> direction;   ///< [n] unit
-    std::size_t size() const { return direction.size(); }
-};
 
 /// What a ray brings back; one entry a ray.
 struct Rendering {
@@ -75,26 +69,5 @@ private:
     struct Impl;
     std::unique_ptr<Impl> impl_;
 };
-
-/// Ordered hits of each ray, all of them: for tests of the traversal contract.
-struct CollectedHits {
-    std::uint32_t max_hits = 0;
-    std::vector<std::uint32_t> counts;     ///< [n_rays] may exceed max_hits
-    std::vector<float> t;                  ///< [n_rays, max_hits] metres
-    std::vector<std::uint32_t> instance;   ///< [n_rays, max_hits]
-    std::vector<std::uint32_t> surfel;     ///< [n_rays, max_hits]
-};
-
-/// A scene with its instances placed, and how it is traced.
-struct PlacedScene {
-    const Scene* scene = nullptr;
-    std::vector<Pose> world_from_instance;
-    ImageModel model;
-    AccelOptions accel;
-    TraceOptions trace;
-};
-
-/// @param max_hits  hits kept a ray; all are counted @throws DeviceError where a ray reaches the cap of passes
-CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays, std::uint32_t max_hits);
 
 }  // namespace relidar

@@ -8,7 +8,6 @@
 #include <vector>
 
 #include <relidar/config.hpp>
-#include <relidar/forward.hpp>
 #include <relidar/gpu.hpp>
 #include <relidar/metrics.hpp>
 #include <relidar/scene.hpp>
@@ -32,6 +31,7 @@ struct RenderedScan {
 struct SensorChoice {
     RayTable rays;
     std::optional<RangeGrid> grid;   ///< bin the simulated points into this grid afterwards
+    bool is_own = false;             ///< the log's own sensor: its sensor-level ray-drop applies
 };
 
 /// What config.sensor says: the log's own sensor, or the grid by projection or by casting.
@@ -54,7 +54,8 @@ private:
 };
 
 /// Bins a simulated scan into a grid as the dataset's points were: the nearest returned point wins a cell; the cell is dropped where
-/// every ray that falls into it is, so its drop probability is the product of theirs. Empty cells are dropped.
+/// every ray that falls into it is. Neighbouring rays are dropped for the same reason, so its probability is the smallest of theirs
+/// (their product would be right for independent drops). Empty cells are dropped.
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid);
 
 /// The real image of a frame on the pixels of the configured sensor, for comparison with a rendering.

@@ -54,6 +54,7 @@ struct Scene {
     Surfels surfels;
     std::vector<Model> models;
     std::vector<Instance> instances;
+    DropTable sensor_drop;   ///< of the log's own sensor; empty where it was not estimated
 };
 
 /// A scene of one model, the background, with one instance.

@@ -71,6 +71,20 @@ int column_shift(const Beam& beam, int columns);
 /// @throws UsageError where the sensor has no beams, no columns or a non-finite value
 RayTable make_rays(const SpinningSensor& sensor);
 
+/// Sensor-level ray-drop (paper section 3.5): what a sensor never sees whatever stands there, such as the body of its own vehicle, as
+/// a probability a beam and azimuth bin. Independent of the scene: P(drop) = 1 - (1 - scene's) (1 - sensor's).
+struct DropTable {
+    int channels = 0;
+    int bins = 0;                      ///< of azimuth, bin 0 begins at +180 degrees, falling
+    std::vector<float> probability;    ///< [channels, bins]
+
+    bool empty() const { return probability.empty(); }
+    /// Index of a ray's entry. @param direction [3] sensor frame
+    std::size_t index(std::uint16_t channel, const glm::vec3& direction) const;
+    /// @return 0 where the table is empty or has no such channel
+    float at(std::uint16_t channel, const glm::vec3& direction) const;
+};
+
 /// A linear image of elevation by azimuth. Pixel (i, j) is centred on elevation fov_up - i * fov / rows and azimuth
 /// 180 - j * 360 / columns degrees. (bench/score.py's convention for the KITTI-360 grid)
 struct RangeGrid {

@@ -47,7 +47,8 @@ struct BoxTrack {
     glm::dvec3 size_m{0.0};      ///< length, width, height
     PoseTrack world_from_box;    ///< at the times of the frames in which the box was labelled
 
-    /// Mean motion of the box's centre from one observation to the next, metres.
+    /// Mean motion of the box's centre from one observation to the next, metres: from the mean position in the first half of the track
+    /// to that in the second, so that the jitter of labels on a parked car (9 cm a frame on KITTI) is no motion. 0 for one observation.
     double mean_step_m() const;
 };
 
@@ -87,6 +88,7 @@ struct Split {
     std::vector<int> train;   ///< positions in Sequence::frames
     std::vector<int> test;
 };
+/// @param test_every  0 holds out nothing @throws UsageError for 1, which would leave nothing to train on
 Split split_frames(const Sequence& sequence, int test_every);
 
 }  // namespace relidar

@@ -89,15 +89,23 @@ float shade_of(TraceScene scene, Ray ray, RayGradient g, uint i, out float inten
     return g.depth * hit_t[i] + g.weight + g.intensity * c.x + g.hit_logit * c.y + g.drop_logit * c.z;
 }
 
+/// What is carried from chunk to chunk.
+struct BlendState {
+    float shift;
+    float transmittance;
+    float remaining;   // share of the loss of everything not blended yet, background included
+    float lost;        // what rounding took from it
+};
+
 /// Blends the hits in the buffer front to back, n of them, and takes their share of the loss from what remains.
-void blend_chunk(TraceScene scene, Ray ray, RayGradient g, uint n, float shift, inout float transmittance, inout float remaining, inout float lost) {
+void blend_chunk(TraceScene scene, Ray ray, RayGradient g, uint n, inout BlendState state) {
     for (uint i = 0u; i < n; ++i) {
         float alpha = min(hit_alpha[i], scene.alpha_max);
-        chunk_transmittance[i] = transmittance;
-        chunk_w[i] = alpha * transmittance;
-        chunk_shade[i] = shade_of(scene, ray, g, i, chunk_intensity[i]) - shift;
-        add_compensated(remaining, lost, -chunk_w[i] * chunk_shade[i]);
-        transmittance *= 1.0 - alpha;
+        chunk_transmittance[i] = state.transmittance;
+        chunk_w[i] = alpha * state.transmittance;
+        chunk_shade[i] = shade_of(scene, ray, g, i, chunk_intensity[i]) - state.shift;
+        add_compensated(state.remaining, state.lost, -chunk_w[i] * chunk_shade[i]);
+        state.transmittance *= 1.0 - alpha;
     }
 }
 
@@ -106,23 +114,22 @@ void backward(TraceScene scene, Ray ray, RenderedRay final, RayGradient g) {
     remaining += g.weight * final.weight + g.intensity * final.intensity + g.hit_logit * final.hit_logit + g.drop_logit * final.drop_logit;
     // Eq. 9 does not change when the same number is taken from every value and from the background's, for all weights sum to 1.
     // With the nearest surface's worth as that number, small differences are no longer differences of large numbers.
-    float shift = 0.0;
-    float transmittance = 1.0, lost = 0.0;
+    BlendState state = BlendState(0.0, 1.0, remaining, 0.0);
     uint blended = 0u;
     Key after = first_key(scene);
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && blended < final.n_hits; ++pass) {
-        next_hits(scene, ray, after, remaining_budget(scene, transmittance));
+        next_hits(scene, ray, after, remaining_budget(scene, state.transmittance));
         uint n = min(n_hits, final.n_hits - blended);
         if (pass == 0u) {
             float unused;
-            shift = shade_of(scene, ray, g, 0u, unused);
-            add_compensated(remaining, lost, -shift * final.weight);
-            add_compensated(remaining, lost, -shift * final.transmittance);
+            state.shift = shade_of(scene, ray, g, 0u, unused);
+            add_compensated(state.remaining, state.lost, -state.shift * final.weight);
+            add_compensated(state.remaining, state.lost, -state.shift * final.transmittance);
         }
         blended += n;
-        blend_chunk(scene, ray, g, n, shift, transmittance, remaining, lost);
+        blend_chunk(scene, ray, g, n, state);
         bool ends = blended == final.n_hits || !hits_closed;
-        float behind = ends ? transmittance * (g.drop_logit - shift) : remaining;   // background: drop logit 1
+        float behind = ends ? state.transmittance * (g.drop_logit - state.shift) : state.remaining;   // background: drop logit 1
         for (uint k = n; k > 0u; --k) {
             uint i = k - 1u;
             use_basis(scene, ray, hit_instance[i]);

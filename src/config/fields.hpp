@@ -56,6 +56,8 @@ void visit_scene(C& c, Visitor&& f) {
     f("init.voxel_growth", c.init.voxel_growth, at_least(0), "the voxel edge grows by this share of the range to the nearest sensor position; 0: paper");
     f("init.normals", c.init.normals, anything(), "orient surfels along normals of the nearest neighbours; false: at random");
     f("init.normal_neighbours", c.init.normal_neighbours, between(3, 1000), "neighbours a normal is fitted to");
+    f("init.smooth", c.init.smooth, anything(), "move each new surfel onto the plane of its neighbours");
+    f("init.remove_unlabelled_movers", c.init.remove_unlabelled_movers, anything(), "leave out points that other training frames see through");
     f("init.opacity", c.init.opacity, Accepts{0.0, 0.99, true, {}}, "opacity of new surfels");
     f("init.max_scale_m", c.init.max_scale_m, above(0), "largest standard deviation of a new surfel, metres");
     f("init.scale_factor", c.init.scale_factor, above(0), "standard deviation of a new surfel over the mean distance to its 3 nearest neighbours");
@@ -90,6 +92,7 @@ void visit_training(C& c, Visitor&& f) {
     f("train.rate_decay", c.train.rate_decay, Accepts{0.0, 1.0, true, {}}, "every rate but the mean's ends at this share of its start; 1: constant, as in the paper");
     f("train.extent_m", c.train.extent_m, at_least(0), "extent of the scene, metres; 0: measured");
     f("train.only_touched", c.train.only_touched, anything(), "surfels without a gradient in a step keep their values and moments");
+    f("train.sensor_drop", c.train.sensor_drop, anything(), "learn what the sensor itself never sees (its own vehicle) apart from the scene");
     f("train.log_every", c.train.log_every, between(1, kMaxCount), "steps between two lines of the log");
     f("train.seed", c.train.seed, between(0, kMaxSeed), "seed of the order of frames and rays");
 }

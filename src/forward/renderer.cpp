@@ -11,16 +11,6 @@
 
 namespace relidar {
 
-namespace {
-
-std::vector<DeviceRay> interleave(const WorldRays& rays) {
-    std::vector<DeviceRay> result;
-    for (std::size_t i = 0; i < rays.size(); ++i) result.push_back({rays.origin[i], rays.direction[i]});
-    return result;
-}
-
-}  // namespace
-
 struct Renderer::Impl {
     Device& device;
     ImageModel model;
@@ -49,7 +39,7 @@ Rendering Renderer::trace(const WorldRays& rays, const glm::vec3& view_origin_m)
         r.rays = Array<DeviceRay>(r.device, rays.size(), "rays");
         r.rendered = Array<float>(r.device, rays.size() * kRenderedFloats, "rendered rays");
     }
-    r.rays.upload(interleave(rays));
+    r.rays.upload(to_device_rays(rays));
     if (!r.built || r.model.sh_direction == ShDirection::surfel) r.scene.activate(r.stream, r.model, view_origin_m);
     if (r.built) r.accel.move(r.stream, r.scene);
     else r.accel.update(r.stream, r.scene);
@@ -59,28 +49,6 @@ Rendering Renderer::trace(const WorldRays& rays, const glm::vec3& view_origin_m)
     if (const std::uint32_t capped = r.forward.take_pass_cap_count())
         throw DeviceError(fmt::format("tracing {} rays: {} of them reached the cap of {} passes, expected every ray to end", rays.size(), capped, RELIDAR_MAX_PASSES));
     return to_rendering(r.rendered.download(), rays.size());
-}
-
-CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays, std::uint32_t max_hits) {
-    Stream stream(device);
-    DeviceScene on_device(device, *placed.scene);
-    on_device.set_poses(placed.world_from_instance);
-    Accel accel(device, on_device, placed.accel);
-    const Kernel<shared::CollectHitsParams> kernel(device, "forward/collect_hits" + traversal_variant(placed.trace),
-                                                   {{1u, static_cast<std::uint32_t>(placed.trace.chunk)}, {2u, accel.proxy() == Proxy::boxes ? 1u : 0u}});
-    const std::size_t n = rays.size();
-    const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(interleave(rays)), "rays");
-    const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
-    const Array<std::uint32_t> counts(device, n, "hit counts"), instance(device, n * max_hits, "hit instances"), surfel(device, n * max_hits, "hit surfels");
-    const Array<float> t(device, n * max_hits, "hit distances");
-    on_device.activate(stream, placed.model, glm::vec3(0.0f));
-    accel.update(stream, on_device);
-    run(stream, kernel, n,
-        {trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)}, placed.model, pass_cap.address()), counts.address(), t.address(), instance.address(), surfel.address(), max_hits});
-    stream.finish();
-    if (const std::uint32_t capped = pass_cap.download()[0])
-        throw DeviceError(fmt::format("collecting hits of {} rays: {} reached the cap of {} passes, expected every ray to end", n, capped, RELIDAR_MAX_PASSES));
-    return {max_hits, counts.download(), t.download(), instance.download(), surfel.download()};
 }
 
 }  // namespace relidar

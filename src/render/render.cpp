@@ -8,7 +8,9 @@
 
 #include <fmt/format.h>
 
+#include <relidar/accel.hpp>
 #include <relidar/error.hpp>
+#include <relidar/forward.hpp>
 
 namespace relidar {
 
@@ -33,11 +35,12 @@ struct ScanRenderer::Impl {
     PoseTrack world_from_sensor;
     glm::dvec3 world_offset_m;
     bool rolling_shutter;
+    DropTable sensor_drop;
     Renderer renderer;
 };
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
-    : impl_(new Impl{config, sequence.world_from_sensor, sequence.world_offset_m, sequence.rolling_shutter && config.sensor.rolling_shutter,
+    : impl_(new Impl{config, sequence.world_from_sensor, sequence.world_offset_m, sequence.rolling_shutter && config.sensor.rolling_shutter, scene.sensor_drop,
                      Renderer(device, scene, config.image, accel_options(config), trace_options(config))}) {}
 ScanRenderer::~ScanRenderer() = default;
 const KernelTimes& ScanRenderer::times() const { return impl_->renderer.times(); }
@@ -69,7 +72,8 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     scan.channel = sensor.rays.channel;
     for (std::size_t i = 0; i < r.size(); ++i) {
         scan.image.range_m.push_back(chosen_range(r, i, s.config.render.range));
-        scan.image.drop_prob.push_back(drop_probability(r, i));
+        const float never_seen = sensor.is_own ? s.sensor_drop.at(sensor.rays.channel[i], sensor.rays.direction[i]) : 0.0f;
+        scan.image.drop_prob.push_back(1.0f - (1.0f - drop_probability(r, i)) * (1.0f - never_seen));
     }
     scan.world_from_sensor = {pose.rotation, pose.translation + s.world_offset_m};
     scan.time_s = time_s;

@@ -17,8 +17,8 @@ namespace {
 constexpr float kMinWeight = 0.05f;   ///< a simulated ray that met less than this has no point to bin
 
 SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequence& sequence) {
-    if (config.sensor.grid_method == "cast") return {make_rays(grid), std::nullopt};
-    if (config.sensor.grid_method == "project") return {make_rays(sequence.sensor), grid};
+    if (config.sensor.grid_method == "cast") return {make_rays(grid), std::nullopt, false};
+    if (config.sensor.grid_method == "project") return {make_rays(sequence.sensor), grid, true};
     throw UsageError(fmt::format("choosing the sensor: found sensor.grid_method = \"{}\", expected project or cast", config.sensor.grid_method));
 }
 
@@ -34,14 +34,14 @@ void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, 
 }  // namespace
 
 SensorChoice configured_sensor(const Config& config, const Sequence& sequence) {
-    if (config.sensor.grid == "native") return {make_rays(sequence.sensor), std::nullopt};
+    if (config.sensor.grid == "native") return {make_rays(sequence.sensor), std::nullopt, true};
     return grid_choice(find_grid(config.sensor.grid), config, sequence);
 }
 
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence) {
-    if (name_or_file == "native") return {make_rays(sequence.sensor), std::nullopt};
+    if (name_or_file == "native") return {make_rays(sequence.sensor), std::nullopt, true};
     if (name_or_file == kitti360_grid().name) return grid_choice(kitti360_grid(), config, sequence);
-    return {make_rays(find_sensor(name_or_file)), std::nullopt};
+    return {make_rays(find_sensor(name_or_file)), std::nullopt, false};
 }
 
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
@@ -69,7 +69,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
         if (!cell) continue;
         const std::size_t c = std::size_t(*cell);
         const float drop = scan.image.drop_prob[i];
-        result.image.drop_prob[c] *= drop;
+        result.image.drop_prob[c] = std::min(result.image.drop_prob[c], drop);
         const bool returns = drop < 0.5f, winner_returns = winner_drop[c] < 0.5f;
         const float range = glm::length(scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]);
         const bool wins = returns != winner_returns ? returns : returns ? range < result.image.range_m[c] : drop < winner_drop[c];

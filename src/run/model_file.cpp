@@ -108,6 +108,19 @@ void check_metadata(const std::map<std::string, std::string>& metadata, const st
     if (!metadata.contains("layout")) throw DataError(fmt::format("{}: metadata layout: missing, expected it", file));
 }
 
+constexpr const char* kSensorDrop = "sensor_drop";
+
+/// The optional table of sensor-level ray-drop, [channels, bins].
+void read_sensor_drop(const std::vector<NamedArray>& arrays, Scene& scene, const std::string& file) {
+    const auto it = std::find_if(arrays.begin(), arrays.end(), [](const NamedArray& a) { return a.name == kSensorDrop; });
+    if (it == arrays.end()) return;
+    if (it->shape.size() != 2 || it->dtype != "f4" || it->shape[0] > 65536 || it->shape[1] > 65536)
+        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [channels, bins]", file, kSensorDrop, it->dtype, fmt::join(it->shape, ", ")));
+    scene.sensor_drop = {static_cast<int>(it->shape[0]), static_cast<int>(it->shape[1]), it->as_float()};
+    for (const float p : scene.sensor_drop.probability)
+        if (!(p >= 0.0f && p <= 1.0f)) throw DataError(fmt::format("{}: array {}: holds {}, expected probabilities", file, kSensorDrop, p));
+}
+
 }  // namespace
 
 void save_model(const std::filesystem::path& path, const Scene& scene) {
@@ -121,6 +134,8 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
         shape.insert(shape.end(), group.row_shape.begin(), group.row_shape.end());
         arrays.push_back(make_array(group.name, shape, static_cast<const float*>(group.values.data()), group.values.size()));
     }
+    const DropTable& drop = scene.sensor_drop;
+    if (!drop.empty()) arrays.push_back(make_array(kSensorDrop, {std::size_t(drop.channels), std::size_t(drop.bins)}, drop.probability.data(), drop.probability.size()));
     write_safetensors(path, arrays, {{"format", kFormat}, {"version", kVersion}, {"relidar", RELIDAR_VERSION}, {"layout", layout_json(scene)}});
 }
 
@@ -146,6 +161,7 @@ Scene load_model(const std::filesystem::path& path) {
     const std::string where = file + ": metadata layout";
     const nlohmann::json layout = run_detail::parse_json(metadata.at("layout"), where);
     read_layout(JsonField(layout, where, ""), scene);
+    read_sensor_drop(arrays, scene, file);
     return scene;
 }
 

@@ -57,6 +57,7 @@ Scene layout_of(const Scene& scene) {
     Scene layout;
     layout.models = scene.models;
     layout.instances = scene.instances;
+    layout.sensor_drop = scene.sensor_drop;
     return layout;
 }
 

@@ -62,11 +62,15 @@ std::size_t Scan::count_returns() const {
 }
 
 double BoxTrack::mean_step_m() const {
-    const std::vector<Pose>& pose = world_from_box.pose;
-    if (pose.size() < 2) return 0.0;
-    double sum = 0.0;
-    for (std::size_t i = 1; i < pose.size(); ++i) sum += glm::length(pose[i].translation - pose[i - 1].translation);
-    return sum / static_cast<double>(pose.size() - 1);
+    const std::vector<Pose>& poses = world_from_box.pose;
+    const std::size_t half = poses.size() / 2;
+    if (half == 0) return 0.0;
+    glm::dvec3 start(0.0), end(0.0);
+    for (std::size_t i = 0; i < half; ++i) {
+        start += poses[i].translation;
+        end += poses[poses.size() - 1 - i].translation;
+    }
+    return glm::length(end - start) / double(half) / double(poses.size() - half);
 }
 
 WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter) {

@@ -9,6 +9,7 @@
 #include <relidar/error.hpp>
 
 #include "core/parallel.hpp"
+#include "train/sensor_drop.hpp"
 
 namespace relidar {
 
@@ -52,30 +53,31 @@ bool is_unknown(const std::vector<PlacedBox>& boxes, const WorldRay& ray, double
 
 }  // namespace
 
-void make_targets(const Sequence& sequence, const Frame& frame, const InitialiseOptions& moving, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
+void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& masks, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
     const Scan& scan = frame.scan;
-    const std::vector<PlacedBox> boxes = moving_boxes_at(sequence, frame.time_s, moving);   // moved less than the margin within a turn
+    const std::vector<PlacedBox> boxes = moving_boxes_at(sequence, frame.time_s, masks.moving);   // moved less than the margin within a turn
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         const WorldRay w = world_ray(sequence.world_from_sensor, frame.time_s, scan.rays, i, sequence.rolling_shutter);
-        const bool unknown = is_unknown(boxes, w, scan.range_m[i]);
+        const bool blind = masks.blind.at(scan.rays.channel[i], scan.rays.direction[i]) >= kBlindFrequency;
+        const bool unknown = blind || is_unknown(boxes, w, scan.range_m[i]);
         rays.push_back({glm::vec3(w.origin_m), glm::vec3(w.direction)});
         targets.push_back({scan.range_m[i], scan.intensity[i], unknown ? 0.0f : 1.0f});
     }
 }
 
-std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, const std::vector<int>& positions, const InitialiseOptions& moving) {
+std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, const std::vector<int>& positions, const Unknown& unknown) {
     std::vector<std::vector<DeviceRay>> rays(positions.size());
     std::vector<std::vector<DeviceTarget>> targets(positions.size());
     run_parallel(static_cast<int>(positions.size()), [&](int i) {
         const std::size_t k = std::size_t(i);
-        make_targets(sequence, sequence.frames[std::size_t(positions[k])], moving, rays[k], targets[k]);
+        make_targets(sequence, sequence.frames[std::size_t(positions[k])], unknown, rays[k], targets[k]);
     });
     std::vector<FrameData> frames;
     for (std::size_t k = 0; k < positions.size(); ++k) {
         const Frame& frame = sequence.frames[std::size_t(positions[k])];
         if (rays[k].empty()) throw DataError(fmt::format("preparing frame {} of {}: it has no rays, expected at least one", frame.index, sequence.name));
         FrameData& data = frames.emplace_back();
-        data.frame_index = frame.index;
+        data.position = positions[k];
         data.rays = Array<DeviceRay>(device, std::span<const DeviceRay>(rays[k]), "training rays");
         data.targets = Array<DeviceTarget>(device, std::span<const DeviceTarget>(targets[k]), "training targets");
         data.n_rays = static_cast<std::uint32_t>(rays[k].size());

@@ -4,17 +4,17 @@
 
 #include <vector>
 
-#include <relidar/accel.hpp>
 #include <relidar/config.hpp>
 #include <relidar/gpu.hpp>
 #include <relidar/loss.hpp>
 #include <relidar/sequence.hpp>
+#include <relidar/traversal.hpp>
 
 namespace relidar {
 
 /// One frame, resident on the device.
 struct FrameData {
-    int frame_index = 0;              ///< the dataset's own number, for messages
+    int position = 0;                 ///< in Sequence::frames
     Array<DeviceRay> rays;            ///< [n]
     Array<DeviceTarget> targets;      ///< [n]
     std::uint32_t n_rays = 0;
@@ -23,11 +23,17 @@ struct FrameData {
     glm::vec3 sensor_position_m{0.0f};   ///< world, at the reference time
 };
 
+/// What training must not look at.
+struct Unknown {
+    InitialiseOptions moving;   ///< which boxes move, and their margin
+    DropTable blind;            ///< rays dropped at least kBlindFrequency of the time; empty = none
+};
+
 /// Rays and targets of one frame on the host. Rays that meet a moving box about where they returned, or that were dropped and may
 /// have met one, are unknown (weight 0): the background must not learn them.
-void make_targets(const Sequence& sequence, const Frame& frame, const InitialiseOptions& moving, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets);
+void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& unknown, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets);
 
 /// @throws DataError where a frame has no usable ray
-std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, const std::vector<int>& positions, const InitialiseOptions& moving);
+std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, const std::vector<int>& positions, const Unknown& unknown);
 
 }  // namespace relidar

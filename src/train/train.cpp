@@ -54,6 +54,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
         result.interrupted = !progress(result.log.back());
     }
     result.scene = loop.download();
+    if (config.train.sensor_drop && !result.interrupted) result.scene.sensor_drop = loop.estimate_sensor_drop(sequence);
     result.train_s = seconds_since(start);
     result.times = loop.times();
     result.peak_device_bytes = device.peak_bytes();

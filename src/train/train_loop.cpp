@@ -11,6 +11,8 @@
 
 #include <relidar/error.hpp>
 
+#include "train/sensor_drop.hpp"
+
 namespace relidar {
 
 FrameSampler::FrameSampler(std::size_t n, std::uint64_t seed) : order_(n), random_(seed) { std::iota(order_.begin(), order_.end(), std::size_t(0)); }
@@ -40,7 +42,7 @@ ImageModel with_degree(ImageModel model, int degree) {
 
 TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial, const Config& config)
     : config_(config),
-      frames_(upload_frames(device, sequence, split.train, config.init)),
+      frames_(upload_frames(device, sequence, split.train, {config.init, config.train.sensor_drop ? observed_drops(sequence, split.train) : DropTable{}})),
       stream_(device, true),
       scene_(device, initial),
       accel_(device, scene_, accel_options(config)),
@@ -96,6 +98,28 @@ std::array<double, kLossTerms> TrainLoop::take_terms(int n, int step) {
         throw DeviceError(fmt::format("training, iterations {} to {}: {} rays reached the cap of passes, expected every ray to end", step - n + 1, step, capped));
     terms_.upload(std::vector<float>(kLossTerms, 0.0f));
     return means;
+}
+
+DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
+    constexpr std::uint32_t kRays = 20000;   // of each frame: hundreds a bin over a log
+    constexpr float kSolid = 0.9f;           // a ray must meet this much of a surface
+    const ImageModel model = with_degree(config_.image, (config_.train.iterations - 1) / std::max(1, config_.train.sh_degree_interval));
+    DropCounts counts(static_cast<int>(sequence.sensor.beams.size()));
+    for (const FrameData& frame : frames_) {
+        const Scan& scan = sequence.frames[std::size_t(frame.position)].scan;
+        const std::uint32_t stride = std::max(1u, frame.n_rays / kRays), first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
+        const RayBatch rays{&frame.rays, first, stride, (frame.n_rays - first + stride - 1) / stride};
+        scene_.activate(stream_, model, frame.sensor_position_m);
+        accel_.update(stream_, scene_);
+        forward_.run(stream_, scene_, accel_, rays, rendered_);
+        stream_.finish();
+        const Rendering r = to_rendering(rendered_.download(), rays.n_rays);
+        for (std::uint32_t k = 0; k < rays.n_rays; ++k) {
+            const std::size_t i = first + std::size_t(k) * stride;
+            if (r.weight[k] > kSolid && r.hit_logit[k] > r.drop_logit[k]) counts.add(scan.rays.channel[i], scan.rays.direction[i], !(scan.range_m[i] > 0.0f));
+        }
+    }
+    return counts.shrunk();
 }
 
 Scene TrainLoop::download() {

@@ -33,6 +33,8 @@ public:
     void iterate(int step);
     /// Mean loss terms over the last n iterations; starts over. Blocks. @throws DataError where a term is not finite
     std::array<double, kLossTerms> take_terms(int n, int step);
+    /// Sensor-level ray-drop, from rays for which the scene as it is now expects a return. Blocks.
+    DropTable estimate_sensor_drop(const Sequence& sequence);
     /// The scene as it is now. Blocks.
     Scene download();
     const KernelTimes& times() const { return stream_.times(); }

@@ -3,7 +3,7 @@
 // refit follows moved surfels, moving an instance builds no bottom level.
 #include <cmath>
 
-#include <relidar/accel.hpp>
+#include <relidar/forward.hpp>
 #include <relidar/forward.hpp>
 
 #include "../support/device.hpp"

@@ -6,6 +6,7 @@
 #include <random>
 
 #include <relidar/backward.hpp>
+#include <relidar/forward.hpp>
 #include <relidar/loss.hpp>
 
 #include "../support/device.hpp"

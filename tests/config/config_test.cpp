@@ -4,6 +4,8 @@
 
 #include <set>
 
+#include <relidar/traversal.hpp>
+
 #include "../export/temporary_folder.hpp"
 
 namespace relidar {

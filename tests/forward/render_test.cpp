@@ -6,6 +6,7 @@
 #include <filesystem>
 
 #include <relidar/export.hpp>
+#include <relidar/forward.hpp>
 
 #include "../support/device.hpp"
 #include "../support/placed.hpp"

@@ -11,9 +11,8 @@
 
 #include <glm/glm.hpp>
 
-#include <relidar/forward.hpp>
-#include <relidar/math.hpp>
 #include <relidar/scene.hpp>
+#include <relidar/math.hpp>
 
 namespace relidar::reference {
 

@@ -67,6 +67,23 @@ TEST_F(ModelFile, HasTheDocumentedArrays) {
     }
 }
 
+TEST_F(ModelFile, SensorDropRoundTripsAndIsChecked) {
+    EXPECT_TRUE(load_model(path).sensor_drop.empty());
+    scene.sensor_drop = {2, 3, {0.0f, 0.25f, 1.0f, 1.0f / 3.0f, 0.5f, 0.75f}};
+    save_model(path, scene);
+    const DropTable read = load_model(path).sensor_drop;
+    EXPECT_EQ(read.channels, 2);
+    EXPECT_EQ(read.bins, 3);
+    EXPECT_EQ(read.probability, scene.sensor_drop.probability);
+    const float bad[2] = {0.5f, 1.5f};
+    arrays.push_back(make_array("sensor_drop", {1, 2}, bad, 2));
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array sensor_drop: holds 1.5, expected probabilities"), std::string::npos);
+    arrays.back() = make_array("sensor_drop", {2}, bad, 2);
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array sensor_drop: found f4 [2], expected f4 [channels, bins]"), std::string::npos);
+}
+
 TEST_F(ModelFile, AnEmptySceneRoundTrips) {
     save_model(path, make_background_scene({}));
     EXPECT_EQ(load_model(path).surfels.size(), 0u);

@@ -27,13 +27,13 @@ const std::map<std::string, Stages>& layer_table() {
         {"forward", {"traversal", "accel", "scene", "sequence", "sensor", "gpu"}},
         {"densify", {"optimizer", "scene", "gpu"}},
         {"checkpoint", {"export", "scene", "optimizer", "refine", "gpu"}},   // export: safetensors
-        {"traversal", {"accel", "scene", "gpu"}},   // no face: what forward and backward share on the host, open to both
+        {"traversal", {"accel", "scene", "gpu"}},   // rays and hits: what forward and backward share
         {"backward", {"traversal", "forward", "accel", "scene", "gpu"}},
-        {"config", {"accel", "forward", "loss", "optimizer", "densify", "scene", "sequence", "sensor", "gpu"}},   // options of all of them
+        {"config", {"traversal", "accel", "forward", "loss", "optimizer", "densify", "scene", "sequence", "sensor", "gpu"}},   // options of all of them
         {"run", {"config", "export", "scene", "sequence", "sensor"}},   // a run's folder; export: safetensors
-        {"render", {"config", "run", "forward", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
+        {"render", {"config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
         {"train",
-         {"config", "run", "backward", "forward", "densify", "checkpoint", "accel", "optimizer", "loss", "metrics", "refine", "dataset",
+         {"config", "run", "backward", "forward", "traversal", "densify", "checkpoint", "accel", "optimizer", "loss", "metrics", "refine", "dataset",
           "scene", "sequence", "sensor", "gpu"}},
     };
     return table;

@@ -5,7 +5,7 @@
 
 #include <vector>
 
-#include <relidar/forward.hpp>
+#include <relidar/traversal.hpp>
 #include <relidar/scene.hpp>
 
 #include "../reference/traversal.hpp"

@@ -16,7 +16,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 SensorChoice sensor_of(const Config& config, const Sequence& sequence, const Frame& frame) {
-    if (config.sensor.grid == "native") return {frame.scan.rays, std::nullopt};
+    if (config.sensor.grid == "native") return {frame.scan.rays, std::nullopt, true};
     return configured_sensor(config, sequence);
 }
 

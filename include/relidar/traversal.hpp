@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+// Rays and the order in which they meet surfels: what forward and backward share, and the traversal contract made visible for its
+// conformance tests (shaders/traversal/README.md).
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include <glm/glm.hpp>
+
+#include <relidar/accel.hpp>
+#include <relidar/gpu.hpp>
+#include <relidar/scene.hpp>
+
+namespace relidar {
+
+/// Rays in world coordinates.
+struct WorldRays {
+    std::vector<glm::vec3> origin;      ///< [n] metres
+    std::vector<glm::vec3> direction;   ///< [n] unit
+    std::size_t size() const { return direction.size(); }
+};
+
+/// Rays on a device, ready to be traced in batches.
+struct DeviceRay {
+    glm::vec3 origin;      ///< metres, world
+    glm::vec3 direction;   ///< unit, world
+};
+
+/// Ray k of a batch is entry first + k * stride.
+struct RayBatch {
+    const Array<DeviceRay>* rays = nullptr;
+    std::uint32_t first = 0;
+    std::uint32_t stride = 1;
+    std::uint32_t n_rays = 0;
+};
+
+/// How rays are traced; none of it changes the image.
+struct TraceOptions {
+    int chunk = 16;               ///< hits sorted at a time, 1..64
+    bool brute_force = false;     ///< test every surfel instead of using the acceleration structure (tests)
+};
+
+/// Rays as kernels read them.
+std::vector<DeviceRay> to_device_rays(const WorldRays& rays);
+
+/// Ordered hits of each ray, all of them: for tests of the traversal contract.
+struct CollectedHits {
+    std::uint32_t max_hits = 0;
+    std::vector<std::uint32_t> counts;     ///< [n_rays] may exceed max_hits
+    std::vector<float> t;                  ///< [n_rays, max_hits] metres
+    std::vector<std::uint32_t> instance;   ///< [n_rays, max_hits]
+    std::vector<std::uint32_t> surfel;     ///< [n_rays, max_hits]
+};
+
+/// A scene with its instances placed, and how it is traced.
+struct PlacedScene {
+    const Scene* scene = nullptr;
+    std::vector<Pose> world_from_instance;
+    ImageModel model;
+    AccelOptions accel;
+    TraceOptions trace;
+};
+
+/// @param max_hits  hits kept a ray; all are counted @throws DeviceError where a ray reaches the cap of passes
+CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays, std::uint32_t max_hits);
+
+}  // namespace relidar

@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sensor-level ray-drop (paper section 3.5), estimated from the training frames in two steps: rays that hardly ever return are kept
+// out of the losses, so the scene does not learn the vehicle's own shadow as a property of the ground; after training, the share of
+// drops among the rays for which the scene alone expects a return is the sensor's own.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include <relidar/sequence.hpp>
+
+namespace relidar {
+
+/// Rays and drops counted by beam and azimuth bin.
+class DropCounts {
+public:
+    explicit DropCounts(int channels);
+    void add(std::uint16_t channel, const glm::vec3& direction, bool dropped);
+    /// Share of drops, 0 where fewer than `min_rays` were counted.
+    DropTable frequency(int min_rays) const;
+    /// The same, drawn towards 0 as if kPriorRays more rays had returned.
+    DropTable shrunk() const;
+
+private:
+    DropTable index_;   ///< for its geometry
+    std::vector<std::uint32_t> rays_, drops_;
+};
+
+/// How often each beam and azimuth was dropped in some frames, whatever the reason.
+DropTable observed_drops(const Sequence& sequence, const std::vector<int>& positions);
+
+inline constexpr float kBlindFrequency = 0.95f;   ///< rays dropped at least this often are blind: not used in training
+
+}  // namespace relidar

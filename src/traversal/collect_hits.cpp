@@ -1,0 +1,42 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of traversal/collect_hits: all hits of each ray in order.
+#include <relidar/traversal.hpp>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "gpu/stream.hpp"
+#include "traversal/trace_scene.hpp"
+
+namespace relidar {
+
+std::vector<DeviceRay> to_device_rays(const WorldRays& rays) {
+    std::vector<DeviceRay> result;
+    for (std::size_t i = 0; i < rays.size(); ++i) result.push_back({rays.origin[i], rays.direction[i]});
+    return result;
+}
+
+CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays, std::uint32_t max_hits) {
+    Stream stream(device);
+    DeviceScene on_device(device, *placed.scene);
+    on_device.set_poses(placed.world_from_instance);
+    Accel accel(device, on_device, placed.accel);
+    const Kernel<shared::CollectHitsParams> kernel(device, "traversal/collect_hits" + traversal_variant(placed.trace),
+                                                   {{1u, static_cast<std::uint32_t>(placed.trace.chunk)}, {2u, accel.proxy() == Proxy::boxes ? 1u : 0u}});
+    const std::size_t n = rays.size();
+    const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
+    const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
+    const Array<std::uint32_t> counts(device, n, "hit counts"), instance(device, n * max_hits, "hit instances"), surfel(device, n * max_hits, "hit surfels");
+    const Array<float> t(device, n * max_hits, "hit distances");
+    on_device.activate(stream, placed.model, glm::vec3(0.0f));
+    accel.update(stream, on_device);
+    run(stream, kernel, n,
+        {trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)}, placed.model, pass_cap.address()), counts.address(), t.address(), instance.address(), surfel.address(), max_hits});
+    stream.finish();
+    if (const std::uint32_t capped = pass_cap.download()[0])
+        throw DeviceError(fmt::format("collecting hits of {} rays: {} reached the cap of {} passes, expected every ray to end", n, capped, RELIDAR_MAX_PASSES));
+    return {max_hits, counts.download(), t.download(), instance.download(), surfel.download()};
+}
+
+}  // namespace relidar
