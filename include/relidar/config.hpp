@@ -25,6 +25,7 @@ struct DatasetConfig {
     int frames_end = -1;           ///< -1: to the last
     int test_every = 10;
     std::string poses;             ///< file with 12 numbers a line; empty = the dataset's own
+    bool allow_missing_scans = false;
     double max_range_m = 80.0;
 };
 

@@ -13,7 +13,6 @@
 
 #include "config/field_text.hpp"
 #include "core/files.hpp"
-#include "core/nearest_name.hpp"
 #include <relidar/accel.hpp>
 #include <relidar/error.hpp>
 #include <relidar/traversal.hpp>

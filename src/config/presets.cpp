@@ -4,7 +4,6 @@
 
 #include <fmt/format.h>
 
-#include "core/nearest_name.hpp"
 #include <relidar/error.hpp>
 
 namespace relidar {

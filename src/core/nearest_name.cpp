@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Levenshtein distance with one row of memory:
 //   d(i, j) = min(d(i-1, j) + 1, d(i, j-1) + 1, d(i-1, j-1) + [a_i != b_j])
-#include "core/nearest_name.hpp"
+#include <relidar/error.hpp>
 
 #include <algorithm>
 #include <cctype>

@@ -85,6 +85,18 @@ void grid_scans(std::vector<RawScan>& raw, Sequence& sequence, const fs::path& d
     });
 }
 
+/// Scans may be missing in the middle of a drive (drive 0009 lacks four); a log with a hole is only read where that is wanted.
+void check_gaps(const fs::path& drive, const std::vector<int>& frames) {
+    std::vector<int> missing;
+    for (std::size_t i = 1; i < frames.size(); ++i)
+        for (int frame = frames[i - 1] + 1; frame < frames[i]; ++frame) missing.push_back(frame);
+    if (missing.empty()) return;
+    const std::size_t shown = std::min<std::size_t>(missing.size(), 5);
+    throw DataError(fmt::format("{}/velodyne_points/data: {} of the scans {} to {} missing ({}{}), expected all; dataset.allow_missing_scans=true leaves them out",
+                                drive.string(), missing.size(), frames.front(), frames.back(), fmt::join(missing.begin(), missing.begin() + std::ptrdiff_t(shown), ", "),
+                                shown < missing.size() ? ", ..." : ""));
+}
+
 /// Moves the world's origin to the sensor position in the middle frame: float precision downstream.
 void recentre(Sequence& sequence) {
     PoseTrack& track = sequence.world_from_sensor;
@@ -101,6 +113,7 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     }
     const fs::path drive = fs::canonical(folder);
     const std::vector<int> frames = list_scans(drive, options.frames.begin, options.frames.end);
+    if (!options.allow_missing_scans) check_gaps(drive, frames);
 
     Sequence sequence;
     sequence.name = drive.filename().string();

@@ -5,7 +5,6 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
-#include "core/nearest_name.hpp"
 #include "dataset/kitti_raw.hpp"
 #include "dataset/synthetic.hpp"
 

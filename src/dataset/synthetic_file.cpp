@@ -10,7 +10,6 @@
 
 #include <relidar/error.hpp>
 #include "core/files.hpp"
-#include "core/nearest_name.hpp"
 
 namespace relidar {
 namespace {

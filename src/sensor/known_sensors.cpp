@@ -9,7 +9,6 @@
 
 #include <relidar/error.hpp>
 #include <relidar/math.hpp>
-#include "core/nearest_name.hpp"
 #include "sensor/beam_table.hpp"
 
 namespace relidar {

@@ -9,7 +9,6 @@
 
 #include <relidar/error.hpp>
 #include <relidar/math.hpp>
-#include "core/nearest_name.hpp"
 
 namespace relidar {
 

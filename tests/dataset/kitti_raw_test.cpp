@@ -11,6 +11,8 @@
 
 #include <gtest/gtest.h>
 
+#include <gmock/gmock.h>
+
 #include <relidar/error.hpp>
 #include "dataset/kitti_drive.hpp"
 
@@ -125,6 +127,13 @@ TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
     test::write_text(poses, "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n0 -1 0 5 1 0 0 6 0 0 1 7\n");
     DatasetOptions options;
     options.poses_file = poses;
+    try {
+        load_sequence(drive.folder.string(), options);
+        FAIL() << "a hole in the log must be wanted";
+    } catch (const DataError& error) {
+        EXPECT_THAT(error.what(), ::testing::HasSubstr("(1), expected all"));
+    }
+    options.allow_missing_scans = true;
     Sequence log = load_sequence(drive.folder.string(), options);
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[1].index, 2);

@@ -27,5 +27,6 @@ void add_train(CLI::App& app, Call& call);
 void add_render(CLI::App& app, Call& call);
 void add_eval(CLI::App& app, Call& call);
 void add_demo(CLI::App& app, Call& call);
+void add_bench(CLI::App& app, Call& call);
 
 }  // namespace relidar::cli

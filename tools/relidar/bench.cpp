@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar bench: milliseconds a kernel, rays a second and memory of a training iteration, on a street that is the same everywhere
+// or on a run.
+#include <memory>
+#include <optional>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include "bench_case.hpp"
+#include "bench_measure.hpp"
+#include "bench_text.hpp"
+#include "command.hpp"
+#include "console.hpp"
+#include "interrupt.hpp"
+#include "options.hpp"
+#include "output_folder.hpp"
+#include <relidar/export.hpp>
+
+namespace relidar::cli {
+namespace {
+
+constexpr int kMaxRepeat = 100000;
+
+struct Options {
+    BenchChoice choice;
+    bool describes_street = false;   ///< --scene, --surfels or --rays was given
+    BenchSettings settings;
+    bool no_backward = false;
+    std::string json;
+    DeviceChoice device;
+};
+
+void run_bench(const Options& options, const std::string& command_line) {
+    check(options.choice);
+    if (!options.choice.run.empty() && options.describes_street) throw UsageError("--run: found --scene, --surfels or --rays beside it, expected the run alone: it brings its scene and rays");
+    BenchSettings settings = options.settings;
+    settings.backward = !options.no_backward;
+    if (settings.repeat < 1 || settings.repeat > kMaxRepeat) throw UsageError(fmt::format("--repeat: found {}, expected 1 to {}", settings.repeat, kMaxRepeat));
+    const std::filesystem::path json = options.json;
+    if (std::error_code failed; std::filesystem::is_directory(json, failed)) throw DataError(fmt::format("--json {}: found a folder, expected the name of a file", options.json));
+    std::optional<OutputFolder> folder;
+    if (!json.empty()) folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
+    Device device(device_options(options.device));
+
+    catch_interrupts();
+    const BenchCase bench = make_case(options.choice);
+    const BenchResult result = measure(device, bench, settings);
+    end_progress_line();
+    if (!json.empty()) write_text(json, bench_json(bench, settings, result, device, command_line));
+    if (!settings.quiet) print(bench_text(bench, result, device));
+}
+
+}  // namespace
+
+void add_bench(CLI::App& app, Call& call) {
+    CLI::App* command = app.add_subcommand("bench", "time every kernel of a training iteration, on a benchmark street or a run");
+    const auto options = std::make_shared<Options>();
+    BenchChoice& choice = options->choice;
+    const CLI::Option* scene = command->add_option("--scene", choice.street, "street A: surfels of 0.1 to 0.3 m; B: smaller the more there are (default: A)")->type_name("A|B");
+    const CLI::Option* surfels = command->add_option("--surfels", choice.n_surfels, "surfels of the street (default: 100000)")->type_name("N");
+    const CLI::Option* rays = command->add_option("--rays", choice.rays, "waymo (64 x 2650), kitti (66 x 1030) or a size, +2.0 to -24.9 degrees (default: 64x1024)")->type_name("NAME|ROWSxCOLUMNS");
+    command->add_option("--run", choice.run, "bench a run instead: its scene, and its sensor's rays at the first held-out frame")->type_name("RUN");
+    command->add_option("--chunk", choice.chunk, "hits sorted at a time, 1 to 64 (default: 16, or as the run says)")->type_name("N");
+    command->add_option("--proxy", choice.proxy, "what stands for a surfel: auto, triangles or boxes (default: auto, or as the run says)")->type_name("WHAT");
+    command->add_option("--sh", choice.sh, "harmonics evaluated along each ray, or once a surfel (default: ray, or as the run says)")->type_name("ray|surfel");
+    command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")->type_name("N");
+    command->add_flag("--no-backward", options->no_backward, "rendering alone: no loss, gradients or optimiser, nor their memory");
+    command->add_option("--json", options->json, "write the numbers to this file too")->type_name("FILE");
+    add_device_options(*command, options->device);
+    command->add_flag("--quiet", options->settings.quiet, "print errors only");
+    command->footer("A repetition: rebuild (proxies, bottom level, top level); an iteration (activation, refit, forward, loss, backward, Adam with\n"
+                    "learning rate 0, so that the scene stays); one instance moved (top level). Times are device timestamps; a kernel launched\n"
+                    "several times in an iteration counts in full. Mrays/s: of forward/trace and backward/trace, median.\n"
+                    "Examples:\n"
+                    "  relidar bench --json bench.json\n"
+                    "  relidar bench --scene B --surfels 1000000 --rays waymo --sh surfel\n"
+                    "  relidar bench --run run --repeat 50");
+    command->callback([&call, options, scene, surfels, rays] {
+        options->describes_street = scene->count() + surfels->count() + rays->count() > 0;
+        call.run = [&call, options] { run_bench(*options, call.command_line); };
+    });
+}
+
+}  // namespace relidar::cli

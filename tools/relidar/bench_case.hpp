@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// What `relidar bench` measures: a benchmark street with its rays, or a trained run seen by its own sensor.
+#pragma once
+
+#include <string>
+
+#include <relidar/config.hpp>
+#include <relidar/traversal.hpp>
+
+namespace relidar::cli {
+
+/// The case as asked for on the command line.
+struct BenchChoice {
+    std::string street = "A";         ///< A: surfels of one size however many; B: smaller the more there are
+    long long n_surfels = 100000;
+    std::string rays = "64x1024";     ///< waymo, kitti or ROWSxCOLUMNS
+    std::string run;                  ///< a run folder instead of a street
+    std::string chunk, proxy, sh;     ///< settings over those of the case; empty = as they are
+};
+
+/// A scene, the rays cast into it, and the settings of its kernels.
+struct BenchCase {
+    std::string name;                 ///< "street A", or the folder of the run and the frame
+    Scene scene;
+    Config config;
+    WorldRays rays;
+    int rows = 0;
+    int columns = 0;
+    glm::vec3 view_origin_m{0.0f};
+};
+
+/// Looks at every option without making anything. @throws UsageError naming the first one that makes no sense
+void check(const BenchChoice& choice);
+
+/// @throws DataError where the run cannot be read
+BenchCase make_case(const BenchChoice& choice);
+
+}  // namespace relidar::cli

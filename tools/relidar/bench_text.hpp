@@ -1,0 +1,22 @@
+// SPDX-License-Identifier: Apache-2.0
+// A bench result for people and as JSON, with the same numbers.
+#pragma once
+
+#include <string>
+
+namespace relidar {
+class Device;
+}
+
+namespace relidar::cli {
+
+struct BenchCase;
+struct BenchResult;
+struct BenchSettings;
+
+std::string bench_text(const BenchCase& bench, const BenchResult& result, const Device& device);
+
+/// @param command_line  as typed
+std::string bench_json(const BenchCase& bench, const BenchSettings& settings, const BenchResult& result, const Device& device, const std::string& command_line);
+
+}  // namespace relidar::cli
