@@ -18,7 +18,7 @@ vec3 half_axis(vec3 axis, float k) {
 }
 
 void main() {
-    uint i = gl_GlobalInvocationID.x;
+    uint i = thread_index();
     if (i >= params.n_surfels) return;
     SurfelRecord s = params.records.at[i];
     vec3 u = vec3(0.0), v = vec3(0.0);

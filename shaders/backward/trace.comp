@@ -62,7 +62,8 @@ struct BlendedHit {
 void add_hit(TraceScene scene, Ray ray, RayGradient g, BlendedHit blended) {
     InstanceEntry m = scene.instances.at[blended.instance];
     SurfelRecord record = scene.records.at[blended.surfel];
-    vec3 origin = model_point(m, ray.origin), direction = model_vector(m, ray.direction);
+    enter_instance(scene, ray, blended.instance);
+    vec3 origin = entered_origin, direction = entered_direction;
     SurfelHit hit;
     intersect(record, origin, direction, hit);
     float alpha = min(hit.alpha, scene.alpha_max);
@@ -142,7 +143,7 @@ void backward(TraceScene scene, Ray ray, RenderedRay final, RayGradient g) {
 }
 
 void main() {
-    uint i = gl_GlobalInvocationID.x;
+    uint i = thread_index();
     if (i >= params.scene.n_rays) return;
     RayEntry entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
     d_ray_origin = vec3(0.0);

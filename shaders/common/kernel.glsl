@@ -4,6 +4,9 @@
 #define RELIDAR_INCLUDED_COMMON_KERNEL_GLSL
 layout(local_size_x_id = 0) in;
 
+/// Index of this thread. Launches of more workgroups than a device takes in one dimension are folded into two (src/gpu/stream.cpp).
+uint thread_index() { return gl_GlobalInvocationID.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x + gl_GlobalInvocationID.x; }
+
 #define RELIDAR_PARAMS(Type)                                                                                   \
     layout(buffer_reference, scalar, buffer_reference_align = 8) buffer ParamsBlock { Type value; };  \
     layout(push_constant, scalar) uniform Push { ParamsBlock block; } push

@@ -40,7 +40,7 @@ RenderedRay render(TraceScene scene, Ray ray) {
 }
 
 void main() {
-    uint i = gl_GlobalInvocationID.x;
+    uint i = thread_index();
     if (i >= params.scene.n_rays) return;
     RayEntry entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
     params.rendered.at[i] = render(params.scene, Ray(entry.origin, entry.direction));

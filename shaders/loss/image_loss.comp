@@ -33,7 +33,7 @@ float drop_term(RenderedRay r, bool dropped, inout RayGradient g) {
 }
 
 void main() {
-    uint i = gl_GlobalInvocationID.x;
+    uint i = thread_index();
     if (i >= params.n_rays) return;
     RayTarget target = params.targets.at[params.first_ray + i * params.ray_stride];
     RenderedRay r = params.rendered.at[i];

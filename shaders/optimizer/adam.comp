@@ -8,7 +8,7 @@
 RELIDAR_PARAMS(AdamParams);
 
 void main() {
-    uint row = gl_GlobalInvocationID.x;
+    uint row = thread_index();
     if (row >= params.n_rows) return;
     if (uint64_t(params.touched) != 0ul && params.touched.at[row] == 0u) return;
     for (uint column = 0u; column < params.stride; ++column) {

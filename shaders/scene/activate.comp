@@ -27,7 +27,7 @@ bool finite_sh(uint surfel, uint n) {
 bool finite3(vec3 v) { return !any(isnan(v)) && !any(isinf(v)); }
 
 void main() {
-    uint i = gl_GlobalInvocationID.x;
+    uint i = thread_index();
     if (i >= params.n_surfels) return;
     uint surfel = params.first_surfel + i;
     Floats mean = params.surfels.mean, rotation = params.surfels.rotation, log_scale = params.surfels.log_scale;

@@ -43,7 +43,7 @@ void store_zero(uint surfel) {
 }
 
 void main() {
-    uint i = gl_GlobalInvocationID.x;
+    uint i = thread_index();
     if (i >= params.n_surfels) return;
     uint surfel = params.first_surfel + i;
     uint row = surfel * 16u;

@@ -6,9 +6,8 @@
 void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
     reset_hits(budget);
     for (uint instance = 0u; instance < scene.n_instances; ++instance) {
-        uint first = scene.instances.at[instance].first_surfel;
         uint count = scene.instances.at[instance].n_surfels;
-        for (uint i = 0u; i < count; ++i) offer(scene, ray, after, instance, first + i);
+        for (uint i = 0u; i < count; ++i) offer(scene, ray, after, instance, i);
     }
 }
 #endif

@@ -15,8 +15,7 @@ void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
     while (rayQueryProceedEXT(query)) {
         uint instance = uint(rayQueryGetIntersectionInstanceCustomIndexEXT(query, false));
         uint primitive = uint(rayQueryGetIntersectionPrimitiveIndexEXT(query, false));
-        uint local = BOXES != 0u ? primitive : primitive / 2u;
-        offer(scene, ray, after, instance, scene.instances.at[instance].first_surfel + local);
+        offer(scene, ray, after, instance, BOXES != 0u ? primitive : primitive / 2u);
         if (!hits_closed) continue;
         float bound = hit_t[n_hits - 1u] - start;
         bound += 1e-4 + 1e-5 * hit_t[n_hits - 1u];

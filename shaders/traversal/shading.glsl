@@ -12,7 +12,8 @@ uint ray_basis_instance;
 /// Makes ray_basis that of an instance's frame, where SH are evaluated a hit.
 void use_basis(TraceScene scene, Ray ray, uint instance) {
     if (SH_PER_SURFEL != 0u || ray_basis_instance == instance) return;
-    sh_basis(model_vector(scene.instances.at[instance], ray.direction), scene.sh_degree, ray_basis);
+    enter_instance(scene, ray, instance);
+    sh_basis(entered_direction, scene.sh_degree, ray_basis);
     ray_basis_instance = instance;
 }
 

@@ -27,6 +27,12 @@ bool hits_closed;          // nothing beyond the last hit can matter any more in
 float hits_optical_depth;  // sum of -log(1 - alpha) over the buffer
 float optical_budget;      // hits behind this optical depth cannot be blended; huge = keep all
 
+// The ray in the frame of the model that was met last: candidates come in runs of one instance.
+uint entered_instance = 0xffffffffu;
+uint entered_first_surfel;
+vec3 entered_origin;
+vec3 entered_direction;
+
 bool before(Key a, Key b) {
     if (a.t != b.t) return a.t < b.t;
     if (a.instance != b.instance) return a.instance < b.instance;
@@ -42,6 +48,15 @@ vec3 model_vector(InstanceEntry m, vec3 d) {
     return vec3(exact_dot(m.row0.xyz, d), exact_dot(m.row1.xyz, d), exact_dot(m.row2.xyz, d));
 }
 vec3 world_vector(InstanceEntry m, vec3 g) { return m.row0.xyz * g.x + m.row1.xyz * g.y + m.row2.xyz * g.z; }
+
+void enter_instance(TraceScene scene, Ray ray, uint instance) {
+    if (entered_instance == instance) return;
+    InstanceEntry m = scene.instances.at[instance];
+    entered_instance = instance;
+    entered_first_surfel = m.first_surfel;
+    entered_origin = model_point(m, ray.origin);
+    entered_direction = model_vector(m, ray.direction);
+}
 
 float optical_depth(float alpha, float alpha_max) { return -log(1.0 - min(alpha, alpha_max)); }
 
@@ -80,11 +95,12 @@ void insert(Key key, float alpha, float alpha_max) {
     cut_by_transmittance(alpha_max);
 }
 
-/// Takes a candidate proposed by a backend.
-void offer(TraceScene scene, Ray ray, Key after, uint instance, uint surfel) {
-    InstanceEntry m = scene.instances.at[instance];
+/// Takes a candidate proposed by a backend: a surfel of the instance, counted from its first.
+void offer(TraceScene scene, Ray ray, Key after, uint instance, uint local_surfel) {
+    enter_instance(scene, ray, instance);
+    uint surfel = entered_first_surfel + local_surfel;
     SurfelHit hit;
-    if (!intersect(scene.records.at[surfel], model_point(m, ray.origin), model_vector(m, ray.direction), hit)) return;
+    if (!intersect(scene.records.at[surfel], entered_origin, entered_direction, hit)) return;
     if (!(hit.alpha >= scene.alpha_min)) return;
     Key key = Key(hit.t, instance, surfel);
     if (!before(after, key)) return;

@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // optimizer/adam against Adam written out in double, every parameter group, untouched rows, inactive SH coefficients, and the schedule.
+#include <algorithm>
 #include <cmath>
 #include <random>
 
 #include <relidar/optimizer.hpp>
 
 #include "../support/device.hpp"
+#include "gpu/stream.hpp"
+#include "shared/optimizer.h"
 
 namespace relidar {
 namespace {
@@ -73,6 +76,20 @@ TEST_F(AdamTest, AgreesWithAdamInDouble) {
             }
         }
     }
+}
+
+/// 65535 workgroups is all a device need take in one dimension; a launch of more must reach the last row all the same.
+TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
+    const std::uint32_t n = 2200000;
+    const Kernel<shared::AdamParams> kernel(device(), "optimizer/adam");
+    Array<float> value(device(), n, "value"), gradient(device(), n, "gradient"), m(device(), n, "m"), v(device(), n, "v");
+    Stream stream(device());
+    for (Array<float>* array : {&value, &m, &v}) stream.fill(*array);
+    stream.fill(gradient, 0x3f800000u);   // 1
+    run(stream, kernel, n, {value.address(), gradient.address(), m.address(), v.address(), 0, 1.0f, 0.9f, 0.999f, 1e-15f, 10.0f, 1000.0f, 1.0f, n, 1, 1, 1});
+    stream.finish();
+    const std::vector<float> values = value.download();
+    EXPECT_EQ(std::count_if(values.begin(), values.end(), [](float x) { return std::abs(x + 1.0f) < 1e-4f; }), std::ptrdiff_t(n));
 }
 
 TEST(Schedule, IsExponentialBetweenItsEnds) {

@@ -54,6 +54,20 @@ TEST(Scan, PointsAndReturns) {
     EXPECT_EQ(scan.point(0), glm::vec3(3, 0, 1));
 }
 
+TEST(MovingBox, JitterIsNoMotion) {
+    BoxTrack parked, driving;
+    for (int i = 0; i < 40; ++i) {
+        const double jitter = i % 2 ? 0.05 : -0.05;
+        parked.world_from_box.time_s.push_back(0.1 * i);
+        parked.world_from_box.pose.push_back(turned(0.0, {jitter, 0, 0}));
+        driving.world_from_box.time_s.push_back(0.1 * i);
+        driving.world_from_box.pose.push_back(turned(0.0, {0.02 * i, jitter, 0}));
+    }
+    EXPECT_LT(parked.mean_step_m(), 0.005);
+    EXPECT_NEAR(driving.mean_step_m(), 0.02, 1e-6);
+    EXPECT_EQ(BoxTrack{}.mean_step_m(), 0.0);
+}
+
 TEST(MovingBox, OnlyMovingBoxesAtTheirTimes) {
     BoxTrack car;
     car.size_m = {4, 2, 1.5};

@@ -39,10 +39,10 @@ bad() {
 
 help_tells() {
     good --help
-    for command in devices config info train render eval demo; do
+    for command in devices config info train render eval bench demo; do
         says "^  $command "
     done
-    for command in devices config info train render eval demo; do
+    for command in devices config info train render eval bench demo; do
         good "$command" --help
         says "Example"
     done
@@ -82,6 +82,17 @@ wrong_usage() {
     bad 2 "full: the folder is not empty.*--force" train street --out full
     bad 3 "nowhere: no such folder" render nowhere --out x
     bad 3 "nowhere: no such folder" eval nowhere
+    bad 2 'scene: found "C", expected A or B' bench --scene C
+    bad 2 'surfels: found 0, expected 1 to' bench --surfels 0
+    bad 2 'surfels: found "many", expected an integer' bench --surfels many
+    bad 2 'rays: found "64x", expected waymo, kitti or' bench --rays 64x
+    bad 2 'rays: found 20000x20000, expected at most' bench --rays 20000x20000
+    bad 2 'trace.chunk: found "65"' bench --chunk 65
+    bad 2 'trace.proxy: found "cube"' bench --proxy cube
+    bad 2 'sh_direction: found "normal"' bench --sh normal
+    bad 2 'repeat: found 0, expected 1 to' bench --repeat 0
+    bad 2 'run: found --scene, --surfels or --rays beside it' bench --run run --rays kitti
+    bad 3 "found a folder, expected the name of a file" bench --json .
     absent x
 }
 
@@ -199,6 +210,22 @@ interruption() {
     good info stopped
 }
 
+bench() {
+    good bench --surfels 2000 --rays 16x64 --repeat 2 --json numbers/bench.json
+    for kernel in scene/activate accel/build accel/refit forward/trace backward/trace optimizer/adam "whole iteration" "move of one instance"; do says "^$kernel +[0-9.]+ +[0-9.]+ +[0-9.]+$"; done
+    says "^forward +[0-9.]+ Mrays/s, 0\.[0-9]+ blended hits a ray"
+    exists numbers/bench.json
+    for key in forward_mrays_per_s backward_mrays_per_s hits_per_ray bytes_per_surfel accel_bytes_per_surfel; do
+        check "bench.json lacks $key" grep -Eq "\"$key\": [0-9]*[1-9.]" numbers/bench.json
+    done
+    good bench --run run --no-backward --repeat 1 --json render.json --quiet
+    check "bench --quiet prints" test ! -s out -a ! -s err
+    check "bench --run: other rays than the run's 8 x 96" grep -q '"rays": 768' render.json
+    check "bench --no-backward has a backward pass" grep -q '"backward_mrays_per_s": null' render.json
+    bad 3 "nowhere: no such folder" bench --run nowhere --json lost.json
+    absent lost.json
+}
+
 demo() {
     good demo --out demo --iterations 2 --set init.voxel_m=0.5
     for file in report.html street/street.toml run/model.safetensors run/report.html run/metrics.json; do exists demo/$file; done
@@ -222,6 +249,7 @@ if "$relidar" devices >out 2>err; then
     evaluation
     damaged_runs
     interruption
+    bench
     demo
 elif [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]]; then
     fail "no Vulkan device, and RELIDAR_REQUIRE_GPU=1"

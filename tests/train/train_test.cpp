@@ -86,6 +86,37 @@ TEST(Targets, RaysOfMovingBoxesAreUnknown) {
     EXPECT_LE(double(masked_rest), 0.05 * double(rest));
 }
 
+/// The sensor never sees anything to its left and below, as if a vehicle's body stood there; the ground under it is seen from elsewhere.
+bool is_hidden(const RayTable& rays, std::size_t i) {
+    const glm::vec3& d = rays.direction[i];
+    return d.z < -0.1f && std::abs(std::atan2(d.y, d.x) - 1.5f) < 0.3f;
+}
+
+TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
+    Sequence street = make_synthetic_street(small_street());
+    const Split split = split_frames(street, 10);
+    for (Frame& frame : street.frames)
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
+            if (is_hidden(frame.scan.rays, i)) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;
+    Config config = small_config();
+    config.train.sensor_drop = true;
+    const TrainResult result = train(device(), street, split, config, [](const TrainProgress&) { return true; });
+    ASSERT_FALSE(result.scene.sensor_drop.empty());
+    ScanRenderer renderer(device(), result.scene, config, street);
+    const Frame& frame = street.frames[std::size_t(split.test[0])];
+    const RenderedScan own = renderer.render({frame.scan.rays, std::nullopt, true}, frame.time_s), other = renderer.render({frame.scan.rays, std::nullopt, false}, frame.time_s);
+    std::size_t hidden = 0, dropped = 0, seen_by_other = 0;
+    for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
+        if (!is_hidden(frame.scan.rays, i) || other.weight[i] < 0.9f) continue;
+        ++hidden;
+        dropped += own.image.drop_prob[i] > 0.5f;
+        seen_by_other += other.image.drop_prob[i] < 0.5f;
+    }
+    ASSERT_GT(hidden, 10u);
+    EXPECT_GT(double(dropped), 0.8 * double(hidden));
+    EXPECT_GT(double(seen_by_other), 0.8 * double(hidden)) << "another sensor has no such blind spot";
+}
+
 TEST_F(Train, NothingToTrainOnIsAnError) {
     const Sequence street = make_synthetic_street(small_street());
     EXPECT_THROW(train(device(), street, Split{}, small_config(), [](const TrainProgress&) { return true; }), DataError);

@@ -94,8 +94,8 @@ public:
         double n_hits = 0.0;
         for (const std::uint32_t hits : rendering.hits) n_hits += hits;
         hits_per_ray_ = n_hits / static_cast<double>(rays_.size());
-        const std::uint64_t before = device_.allocated_bytes();
         if (!training) return;
+        const std::uint64_t before = device_.allocated_bytes();
         training_ = std::make_unique<TrainingState>(device_, case_, accel_.proxy(), noisy_targets(rendering, case_.config.loss.normalised_depth));
         training_bytes_ = training_->allocated_with_moments - before;
     }
@@ -158,7 +158,6 @@ private:
     Samples kernels_, rebuild_kernels_, phases_;
 
     RayBatch batch() const { return {&rays_, 0, 1, static_cast<std::uint32_t>(rays_.size())}; }
-
     void frame() {
         scene_.activate(stream_, case_.config.image, case_.view_origin_m);
         accel_.update(stream_, scene_);
@@ -209,8 +208,7 @@ BenchResult Bench::result() {
         if (row.name == "backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
     }
     result.hits_per_ray = hits_per_ray_;
-    const std::uint64_t accel = allocated_with_accel_ - allocated_with_scene_;
-    result.memory = {allocated_with_scene_ - allocated_before_, accel, training_bytes_, device_.allocated_bytes() - allocated_with_accel_ - training_bytes_, device_.peak_bytes()};
+    result.memory = {allocated_with_scene_ - allocated_before_, allocated_with_accel_ - allocated_with_scene_, training_bytes_, device_.allocated_bytes() - allocated_with_accel_ - training_bytes_, device_.peak_bytes()};
     return result;
 }
 
