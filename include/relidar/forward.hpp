@@ -59,6 +59,7 @@ public:
     ~Renderer();
     /// Poses of all instances, world_from_model. Takes effect with the next trace.
     void set_poses(const std::vector<Pose>& world_from_instance);
+    void place(const std::vector<InstancePose>& placed);
     /// @param view_origin_m  where SH directions start with ShDirection::surfel: the sensor's position
     /// @throws DeviceError where a ray reaches the cap of passes
     Rendering trace(const WorldRays& rays, const glm::vec3& view_origin_m);

@@ -86,13 +86,29 @@ struct InitialiseOptions {
     bool remove_unlabelled_movers = false;   ///< leave out points that other training frames see through (not in the paper)
     double actor_min_step_m = 0.01;    ///< boxes moving more than this a frame hold actors: their points are left out
     double actor_margin_m = 0.2;       ///< boxes are grown by this when points are left out
+    std::string actor_classes;         ///< comma-separated classes of moving boxes that become actors of their own; empty = none
+    int actor_points = 8000;           ///< an actor has at most so many surfels
+    int actor_min_points = 100;        ///< a box with fewer points is masked instead
     std::uint64_t seed = 1;
+};
+
+/// Where an instance stands, or that it is not there.
+struct InstancePose {
+    Pose world_from_model;
+    bool present = true;
 };
 
 /// Background surfels from the training frames of a log, in the recentred world.
 /// Order: kd (recursive object median along the longest axis), which software BVH builders without sorting need.
 /// @throws DataError where no training frame has a usable point
 Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options);
+
+/// The background and one model and instance for every moving box of the wanted classes, in the frame of the box (Eq. 4-5).
+/// Points come from training frames only. @throws DataError as initialise_background
+Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options);
+
+/// Poses of all instances at a time, each taken when the sensor's head faces its box; a box is absent outside its first and last label.
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s);
 
 /// Recursive object-median order of points along the longest axis, split at (first + last) / 2.
 /// @return [n] permutation: position i of the sorted array holds point order[i]
@@ -107,7 +123,7 @@ RayTable make_benchmark_rays(const std::string& kind);
 RayTable make_benchmark_rays(int rows, int columns, double top_deg, double bottom_deg);
 
 /// Where training's extent-relative settings come from: 3 x the 90th percentile of 2 |p - centre|.
-double background_extent(const Surfels& surfels);
+double background_extent(const Scene& scene);
 
 /// Parameters, gradients or moments of all surfels on a device, one array a group in the layout of Surfels.
 struct SurfelArrays {
@@ -136,9 +152,11 @@ public:
     DeviceScene(Device& device, const Scene& scene);
     ~DeviceScene();
 
-    /// Poses of all instances, world_from_model, one each. Blocking upload.
+    /// Poses of all instances, world_from_model, one each: all present. Blocking upload.
     void set_poses(const std::vector<Pose>& world_from_instance);
-    const std::vector<Pose>& poses() const;
+    /// The same as part of a stream, without a wait; instances may be absent. The acceleration structure follows with its next update or move.
+    void place(Stream& stream, const std::vector<InstancePose>& placed);
+    const std::vector<InstancePose>& poses() const;
     /// Records the activation kernel: records from parameters (M1, M2), channels too with ShDirection::surfel.
     /// @param view_origin_m [3] world. A model placed twice sees it from its first instance.
     void activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m);

@@ -50,6 +50,10 @@ struct BoxTrack {
     /// Mean motion of the box's centre from one observation to the next, metres: from the mean position in the first half of the track
     /// to that in the second, so that the jitter of labels on a parked car (9 cm a frame on KITTI) is no motion. 0 for one observation.
     double mean_step_m() const;
+    /// Whether the box was observed at a time, or half a mean step beside it: a turn takes that long to either side of its label.
+    bool present(double t_s) const;
+    /// Whether a world point lies in the box, grown by margin_m, at a time.
+    bool holds(const glm::dvec3& point_m, double t_s, double margin_m) const;
 };
 
 /// A LiDAR log, recentred: the world origin is the sensor position in the middle frame.

@@ -131,8 +131,8 @@ std::uint64_t Accel::Impl::write_instances(Stream::Impl& stream, const DeviceSce
     std::vector<VkAccelerationStructureInstanceKHR> rows;
     for (std::size_t i = 0; i < layout.instances.size(); ++i) {
         const Structure* model = blas[layout.instances[i].model].get();
-        if (!model) continue;
-        const glm::mat4 m(to_matrix(scene.poses()[i]));
+        if (!model || !scene.poses()[i].present) continue;
+        const glm::mat4 m(to_matrix(scene.poses()[i].world_from_model));
         VkAccelerationStructureInstanceKHR& row = rows.emplace_back();
         for (int r = 0; r < 3; ++r)
             for (int c = 0; c < 4; ++c) row.transform.matrix[r][c] = m[c][r];

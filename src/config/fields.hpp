@@ -64,6 +64,9 @@ void visit_scene(C& c, Visitor&& f) {
     f("init.scale_factor", c.init.scale_factor, above(0), "standard deviation of a new surfel over the mean distance to its 3 nearest neighbours");
     f("init.actor_min_step_m", c.init.actor_min_step_m, at_least(0), "boxes that move more than this a frame are actors: their points are left out, metres");
     f("init.actor_margin_m", c.init.actor_margin_m, at_least(0), "boxes are grown by this when points are left out, metres");
+    f("init.actor_classes", c.init.actor_classes, anything(), "classes of moving boxes that become actors of their own, separated by commas; empty: moving boxes are masked out");
+    f("init.actor_points", c.init.actor_points, between(1, 1e6), "most surfels of an actor");
+    f("init.actor_min_points", c.init.actor_min_points, between(10, 1e6), "a box with fewer points is masked instead");
     f("init.seed", c.init.seed, between(0, kMaxSeed), "seed of the initialisation");
     f("image.near_m", c.image.near_m, at_least(0), "hits nearer than this are ignored, metres");
     f("image.alpha_min", c.image.alpha_min, between(1e-6, 0.5), "a surfel that contributes less alpha is skipped");

@@ -14,6 +14,7 @@ Config paper() {
     Config config;
     config.preset = "paper";
     config.init.max_scale_m = 1000.0;   // the paper does not clamp
+    config.init.actor_classes = "Car,Van,Truck";
     config.render.range = "expected";
     return config;
 }
@@ -31,6 +32,7 @@ Config standard() {
     config.init.opacity = 0.8;
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
+    config.init.actor_classes = "Car,Van,Truck,Tram,Cyclist";   // a cyclist as a rigid body beats a hole in the scan
     config.image.sh_direction = ShDirection::surfel;   // 48 coefficients a surfel and frame instead of a hit
     config.image.transmittance_min = 1e-3f;
     config.loss.normalised_depth = true;               // with D a weight of 0.97 pushes every surface 3 % away

@@ -30,6 +30,7 @@ Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model, 
     : impl_(std::make_unique<Impl>(device, scene, model, accel, trace)) {}
 Renderer::~Renderer() = default;
 void Renderer::set_poses(const std::vector<Pose>& world_from_instance) { impl_->scene.set_poses(world_from_instance); }
+void Renderer::place(const std::vector<InstancePose>& placed) { impl_->scene.place(impl_->stream, placed); }
 const KernelTimes& Renderer::times() const { return impl_->stream.times(); }
 void Renderer::reset_times() { impl_->stream.reset_times(); }
 

@@ -2,6 +2,7 @@
 // Recording, submission on a timeline, and timestamps a launch.
 #include "gpu/stream.hpp"
 
+#include <algorithm>
 #include <cstring>
 
 #include <fmt/format.h>
@@ -89,6 +90,14 @@ std::uint64_t Stream::Impl::store(const void* bytes, std::size_t n_bytes) {
     slot.param_bytes += aligned;
     std::memcpy(params->mapped + offset, bytes, n_bytes);
     return params->address + offset;
+}
+
+void Stream::Impl::write(const Buffer& buffer, const void* bytes, std::size_t n_bytes) {
+    constexpr std::size_t kPiece = 65536;   // what one vkCmdUpdateBuffer takes
+    begin_timing("write");
+    for (std::size_t done = 0; done < n_bytes; done += kPiece)
+        vkCmdUpdateBuffer(commands(), buffer.impl().handle, done, std::min(kPiece, n_bytes - done), static_cast<const std::byte*>(bytes) + done);
+    end_timing();
 }
 
 void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, const void* bytes, std::size_t n_bytes) {

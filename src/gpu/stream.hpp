@@ -55,6 +55,8 @@ struct Stream::Impl {
     void end_timing();
     /// Copies a parameter struct into the ring. @return its device address
     std::uint64_t store(const void* bytes, std::size_t n_bytes);
+    /// Records a small copy from host memory into a buffer.
+    void write(const Buffer& buffer, const void* bytes, std::size_t n_bytes);
     void launch(const KernelBase& kernel, std::uint32_t n_threads, const void* params, std::size_t n_bytes);
     void wait(std::uint64_t ticket);
     void collect_times(Slot& slot);

@@ -28,6 +28,17 @@ float chosen_range(const Rendering& r, std::size_t i, const std::string& which) 
 
 float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
 
+Scene layout_of(const Scene& scene) { return {{}, scene.models, scene.instances, scene.sensor_drop}; }
+
+Sequence without_scans(const Sequence& sequence) {
+    Sequence result;
+    result.sensor = sequence.sensor;
+    result.world_from_sensor = sequence.world_from_sensor;
+    result.boxes = sequence.boxes;
+    result.rolling_shutter = sequence.rolling_shutter;
+    return result;
+}
+
 }  // namespace
 
 struct ScanRenderer::Impl {
@@ -35,12 +46,13 @@ struct ScanRenderer::Impl {
     PoseTrack world_from_sensor;
     glm::dvec3 world_offset_m;
     bool rolling_shutter;
-    DropTable sensor_drop;
+    Scene layout;         ///< models, instances and sensor drop; no surfels
+    Sequence sequence;    ///< sensor, poses and boxes; no scans
     Renderer renderer;
 };
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
-    : impl_(new Impl{config, sequence.world_from_sensor, sequence.world_offset_m, sequence.rolling_shutter && config.sensor.rolling_shutter, scene.sensor_drop,
+    : impl_(new Impl{config, sequence.world_from_sensor, sequence.world_offset_m, sequence.rolling_shutter && config.sensor.rolling_shutter, layout_of(scene), without_scans(sequence),
                      Renderer(device, scene, config.image, accel_options(config), trace_options(config))}) {}
 ScanRenderer::~ScanRenderer() = default;
 const KernelTimes& ScanRenderer::times() const { return impl_->renderer.times(); }
@@ -56,6 +68,7 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
         rays.direction.push_back(glm::vec3(w.direction));
     }
     const Pose pose = track.at(time_s);
+    impl_->renderer.place(place_instances(s.layout, s.sequence, time_s));
     const auto start = std::chrono::steady_clock::now();
     const Rendering r = impl_->renderer.trace(rays, glm::vec3(pose.translation));
 
@@ -72,7 +85,7 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     scan.channel = sensor.rays.channel;
     for (std::size_t i = 0; i < r.size(); ++i) {
         scan.image.range_m.push_back(chosen_range(r, i, s.config.render.range));
-        const float never_seen = sensor.is_own ? s.sensor_drop.at(sensor.rays.channel[i], sensor.rays.direction[i]) : 0.0f;
+        const float never_seen = sensor.is_own ? s.layout.sensor_drop.at(sensor.rays.channel[i], sensor.rays.direction[i]) : 0.0f;
         scan.image.drop_prob.push_back(1.0f - (1.0f - drop_probability(r, i)) * (1.0f - never_seen));
     }
     scan.world_from_sensor = {pose.rotation, pose.translation + s.world_offset_m};

@@ -77,7 +77,7 @@ struct DeviceScene::Impl {
     SurfelArrays parameters;
     Array<float> records;
     Array<shared::InstanceEntry> instances;
-    std::vector<Pose> poses;
+    std::vector<InstancePose> poses;
     Kernel<shared::ActivateParams> activate;
     Kernel<shared::ActivateVjpParams> activate_vjp;
 
@@ -89,10 +89,24 @@ struct DeviceScene::Impl {
           activate(device, "scene/activate"),
           activate_vjp(device, accumulating_variant(device, "scene/activate_vjp@")) {}
 
+    /// Takes the poses. @return the table hits are moved into their models with; an absent instance has no surfels
+    std::vector<shared::InstanceEntry> instance_table(const std::vector<InstancePose>& placed) {
+        if (placed.size() != layout.instances.size())
+            throw DataError(fmt::format("placing instances: found {} poses, expected {}", placed.size(), layout.instances.size()));
+        poses = placed;
+        std::vector<shared::InstanceEntry> entries;
+        for (std::size_t i = 0; i < placed.size(); ++i) {
+            const glm::mat4 m(to_matrix(inverse(placed[i].world_from_model)));
+            const Model& model = layout.models[layout.instances[i].model];
+            entries.push_back({{m[0].x, m[1].x, m[2].x, m[3].x}, {m[0].y, m[1].y, m[2].y, m[3].y}, {m[0].z, m[1].z, m[2].z, m[3].z}, model.first, placed[i].present ? model.count : 0u});
+        }
+        return entries;
+    }
+
     /// View origin in the frame of a model, as its first instance sees it.
     glm::vec3 view_origin(std::size_t model, const glm::vec3& world) const {
         for (std::size_t i = 0; i < layout.instances.size(); ++i)
-            if (layout.instances[i].model == model) return glm::vec3(inverse(poses[i]) * glm::dvec3(world));
+            if (layout.instances[i].model == model) return glm::vec3(inverse(poses[i].world_from_model) * glm::dvec3(world));
         return world;
     }
 };
@@ -107,16 +121,14 @@ DeviceScene::DeviceScene(Device& device, const Scene& scene) {
 DeviceScene::~DeviceScene() = default;
 
 void DeviceScene::set_poses(const std::vector<Pose>& world_from_instance) {
-    if (world_from_instance.size() != impl_->layout.instances.size())
-        throw DataError(fmt::format("placing instances: found {} poses, expected {}", world_from_instance.size(), impl_->layout.instances.size()));
-    impl_->poses = world_from_instance;
-    std::vector<shared::InstanceEntry> entries;
-    for (std::size_t i = 0; i < world_from_instance.size(); ++i) {
-        const glm::mat4 m(to_matrix(inverse(world_from_instance[i])));
-        const Model& model = impl_->layout.models[impl_->layout.instances[i].model];
-        entries.push_back({{m[0].x, m[1].x, m[2].x, m[3].x}, {m[0].y, m[1].y, m[2].y, m[3].y}, {m[0].z, m[1].z, m[2].z, m[3].z}, model.first, model.count});
-    }
-    impl_->instances.upload(entries);
+    std::vector<InstancePose> placed;
+    for (const Pose& pose : world_from_instance) placed.push_back({pose});
+    impl_->instances.upload(impl_->instance_table(placed));
+}
+
+void DeviceScene::place(Stream& stream, const std::vector<InstancePose>& placed) {
+    const std::vector<shared::InstanceEntry> entries = impl_->instance_table(placed);
+    stream.impl().write(impl_->instances.buffer(), entries.data(), entries.size() * sizeof(entries[0]));
 }
 
 void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m) {
@@ -138,7 +150,7 @@ void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const gl
     }
 }
 
-const std::vector<Pose>& DeviceScene::poses() const { return impl_->poses; }
+const std::vector<InstancePose>& DeviceScene::poses() const { return impl_->poses; }
 const Scene& DeviceScene::layout() const { return impl_->layout; }
 SurfelArrays& DeviceScene::parameters() { return impl_->parameters; }
 const SurfelArrays& DeviceScene::parameters() const { return impl_->parameters; }

@@ -80,13 +80,14 @@ std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points) {
     return order;
 }
 
-double background_extent(const Surfels& surfels) {
-    if (surfels.size() == 0) return 1.0;
+double background_extent(const Scene& scene) {
+    if (scene.models.empty() || scene.models[0].count == 0) return 1.0;
+    const auto first = scene.surfels.mean.begin() + scene.models[0].first, last = first + scene.models[0].count;
     glm::dvec3 centre(0.0);
-    for (const glm::vec3& p : surfels.mean) centre += glm::dvec3(p);
-    centre /= double(surfels.size());
+    for (auto p = first; p != last; ++p) centre += glm::dvec3(*p);
+    centre /= double(scene.models[0].count);
     std::vector<double> distance;
-    for (const glm::vec3& p : surfels.mean) distance.push_back(2.0 * glm::length(glm::dvec3(p) - centre));
+    for (auto p = first; p != last; ++p) distance.push_back(2.0 * glm::length(glm::dvec3(*p) - centre));
     const auto q90 = distance.begin() + static_cast<std::ptrdiff_t>(0.9 * double(distance.size() - 1));
     std::nth_element(distance.begin(), q90, distance.end());
     return 3.0 * *q90;

@@ -26,16 +26,18 @@ Place find_place(const std::vector<double>& time_s, double t_s) {
     return {left, span > 0.0 ? (t_s - time_s[left]) / span : 0.0};
 }
 
-/// Whether a track was observed at a time, or half a mean step beside it: a turn takes that long to either side of its label.
-bool present(const PoseTrack& track, double t_s) {
+}  // namespace
+
+bool BoxTrack::present(double t_s) const {
+    const PoseTrack& track = world_from_box;
     if (track.pose.size() < 2) return track.covers(t_s);
     const double half_step = 0.5 * (track.time_s.back() - track.time_s.front()) / static_cast<double>(track.time_s.size() - 1);
     return t_s >= track.time_s.front() - half_step && t_s <= track.time_s.back() + half_step;
 }
 
-bool box_holds(const BoxTrack& box, const glm::dvec3& point_m, double t_s, double margin_m) {
-    const glm::dvec3 half = 0.5 * box.size_m + glm::dvec3(margin_m);
-    const PoseTrack& track = box.world_from_box;
+bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) const {
+    const glm::dvec3 half = 0.5 * size_m + glm::dvec3(margin_m);
+    const PoseTrack& track = world_from_box;
     if (track.pose.size() > 1) {  // the centre alone rules most points out, without a slerp
         const Place at = find_place(track.time_s, t_s);
         const glm::dvec3 centre = glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
@@ -45,8 +47,6 @@ bool box_holds(const BoxTrack& box, const glm::dvec3& point_m, double t_s, doubl
     const glm::dvec3 local = glm::abs(inverse(track.at(t_s)) * point_m);
     return local.x <= half.x && local.y <= half.y && local.z <= half.z;
 }
-
-}  // namespace
 
 Pose PoseTrack::at(double t_s) const {
     if (pose.empty() || pose.size() != time_s.size()) {
@@ -81,7 +81,7 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
 
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m) {
     return std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& box) {
-        return present(box.world_from_box, t_s) && box_holds(box, point_m, t_s, margin_m) && box.mean_step_m() > min_step_m;
+        return box.present(t_s) && box.holds(point_m, t_s, margin_m) && box.mean_step_m() > min_step_m;
     });
 }
 

@@ -21,11 +21,13 @@ struct PlacedBox {
     glm::dvec3 half_size_m;
 };
 
-std::vector<PlacedBox> moving_boxes_at(const Sequence& sequence, double t_s, const InitialiseOptions& moving) {
+std::vector<PlacedBox> masked_boxes_at(const Sequence& sequence, double t_s, const Unknown& masks) {
     std::vector<PlacedBox> placed;
-    for (const BoxTrack& box : sequence.boxes)
-        if (box.mean_step_m() > moving.actor_min_step_m && box.world_from_box.covers(t_s))
-            placed.push_back({inverse(box.world_from_box.at(t_s)), 0.5 * box.size_m + moving.actor_margin_m});
+    for (const BoxTrack& box : sequence.boxes) {
+        const bool is_actor = std::find(masks.actors.begin(), masks.actors.end(), box.id) != masks.actors.end();
+        if (!is_actor && box.mean_step_m() > masks.moving.actor_min_step_m && box.present(t_s))
+            placed.push_back({inverse(box.world_from_box.at(t_s)), 0.5 * box.size_m + masks.moving.actor_margin_m});
+    }
     return placed;
 }
 
@@ -55,7 +57,7 @@ bool is_unknown(const std::vector<PlacedBox>& boxes, const WorldRay& ray, double
 
 void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& masks, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
     const Scan& scan = frame.scan;
-    const std::vector<PlacedBox> boxes = moving_boxes_at(sequence, frame.time_s, masks.moving);   // moved less than the margin within a turn
+    const std::vector<PlacedBox> boxes = masked_boxes_at(sequence, frame.time_s, masks);   // moved less than the margin within a turn
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         const WorldRay w = world_ray(sequence.world_from_sensor, frame.time_s, scan.rays, i, sequence.rolling_shutter);
         const bool blind = masks.blind.at(scan.rays.channel[i], scan.rays.direction[i]) >= kBlindFrequency;

@@ -20,12 +20,14 @@ struct FrameData {
     std::uint32_t n_rays = 0;
     double n_returned = 0.0;          ///< known rays that returned
     double n_known = 0.0;
+    std::vector<InstancePose> placed;    ///< of all instances of the scene
     glm::vec3 sensor_position_m{0.0f};   ///< world, at the reference time
 };
 
 /// What training must not look at.
 struct Unknown {
     InitialiseOptions moving;   ///< which boxes move, and their margin
+    std::vector<std::string> actors;   ///< boxes that have a model of their own: these are known
     DropTable blind;            ///< rays dropped at least kBlindFrequency of the time; empty = none
 };
 

@@ -38,7 +38,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     if (split.train.empty()) throw DataError(fmt::format("training on {}: found no training frames, expected at least one", sequence.name));
     TrainResult result;
     const Clock::time_point begin = Clock::now();
-    const Scene initial = make_background_scene(initialise_background(sequence, split.train, config.init));
+    const Scene initial = initialise_scene(sequence, split.train, config.init);
     result.initialise_s = seconds_since(begin);
 
     TrainLoop loop(device, sequence, split, initial, config);

@@ -38,11 +38,18 @@ ImageModel with_degree(ImageModel model, int degree) {
     return model;
 }
 
+Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
+    Unknown masks{config.init, {}, config.train.sensor_drop ? observed_drops(sequence, split.train) : DropTable{}};
+    for (const Instance& instance : scene.instances)
+        if (!instance.track.empty()) masks.actors.push_back(instance.track);
+    return masks;
+}
+
 }  // namespace
 
 TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial, const Config& config)
     : config_(config),
-      frames_(upload_frames(device, sequence, split.train, {config.init, config.train.sensor_drop ? observed_drops(sequence, split.train) : DropTable{}})),
+      frames_(upload_frames(device, sequence, split.train, unknown(sequence, split, initial, config))),
       stream_(device, true),
       scene_(device, initial),
       accel_(device, scene_, accel_options(config)),
@@ -54,9 +61,10 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
       upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
       terms_(device, std::vector<float>(kLossTerms, 0.0f), "loss terms"),
-      extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial.surfels)),
+      extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.size(), config.train.seed) {
     gradients_.zero_untouched = !config.train.only_touched;
+    for (FrameData& frame : frames_) frame.placed = place_instances(initial, sequence, sequence.frames[std::size_t(frame.position)].time_s);
 }
 
 std::uint32_t TrainLoop::largest_batch() const {
@@ -76,6 +84,7 @@ void TrainLoop::iterate(int step) {
     forward_.set_sh_degree(model.sh_degree);
     backward_.set_sh_degree(model.sh_degree);
 
+    scene_.place(stream_, frame.placed);                                                                                 // Eq. 4-5
     scene_.activate(stream_, model, frame.sensor_position_m);
     accel_.update(stream_, scene_);
     forward_.run(stream_, scene_, accel_, rays, rendered_);                                                              // Eq. 2-4
@@ -109,6 +118,7 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
         const Scan& scan = sequence.frames[std::size_t(frame.position)].scan;
         const std::uint32_t stride = std::max(1u, frame.n_rays / kRays), first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
         const RayBatch rays{&frame.rays, first, stride, (frame.n_rays - first + stride - 1) / stride};
+        scene_.place(stream_, frame.placed);
         scene_.activate(stream_, model, frame.sensor_position_m);
         accel_.update(stream_, scene_);
         forward_.run(stream_, scene_, accel_, rays, rendered_);

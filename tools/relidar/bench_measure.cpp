@@ -111,15 +111,14 @@ public:
         stream_.finish();
         phases_["iteration_wall"].push_back(ms_since(start));
         take("iteration", kernels_);
-        std::vector<Pose> poses = scene_.poses();
-        const Pose place = poses.back();
-        poses.back().translation.x += 1.0;
-        scene_.set_poses(poses);
+        const std::vector<InstancePose> before = scene_.poses();
+        std::vector<InstancePose> moved = before;
+        moved.back().world_from_model.translation.x += 1.0;
+        scene_.place(stream_, moved);
         accel_.move(stream_, scene_);
         stream_.finish();
         take("move", rebuild_kernels_);
-        poses.back() = place;
-        scene_.set_poses(poses);   // takes effect in the next iteration
+        scene_.place(stream_, before);   // takes effect in the next iteration
     }
 
     /// Without timestamps: forward alone between two waits.

@@ -1,0 +1,101 @@
+// SPDX-License-Identifier: Apache-2.0
+// Actors: one surfel set a tracked box that moves, in the frame of the box, placed by the box's pose at the time it is looked at
+// (paper section 3.2, Eq. 4-5: mean_world = R_t mean_object + T_t).
+#include <relidar/scene.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <unordered_map>
+
+#include "core/random.hpp"
+#include "scene/point_surfels.hpp"
+
+namespace relidar {
+
+namespace {
+
+constexpr double kPointMargin_m = 0.1;    ///< labels fit loosely
+constexpr double kGround_m = 0.15;        ///< the lowest part of a box is ground
+constexpr double kVoxel_m = 0.06;         ///< label jitter blurs anything finer
+
+/// Points of the training frames in a box, in its frame.
+std::vector<Sample> box_samples(const Sequence& sequence, const std::vector<int>& train, const BoxTrack& box) {
+    std::vector<Sample> samples;
+    for (const int position : train) {
+        const Frame& frame = sequence.frames[std::size_t(position)];
+        if (!box.present(frame.time_s)) continue;
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+            if (!(frame.scan.range_m[ray] > 0.0f)) continue;
+            const WorldRay w = world_ray(sequence.world_from_sensor, frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
+            const glm::dvec3 point = w.origin_m + double(frame.scan.range_m[ray]) * w.direction;
+            const double t_s = frame.time_s + (sequence.rolling_shutter ? frame.scan.rays.time_offset_s[ray] : 0.0f);
+            if (!box.holds(point, t_s, kPointMargin_m)) continue;
+            const Pose box_from_world = inverse(box.world_from_box.at(t_s));
+            const glm::dvec3 local = box_from_world * point;
+            if (local.z < -0.5 * box.size_m.z + kGround_m) continue;
+            samples.push_back({glm::vec3(local), frame.scan.intensity[ray], glm::vec3(box_from_world.rotation * w.direction)});
+        }
+    }
+    return samples;
+}
+
+/// First sample of each voxel: averaging over jittering labels would only shrink the box.
+std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t most) {
+    std::unordered_map<std::uint64_t, char> seen;
+    std::vector<Sample> kept;
+    for (const Sample& s : samples) {
+        const glm::ivec3 cell = glm::ivec3(glm::floor(glm::dvec3(s.position) / kVoxel_m)) + 512;
+        const std::uint64_t key = std::uint64_t(cell.x & 1023) << 20 | std::uint64_t(cell.y & 1023) << 10 | std::uint64_t(cell.z & 1023);
+        if (seen.try_emplace(key, 1).second) kept.push_back(s);
+    }
+    if (kept.size() > most) {
+        std::sort(kept.begin(), kept.end(), [](const Sample& a, const Sample& b) {
+            const auto order = [](const Sample& s) { return hash64(std::uint64_t(std::int64_t(s.position.x * 1e4f)), std::uint64_t(std::int64_t(s.position.y * 1e4f + s.position.z * 1e7f))); };
+            return order(a) < order(b);
+        });
+        kept.resize(most);
+    }
+    return kept;
+}
+
+bool lists(const std::string& classes, const std::string& category) {
+    return ("," + classes + ",").find("," + category + ",") != std::string::npos;
+}
+
+/// When the head faces a box, the moment its only transform of the turn is taken at.
+double facing_time(const Sequence& sequence, const BoxTrack& box, double time_s) {
+    if (!sequence.rolling_shutter) return time_s;
+    const glm::dvec3 p = inverse(sequence.world_from_sensor.at(time_s)) * box.world_from_box.at(time_s).translation;
+    const double turn = std::atan2(p.y, p.x) / (2.0 * kPi) * sequence.sensor.period_s;
+    return time_s + (sequence.sensor.clockwise ? -turn : turn);
+}
+
+}  // namespace
+
+Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options) {
+    Scene scene = make_background_scene(initialise_background(sequence, train_positions, options));
+    for (const BoxTrack& box : sequence.boxes) {
+        if (!(box.mean_step_m() > options.actor_min_step_m) || !lists(options.actor_classes, box.category)) continue;
+        const std::vector<Sample> samples = thin_out(box_samples(sequence, train_positions, box), std::size_t(options.actor_points));
+        if (samples.size() < std::size_t(options.actor_min_points)) continue;
+        const Surfels surfels = surfels_from_points(samples, options);
+        scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
+        scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()), static_cast<std::uint32_t>(surfels.size())});
+        scene.surfels.append(surfels);
+    }
+    return scene;
+}
+
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s) {
+    std::vector<InstancePose> placed;
+    for (const Instance& instance : scene.instances) {
+        const auto box = std::find_if(sequence.boxes.begin(), sequence.boxes.end(), [&](const BoxTrack& b) { return b.id == instance.track; });
+        InstancePose& pose = placed.emplace_back();
+        if (instance.track.empty()) continue;
+        pose.present = box != sequence.boxes.end() && box->present(time_s);
+        if (pose.present) pose.world_from_model = box->world_from_box.at(facing_time(sequence, *box, time_s));
+    }
+    return placed;
+}
+
+}  // namespace relidar
