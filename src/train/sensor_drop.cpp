@@ -8,7 +8,7 @@ namespace relidar {
 
 namespace {
 
-constexpr int kBins = 720;              ///< half a degree: some four rays of an HDL-64E
+constexpr int kColumnsPerBin = 3;
 constexpr std::uint32_t kPriorRays = 8;   ///< returns assumed before anything was seen
 
 int channels_of(const Sequence& sequence) {
@@ -20,8 +20,10 @@ int channels_of(const Sequence& sequence) {
 
 }  // namespace
 
-DropCounts::DropCounts(int channels)
-    : index_{channels, kBins, {}}, rays_(std::size_t(channels) * kBins, 0), drops_(std::size_t(channels) * kBins, 0) {}
+DropCounts::DropCounts(const Sequence& sequence)
+    : index_{channels_of(sequence), std::max(1, sequence.sensor.columns / kColumnsPerBin), {}},
+      rays_(std::size_t(index_.channels) * std::size_t(index_.bins), 0),
+      drops_(rays_.size(), 0) {}
 
 void DropCounts::add(std::uint16_t channel, const glm::vec3& direction, bool dropped) {
     if (channel >= index_.channels) return;
@@ -44,7 +46,7 @@ DropTable DropCounts::shrunk() const {
 }
 
 DropTable observed_drops(const Sequence& sequence, const std::vector<int>& positions) {
-    DropCounts counts(channels_of(sequence));
+    DropCounts counts(sequence);
     for (const int position : positions) {
         const Scan& scan = sequence.frames[std::size_t(position)].scan;
         for (std::size_t i = 0; i < scan.range_m.size(); ++i) counts.add(scan.rays.channel[i], scan.rays.direction[i], !(scan.range_m[i] > 0.0f));

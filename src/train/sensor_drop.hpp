@@ -14,7 +14,8 @@ namespace relidar {
 /// Rays and drops counted by beam and azimuth bin.
 class DropCounts {
 public:
-    explicit DropCounts(int channels);
+    /// Geometry for the sensor of a log: its channels, and azimuth bins of about three of its columns.
+    explicit DropCounts(const Sequence& sequence);
     void add(std::uint16_t channel, const glm::vec3& direction, bool dropped);
     /// Share of drops, 0 where fewer than `min_rays` were counted.
     DropTable frequency(int min_rays) const;

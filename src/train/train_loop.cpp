@@ -113,7 +113,7 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
     constexpr std::uint32_t kRays = 20000;   // of each frame: hundreds a bin over a log
     constexpr float kSolid = 0.9f;           // a ray must meet this much of a surface
     const ImageModel model = with_degree(config_.image, (config_.train.iterations - 1) / std::max(1, config_.train.sh_degree_interval));
-    DropCounts counts(static_cast<int>(sequence.sensor.beams.size()));
+    DropCounts counts(sequence);
     for (const FrameData& frame : frames_) {
         const Scan& scan = sequence.frames[std::size_t(frame.position)].scan;
         const std::uint32_t stride = std::max(1u, frame.n_rays / kRays), first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
