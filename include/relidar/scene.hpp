@@ -81,6 +81,8 @@ struct InitialiseOptions {
     int normal_neighbours = 6;
     bool smooth = false;               ///< move each mean onto the plane of its neighbours (not in the paper)
     double opacity = 0.1;
+    double hit_logit = 1.0;            ///< of new surfels; with drop_logit the ray-drop probability a surface starts from (M6)
+    double drop_logit = 0.0;
     double max_scale_m = 0.5;          ///< initial standard deviations are clamped to this
     double scale_factor = 1.0;         ///< times the mean distance to the 3 nearest neighbours
     bool remove_unlabelled_movers = false;   ///< leave out points that other training frames see through (not in the paper)

@@ -60,6 +60,8 @@ void visit_scene(C& c, Visitor&& f) {
     f("init.smooth", c.init.smooth, anything(), "move each new surfel onto the plane of its neighbours");
     f("init.remove_unlabelled_movers", c.init.remove_unlabelled_movers, anything(), "leave out points that other training frames see through");
     f("init.opacity", c.init.opacity, Accepts{0.0, 0.99, true, {}}, "opacity of new surfels");
+    f("init.hit_logit", c.init.hit_logit, between(-20, 20), "hit logit of new surfels");
+    f("init.drop_logit", c.init.drop_logit, between(-20, 20), "drop logit of new surfels");
     f("init.max_scale_m", c.init.max_scale_m, above(0), "largest standard deviation of a new surfel, metres");
     f("init.scale_factor", c.init.scale_factor, above(0), "standard deviation of a new surfel over the mean distance to its 3 nearest neighbours");
     f("init.actor_min_step_m", c.init.actor_min_step_m, at_least(0), "boxes that move more than this a frame are actors: their points are left out, metres");

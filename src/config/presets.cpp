@@ -30,6 +30,8 @@ Config standard() {
     config.init.smooth = true;
     config.init.remove_unlabelled_movers = true;       // boxes cover the front camera's view only
     config.init.opacity = 0.8;
+    config.init.hit_logit = 1.5;                       // a surface starts at 12 % drops instead of 27 %: about what sensors have
+    config.init.drop_logit = -0.5;
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
     config.init.actor_classes = "Car,Van,Truck,Tram,Cyclist";   // a cyclist as a rigid body beats a hole in the scan

@@ -93,8 +93,8 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
     surfels.opacity_logit[i] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
     float* sh = surfels.sh.data() + i * kShFloats;
     sh[0] = (samples[i].intensity - 0.5f) / kSh0;
-    sh[kShCoefficients] = (1.0f - 0.5f) / kSh0;        // hit logit 1
-    sh[2 * kShCoefficients] = (0.0f - 0.5f) / kSh0;    // drop logit 0
+    sh[kShCoefficients] = (static_cast<float>(options.hit_logit) - 0.5f) / kSh0;
+    sh[2 * kShCoefficients] = (static_cast<float>(options.drop_logit) - 0.5f) / kSh0;
 }
 
 }  // namespace

@@ -39,6 +39,7 @@ Config config_of(const Options& options, const fs::path& street) {
     Config config = make_preset("quick");
     set_key(config, "train.seed", options.seed);
     set_key(config, "init.seed", options.seed);
+    config.init.scale_factor = 0.6;   // 32 beams leave wider gaps between points than the 64 the preset is made for
     if (options.iterations >= 0) config.train.iterations = options.iterations;
     apply_sets(config, options.sets);
     config.dataset.path = absolute_dataset("synthetic:" + street.string());
