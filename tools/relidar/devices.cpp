@@ -16,7 +16,7 @@ namespace {
 /// What --traversal auto picks on a device.
 std::string traversal_of(const DeviceInfo& info) {
     if (!info.why_not_usable.empty()) return "none";
-    return info.ray_query ? "ray_query" : "software";
+    return info.ray_query ? "ray_query" : "none yet";   // the software BVH is the next provider
 }
 
 void print_json(const std::vector<DeviceInfo>& devices) {

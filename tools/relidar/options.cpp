@@ -26,7 +26,7 @@ bool parse(const std::string& text, T& value) {
 
 void add_device_options(CLI::App& command, DeviceChoice& choice) {
     command.add_option("--device", choice.index, "Vulkan device by its number in `relidar devices` (default: first GPU with ray query, else first usable device)")->type_name("N");
-    command.add_option("--traversal", choice.traversal, "how rays find surfels: auto, ray_query or software (default: auto)")->type_name("HOW");
+    command.add_option("--traversal", choice.traversal, "how rays find surfels: auto, ray_query, or software (planned) (default: auto)")->type_name("HOW");
 }
 
 DeviceOptions device_options(const DeviceChoice& choice) {
