@@ -2,6 +2,9 @@
 // Binding of backward/trace and scene/activate_vjp: second cast, then the chain rule once a surfel (Eq. 9, M7, M8).
 #include <relidar/backward.hpp>
 
+#include <relidar/forward.hpp>
+
+#include "core/assert.hpp"
 #include "gpu/stream.hpp"
 #include "traversal/trace_scene.hpp"
 
@@ -37,6 +40,8 @@ BackwardPass::~BackwardPass() = default;
 void BackwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 
 void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch, const glm::vec3& view_origin_m, Gradients& gradients) {
+    RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays) * kRenderedFloats, batch.rendered->size());
+    RELIDAR_ASSERT_LE(16 * std::size_t(scene.size()), gradients.records.size());
     const ImageModel& model = impl_->model;
     stream.fill(gradients.records);
     stream.fill(gradients.view_origin);

@@ -9,6 +9,7 @@
 #include <relidar/error.hpp>
 
 #include "traversal/trace_scene.hpp"
+#include "core/assert.hpp"
 #include "gpu/stream.hpp"
 
 namespace relidar {
@@ -38,8 +39,8 @@ const ImageModel& ForwardPass::image_model() const { return impl_->model; }
 void ForwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 
 void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered) {
-    if (rendered.size() < std::size_t(batch.n_rays) * kRenderedFloats)
-        throw Error(ExitCode::bug, fmt::format("tracing {} rays: rendered holds {} floats, expected {}", batch.n_rays, rendered.size(), batch.n_rays * kRenderedFloats));
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kRenderedFloats, rendered.size());
+    RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.rays->size());
     relidar::run(stream, impl_->trace, batch.n_rays, {trace_scene(scene, accel, batch, impl_->model, impl_->pass_cap.address()), rendered.address()});
 }
 

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "core/assert.hpp"
 #include "gpu/stream.hpp"
 #include "shared/loss.h"
 
@@ -22,6 +23,9 @@ ImageLoss::ImageLoss(Device& device, const LossWeights& weights)
 ImageLoss::~ImageLoss() = default;
 
 void ImageLoss::run(Stream& stream, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const Array<float>& terms) {
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kUpstreamFloats, upstream.size());
+    RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.targets->size());
+    RELIDAR_ASSERT_LE(std::size_t(kLossTerms), terms.size());
     const LossWeights& w = impl_->weights;
     const float per_return = static_cast<float>(1.0 / std::max(batch.n_returned, 1.0)), per_ray = static_cast<float>(1.0 / std::max(batch.n_known, 1.0));
     relidar::run(stream, impl_->kernel, batch.n_rays,

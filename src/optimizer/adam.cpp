@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/assert.hpp"
 #include "gpu/stream.hpp"
 #include "shared/optimizer.h"
 
@@ -30,6 +31,8 @@ SurfelArrays& Adam::moment2() { return impl_->moment2; }
 
 void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t>& touched, const LearningRates& rates, int step, int sh_degree) {
     Impl& a = *impl_;
+    RELIDAR_ASSERT_LE(p.n, a.moment1.n);
+    RELIDAR_ASSERT_LE(p.n, g.n);
     if (!a.zeroed) {
         a.moment1.fill_zero(stream);
         a.moment2.fill_zero(stream);
