@@ -39,7 +39,6 @@ public:
     void run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered);
     /// Rays that reached the cap of passes since the last call (they end early, which is an error). Blocks.
     std::uint32_t take_pass_cap_count();
-    const ImageModel& image_model() const;
     void set_sh_degree(int degree);
 
     struct Impl;

@@ -127,6 +127,9 @@ RayTable make_benchmark_rays(int rows, int columns, double top_deg, double botto
 /// Where training's extent-relative settings come from: 3 x the 90th percentile of 2 |p - centre|.
 double background_extent(const Scene& scene);
 
+/// Models, instances and sensor-level ray-drop of a scene, without its surfels.
+Scene layout_of(const Scene& scene);
+
 /// Parameters, gradients or moments of all surfels on a device, one array a group in the layout of Surfels.
 struct SurfelArrays {
     Array<float> mean, rotation, log_scale, opacity_logit, sh;
@@ -170,6 +173,7 @@ public:
     SurfelArrays& parameters();
     const SurfelArrays& parameters() const;
     const Array<float>& records() const;      ///< [n,16]
+    float alpha_min() const;                  ///< the records were activated for: where a surfel ends
     std::uint64_t instances_address() const;  ///< of the instance table
     std::uint32_t size() const;               ///< surfels
 

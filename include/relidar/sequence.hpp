@@ -81,6 +81,19 @@ struct WorldRay {
 /// @param ray           index into rays
 WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter);
 
+/// When the head faces a point: the moment of the turn at which a static or moving thing there is seen.
+/// @param point_m [3] metres, sensor frame @param time_s reference time of the turn @return time_s itself without a rolling shutter
+double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s);
+
+/// The end point of a returned ray in the world, and when it was seen.
+struct WorldReturn {
+    glm::dvec3 point_m;
+    glm::dvec3 direction;
+    double time_s;
+};
+/// @param ray  index of a returned ray of the frame
+WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray);
+
 /// Whether a world point lies in any box that moves more than min_step_m a frame, each box grown by margin_m, at time t_s.
 /// Boxes are interpolated in time; they are absent before their first and after their last observation, half a step
 /// between observations allowed, for the rays of the turn in which they were labelled.

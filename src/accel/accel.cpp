@@ -187,7 +187,7 @@ void Accel::update(Stream& stream, const DeviceScene& scene, bool rebuild) {
     Impl& a = *impl_;
     Stream::Impl& s = stream.impl();
     run(stream, a.proxies, scene.size(),
-        {scene.records().address(), a.geometry.address(), a.geometry.address(), 1.0f / 255.0f, a.options.margin_m, a.options.margin_scale, scene.size()});
+        {scene.records().address(), a.geometry.address(), a.geometry.address(), scene.alpha_min(), a.options.margin_m, a.options.margin_scale, scene.size()});
     for (std::size_t i = 0; i < a.blas.size(); ++i) {
         if (!a.blas[i]) continue;
         const bool refit = a.built[i] && !rebuild;

@@ -68,7 +68,9 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
     const bool has_kind = colon != std::string::npos && dataset.find('/') > colon && !fs::exists(dataset, failed);
     const fs::path path = has_kind ? dataset.substr(colon + 1) : dataset;
     const std::string kind = has_kind ? dataset.substr(0, colon) : recognise_dataset(path);
-    return find_kind(kind).load(path, options);
+    Sequence sequence = find_kind(kind).load(path, options);
+    sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
+    return sequence;
 }
 
 }  // namespace relidar

@@ -35,7 +35,6 @@ ForwardPass::ForwardPass(Device& device, const ImageModel& model, Proxy proxy, c
 }
 
 ForwardPass::~ForwardPass() = default;
-const ImageModel& ForwardPass::image_model() const { return impl_->model; }
 void ForwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 
 void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered) {

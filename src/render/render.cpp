@@ -28,14 +28,13 @@ float chosen_range(const Rendering& r, std::size_t i, const std::string& which) 
 
 float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
 
-Scene layout_of(const Scene& scene) { return {{}, scene.models, scene.instances, scene.sensor_drop}; }
-
-Sequence without_scans(const Sequence& sequence) {
+Sequence without_scans(const Sequence& sequence, const Config& config) {
     Sequence result;
     result.sensor = sequence.sensor;
     result.world_from_sensor = sequence.world_from_sensor;
     result.boxes = sequence.boxes;
-    result.rolling_shutter = sequence.rolling_shutter;
+    result.world_offset_m = sequence.world_offset_m;
+    result.rolling_shutter = sequence.rolling_shutter && config.sensor.rolling_shutter;
     return result;
 }
 
@@ -43,27 +42,24 @@ Sequence without_scans(const Sequence& sequence) {
 
 struct ScanRenderer::Impl {
     const Config config;
-    PoseTrack world_from_sensor;
-    glm::dvec3 world_offset_m;
-    bool rolling_shutter;
     Scene layout;         ///< models, instances and sensor drop; no surfels
     Sequence sequence;    ///< sensor, poses and boxes; no scans
     Renderer renderer;
 };
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
-    : impl_(new Impl{config, sequence.world_from_sensor, sequence.world_offset_m, sequence.rolling_shutter && config.sensor.rolling_shutter, layout_of(scene), without_scans(sequence),
+    : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config),
                      Renderer(device, scene, config.image, accel_options(config), trace_options(config))}) {}
 ScanRenderer::~ScanRenderer() = default;
 const KernelTimes& ScanRenderer::times() const { return impl_->renderer.times(); }
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset) {
     const Impl& s = *impl_;
-    PoseTrack track = s.world_from_sensor;
+    PoseTrack track = s.sequence.world_from_sensor;
     for (Pose& pose : track.pose) pose = pose * sensor_offset;
     WorldRays rays;
     for (std::size_t i = 0; i < sensor.rays.size(); ++i) {
-        const WorldRay w = world_ray(track, time_s, sensor.rays, i, s.rolling_shutter);
+        const WorldRay w = world_ray(track, time_s, sensor.rays, i, s.sequence.rolling_shutter);
         rays.origin.push_back(glm::vec3(w.origin_m));
         rays.direction.push_back(glm::vec3(w.direction));
     }
@@ -88,7 +84,7 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
         const float never_seen = sensor.is_own ? s.layout.sensor_drop.at(sensor.rays.channel[i], sensor.rays.direction[i]) : 0.0f;
         scan.image.drop_prob.push_back(1.0f - (1.0f - drop_probability(r, i)) * (1.0f - never_seen));
     }
-    scan.world_from_sensor = {pose.rotation, pose.translation + s.world_offset_m};
+    scan.world_from_sensor = {pose.rotation, pose.translation + s.sequence.world_offset_m};
     scan.time_s = time_s;
     return sensor.grid ? project_scan(scan, *sensor.grid) : scan;
 }

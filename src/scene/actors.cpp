@@ -4,7 +4,6 @@
 #include <relidar/scene.hpp>
 
 #include <algorithm>
-#include <cmath>
 #include <unordered_map>
 
 #include "core/random.hpp"
@@ -26,12 +25,10 @@ std::vector<Sample> box_samples(const Sequence& sequence, const std::vector<int>
         if (!box.present(frame.time_s)) continue;
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-            const WorldRay w = world_ray(sequence.world_from_sensor, frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
-            const glm::dvec3 point = w.origin_m + double(frame.scan.range_m[ray]) * w.direction;
-            const double t_s = frame.time_s + (sequence.rolling_shutter ? frame.scan.rays.time_offset_s[ray] : 0.0f);
-            if (!box.holds(point, t_s, kPointMargin_m)) continue;
-            const Pose box_from_world = inverse(box.world_from_box.at(t_s));
-            const glm::dvec3 local = box_from_world * point;
+            const WorldReturn w = world_return(sequence, frame, ray);
+            if (!box.holds(w.point_m, w.time_s, kPointMargin_m)) continue;
+            const Pose box_from_world = inverse(box.world_from_box.at(w.time_s));
+            const glm::dvec3 local = box_from_world * w.point_m;
             if (local.z < -0.5 * box.size_m.z + kGround_m) continue;
             samples.push_back({glm::vec3(local), frame.scan.intensity[ray], glm::vec3(box_from_world.rotation * w.direction)});
         }
@@ -63,11 +60,8 @@ bool lists(const std::string& classes, const std::string& category) {
 }
 
 /// When the head faces a box, the moment its only transform of the turn is taken at.
-double facing_time(const Sequence& sequence, const BoxTrack& box, double time_s) {
-    if (!sequence.rolling_shutter) return time_s;
-    const glm::dvec3 p = inverse(sequence.world_from_sensor.at(time_s)) * box.world_from_box.at(time_s).translation;
-    const double turn = std::atan2(p.y, p.x) / (2.0 * kPi) * sequence.sensor.period_s;
-    return time_s + (sequence.sensor.clockwise ? -turn : turn);
+double box_facing_time(const Sequence& sequence, const BoxTrack& box, double time_s) {
+    return facing_time(sequence, inverse(sequence.world_from_sensor.at(time_s)) * box.world_from_box.at(time_s).translation, time_s);
 }
 
 }  // namespace
@@ -93,7 +87,7 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
         InstancePose& pose = placed.emplace_back();
         if (instance.track.empty()) continue;
         pose.present = box != sequence.boxes.end() && box->present(time_s);
-        if (pose.present) pose.world_from_model = box->world_from_box.at(facing_time(sequence, *box, time_s));
+        if (pose.present) pose.world_from_model = box->world_from_box.at(box_facing_time(sequence, *box, time_s));
     }
     return placed;
 }

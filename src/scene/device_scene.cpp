@@ -53,14 +53,6 @@ shared::SurfelPointers pointers(const SurfelArrays& arrays) {
     return {arrays.mean.address(), arrays.rotation.address(), arrays.log_scale.address(), arrays.opacity_logit.address(), arrays.sh.address()};
 }
 
-Scene layout_of(const Scene& scene) {
-    Scene layout;
-    layout.models = scene.models;
-    layout.instances = scene.instances;
-    layout.sensor_drop = scene.sensor_drop;
-    return layout;
-}
-
 void check_layout(const Scene& scene) {
     for (const Model& model : scene.models)
         if (std::size_t(model.first) + model.count > scene.surfels.size())
@@ -78,6 +70,7 @@ struct DeviceScene::Impl {
     Array<float> records;
     Array<shared::InstanceEntry> instances;
     std::vector<InstancePose> poses;
+    float alpha_min = ImageModel{}.alpha_min;
     Kernel<shared::ActivateParams> activate;
     Kernel<shared::ActivateVjpParams> activate_vjp;
 
@@ -132,6 +125,7 @@ void DeviceScene::place(Stream& stream, const std::vector<InstancePose>& placed)
 }
 
 void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m) {
+    impl_->alpha_min = model.alpha_min;
     for (std::size_t i = 0; i < impl_->layout.models.size(); ++i) {
         const Model& range = impl_->layout.models[i];
         run(stream, impl_->activate, range.count,
@@ -156,6 +150,7 @@ SurfelArrays& DeviceScene::parameters() { return impl_->parameters; }
 const SurfelArrays& DeviceScene::parameters() const { return impl_->parameters; }
 const Array<float>& DeviceScene::records() const { return impl_->records; }
 std::uint64_t DeviceScene::instances_address() const { return impl_->instances.address(); }
+float DeviceScene::alpha_min() const { return impl_->alpha_min; }
 std::uint32_t DeviceScene::size() const { return impl_->parameters.n; }
 
 }  // namespace relidar

@@ -44,11 +44,9 @@ std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame, 
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
-        const WorldRay w = world_ray(sequence.world_from_sensor, frame.time_s, scan.rays, ray, sequence.rolling_shutter);
-        const glm::dvec3 p = w.origin_m + double(scan.range_m[ray]) * w.direction;
-        const double t_s = frame.time_s + (sequence.rolling_shutter ? scan.rays.time_offset_s[ray] : 0.0f);
-        if (in_moving_box(sequence.boxes, p, t_s, options.actor_min_step_m, options.actor_margin_m)) continue;
-        samples.push_back({glm::vec3(p), scan.intensity[ray], glm::vec3(w.direction)});
+        const WorldReturn w = world_return(sequence, frame, ray);
+        if (in_moving_box(sequence.boxes, w.point_m, w.time_s, options.actor_min_step_m, options.actor_margin_m)) continue;
+        samples.push_back({glm::vec3(w.point_m), scan.intensity[ray], glm::vec3(w.direction)});
     }
     return samples;
 }

@@ -48,6 +48,8 @@ Surfels Surfels::permuted(const std::vector<std::uint32_t>& order) const {
     return result;
 }
 
+Scene layout_of(const Scene& scene) { return {{}, scene.models, scene.instances, scene.sensor_drop}; }
+
 Scene make_background_scene(Surfels surfels) {
     Scene scene;
     scene.models.push_back({"background", 0, static_cast<std::uint32_t>(surfels.size())});

@@ -63,10 +63,8 @@ Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positio
 
 /// The point in the sensor's frame at the moment the head faces it.
 glm::dvec3 Visibility::in_sensor(const View& view, const glm::dvec3& point_m) const {
-    glm::dvec3 p = inverse(sequence_.world_from_sensor.at(view.time_s)) * point_m;
-    if (!sequence_.rolling_shutter) return p;
-    const double turn = std::atan2(p.y, p.x) / (2.0 * kPi) * sequence_.sensor.period_s;
-    return inverse(sequence_.world_from_sensor.at(view.time_s + (sequence_.sensor.clockwise ? -turn : turn))) * point_m;
+    const glm::dvec3 p = inverse(sequence_.world_from_sensor.at(view.time_s)) * point_m;
+    return inverse(sequence_.world_from_sensor.at(facing_time(sequence_, p, view.time_s))) * point_m;
 }
 
 Visibility::Votes Visibility::votes(const glm::vec3& point_m) const {

@@ -4,6 +4,7 @@
 #include <relidar/sequence.hpp>
 
 #include <algorithm>
+#include <cmath>
 
 #include <fmt/format.h>
 
@@ -77,6 +78,18 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
     const double t_s = rolling_shutter ? time_s + static_cast<double>(rays.time_offset_s[ray]) : time_s;
     const Pose pose = world_from_sensor.at(t_s);
     return {pose * glm::dvec3(rays.origin[ray]), glm::normalize(pose.rotation * glm::dvec3(rays.direction[ray]))};
+}
+
+double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s) {
+    if (!sequence.rolling_shutter) return time_s;
+    const double turn = std::atan2(point_m.y, point_m.x) / (2.0 * kPi) * sequence.sensor.period_s;
+    return time_s + (sequence.sensor.clockwise ? -turn : turn);
+}
+
+WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray) {
+    const WorldRay w = world_ray(sequence.world_from_sensor, frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
+    const double t_s = frame.time_s + (sequence.rolling_shutter ? static_cast<double>(frame.scan.rays.time_offset_s[ray]) : 0.0);
+    return {w.origin_m + static_cast<double>(frame.scan.range_m[ray]) * w.direction, w.direction, t_s};
 }
 
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m) {

@@ -26,8 +26,8 @@ Surfels one_surfel(float opacity) {
 }
 
 /// Parallel rays along x at k (cos, sin) times the half axes of the ellipse sigma G = alpha_min, times `factor`.
-WorldRays rim_rays(float opacity, double factor) {
-    const double k = std::sqrt(2.0 * std::log(255.0 * opacity)) * factor;
+WorldRays rim_rays(float opacity, double factor, double alpha_min = 1.0 / 255.0) {
+    const double k = std::sqrt(2.0 * std::log(opacity / alpha_min)) * factor;
     WorldRays rays;
     for (int i = 0; i < 360; ++i) {
         const double angle = i * kPi / 180.0;
@@ -46,6 +46,17 @@ TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
         }
     Renderer renderer(device(), make_background_scene(one_surfel(1.0f / 256.0f)), {});   // sigma under the cut has no proxy
     for (const std::uint32_t n : renderer.trace(rim_rays(0.5f, 0.1), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 0u);
+}
+
+TEST_F(Proxies, FollowTheCutOfTheImageModel) {
+    for (const Proxy proxy : {Proxy::triangles, Proxy::boxes})
+        for (const float alpha_min : {1e-4f, 0.05f}) {
+            ImageModel model;
+            model.alpha_min = alpha_min;
+            Renderer renderer(device(), make_background_scene(one_surfel(0.6f)), model, {.proxy = proxy});
+            for (const std::uint32_t n : renderer.trace(rim_rays(0.6f, 0.999, alpha_min), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 1u) << "alpha_min " << alpha_min;
+            for (const std::uint32_t n : renderer.trace(rim_rays(0.6f, 1.001, alpha_min), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 0u) << "alpha_min " << alpha_min;
+        }
 }
 
 TEST_F(Proxies, RefitFollowsMovedSurfelsAndMovingInstancesBuildsNothing) {

@@ -13,22 +13,8 @@ namespace {
 
 using ConfigFile = TemporaryFolder;
 
-/// Message of the UsageError a call throws.
 template <class Call>
-std::string usage_error(const Call& call) {
-    try {
-        call();
-    } catch (const UsageError& error) {
-        const std::string message = error.what();
-        EXPECT_EQ(message.find('\n'), std::string::npos) << "more than one line: " << message;
-        return message;
-    } catch (const std::exception& error) {
-        ADD_FAILURE() << "threw something else: " << error.what();
-        return "";
-    }
-    ADD_FAILURE() << "threw nothing";
-    return "";
-}
+std::string usage_error(const Call& call) { return error_message<UsageError>(call); }
 
 std::string set_error(const std::string& key, const std::string& value) {
     return usage_error([&] {

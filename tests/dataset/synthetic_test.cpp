@@ -128,6 +128,9 @@ TEST(Synthetic, SavedAndLoadedAgain) {
     EXPECT_EQ(read.world_offset_m, made.world_offset_m);
     const Scan whole = load_sequence(folder.string(), {}).frames[2].scan;
     EXPECT_EQ(whole.range_m, made.frames[2].scan.range_m);
+    EXPECT_TRUE(read.rolling_shutter);
+    range.rolling_shutter = false;
+    EXPECT_FALSE(load_sequence(folder.string(), range).rolling_shutter) << "the setting must reach initialisation and training, not rendering alone";
     range.frames = {5, 9};
     EXPECT_THROW(load_sequence(folder.string(), range), UsageError);
 }

@@ -46,12 +46,12 @@ inline void put(const std::filesystem::path& path, std::string_view bytes) {
     std::ofstream(path, std::ios::binary).write(bytes.data(), std::streamsize(bytes.size()));
 }
 
-/// Message of the DataError a call throws; a test failure where it throws none or another.
-template <class Call>
-std::string data_error(const Call& call) {
+/// Message of the error of this kind that a call throws; a test failure where it throws none or another.
+template <class Wanted, class Call>
+std::string error_message(const Call& call) {
     try {
         call();
-    } catch (const DataError& error) {
+    } catch (const Wanted& error) {
         const std::string message = error.what();
         EXPECT_EQ(message.find('\n'), std::string::npos) << "more than one line: " << message;
         return message;
@@ -62,5 +62,7 @@ std::string data_error(const Call& call) {
     ADD_FAILURE() << "threw nothing";
     return "";
 }
+template <class Call>
+std::string data_error(const Call& call) { return error_message<DataError>(call); }
 
 }  // namespace relidar

@@ -109,7 +109,7 @@ std::string absolute_dataset(const std::string& dataset) {
 }
 
 Sequence load_dataset(const Config& config) {
-    return load_sequence(config.dataset.path, {{config.dataset.frames_begin, config.dataset.frames_end}, config.dataset.poses, config.dataset.allow_missing_scans, config.dataset.max_range_m});
+    return load_sequence(config.dataset.path, {{config.dataset.frames_begin, config.dataset.frames_end}, config.dataset.poses, config.dataset.allow_missing_scans, config.sensor.rolling_shutter, config.dataset.max_range_m});
 }
 
 }  // namespace relidar::cli
