@@ -82,7 +82,7 @@ wrong_usage() {
     bad 2 "full: the folder is not empty.*--force" train street --out full
     bad 3 "nowhere: no such folder" render nowhere --out x
     bad 3 "nowhere: no such folder" eval nowhere
-    bad 2 'scene: found "C", expected A or B' bench --scene C
+    bad 2 'scene: found "D", expected A, B or C' bench --scene D
     bad 2 'surfels: found 0, expected 1 to' bench --surfels 0
     bad 2 'surfels: found "many", expected an integer' bench --surfels many
     bad 2 'rays: found "64x", expected waymo, kitti or' bench --rays 64x
