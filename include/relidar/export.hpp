@@ -31,7 +31,7 @@ struct NamedArray {
     std::vector<std::byte> bytes;
 
     std::size_t count() const;
-    /// Values converted to float (f4, f8, integers, b1 as 0 or 1). @throws DataError for f2
+    /// Values converted to float (b1 as 0 or 1). @throws DataError where bytes do not fill the shape
     std::vector<float> as_float() const;
 };
 
@@ -49,6 +49,10 @@ void write_safetensors(const std::filesystem::path& path, const std::vector<Name
                        const std::map<std::string, std::string>& metadata);
 /// Arrays in the order of their data. Whether values are finite is not checked. @throws DataError for a file that is damaged
 std::vector<NamedArray> read_safetensors(const std::filesystem::path& path, std::map<std::string, std::string>* metadata = nullptr);
+
+/// Weights of LPIPS: arrays conv{0..4}.weight, conv{0..4}.bias, lin{0..4}.weight of a safetensors file, half or single precision.
+/// @throws DataError for a file that is damaged or lacks one; Lpips checks their sizes
+LpipsWeights read_lpips_weights(const std::filesystem::path& path);
 
 /// A point cloud in the sensor's frame.
 struct PointCloud {

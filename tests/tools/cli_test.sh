@@ -82,6 +82,9 @@ wrong_usage() {
     bad 2 "full: the folder is not empty.*--force" train street --out full
     bad 3 "nowhere: no such folder" render nowhere --out x
     bad 3 "nowhere: no such folder" eval nowhere
+    bad 2 '--baseline: found "nerest", expected nearest or nearest-actors' eval street --baseline nerest
+    bad 3 "nowhere: no such folder" eval nowhere --baseline nearest
+    bad 3 "street: no frame was held out" eval street --baseline nearest --frames 0:5
     bad 2 'scene: found "D", expected A, B or C' bench --scene D
     bad 2 'surfels: found 0, expected 1 to' bench --surfels 0
     bad 2 'surfels: found "many", expected an integer' bench --surfels many
@@ -180,6 +183,29 @@ evaluation() {
     bad 3 "frame 10 is not there" eval run --set dataset.path=short
 }
 
+# The baseline needs no device.
+baseline() {
+    good eval street --baseline nearest --set dataset.test_every=5 --out base/metrics.json --pictures base/pictures
+    says "^strict/depth_medae_m +[0-9.]+ +[0-9.]+ +[0-9.]+$"
+    says "^moving_boxes +[1-9]"
+    says "^peer/depth_lpips +no weights"
+    says "drop_prob < 0.4$"
+    for key in '"scored": "baseline nearest"' '"lpips": "no weights"' '"strict/cd_mean_m"' '"moving_boxes/depth_medae_m"'; do check "metrics.json lacks $key" grep -q "$key" base/metrics.json; done
+    for picture in range intensity drop; do exists base/pictures/${picture}_000010.png; done
+    good eval street --baseline nearest-actors --set dataset.test_every=5 --quiet
+    check "eval --quiet prints" test ! -s out -a ! -s err
+    printf 'no weights' >weights.safetensors
+    bad 3 "weights.safetensors" eval street --baseline nearest --set dataset.test_every=5 --lpips-weights weights.safetensors
+    RELIDAR_LPIPS_WEIGHTS=missing.safetensors bad 3 "missing.safetensors" eval street --baseline nearest --set dataset.test_every=5
+}
+
+baseline_beside_a_run() {
+    good eval run --baseline nearest --out beside.json
+    says "^metric +mean +lowest +highest +baseline nearest"
+    check "beside.json lacks the baseline" grep -q '"scored": "baseline nearest"' beside.json
+    bad 2 "--frames: found it beside a run" eval run --baseline nearest --frames 0:5
+}
+
 damaged_runs() {
     rm -rf hurt && cp -r run hurt && head -c 3000 run/scene.json >hurt/scene.json
     bad 3 "hurt/scene.json: not valid JSON" render hurt --out x
@@ -242,11 +268,13 @@ help_tells
 wrong_usage
 no_driver
 log_info
+baseline
 if "$relidar" devices >out 2>err; then
     devices
     training
     rendering
     evaluation
+    baseline_beside_a_run
     damaged_runs
     interruption
     bench
