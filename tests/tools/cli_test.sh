@@ -39,10 +39,10 @@ bad() {
 
 help_tells() {
     good --help
-    for command in devices config info train render eval bench demo; do
+    for command in devices config info train render eval export import bench demo; do
         says "^  $command "
     done
-    for command in devices config info train render eval bench demo; do
+    for command in devices config info train render eval export import bench demo; do
         good "$command" --help
         says "Example"
     done
@@ -85,6 +85,8 @@ wrong_usage() {
     bad 2 '--baseline: found "nerest", expected nearest or nearest-actors' eval street --baseline nerest
     bad 3 "nowhere: no such folder" eval nowhere --baseline nearest
     bad 3 "street: no frame was held out" eval street --baseline nearest --frames 0:5
+    bad 3 "nowhere: no such folder" export nowhere --out x
+    bad 3 "nowhere: no such folder" import scene.ply --run nowhere --out x
     bad 2 'scene: found "D", expected A, B or C' bench --scene D
     bad 2 'surfels: found 0, expected 1 to' bench --surfels 0
     bad 2 'surfels: found "many", expected an integer' bench --surfels many
@@ -206,6 +208,19 @@ baseline_beside_a_run() {
     bad 2 "--frames: found it beside a run" eval run --baseline nearest --frames 0:5
 }
 
+surfels_as_ply() {
+    good export run --out ply/scene.ply
+    says "scene.ply: [0-9]+ surfels"
+    good import ply/scene.ply --run run --out imported
+    check "the imported model differs" cmp run/model.safetensors imported/model.safetensors
+    good info imported
+    bad 2 "imported: the folder is not empty.*--force" import ply/scene.ply --run run --out imported
+    head -c 9000 ply/scene.ply >ply/cut.ply
+    bad 3 "ply/cut.ply.*expected [0-9]+ vertices" import ply/cut.ply --run run --out x
+    bad 3 "broken.toml.*does not begin with" import broken.toml --run run --out x
+    absent x
+}
+
 damaged_runs() {
     rm -rf hurt && cp -r run hurt && head -c 3000 run/scene.json >hurt/scene.json
     bad 3 "hurt/scene.json: not valid JSON" render hurt --out x
@@ -275,6 +290,7 @@ if "$relidar" devices >out 2>err; then
     rendering
     evaluation
     baseline_beside_a_run
+    surfels_as_ply
     damaged_runs
     interruption
     bench
