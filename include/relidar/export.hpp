@@ -22,6 +22,9 @@ struct Scene;
 /// @throws DataError where the folder cannot be written or the disk is full; the temporary file is removed. A DataError or
 /// standard exception of `write` comes out as a DataError naming the path, other relidar errors as they are.
 void write_atomically(const std::filesystem::path& path, const std::function<void(const std::filesystem::path&)>& write);
+/// Removes what write_atomically leaves in a folder where the process is killed: files named .NAME.tmp-PID-COUNT. Only for folders that
+/// nobody else writes to now.
+void remove_temporaries(const std::filesystem::path& folder);
 /// Writes a text through write_atomically.
 void write_text(const std::filesystem::path& path, const std::string& text);
 

@@ -35,6 +35,11 @@ void save_model(const std::filesystem::path& path, const Scene& scene);
 /// Reads it back. @throws DataError for missing, misshapen or non-finite arrays, naming array and row
 Scene load_model(const std::filesystem::path& path);
 
+/// Models and instances of a scene as JSON text, and back. @param where name used in messages @throws DataError naming the field
+/// that is missing or does not fit the scene's surfels
+std::string layout_to_json(const Scene& scene);
+void read_layout_json(const std::string& text, const std::string& where, Scene& scene);
+
 /// Whether a path looks like a run folder (has a scene.json or a model).
 bool is_run(const std::filesystem::path& path);
 

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cerrno>
+#include <regex>
 
 #include <fcntl.h>
 #include <unistd.h>
@@ -101,6 +102,16 @@ void write_atomically(const fs::path& path, const std::function<void(const fs::p
     if (::rename(temporary.path.c_str(), target.c_str()) != 0) fail(path, "renaming the temporary file: " + system_message(errno));
     temporary.renamed = true;
     flush_folder(target);
+}
+
+void remove_temporaries(const fs::path& folder) {
+    static const std::regex kTemporary(R"(\..+\.tmp-[0-9]+-[0-9]+)");   // as temporary_path makes them
+    std::error_code failed;
+    std::vector<fs::path> found;
+    for (const auto& entry : fs::directory_iterator(folder, failed)) {
+        if (entry.is_regular_file(failed) && std::regex_match(entry.path().filename().string(), kTemporary)) found.push_back(entry.path());
+    }
+    for (const fs::path& path : found) fs::remove(path, failed);
 }
 
 void write_text(const fs::path& path, const std::string& text) { export_detail::write_file(path, text); }

@@ -47,13 +47,6 @@ std::array<Group, 5> groups(Surfels& s) {
             Group{"opacity_logit", {}, floats(s.opacity_logit)}, Group{"sh", {kShChannels, kShCoefficients}, floats(s.sh)}};
 }
 
-std::string layout_json(const Scene& scene) {
-    nlohmann::ordered_json json = {{"models", nlohmann::ordered_json::array()}, {"instances", nlohmann::ordered_json::array()}};
-    for (const Model& m : scene.models) json["models"].push_back({{"name", m.name}, {"first", m.first}, {"count", m.count}});
-    for (const Instance& i : scene.instances) json["instances"].push_back({{"model", i.model}, {"track", i.track}});
-    return json.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
-}
-
 void check_finite(const Group& group, const std::string& file) {
     const auto bad = std::find_if(group.values.begin(), group.values.end(), [](float v) { return !std::isfinite(v); });
     if (bad == group.values.end()) return;
@@ -123,6 +116,18 @@ void read_sensor_drop(const std::vector<NamedArray>& arrays, Scene& scene, const
 
 }  // namespace
 
+std::string layout_to_json(const Scene& scene) {
+    nlohmann::ordered_json json = {{"models", nlohmann::ordered_json::array()}, {"instances", nlohmann::ordered_json::array()}};
+    for (const Model& m : scene.models) json["models"].push_back({{"name", m.name}, {"first", m.first}, {"count", m.count}});
+    for (const Instance& i : scene.instances) json["instances"].push_back({{"model", i.model}, {"track", i.track}});
+    return json.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
+}
+
+void read_layout_json(const std::string& text, const std::string& where, Scene& scene) {
+    const nlohmann::json layout = run_detail::parse_json(text, where);
+    read_layout(JsonField(layout, where, ""), scene);
+}
+
 void save_model(const std::filesystem::path& path, const Scene& scene) {
     scene.surfels.check_shapes();
     Surfels surfels = scene.surfels;
@@ -136,7 +141,7 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
     }
     const DropTable& drop = scene.sensor_drop;
     if (!drop.empty()) arrays.push_back(make_array(kSensorDrop, {std::size_t(drop.channels), std::size_t(drop.bins)}, drop.probability.data(), drop.probability.size()));
-    write_safetensors(path, arrays, {{"format", kFormat}, {"version", kVersion}, {"relidar", RELIDAR_VERSION}, {"layout", layout_json(scene)}});
+    write_safetensors(path, arrays, {{"format", kFormat}, {"version", kVersion}, {"relidar", RELIDAR_VERSION}, {"layout", layout_to_json(scene)}});
 }
 
 Scene load_model(const std::filesystem::path& path) {
@@ -158,9 +163,7 @@ Scene load_model(const std::filesystem::path& path) {
     Scene scene;
     scene.surfels.resize(mean.shape[0]);
     for (const Group& group : groups(scene.surfels)) read_group(group, find_array(arrays, group.name, file), mean.shape[0], file);
-    const std::string where = file + ": metadata layout";
-    const nlohmann::json layout = run_detail::parse_json(metadata.at("layout"), where);
-    read_layout(JsonField(layout, where, ""), scene);
+    read_layout_json(metadata.at("layout"), file + ": metadata layout", scene);
     read_sensor_drop(arrays, scene, file);
     return scene;
 }

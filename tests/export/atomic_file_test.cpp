@@ -2,11 +2,10 @@
 // write_atomically leaves the complete file or nothing: whatever goes wrong, no temporary file and no changed target.
 #include <relidar/export.hpp>
 
-#include <csignal>
-
-#include <sys/resource.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
+#include "../support/file_size_limit.hpp"
 #include "temporary_folder.hpp"
 
 namespace relidar {
@@ -101,23 +100,19 @@ TEST_F(AtomicFile, NamesAFileSystemThatCannotBeWritten) {
     EXPECT_NE(message.find("/proc/relidar.txt"), std::string::npos) << message;
 }
 
-/// Lets no file grow beyond a size, which fails writes as a full disk does.
-class FileSizeLimit {
-public:
-    explicit FileSizeLimit(rlim_t n_bytes) : handler_(std::signal(SIGXFSZ, SIG_IGN)) {
-        ::getrlimit(RLIMIT_FSIZE, &before_);
-        const rlimit limit{n_bytes, before_.rlim_max};
-        ::setrlimit(RLIMIT_FSIZE, &limit);
-    }
-    ~FileSizeLimit() {
-        ::setrlimit(RLIMIT_FSIZE, &before_);
-        std::signal(SIGXFSZ, handler_);
-    }
-
-private:
-    rlimit before_{};
-    void (*handler_)(int);
-};
+TEST_F(AtomicFile, LeftoversOfAKilledProcessAreRemoved) {
+    for (const char* name : {".a.txt.tmp-123-0", ".iteration_00000400.safetensors.tmp-9-17"}) put(folder / name, "half");
+    for (const char* name : {"a.txt", ".a.txt.tmp-123", "a.txt.tmp-1-1", ".hidden", ".a.tmp-1-1.txt"}) put(folder / name, "somebody's");
+    remove_temporaries(folder);
+    remove_temporaries(folder / "nowhere");
+    EXPECT_EQ(files().size(), 5u);
+    pid_t child = ::fork();   // the names are those that really are left behind
+    if (child == 0) write_atomically(folder / "b.txt", [](const fs::path& temporary) { put(temporary, "half"), ::_exit(0); });
+    ::waitpid(child, nullptr, 0);
+    EXPECT_EQ(files().size(), 6u);
+    remove_temporaries(folder);
+    EXPECT_EQ(files().size(), 5u);
+}
 
 TEST_F(AtomicFile, NoticesAFullDiskInEveryWriter) {
     std::vector<float> noise(64 * 64);
@@ -140,7 +135,7 @@ TEST_F(AtomicFile, NoticesAFullDiskInEveryWriter) {
     };
     for (std::size_t i = 0; i < writers.size(); ++i) {
         SCOPED_TRACE(i);
-        const FileSizeLimit limit(4096);
+        const test::FileSizeLimit limit(4096);
         const std::string message = data_error([&] { writers[i](folder / "full.bin"); });
         EXPECT_NE(message.find("File too large"), std::string::npos) << message;
         EXPECT_NE(message.find("full.bin"), std::string::npos) << message;

@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: Apache-2.0
+// State into named arrays and back; every array is checked for type and shape on the way back.
+#include <relidar/checkpoint.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <span>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar {
+namespace {
+
+/// One group of a set of surfels: its floats, and the shape of a row.
+struct Group {
+    const char* name;
+    std::vector<std::size_t> row_shape;
+    std::span<float> values;
+};
+
+template <class V>
+std::span<float> floats(std::vector<V>& values) {
+    return {reinterpret_cast<float*>(values.data()), values.size() * sizeof(V) / sizeof(float)};
+}
+
+std::vector<Group> groups(Surfels& s) {
+    return {{"mean", {3}, floats(s.mean)},
+            {"rotation", {4}, floats(s.rotation)},
+            {"log_scale", {2}, floats(s.log_scale)},
+            {"opacity_logit", {}, floats(s.opacity_logit)},
+            {"sh", {kShChannels, kShCoefficients}, floats(s.sh)}};
+}
+
+std::vector<std::size_t> with_rows(std::size_t n, const std::vector<std::size_t>& row_shape) {
+    std::vector<std::size_t> shape{n};
+    shape.insert(shape.end(), row_shape.begin(), row_shape.end());
+    return shape;
+}
+
+template <class T>
+void check_finite(const NamedArray& array) {
+    const std::size_t n = array.bytes.size() / sizeof(T);
+    for (std::size_t i = 0; i < n; ++i) {
+        T value;
+        std::memcpy(&value, array.bytes.data() + i * sizeof(T), sizeof(T));
+        if (std::isfinite(value)) continue;
+        const std::size_t rows = array.shape.empty() ? 1 : array.shape[0];
+        throw DataError(fmt::format("array {}: row {} holds {}, expected finite numbers", array.name, i / (n / rows), value));
+    }
+}
+
+}  // namespace
+
+const NamedArray& Checkpoint::array(const std::string& name) const {
+    const auto it = std::find_if(arrays.begin(), arrays.end(), [&](const NamedArray& a) { return a.name == name; });
+    if (it == arrays.end()) throw DataError(fmt::format("checkpoint of iteration {}: array {}: missing, expected it", iteration, name));
+    return *it;
+}
+
+const std::string& Checkpoint::text(const std::string& name) const {
+    const auto it = texts.find(name);
+    if (it == texts.end()) throw DataError(fmt::format("checkpoint of iteration {}: text {}: missing, expected it", iteration, name));
+    return it->second;
+}
+
+void StateWriter::put(const std::string& name, const char* dtype, std::vector<std::size_t> shape, const void* values) {
+    NamedArray& array = checkpoint_.arrays.emplace_back(NamedArray{name, dtype, std::move(shape), {}});
+    array.bytes.resize(array.count() * static_cast<std::size_t>(dtype[1] - '0'));
+    if (!array.bytes.empty()) std::memcpy(array.bytes.data(), values, array.bytes.size());
+}
+
+void StateWriter::operator()(const std::string& name, const SurfelArrays& surfels) {
+    Surfels host = surfels.download();
+    for (const Group& group : groups(host)) put(name + "/" + group.name, "f4", with_rows(host.size(), group.row_shape), group.values.data());
+}
+
+const NamedArray& StateReader::find(const std::string& name, const char* dtype, const std::vector<std::size_t>& shape) const {
+    const NamedArray& array = checkpoint_.array(name);
+    if (array.dtype != dtype || array.shape != shape)
+        throw DataError(fmt::format("checkpoint of iteration {}: array {}: found {} [{}], expected {} [{}]", checkpoint_.iteration, name, array.dtype,
+                                    fmt::join(array.shape, ", "), dtype, fmt::join(shape, ", ")));
+    return array;
+}
+
+const NamedArray& StateReader::find_rows(const std::string& name, const char* dtype) const { return find(name, dtype, {checkpoint_.array(name).count()}); }
+
+Surfels StateReader::surfels(const std::string& name) const {
+    const NamedArray& mean = checkpoint_.array(name + "/mean");
+    return surfels_of(name, mean.shape.empty() ? 0 : mean.shape[0]);
+}
+
+Surfels StateReader::surfels_of(const std::string& name, std::size_t n) const {
+    Surfels host;
+    for (const Group& group : groups(host)) find(name + "/" + group.name, "f4", with_rows(n, group.row_shape));   // before anything is allocated
+    host.resize(n);
+    for (const Group& group : groups(host)) copy(checkpoint_.array(name + "/" + group.name), group.values.data());
+    return host;
+}
+
+void StateReader::copy(const NamedArray& array, void* values) {
+    if (!array.bytes.empty()) std::memcpy(values, array.bytes.data(), array.bytes.size());
+}
+
+void check_finite(const Checkpoint& checkpoint) {
+    for (const NamedArray& array : checkpoint.arrays) {
+        if (array.dtype == "f4") check_finite<float>(array);
+        if (array.dtype == "f8") check_finite<double>(array);
+    }
+}
+
+}  // namespace relidar

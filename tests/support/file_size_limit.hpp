@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: Apache-2.0
+// A disk that is full, for a test that has none.
+#pragma once
+
+#include <csignal>
+
+#include <sys/resource.h>
+
+namespace relidar::test {
+
+/// Lets no file grow beyond a size, which fails writes as a full disk does.
+class FileSizeLimit {
+public:
+    explicit FileSizeLimit(rlim_t n_bytes) : handler_(std::signal(SIGXFSZ, SIG_IGN)) {
+        ::getrlimit(RLIMIT_FSIZE, &before_);
+        const rlimit limit{n_bytes, before_.rlim_max};
+        ::setrlimit(RLIMIT_FSIZE, &limit);
+    }
+    ~FileSizeLimit() {
+        ::setrlimit(RLIMIT_FSIZE, &before_);
+        std::signal(SIGXFSZ, handler_);
+    }
+
+private:
+    rlimit before_{};
+    void (*handler_)(int);
+};
+
+}  // namespace relidar::test
