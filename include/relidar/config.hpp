@@ -51,6 +51,9 @@ struct TrainConfig {
     bool only_touched = false;       ///< Adam leaves surfels without a gradient in this batch alone
     bool sensor_drop = false;        ///< learn what the sensor itself never sees apart from the scene (stands in for the paper's U-Net)
     int log_every = 50;
+    int checkpoint_every = 0;          ///< iterations between checkpoints; 0 = by time alone
+    double checkpoint_minutes = 10.0;  ///< minutes between checkpoints; 0 = by iterations alone
+    int checkpoint_keep = 2;           ///< the newest so many stay
     std::uint64_t seed = 1;
 };
 

@@ -48,8 +48,8 @@ public:
     /// Records the loss of a batch.
     /// @param rendered    [n_rays, kRenderedFloats] input
     /// @param upstream    [n_rays, kUpstreamFloats] output
-    /// @param terms       [kLossTerms] accumulated, weighted
-    void run(Stream& stream, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const Array<float>& terms);
+    /// @param terms       [slots, kLossTerms] those of one slot accumulated, weighted
+    void run(Stream& stream, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const Array<float>& terms, std::uint32_t slot = 0);
 
 private:
     struct Impl;

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// The training loop: initialise, then sample a frame, render, compare, differentiate, step.
+// The training loop: initialise, then sample a frame, render, compare, differentiate, step. It can stop and continue.
 #pragma once
 
 #include <array>
+#include <filesystem>
 #include <functional>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include <relidar/config.hpp>
@@ -14,6 +16,8 @@
 #include <relidar/sequence.hpp>
 
 namespace relidar {
+
+struct Checkpoint;
 
 /// One line of the log.
 struct TrainProgress {
@@ -27,23 +31,41 @@ struct TrainProgress {
     std::uint32_t n_surfels = 0;
 };
 
-/// What training leaves behind.
+/// What training leaves behind. Log and times count from the first start, whatever the number of interruptions.
 struct TrainResult {
     Scene scene;
     std::vector<TrainProgress> log;
-    KernelTimes times;
+    KernelTimes times;                 ///< of this session
     double initialise_s = 0.0;
     double train_s = 0.0;
     std::uint64_t peak_device_bytes = 0;
-    bool interrupted = false;
+    int iterations = 0;                ///< done
+    bool interrupted = false;          ///< before the last one
 };
 
 /// Called at every log line. Returning false stops training after the current iteration; the result holds the scene so far.
 using ProgressCallback = std::function<bool(const TrainProgress&)>;
 
+/// How a training that may take days starts and stops.
+struct TrainSession {
+    std::filesystem::path checkpoints;               ///< folder they go to, as train.checkpoint_* say and where training stops early; empty: none
+    const Checkpoint* start = nullptr;               ///< continue from here; null: from the beginning
+    std::function<bool()> stop;                      ///< asked after every iteration; true stops training
+    std::function<void(const std::string&)> note;    ///< one line about a failure that training survives: a full disk under a checkpoint
+};
+
 /// Trains a scene on the training frames of a log.
-/// @throws DataError where there is nothing to train on; DeviceError on the device's failures; DataError naming iteration, frame and
-/// term where a loss is not finite
-TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config, const ProgressCallback& progress);
+/// @throws UsageError where the session's start does not fit (check_resumable); DataError where there is nothing to train on, where a loss is not
+/// finite, naming iteration, frame and term, or a parameter, naming array and row; DeviceError on the device's failures. Checkpoints
+/// already written stay
+TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config, const ProgressCallback& progress,
+                  const TrainSession& session = {});
+
+/// Whether a training may continue with this log and these settings. train.iterations may be raised: the learning rates continue where
+/// the longer schedule stands at that iteration. train.log_every, train.checkpoint_*, render.* and trace.* are free.
+/// @throws UsageError naming the setting, DataError naming the part of the log that differs
+void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split, const Config& config);
+/// The log up to a checkpoint. @throws DataError where the checkpoint is not one of training
+std::vector<TrainProgress> resumed_log(const Checkpoint& checkpoint, const Config& config);
 
 }  // namespace relidar

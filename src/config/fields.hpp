@@ -100,6 +100,9 @@ void visit_training(C& c, Visitor&& f) {
     f("train.only_touched", c.train.only_touched, anything(), "surfels without a gradient in a step keep their values and moments");
     f("train.sensor_drop", c.train.sensor_drop, anything(), "learn what the sensor itself never sees (its own vehicle) apart from the scene");
     f("train.log_every", c.train.log_every, between(1, kMaxCount), "steps between two lines of the log");
+    f("train.checkpoint_every", c.train.checkpoint_every, between(0, kMaxCount), "steps between two checkpoints; 0: by time alone");
+    f("train.checkpoint_minutes", c.train.checkpoint_minutes, at_least(0), "minutes between two checkpoints; 0: by steps alone; Ctrl-C always leaves one");
+    f("train.checkpoint_keep", c.train.checkpoint_keep, between(1, kMaxCount), "the newest so many checkpoints are kept");
     f("train.seed", c.train.seed, between(0, kMaxSeed), "seed of the order of frames and rays");
 }
 

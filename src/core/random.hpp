@@ -28,6 +28,9 @@ public:
 
     std::uint64_t next() { return hash64(state_ += 0x9E3779B97F4A7C15ull); }
 
+    /// Where the stream stands: all there is to save and restore.
+    std::uint64_t& state() { return state_; }
+
     /// Uniform in [0, 1), 53 bits.
     double uniform() { return static_cast<double>(next() >> 11) * 0x1.0p-53; }
 

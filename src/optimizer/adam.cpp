@@ -20,11 +20,15 @@ struct Adam::Impl {
     AdamOptions options;
     SurfelArrays moment1, moment2;
     Kernel<shared::AdamParams> kernel;
-    bool zeroed = false;
 };
 
 Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options)
-    : impl_(new Impl{options, {device, n_surfels, "first moment"}, {device, n_surfels, "second moment"}, {device, "optimizer/adam"}}) {}
+    : impl_(new Impl{options, {device, n_surfels, "first moment"}, {device, n_surfels, "second moment"}, {device, "optimizer/adam"}}) {
+    Stream stream(device);
+    impl_->moment1.fill_zero(stream);
+    impl_->moment2.fill_zero(stream);
+    stream.finish();   // here, not in the first step: a resumed run puts its moments in between
+}
 Adam::~Adam() = default;
 SurfelArrays& Adam::moment1() { return impl_->moment1; }
 SurfelArrays& Adam::moment2() { return impl_->moment2; }
@@ -33,11 +37,6 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
     Impl& a = *impl_;
     RELIDAR_ASSERT_LE(p.n, a.moment1.n);
     RELIDAR_ASSERT_LE(p.n, g.n);
-    if (!a.zeroed) {
-        a.moment1.fill_zero(stream);
-        a.moment2.fill_zero(stream);
-        a.zeroed = true;
-    }
     const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step)));
     const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step)));
     const auto update = [&](Array<float>& value, const Array<float>& gradient, Array<float>& m, Array<float>& v, double rate, double first_scale, std::uint32_t stride,

@@ -80,6 +80,7 @@ std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, c
         if (rays[k].empty()) throw DataError(fmt::format("preparing frame {} of {}: it has no rays, expected at least one", frame.index, sequence.name));
         FrameData& data = frames.emplace_back();
         data.position = positions[k];
+        data.index = frame.index;
         data.rays = Array<DeviceRay>(device, std::span<const DeviceRay>(rays[k]), "training rays");
         data.targets = Array<DeviceTarget>(device, std::span<const DeviceTarget>(targets[k]), "training targets");
         data.n_rays = static_cast<std::uint32_t>(rays[k].size());

@@ -15,6 +15,7 @@ namespace relidar {
 /// One frame, resident on the device.
 struct FrameData {
     int position = 0;                 ///< in Sequence::frames
+    int index = 0;                    ///< the dataset's own number
     Array<DeviceRay> rays;            ///< [n]
     Array<DeviceTarget> targets;      ///< [n]
     std::uint32_t n_rays = 0;

@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training from a log to a scene: initialise, iterate, report (the iteration itself is in train_loop.cpp).
+// Training from a log to a scene: initialise or continue, iterate, report, keep checkpoints (the iteration itself is in train_loop.cpp).
 #include <relidar/train.hpp>
 
 #include <algorithm>
 #include <chrono>
-#include <numeric>
 
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
 
+#include "train/checkpoint_keeper.hpp"
+#include "train/resume.hpp"
 #include "train/train_loop.hpp"
 
 namespace relidar {
@@ -19,43 +20,43 @@ namespace {
 using Clock = std::chrono::steady_clock;
 double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
-TrainProgress progress_at(int step, const Config& config, double seconds, const std::array<double, kLossTerms>& terms, std::uint32_t n_surfels) {
-    TrainProgress p;
-    p.iteration = step;
-    p.n_iterations = config.train.iterations;
-    p.seconds = seconds;
-    p.iterations_per_second = step / std::max(seconds, 1e-9);
-    p.eta_s = (config.train.iterations - step) / std::max(p.iterations_per_second, 1e-9);
-    p.terms = terms;
-    p.loss = std::accumulate(terms.begin(), terms.end(), 0.0);
-    p.n_surfels = n_surfels;
-    return p;
-}
+bool logs_at(int step, const TrainConfig& config) { return step == 1 || step % std::max(1, config.log_every) == 0 || step == config.iterations; }
 
 }  // namespace
 
-TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config, const ProgressCallback& progress) {
+TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config, const ProgressCallback& progress, const TrainSession& session) {
     if (split.train.empty()) throw DataError(fmt::format("training on {}: found no training frames, expected at least one", sequence.name));
+    if (session.start) check_resumable(*session.start, sequence, split, config);
     TrainResult result;
     const Clock::time_point begin = Clock::now();
-    const Scene initial = initialise_scene(sequence, split.train, config.init);
+    const Scene initial = session.start ? scene_of(*session.start) : initialise_scene(sequence, split.train, config.init);
     result.initialise_s = seconds_since(begin);
 
     TrainLoop loop(device, sequence, split, initial, config);
-    const Clock::time_point start = Clock::now();
-    int logged = 0;
-    for (int step = 1; step <= config.train.iterations && !result.interrupted; ++step) {
-        loop.iterate(step);
-        const bool log_now = step == 1 || step % std::max(1, config.train.log_every) == 0 || step == config.train.iterations;
-        if (!log_now) continue;
-        const std::array<double, kLossTerms> terms = loop.take_terms(step - logged, step);
-        logged = step;
-        result.log.push_back(progress_at(step, config, seconds_since(start), terms, loop.n_surfels()));
-        result.interrupted = !progress(result.log.back());
+    if (session.start) {
+        loop.restore(*session.start);
+        read_result(*session.start, config, result);
     }
+    CheckpointKeeper checkpoints(sequence, split, config, session);
+    const Clock::time_point start = Clock::now();
+    const double trained_before_s = result.train_s;
+    const auto trained_s = [&] { return trained_before_s + seconds_since(start); };
+    bool stop = false;
+    while (result.iterations < config.train.iterations && !stop) {
+        const int step = ++result.iterations;
+        loop.iterate(step);
+        if (logs_at(step, config.train)) {
+            const std::array<double, kLossTerms> terms = loop.take_terms();
+            result.log.push_back(progress_at(step, config, trained_s(), terms, loop.n_surfels()));
+            stop = !progress(result.log.back());
+        }
+        stop = stop || (session.stop && session.stop());
+        if (stop || checkpoints.due(step)) checkpoints.save(loop, result, trained_s());
+    }
+    result.interrupted = result.iterations < config.train.iterations;
     result.scene = loop.download();
     if (config.train.sensor_drop && !result.interrupted) result.scene.sensor_drop = loop.estimate_sensor_drop(sequence);
-    result.train_s = seconds_since(start);
+    result.train_s = trained_s();
     result.times = loop.times();
     result.peak_device_bytes = device.peak_bytes();
     return result;

@@ -6,16 +6,18 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <utility>
 
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include <relidar/run.hpp>
 
 #include "train/sensor_drop.hpp"
 
 namespace relidar {
 
-FrameSampler::FrameSampler(std::size_t n, std::uint64_t seed) : order_(n), random_(seed) { std::iota(order_.begin(), order_.end(), std::size_t(0)); }
+FrameSampler::FrameSampler(std::size_t n, std::uint64_t seed) : order_(n), random_(seed) { std::iota(order_.begin(), order_.end(), std::uint64_t(0)); }
 
 std::size_t FrameSampler::next() {
     if (position_ == 0)
@@ -23,6 +25,13 @@ std::size_t FrameSampler::next() {
     const std::size_t frame = order_[position_];
     position_ = (position_ + 1) % order_.size();
     return frame;
+}
+
+bool FrameSampler::is_sound(std::size_t n) const {
+    std::vector<std::uint64_t> sorted = order_, all(n);
+    std::sort(sorted.begin(), sorted.end());
+    std::iota(all.begin(), all.end(), std::uint64_t(0));
+    return sorted == all && position_ < n;
 }
 
 namespace {
@@ -60,11 +69,20 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       gradients_(device, scene_.size()),
       rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
       upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
-      terms_(device, std::vector<float>(kLossTerms, 0.0f), "loss terms"),
+      terms_(device, std::vector<float>(kTermSlots * kLossTerms, 0.0f), "loss terms"),
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
-      sampler_(frames_.size(), config.train.seed) {
+      sampler_(frames_.size(), config.train.seed),
+      term_sums_(kLossTerms, 0.0) {
     gradients_.zero_untouched = !config.train.only_touched;
     for (FrameData& frame : frames_) frame.placed = place_instances(initial, sequence, sequence.frames[std::size_t(frame.position)].time_s);
+}
+
+TrainLoop::~TrainLoop() {
+    try {
+        stream_.wait(submitted_);   // where training ends by an exception, the device may still use the arrays
+    } catch (const DeviceError&) {
+        // a lost device uses nothing any more, and has been reported
+    }
 }
 
 std::uint32_t TrainLoop::largest_batch() const {
@@ -74,6 +92,7 @@ std::uint32_t TrainLoop::largest_batch() const {
 }
 
 void TrainLoop::iterate(int step) {
+    if (pending_.size() == kTermSlots) collect_terms();
     const FrameData& frame = frames_[sampler_.next()];
     const std::uint32_t wanted = config_.train.rays_per_iteration > 0 ? static_cast<std::uint32_t>(config_.train.rays_per_iteration) : frame.n_rays;
     const std::uint32_t stride = std::max(1u, frame.n_rays / std::max(wanted, 1u));
@@ -88,25 +107,51 @@ void TrainLoop::iterate(int step) {
     scene_.activate(stream_, model, frame.sensor_position_m);
     accel_.update(stream_, scene_);
     forward_.run(stream_, scene_, accel_, rays, rendered_);                                                              // Eq. 2-4
-    loss_.run(stream_, targets, rendered_, upstream_, terms_);                                                           // Eq. 10
+    loss_.run(stream_, targets, rendered_, upstream_, terms_, static_cast<std::uint32_t>(pending_.size()));              // Eq. 10
     backward_.run(stream_, scene_, accel_, {rays, &rendered_, &upstream_}, frame.sensor_position_m, gradients_);         // Eq. 9
     adam_.step(stream_, scene_.parameters(), gradients_.surfels, gradients_.touched, rates_at(config_.train, extent_m_, step), step, model.sh_degree);
-    stream_.submit();
+    submitted_ = stream_.submit();
+    pending_.push_back({step, frame.index});
 }
 
-std::array<double, kLossTerms> TrainLoop::take_terms(int n, int step) {
+void TrainLoop::collect_terms() {
+    if (pending_.empty()) return;
     stream_.finish();
-    const std::vector<float> sums = terms_.download();
-    std::array<double, kLossTerms> means{};
-    for (std::size_t k = 0; k < kLossTerms; ++k) {
-        means[k] = sums[k] / std::max(n, 1);
-        if (!std::isfinite(sums[k]))
-            throw DataError(fmt::format("training, iterations {} to {}: the {} loss is {}, expected a finite number", step - n + 1, step, kLossTermNames[k], sums[k]));
+    const std::vector<float> terms = terms_.download();
+    for (std::size_t slot = 0; slot < pending_.size(); ++slot) {
+        for (std::size_t k = 0; k < kLossTerms; ++k) {
+            const float term = terms[slot * kLossTerms + k];
+            if (!std::isfinite(term))
+                throw DataError(fmt::format("training, iteration {}, frame {}: the {} loss is {}, expected a finite number", pending_[slot].step, pending_[slot].frame, kLossTermNames[k], term));
+            term_sums_[k] += term;
+        }
     }
     if (const std::uint32_t capped = forward_.take_pass_cap_count())
-        throw DeviceError(fmt::format("training, iterations {} to {}: {} rays reached the cap of passes, expected every ray to end", step - n + 1, step, capped));
-    terms_.upload(std::vector<float>(kLossTerms, 0.0f));
+        throw DeviceError(fmt::format("training, iterations {} to {}: {} rays reached the cap of passes, expected every ray to end", pending_.front().step, pending_.back().step, capped));
+    n_summed_ += pending_.size();
+    pending_.clear();
+    terms_.upload(std::vector<float>(kTermSlots * kLossTerms, 0.0f));
+}
+
+std::array<double, kLossTerms> TrainLoop::take_terms() {
+    collect_terms();
+    std::array<double, kLossTerms> means{};
+    for (std::size_t k = 0; k < kLossTerms; ++k) means[k] = std::exchange(term_sums_[k], 0.0) / static_cast<double>(std::max<std::uint64_t>(n_summed_, 1));
+    n_summed_ = 0;
     return means;
+}
+
+void TrainLoop::save(Checkpoint& checkpoint) {
+    collect_terms();
+    checkpoint.texts["layout"] = layout_to_json(scene_.layout());
+    visit_state(StateWriter(checkpoint));
+}
+
+void TrainLoop::restore(const Checkpoint& checkpoint) {
+    collect_terms();   // of the steps this state replaces
+    visit_state(StateReader(checkpoint));
+    if (!sampler_.is_sound(frames_.size()) || term_sums_.size() != kLossTerms)
+        throw DataError(fmt::format("resuming from iteration {}: the order of frames or the sums of losses are not those of {} frames and {} terms", checkpoint.iteration, frames_.size(), kLossTerms));
 }
 
 DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <relidar/backward.hpp>
+#include <relidar/checkpoint.hpp>
 #include <relidar/forward.hpp>
 #include <relidar/optimizer.hpp>
 #include <relidar/train.hpp>
@@ -19,20 +20,37 @@ public:
     std::size_t next();
     Random& random() { return random_; }
 
+    template <class Visitor>
+    void visit_state(Visitor&& visit) {
+        visit("sampler/order", order_);
+        visit("sampler/position", position_);
+        visit("sampler/random", random_.state());
+    }
+    /// Whether what was read back can be gone on with.
+    bool is_sound(std::size_t n) const;
+
 private:
-    std::vector<std::size_t> order_;
-    std::size_t position_ = 0;
+    std::vector<std::uint64_t> order_;
+    std::uint64_t position_ = 0;
     Random random_;
 };
 
 class TrainLoop {
 public:
     TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial, const Config& config);
+    ~TrainLoop();
+    TrainLoop(const TrainLoop&) = delete;
+    TrainLoop& operator=(const TrainLoop&) = delete;
 
     /// Records and submits one iteration. @param step counts from 1
     void iterate(int step);
-    /// Mean loss terms over the last n iterations; starts over. Blocks. @throws DataError where a term is not finite
-    std::array<double, kLossTerms> take_terms(int n, int step);
+    /// Mean loss terms over the iterations since the last call. Blocks.
+    /// @throws DataError naming iteration, frame and term where one is not finite (iterate() looks too, every kTermSlots steps)
+    std::array<double, kLossTerms> take_terms();
+    /// Puts everything that training has changed into a checkpoint. Blocks. @throws as take_terms
+    void save(Checkpoint& checkpoint);
+    /// Takes it back. The loop must have been made for the checkpoint's scene and log. @throws DataError for what does not fit
+    void restore(const Checkpoint& checkpoint);
     /// Sensor-level ray-drop, from rays for which the scene as it is now expects a return. Blocks.
     DropTable estimate_sensor_drop(const Sequence& sequence);
     /// The scene as it is now. Blocks.
@@ -41,6 +59,14 @@ public:
     std::uint32_t n_surfels() const { return scene_.size(); }
 
 private:
+    static constexpr std::size_t kTermSlots = 64;   // iterations between two looks at their losses
+
+    /// An iteration whose losses are still on the device, in the slot of its place in pending_.
+    struct Pending {
+        int step;
+        int frame;   ///< the dataset's own number
+    };
+
     const Config& config_;
     std::vector<FrameData> frames_;
     Stream stream_;
@@ -54,8 +80,26 @@ private:
     Array<float> rendered_, upstream_, terms_;
     double extent_m_;
     FrameSampler sampler_;
+    std::uint64_t submitted_ = 0;     ///< ticket of the last iteration
+    std::vector<Pending> pending_;
+    std::vector<double> term_sums_;   ///< [kLossTerms] since the last take_terms()
+    std::uint64_t n_summed_ = 0;      ///< iterations in them
+
+    /// All state of the loop: what is not listed here is lost where training stops. A new kind of state is a line.
+    template <class Visitor>
+    void visit_state(Visitor&& visit) {
+        visit("parameters", scene_.parameters());
+        visit("moment1", adam_.moment1());
+        visit("moment2", adam_.moment2());
+        visit("extent_m", extent_m_);
+        visit("term_sums", term_sums_);
+        visit("n_summed", n_summed_);
+        sampler_.visit_state(visit);
+    }
 
     std::uint32_t largest_batch() const;
+    /// Waits for the device and adds up the losses of the iterations pending.
+    void collect_terms();
 };
 
 }  // namespace relidar

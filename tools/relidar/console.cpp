@@ -92,6 +92,12 @@ std::string shell_word(const std::string& word) {
 
 void print(const std::string& text) { std::fputs(text.c_str(), stdout); }
 
+void note(const std::string& text) {
+    end_progress_line();
+    std::fputs(("relidar: note: " + one_line(text) + "\n").c_str(), stderr);
+    std::fflush(stderr);
+}
+
 void end_progress_line() {
     if (line_open) std::fputs("\n", stderr);
     line_open = false;

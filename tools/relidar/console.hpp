@@ -22,6 +22,9 @@ std::string shell_word(const std::string& word);    ///< quoted where a shell wo
 /// Writes to stdout.
 void print(const std::string& text);
 
+/// One line on stderr about something that went wrong and does not end the command.
+void note(const std::string& text);
+
 /// Ends a progress line that is still open on the terminal.
 void end_progress_line();
 

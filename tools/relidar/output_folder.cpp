@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include <relidar/export.hpp>
 #include <relidar/run.hpp>
 
 namespace relidar::cli {
@@ -29,7 +30,11 @@ void check_empty(const fs::path& folder, bool force) {
 
 void remove_run_files(const fs::path& folder) {
     std::error_code failed;
-    for (const char* name : {"scene.json", "config.toml", "model.safetensors", "log.jsonl", "metrics.json", "report.html"}) fs::remove(folder / name, failed);
+    for (const char* name : {"scene.json", "model.safetensors", "log.jsonl", "metrics.json", "report.html"}) fs::remove(folder / name, failed);
+    remove_temporaries(folder);
+    remove_temporaries(checkpoint_folder(folder));
 }
+
+fs::path checkpoint_folder(const fs::path& run) { return run / "checkpoints"; }
 
 }  // namespace relidar::cli

@@ -24,7 +24,10 @@ private:
 
 /// For a run: refuses a folder that holds something. @throws UsageError unless force is set
 void check_empty(const std::filesystem::path& folder, bool force);
-/// Removes the files of an earlier run, so that none is mistaken for one of this run.
+/// Removes the files of an earlier run but its settings and checkpoints, so that none is mistaken for one of this run, and what a killed one left
+/// half written.
 void remove_run_files(const std::filesystem::path& folder);
+/// Where a run keeps its checkpoints.
+std::filesystem::path checkpoint_folder(const std::filesystem::path& run);
 
 }  // namespace relidar::cli

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar train: a log becomes a run. What can fail early does: settings, output folder, device, then the log.
+// relidar train: a log becomes a run, or a run goes on. What can fail early does: settings, output folder, checkpoint, device, then the log.
 #include <memory>
+#include <optional>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
@@ -13,10 +14,13 @@
 #include "output_folder.hpp"
 #include "run_report.hpp"
 #include "training.hpp"
+#include <relidar/checkpoint.hpp>
 #include <relidar/run.hpp>
 
 namespace relidar::cli {
 namespace {
+
+namespace fs = std::filesystem;
 
 struct Options {
     std::string dataset;
@@ -25,14 +29,46 @@ struct Options {
     Settings settings;
     DeviceChoice device;
     std::string seed;
+    std::string resume_folder;   ///< what stood after --resume
+    bool resume = false;
+    bool from_preset = false;    ///< --preset or --config was given: they, not the run, say where the settings start from
     bool force = false;
     bool no_eval = false;
     bool quiet = false;
 };
 
+constexpr const char* kConfigFile = "config.toml";
+
+bool is_file(const fs::path& path) {
+    std::error_code failed;
+    return fs::is_regular_file(path, failed);
+}
+
+/// Which words are the log and the folder: `--resume` may stand before either.
+Options sorted_out(Options options) {
+    if (options.out.empty()) options.out = options.resume_folder;
+    else if (options.dataset.empty()) options.dataset = options.resume_folder == options.out ? "" : options.resume_folder;
+    if (!options.resume && options.dataset.empty()) throw UsageError("DATASET is required (see `relidar train --help`)");
+    if (options.out.empty()) throw UsageError("--out is required, or --resume with a run folder (see `relidar train --help`)");
+    const bool knows_log = options.resume && is_file(fs::path(options.out) / kConfigFile);
+    if (options.dataset.empty() && !knows_log)
+        throw UsageError(fmt::format("DATASET is required: {} has no config.toml that would name it (see `relidar train --help`)", options.out));
+    return options;
+}
+
+/// The run's own settings where it continues and no others to start from are named.
+Config start_settings(const Options& options) {
+    const fs::path saved = fs::path(options.out) / kConfigFile;
+    if (!options.resume || options.from_preset || !is_file(saved)) return resolve(options.settings);
+    Config config;
+    load_config(config, saved);
+    apply_sets(config, options.settings.sets);
+    return config;
+}
+
 Config config_of(const Options& options) {
-    Config config = resolve(options.settings);
-    config.dataset.path = absolute_dataset(options.dataset);
+    Config config = start_settings(options);
+    if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
     config.dataset.poses = absolute_path(config.dataset.poses);
     if (!options.frames.empty()) {
         const FrameRange range = parse_frames(options.frames);
@@ -46,10 +82,47 @@ Config config_of(const Options& options) {
     return config;
 }
 
-void announce(const Sequence& sequence, const Split& split, const Device& device) {
+/// Whether a run has everything that training leaves, at as many iterations as are wanted.
+bool is_finished(const fs::path& folder, const Config& config) {
+    return is_file(folder / "scene.json") && is_file(folder / "report.html") && last_logged_iteration(folder) >= config.train.iterations;
+}
+
+/// The checkpoint to continue from. @return nothing where training starts from the beginning
+std::optional<Checkpoint> find_start(const Options& options) {
+    const fs::path folder = options.out;
+    std::optional<Checkpoint> start = load_newest_checkpoint(checkpoint_folder(folder), note);
+    if (start) return start;
+    if (is_file(folder / "report.html"))
+        throw UsageError(fmt::format("resuming {}: its training has ended and left no checkpoint, expected one to go on from; --force trains anew", folder.string()));
+    if (!is_file(folder / kConfigFile)) check_empty(folder, false);   // no run of ours: nothing in it may be overwritten
+    note(fmt::format("{} holds no checkpoint: training starts from the beginning", folder.string()));
+    return std::nullopt;
+}
+
+void announce(const Sequence& sequence, const Split& split, const Device& device, const Checkpoint* start) {
     print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name, sequence.frames.size(), split.train.size(), split.test.size(),
                       device.info().name, device.traversal() == Traversal::software ? "software traversal" : "ray query"));
+    if (start) print(fmt::format("resume  from iteration {}\n", start->iteration));
     std::fflush(stdout);
+}
+
+/// What continues this training, as typed on the command line.
+std::string resume_command(const Options& options) {
+    std::string command = "relidar train --resume " + shell_word(options.out);
+    if (options.device.index >= 0) command += fmt::format(" --device {}", options.device.index);
+    if (options.device.traversal != "auto") command += " --traversal " + options.device.traversal;
+    return command;
+}
+
+/// Training; whatever ends it early, the message says what is left and how to go on.
+TrainResult train_or_tell(Device& device, const Run& run, const Options& options, const Checkpoint* start) {
+    const fs::path checkpoints = checkpoint_folder(run.folder);
+    try {
+        return train_logged(device, run.sequence, run.split, run.config, run.folder, options.quiet, {checkpoints, start, {}, {}});
+    } catch (const Error& error) {
+        if (list_checkpoints(checkpoints).empty()) throw;
+        throw Error(error.code(), fmt::format("{}; the last checkpoint is kept, continue with: {}", error.what(), resume_command(options)));
+    }
 }
 
 /// Scores the held-out frames and writes metrics.json. @return nothing scored where no frame is held out
@@ -64,25 +137,13 @@ Evaluation score(Device& device, const Run& run, const Options& options) {
     return evaluation;
 }
 
-void run_train(const Options& options, const std::string& command_line) {
-    const Config config = config_of(options);
-    check_empty(options.out, options.force);
-    const OutputFolder folder(options.out);
-    Device device(device_options(options.device));
-    Sequence sequence = load_dataset(config);
-    const Split split = split_frames(sequence, config.dataset.test_every);
-    if (!options.quiet) announce(sequence, split, device);
-
-    catch_interrupts();
-    remove_run_files(folder.path());
-    TrainResult result = train_logged(device, sequence, split, config, folder.path(), options.quiet);
-    end_progress_line();
-    const Run run{folder.path(), config, std::move(sequence), split, std::move(result.scene)};
-    save_run(run);
+/// Report and, unless training was interrupted, scores.
+void finish(Device& device, const Run& run, const TrainResult& result, const Options& options, const std::string& command_line) {
     Report report = make_report(run, result, device, command_line);
     if (result.interrupted) {
         write_report(run.folder / "report.html", report);
-        throw Error(ExitCode::interrupted, fmt::format("interrupted after iteration {} of {}; {} holds the scene so far", result.log.back().iteration, config.train.iterations, run.folder.string()));
+        throw Error(ExitCode::interrupted, fmt::format("interrupted after iteration {} of {}; {} holds the scene so far; continue with: {}", result.iterations,
+                                                       run.config.train.iterations, run.folder.string(), resume_command(options)));
     }
     const Evaluation evaluation = score(device, run, options);
     add_evaluation(report, evaluation, run, {"held out", "real"});
@@ -93,26 +154,69 @@ void run_train(const Options& options, const std::string& command_line) {
                       absolute_path((run.folder / "report.html").string())));
 }
 
+void run_train(const Options& given, const std::string& command_line) {
+    const Options options = sorted_out(given);
+    const Config config = config_of(options);
+    if (options.resume && !options.force && is_finished(options.out, config)) {
+        if (!options.quiet) print(fmt::format("{} has all of its {} iterations: nothing to do; raise train.iterations to go on\n", options.out, config.train.iterations));
+        return;
+    }
+    const bool resume = options.resume && !options.force;
+    if (!resume) check_empty(options.out, options.force);
+    std::optional<Checkpoint> start = resume ? find_start(options) : std::nullopt;
+    const OutputFolder folder(options.out);
+    Device device(device_options(options.device));
+    Sequence sequence = load_dataset(config);
+    const Split split = split_frames(sequence, config.dataset.test_every);
+    if (start) check_resumable(*start, sequence, split, config);
+    if (!options.quiet) announce(sequence, split, device, start ? &*start : nullptr);
+
+    catch_interrupts();
+    remove_run_files(folder.path());
+    if (!start) remove_checkpoints(checkpoint_folder(folder.path()));
+    write_text(folder.path() / kConfigFile, to_toml(config));   // what a killed run is resumed from
+    Run run{folder.path(), config, std::move(sequence), split, {}};
+    TrainResult result = train_or_tell(device, run, options, start ? &*start : nullptr);
+    end_progress_line();
+    start.reset();
+    run.scene = std::move(result.scene);
+    save_run(run);
+    finish(device, run, result, options, command_line);
+}
+
+void add_resume_option(CLI::App& command, const std::shared_ptr<Options>& options) {
+    command.add_option("--resume", options->resume_folder, "continue the run in --out, or in RUN, from its newest checkpoint; log and settings are the run's unless given")
+        ->type_name("[RUN]")
+        ->expected(0, 1);
+}
+
 }  // namespace
 
 void add_train(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("train", "train a scene on a log");
     const auto options = std::make_shared<Options>();
-    command->add_option("DATASET", options->dataset, "log: a path (format recognised), or kind:path with kind kitti_raw or synthetic")->required();
-    command->add_option("--out", options->out, "run folder to make")->required()->type_name("RUN");
+    command->add_option("DATASET", options->dataset, "log: a path (format recognised), or kind:path with kind kitti_raw or synthetic");
+    command->add_option("--out", options->out, "run folder to make")->type_name("RUN");
     command->add_option("--frames", options->frames, "frames to use, first:end, by the dataset's own numbers (default: all)")->type_name("A:B");
     add_settings_options(*command, options->settings);
     command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")->type_name("S");
     add_device_options(*command, options->device);
+    add_resume_option(*command, options);
     command->add_flag("--force", options->force, "overwrite the run in RUN");
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames at the end");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer("RUN/ gets config.toml, scene.json, model.safetensors, log.jsonl, metrics.json and report.html. Ctrl-C stops training and saves.\n"
+    command->footer("RUN/ gets config.toml, scene.json, model.safetensors, log.jsonl, metrics.json, report.html, and checkpoints/ where training takes long.\n"
+                    "Ctrl-C stops training, saves the scene so far and a checkpoint; --resume goes on as if nothing had happened.\n"
                     "Settings: preset, then --config, then --set, then the flags; the later one wins. `relidar config` lists them.\n"
                     "Examples:\n"
                     "  relidar train data/street --out run --preset quick\n"
+                    "  relidar train --resume run\n"
                     "  relidar train data/2011_09_26_drive_0005_sync --out run --frames 0:50 --set sensor.grid=kitti360 --set dataset.poses=poses.txt");
-    command->callback([&call, options] { call.run = [&call, options] { run_train(*options, call.command_line); }; });
+    command->callback([&call, options, command] {
+        options->resume = command->count("--resume") > 0;
+        options->from_preset = command->count("--preset") + command->count("--config") > 0;
+        call.run = [&call, options] { run_train(*options, call.command_line); };
+    });
 }
 
 }  // namespace relidar::cli

@@ -9,6 +9,7 @@
 #include "console.hpp"
 #include "interrupt.hpp"
 #include <relidar/error.hpp>
+#include <relidar/export.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -22,18 +23,56 @@ std::string log_line(const TrainProgress& p) {
     return json.dump() + "\n";
 }
 
+std::string log_text(const std::vector<TrainProgress>& lines) {
+    std::string text;
+    for (const TrainProgress& p : lines) text += log_line(p);
+    return text;
+}
+
+/// log.jsonl, line by line as it grows. A full disk is told once; finish() then tries to write the whole file.
+class LogFile {
+public:
+    LogFile(fs::path path, const std::vector<TrainProgress>& before) : path_(std::move(path)) {
+        write_text(path_, log_text(before));
+        file_.open(path_, std::ios::binary | std::ios::app);
+    }
+    void add(const TrainProgress& p) {
+        if (lost_ || (file_ << log_line(p)).flush()) return;
+        lost_ = true;
+        note(fmt::format("writing {}: the disk is full or the folder has gone; training goes on", path_.string()));
+    }
+    void finish(const std::vector<TrainProgress>& all) {
+        if (!lost_) return;
+        try {
+            write_text(path_, log_text(all));
+        } catch (const DataError& error) {
+            note(error.what());
+        }
+    }
+
+private:
+    fs::path path_;
+    std::ofstream file_;
+    bool lost_ = false;
+};
+
 }  // namespace
 
-TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const fs::path& folder, bool quiet) {
-    const fs::path log_path = folder / "log.jsonl";
-    std::ofstream log(log_path, std::ios::binary | std::ios::trunc);
+TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const fs::path& folder, bool quiet, TrainSession session) {
+    LogFile log(folder / "log.jsonl", session.start ? resumed_log(*session.start, config) : std::vector<TrainProgress>{});
     Progress progress(quiet);
-    progress.show("initialising the scene");
-    return train(device, sequence, split, config, [&](const TrainProgress& p) {
-        progress.show(progress_text(p), p.iteration == p.n_iterations);
-        if (!(log << log_line(p)).flush()) throw DataError(fmt::format("writing {}: the disk is full or the folder has gone", log_path.string()));
-        return !interrupted();
-    });
+    if (!session.start) progress.show("initialising the scene");
+    session.stop = interrupted;
+    session.note = note;
+    const TrainResult result = train(device, sequence, split, config,
+                                     [&](const TrainProgress& p) {
+                                         progress.show(progress_text(p), p.iteration == p.n_iterations);
+                                         log.add(p);
+                                         return true;
+                                     },
+                                     session);
+    log.finish(result.log);
+    return result;
 }
 
 std::string progress_text(const TrainProgress& p) {
@@ -42,6 +81,16 @@ std::string progress_text(const TrainProgress& p) {
         if (p.terms[k] != 0.0) terms += fmt::format("{}{} {}", terms.empty() ? "" : " ", kLossTermNames[k], number(p.terms[k]));
     }
     return fmt::format("iteration {}/{}  {:.2f} it/s  eta {}  loss {} ({})", p.iteration, p.n_iterations, p.iterations_per_second, duration(p.eta_s), number(p.loss), terms);
+}
+
+int last_logged_iteration(const fs::path& folder) {
+    std::ifstream file(folder / "log.jsonl", std::ios::binary);
+    int last = 0;
+    for (std::string line; std::getline(file, line);) {
+        const nlohmann::json json = nlohmann::json::parse(line, nullptr, false);
+        if (json.is_object() && json.contains("iteration") && json["iteration"].is_number_integer()) last = json["iteration"].get<int>();
+    }
+    return last;
 }
 
 }  // namespace relidar::cli

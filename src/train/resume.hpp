@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+// What of a training goes into a checkpoint beside the state of its loop, and comes out of it again. Private to train.
+#pragma once
+
+#include <map>
+#include <string>
+
+#include <relidar/checkpoint.hpp>
+#include <relidar/train.hpp>
+
+namespace relidar {
+
+/// Settings and fingerprint of the log: what must be the same where training continues.
+std::map<std::string, std::string> training_texts(const Sequence& sequence, const Split& split, const Config& config);
+
+/// Puts what the result knows so far: log and times. @param train_s since training started
+void write_result(StateWriter& write, const TrainResult& result, double train_s);
+/// Takes it out again.
+void read_result(const Checkpoint& checkpoint, const Config& config, TrainResult& result);
+
+/// The scene at a checkpoint. @throws DataError where its arrays or its layout are not sound
+Scene scene_of(const Checkpoint& checkpoint);
+
+/// A line of the log.
+TrainProgress progress_at(int step, const Config& config, double seconds, const std::array<double, kLossTerms>& terms, std::uint32_t n_surfels);
+
+}  // namespace relidar

@@ -1,0 +1,277 @@
+// SPDX-License-Identifier: Apache-2.0
+// A training that was stopped and resumed is the training that was not: same frames in the same order, same log, same scene. And whatever
+// goes wrong on the way, the last good checkpoint is there.
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+#include <optional>
+#include <regex>
+
+#include <relidar/checkpoint.hpp>
+#include <relidar/dataset.hpp>
+#include <relidar/render.hpp>
+#include <relidar/train.hpp>
+
+#include "../export/temporary_folder.hpp"
+#include "../support/device.hpp"
+#include "../support/file_size_limit.hpp"
+#include "train/train_loop.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr int kIterations = 40;
+constexpr int kStoppedAfter = 17;   // between two lines of the log, and within an epoch of ten frames
+
+Config small_config() {
+    Config config = make_preset("quick");
+    config.init.voxel_m = 0.4;
+    config.train.iterations = kIterations;
+    config.train.rays_per_iteration = 1000;   // a fourth of a frame: which rays is drawn too
+    config.train.sh_degree_interval = 10;
+    config.train.log_every = 10;
+    config.train.checkpoint_minutes = 0.0;
+    return config;
+}
+
+/// How far two trainings of the same steps may be apart, as a share of how far training moved the parameters: float atomics add in any
+/// order, and what they do to the last bits grows. 0 demands equal bits: what a training without float atomics gives.
+constexpr double kApart = 0.01;
+
+double distance(const std::vector<float>& a, const std::vector<float>& b) {
+    double sum = 0.0;
+    for (std::size_t i = 0; i < a.size(); ++i) sum += double(a[i] - b[i]) * double(a[i] - b[i]);
+    return std::sqrt(sum);
+}
+
+std::vector<float> flat(const std::vector<glm::vec3>& values) { return {&values.data()->x, &values.data()->x + 3 * values.size()}; }
+
+/// Groups whose rates differ by orders of magnitude, each on its own.
+void expect_same_scene(const Scene& a, const Scene& b, const Scene& initial) {
+    ASSERT_EQ(a.surfels.size(), b.surfels.size());
+    const auto compare = [](const char* name, const std::vector<float>& x, const std::vector<float>& y, const std::vector<float>& start) {
+        std::printf("%s: %g apart, as a share of what training moved\n", name, distance(x, y) / distance(x, start));
+        EXPECT_GT(distance(x, start), 0.0) << name;
+        EXPECT_LE(distance(x, y), kApart * distance(x, start)) << name;
+    };
+    compare("mean", flat(a.surfels.mean), flat(b.surfels.mean), flat(initial.surfels.mean));
+    compare("opacity", a.surfels.opacity_logit, b.surfels.opacity_logit, initial.surfels.opacity_logit);
+    compare("sh", a.surfels.sh, b.surfels.sh, initial.surfels.sh);
+}
+
+class Resume : public test::DeviceTest {
+protected:
+    void SetUp() override {
+        test::DeviceTest::SetUp();
+        std::string pattern = (fs::temp_directory_path() / "relidar-resume-XXXXXX").string();
+        ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
+        folder = pattern;
+        SyntheticOptions options;
+        options.n_frames = 11, options.rows = 16, options.columns = 256;
+        street = make_synthetic_street(options);
+        split = split_frames(street, 10);
+    }
+    void TearDown() override {
+        fs::remove_all(folder);
+        test::DeviceTest::TearDown();
+    }
+
+    /// @param stop_after iterations of this session
+    TrainResult run(const Config& config, const Checkpoint* start = nullptr, int stop_after = 1 << 30) {
+        int calls = 0;
+        TrainSession session{folder, start, [&calls, stop_after] { return ++calls >= stop_after; }, [this](const std::string& note) { notes.push_back(note); }};
+        return train(device(), street, split, config, [](const TrainProgress&) { return true; }, session);
+    }
+    std::optional<Checkpoint> newest() {
+        return load_newest_checkpoint(folder, [this](const std::string& note) { notes.push_back(note); });
+    }
+
+    fs::path folder;
+    Sequence street;
+    Split split;
+    std::vector<std::string> notes;
+};
+
+TEST(ResumedSampler, GoesOnWithTheSameFramesAndNumbers) {
+    FrameSampler sampler(10, 3), other(10, 99);
+    for (int i = 0; i < 27; ++i) sampler.next(), sampler.random().next();
+    Checkpoint checkpoint;
+    sampler.visit_state(StateWriter(checkpoint));
+    other.next();
+    other.visit_state(StateReader(checkpoint));
+    EXPECT_TRUE(other.is_sound(10));
+    EXPECT_FALSE(other.is_sound(9));
+    for (int i = 0; i < 100; ++i) {
+        ASSERT_EQ(sampler.next(), other.next());
+        ASSERT_EQ(sampler.random().next(), other.random().next());
+    }
+}
+
+TEST_F(Resume, IsTheTrainingThatWasNotStopped) {
+    const Config config = small_config();
+    const TrainResult whole = run(config);
+    EXPECT_TRUE(list_checkpoints(folder).empty()) << "a short run leaves none";
+    const TrainResult first = run(config, nullptr, kStoppedAfter);
+    EXPECT_TRUE(first.interrupted);
+    EXPECT_EQ(first.iterations, kStoppedAfter);
+    const std::optional<Checkpoint> checkpoint = newest();
+    ASSERT_TRUE(checkpoint);
+    EXPECT_EQ(checkpoint->iteration, kStoppedAfter);
+    const TrainResult resumed = run(config, &*checkpoint);
+    EXPECT_FALSE(resumed.interrupted);
+    ASSERT_EQ(resumed.log.size(), whole.log.size());
+    for (std::size_t i = 0; i < whole.log.size(); ++i) {
+        EXPECT_EQ(resumed.log[i].iteration, whole.log[i].iteration);
+        EXPECT_NEAR(resumed.log[i].loss, whole.log[i].loss, 0.01 * whole.log[i].loss);
+        EXPECT_GT(resumed.log[i].seconds, i > 0 ? resumed.log[i - 1].seconds : 0.0);
+    }
+    EXPECT_EQ(resumed.initialise_s, first.initialise_s);
+    EXPECT_GE(resumed.train_s, resumed.log.back().seconds);
+    const Scene initial = initialise_scene(street, split.train, config.init);
+    expect_same_scene(resumed.scene, whole.scene, initial);
+    EXPECT_EQ(resumed.scene.models.size(), whole.scene.models.size());
+    EXPECT_EQ(resumed.scene.sensor_drop.probability.size(), whole.scene.sensor_drop.probability.size());
+}
+
+/// What is saved is what is restored: a loop with other values takes all of them over, bit by bit.
+TEST_F(Resume, RestoresEveryArrayBitByBit) {
+    const Config config = small_config();
+    Config other = config;
+    other.train.seed = 99;
+    const Scene initial = initialise_scene(street, split.train, config.init);
+    TrainLoop trained(device(), street, split, initial, config), fresh(device(), street, split, initial, other);
+    for (int step = 1; step <= kStoppedAfter; ++step) trained.iterate(step);
+    Checkpoint saved, again;
+    trained.save(saved);
+    fresh.iterate(1);
+    fresh.restore(saved);
+    fresh.save(again);
+    ASSERT_EQ(saved.arrays.size(), again.arrays.size());
+    for (const NamedArray& array : saved.arrays) EXPECT_TRUE(array.bytes == again.array(array.name).bytes) << array.name;
+    for (const char* name : {"moment1/mean", "moment2/sh", "term_sums"}) {
+        const std::vector<float> values = saved.array(name).as_float();
+        EXPECT_TRUE(std::any_of(values.begin(), values.end(), [](float v) { return v != 0.0f; })) << name << " is saved as zeros";
+    }
+}
+
+TEST_F(Resume, AFinishedRunStaysAndMayBeExtended) {
+    Config config = small_config();
+    config.train.checkpoint_every = 15;
+    config.train.checkpoint_keep = 3;
+    const TrainResult whole = run(config);
+    ASSERT_EQ(list_checkpoints(folder).size(), 3u) << "15, 30, and the last one";
+    const std::optional<Checkpoint> end = newest();
+    EXPECT_EQ(end->iteration, kIterations);
+    const TrainResult nothing = run(config, &*end);
+    EXPECT_EQ(nothing.scene.surfels.mean, whole.scene.surfels.mean);
+    EXPECT_EQ(nothing.scene.surfels.sh, whole.scene.surfels.sh);
+    EXPECT_EQ(nothing.log.size(), whole.log.size());
+    config.train.iterations = kIterations + 10;
+    const TrainResult more = run(config, &*end);
+    EXPECT_EQ(more.iterations, kIterations + 10);
+    EXPECT_EQ(more.log.back().iteration, kIterations + 10);
+    EXPECT_EQ(newest()->iteration, kIterations + 10);
+}
+
+TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
+    run(small_config(), nullptr, 1);
+    const Checkpoint start = *newest();
+    const auto setting = [&](const char* key, const char* value) {
+        Config config = small_config();
+        set_key(config, key, value);
+        return error_message<UsageError>([&] { check_resumable(start, street, split, config); });
+    };
+    EXPECT_NE(setting("loss.depth", "0.3").find("setting loss.depth: found 0.3, expected 0.1"), std::string::npos);
+    EXPECT_NE(setting("train.seed", "2").find("setting train.seed: found 2, expected 1"), std::string::npos);
+    EXPECT_NE(setting("train.iterations", "0").find("setting train.iterations: found 0"), std::string::npos);
+    Config free = small_config();
+    for (const auto& [key, value] : {std::pair{"train.log_every", "3"}, {"train.checkpoint_every", "5"}, {"train.iterations", "99"}, {"render.range", "median"}, {"dataset.path", "moved"}}) set_key(free, key, value);
+    EXPECT_NO_THROW(check_resumable(start, street, split, free));
+
+    const auto log = [&](const char* part, const Sequence& other, const Split& frames) {
+        const std::string message = data_error([&] { check_resumable(start, other, frames, small_config()); });
+        EXPECT_NE(message.find(std::string("the log's ") + part), std::string::npos) << message;
+    };
+    log("training frames", street, split_frames(street, 5));
+    Sequence other = street;
+    other.frames[3].scan.range_m[100] += 1e-3f;
+    log("scans", other, split);
+    other = street;
+    other.world_from_sensor.pose[3].translation.x += 1e-6;
+    log("sensor poses", other, split);
+    other = street;
+    ASSERT_FALSE(other.boxes.empty());
+    other.boxes[0].size_m.x += 0.1;
+    log("boxes", other, split);
+    TrainSession session{folder, &start, {}, {}};
+    EXPECT_THROW(train(device(), other, split, small_config(), [](const TrainProgress&) { return true; }, session), DataError);
+}
+
+TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
+    Config config = small_config();
+    run(config, nullptr, 5);
+    const Checkpoint start = *newest();
+    config.train.checkpoint_every = 10;
+    {
+        const test::FileSizeLimit limit(4096);
+        const TrainResult result = run(config, &start);
+        EXPECT_EQ(result.iterations, kIterations);
+        EXPECT_EQ(result.scene.surfels.size(), start.array("parameters/mean").shape[0]);
+    }
+    ASSERT_EQ(notes.size(), 4u) << "10, 20, 30, 40";
+    EXPECT_NE(notes[0].find("checkpoint of iteration 10 not written, the last one is of iteration 5: writing"), std::string::npos) << notes[0];
+    EXPECT_EQ(newest()->iteration, 5);
+    EXPECT_EQ(std::distance(fs::directory_iterator(folder), fs::directory_iterator()), 1) << "nothing half written";
+}
+
+/// A frame whose intensities are not numbers: the first time it is drawn ends training.
+TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
+    const Config config = small_config();
+    const Scene initial = initialise_scene(street, split.train, config.init);
+    const std::size_t poisoned = 6;   // of the training frames
+    FrameSampler sampler(split.train.size(), config.train.seed);
+    int expected = 1;
+    while (sampler.next() != poisoned) ++expected, sampler.random().next();
+    Frame& frame = street.frames[std::size_t(split.train[poisoned])];
+    std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(), std::numeric_limits<float>::quiet_NaN());
+    TrainLoop loop(device(), street, split, initial, config);
+    Checkpoint checkpoint;
+    for (int step = 1; step <= 10; ++step) {
+        loop.iterate(step);
+        if (step == expected - 1) loop.save(checkpoint);
+    }
+    const std::string message = data_error([&] { loop.take_terms(); });
+    const std::string wanted = "training, iteration " + std::to_string(expected) + ", frame " + std::to_string(frame.index) + ": the intensity loss is ";
+    ASSERT_GT(expected, 1);
+    EXPECT_EQ(message.rfind(wanted, 0), 0u) << message << "\nexpected " << wanted;
+    EXPECT_NO_THROW(check_finite(checkpoint)) << "of the iteration before";
+}
+
+TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {
+    Config config = small_config();
+    config.train.checkpoint_every = 1;
+    config.train.scale_rate = 1e39;   // beyond float
+    const std::string message = data_error([&] { run(config); });
+    EXPECT_TRUE(std::regex_search(message, std::regex("^training, iteration 1: array parameters/log_scale: row [0-9]+ holds"))) << message;
+    EXPECT_TRUE(list_checkpoints(folder).empty());
+}
+
+/// Whatever ends training, a lost device or memory exhausted: the last checkpoint is whole, and training goes on from it.
+TEST_F(Resume, AFailureLeavesTheLastCheckpoint) {
+    Config config = small_config();
+    config.train.checkpoint_every = 5;
+    int calls = 0;
+    const TrainSession session{folder, nullptr, [&]() -> bool { return ++calls == 13 ? throw DeviceError("out of device memory") : false; }, {}};
+    EXPECT_THROW(train(device(), street, split, config, [](const TrainProgress&) { return true; }, session), DeviceError);
+    const std::optional<Checkpoint> checkpoint = newest();
+    ASSERT_TRUE(checkpoint);
+    EXPECT_EQ(checkpoint->iteration, 10);
+    EXPECT_EQ(run(config, &*checkpoint).iterations, kIterations);
+    EXPECT_TRUE(notes.empty());
+}
+
+}  // namespace
+}  // namespace relidar
