@@ -57,6 +57,9 @@ wrong_usage() {
     bad 2 "command trian: unknown, did you mean train\?" trian
     bad 2 "option --sed: unknown, did you mean --" train street --out x --sed 1
     bad 2 "DATASET is required" train
+    bad 2 "out is required, or --resume" train street
+    bad 2 "DATASET is required: nowhere has no config.toml" train --resume nowhere
+    bad 2 "out is required, or --resume with a run folder" train --resume
     bad 2 "argument extra: not expected" info street extra
     bad 2 "setting loss.dept: unknown key, did you mean loss.depth\?" train street --out x --set loss.dept=1
     bad 2 'setting loss.depth: found "abc", expected a number >= 0' train street --out x --set loss.depth=abc
@@ -247,8 +250,33 @@ interruption() {
     wait $pid
     local code=$?
     check "interrupted training: exit code $code, expected 130" test "$code" = 130
-    check "interrupted training says nothing" grep -q "^relidar: interrupted after iteration" err
+    check "interrupted training does not say how to go on" grep -Eq "^relidar: interrupted after iteration [0-9]+ of 1000000; .*continue with: relidar train --resume stopped$" err
+    stopped_at=$(sed -n 's/.*interrupted after iteration \([0-9]*\) .*/\1/p' err)
     good info stopped
+}
+
+# The interrupted run goes on, with the log it had, from the newest checkpoint that can be read.
+resuming() {
+    [[ -n $stopped_at ]] || return 0   # said above
+    local total=$((stopped_at + 3))
+    bad 2 "resuming from iteration $stopped_at: setting loss.depth: found 0.3, expected 0.1" train --resume stopped --set loss.depth=0.3
+    bad 2 "setting train.iterations: found 0, expected at least" train street --out stopped --resume --preset quick --set train.iterations=0
+    good train --resume stopped --set train.iterations=$total --set train.checkpoint_every=1 --no-eval
+    says "^resume  from iteration $stopped_at$"
+    check "the resumed log does not have each iteration once" diff <(seq 1 $total) <(grep -o '"iteration":[0-9]*' stopped/log.jsonl | cut -d: -f2)
+    check "config.toml lacks the raised iterations" grep -qx "iterations = $total" stopped/config.toml
+    check "other than two checkpoints are kept" test "$(ls stopped/checkpoints | wc -l)" = 2
+    good train --resume stopped
+    says "has all of its $total iterations: nothing to do"
+    head -c 2000 stopped/checkpoints/*$total.safetensors >cut && mv cut stopped/checkpoints/*$total.safetensors
+    good train --resume street --out stopped --set train.iterations=$((total + 2)) --no-eval   # the flag in front of the log
+    says "^resume  from iteration $((total - 1))$"
+    check "the damaged checkpoint is not named" grep -Eq "^relidar: note: reading safetensors .*$total.safetensors.*taking the checkpoint before" err
+    exists stopped/checkpoints/iteration_*$((total + 2)).safetensors
+    good train street --out anew --preset quick --set train.iterations=2 --no-eval --resume
+    check "a run without checkpoint starts anew without a word" grep -q "^relidar: note: anew holds no checkpoint" err
+    bad 2 "has ended and left no checkpoint" train --resume anew --set train.iterations=4
+    bad 3 "the intensity loss is|array parameters/sh: row" train street --out lost --preset quick --set train.sh_rate=1e39 --set train.log_every=1 --set train.checkpoint_every=1
 }
 
 bench() {
@@ -293,6 +321,7 @@ if "$relidar" devices >out 2>err; then
     surfels_as_ply
     damaged_runs
     interruption
+    resuming
     bench
     demo
 elif [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]]; then
