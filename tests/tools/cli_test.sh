@@ -260,7 +260,6 @@ resuming() {
     [[ -n $stopped_at ]] || return 0   # said above
     local total=$((stopped_at + 3))
     bad 2 "resuming from iteration $stopped_at: setting loss.depth: found 0.3, expected 0.1" train --resume stopped --set loss.depth=0.3
-    bad 2 "setting train.iterations: found 0, expected at least" train street --out stopped --resume --preset quick --set train.iterations=0
     good train --resume stopped --set train.iterations=$total --set train.checkpoint_every=1 --no-eval
     says "^resume  from iteration $stopped_at$"
     check "the resumed log does not have each iteration once" diff <(seq 1 $total) <(grep -o '"iteration":[0-9]*' stopped/log.jsonl | cut -d: -f2)
@@ -276,7 +275,7 @@ resuming() {
     good train street --out anew --preset quick --set train.iterations=2 --no-eval --resume
     check "a run without checkpoint starts anew without a word" grep -q "^relidar: note: anew holds no checkpoint" err
     bad 2 "has ended and left no checkpoint" train --resume anew --set train.iterations=4
-    bad 3 "the intensity loss is|array parameters/sh: row" train street --out lost --preset quick --set train.sh_rate=1e39 --set train.log_every=1 --set train.checkpoint_every=1
+    bad 3 "the intensity loss is|array parameters/sh: row" train street --out lost --quiet --preset quick --set train.sh_rate=1e39 --set train.log_every=1 --set train.checkpoint_every=1
 }
 
 bench() {
