@@ -32,6 +32,8 @@ struct Surfels {
     void append(const Surfels& other);
     /// Reorders: surfel i of the result is surfel order[i] of this set.
     Surfels permuted(const std::vector<std::uint32_t>& order) const;
+    /// Surfels first ... first + count - 1 as a set of their own.
+    Surfels slice(std::size_t first, std::size_t count) const;
     /// @throws DataError where the arrays disagree in length
     void check_shapes() const;
 };
@@ -59,6 +61,13 @@ struct Scene {
 
 /// A scene of one model, the background, with one instance.
 Scene make_background_scene(Surfels surfels);
+
+/// The same scene with a model of its own for every instance: the surfels of a model placed n times are there n times.
+Scene own_models(Scene scene);
+
+/// Which instances some names mean: "background", "actors" (all others), or a track. @return [instances]
+/// @throws UsageError for a name that is none of them, naming the nearest
+std::vector<bool> select_instances(const Scene& scene, const std::vector<std::string>& names);
 
 /// Direction in which spherical harmonics are evaluated.
 enum class ShDirection { ray, surfel };
@@ -163,7 +172,7 @@ public:
     void place(Stream& stream, const std::vector<InstancePose>& placed);
     const std::vector<InstancePose>& poses() const;
     /// Records the activation kernel: records from parameters (M1, M2), channels too with ShDirection::surfel.
-    /// @param view_origin_m [3] world. A model placed twice sees it from its first instance.
+    /// @param view_origin_m [3] world. A model placed twice sees it from its first instance (see own_models).
     void activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m);
     /// Records the chain rule back from record gradients to parameters.
     /// SH gradients are written with ShDirection::surfel; with ShDirection::ray the hits have accumulated them already.
