@@ -53,7 +53,7 @@ TEST_F(Forward, AgreesWithDoubleReference) {
         test::RandomSceneOptions options;
         options.seed = 21;
         options.actor_instances = direction == ShDirection::ray ? 2 : 1;   // SH a surfel are those its first instance sees
-        options.actor_surfels = 120;
+        options.background_surfels = 24, options.actor_surfels = 20;
         options.rays = 300;
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
