@@ -77,7 +77,7 @@ void run_train(const Options& options, const std::string& command_line) {
     remove_run_files(folder.path());
     TrainResult result = train_logged(device, sequence, split, config, folder.path(), options.quiet);
     end_progress_line();
-    const Run run{folder.path(), config, std::move(sequence), split, std::move(result.scene)};
+    const Run run{folder.path(), config, std::move(sequence), split, std::move(result.scene), {}};
     save_run(run);
     Report report = make_report(run, result, device, command_line);
     if (result.interrupted) {
