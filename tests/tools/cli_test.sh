@@ -95,6 +95,8 @@ wrong_usage() {
     bad 2 'trace.chunk: found "65"' bench --chunk 65
     bad 2 'trace.proxy: found "cube"' bench --proxy cube
     bad 2 'sh_direction: found "normal"' bench --sh normal
+    bad 2 'actors: found 1.5 in "1,1.5"' bench --actors 1,1.5
+    bad 2 'actors: found "x"' bench --actors x
     bad 2 'repeat: found 0, expected 1 to' bench --repeat 0
     bad 2 'run: found --scene, --surfels or --rays beside it' bench --run run --rays kitti
     bad 3 "found a folder, expected the name of a file" bench --json .
@@ -211,7 +213,7 @@ editing() {
     says "note: removed was recorded by another sensor"
     good eval edited --out edited.json
     says "the street was cast again with the run's edits"
-    says "^edited/depth_medae_m +[0-9.]+ +[0-9.]+ +[0-9.]+$"
+    says "^edited +[0-9.]+ +[0-9.]+ +[0-9.]+"
     good eval path --out path.json   # of a name that no car of the street has
     good render run --out cars --frames 5:6 --only actors
     good render run --out car --frames 5:6 --only 0 --only background --format ply
@@ -246,6 +248,7 @@ evaluation() {
     cp run/metrics.json before.json
     good eval run
     says "strict/depth_medae_m"
+    says "^actors/tail_share_real "
     check "eval gives other numbers than train" diff <(sed -n '/"mean"/,/}/p' before.json) <(sed -n '/"mean"/,/}/p' run/metrics.json)
     good eval run --out sub/metrics.json --set render.range=normalised
     exists sub/metrics.json
@@ -334,6 +337,9 @@ bench() {
     check "bench --run: other rays than the run's 8 x 96" grep -q '"rays": 768' render.json
     check "bench --no-backward has a backward pass" grep -q '"backward_mrays_per_s": null' render.json
     bad 3 "nowhere: no such folder" bench --run nowhere --json lost.json
+    good bench --actors 1,3 --repeat 2 --json actors.json
+    says "^ +3 +30000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"
+    check "moving actors rebuilds bottom levels" test "$(grep -c '"bottom_levels_rebuilt": 0' actors.json)" = 2
     absent lost.json
 }
 
