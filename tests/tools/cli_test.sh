@@ -211,7 +211,7 @@ editing() {
     sed 's/"name": "synthetic"/"name": "other"/' -i removed/scene.json
     good edit run --out both --force --insert "removed#1@$start"
     says "note: removed was recorded by another sensor"
-    good eval edited --out edited.json
+    good eval moved --out edited.json
     says "the street was cast again with the run's edits"
     says "^edited +[0-9.]+ +[0-9.]+ +[0-9.]+"
     good eval path --out path.json   # of a name that no car of the street has
