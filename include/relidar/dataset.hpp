@@ -51,6 +51,19 @@ Sequence make_synthetic_street(const SyntheticOptions& options);
 /// a dropped ray has range 0. @param world_from_sensor pose of the sensor against time
 Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
 
+/// A car on a street that has been edited: the shapes of one of the street's own cars, along a track of relidar's world.
+struct StreetCar {
+    std::size_t shapes_of = 0;   ///< the street's car of BoxTrack::id "0", "1", ...
+    BoxTrack track;              ///< the car is there at the turns at whose reference time the track is present
+};
+
+/// The same with these cars instead of the street's own: the exact answer for an edit.
+/// @throws DataError where the street has no such car
+Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<StreetCar>& cars, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
+
+/// Options of a log that save_synthetic wrote. @throws DataError naming the key that is wrong
+SyntheticOptions read_synthetic(const std::filesystem::path& folder);
+
 /// Writes a synthetic log as a folder that load_sequence reads (kind "synthetic": street.toml with the options).
 void save_synthetic(const SyntheticOptions& options, const std::filesystem::path& folder);
 

@@ -31,12 +31,12 @@ void write_text(const std::filesystem::path& path, const std::string& text);
 /// An n-dimensional array of an npz or safetensors file, row-major, little-endian.
 struct NamedArray {
     std::string name;
-    std::string dtype;                 ///< f4 f8 f2, i1 i2 i4 i8, u1 u2 u4 u8, b1: numpy's names without byte order
+    std::string dtype;                 ///< f4 f8 f2, i1 i2 i4 i8, u1 u2 u4 u8, b1, S<bytes> (npz alone): numpy's names without byte order
     std::vector<std::size_t> shape;
     std::vector<std::byte> bytes;
 
     std::size_t count() const;
-    /// Values converted to float (b1 as 0 or 1). @throws DataError where bytes do not fill the shape
+    /// Values converted to float (b1 as 0 or 1). @throws DataError for text, or where bytes do not fill the shape
     std::vector<float> as_float() const;
 };
 
@@ -44,6 +44,8 @@ struct NamedArray {
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values, std::size_t n);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values, std::size_t n);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values, std::size_t n);
+/// Texts as numpy's fixed-length byte strings, UTF-8 padded with zeros. @return [texts]
+NamedArray make_text_array(std::string name, const std::vector<std::string>& texts);
 
 /// npz as numpy.savez_compressed writes it; equal arrays make equal files. @throws DataError beyond 4 GiB, as for write_atomically
 void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays);
@@ -65,6 +67,7 @@ struct PointCloud {
     std::vector<float> intensity;        ///< [n]
     std::vector<std::uint16_t> channel;  ///< [n] or empty
     std::vector<float> time_offset_s;    ///< [n] or empty
+    std::vector<std::int32_t> instance;  ///< [n] whose surface, index into Scene::instances, or empty
 };
 /// Point cloud files; fields that are empty are left out. @throws DataError where lengths differ, as for write_atomically
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud);         ///< binary little-endian

@@ -25,11 +25,14 @@ struct Rendering {
     std::vector<float> transmittance;  ///< T after the last blended surfel
     std::vector<float> median_depth;   ///< t at which T crosses 0.5, 0 where it never does, metres
     std::vector<std::uint32_t> hits;   ///< blended surfels
+    /// Whose surface a ray meets, an index into Scene::instances: that of the surfel at which T crosses 0.5, since a faint surfel
+    /// before it would give its own name to what is seen through it; where T stays above, of the nearest blended one; -1 without a hit.
+    std::vector<std::int32_t> instance;
     std::size_t size() const { return depth.size(); }
 };
 
 /// The forward kernel with its settings. Rendered rays stay on the device: kRenderedFloats floats a ray (see shaders/shared/trace.h).
-inline constexpr int kRenderedFloats = 8;
+inline constexpr int kRenderedFloats = 9;
 class ForwardPass {
 public:
     ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options);

@@ -20,6 +20,7 @@ struct RenderedScan {
     RangeImage image;                   ///< range as config.render.range says; drop_prob from the two logits (M6)
     std::vector<float> median_range_m;  ///< [n] t where T crosses 0.5 (0 where never), along the ray
     std::vector<float> weight;          ///< [n] accumulated alpha W
+    std::vector<std::int32_t> instance; ///< [n] whose surface was met: index into Scene::instances, -1 where none was
     std::vector<float> time_offset_s;   ///< [n] firing time of each ray
     std::vector<std::uint16_t> channel; ///< [n]
     Pose world_from_sensor;             ///< at the reference time, in the dataset's world
@@ -39,11 +40,14 @@ SensorChoice configured_sensor(const Config& config, const Sequence& sequence);
 /// A sensor by name, CSV file or grid name. "kitti360" follows config.sensor.grid_method.
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence);
 
-/// Renders scans of a trained scene.
+/// Renders scans of a trained scene. With ShDirection::surfel a model placed n times is held n times (own_models): each placement
+/// is lit from where the sensor stands to it; ShDirection::ray needs one copy alone.
 class ScanRenderer {
 public:
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
     ~ScanRenderer();
+    /// Leaves out every instance that is not shown, from the next scan on. @param shown [instances]
+    void show_only(const std::vector<bool>& shown);
     /// @param sensor_from_mount  offset of the simulated sensor in the log's sensor frame (identity = where the real one was)
     RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {});
     const KernelTimes& times() const;

@@ -13,6 +13,12 @@
 
 namespace relidar {
 
+/// One edit of a run's history.
+struct RunEdit {
+    std::string run;    ///< absolute path of the run that was edited
+    std::string edit;   ///< as typed: "--move 0:0,3.5,0"
+};
+
 /// What a run folder holds. The sequence has frames without scans: index, time, nothing else.
 struct Run {
     std::filesystem::path folder;
@@ -20,6 +26,7 @@ struct Run {
     Sequence sequence;
     Split split;
     Scene scene;
+    std::vector<RunEdit> edits;   ///< oldest first; empty for a run as it was trained
 };
 
 /// Writes config.toml, scene.json and model.safetensors, each atomically. The folder is made where missing.

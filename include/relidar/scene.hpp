@@ -32,6 +32,8 @@ struct Surfels {
     void append(const Surfels& other);
     /// Reorders: surfel i of the result is surfel order[i] of this set.
     Surfels permuted(const std::vector<std::uint32_t>& order) const;
+    /// Surfels first ... first + count - 1 as a set of their own.
+    Surfels slice(std::size_t first, std::size_t count) const;
     /// @throws DataError where the arrays disagree in length
     void check_shapes() const;
 };
@@ -60,6 +62,13 @@ struct Scene {
 /// A scene of one model, the background, with one instance.
 Scene make_background_scene(Surfels surfels);
 
+/// The same scene with a model of its own for every instance: the surfels of a model placed n times are there n times.
+Scene own_models(Scene scene);
+
+/// Which instances some names mean: "background", "actors" (all others), or a track. @return [instances]
+/// @throws UsageError for a name that is none of them, naming the nearest
+std::vector<bool> select_instances(const Scene& scene, const std::vector<std::string>& names);
+
 /// Direction in which spherical harmonics are evaluated.
 enum class ShDirection { ray, surfel };
 
@@ -72,6 +81,9 @@ struct ImageModel {
     int sh_degree = 3;                       ///< active SH degree, 0..3
     ShDirection sh_direction = ShDirection::ray;
 };
+
+/// What becomes of boxes that move: models of their own; nothing (their points and rays are left out); or background like the rest.
+enum class ActorMode { models, masked, background };
 
 /// How a scene is initialised from a log.
 struct InitialiseOptions {
@@ -88,8 +100,13 @@ struct InitialiseOptions {
     bool remove_unlabelled_movers = false;   ///< leave out points that other training frames see through (not in the paper)
     double actor_min_step_m = 0.01;    ///< boxes moving more than this a frame hold actors: their points are left out
     double actor_margin_m = 0.2;       ///< boxes are grown by this when points are left out
+    ActorMode actors = ActorMode::models;
     std::string actor_classes;         ///< comma-separated classes of moving boxes that become actors of their own; empty = none
+    std::string actor_tracks;          ///< comma-separated tracks that do, whatever their class and motion; empty = by class
     int actor_points = 8000;           ///< an actor has at most so many surfels
+    int actor_pad_to = 0;              ///< an actor with fewer is filled up with random points of its box; 0 = not (paper: 8000)
+    bool actor_symmetry = false;       ///< points of an actor are mirrored left to right (not in the paper)
+    double mask_beyond_labels_s = 0.0; ///< a box is still left out so long before its first and after its last label, where it would be then
     int actor_min_points = 100;        ///< a box with fewer points is masked instead
     std::uint64_t seed = 1;
 };
@@ -100,12 +117,17 @@ struct InstancePose {
     bool present = true;
 };
 
+/// Boxes whose points and rays are not the background's: those that move, and the tracks asked for; none with ActorMode::background.
+/// @throws DataError for a box without a size or with a pose that is not finite, UsageError for an unknown track
+std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseOptions& options);
+
 /// Background surfels from the training frames of a log, in the recentred world.
 /// Order: kd (recursive object median along the longest axis), which software BVH builders without sorting need.
 /// @throws DataError where no training frame has a usable point
 Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options);
 
-/// The background and one model and instance for every moving box of the wanted classes, in the frame of the box (Eq. 4-5).
+/// The background and one model and instance for every moving box of the wanted classes, or for the wanted tracks, in the frame of the
+/// box (Eq. 4-5). Points that lie in two boxes go into both models.
 /// Points come from training frames only. @throws DataError as initialise_background
 Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options);
 
@@ -163,7 +185,7 @@ public:
     void place(Stream& stream, const std::vector<InstancePose>& placed);
     const std::vector<InstancePose>& poses() const;
     /// Records the activation kernel: records from parameters (M1, M2), channels too with ShDirection::surfel.
-    /// @param view_origin_m [3] world. A model placed twice sees it from its first instance.
+    /// @param view_origin_m [3] world. A model placed twice sees it from its first instance (see own_models).
     void activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m);
     /// Records the chain rule back from record gradients to parameters.
     /// SH gradients are written with ShDirection::surfel; with ShDirection::ray the hits have accumulated them already.

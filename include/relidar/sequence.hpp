@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -52,6 +53,9 @@ struct BoxTrack {
     double mean_step_m() const;
     /// Whether the box was observed at a time, or half a mean step beside it: a turn takes that long to either side of its label.
     bool present(double t_s) const;
+    /// Where the box is while it is present, and for beyond_s before its first and after its last observation where the mean velocity of
+    /// its first or last second would take it. Nothing farther out.
+    std::optional<Pose> pose_near(double t_s, double beyond_s) const;
     /// Whether a world point lies in the box, grown by margin_m, at a time.
     bool holds(const glm::dvec3& point_m, double t_s, double margin_m) const;
 };

@@ -8,7 +8,7 @@
 RELIDAR_PARAMS(ForwardParams);
 
 RenderedRay render(TraceScene scene, Ray ray) {
-    RenderedRay r = RenderedRay(0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0u);
+    RenderedRay r = RenderedRay(0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0u, RELIDAR_NO_INSTANCE);
     float lost[5] = float[](0.0, 0.0, 0.0, 0.0, 0.0);
     ray_basis_instance = kNoInstance;
     Key after = first_key(scene);
@@ -27,7 +27,9 @@ RenderedRay render(TraceScene scene, Ray ray) {
             add_compensated(r.intensity, lost[2], w * c.x);
             add_compensated(r.hit_logit, lost[3], w * c.y);
             add_compensated(r.drop_logit, lost[4], w * c.z);
-            if (r.transmittance > 0.5 && next <= 0.5) r.median_depth = hit_t[i];
+            bool crosses = r.transmittance > 0.5 && next <= 0.5;
+            if (crosses) r.median_depth = hit_t[i];
+            if (crosses || r.n_hits == 0u) r.instance = hit_instance[i];
             r.transmittance = next;
             ++r.n_hits;
         }

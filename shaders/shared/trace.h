@@ -7,6 +7,7 @@
 RELIDAR_SHARED_BEGIN
 
 #define RELIDAR_MAX_PASSES 4096u
+#define RELIDAR_NO_INSTANCE 0xffffffffu
 
 struct RayEntry {
     vec3 origin;      // world, m
@@ -32,6 +33,7 @@ struct RenderedRay {
     float transmittance;   // T after the last blended surfel
     float median_depth;    // t where T crosses 0.5, 0 where it never does
     uint n_hits;
+    uint instance;         // of the surfel at which T crosses 0.5, else of the nearest blended one, else RELIDAR_NO_INSTANCE
 };
 RELIDAR_POINTER(RenderedRays, RenderedRay);
 

@@ -15,6 +15,7 @@ Config paper() {
     config.preset = "paper";
     config.init.max_scale_m = 1000.0;   // the paper does not clamp
     config.init.actor_classes = "Car,Van,Truck";
+    config.init.actor_pad_to = 8000;
     config.render.range = "expected";
     return config;
 }

@@ -108,6 +108,7 @@ private:
 }  // namespace
 
 Pose MovingCar::world_from_box(double t_s) const {
+    if (!track.pose.empty()) return track.at(t_s);
     const glm::dvec3 ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
     return {glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)), start_m + speed_mps * t_s * ahead};
 }

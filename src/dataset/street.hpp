@@ -23,13 +23,14 @@ struct Shape {
     double reflectance = 0.5;  ///< 0..1
 };
 
-/// A car that drives straight on at constant speed; its shapes lie about the origin of the box frame.
+/// A car that drives straight on at constant speed, or along a track; its shapes lie about the origin of the box frame.
 struct MovingCar {
     glm::dvec3 start_m{0.0};  ///< centre of its box at time 0
     double yaw_rad = 0.0;
     double speed_mps = 0.0;
     glm::dvec3 size_m{0.0};  ///< of its box, a little larger than the shapes
     std::vector<Shape> shapes;
+    PoseTrack track;  ///< street frame; where it is not empty, it stands in for start, yaw and speed
 
     Pose world_from_box(double t_s) const;
 };

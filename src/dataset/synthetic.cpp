@@ -142,9 +142,10 @@ Sequence make_synthetic_street(const SyntheticOptions& options) {
     return make_synthetic_frames(options, 0, options.n_frames);
 }
 
-Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s) {
-    check(options);
-    const street::Street street = street::make_street(options);
+namespace {
+
+/// Without noise, and dropped where that is likelier than not.
+Scan cast_exactly(const SyntheticOptions& options, const street::Street& street, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s) {
     Scan scan = empty_scan(rays);
     cast_rays(street, origin_of(options), world_from_sensor, time_s, rays, [&](std::size_t ray, const Hit& hit) {
         if (drop_probability(hit) > 0.5) return;
@@ -152,6 +153,33 @@ Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays
         scan.intensity[ray] = static_cast<float>(echo_intensity(hit));
     });
     return scan;
+}
+
+/// Its own cars give way to others.
+void replace_cars(street::Street& street, const std::vector<StreetCar>& cars, const glm::dvec3& origin_m, double time_s) {
+    const std::vector<street::MovingCar> own = std::move(street.cars);
+    street.cars.clear();
+    for (const StreetCar& car : cars) {
+        if (car.shapes_of >= own.size()) throw DataError(fmt::format("casting the edited street: track {} has the shapes of car {}, expected one of the street's {}", car.track.id, car.shapes_of, own.size()));
+        if (!car.track.present(time_s)) continue;
+        street::MovingCar& moved = street.cars.emplace_back(own[car.shapes_of]);
+        moved.track = car.track.world_from_box;
+        for (Pose& pose : moved.track.pose) pose.translation += origin_m;
+    }
+}
+
+}  // namespace
+
+Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s) {
+    check(options);
+    return cast_exactly(options, street::make_street(options), rays, world_from_sensor, time_s);
+}
+
+Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<StreetCar>& cars, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s) {
+    check(options);
+    street::Street street = street::make_street(options);
+    replace_cars(street, cars, origin_of(options), time_s);
+    return cast_exactly(options, street, rays, world_from_sensor, time_s);
 }
 
 }  // namespace relidar

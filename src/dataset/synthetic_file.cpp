@@ -64,7 +64,7 @@ Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
         throw UsageError(
             fmt::format("poses file {}: a synthetic log has exact poses, expected no poses file", options.poses_file.string()));
     }
-    const SyntheticOptions street = read_options(file);
+    const SyntheticOptions street = read_synthetic(folder);
     const int end = options.frames.end < 0 ? street.n_frames : std::min(options.frames.end, street.n_frames);
     if (street.n_frames > 0 && options.frames.begin >= end) {
         throw UsageError(fmt::format("frames {}:{}: no frame of {} lies in it, expected numbers in [0, {}]", options.frames.begin,
@@ -86,6 +86,8 @@ Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     }
     return sequence;
 }
+
+SyntheticOptions read_synthetic(const fs::path& folder) { return read_options(folder / "street.toml"); }
 
 void save_synthetic(const SyntheticOptions& options, const fs::path& folder) {
     std::error_code failed;

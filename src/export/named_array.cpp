@@ -2,7 +2,9 @@
 // Arrays with a name, a type and a shape, and the checks that npz and safetensors share.
 #include "named_array.hpp"
 
+#include <algorithm>
 #include <array>
+#include <charconv>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -70,6 +72,11 @@ Converter converter(std::string_view dtype) {
 namespace export_detail {
 
 std::size_t item_size(std::string_view dtype) {
+    if (dtype.starts_with('S')) {
+        std::size_t length = 0;
+        const auto [end, error] = std::from_chars(dtype.data() + 1, dtype.data() + dtype.size(), length);
+        return error == std::errc() && end == dtype.data() + dtype.size() ? length : 0;
+    }
     if (!converter(dtype)) return 0;
     return std::size_t(dtype[1] - '0');
 }
@@ -106,7 +113,9 @@ std::size_t NamedArray::count() const {
 
 std::vector<float> NamedArray::as_float() const {
     export_detail::check_array(*this);
-    return converter(dtype)(*this);
+    const Converter function = converter(dtype);
+    if (!function) throw DataError(fmt::format("array '{}': type '{}' cannot be read as float", name, dtype));
+    return function(*this);
 }
 
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values, std::size_t n) {
@@ -117,6 +126,14 @@ NamedArray make_array(std::string name, std::vector<std::size_t> shape, const do
 }
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values, std::size_t n) {
     return make(std::move(name), std::move(shape), "i4", values, n);
+}
+
+NamedArray make_text_array(std::string name, const std::vector<std::string>& texts) {
+    std::size_t length = 1;
+    for (const std::string& text : texts) length = std::max(length, text.size());
+    NamedArray array{std::move(name), fmt::format("S{}", length), {texts.size()}, std::vector<std::byte>(texts.size() * length)};
+    for (std::size_t i = 0; i < texts.size(); ++i) std::memcpy(array.bytes.data() + i * length, texts[i].data(), texts[i].size());
+    return array;
 }
 
 }  // namespace relidar

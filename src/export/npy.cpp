@@ -106,7 +106,7 @@ std::string type_of(const std::string& descr) {
     const char order = descr.empty() ? '?' : descr[0];
     const std::size_t size = item_size(type);
     if (size == 0) throw DataError(fmt::format("type '{}' is not supported", descr));
-    if (order != '<' && !(order == '|' && size == 1))
+    if (order != '<' && !(order == '|' && (size == 1 || type.starts_with('S'))))
         throw DataError(fmt::format("type '{}' is not little-endian", descr));
     return std::string(type);
 }
@@ -120,7 +120,7 @@ std::uint32_t little_endian(const std::byte* bytes, std::size_t n) {
 }  // namespace
 
 std::string npy_header(const NamedArray& array) {
-    const char order = item_size(array.dtype) == 1 ? '|' : '<';
+    const char order = item_size(array.dtype) == 1 || array.dtype.starts_with('S') ? '|' : '<';
     std::string shape;
     for (std::size_t extent : array.shape) shape += fmt::format("{}, ", extent);
     if (array.shape.size() > 1) shape.resize(shape.size() - 2);

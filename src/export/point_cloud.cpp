@@ -23,17 +23,19 @@ void check_cloud(const PointCloud& cloud) {
     check("intensity", cloud.intensity.size());
     if (!cloud.channel.empty()) check("channel", cloud.channel.size());
     if (!cloud.time_offset_s.empty()) check("time_offset_s", cloud.time_offset_s.size());
+    if (!cloud.instance.empty()) check("instance", cloud.instance.size());
 }
 
-/// x y z intensity (float32), then channel (uint16) and time offset (float32) where present, a record a point.
+/// x y z intensity (float32), then channel (uint16), time offset (float32) and instance (int32) where present, a record a point.
 std::string packed_records(const PointCloud& cloud) {
     std::string bytes;
-    bytes.reserve(cloud.position_m.size() * 22);
+    bytes.reserve(cloud.position_m.size() * 26);
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         for (int axis = 0; axis < 3; ++axis) append(bytes, cloud.position_m[i][axis]);
         append(bytes, cloud.intensity[i]);
         if (!cloud.channel.empty()) append(bytes, cloud.channel[i]);
         if (!cloud.time_offset_s.empty()) append(bytes, cloud.time_offset_s[i]);
+        if (!cloud.instance.empty()) append(bytes, cloud.instance[i]);
     }
     return bytes;
 }
@@ -47,6 +49,7 @@ void write_ply(const std::filesystem::path& path, const PointCloud& cloud) {
     text += "property float x\nproperty float y\nproperty float z\nproperty float intensity\n";
     if (!cloud.channel.empty()) text += "property ushort channel\n";
     if (!cloud.time_offset_s.empty()) text += "property float time_offset_s\n";
+    if (!cloud.instance.empty()) text += "property int instance\n";
     export_detail::write_file(path, text + "end_header\n" + packed_records(cloud));
 }
 
@@ -61,6 +64,7 @@ void write_pcd(const std::filesystem::path& path, const PointCloud& cloud) {
     };
     if (!cloud.channel.empty()) add("channel", "2", "U");
     if (!cloud.time_offset_s.empty()) add("time_offset_s", "4", "F");
+    if (!cloud.instance.empty()) add("instance", "4", "I");
     const std::size_t n = cloud.position_m.size();
     const std::string header = fmt::format(
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS {}\nSIZE {}\nTYPE {}\nCOUNT {}\nWIDTH {}\nHEIGHT 1\n"

@@ -31,9 +31,11 @@ constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypes{{
     {"U32", "u4"}, {"I32", "i4"}, {"F32", "f4"}, {"U64", "u8"}, {"I64", "i8"}, {"F64", "f8"},
 }};
 
+/// @throws DataError for text, which safetensors has not
 std::string tensor_type(const std::string& dtype) {
     const auto it = std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& type) { return type.second == dtype; });
-    return std::string(it->first);   // check_array has refused unknown types
+    if (it == kTypes.end()) throw DataError(fmt::format("type '{}' is not supported by safetensors", dtype));
+    return std::string(it->first);
 }
 
 std::string numpy_type(const std::string& name, const std::string& type) {

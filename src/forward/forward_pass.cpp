@@ -62,6 +62,7 @@ Rendering to_rendering(const std::vector<float>& rendered, std::size_t n_rays) {
         r.transmittance.push_back(ray.transmittance);
         r.median_depth.push_back(ray.median_depth);
         r.hits.push_back(ray.n_hits);
+        r.instance.push_back(ray.instance == RELIDAR_NO_INSTANCE ? -1 : static_cast<std::int32_t>(ray.instance));
     }
     return r;
 }

@@ -45,12 +45,20 @@ struct ScanRenderer::Impl {
     Scene layout;         ///< models, instances and sensor drop; no surfels
     Sequence sequence;    ///< sensor, poses and boxes; no scans
     Renderer renderer;
+    std::vector<bool> shown;   ///< [instances]
 };
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
     : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config),
-                     Renderer(device, scene, config.image, accel_options(config), trace_options(config))}) {}
+                     Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image, accel_options(config), trace_options(config)),
+                     std::vector<bool>(scene.instances.size(), true)}) {}
 ScanRenderer::~ScanRenderer() = default;
+
+void ScanRenderer::show_only(const std::vector<bool>& shown) {
+    if (shown.size() != impl_->shown.size()) throw UsageError(fmt::format("choosing what is rendered: found {} choices, expected {}, one an instance", shown.size(), impl_->shown.size()));
+    impl_->shown = shown;
+}
+
 const KernelTimes& ScanRenderer::times() const { return impl_->renderer.times(); }
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset) {
@@ -64,7 +72,9 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
         rays.direction.push_back(glm::vec3(w.direction));
     }
     const Pose pose = track.at(time_s);
-    impl_->renderer.place(place_instances(s.layout, s.sequence, time_s));
+    std::vector<InstancePose> placed = place_instances(s.layout, s.sequence, time_s);
+    for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && s.shown[i];
+    impl_->renderer.place(placed);
     const auto start = std::chrono::steady_clock::now();
     const Rendering r = impl_->renderer.trace(rays, glm::vec3(pose.translation));
 
@@ -81,6 +91,7 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     scan.channel = sensor.rays.channel;
     for (std::size_t i = 0; i < r.size(); ++i) {
         scan.image.range_m.push_back(chosen_range(r, i, s.config.render.range));
+        scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
         const float never_seen = sensor.is_own ? s.layout.sensor_drop.at(sensor.rays.channel[i], sensor.rays.direction[i]) : 0.0f;
         scan.image.drop_prob.push_back(1.0f - (1.0f - drop_probability(r, i)) * (1.0f - never_seen));
     }

@@ -24,6 +24,8 @@ void JsonField::fail(const std::string& found, const std::string& expected) cons
     throw DataError(fmt::format("{}: {}{}{}, {}", *file_, name_, name_.empty() ? "" : ": ", found, expected));
 }
 
+bool JsonField::has(const std::string& key) const { return value_->is_object() && value_->contains(key); }
+
 JsonField JsonField::at(const std::string& key) const {
     if (!value_->is_object()) fail(shown(*value_), "expected an object");
     const auto it = value_->find(key);

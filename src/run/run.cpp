@@ -59,6 +59,7 @@ Run load_run(const fs::path& folder) {
     run_detail::SceneFile scene = run_detail::parse_scene_json(read_file(scene_path), scene_path.string());
     run.sequence = std::move(scene.sequence);
     run.split = std::move(scene.split);
+    run.edits = std::move(scene.edits);
     run.scene = load_model(folder / kModelFile);
     if (run.scene.surfels.size() != scene.n_surfels) {
         throw DataError(fmt::format("{}: counts.surfels: found {}, but {} holds {}", scene_path.string(), scene.n_surfels, kModelFile, run.scene.surfels.size()));

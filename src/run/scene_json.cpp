@@ -120,6 +120,7 @@ BoxTrack read_box(const JsonField& field) {
     box.id = field.at("id").text();
     box.category = field.at("category").text();
     box.size_m = read_vector(field.at("size_m"));
+    if (!(std::min({box.size_m.x, box.size_m.y, box.size_m.z}) > 0.0)) field.at("size_m").fail(fmt::format("found {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z), "expected all above 0");
     box.world_from_box.time_s = field.at("time_s").numbers();
     const JsonField poses = field.at("world_from_box");
     for (std::size_t i = 0; i < poses.size(); ++i) box.world_from_box.pose.push_back(read_pose(poses.at(i)));
@@ -127,6 +128,11 @@ BoxTrack read_box(const JsonField& field) {
     if (poses.size() != n) poses.fail(fmt::format("found {} poses", poses.size()), fmt::format("expected {}, one a time", n));
     if (!std::is_sorted(box.world_from_box.time_s.begin(), box.world_from_box.time_s.end())) field.at("time_s").fail("found falling times", "expected times that rise");
     return box;
+}
+
+/// Runs as they were trained have none.
+void read_edits(const JsonField& field, SceneFile& scene) {
+    for (std::size_t i = 0; i < field.size(); ++i) scene.edits.push_back({field.at(i).at("run").text(), field.at(i).at("edit").text()});
 }
 
 /// A number per list in the file, against lists cut by hand or by a bad merge.
@@ -147,20 +153,21 @@ std::string to_scene_json(const Run& run) {
         throw DataError(fmt::format("writing scene.json: {} sensor poses for {} frames, expected one a frame", s.world_from_sensor.pose.size(), s.frames.size()));
     Json boxes = Json::array();
     for (const BoxTrack& box : s.boxes) boxes.push_back(to_json(box));
-    const Json json = {{"format", kFormat},
-                       {"version", kVersion},
-                       {"relidar", RELIDAR_VERSION},
-                       {"units", kUnits},
-                       {"conventions", kConventions},
-                       {"name", s.name},
-                       {"source", s.source},
-                       {"source_conventions", s.conventions},
-                       {"counts", {{"frames", s.frames.size()}, {"boxes", s.boxes.size()}, {"surfels", run.scene.surfels.size()}}},
-                       {"world_offset_m", to_json(s.world_offset_m)},
-                       {"rolling_shutter", s.rolling_shutter},
-                       {"sensor", to_json(s.sensor)},
-                       {"frames", frames_json(s, run.split)},
-                       {"boxes", boxes}};
+    Json json = {{"format", kFormat},
+                 {"version", kVersion},
+                 {"relidar", RELIDAR_VERSION},
+                 {"units", kUnits},
+                 {"conventions", kConventions},
+                 {"name", s.name},
+                 {"source", s.source},
+                 {"source_conventions", s.conventions},
+                 {"counts", {{"frames", s.frames.size()}, {"boxes", s.boxes.size()}, {"surfels", run.scene.surfels.size()}}},
+                 {"world_offset_m", to_json(s.world_offset_m)},
+                 {"rolling_shutter", s.rolling_shutter},
+                 {"sensor", to_json(s.sensor)},
+                 {"frames", frames_json(s, run.split)},
+                 {"boxes", boxes}};
+    for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
     parse_scene_json(text, "writing scene.json");   // what could not be read back (a NaN pose) is refused before it is written
     return text + "\n";
@@ -183,6 +190,7 @@ SceneFile parse_scene_json(const std::string& text, const std::string& file) {
     read_frames(root.at("frames"), scene);
     const JsonField boxes = root.at("boxes");
     for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box(boxes.at(i)));
+    if (root.has("edits")) read_edits(root.at("edits"), scene);
     check_counts(root, scene);
     scene.n_surfels = static_cast<std::size_t>(root.at("counts").at("surfels").integer(0, 4294967295));
     return scene;

@@ -15,6 +15,7 @@ std::string to_scene_json(const Run& run);
 struct SceneFile {
     Sequence sequence;     ///< frames without scans
     Split split;
+    std::vector<RunEdit> edits;
     std::size_t n_surfels = 0;
 };
 /// @param file name used in messages @throws DataError naming file and field

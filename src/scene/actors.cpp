@@ -4,7 +4,13 @@
 #include <relidar/scene.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <unordered_map>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/error.hpp>
 
 #include "core/random.hpp"
 #include "scene/point_surfels.hpp"
@@ -55,8 +61,73 @@ std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t mos
     return kept;
 }
 
-bool lists(const std::string& classes, const std::string& category) {
-    return ("," + classes + ",").find("," + category + ",") != std::string::npos;
+std::vector<std::string> words_of(const std::string& list) {
+    std::vector<std::string> words{""};
+    for (const char c : list) {
+        if (c == ',') words.emplace_back();
+        else if (c != ' ') words.back() += c;
+    }
+    std::erase(words, "");
+    return words;
+}
+
+bool lists(const std::string& list, const std::string& word) {
+    const std::vector<std::string> words = words_of(list);
+    return std::find(words.begin(), words.end(), word) != words.end();
+}
+
+bool is_wanted(const BoxTrack& box, const InitialiseOptions& options) {
+    if (options.actors != ActorMode::models) return false;
+    return options.actor_tracks.empty() ? lists(options.actor_classes, box.category) : lists(options.actor_tracks, box.id);
+}
+
+/// @throws DataError for a box that cannot hold anything
+void check_box(const BoxTrack& box) {
+    const glm::dvec3& s = box.size_m;
+    if (!(s.x > 0.0 && s.y > 0.0 && s.z > 0.0) || !std::isfinite(s.x + s.y + s.z)) throw DataError(fmt::format("box {}: found a size of {} x {} x {} m, expected all above 0", box.id, s.x, s.y, s.z));
+    for (std::size_t i = 0; i < box.world_from_box.pose.size(); ++i) {
+        const Pose& pose = box.world_from_box.pose[i];
+        if (!std::isfinite(glm::dot(pose.translation, glm::dvec3(1.0)) + glm::dot(pose.rotation, pose.rotation))) throw DataError(fmt::format("box {}: observation {} is not finite, expected a pose", box.id, i));
+    }
+}
+
+void check_tracks(const Sequence& sequence, const std::string& tracks) {
+    std::vector<std::string> known;
+    for (const BoxTrack& box : sequence.boxes) known.push_back(box.id);
+    for (const std::string& track : words_of(tracks))
+        if (std::find(known.begin(), known.end(), track) == known.end())
+            throw UsageError(fmt::format("setting init.actor_tracks: found \"{}\", did you mean \"{}\"? (tracks: {})", track, nearest_name(track, known), fmt::join(known, ", ")));
+}
+
+/// The other half of what is about as symmetric as vehicles are.
+void add_mirrored(std::vector<Sample>& samples) {
+    const std::size_t n = samples.size();
+    for (std::size_t i = 0; i < n; ++i) {
+        Sample mirrored = samples[i];
+        mirrored.position.y *= -1.0f;
+        mirrored.view.y *= -1.0f;
+        samples.push_back(mirrored);
+    }
+}
+
+/// Random points of the box up to a number, as bright as its own are on average and seen from outside.
+void pad(std::vector<Sample>& samples, std::size_t n, const BoxTrack& box, std::uint64_t seed) {
+    double intensity = 0.0;
+    for (const Sample& s : samples) intensity += s.intensity / double(samples.size());
+    Random random(hash64(seed, hash64(std::hash<std::string>{}(box.id))));
+    while (samples.size() < n) {
+        const glm::dvec3 p = box.size_m * (glm::dvec3(random.uniform(), random.uniform(), random.uniform()) - 0.5);
+        samples.push_back({glm::vec3(p), static_cast<float>(intensity), glm::vec3(-p / std::max(glm::length(p), 1e-9))});
+    }
+}
+
+/// What an actor is made of; too few points where it is none.
+std::vector<Sample> actor_samples(const Sequence& sequence, const std::vector<int>& train, const BoxTrack& box, const InitialiseOptions& options) {
+    std::vector<Sample> samples = box_samples(sequence, train, box);
+    if (options.actor_symmetry) add_mirrored(samples);
+    samples = thin_out(samples, std::size_t(options.actor_points));
+    if (samples.size() >= std::size_t(options.actor_min_points)) pad(samples, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box, options.seed);
+    return samples;
 }
 
 /// When the head faces a box, the moment its only transform of the turn is taken at.
@@ -66,11 +137,22 @@ double box_facing_time(const Sequence& sequence, const BoxTrack& box, double tim
 
 }  // namespace
 
+std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseOptions& options) {
+    check_tracks(sequence, options.actor_tracks);
+    std::vector<BoxTrack> boxes;
+    for (const BoxTrack& box : sequence.boxes) {
+        check_box(box);
+        const bool moves = box.mean_step_m() > options.actor_min_step_m;
+        if (options.actors != ActorMode::background && (moves || lists(options.actor_tracks, box.id))) boxes.push_back(box);
+    }
+    return boxes;
+}
+
 Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options) {
     Scene scene = make_background_scene(initialise_background(sequence, train_positions, options));
-    for (const BoxTrack& box : sequence.boxes) {
-        if (!(box.mean_step_m() > options.actor_min_step_m) || !lists(options.actor_classes, box.category)) continue;
-        const std::vector<Sample> samples = thin_out(box_samples(sequence, train_positions, box), std::size_t(options.actor_points));
+    for (const BoxTrack& box : separate_boxes(sequence, options)) {
+        if (!is_wanted(box, options)) continue;
+        const std::vector<Sample> samples = actor_samples(sequence, train_positions, box, options);
         if (samples.size() < std::size_t(options.actor_min_points)) continue;
         const Surfels surfels = surfels_from_points(samples, options);
         scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});

@@ -38,14 +38,21 @@ struct CellHash {
     }
 };
 
+/// Whether a point lies in a box, or where the box would be beside its labels.
+bool is_in(const BoxTrack& box, const WorldReturn& w, const InitialiseOptions& options) {
+    if (box.present(w.time_s)) return box.holds(w.point_m, w.time_s, options.actor_margin_m);
+    const std::optional<Pose> pose = box.pose_near(w.time_s, options.mask_beyond_labels_s);
+    return pose && glm::all(glm::lessThanEqual(glm::abs(inverse(*pose) * w.point_m), 0.5 * box.size_m + options.actor_margin_m));
+}
+
 /// Points of one frame in the world, each from where the sensor was when it fired.
-std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame, const InitialiseOptions& options) {
+std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& separate, const InitialiseOptions& options) {
     std::vector<Sample> samples;
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
-        if (in_moving_box(sequence.boxes, w.point_m, w.time_s, options.actor_min_step_m, options.actor_margin_m)) continue;
+        if (std::any_of(separate.begin(), separate.end(), [&](const BoxTrack& box) { return is_in(box, w, options); })) continue;
         samples.push_back({glm::vec3(w.point_m), scan.intensity[ray], glm::vec3(w.direction)});
     }
     return samples;
@@ -66,9 +73,10 @@ Cell cell_of(const glm::vec3& p, const std::vector<glm::vec3>& sensors, const In
 
 /// Voxel means in a reproducible order: that of first appearance.
 std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>& train, const InitialiseOptions& options) {
+    const std::vector<BoxTrack> separate = separate_boxes(sequence, options);
     std::vector<std::vector<Sample>> samples(train.size());
     run_parallel(static_cast<int>(train.size()), [&](int i) {
-        samples[std::size_t(i)] = frame_samples(sequence, sequence.frames[std::size_t(train[std::size_t(i)])], options);
+        samples[std::size_t(i)] = frame_samples(sequence, sequence.frames[std::size_t(train[std::size_t(i)])], separate, options);
     });
     std::vector<glm::vec3> sensors;
     for (const int position : train) sensors.push_back(glm::vec3(sequence.world_from_sensor.at(sequence.frames[std::size_t(position)].time_s).translation));

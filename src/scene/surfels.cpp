@@ -48,6 +48,12 @@ Surfels Surfels::permuted(const std::vector<std::uint32_t>& order) const {
     return result;
 }
 
+Surfels Surfels::slice(std::size_t first, std::size_t count) const {
+    std::vector<std::uint32_t> order(count);
+    std::iota(order.begin(), order.end(), static_cast<std::uint32_t>(first));
+    return permuted(order);
+}
+
 Scene layout_of(const Scene& scene) { return {{}, scene.models, scene.instances, scene.sensor_drop}; }
 
 Scene make_background_scene(Surfels surfels) {

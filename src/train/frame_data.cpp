@@ -15,7 +15,7 @@ namespace relidar {
 
 namespace {
 
-/// A moving box where it is now, grown by the margin.
+/// A moving box where it is now, or would be beside its labels, grown by the margin.
 struct PlacedBox {
     Pose box_from_world;
     glm::dvec3 half_size_m;
@@ -23,10 +23,11 @@ struct PlacedBox {
 
 std::vector<PlacedBox> masked_boxes_at(const Sequence& sequence, double t_s, const Unknown& masks) {
     std::vector<PlacedBox> placed;
-    for (const BoxTrack& box : sequence.boxes) {
+    for (const BoxTrack& box : separate_boxes(sequence, masks.moving)) {
         const bool is_actor = std::find(masks.actors.begin(), masks.actors.end(), box.id) != masks.actors.end();
-        if (!is_actor && box.mean_step_m() > masks.moving.actor_min_step_m && box.present(t_s))
-            placed.push_back({inverse(box.world_from_box.at(t_s)), 0.5 * box.size_m + masks.moving.actor_margin_m});
+        if (is_actor && box.present(t_s)) continue;
+        if (const std::optional<Pose> pose = box.pose_near(t_s, masks.moving.mask_beyond_labels_s))
+            placed.push_back({inverse(*pose), 0.5 * box.size_m + masks.moving.actor_margin_m});
     }
     return placed;
 }

@@ -46,6 +46,41 @@ TEST(Synthetic, GroundLiesAtHeightOverSineOfTheElevation) {
     EXPECT_EQ(cast_synthetic_street(options, one_ray({0, 0, 1}), level, 0.2).range_m[0], 0.0f);
 }
 
+/// Boxes of the street's own cars, as edits start from them.
+std::vector<StreetCar> own_cars(const SyntheticOptions& options) {
+    std::vector<StreetCar> cars;
+    for (const BoxTrack& box : make_synthetic_street(options).boxes) cars.push_back({cars.size(), box});
+    return cars;
+}
+
+TEST(Synthetic, StreetCastAgainWithItsOwnCarsIsTheSame) {
+    const SyntheticOptions options = small();
+    const Sequence street = make_synthetic_street(options);
+    const RayTable rays = make_rays(street.sensor);
+    const Scan plain = cast_synthetic_street(options, rays, street.world_from_sensor, 0.3), again = cast_synthetic_street(options, own_cars(options), rays, street.world_from_sensor, 0.3);
+    std::size_t on_cars = 0;
+    const Scan without = cast_synthetic_street(options, {}, rays, street.world_from_sensor, 0.3);
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        ASSERT_NEAR(plain.range_m[i], again.range_m[i], 1e-4);
+        on_cars += std::abs(plain.range_m[i] - without.range_m[i]) > 0.01f;
+    }
+    EXPECT_GT(on_cars, 20u) << "the cars must be seen";
+}
+
+TEST(Synthetic, EditedCarsAreMetWhereTheirTracksPutThem) {
+    const SyntheticOptions options = small();
+    PoseTrack still{{0.2}, {Pose{{1, 0, 0, 0}, {0, 0, -1.2}}}};  // 0.6 m above the ground
+    const double rear = 12.0 - 0.5 * 4.3;
+    std::vector<StreetCar> cars{own_cars(options)[0]};
+    for (Pose& pose : cars[0].track.world_from_box.pose) pose.translation.x -= 4.0;
+    EXPECT_NEAR(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2).range_m[0], rear - 4.0, 1e-4);
+    for (double& time_s : cars[0].track.world_from_box.time_s) time_s += 1.0;
+    EXPECT_EQ(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2).range_m[0], cast_synthetic_street(options, {}, one_ray({1, 0, 0}), still, 0.2).range_m[0]) << "later: not there yet";
+    EXPECT_NEAR(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 1.2).range_m[0], rear - 4.0, 1e-4);
+    cars[0].shapes_of = 2;
+    EXPECT_THROW(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2), DataError);
+}
+
 TEST(Synthetic, MovingCarIsMetWhereItsSpeedPutsIt) {
     // At the middle frame the car ahead has its centre 12 m ahead; it drives 1.05 times as fast as the sensor.
     const SyntheticOptions options = small();

@@ -170,5 +170,18 @@ TEST(NamedArray, ConvertsToFloat) {
     data_error([] { (void)bytes_array("a", "f4", {2}, 7).as_float(); });
 }
 
+TEST_F(Npz, TextsComeBackPadded) {
+    write_npz(folder / "a.npz", {make_text_array("names", {"background", "", "0-copy-1"}), make_text_array("none", {})});
+    const std::vector<NamedArray> arrays = read_npz(folder / "a.npz");
+    EXPECT_EQ(arrays[0].dtype, "S10");
+    EXPECT_EQ(arrays[0].shape, std::vector<std::size_t>{3});
+    const std::string bytes(reinterpret_cast<const char*>(arrays[0].bytes.data()), arrays[0].bytes.size());
+    EXPECT_EQ(bytes, "background" + std::string(10, '\0') + "0-copy-1" + std::string(2, '\0'));
+    EXPECT_EQ(arrays[1].shape, std::vector<std::size_t>{0});
+    data_error([&] { arrays[0].as_float(); });
+    data_error([&] { write_safetensors(folder / "a.safetensors", {arrays[0]}, {}); });
+    data_error([&] { write_npz(folder / "b.npz", {{"x", "S4x", {0}, {}}}); });
+}
+
 }  // namespace
 }  // namespace relidar

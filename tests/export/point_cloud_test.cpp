@@ -18,6 +18,7 @@ PointCloud some_cloud() {
     cloud.intensity = {0.1f, 0.5f, 1.0f};
     cloud.channel = {0, 63, 65535};
     cloud.time_offset_s = {-0.05f, 0.0f, 0.05f};
+    cloud.instance = {0, 70000, -1};
     return cloud;
 }
 
@@ -51,9 +52,10 @@ void expect_records(const std::string& body, const PointCloud& cloud, std::size_
         for (int axis = 0; axis < 3; ++axis)
             EXPECT_EQ(value_at<float>(body, i * stride + 4 * std::size_t(axis)), cloud.position_m[i][axis]);
         EXPECT_EQ(value_at<float>(body, i * stride + 12), cloud.intensity[i]);
-        if (stride != 22) continue;
+        if (stride != 26) continue;
         EXPECT_EQ(value_at<std::uint16_t>(body, i * stride + 16), cloud.channel[i]);
         EXPECT_EQ(value_at<float>(body, i * stride + 18), cloud.time_offset_s[i]);
+        EXPECT_EQ(value_at<std::int32_t>(body, i * stride + 22), cloud.instance[i]);
     }
 }
 
@@ -63,25 +65,26 @@ TEST_F(PointCloudFile, WritesPly) {
     const std::vector<std::string> expected{
         "ply", "format binary_little_endian 1.0", "comment relidar: metres, sensor frame", "element vertex 3",
         "property float x", "property float y", "property float z", "property float intensity", "property ushort channel",
-        "property float time_offset_s", "end_header"};
+        "property float time_offset_s", "property int instance", "end_header"};
     EXPECT_EQ(file.header, expected);
-    expect_records(file.body, some_cloud(), 22);
+    expect_records(file.body, some_cloud(), 26);
 }
 
 TEST_F(PointCloudFile, WritesPcd) {
     write_pcd(folder / "a.pcd", some_cloud());
     const Parsed file = parse(contents(folder / "a.pcd"), "DATA binary");
     const std::vector<std::string> expected{
-        "# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", "FIELDS x y z intensity channel time_offset_s",
-        "SIZE 4 4 4 4 2 4", "TYPE F F F F U F", "COUNT 1 1 1 1 1 1", "WIDTH 3", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", "POINTS 3", "DATA binary"};
+        "# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", "FIELDS x y z intensity channel time_offset_s instance",
+        "SIZE 4 4 4 4 2 4 4", "TYPE F F F F U F I", "COUNT 1 1 1 1 1 1 1", "WIDTH 3", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", "POINTS 3", "DATA binary"};
     EXPECT_EQ(file.header, expected);
-    expect_records(file.body, some_cloud(), 22);
+    expect_records(file.body, some_cloud(), 26);
 }
 
 TEST_F(PointCloudFile, LeavesOutFieldsThatAreMissing) {
     PointCloud cloud = some_cloud();
     cloud.channel.clear();
     cloud.time_offset_s.clear();
+    cloud.instance.clear();
     write_ply(folder / "a.ply", cloud);
     write_pcd(folder / "a.pcd", cloud);
     expect_records(parse(contents(folder / "a.ply"), "end_header").body, cloud, 16);
@@ -108,11 +111,12 @@ TEST_F(PointCloudFile, WritesEmptyClouds) {
 }
 
 TEST_F(PointCloudFile, RefusesArraysOfUnequalLength) {
-    for (int which : {0, 1, 2}) {
+    for (int which : {0, 1, 2, 3}) {
         PointCloud cloud = some_cloud();
         if (which == 0) cloud.intensity.pop_back();
         if (which == 1) cloud.channel.pop_back();
         if (which == 2) cloud.time_offset_s.pop_back();
+        if (which == 3) cloud.instance.pop_back();
         data_error([&] { write_ply(folder / "a", cloud); });
         data_error([&] { write_pcd(folder / "a", cloud); });
         data_error([&] { write_kitti_bin(folder / "a", cloud); });

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // forward/trace (Eq. 2-4; M4, M5) against the double reference on random scenes, chunk sizes and proxies against each other, and the
 // benchmark street against the image another implementation rendered of it.
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
@@ -31,6 +32,7 @@ double nmse(const std::vector<float>& actual, const std::vector<double>& expecte
 struct Expected {
     std::vector<double> depth, weight, intensity, hit_logit, drop_logit, transmittance, median_depth;
     std::vector<std::uint32_t> hits;
+    std::vector<std::int32_t> instance;
 };
 
 Expected render_reference(const test::RandomScene& scene, const reference::Settings& settings) {
@@ -39,7 +41,7 @@ Expected render_reference(const test::RandomScene& scene, const reference::Setti
     for (const reference::Ray& ray : scene.rays) {
         const reference::Pixel p = reference::render(scene.world, brute, settings, ray, 16);
         e.depth.push_back(p.depth), e.weight.push_back(p.weight), e.intensity.push_back(p.intensity), e.hit_logit.push_back(p.hit_logit);
-        e.drop_logit.push_back(p.drop_logit), e.transmittance.push_back(p.transmittance), e.median_depth.push_back(p.median_depth), e.hits.push_back(p.hits);
+        e.drop_logit.push_back(p.drop_logit), e.transmittance.push_back(p.transmittance), e.median_depth.push_back(p.median_depth), e.hits.push_back(p.hits), e.instance.push_back(std::int32_t(p.instance));
     }
     return e;
 }
@@ -51,16 +53,20 @@ TEST_F(Forward, AgreesWithDoubleReference) {
         test::RandomSceneOptions options;
         options.seed = 21;
         options.actor_instances = direction == ShDirection::ray ? 2 : 1;   // SH a surfel are those its first instance sees
+        options.background_surfels = 24, options.actor_surfels = 20;
         options.rays = 300;
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         const Expected e = render_reference(scene, settings);
+        const auto on_actors = std::ranges::count_if(e.instance, [](std::int32_t label) { return label > 0; });
+        EXPECT_TRUE(on_actors >= 10 && on_actors <= 290) << on_actors << " of 300 rays meet an actor first: the scene does not test labels";
         test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
         for (const Proxy proxy : {Proxy::triangles, Proxy::boxes}) {
             Renderer renderer(device(), placed.scene, settings.image, {.proxy = proxy}, {.chunk = 5});
             renderer.set_poses(placed.world_from_instance);
             const Rendering r = renderer.trace(test::to_world_rays(scene.rays), glm::vec3(scene.view_origin));
             EXPECT_EQ(r.hits, e.hits);
+            EXPECT_EQ(r.instance, e.instance);
             EXPECT_LE(nmse(r.depth, e.depth), test::kKernelNmse);
             EXPECT_LE(nmse(r.weight, e.weight), test::kKernelNmse);
             EXPECT_LE(nmse(r.intensity, e.intensity), test::kKernelNmse);
@@ -89,6 +95,28 @@ TEST_F(Forward, MovedInstanceIsSeenWhereItStands) {
         ASSERT_EQ(r.hits[0], 1u);
         EXPECT_NEAR(r.depth[0] / r.weight[0], x, 1e-5);
     }
+}
+
+/// A faint floater before a wall does not give its name to the wall; alone, it is what the ray meets.
+TEST_F(Forward, LabelIsThatOfTheSurfaceNotOfAFloater) {
+    Surfels surfels;
+    surfels.resize(2);
+    for (auto& q : surfels.rotation) q = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};   // normal along x
+    surfels.opacity_logit = {4.0f, -1.5f};
+    std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
+    Scene scene;
+    scene.surfels = surfels;
+    scene.models = {{"background", 0, 1}, {"floater", 1, 1}};
+    scene.instances = {{0, ""}, {1, "floater"}};
+    Renderer renderer(device(), scene, {});
+    const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
+    const auto at = [](double x, bool present) { return InstancePose{Pose{{1, 0, 0, 0}, {x, 0, 0}}, present}; };
+    renderer.place({at(9, true), at(3, true)});
+    EXPECT_EQ(renderer.trace(ray, glm::vec3(0.0f)).instance[0], 0);
+    renderer.place({at(9, false), at(3, true)});
+    EXPECT_EQ(renderer.trace(ray, glm::vec3(0.0f)).instance[0], 1);
+    renderer.place({at(9, false), at(3, false)});
+    EXPECT_EQ(renderer.trace(ray, glm::vec3(0.0f)).instance[0], -1);
 }
 
 TEST_F(Forward, EmptySceneIsBackground) {

@@ -23,7 +23,11 @@ public:
         pixel_.intensity += w * s.value[0];
         pixel_.hit_logit += w * s.value[1];
         drop_sum_ += w * s.value[2];
-        if (pixel_.transmittance > 0.5 && next <= 0.5) pixel_.median_depth = s.t;
+        if (pixel_.hits == 0) pixel_.instance = s.hit.instance;
+        if (pixel_.transmittance > 0.5 && next <= 0.5) {
+            pixel_.median_depth = s.t;
+            pixel_.instance = s.hit.instance;
+        }
         pixel_.transmittance = next;
         pixel_.hits += 1;
         return true;

@@ -27,6 +27,7 @@ struct Pixel {
     double transmittance = 1.0;   ///< T_N, after the last blended surfel
     double median_depth = 0.0;    ///< t of the surfel that takes T from above 0.5 to 0.5 or less; 0 where none does
     std::uint32_t hits = 0;       ///< blended surfels
+    std::int64_t instance = -1;   ///< of the surfel of median_depth; where there is none, of the nearest blended one; -1 without
 };
 
 /// dL/d(Pixel) for the outputs a loss can use.

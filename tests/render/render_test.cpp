@@ -27,6 +27,7 @@ RenderedScan scan_of(const std::vector<glm::vec3>& points, const std::vector<flo
         scan.weight.push_back(1.0f);
         scan.time_offset_s.push_back(0.0f);
         scan.channel.push_back(0);
+        scan.instance.push_back(static_cast<std::int32_t>(i));
     }
     return scan;
 }
@@ -40,11 +41,13 @@ TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
     EXPECT_NEAR(near.image.range_m[cell], 0.9f * glm::length(a), 1e-4f);
     EXPECT_NEAR(near.image.intensity[cell], 0.2f, 1e-6f);
     EXPECT_NEAR(near.image.drop_prob[cell], 0.1f, 1e-6f);
+    EXPECT_EQ(near.instance[cell], 1) << "the winning point brings its label";
     std::size_t filled = 0;
     for (std::size_t i = 0; i < near.image.range_m.size(); ++i) {
         filled += near.image.range_m[i] > 0.0f;
         if (i == cell) continue;
         EXPECT_EQ(near.image.drop_prob[i], 1.0f);
+        EXPECT_EQ(near.instance[i], -1);
     }
     EXPECT_EQ(filled, 1u);
 }
@@ -100,6 +103,81 @@ TEST_F(Render, WallIsWhereItStands) {
     Pose back;
     back.translation.x = -3.0;
     EXPECT_NEAR(renderer.render(sensor, 0.5, back).image.range_m[ahead], 13.0 - 2.0 * fired_at, 1e-4);
+}
+
+/// Four rays, one a quarter turn, from the origin.
+Sequence cross_sequence() {
+    Sequence sequence;
+    sequence.sensor.beams = {{0.0}};
+    sequence.sensor.columns = 4;
+    sequence.sensor.first_azimuth_rad = kPi;
+    sequence.rolling_shutter = false;
+    sequence.world_from_sensor.time_s = {0.0};
+    sequence.world_from_sensor.pose = {Pose{}};
+    return sequence;
+}
+
+/// A wall behind the sensor's right, and a plate placed ahead and, turned to face the sensor too, behind; its brightness depends on
+/// the direction it is seen from.
+Scene two_placements(Sequence& sequence) {
+    Surfels surfels;
+    surfels.resize(2);
+    surfels.mean = {{0.0f, -6.0f, 0.0f}, {0.5f, 0.0f, 0.0f}};
+    surfels.rotation = {{std::sqrt(0.5f), std::sqrt(0.5f), 0.0f, 0.0f}, {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f}};   // normals along y, x
+    std::fill(surfels.opacity_logit.begin(), surfels.opacity_logit.end(), 6.0f);
+    std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
+    surfels.sh[kShFloats + 3] = -0.5f;                      // intensity along x: bright from one side, dark from the other
+    surfels.sh[kShFloats + kShCoefficients] = 20.0f;        // returns
+    surfels.sh[kShCoefficients] = 20.0f;
+    Scene scene;
+    scene.surfels = surfels;
+    scene.models = {{"background", 0, 1}, {"plate", 1, 1}};
+    scene.instances = {{0, ""}, {1, "ahead"}, {1, "behind"}};
+    const glm::dquat half_turn = glm::angleAxis(kPi, glm::dvec3(0, 0, 1));
+    sequence.boxes = {{"ahead", "Car", {1, 1, 1}, {{0.0}, {Pose{{1, 0, 0, 0}, {5, 0, 0}}}}}, {"behind", "Car", {1, 1, 1}, {{0.0}, {Pose{half_turn, {-5, 0, 0}}}}}};
+    return scene;
+}
+
+std::size_t ray_towards(const RayTable& rays, const glm::vec3& direction) {
+    std::size_t best = 0;
+    for (std::size_t i = 0; i < rays.size(); ++i)
+        if (glm::dot(rays.direction[i], direction) > glm::dot(rays.direction[best], direction)) best = i;
+    return best;
+}
+
+TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
+    Sequence sequence = cross_sequence();
+    const Scene scene = two_placements(sequence);
+    for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
+        Config config;
+        config.image.sh_direction = direction;
+        const SensorChoice sensor = configured_sensor(config, sequence);
+        const RenderedScan scan = ScanRenderer(device(), scene, config, sequence).render(sensor, 0.0);
+        const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}), behind = ray_towards(sensor.rays, {-1, 0, 0});
+        EXPECT_EQ(scan.instance[ahead], 1);
+        EXPECT_EQ(scan.instance[behind], 2);
+        EXPECT_GT(std::abs(scan.image.intensity[ahead] - 0.5f), 0.1f) << "the harmonics must matter";
+        EXPECT_NEAR(scan.image.intensity[ahead], scan.image.intensity[behind], 1e-5f) << "both face the sensor alike";
+    }
+}
+
+TEST_F(Render, OnlyWhatIsShownIsMet) {
+    Sequence sequence = cross_sequence();
+    const Scene scene = two_placements(sequence);
+    const SensorChoice sensor = configured_sensor({}, sequence);
+    ScanRenderer renderer(device(), scene, {}, sequence);
+    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}), behind = ray_towards(sensor.rays, {-1, 0, 0}), right = ray_towards(sensor.rays, {0, -1, 0});
+    const auto labels = [&](const std::vector<std::string>& names) {
+        renderer.show_only(select_instances(scene, names));
+        const RenderedScan scan = renderer.render(sensor, 0.0);
+        return std::vector<int>{scan.instance[ahead], scan.instance[behind], scan.instance[right]};
+    };
+    EXPECT_EQ(labels({"background"}), (std::vector<int>{-1, -1, 0}));
+    EXPECT_EQ(labels({"actors"}), (std::vector<int>{1, 2, -1}));
+    EXPECT_EQ(labels({"behind"}), (std::vector<int>{-1, 2, -1}));
+    EXPECT_EQ(labels({"behind", "background"}), (std::vector<int>{-1, 2, 0}));
+    EXPECT_THROW(select_instances(scene, {"ahed"}), UsageError);
+    EXPECT_THROW(renderer.show_only({true}), UsageError);
 }
 
 }  // namespace

@@ -48,6 +48,7 @@ inline Run example_run(const std::filesystem::path& folder) {
     s.boxes.push_back({"8", "Van", {5.2, 2.0, 2.5}, {}});
     run.split = {{0, 1}, {2}};   // frame 3 is unused
     run.scene = make_background_scene(example_surfels(5));
+    run.edits = {{"/runs/first", "--move 7:0,3.5,0"}, {"/runs/second", "--remove 9"}};
     return run;
 }
 

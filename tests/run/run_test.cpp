@@ -61,6 +61,9 @@ TEST_F(RunFolder, RoundTripsExactly) {
     EXPECT_EQ(a.boxes[0].world_from_box.time_s, b.boxes[0].world_from_box.time_s);
     expect_equal(a.boxes[0].world_from_box.pose[1], b.boxes[0].world_from_box.pose[1]);
     EXPECT_EQ(a.boxes[1].category, "Van");
+    ASSERT_EQ(read.edits.size(), 2u);
+    EXPECT_EQ(read.edits[1].run, "/runs/second");
+    EXPECT_EQ(read.edits[0].edit, "--move 7:0,3.5,0");
     EXPECT_EQ(read.split.train, run.split.train);
     EXPECT_EQ(read.split.test, run.split.test);
 }
@@ -93,7 +96,7 @@ TEST_F(RunFolder, TruncatedSceneIsRefused) {
 
 TEST_F(RunFolder, EveryFieldIsNeeded) {
     const Json whole = Json::parse(scene);
-    const std::vector<std::string> told = {"/relidar", "/units", "/conventions", "/sensor/beam_fields"};   // for people only
+    const std::vector<std::string> told = {"/relidar", "/units", "/conventions", "/sensor/beam_fields", "/edits"};   // for people only; edits: a run as trained has none
     int n_tried = 0;
     const Json flat = whole.flatten();
     for (const auto& [pointer, value] : flat.items()) {
@@ -131,6 +134,8 @@ TEST_F(RunFolder, WrongKindsAreRefused) {
     EXPECT_NE(replaced("/boxes/0/time_s", {1.0}).find("boxes[0].world_from_box: found 2 poses, expected 1"), std::string::npos);
     EXPECT_NE(replaced("/sensor/columns", 0).find("sensor.columns: found 0, expected an integer in 1.."), std::string::npos);
     EXPECT_NE(replaced("/sensor/beams/1", "x").find("sensor.beams[1]: found \"x\", expected an array"), std::string::npos);
+    EXPECT_NE(replaced("/boxes/0/size_m/1", 0.0).find("boxes[0].size_m: found 4.2 x 0 x 1.5 m, expected all above 0"), std::string::npos);
+    EXPECT_NE(replaced("/edits/1", 3).find("edits[1]: found 3, expected an object"), std::string::npos);
     EXPECT_NE(replaced("/rolling_shutter", 1).find("rolling_shutter: found 1, expected true or false"), std::string::npos);
     put(run.folder / "scene.json", "[1, 2]");
     EXPECT_NE(load_error().find("scene.json: found an array of 2, expected an object"), std::string::npos);

@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include <relidar/dataset.hpp>
+#include <relidar/error.hpp>
 #include <relidar/forward.hpp>
 #include <relidar/scene.hpp>
 
@@ -63,6 +64,102 @@ TEST(Actors, StandWhereTheirBoxIsAndAreAbsentOutsideItsLabels) {
     EXPECT_FALSE(place_instances(scene, street, last + 1.0)[1].present);
     EXPECT_FALSE(place_instances(scene, street, first - 1.0)[1].present);
     EXPECT_TRUE(place_instances(scene, street, last + 1.0)[0].present);
+}
+
+const Model& model_of_track(const Scene& scene, const std::string& track) {
+    const auto instance = std::find_if(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.track == track; });
+    EXPECT_NE(instance, scene.instances.end());
+    return scene.models[instance->model];
+}
+
+std::size_t n_models(const Sequence& street, InitialiseOptions options) { return initialise_scene(street, split_frames(street, 10).train, options).models.size(); }
+
+TEST(Actors, AreChosenByModeClassOrTrack) {
+    const Sequence street = make_synthetic_street(street_options());
+    InitialiseOptions options = with_actors();
+    options.actor_tracks = "1";
+    const Scene one = initialise_scene(street, split_frames(street, 10).train, options);
+    ASSERT_EQ(one.models.size(), 2u);
+    EXPECT_EQ(one.instances[1].track, "1");
+    options.actor_tracks = "1, 7";
+    EXPECT_THROW(n_models(street, options), UsageError);
+    options = with_actors();
+    options.actors = ActorMode::masked;
+    EXPECT_EQ(separate_boxes(street, options).size(), 2u);
+    EXPECT_EQ(n_models(street, options), 1u);
+    const std::size_t masked = initialise_background(street, split_frames(street, 10).train, options).size();
+    options.actors = ActorMode::background;
+    EXPECT_TRUE(separate_boxes(street, options).empty());
+    EXPECT_EQ(n_models(street, options), 1u);
+    EXPECT_GT(initialise_background(street, split_frames(street, 10).train, options).size(), masked + 100) << "the cars' points are in it";
+}
+
+TEST(Actors, TrackChosenByNameNeedNotMove) {
+    Sequence street = make_synthetic_street(street_options());
+    BoxTrack& box = street.boxes[0];
+    std::fill(box.world_from_box.pose.begin(), box.world_from_box.pose.end(), box.world_from_box.pose[6]);
+    EXPECT_EQ(separate_boxes(street, with_actors()).size(), 1u) << "it stands";
+    InitialiseOptions options = with_actors();
+    options.actor_tracks = "0";
+    EXPECT_EQ(separate_boxes(street, options).size(), 2u);
+    box.world_from_box = {{box.world_from_box.time_s[6]}, {box.world_from_box.pose[6]}};
+    const Scene scene = initialise_scene(street, split_frames(street, 10).train, options);
+    EXPECT_EQ(scene.instances.size(), 2u) << "one observation is enough";
+    EXPECT_TRUE(place_instances(scene, street, box.world_from_box.time_s[0])[1].present);
+    EXPECT_FALSE(place_instances(scene, street, box.world_from_box.time_s[0] + 0.1)[1].present);
+}
+
+TEST(Actors, ArePaddedInTheirBoxAndMirrored) {
+    const Sequence street = make_synthetic_street(street_options());
+    const std::vector<int> train = split_frames(street, 10).train;
+    const Scene plain = initialise_scene(street, train, with_actors());
+    InitialiseOptions options = with_actors();
+    options.actor_pad_to = 3000;
+    const Scene padded = initialise_scene(street, train, options);
+    ASSERT_LT(model_of_track(plain, "0").count, 3000u);
+    EXPECT_EQ(model_of_track(padded, "0").count, 3000u);
+    options.actor_points = 500;
+    EXPECT_EQ(model_of_track(initialise_scene(street, train, options), "0").count, 500u) << "never more than actor_points";
+    const Model& car = model_of_track(padded, "0");
+    int octants[8] = {};
+    for (std::uint32_t i = 0; i < car.count; ++i) {
+        const glm::vec3 p = padded.surfels.mean[car.first + i];
+        EXPECT_TRUE(glm::all(glm::lessThanEqual(glm::abs(glm::dvec3(p)), 0.5 * street.boxes[0].size_m + 0.11)));
+        ++octants[(p.x > 0) + 2 * (p.y > 0) + 4 * (p.z > 0)];
+    }
+    for (const int n : octants) EXPECT_GT(n, 150) << "random points fill the whole box";
+    options = with_actors();
+    options.actor_symmetry = true;
+    const Scene mirrored = initialise_scene(street, train, options);
+    const Model& half = model_of_track(plain, "1"), &whole = model_of_track(mirrored, "1");
+    const auto side = [](const Scene& s, const Model& m, float sign) {
+        return std::count_if(s.surfels.mean.begin() + m.first, s.surfels.mean.begin() + m.first + m.count, [&](const glm::vec3& p) { return sign * p.y > 0.6f; });
+    };
+    EXPECT_GT(std::abs(side(plain, half, 1) - side(plain, half, -1)), 0.25 * half.count) << "the oncoming car is seen from one side";
+    EXPECT_LT(std::abs(side(mirrored, whole, 1) - side(mirrored, whole, -1)), 0.1 * whole.count);
+}
+
+TEST(Actors, BoxesThatHoldNothingAreRefused) {
+    for (const double bad : {0.0, -1.0, std::nan("")}) {
+        Sequence street = make_synthetic_street(street_options());
+        street.boxes[1].size_m.y = bad;
+        EXPECT_THROW(initialise_scene(street, {0, 1}, with_actors()), DataError);
+    }
+    Sequence street = make_synthetic_street(street_options());
+    street.boxes[0].world_from_box.pose[3].translation.x = std::nan("");
+    EXPECT_THROW(initialise_scene(street, {0, 1}, with_actors()), DataError);
+}
+
+TEST(Actors, OverlappingAndEmptyBoxesBecomeWhatTheyHold) {
+    Sequence street = make_synthetic_street(street_options());
+    street.boxes.push_back(street.boxes[0]);
+    street.boxes.back().id = "twin";
+    street.boxes.push_back(street.boxes[0]);
+    street.boxes.back().id = "empty";
+    for (Pose& pose : street.boxes.back().world_from_box.pose) pose.translation.z += 40.0;
+    const Scene scene = initialise_scene(street, split_frames(street, 10).train, with_actors());
+    EXPECT_EQ(scene.instances.size(), 4u) << "background, two cars and the twin; a box without points is no actor";
+    EXPECT_EQ(model_of_track(scene, "twin").count, model_of_track(scene, "0").count);
 }
 
 class ActorsOnDevice : public test::DeviceTest {};

@@ -18,6 +18,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"sequence", {"sensor"}},
         {"dataset", {"sequence", "sensor"}},
         {"scene", {"sequence", "sensor", "gpu"}},
+        {"edit", {"scene", "sequence", "sensor"}},
         {"accel", {"scene", "gpu"}},
         {"optimizer", {"scene", "gpu"}},
         {"loss", {"sequence", "sensor", "gpu"}},

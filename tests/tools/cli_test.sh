@@ -39,10 +39,10 @@ bad() {
 
 help_tells() {
     good --help
-    for command in devices config info train render eval export import bench demo; do
+    for command in devices config info train render edit eval export import bench demo; do
         says "^  $command "
     done
-    for command in devices config info train render eval export import bench demo; do
+    for command in devices config info train render edit eval export import bench demo; do
         good "$command" --help
         says "Example"
     done
@@ -98,6 +98,8 @@ wrong_usage() {
     bad 2 'trace.chunk: found "65"' bench --chunk 65
     bad 2 'trace.proxy: found "cube"' bench --proxy cube
     bad 2 'sh_direction: found "normal"' bench --sh normal
+    bad 2 'actors: found 1.5 in "1,1.5"' bench --actors 1,1.5
+    bad 2 'actors: found "x"' bench --actors x
     bad 2 'repeat: found 0, expected 1 to' bench --repeat 0
     bad 2 'run: found --scene, --surfels or --rays beside it' bench --run run --rays kitti
     bad 3 "found a folder, expected the name of a file" bench --json .
@@ -135,7 +137,7 @@ log_info() {
 }
 
 training() {
-    good train street --out run --preset quick --set train.iterations=6 --set train.log_every=2 --set dataset.test_every=5 --seed 3
+    good train street --out run --preset quick --set init.actor_min_points=10 --set train.iterations=6 --set train.log_every=2 --set dataset.test_every=5 --seed 3
     for file in config.toml scene.json model.safetensors log.jsonl metrics.json report.html; do exists run/$file; done
     check "log.jsonl has other than 4 lines" test "$(wc -l <run/log.jsonl)" = 4
     check "config.toml lacks the seed" grep -qx "seed = 3" run/config.toml
@@ -175,10 +177,81 @@ rendering() {
     absent x
 }
 
+# x y z yaw of a track's start, as --copy takes it.
+start_of() { "$relidar" info "$1" | awk -v track="$2" '$1 == track { for (i = 1; i <= NF; i++) if ($i ~ /^[-0-9.]+,[-0-9.]+,[-0-9.]+,[-0-9.]+$/) print $i }'; }
+
+editing() {
+    good info run
+    says "^ +0 +Car .* 0-11 .* m/s .* 1 +[0-9]+$"
+    says "^instances +3, the background is 0"
+    good edit run --out removed --remove 0
+    says "^removed 0$"
+    good info removed
+    says "edit +--remove 0 \(of .*/run\)"
+    check "a removed actor keeps its surfels" test "$(stat -c %s removed/model.safetensors)" -lt "$(stat -c %s run/model.safetensors)"
+    local start
+    start=$(start_of run 0)
+    good edit run --out edited --move 0:0,3.5,0 --copy "0@$start:8" --move 0-copy-1:0,-3,0,10 --copy "0-copy-1@$start" --retime 1:0.3 --remove 0
+    says "copied 0 as 0-copy-1"
+    good info edited --json
+    check "edits are not told in the order given" test "$(grep -c '"edit": "--' out)" = 6
+    check "the first edit is not the first told" test "$(grep '"edit": "--' out | head -1)" = '      "edit": "--move 0:0,3.5,0"'
+    check "a model placed twice is held twice" grep -q '"instances": 4' out
+    mv edited moved && mv run away   # an edited run needs no other
+    good render moved --out moved_scans --frames 5:6 --format npz,ply
+    mv away run
+    check "ply lacks instances" grep -aq "^property int instance" moved_scans/frame_000005.ply
+    good edit moved --out again2 --keep background
+    good render again2 --out background --frames 5:6
+    good edit run --out both --insert "removed#1@$start:3"
+    says "inserted 1 of removed as 1-insert-1"
+    printf 'time_s,x,y,z,yaw_deg\n0.2,1,2,3,0\n0.9,4,2,3,0\n' >way.csv
+    good edit run --out path --trajectory 1:way.csv
+    good info path
+    says "^ +1 +Car .* 2-9 "
+    good edit run --out late --retime 0:100
+    says "note: track 0 is there at no frame of the log now"
+    sed 's/"name": "synthetic"/"name": "other"/' -i removed/scene.json
+    good edit run --out both --force --insert "removed#1@$start"
+    says "note: removed was recorded by another sensor"
+    good eval moved --out edited.json
+    says "the street was cast again with the run's edits"
+    says "^edited +[0-9.]+ +[0-9.]+ +[0-9.]+"
+    good eval path --out path.json   # of a name that no car of the street has
+    good render run --out cars --frames 5:6 --only actors
+    good render run --out car --frames 5:6 --only 0 --only background --format ply
+}
+
+wrong_edits() {
+    bad 2 "found no edit" edit run --out x
+    bad 2 'found no such track, did you mean "0"\?' edit run --out x --remove 00
+    bad 2 '--move 7:1,0,0: editing track "7"' edit run --out x --move 7:1,0,0
+    bad 2 'move: found "0:1,2", expected TRACK:dx,dy,dz' edit run --out x --move 0:1,2
+    bad 2 'move: found "x" in "1,x,2"' edit run --out x --move 0:1,x,2
+    bad 2 'move: found "nan"' edit run --out x --move 0:1,nan,2
+    bad 2 'move: found "0", expected TRACK' edit run --out x --move 0
+    bad 2 'retime: found "0:", expected TRACK:seconds' edit run --out x --retime 0:
+    bad 2 'copy: found "0@1,2,3", expected TRACK@x,y,z,yaw_deg' edit run --out x --copy 0@1,2,3
+    bad 2 'copy: found "@1,2,3,4", expected' edit run --out x --copy @1,2,3,4
+    bad 2 'copy: found "" in ""' edit run --out x --copy 0@1,2,3,4:
+    bad 2 'insert: found "run@1,2,3,4", expected RUN#TRACK' edit run --out x --insert run@1,2,3,4
+    bad 3 'nowhere: no such folder' edit run --out x --insert nowhere#0@1,2,3,4
+    bad 2 'keep: found "car", expected background or actors' edit run --out x --keep car
+    bad 3 'none.csv' edit run --out x --trajectory 0:none.csv
+    printf '0,1,2,3,0\n' >one.csv
+    bad 3 'one.csv: found 1 poses' edit run --out x --trajectory 0:one.csv
+    bad 2 'found the run that is edited' edit run --out ./run --remove 0
+    bad 2 'removed: the folder is not empty' edit run --out removed --remove 0
+    bad 3 'nowhere: no such folder' edit nowhere --out x --remove 0
+    bad 2 'found "cars", did you mean' render run --out x --only cars
+    absent x
+}
+
 evaluation() {
     cp run/metrics.json before.json
     good eval run
     says "strict/depth_medae_m"
+    says "^actors/tail_share_real "
     check "eval gives other numbers than train" diff <(sed -n '/"mean"/,/}/p' before.json) <(sed -n '/"mean"/,/}/p' run/metrics.json)
     good eval run --out sub/metrics.json --set render.range=normalised
     exists sub/metrics.json
@@ -291,6 +364,9 @@ bench() {
     check "bench --run: other rays than the run's 8 x 96" grep -q '"rays": 768' render.json
     check "bench --no-backward has a backward pass" grep -q '"backward_mrays_per_s": null' render.json
     bad 3 "nowhere: no such folder" bench --run nowhere --json lost.json
+    good bench --actors 1,3 --repeat 2 --json actors.json
+    says "^ +3 +30000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"
+    check "moving actors rebuilds bottom levels" test "$(grep -c '"bottom_levels_rebuilt": 0' actors.json)" = 2
     absent lost.json
 }
 
@@ -315,6 +391,8 @@ if "$relidar" devices >out 2>err; then
     devices
     training
     rendering
+    editing
+    wrong_edits
     evaluation
     baseline_beside_a_run
     surfels_as_ply

@@ -120,6 +120,38 @@ TEST(Targets, RaysOfMovingBoxesAreUnknown) {
     EXPECT_LE(double(masked_rest), 0.05 * double(rest));
 }
 
+/// A car whose labels end is masked where it would be, for as long as asked, whether it is an actor or not.
+TEST(Targets, RaysBesideTheLabelsAreUnknown) {
+    Sequence street = make_synthetic_street(small_street());
+    const std::vector<BoxTrack> whole = street.boxes;
+    const std::size_t n_labels = street.frames.size() - 4;
+    for (BoxTrack& box : street.boxes) {
+        box.world_from_box.time_s.resize(n_labels);
+        box.world_from_box.pose.resize(n_labels);
+    }
+    const auto masked_share = [&](std::size_t frame, double beyond_s) {
+        Unknown unknown;
+        unknown.actors = {street.boxes[0].id, street.boxes[1].id};
+        unknown.moving.mask_beyond_labels_s = beyond_s;
+        std::vector<DeviceRay> rays;
+        std::vector<DeviceTarget> targets;
+        make_targets(street, street.frames[frame], unknown, rays, targets);
+        double n = 0.0, n_masked = 0.0;
+        for (std::size_t i = 0; i < rays.size(); ++i) {
+            const glm::dvec3 p = glm::dvec3(rays[i].origin) + double(targets[i].range_m) * glm::dvec3(rays[i].direction);
+            if (!(targets[i].range_m > 0.0f) || !in_moving_box(whole, p, street.frames[frame].time_s, 0.01, 0.0)) continue;
+            n += 1.0;
+            n_masked += targets[i].weight == 0.0f;
+        }
+        EXPECT_GT(n, 5.0) << "the cars must be seen";
+        return n_masked / n;
+    };
+    EXPECT_EQ(masked_share(n_labels - 1, 0.25), 0.0) << "labelled actors are known";
+    EXPECT_EQ(masked_share(n_labels + 1, 0.0), 0.0);
+    EXPECT_GE(masked_share(n_labels + 1, 0.25), 0.95);
+    EXPECT_EQ(masked_share(n_labels + 3, 0.25), 0.0) << "0.4 s after the last label";
+}
+
 /// The sensor never sees anything to its left and below, as if a vehicle's body stood there; the ground under it is seen from elsewhere.
 bool is_hidden(const RayTable& rays, std::size_t i) {
     const glm::vec3& d = rays.direction[i];

@@ -7,6 +7,7 @@
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
+#include "bench_actors.hpp"
 #include "bench_case.hpp"
 #include "bench_measure.hpp"
 #include "bench_text.hpp"
@@ -28,8 +29,27 @@ struct Options {
     BenchSettings settings;
     bool no_backward = false;
     std::string json;
+    std::string actors;   ///< "1,10,100": their moves are timed instead
     DeviceChoice device;
 };
+
+constexpr int kMaxActors = 1000;
+
+std::vector<int> actor_counts(const std::string& list) {
+    std::vector<int> counts;
+    for (const double n : parse_list("--actors", list)) {
+        if (!(n >= 1.0 && n <= kMaxActors) || n != static_cast<int>(n)) throw UsageError(fmt::format("--actors: found {} in \"{}\", expected whole numbers from 1 to {}", n, list, kMaxActors));
+        counts.push_back(static_cast<int>(n));
+    }
+    return counts;
+}
+
+void bench_actors(const Options& options, Device& device, const std::string& command_line) {
+    std::vector<ActorMoves> moves;
+    for (const int n : actor_counts(options.actors)) moves.push_back(measure_moves(device, n, options.settings.repeat));
+    if (!options.json.empty()) write_text(options.json, moves_json(moves, device, command_line));
+    if (!options.settings.quiet) print(moves_text(moves));
+}
 
 void run_bench(const Options& options, const std::string& command_line) {
     check(options.choice);
@@ -39,11 +59,13 @@ void run_bench(const Options& options, const std::string& command_line) {
     if (settings.repeat < 1 || settings.repeat > kMaxRepeat) throw UsageError(fmt::format("--repeat: found {}, expected 1 to {}", settings.repeat, kMaxRepeat));
     const std::filesystem::path json = options.json;
     if (std::error_code failed; std::filesystem::is_directory(json, failed)) throw DataError(fmt::format("--json {}: found a folder, expected the name of a file", options.json));
+    if (!options.actors.empty()) actor_counts(options.actors);
     std::optional<OutputFolder> folder;
     if (!json.empty()) folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
     Device device(device_options(options.device));
 
     catch_interrupts();
+    if (!options.actors.empty()) return bench_actors(options, device, command_line);
     const BenchCase bench = make_case(options.choice);
     const BenchResult result = measure(device, bench, settings);
     end_progress_line();
@@ -66,6 +88,7 @@ void add_bench(CLI::App& app, Call& call) {
     command->add_option("--sh", choice.sh, "harmonics evaluated along each ray, or once a surfel (default: ray, or as the run says)")->type_name("ray|surfel");
     command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")->type_name("N");
     command->add_flag("--no-backward", options->no_backward, "rendering alone: no loss, gradients or optimiser, nor their memory");
+    command->add_option("--actors", options->actors, "time this instead: so many actors of 10000 surfels each moved at once; several numbers parted by commas")->type_name("LIST");
     command->add_option("--json", options->json, "write the numbers to this file too")->type_name("FILE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->settings.quiet, "print errors only");
@@ -75,7 +98,8 @@ void add_bench(CLI::App& app, Call& call) {
                     "Examples:\n"
                     "  relidar bench --json bench.json\n"
                     "  relidar bench --scene B --surfels 1000000 --rays waymo --sh surfel\n"
-                    "  relidar bench --run run --repeat 50");
+                    "  relidar bench --run run --repeat 50\n"
+                    "  relidar bench --actors 1,10,100");
     command->callback([&call, options, scene, surfels, rays] {
         options->describes_street = scene->count() + surfels->count() + rays->count() > 0;
         call.run = [&call, options] { run_bench(*options, call.command_line); };

@@ -24,6 +24,7 @@ void add_devices(CLI::App& app, Call& call);
 void add_config(CLI::App& app, Call& call);
 void add_info(CLI::App& app, Call& call);
 void add_train(CLI::App& app, Call& call);
+void add_edit(CLI::App& app, Call& call);
 void add_render(CLI::App& app, Call& call);
 void add_eval(CLI::App& app, Call& call);
 void add_export(CLI::App& app, Call& call);

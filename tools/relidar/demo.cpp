@@ -70,11 +70,11 @@ Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptio
     return summarise(std::move(frames), renderer.times());
 }
 
-void write_scans(const fs::path& folder, const Evaluation& evaluation, double max_range_m) {
+void write_scans(const fs::path& folder, const Evaluation& evaluation, const Run& run) {
     const OutputFolder made(folder);
     for (const ScoredFrame& frame : evaluation.frames) {
-        write_scan(folder, frame.frame, frame.rendered, {"npz", "png", "ply", "exr"});
-        write_png(folder / fmt::format("range_{:06}.png", frame.frame), range_pair(frame, max_range_m));
+        write_scan(folder, frame.frame, frame.rendered, {{"npz", "png", "ply", "exr"}, instance_names(run.scene)});
+        write_png(folder / fmt::format("range_{:06}.png", frame.frame), range_pair(frame, run.config.dataset.max_range_m));
     }
 }
 
@@ -89,8 +89,8 @@ void finish(Device& device, const Run& run, const SyntheticOptions& street, Repo
     const Evaluation held_out = evaluate_held_out(device, run, quiet);
     const Evaluation shifted = evaluate_shifted(device, run, street, quiet);
     write_text(run.folder / "metrics.json", metrics_json(held_out, run.config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
-    write_scans(out / "held_out", held_out, run.config.dataset.max_range_m);
-    write_scans(out / "shifted", shifted, run.config.dataset.max_range_m);
+    write_scans(out / "held_out", held_out, run);
+    write_scans(out / "shifted", shifted, run);
     report.title = "relidar demo: a synthetic street";
     report.summary += " The shifted sensor stands 2 m to the left of the real one and 1 m higher; its exact scan comes from casting rays into the street itself, without noise. "
                       "Moving cars are actors: surfel sets of their own, placed by their tracked boxes.";
@@ -121,7 +121,7 @@ void run_demo(const Options& options, const std::string& command_line) {
     remove_run_files(run_folder.path());
     TrainResult result = train_logged(device, sequence, split, config, run_folder.path(), options.quiet);
     end_progress_line();
-    const Run run{run_folder.path(), config, std::move(sequence), split, std::move(result.scene)};
+    const Run run{run_folder.path(), config, std::move(sequence), split, std::move(result.scene), {}};
     save_run(run);
     stop_if_interrupted();
     finish(device, run, street, make_report(run, result, device, command_line), out, options.quiet);

@@ -17,6 +17,7 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include "pictures.hpp"
+#include "recast.hpp"
 #include <relidar/export.hpp>
 #include <relidar/run.hpp>
 
@@ -85,6 +86,24 @@ void write_results(const Output& output, const Evaluation& evaluation, const Con
 
 double seconds_since(std::chrono::steady_clock::time_point start) { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); }
 
+/// What the scans of an edited run are worth.
+std::string edit_note(const Run& run) {
+    if (run.edits.empty()) return "";
+    if (is_recastable(run)) return "note: the street was cast again with the run's edits, without noise; edited/* is over the pixels they change\n";
+    return "note: the run is edited, but the log's scans show what was there before: where they differ, the numbers do not say how good the edit is\n";
+}
+
+/// Scores of the pixels an edit changes.
+void add_edited_scores(Evaluation& evaluation, const Config& config, const std::vector<Scan>& before) {
+    std::vector<MetricRow> rows;
+    for (std::size_t i = 0; i < before.size(); ++i) {
+        ScoredFrame& frame = evaluation.frames[i];
+        frame.metrics.merge(evaluate_regions(frame.rendered.image, frame.real, {edited_region(frame.real, real_image(config, before[i]))}));
+        rows.push_back(frame.metrics);
+    }
+    if (!rows.empty()) evaluation.mean = mean(rows);
+}
+
 void score_run(const Options& options) {
     Run run = load_run(options.target);
     apply_options(run.config, options);
@@ -92,7 +111,9 @@ void score_run(const Options& options) {
     check_held_out(run.split, run.folder.string());
     Device device(device_options(options.device));
     Sequence log = load_dataset(run.config);
-    attach_scans(run, run.split.test, log);
+    std::vector<Scan> before;
+    if (is_recastable(run)) before = attach_recast(run);
+    else attach_scans(run, run.split.test, log);
     if (!options.baseline.empty()) attach_scans(run, run.split.train, log);
 
     catch_interrupts();
@@ -101,7 +122,9 @@ void score_run(const Options& options) {
     std::optional<Evaluation> baseline;
     if (!options.baseline.empty()) baseline = evaluate_baseline(options.baseline, run.config, run.sequence, run.split, progress);
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
-    const Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, progress);
+    Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, progress);
+    add_edited_scores(evaluation, run.config, before);
+    if (!options.quiet) print(edit_note(run));
     write_results(output, evaluation, run.config,
                   {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds_since(start), baseline ? &*baseline : nullptr}, options.quiet);
 }
@@ -149,6 +172,8 @@ void add_eval(CLI::App& app, Call& call) {
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer("The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"
                     "Metrics: peer/* as published tables do it, strict/* over pixels returned in both, moving_boxes/* and so on by region; units in the names.\n"
+                    "An edited run of a synthetic street is scored against the street cast again with the same edits (edited/*: the pixels they change);\n"
+                    "one of a real log against the log's scans, which show what was there before.\n"
                     "Examples:\n"
                     "  relidar eval run\n"
                     "  relidar eval run --out median.json --set render.range=median\n"

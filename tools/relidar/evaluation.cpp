@@ -10,6 +10,7 @@
 
 #include "console.hpp"
 #include "interrupt.hpp"
+#include "tails.hpp"
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
 
@@ -75,6 +76,10 @@ std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config
     return frames;
 }
 
+void add_tail_shares(std::vector<ScoredFrame>& frames, const Sequence& sequence, const Config& config) {
+    for (ScoredFrame& frame : frames) frame.metrics.merge(tail_shares(frame.rendered.image, frame.real, sequence, frame.time_s, config.init.actor_min_step_m));
+}
+
 }  // namespace
 
 ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
@@ -90,7 +95,9 @@ Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const S
         frames.push_back(render_frame(renderer, config, sequence, sequence.frames.at(static_cast<std::size_t>(position)), {}));
         progress.count("rendering held-out frame", frames.size(), positions.size());
     }
-    return summarise(score(std::move(frames), config, lpips.get()), renderer.times());
+    std::vector<ScoredFrame> scored = score(std::move(frames), config, lpips.get());
+    add_tail_shares(scored, sequence, config);
+    return summarise(std::move(scored), renderer.times());
 }
 
 BoxMotion box_motion(const std::string& baseline) {
@@ -112,7 +119,9 @@ Evaluation evaluate_baseline(const std::string& name, const Config& config, cons
         frames.push_back(std::move(result));
         progress.count("projecting neighbours of frame", frames.size(), split.test.size());
     }
-    Evaluation evaluation = summarise(score(std::move(frames), config, lpips.get()), {});
+    std::vector<ScoredFrame> scored = score(std::move(frames), config, lpips.get());
+    add_tail_shares(scored, sequence, config);
+    Evaluation evaluation = summarise(std::move(scored), {});
     evaluation.title = "baseline " + name;
     return evaluation;
 }

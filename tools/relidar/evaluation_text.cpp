@@ -21,6 +21,7 @@ constexpr const char* kPeer = "all pixels, dropped ones at 0, ranges clamped to 
 constexpr const char* kStrict = "returned: drop_prob < 0.5; image_*: all pixels, dropped ones at 0; depth_*, intensity_*: pixels returned in both; Chamfer distance: both ways summed; "
                                 "F-score at 5 cm and 22.4 cm; drop_*: dropped is positive";
 constexpr const char* kRegions = "pixels with a real return, the rendered value whatever its drop probability; `returned`: share of them with drop_prob < 0.5";
+constexpr const char* kActors = "tail_share: of the returned points (drop_prob < 0.5), those above ground where a moving box is at another time of the log but none is now; tail_share_real: of the log's";
 constexpr const char* kColumns[] = {"pixels", "returned", "depth_medae_m", "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 
 Json protocol_json(const Config& config) {
@@ -34,6 +35,7 @@ Json protocol_json(const Config& config) {
             {"peer", kPeer},
             {"strict", kStrict},
             {"regions", kRegions},
+            {"actors", kActors},
             {"drop_threshold", {{"peer", 0.4}, {"strict", 0.5}, {"regions", 0.5}}}};
 }
 
@@ -43,7 +45,7 @@ Json frames_json(const Evaluation& evaluation) {
     return frames;
 }
 
-bool of_protocol(const std::string& name) { return name.starts_with("peer/") || name.starts_with("strict/"); }
+bool of_protocol(const std::string& name) { return name.starts_with("peer/") || name.starts_with("strict/") || name.starts_with("actors/"); }
 
 /// Lowest and highest of a metric over the frames that have it.
 std::pair<double, double> spread_of(const Evaluation& evaluation, const std::string& name) {
@@ -99,7 +101,7 @@ std::string metric_table(const Evaluation& evaluation, const Evaluation* baselin
         }
     std::string text = table(rows) + "\n" + table(region_rows(evaluation));
     if (baseline) text += "\n" + table(region_rows(*baseline));
-    return text + fmt::format("\npeer     {}\nstrict   {}\nregions  {}\n", kPeer, kStrict, kRegions);
+    return text + fmt::format("\npeer     {}\nstrict   {}\nregions  {}\nactors   {}\n", kPeer, kStrict, kRegions, kActors);
 }
 
 std::string metrics_json(const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin) {

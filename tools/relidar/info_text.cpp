@@ -2,6 +2,7 @@
 #include "info_text.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
@@ -31,21 +32,30 @@ std::optional<double> returns_share(const Sequence& sequence) {
 
 std::string line(const std::string& name, const std::string& value) { return value.empty() ? "" : fmt::format("{:<12}{}\n", name, value); }
 
-std::string box_table(const std::vector<BoxSummary>& boxes) {
+std::string box_table(const std::vector<BoxSummary>& boxes, bool of_run) {
     if (boxes.empty()) return "";
-    std::vector<std::vector<std::string>> rows{{"box", "class", "length", "width", "height", "frames", "path", "motion"}};
+    std::vector<std::vector<std::string>> rows{{"track", "class", "length", "width", "height", "frames", "path", "speed", "start x,y,z,yaw_deg"}};
+    if (of_run) rows[0].insert(rows[0].end(), {"instance", "surfels"});
     for (const BoxSummary& b : boxes) {
         rows.push_back({b.id, b.category, fmt::format("{:.2f} m", b.size_m.x), fmt::format("{:.2f} m", b.size_m.y), fmt::format("{:.2f} m", b.size_m.z),
-                        fmt::format("{}", b.n_frames), fmt::format("{:.1f} m", b.path_m), b.moves ? "moving" : "still"});
+                        b.n_frames ? fmt::format("{}-{}", b.first_frame, b.last_frame) : "none", fmt::format("{:.1f} m", b.path_m),
+                        b.moves ? fmt::format("{:.1f} m/s", b.mean_speed_mps) : "still", fmt::format("{:.2f},{:.2f},{:.2f},{:.1f}", b.start_m.x, b.start_m.y, b.start_m.z, b.start_yaw_deg)});
+        if (of_run) rows.back().insert(rows.back().end(), {b.instance ? fmt::format("{}", *b.instance) : "-", b.instance ? fmt::format("{}", b.n_surfels) : "-"});
     }
     return "\n" + table(rows);
 }
 
+Json json_of(const BoxSummary& b) {
+    Json json = {{"id", b.id}, {"category", b.category}, {"size_m", {b.size_m.x, b.size_m.y, b.size_m.z}}, {"frames", b.n_frames}, {"first_frame", b.first_frame},
+                 {"last_frame", b.last_frame}, {"path_m", b.path_m}, {"mean_speed_mps", b.mean_speed_mps}, {"moving", b.moves},
+                 {"start_m", {b.start_m.x, b.start_m.y, b.start_m.z}}, {"start_yaw_deg", b.start_yaw_deg}, {"instance", nullptr}, {"surfels", b.n_surfels}};
+    if (b.instance) json["instance"] = *b.instance;
+    return json;
+}
+
 Json json_of(const LogSummary& log) {
     Json boxes = Json::array();
-    for (const BoxSummary& b : log.boxes) {
-        boxes.push_back({{"id", b.id}, {"category", b.category}, {"size_m", {b.size_m.x, b.size_m.y, b.size_m.z}}, {"frames", b.n_frames}, {"path_m", b.path_m}, {"moving", b.moves}});
-    }
+    for (const BoxSummary& b : log.boxes) boxes.push_back(json_of(b));
     Json json = {{"name", log.name}, {"source", log.source}, {"conventions", log.conventions},
                  {"sensor", {{"name", log.sensor}, {"rows", log.n_beams}, {"columns", log.columns}, {"top_deg", log.top_deg}, {"bottom_deg", log.bottom_deg},
                              {"period_s", log.period_s}, {"max_range_m", log.max_range_m}}},
@@ -56,6 +66,39 @@ Json json_of(const LogSummary& log) {
 }
 
 std::string dumped(const Json& json) { return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n"; }
+
+BoxSummary summarise(const Sequence& sequence, const BoxTrack& box, double min_step_m) {
+    BoxSummary summary;
+    summary.id = box.id;
+    summary.category = box.category;
+    summary.size_m = box.size_m;
+    for (const Frame& frame : sequence.frames) {
+        if (!box.present(frame.time_s)) continue;
+        if (summary.n_frames++ == 0) summary.first_frame = frame.index;
+        summary.last_frame = frame.index;
+    }
+    const PoseTrack& track = box.world_from_box;
+    summary.path_m = path_length_m(track);
+    if (track.pose.empty()) return summary;
+    const double seconds = track.time_s.back() - track.time_s.front();
+    summary.mean_speed_mps = seconds > 0.0 ? summary.path_m / seconds : 0.0;
+    summary.moves = box.mean_step_m() > min_step_m;
+    const glm::dvec3 forward = track.pose.front().rotation * glm::dvec3(1, 0, 0);
+    summary.start_m = track.pose.front().translation + sequence.world_offset_m;
+    summary.start_yaw_deg = std::atan2(forward.y, forward.x) * 180.0 / kPi;
+    return summary;
+}
+
+std::string text_of(const LogSummary& log, bool of_run) {
+    std::string text = line("log", log.name) + line("source", log.source) + line("conventions", log.conventions);
+    text += line("sensor", fmt::format("{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s a turn, {:.4g} m{}", log.sensor, log.n_beams, log.columns, log.top_deg,
+                                       log.bottom_deg, log.period_s, log.max_range_m, log.rolling_shutter ? ", rolling shutter" : ""));
+    text += line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames, log.first_frame, log.last_frame, log.seconds, log.path_m));
+    if (log.returns_share) text += line("returns", fmt::format("{:.1f} % of all rays", 100.0 * *log.returns_share));
+    const auto moving = std::count_if(log.boxes.begin(), log.boxes.end(), [](const BoxSummary& b) { return b.moves; });
+    text += line("boxes", fmt::format("{}, {} of them moving", log.boxes.size(), moving));
+    return text + box_table(log.boxes, of_run);
+}
 
 }  // namespace
 
@@ -81,9 +124,7 @@ LogSummary summarise(const Sequence& sequence, double min_step_m) {
     }
     log.path_m = path_length_m(sequence.world_from_sensor);
     log.returns_share = returns_share(sequence);
-    for (const BoxTrack& box : sequence.boxes) {
-        log.boxes.push_back({box.id, box.category, box.size_m, box.world_from_box.time_s.size(), path_length_m(box.world_from_box), box.mean_step_m() > min_step_m});
-    }
+    for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box, min_step_m));
     return log;
 }
 
@@ -93,6 +134,15 @@ RunSummary summarise(const Run& run) {
     summary.preset = run.config.preset;
     summary.iterations = run.config.train.iterations;
     summary.n_surfels = run.scene.surfels.size();
+    summary.n_instances = run.scene.instances.size();
+    summary.edits = run.edits;
+    for (BoxSummary& box : summary.log.boxes) {
+        for (std::size_t i = 0; i < run.scene.instances.size(); ++i) {
+            if (run.scene.instances[i].track != box.id) continue;
+            box.instance = i;
+            box.n_surfels = run.scene.models[run.scene.instances[i].model].count;
+        }
+    }
     for (const Model& model : run.scene.models) summary.models.emplace_back(model.name, model.count);
     summary.n_train = run.split.train.size();
     for (const int position : run.split.test) summary.test_frames.push_back(run.sequence.frames[static_cast<std::size_t>(position)].index);
@@ -103,25 +153,18 @@ RunSummary summarise(const Run& run) {
     return summary;
 }
 
-std::string to_text(const LogSummary& log) {
-    std::string text = line("log", log.name) + line("source", log.source) + line("conventions", log.conventions);
-    text += line("sensor", fmt::format("{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s a turn, {:.4g} m{}", log.sensor, log.n_beams, log.columns, log.top_deg,
-                                       log.bottom_deg, log.period_s, log.max_range_m, log.rolling_shutter ? ", rolling shutter" : ""));
-    text += line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames, log.first_frame, log.last_frame, log.seconds, log.path_m));
-    if (log.returns_share) text += line("returns", fmt::format("{:.1f} % of all rays", 100.0 * *log.returns_share));
-    const auto moving = std::count_if(log.boxes.begin(), log.boxes.end(), [](const BoxSummary& b) { return b.moves; });
-    text += line("boxes", fmt::format("{}, {} of them moving", log.boxes.size(), moving));
-    return text + box_table(log.boxes);
-}
+std::string to_text(const LogSummary& log) { return text_of(log, false); }
 
 std::string to_text(const RunSummary& run) {
     std::string text = line("surfels", fmt::format("{}", run.n_surfels));
     for (const auto& [name, count] : run.models) text += line("  model", fmt::format("{}: {} surfels", name, count));
+    text += line("instances", fmt::format("{}, the background is 0", run.n_instances));
+    for (const RunEdit& e : run.edits) text += line("  edit", fmt::format("{} (of {})", e.edit, e.run));
     text += line("settings", fmt::format("preset {}, {} iterations", run.preset, run.iterations));
     text += line("split", fmt::format("{} training frames, {} test frames ({})", run.n_train, run.test_frames.size(), fmt::join(run.test_frames, ", ")));
     std::vector<std::vector<std::string>> rows{{"file", "size"}};
     for (const auto& [name, size] : run.files) rows.push_back({name, byte_size(size)});
-    return text + to_text(run.log) + "\n" + table(rows);
+    return text + text_of(run.log, true) + "\n" + table(rows);
 }
 
 std::string to_json(const LogSummary& log) { return dumped(json_of(log)); }
@@ -130,6 +173,9 @@ std::string to_json(const RunSummary& run) {
     Json json = {{"preset", run.preset}, {"iterations", run.iterations}, {"surfels", run.n_surfels}, {"models", Json::array()},
                  {"train_frames", run.n_train}, {"test_frames", run.test_frames}, {"files", Json::object()}, {"log", json_of(run.log)}};
     for (const auto& [name, count] : run.models) json["models"].push_back({{"name", name}, {"surfels", count}});
+    json["instances"] = run.n_instances;
+    json["edits"] = Json::array();
+    for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     for (const auto& [name, size] : run.files) json["files"][name] = size;
     return dumped(json);
 }

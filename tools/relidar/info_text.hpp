@@ -15,9 +15,14 @@ namespace relidar::cli {
 struct BoxSummary {
     std::string id, category;
     glm::dvec3 size_m{0.0};
-    std::size_t n_frames = 0;
-    double path_m = 0.0;
+    std::size_t n_frames = 0;               ///< of the log, in which it is there
+    int first_frame = 0, last_frame = 0;
+    double path_m = 0.0, mean_speed_mps = 0.0;
     bool moves = false;
+    glm::dvec3 start_m{0.0};                ///< box centre when it first appears, the dataset's world
+    double start_yaw_deg = 0.0;
+    std::optional<std::size_t> instance;    ///< of a run: its number in rendered labels; none where it has no surfels of its own
+    std::size_t n_surfels = 0;
 };
 
 struct LogSummary {
@@ -44,6 +49,8 @@ struct RunSummary {
     int iterations = 0;
     std::size_t n_surfels = 0;
     std::vector<std::pair<std::string, std::size_t>> models;         ///< name, surfels
+    std::size_t n_instances = 0;
+    std::vector<RunEdit> edits;
     std::size_t n_train = 0;
     std::vector<int> test_frames;
     std::vector<std::pair<std::string, std::uint64_t>> files;        ///< name, bytes

@@ -23,6 +23,7 @@ constexpr const char* kFooter =
     "  relidar train LOG --out run                   LOG: a KITTI raw drive or a synthetic street\n"
     "  relidar render run --out scans --frames all\n"
     "  relidar eval run\n"
+    "  relidar edit run --out empty --remove 0       remove, move, copy, insert actors; render the result\n"
     "`relidar COMMAND --help` says more. Exit codes: 0 done, 1 fault of relidar, 2 usage, 3 data, 4 device, 130 interrupted.";
 
 std::string typed(int argc, char** argv) {
@@ -41,7 +42,7 @@ void run(int argc, char** argv) {
     app.set_version_flag("--version", std::string("relidar ") + RELIDAR_VERSION);
     app.require_subcommand(0, 1);
     app.footer(kFooter);
-    for (const auto& add : {cli::add_demo, cli::add_train, cli::add_render, cli::add_eval, cli::add_export, cli::add_import, cli::add_info, cli::add_bench, cli::add_config, cli::add_devices}) add(app, call);
+    for (const auto& add : {cli::add_demo, cli::add_train, cli::add_render, cli::add_edit, cli::add_eval, cli::add_export, cli::add_import, cli::add_info, cli::add_bench, cli::add_config, cli::add_devices}) add(app, call);
     try {
         app.parse(argc, argv);
     } catch (const CLI::Success& help) {

@@ -27,6 +27,7 @@ struct Options {
     std::string sensor;
     std::string formats = "npz";
     std::vector<std::string> sets;
+    std::vector<std::string> only;
     DeviceChoice device;
     bool quiet = false;
 };
@@ -67,8 +68,11 @@ void run_render(const Options& options) {
     apply_sets(run.config, options.sets);
     const std::vector<int> positions = choose_frames(run, options.frames);
     const SensorChoice sensor = options.sensor.empty() ? configured_sensor(run.config, run.sequence) : choose_sensor(options.sensor, run.config, run.sequence);
+    const std::vector<bool> shown = select_instances(run.scene, options.only);
+    const std::vector<std::string> names = instance_names(run.scene);
     Device device(device_options(options.device));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
+    if (!options.only.empty()) renderer.show_only(shown);
 
     catch_interrupts();
     Progress progress(options.quiet);
@@ -77,7 +81,7 @@ void run_render(const Options& options) {
         stop_if_interrupted();
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(positions[done])];
         const RenderedScan scan = renderer.render(sensor, frame.time_s, offset);
-        write_scan(folder.path(), frame.index, scan, formats);
+        write_scan(folder.path(), frame.index, scan, {formats, names});
         trace_ms += scan.trace_ms;
         progress.count(fmt::format("rendering frame {}:", frame.index), done + 1, positions.size());
     }
@@ -99,14 +103,17 @@ void add_render(CLI::App& app, Call& call) {
     command->add_option("--offset", options->offset, "move the sensor, in its own frame: forward, left, up in metres, turn left in degrees")->type_name("X,Y,Z,YAW_DEG");
     command->add_option("--sensor", options->sensor, "another sensor: native, kitti360, VLP-16, HDL-64E, OS1-64, OS1-128, waymo-top, or a CSV beam table as in beams.csv:1024x10")->type_name("NAME|FILE");
     command->add_option("--format", options->formats, "npz, exr, ply, pcd, bin, png, parted by commas (default: npz)")->type_name("LIST");
+    command->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")->type_name("WHAT")->type_size(1)->allow_extra_args(false);
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer("Files are DIR/frame_000123.npz and so on, by the dataset's frame number.\n"
                     "npz: range, median_range, intensity, drop_prob, weight [rows,columns]; directions, origin [rows,columns,3] in the sensor frame;\n"
                     "pose [4,4] sensor to the dataset's world; time_s. Metres. ply, pcd, bin: points of rays with drop_prob < 0.5, sensor frame.\n"
+                    "instance (npz, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; npz has instance_names.\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"
+                    "  relidar render run --out cars --only actors --format ply\n"
                     "  relidar render run --out left --frames 10:20 --offset 0,2,1,0 --format npz,ply\n"
                     "  relidar render run --out small --sensor VLP-16 --format png");
     command->callback([&call, options] { call.run = [options] { run_render(*options); }; });

@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+// Edits of a dynamic scene: pure functions from a scene with its tracks to another one. A track is where an instance stands at a
+// time (Eq. 4-5), so an edit changes tracks and instances, and never a surfel.
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+#include <relidar/scene.hpp>
+#include <relidar/sequence.hpp>
+
+namespace relidar {
+
+/// A scene and the log whose box tracks place its instances; an instance has the name of its track. Scans are not looked at.
+struct DrivingScene {
+    Scene scene;
+    Sequence sequence;
+};
+
+/// Where a placed actor is at the start of the log, and how fast it drives straight ahead (box frame x) from then on, m/s.
+struct Start {
+    Pose dataset_from_box;   ///< box centre in the dataset's world (relidar's world + world_offset_m)
+    double speed_mps = 0.0;
+};
+
+/// Takes an actor and its track out. Rays continue to what the scene holds behind it.
+/// @throws UsageError, here as in every function that takes a track, where no instance has that track; the nearest name is told
+DrivingScene remove_track(DrivingScene driving, const std::string& track);
+
+/// Moves an actor in the frame its box has at each time, x forward, y left, z up, about the box's own centre:
+///   world_from_box'(t) = world_from_box(t) * box_from_moved
+DrivingScene move_track(DrivingScene driving, const std::string& track, const Pose& box_from_moved);
+
+/// Lets everything an actor does happen so many seconds later (earlier where negative); it is absent outside its own interval.
+DrivingScene retime_track(DrivingScene driving, const std::string& track, double seconds);
+
+/// Gives an actor another trajectory, interpolated between its entries (position linearly, rotation by slerp) and absent outside.
+/// @param dataset_from_box [>= 2] box centre in the dataset's world, at times of the log (Frame::time_s)
+/// @throws DataError for fewer than two entries, times that do not rise, or values that are not finite
+DrivingScene replace_trajectory(DrivingScene driving, const std::string& track, const PoseTrack& dataset_from_box);
+
+/// Places the model of an actor once more, as the last instance, under a new name: "0" becomes "0-copy-1".
+DrivingScene copy_track(DrivingScene driving, const std::string& track, const Start& start);
+
+/// Places an actor of another scene, as the last instance. It keeps its name where that is free, else "0" becomes "0-insert-1".
+/// Its harmonics are evaluated to the degree of the scene it comes into; its intensities stay those of the sensor that saw it.
+DrivingScene insert_track(DrivingScene driving, const DrivingScene& other, const std::string& track, const Start& start);
+
+/// Leaves the background alone, or the actors alone: then the background stays as a model without surfels.
+DrivingScene keep_background(DrivingScene driving);
+DrivingScene keep_actors(DrivingScene driving);
+
+/// A trajectory as CSV: time_s, x, y, z, yaw_deg[, pitch_deg, roll_deg] a line, R = Rz(yaw) Ry(pitch) Rx(roll); the first line may be
+/// a header. @throws DataError naming line and column
+PoseTrack read_trajectory(const std::filesystem::path& path);
+
+}  // namespace relidar

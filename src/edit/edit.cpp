@@ -1,0 +1,186 @@
+// SPDX-License-Identifier: Apache-2.0
+// Edits of instances and tracks. The surfels of a model are copied only into a scene that has not got it, and left out once no
+// instance places them.
+#include <relidar/edit.hpp>
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar {
+
+namespace {
+
+/// Index of the instance with a track.
+std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
+    std::vector<std::string> known;
+    for (std::size_t i = 0; i < driving.scene.instances.size(); ++i) {
+        const std::string& name = driving.scene.instances[i].track;
+        if (!name.empty() && name == track) return i;
+        if (!name.empty()) known.push_back(name);
+    }
+    const std::vector<BoxTrack>& boxes = driving.sequence.boxes;
+    const bool labelled = std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& b) { return b.id == track; });
+    const std::string found = fmt::format("editing track \"{}\": {}", track, labelled ? "the log has its box, but it has no surfels of its own (it stood still, or its class or number of points made it no actor)" : "found no such track");
+    if (known.empty()) throw UsageError(found + ", and the scene has no actor at all");
+    throw UsageError(fmt::format("{}, did you mean \"{}\"? (actors: {})", found, nearest_name(track, known), fmt::join(known, ", ")));
+}
+
+BoxTrack& box_of(DrivingScene& driving, const std::string& track) {
+    find_actor(driving, track);
+    std::vector<BoxTrack>& boxes = driving.sequence.boxes;
+    const auto box = std::find_if(boxes.begin(), boxes.end(), [&](const BoxTrack& b) { return b.id == track; });
+    if (box == boxes.end()) throw DataError(fmt::format("editing track \"{}\": an instance has it, but the log has no box of it, expected one", track));
+    return *box;
+}
+
+/// Leaves out models that no instance places; the background stays.
+void drop_unused_models(Scene& scene) {
+    Surfels surfels;
+    std::vector<Model> models;
+    std::vector<std::uint32_t> moved_to(scene.models.size(), 0);
+    for (std::size_t m = 0; m < scene.models.size(); ++m) {
+        const Model& model = scene.models[m];
+        const bool used = m == 0 || std::any_of(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.model == m; });
+        if (!used) continue;
+        moved_to[m] = static_cast<std::uint32_t>(models.size());
+        models.push_back({model.name, static_cast<std::uint32_t>(surfels.size()), model.count});
+        surfels.append(scene.surfels.slice(model.first, model.count));
+    }
+    for (Instance& instance : scene.instances) instance.model = moved_to[instance.model];
+    scene.models = std::move(models);
+    scene.surfels = std::move(surfels);
+}
+
+/// Leaves out the actors that are not to be kept, and their boxes.
+template <class Keep>
+void keep_instances(DrivingScene& driving, const Keep& keep) {
+    std::vector<Instance> kept;
+    for (const Instance& instance : driving.scene.instances) {
+        if (instance.track.empty() || keep(instance.track)) kept.push_back(instance);
+        else std::erase_if(driving.sequence.boxes, [&](const BoxTrack& b) { return b.id == instance.track; });
+    }
+    driving.scene.instances = std::move(kept);
+    drop_unused_models(driving.scene);
+}
+
+bool is_taken(const DrivingScene& driving, const std::string& id) {
+    return std::any_of(driving.sequence.boxes.begin(), driving.sequence.boxes.end(), [&](const BoxTrack& b) { return b.id == id; });
+}
+
+std::string free_id(const DrivingScene& driving, const std::string& stem) {
+    int n = 1;
+    while (is_taken(driving, fmt::format("{}-{}", stem, n))) ++n;
+    return fmt::format("{}-{}", stem, n);
+}
+
+/// One pose a frame, straight ahead at constant speed.
+PoseTrack straight_track(const Sequence& sequence, const Start& start) {
+    PoseTrack track;
+    for (const Frame& frame : sequence.frames) {
+        Pose pose = start.dataset_from_box;
+        pose.translation += pose.rotation * glm::dvec3(start.speed_mps * (frame.time_s - sequence.frames.front().time_s), 0.0, 0.0) - sequence.world_offset_m;
+        track.time_s.push_back(frame.time_s);
+        track.pose.push_back(pose);
+    }
+    return track;
+}
+
+void check_trajectory(const PoseTrack& track, const std::string& id) {
+    const auto fail = [&](const std::string& found, const char* expected) { throw DataError(fmt::format("trajectory of track \"{}\": {}, expected {}", id, found, expected)); };
+    if (track.pose.size() < 2 || track.pose.size() != track.time_s.size()) fail(fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()), "at least two");
+    for (std::size_t i = 0; i < track.pose.size(); ++i) {
+        const glm::dvec3& p = track.pose[i].translation;
+        if (!std::isfinite(track.time_s[i] + p.x + p.y + p.z + glm::length(track.pose[i].rotation))) fail(fmt::format("entry {} is not finite", i + 1), "finite numbers");
+        if (i > 0 && !(track.time_s[i] > track.time_s[i - 1])) fail(fmt::format("entry {} is of {} s after {} s", i + 1, track.time_s[i], track.time_s[i - 1]), "times that rise");
+    }
+}
+
+/// The same trajectory with entries no farther apart than a step, so that half a step beside its ends is no more than half a turn.
+PoseTrack refined(const PoseTrack& track, double step_s) {
+    PoseTrack fine;
+    for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
+        const double span = track.time_s[i + 1] - track.time_s[i];
+        const int n = std::max(1, static_cast<int>(std::ceil(span / step_s - 1e-9)));
+        for (int k = 0; k < n; ++k) {
+            fine.time_s.push_back(track.time_s[i] + span * k / n);
+            fine.pose.push_back(interpolate(track.pose[i], track.pose[i + 1], double(k) / n));
+        }
+    }
+    fine.time_s.push_back(track.time_s.back());
+    fine.pose.push_back(track.pose.back());
+    return fine;
+}
+
+/// Adds an instance of a model with a track of its own.
+void add_instance(DrivingScene& driving, std::uint32_t model, BoxTrack box, const Start& start) {
+    box.world_from_box = straight_track(driving.sequence, start);
+    driving.scene.instances.push_back({model, box.id});
+    driving.sequence.boxes.push_back(std::move(box));
+}
+
+}  // namespace
+
+DrivingScene remove_track(DrivingScene driving, const std::string& track) {
+    find_actor(driving, track);
+    keep_instances(driving, [&](const std::string& name) { return name != track; });
+    return driving;
+}
+
+DrivingScene move_track(DrivingScene driving, const std::string& track, const Pose& box_from_moved) {
+    for (Pose& pose : box_of(driving, track).world_from_box.pose) pose = pose * box_from_moved;
+    return driving;
+}
+
+DrivingScene retime_track(DrivingScene driving, const std::string& track, double seconds) {
+    for (double& time_s : box_of(driving, track).world_from_box.time_s) time_s += seconds;
+    return driving;
+}
+
+DrivingScene replace_trajectory(DrivingScene driving, const std::string& track, const PoseTrack& dataset_from_box) {
+    BoxTrack& box = box_of(driving, track);
+    check_trajectory(dataset_from_box, track);
+    PoseTrack in_world = dataset_from_box;
+    for (Pose& pose : in_world.pose) pose.translation -= driving.sequence.world_offset_m;
+    box.world_from_box = refined(in_world, std::max(driving.sequence.sensor.period_s, 1e-3));
+    return driving;
+}
+
+DrivingScene copy_track(DrivingScene driving, const std::string& track, const Start& start) {
+    BoxTrack box = box_of(driving, track);
+    box.id = free_id(driving, track + "-copy");
+    const std::uint32_t model = driving.scene.instances[find_actor(driving, track)].model;
+    add_instance(driving, model, std::move(box), start);
+    return driving;
+}
+
+DrivingScene insert_track(DrivingScene driving, const DrivingScene& other, const std::string& track, const Start& start) {
+    const Model& model = other.scene.models[other.scene.instances[find_actor(other, track)].model];
+    DrivingScene source = other;
+    BoxTrack box = box_of(source, track);
+    if (is_taken(driving, box.id)) box.id = free_id(driving, track + "-insert");
+    driving.scene.models.push_back({model.name, static_cast<std::uint32_t>(driving.scene.surfels.size()), model.count});
+    driving.scene.surfels.append(other.scene.surfels.slice(model.first, model.count));
+    add_instance(driving, static_cast<std::uint32_t>(driving.scene.models.size() - 1), std::move(box), start);
+    return driving;
+}
+
+DrivingScene keep_background(DrivingScene driving) {
+    keep_instances(driving, [](const std::string&) { return false; });
+    return driving;
+}
+
+DrivingScene keep_actors(DrivingScene driving) {
+    Scene& scene = driving.scene;
+    const std::uint32_t background = scene.models.front().count;
+    scene.surfels = scene.surfels.slice(background, scene.surfels.size() - background);
+    for (Model& model : scene.models) model.first -= model.first >= background ? background : 0;
+    scene.models.front().count = 0;
+    return driving;
+}
+
+}  // namespace relidar

@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: Apache-2.0
+// Trajectory files: header or none, three or six degrees of freedom, and every way to get one wrong.
+#include <relidar/edit.hpp>
+
+#include <relidar/error.hpp>
+
+#include "../export/temporary_folder.hpp"
+
+namespace relidar {
+namespace {
+
+class TrajectoryFile : public TemporaryFolder {
+protected:
+    PoseTrack read(const std::string& text) {
+        put(folder / "t.csv", text);
+        return read_trajectory(folder / "t.csv");
+    }
+    std::string error(const std::string& text) {
+        return data_error([&] { read(text); });
+    }
+};
+
+TEST_F(TrajectoryFile, IsReadWithAndWithoutHeader) {
+    for (const char* header : {"", "time_s,x,y,z,yaw_deg\r\n", " time_s, x, y, z, yaw_deg\n"}) {
+        const PoseTrack track = read(std::string(header) + "0, 1, 2, 3, 0\n0.5,4,5,6,90\n\n");
+        ASSERT_EQ(track.pose.size(), 2u);
+        EXPECT_EQ(track.time_s[1], 0.5);
+        EXPECT_EQ(track.pose[1].translation, glm::dvec3(4, 5, 6));
+        EXPECT_LT(glm::length(track.pose[1].rotation * glm::dvec3(1, 0, 0) - glm::dvec3(0, 1, 0)), 1e-12);
+    }
+}
+
+TEST_F(TrajectoryFile, PitchAndRollComeAfterYaw) {
+    const PoseTrack track = read("0,0,0,0,0\n1,0,0,0,90,30,20\n");
+    const double degree = kPi / 180.0;   // R = Rz(90) Ry(30) Rx(20): columns by hand
+    const glm::dvec3 forward(0.0, std::cos(30 * degree), -std::sin(30 * degree));
+    EXPECT_LT(glm::length(track.pose[1].rotation * glm::dvec3(1, 0, 0) - forward), 1e-12) << "a positive pitch lowers the nose";
+    EXPECT_NEAR((track.pose[1].rotation * glm::dvec3(0, 1, 0)).z, std::cos(30 * degree) * std::sin(20 * degree), 1e-12) << "a positive roll raises the left side";
+}
+
+TEST_F(TrajectoryFile, ComplaintsNameLineAndColumn) {
+    EXPECT_NE(error("0,1,2,3,0\n1,nan,2,3,0\n").find("t.csv: line 2: x: found \"nan\", expected a finite number"), std::string::npos);
+    EXPECT_NE(error("0,1,2,3,0\n1,1,2,3,\n").find("line 2: yaw_deg: found \"\""), std::string::npos);
+    EXPECT_NE(error("0,1,2,3,0\n0,1,2,3,0\n").find("line 2: time_s: found 0 after 0, expected times that rise"), std::string::npos);
+    EXPECT_NE(error("2,1,2,3,0\n1,1,2,3,0\n").find("expected times that rise"), std::string::npos);
+    EXPECT_NE(error("0,1,2,3\n").find("line 1: found 4 columns"), std::string::npos);
+    EXPECT_NE(error("0,1,2,3,4,5,6,7\n").find("found 8 columns"), std::string::npos);
+    EXPECT_NE(error("time_s,x,y,z,yaw_deg\n0,1,2,3,0\n").find("found 1 poses, expected at least two"), std::string::npos);
+    EXPECT_NE(error("").find("found 0 poses"), std::string::npos);
+    EXPECT_NE(data_error([&] { read_trajectory(folder / "none.csv"); }).find("none.csv"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace relidar

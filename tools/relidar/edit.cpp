@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar edit: a run with its actors removed, moved, retimed, copied, or joined by those of other runs, as a run of its own.
+#include <filesystem>
+#include <memory>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include "command.hpp"
+#include "console.hpp"
+#include "edit_text.hpp"
+#include "options.hpp"
+#include "output_folder.hpp"
+#include <relidar/run.hpp>
+
+namespace relidar::cli {
+namespace {
+
+struct Options {
+    std::string run;
+    std::string out;
+    std::vector<TypedEdit> edits;   ///< in the order typed
+    bool force = false;
+    bool quiet = false;
+};
+
+void check_folders(const Options& options) {
+    std::error_code failed;
+    if (std::filesystem::equivalent(options.run, options.out, failed)) throw UsageError(fmt::format("--out {}: found the run that is edited, expected another folder", options.out));
+    check_empty(options.out, options.force);
+}
+
+void run_edit(const Options& options) {
+    if (options.edits.empty()) throw UsageError("found no edit, expected --remove, --move, --retime, --trajectory, --copy, --insert or --keep (see `relidar edit --help`)");
+    check_folders(options);
+    Run run = load_run(options.run);
+    const std::string origin = absolute_path(options.run);
+    DrivingScene driving{std::move(run.scene), std::move(run.sequence)};
+    std::string text;
+    for (const TypedEdit& edit : options.edits) {
+        AppliedEdit applied = apply(std::move(driving), edit);
+        driving = std::move(applied.driving);
+        run.edits.push_back({origin, fmt::format("{} {}", edit.option, edit.value)});
+        text += applied.said + "\n" + (applied.note.empty() ? "" : "note: " + applied.note + "\n");
+    }
+    run.scene = std::move(driving.scene);
+    run.sequence = std::move(driving.sequence);
+    const OutputFolder folder(options.out);
+    remove_run_files(folder.path());
+    run.folder = folder.path();
+    save_run(run);
+    if (!options.quiet) print(text + fmt::format("{} instances of {} models, {} surfels in {}\n", run.scene.instances.size(), run.scene.models.size(), run.scene.surfels.size(), options.out));
+}
+
+}  // namespace
+
+void add_edit(CLI::App& app, Call& call) {
+    CLI::App* command = app.add_subcommand("edit", "remove, move, retime, copy and insert the actors of a run");
+    const auto options = std::make_shared<Options>();
+    command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
+    command->add_option("--out", options->out, "folder for the edited run")->required()->type_name("DIR");
+    for (const EditOption& edit : edit_options()) {
+        const auto take = [options, option = std::string(edit.option)](const std::string& value) { options->edits.push_back({option, value}); };
+        command->add_option_function<std::string>(edit.option, take, edit.help)->type_name(edit.form)->trigger_on_parse()->allow_extra_args(false)->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
+    }
+    command->add_flag("--force", options->force, "overwrite the run in DIR");
+    command->add_flag("--quiet", options->quiet, "print errors only");
+    command->footer("Edits are repeatable and applied in the order given; `relidar info RUN` lists tracks, with their start as --copy takes it. DIR is a run like\n"
+                    "any other: it holds its own surfels (a model once, however often it is placed), moves without RUN, and scene.json tells its edits.\n"
+                    "Places are box centres in the dataset's world, metres; copies and inserted actors start there at the log's first frame and become TRACK-copy-1, ...\n"
+                    "A trajectory's times are those of the log; poses between its lines are interpolated, position linearly, rotation by slerp; actors are absent\n"
+                    "outside their interval. Actors may overlap: rays meet whichever surface comes first.\n"
+                    "Examples:\n"
+                    "  relidar edit run --out empty --remove 0\n"
+                    "  relidar edit run --out lane --move 0:0,3.5,0 --retime 1:-0.5\n"
+                    "  relidar edit run --out more --copy 0@12,3.5,0.9,180:8 --insert other#3@30,0,0.8,0:10");
+    command->callback([&call, options] { call.run = [options] { run_edit(*options); }; });
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "tails.hpp"
+
+#include <algorithm>
+
+namespace relidar::cli {
+namespace {
+
+constexpr double kNowMargin_m = 0.3;   // labels fit loosely: what is just outside the box belongs to it
+constexpr double kGround_m = 0.3;
+constexpr float kDropThreshold = 0.5f;
+
+/// A moving box with every place it has been labelled at.
+struct Swept {
+    const BoxTrack* box;
+    std::vector<Pose> box_from_world;
+    glm::dvec3 low{1e30}, high{-1e30};   ///< of the centres
+};
+
+std::vector<Swept> swept_boxes(const Sequence& sequence, double min_step_m) {
+    std::vector<Swept> swept;
+    for (const BoxTrack& box : sequence.boxes) {
+        if (!(box.mean_step_m() > min_step_m)) continue;
+        Swept& s = swept.emplace_back();
+        s.box = &box;
+        for (const Pose& pose : box.world_from_box.pose) {
+            s.box_from_world.push_back(inverse(pose));
+            s.low = glm::min(s.low, pose.translation);
+            s.high = glm::max(s.high, pose.translation);
+        }
+    }
+    return swept;
+}
+
+bool is_swept(const Swept& s, const glm::dvec3& point_m) {
+    const glm::dvec3 half = 0.5 * s.box->size_m;
+    const double reach = glm::length(half);
+    if (glm::any(glm::lessThan(point_m, s.low - reach)) || glm::any(glm::greaterThan(point_m, s.high + reach))) return false;
+    return std::any_of(s.box_from_world.begin(), s.box_from_world.end(), [&](const Pose& box_from_world) {
+        const glm::dvec3 p = box_from_world * point_m;
+        return std::abs(p.x) <= half.x && std::abs(p.y) <= half.y && p.z <= half.z && p.z >= -half.z + kGround_m;
+    });
+}
+
+double share(const RangeImage& image, const Sequence& sequence, const std::vector<Swept>& swept, double time_s) {
+    double n_points = 0.0, n_tail = 0.0;
+    for (std::size_t i = 0; i < image.range_m.size(); ++i) {
+        if (!(image.range_m[i] > 0.0f) || !(image.drop_prob[i] < kDropThreshold)) continue;
+        n_points += 1.0;
+        const glm::dvec3 in_sensor(image.origin[i] + image.range_m[i] * image.direction[i]);
+        const double t_s = facing_time(sequence, in_sensor, time_s);
+        const glm::dvec3 point_m = sequence.world_from_sensor.at(t_s) * in_sensor;
+        const bool occupied = std::any_of(swept.begin(), swept.end(), [&](const Swept& s) { return s.box->present(t_s) && s.box->holds(point_m, t_s, kNowMargin_m); });
+        n_tail += !occupied && std::any_of(swept.begin(), swept.end(), [&](const Swept& s) { return is_swept(s, point_m); });
+    }
+    return n_points > 0.0 ? n_tail / n_points : 0.0;
+}
+
+}  // namespace
+
+MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence, double time_s, double min_step_m) {
+    const std::vector<Swept> swept = swept_boxes(sequence, min_step_m);
+    if (swept.empty()) return {};
+    return {{"actors/tail_share", share(rendered, sequence, swept, time_s)}, {"actors/tail_share_real", share(real, sequence, swept, time_s)}};
+}
+
+}  // namespace relidar::cli
