@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Image losses and their derivative with respect to what a ray renders (Eq. 10).
+// Losses and their derivatives with respect to what a ray renders (Eq. 10-11). Weights are config fields; a term of weight 0 costs
+// nothing. Terms are means over their pixels, points or surfels, so that weights do not depend on the size of a batch.
 #pragma once
 
 #include <array>
@@ -18,6 +19,15 @@ struct DeviceTarget {
     float weight = 1.0f;      ///< 0 = unknown: takes no part in any loss
 };
 
+/// How the rays of a batch lie as an image, row by row. rows = 0: they do not.
+struct ImageShape {
+    std::uint32_t rows = 0;
+    std::uint32_t columns = 0;
+    bool circular = false;   ///< a whole turn: the first column follows the last one
+
+    bool is_image() const { return rows > 0; }
+};
+
 /// Targets of a batch of rays: those of ray k are entry first + k * stride.
 struct TargetBatch {
     const Array<DeviceTarget>* targets = nullptr;
@@ -26,26 +36,31 @@ struct TargetBatch {
     std::uint32_t n_rays = 0;
     double n_returned = 0.0;   ///< known rays of the batch that returned: what depth and intensity are averaged over
     double n_known = 0.0;      ///< known rays of the batch: what ray-drop is averaged over
+    ImageShape image;          ///< of the rays, where the batch is an image
 };
 
 /// Weights of the terms; each is a mean over its pixels.
 struct LossWeights {
     float depth = 0.1f;             ///< L1 on returned rays, metres
-    float intensity = 0.1f;         ///< L1 on returned rays
+    float intensity = 0.1f;         ///< (1 - intensity_ssim) L1 + intensity_ssim (1 - SSIM) on returned rays
+    float intensity_ssim = 0.0f;    ///< share of structural similarity, 11 x 11 Gaussian window of 1.5 pixels (0 = paper's text)
     float drop = 0.01f;             ///< cross-entropy on all known rays
     float opacity = 0.0f;           ///< (1 - W)^2 on returned rays (not in the paper)
     bool normalised_depth = false;  ///< compare D / W instead of D (paper)
 };
 
-inline constexpr int kLossTerms = 4;   ///< depth, intensity, drop, opacity
-inline constexpr std::array<const char*, kLossTerms> kLossTermNames{"depth", "intensity", "drop", "opacity"};
+inline constexpr int kLossTerms = 5;
+inline constexpr std::array<const char*, kLossTerms> kLossTermNames{"depth", "intensity", "drop", "opacity", "ssim"};
 inline constexpr int kUpstreamFloats = 5;   ///< d_depth, d_weight, d_intensity, d_hit_logit, d_drop_logit
 
+/// Depth, intensity and ray-drop, pixel by pixel, and the structural similarity of intensity.
 class ImageLoss {
 public:
-    ImageLoss(Device& device, const LossWeights& weights);
+    /// @param n_rays  most rays of a batch; used by structural similarity only
+    ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays = 0);
     ~ImageLoss();
-    /// Records the loss of a batch.
+    /// Records the loss of a batch, which must be an image where intensity_ssim > 0. A window of structural similarity holds its
+    /// known, returned pixels only: what rendered and measured intensity are at dropped or unknown pixels plays no part.
     /// @param rendered    [n_rays, kRenderedFloats] input
     /// @param upstream    [n_rays, kUpstreamFloats] output
     /// @param terms       [kLossTerms] accumulated, weighted

@@ -54,7 +54,8 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       scene_(device, initial),
       accel_(device, scene_, accel_options(config)),
       forward_(device, config.image, accel_.proxy(), trace_options(config)),
-      loss_(device, config.loss),
+      batches_(device, config, frames_),
+      loss_(device, config.loss, largest_batch()),
       backward_(device, config.image, accel_.proxy(), trace_options(config)),
       adam_(device, scene_.size(), {.only_touched = config.train.only_touched}),
       gradients_(device, scene_.size()),
@@ -75,11 +76,7 @@ std::uint32_t TrainLoop::largest_batch() const {
 
 void TrainLoop::iterate(int step) {
     const FrameData& frame = frames_[sampler_.next()];
-    const std::uint32_t wanted = config_.train.rays_per_iteration > 0 ? static_cast<std::uint32_t>(config_.train.rays_per_iteration) : frame.n_rays;
-    const std::uint32_t stride = std::max(1u, frame.n_rays / std::max(wanted, 1u));
-    const std::uint32_t first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
-    const RayBatch rays{&frame.rays, first, stride, (frame.n_rays - first + stride - 1) / stride};
-    const TargetBatch targets{&frame.targets, first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride};
+    const auto [rays, targets] = batches_.sample(stream_, frame, sampler_.random());
     const ImageModel model = with_degree(config_.image, (step - 1) / std::max(1, config_.train.sh_degree_interval));
     forward_.set_sh_degree(model.sh_degree);
     backward_.set_sh_degree(model.sh_degree);

@@ -8,6 +8,7 @@
 #include <relidar/train.hpp>
 
 #include "core/random.hpp"
+#include "train/batch.hpp"
 #include "train/frame_data.hpp"
 
 namespace relidar {
@@ -47,6 +48,7 @@ private:
     DeviceScene scene_;
     Accel accel_;
     ForwardPass forward_;
+    BatchSampler batches_;
     ImageLoss loss_;
     BackwardPass backward_;
     Adam adam_;
