@@ -8,9 +8,16 @@
 #include <memory>
 #include <vector>
 
+#include <glm/glm.hpp>
+
 #include <relidar/gpu.hpp>
 
 namespace relidar {
+
+struct Scene;
+struct Sequence;
+struct SurfelArrays;
+class DeviceScene;
 
 /// What a ray measured.
 struct DeviceTarget {
@@ -36,7 +43,7 @@ struct TargetBatch {
     std::uint32_t n_rays = 0;
     double n_returned = 0.0;   ///< known rays of the batch that returned: what depth and intensity are averaged over
     double n_known = 0.0;      ///< known rays of the batch: what ray-drop is averaged over
-    ImageShape image;          ///< of the rays, where the batch is an image
+    ImageShape image{};        ///< of the rays, where the batch is an image
 };
 
 /// Weights of the terms; each is a mean over its pixels.
@@ -47,10 +54,13 @@ struct LossWeights {
     float drop = 0.01f;             ///< cross-entropy on all known rays
     float opacity = 0.0f;           ///< (1 - W)^2 on returned rays (not in the paper)
     bool normalised_depth = false;  ///< compare D / W instead of D (paper)
+    float box = 0.0f;               ///< actors' surfels outside their box, or larger than box_scale_share of it
+    float box_scale_share = 0.2f;   ///< standard deviation an actor's surfel may have, over half the diagonal of its box
+    float opacity_entropy = 0.0f;   ///< entropy of opacities: drives them to 0 or 1 (not in the paper)
 };
 
-inline constexpr int kLossTerms = 5;
-inline constexpr std::array<const char*, kLossTerms> kLossTermNames{"depth", "intensity", "drop", "opacity", "ssim"};
+inline constexpr int kLossTerms = 7;
+inline constexpr std::array<const char*, kLossTerms> kLossTermNames{"depth", "intensity", "drop", "opacity", "ssim", "box", "entropy"};
 inline constexpr int kUpstreamFloats = 5;   ///< d_depth, d_weight, d_intensity, d_hit_logit, d_drop_logit
 
 /// Depth, intensity and ray-drop, pixel by pixel, and the structural similarity of intensity.
@@ -65,6 +75,32 @@ public:
     /// @param upstream    [n_rays, kUpstreamFloats] output
     /// @param terms       [kLossTerms] accumulated, weighted
     void run(Stream& stream, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const Array<float>& terms);
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+/// Half the size of each model's box, metres; 0 for the background and for models without a track in the log.
+std::vector<glm::vec3> box_half_sizes(const Scene& scene, const Sequence& sequence);
+
+/// Gradients of a scene's parameters, as the backward pass leaves them.
+struct SurfelGradients {
+    SurfelArrays* d_surfels = nullptr;               ///< accumulated
+    const Array<std::uint32_t>* touched = nullptr;   ///< rows that hold a gradient; null = all do
+};
+
+/// Terms of the parameters themselves, with mu the mean in the box frame, h half the box, s a standard deviation and sigma an opacity:
+///   box      mean over actors' surfels of  sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)
+///   entropy  mean over all surfels of  -sigma ln sigma - (1 - sigma) ln(1 - sigma)
+class SurfelLoss {
+public:
+    SurfelLoss(Device& device, const LossWeights& weights);
+    ~SurfelLoss();
+    /// Records both terms; to follow the backward pass.
+    /// @param half_sizes_m  one a model of the scene, box_half_sizes
+    /// @param terms         [kLossTerms] accumulated, weighted
+    void run(Stream& stream, const DeviceScene& scene, const std::vector<glm::vec3>& half_sizes_m, const SurfelGradients& gradients, const Array<float>& terms);
 
 private:
     struct Impl;

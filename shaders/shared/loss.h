@@ -13,7 +13,9 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_TERM_DROP 2u
 #define RELIDAR_TERM_OPACITY 3u
 #define RELIDAR_TERM_SSIM 4u
-#define RELIDAR_LOSS_TERMS 5
+#define RELIDAR_TERM_BOX 5u
+#define RELIDAR_TERM_ENTROPY 6u
+#define RELIDAR_LOSS_TERMS 7
 
 struct ImageLossParams {
     RenderedRays rendered;     // input [n_rays]
@@ -45,6 +47,20 @@ struct SsimParams {
     uint rows;
     uint columns;
     uint circular;             // 1: the first column follows the last one
+};
+
+/// Terms of a model's parameters themselves: actors that leave their box, opacities between 0 and 1.
+struct SurfelLossParams {
+    SurfelPointers surfels;     // input
+    SurfelPointers d_surfels;   // accumulated: mean, log_scale, opacity_logit
+    Uints touched;              // input [n] rows whose gradients are defined, or address 0 = all
+    Floats terms;               // accumulated
+    vec3 half_size;             // of the model's box, m; 0: it has none
+    float largest_scale;        // m: standard deviations beyond it count as outside
+    float box_weight;
+    float entropy_weight;
+    uint first_surfel;          // of the model
+    uint n_surfels;
 };
 
 RELIDAR_SHARED_END

@@ -86,6 +86,9 @@ void visit_training(C& c, Visitor&& f) {
     f("loss.drop", c.loss.drop, at_least(0), "weight of the ray-drop term, cross-entropy on all rays");
     f("loss.opacity", c.loss.opacity, at_least(0), "weight of (1 - W)^2 on returned rays");
     f("loss.normalised_depth", c.loss.normalised_depth, anything(), "the range term compares D / W; false: D, as the paper does");
+    f("loss.box", c.loss.box, at_least(0), "weight of actors' surfels leaving their box; 0: paper");
+    f("loss.box_scale_share", c.loss.box_scale_share, above(0), "standard deviation an actor's surfel may have, over half the diagonal of its box");
+    f("loss.opacity_entropy", c.loss.opacity_entropy, at_least(0), "weight of the entropy of opacities");
     f("train.iterations", c.train.iterations, between(0, kMaxCount), "optimiser steps; 0: keep the initial scene");
     f("train.rays_per_iteration", c.train.rays_per_iteration, between(0, kMaxCount), "rays of one step; 0: all rays of one frame");
     f("train.batch", c.train.batch, one_of({"rays", "columns"}), "rays of one step are every n-th ray of the frame, or a window of whole columns, which is an image");

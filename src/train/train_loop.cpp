@@ -57,11 +57,13 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       batches_(device, config, frames_),
       loss_(device, config.loss, largest_batch()),
       backward_(device, config.image, accel_.proxy(), trace_options(config)),
+      surfel_loss_(device, config.loss),
       adam_(device, scene_.size(), {.only_touched = config.train.only_touched}),
       gradients_(device, scene_.size()),
       rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
       upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
       terms_(device, std::vector<float>(kLossTerms, 0.0f), "loss terms"),
+      half_sizes_m_(box_half_sizes(initial, sequence)),
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.size(), config.train.seed) {
     gradients_.zero_untouched = !config.train.only_touched;
@@ -87,6 +89,7 @@ void TrainLoop::iterate(int step) {
     forward_.run(stream_, scene_, accel_, rays, rendered_);                                                              // Eq. 2-4
     loss_.run(stream_, targets, rendered_, upstream_, terms_);                                                           // Eq. 10
     backward_.run(stream_, scene_, accel_, {rays, &rendered_, &upstream_}, frame.sensor_position_m, gradients_);         // Eq. 9
+    surfel_loss_.run(stream_, scene_, half_sizes_m_, {&gradients_.surfels, config_.train.only_touched ? &gradients_.touched : nullptr}, terms_);
     adam_.step(stream_, scene_.parameters(), gradients_.surfels, gradients_.touched, rates_at(config_.train, extent_m_, step), step, model.sh_degree);
     stream_.submit();
 }

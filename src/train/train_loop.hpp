@@ -51,9 +51,11 @@ private:
     BatchSampler batches_;
     ImageLoss loss_;
     BackwardPass backward_;
+    SurfelLoss surfel_loss_;
     Adam adam_;
     Gradients gradients_;
     Array<float> rendered_, upstream_, terms_;
+    std::vector<glm::vec3> half_sizes_m_;   ///< of the models' boxes
     double extent_m_;
     FrameSampler sampler_;
 

@@ -186,7 +186,7 @@ TEST_F(ConfigFile, BadFilesNameFileAndKey) {
     EXPECT_EQ(error("[loss]\ndepth = \"0.1\"\n"), file + "setting loss.depth: found \"0.1\", expected a number >= 0 without quotes");
     EXPECT_EQ(error("[sensor]\ngrid = 360\n"), file + "setting sensor.grid: found \"360\", expected one of native, kitti360 in quotes");
     EXPECT_EQ(error("[loss]\ndepth = [1, 2]\n"), file + "setting loss.depth: found a TOML array, expected a single value");
-    EXPECT_EQ(error("loss = 1\n"), file + "setting loss: unknown key, did you mean " + "preset?");
+    EXPECT_EQ(error("loss = 1\n"), file + "setting loss: unknown key, did you mean loss.box?");
     EXPECT_NE(error("[\"lo\\nss\"]\ndepth = 1\n").find("unknown key"), std::string::npos);
 }
 

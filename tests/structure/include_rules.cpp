@@ -20,7 +20,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"scene", {"sequence", "sensor", "gpu"}},
         {"accel", {"scene", "gpu"}},
         {"optimizer", {"scene", "gpu"}},
-        {"loss", {"sequence", "sensor", "gpu"}},
+        {"loss", {"traversal", "scene", "sequence", "sensor", "gpu"}},
         {"metrics", {"sequence", "sensor", "gpu"}},
         {"refine", {"sequence", "sensor", "gpu"}},
         {"export", {"metrics", "scene", "sequence", "sensor"}},   // metrics: the rows a report shows
