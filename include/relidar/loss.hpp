@@ -14,6 +14,7 @@
 
 namespace relidar {
 
+struct RayBatch;
 struct Scene;
 struct Sequence;
 struct SurfelArrays;
@@ -54,13 +55,14 @@ struct LossWeights {
     float drop = 0.01f;             ///< cross-entropy on all known rays
     float opacity = 0.0f;           ///< (1 - W)^2 on returned rays (not in the paper)
     bool normalised_depth = false;  ///< compare D / W instead of D (paper)
+    float chamfer = 0.01f;          ///< squared distances both ways between simulated and measured points, m^2
     float box = 0.0f;               ///< actors' surfels outside their box, or larger than box_scale_share of it
     float box_scale_share = 0.2f;   ///< standard deviation an actor's surfel may have, over half the diagonal of its box
     float opacity_entropy = 0.0f;   ///< entropy of opacities: drives them to 0 or 1 (not in the paper)
 };
 
-inline constexpr int kLossTerms = 7;
-inline constexpr std::array<const char*, kLossTerms> kLossTermNames{"depth", "intensity", "drop", "opacity", "ssim", "box", "entropy"};
+inline constexpr int kLossTerms = 8;
+inline constexpr std::array<const char*, kLossTerms> kLossTermNames{"depth", "intensity", "drop", "opacity", "ssim", "box", "entropy", "chamfer"};
 inline constexpr int kUpstreamFloats = 5;   ///< d_depth, d_weight, d_intensity, d_hit_logit, d_drop_logit
 
 /// Depth, intensity and ray-drop, pixel by pixel, and the structural similarity of intensity.
@@ -75,6 +77,30 @@ public:
     /// @param upstream    [n_rays, kUpstreamFloats] output
     /// @param terms       [kLossTerms] accumulated, weighted
     void run(Stream& stream, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const Array<float>& terms);
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+/// Chamfer distance between the simulated points A and the measured points B of a batch (docs/method.md section 5), exact:
+///   chamfer ( sum_A min_B |a - b|^2 + sum_B min_A |a - b|^2 ) / min(|A|, |B|);  0 where a cloud is empty
+/// A: origin + range * direction of known rays with ray-drop below 0.5 and W > 0.1, range D / W or D (normalised_depth). B: the same
+/// of known rays that returned. The derivative goes to the range of a, as query and as the point found, with the pairs, the choice
+/// of A and the rays themselves held fixed. Points are found through boxes over tiles of neighbouring rays and over groups of tiles,
+/// in image order where the batch is an image, else along the list; the order decides how fast a search is, never what it finds.
+class ChamferLoss {
+public:
+    /// @param n_rays  most rays of a batch
+    ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
+    ~ChamferLoss();
+    /// Records the loss of a batch; to follow ImageLoss::run.
+    /// @param rendered  [n_rays, kRenderedFloats] input
+    /// @param upstream  [n_rays, kUpstreamFloats] accumulated
+    /// @param terms     [kLossTerms] accumulated, weighted
+    void run(Stream& stream, const RayBatch& rays, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const Array<float>& terms);
+    /// Of the last batch, by ray: the nearest measured point of each simulated one and the reverse, ~0 where there is none. Blocks.
+    std::array<std::vector<std::uint32_t>, 2> nearest() const;
 
 private:
     struct Impl;

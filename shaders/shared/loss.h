@@ -15,7 +15,8 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_TERM_SSIM 4u
 #define RELIDAR_TERM_BOX 5u
 #define RELIDAR_TERM_ENTROPY 6u
-#define RELIDAR_LOSS_TERMS 7
+#define RELIDAR_TERM_CHAMFER 7u
+#define RELIDAR_LOSS_TERMS 8
 
 struct ImageLossParams {
     RenderedRays rendered;     // input [n_rays]
@@ -47,6 +48,73 @@ struct SsimParams {
     uint rows;
     uint columns;
     uint circular;             // 1: the first column follows the last one
+};
+
+#define RELIDAR_NO_POINT 1e30   // every coordinate of a ray's point where the ray has none: farther than anything
+#define RELIDAR_NO_INDEX 0xffffffffu
+
+/// The simulated and the measured point of each ray.
+struct ChamferPointsParams {
+    Rays rays;                 // input
+    RenderedRays rendered;     // input [n_rays]
+    Targets targets;           // input
+    Vec3s simulated;           // output [n_rays] m, relative to the origin of the batch's first ray
+    Vec3s measured;            // output [n_rays]
+    Floats counts;             // accumulated [2] simulated, measured points
+    uint n_rays;
+    uint first_ray;
+    uint ray_stride;
+    uint normalised_depth;     // 1: range D / W, 0: D
+};
+
+/// Bounds of rectangles of points or of boxes (a point is a box with low = high).
+struct ChamferBoxesParams {
+    Vec3s low;             // input [rows,columns]
+    Vec3s high;            // input [rows,columns]
+    Vec3s tile_low;        // output [tiles], row by row; RELIDAR_NO_POINT where the tile is empty
+    Vec3s tile_high;       // output [tiles]
+    uint rows;
+    uint columns;
+    uint tile_rows;
+    uint tile_columns;
+};
+
+/// A cloud in image order with two levels of boxes over it.
+struct ChamferCloud {
+    Vec3s points;        // [rows,columns]
+    Vec3s tile_low;      // boxes over tile_rows x tile_columns points
+    Vec3s tile_high;
+    Vec3s group_low;     // boxes over as many tiles
+    Vec3s group_high;
+};
+
+/// Nearest point of a cloud for every point of another one of the same shape.
+struct ChamferNearestParams {
+    Vec3s queries;         // input [rows,columns]
+    ChamferCloud cloud;    // input
+    Uints nearest;         // output [rows,columns] index in cloud.points; RELIDAR_NO_INDEX where the query or the whole cloud is no point
+    uint rows;
+    uint columns;
+    uint tile_rows;
+    uint tile_columns;
+};
+
+/// Squared distances both ways and their derivative with respect to the simulated ranges.
+struct ChamferParams {
+    Rays rays;                 // input
+    RenderedRays rendered;     // input [n_rays]
+    Vec3s simulated;           // input [n_rays]
+    Vec3s measured;            // input [n_rays]
+    Uints nearest_measured;    // input [n_rays] of each simulated point
+    Uints nearest_simulated;   // input [n_rays] of each measured point
+    Floats counts;             // input [2]
+    Floats upstream;           // accumulated [n_rays,5], laid out as RayGradient
+    Floats terms;              // accumulated
+    float weight;
+    uint n_rays;
+    uint first_ray;
+    uint ray_stride;
+    uint normalised_depth;
 };
 
 /// Terms of a model's parameters themselves: actors that leave their box, opacities between 0 and 1.

@@ -56,6 +56,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       forward_(device, config.image, accel_.proxy(), trace_options(config)),
       batches_(device, config, frames_),
       loss_(device, config.loss, largest_batch()),
+      chamfer_(device, config.loss, largest_batch()),
       backward_(device, config.image, accel_.proxy(), trace_options(config)),
       surfel_loss_(device, config.loss),
       adam_(device, scene_.size(), {.only_touched = config.train.only_touched}),
@@ -88,6 +89,7 @@ void TrainLoop::iterate(int step) {
     accel_.update(stream_, scene_);
     forward_.run(stream_, scene_, accel_, rays, rendered_);                                                              // Eq. 2-4
     loss_.run(stream_, targets, rendered_, upstream_, terms_);                                                           // Eq. 10
+    chamfer_.run(stream_, rays, targets, rendered_, upstream_, terms_);                                                  // Eq. 11
     backward_.run(stream_, scene_, accel_, {rays, &rendered_, &upstream_}, frame.sensor_position_m, gradients_);         // Eq. 9
     surfel_loss_.run(stream_, scene_, half_sizes_m_, {&gradients_.surfels, config_.train.only_touched ? &gradients_.touched : nullptr}, terms_);
     adam_.step(stream_, scene_.parameters(), gradients_.surfels, gradients_.touched, rates_at(config_.train, extent_m_, step), step, model.sh_degree);

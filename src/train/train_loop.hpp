@@ -50,6 +50,7 @@ private:
     ForwardPass forward_;
     BatchSampler batches_;
     ImageLoss loss_;
+    ChamferLoss chamfer_;
     BackwardPass backward_;
     SurfelLoss surfel_loss_;
     Adam adam_;
