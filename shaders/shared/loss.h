@@ -99,7 +99,7 @@ struct ChamferNearestParams {
     uint tile_columns;
 };
 
-/// Squared distances both ways and their derivative with respect to the simulated ranges.
+/// Squared distances both ways (loss/chamfer) and their derivative with respect to the simulated ranges (loss/chamfer_vjp).
 struct ChamferParams {
     Rays rays;                 // input
     RenderedRays rendered;     // input [n_rays]
@@ -108,8 +108,9 @@ struct ChamferParams {
     Uints nearest_measured;    // input [n_rays] of each simulated point
     Uints nearest_simulated;   // input [n_rays] of each measured point
     Floats counts;             // input [2]
-    Floats upstream;           // accumulated [n_rays,5], laid out as RayGradient
-    Floats terms;              // accumulated
+    Uints d_found;             // [n_rays,2] fixed point, m: accumulated by chamfer, input of chamfer_vjp
+    RayGradients upstream;     // accumulated [n_rays] by chamfer_vjp
+    Floats terms;              // accumulated by chamfer
     float weight;
     uint n_rays;
     uint first_ray;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of loss/chamfer_points, chamfer_boxes, chamfer_nearest and chamfer (Eq. 11).
+// Binding of loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and chamfer_vjp (Eq. 11).
 #include <relidar/loss.hpp>
 
 #include <relidar/traversal.hpp>
@@ -40,12 +40,12 @@ struct Cloud {
 struct ChamferLoss::Impl {
     LossWeights weights;
     Cloud simulated, measured;
-    Array<std::uint32_t> nearest_measured, nearest_simulated;
+    Array<std::uint32_t> nearest_measured, nearest_simulated, d_found;
     Array<float> counts;
     Kernel<shared::ChamferPointsParams> points;
     Kernel<shared::ChamferBoxesParams> boxes;
     Kernel<shared::ChamferNearestParams> nearest;
-    Kernel<shared::ChamferParams> chamfer;
+    Kernel<shared::ChamferParams> chamfer, vjp;
     std::uint32_t n_rays = 0;   ///< of the last batch
 
     Impl(Device& device, const LossWeights& w, std::size_t n)
@@ -54,11 +54,13 @@ struct ChamferLoss::Impl {
           measured(device, n, "measured"),
           nearest_measured(device, n, "nearest measured"),
           nearest_simulated(device, n, "nearest simulated"),
+          d_found(device, 2 * n, "gradients of found points"),
           counts(device, 2, "points"),
           points(device, accumulating_variant(device, "loss/chamfer_points@")),
           boxes(device, "loss/chamfer_boxes"),
           nearest(device, "loss/chamfer_nearest"),
-          chamfer(device, accumulating_variant(device, "loss/chamfer@")) {}
+          chamfer(device, accumulating_variant(device, "loss/chamfer@")),
+          vjp(device, "loss/chamfer_vjp") {}
 
     void bound(Stream& stream, const Cloud& cloud, const Levels& l) const {
         relidar::run(stream, boxes, std::size_t(l.tiles.x) * l.tiles.y,
@@ -91,9 +93,12 @@ void ChamferLoss::run(Stream& stream, const RayBatch& rays, const TargetBatch& b
     c.bound(stream, c.measured, levels);
     c.search(stream, c.simulated, c.measured, c.nearest_measured, levels);
     c.search(stream, c.measured, c.simulated, c.nearest_simulated, levels);
-    relidar::run(stream, c.chamfer, batch.n_rays,
-                 {rays.rays->address(), rendered.address(), c.simulated.points.address(), c.measured.points.address(), c.nearest_measured.address(), c.nearest_simulated.address(),
-                  c.counts.address(), upstream.address(), terms.address(), c.weights.chamfer, batch.n_rays, batch.first, batch.stride, normalised});
+    stream.fill(c.d_found);
+    const shared::ChamferParams chamfer{rays.rays->address(), rendered.address(), c.simulated.points.address(), c.measured.points.address(), c.nearest_measured.address(),
+                                        c.nearest_simulated.address(), c.counts.address(), c.d_found.address(), upstream.address(), terms.address(), c.weights.chamfer,
+                                        batch.n_rays, batch.first, batch.stride, normalised};
+    relidar::run(stream, c.chamfer, batch.n_rays, chamfer);
+    relidar::run(stream, c.vjp, batch.n_rays, chamfer);
 }
 
 std::array<std::vector<std::uint32_t>, 2> ChamferLoss::nearest() const {

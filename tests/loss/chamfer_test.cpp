@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// loss/chamfer_points, chamfer_boxes, chamfer_nearest and chamfer: nearest neighbours against brute force on clouds of every shape,
+// loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and chamfer_vjp: nearest neighbours against brute force on clouds of every shape,
 // value and derivative against the double reference.
 #include <cmath>
 #include <functional>
@@ -200,6 +200,7 @@ TEST_F(Chamfer, AgreesWithReference) {
             EXPECT_EQ(d_range[i] != 0.0, row[0] != 0.0f) << "ray " << i;
             for (std::size_t k = 2; k < kUpstreamFloats; ++k) EXPECT_EQ(row[k], 0.0f);
         }
+        EXPECT_EQ(device_chamfer(device(), c, {.normalised = normalised, .weight = weight}).upstream, found.upstream) << "the same bits every time";
         test::GradientTable table;
         table.add_row("depth and weight", expected, actual);
         EXPECT_GT(table.groups().begin()->second.largest_row(), 0.0);
