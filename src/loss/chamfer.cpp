@@ -30,8 +30,13 @@ struct Levels {
 struct Cloud {
     Array<glm::vec3> points, tile_low, tile_high, group_low, group_high;
 
-    Cloud(Device& device, std::size_t n, const std::string& what)   // an image of few rows has tiles that are not full
-        : points(device, n, what + " points"), tile_low(device, n, what + " tiles"), tile_high(device, n, what + " tiles"), group_low(device, n, what + " groups"), group_high(device, n, what + " groups") {}
+    /// Most tiles has an image of one column: ceil(n / 4); so have groups of tiles.
+    Cloud(Device& device, std::size_t n, const std::string& what)
+        : points(device, n, what + " points"),
+          tile_low(device, n / 4 + 1, what + " tiles"),
+          tile_high(device, n / 4 + 1, what + " tiles"),
+          group_low(device, n / 16 + 2, what + " groups"),
+          group_high(device, n / 16 + 2, what + " groups") {}
     shared::ChamferCloud pointers() const { return {points.address(), tile_low.address(), tile_high.address(), group_low.address(), group_high.address()}; }
 };
 
@@ -63,6 +68,8 @@ struct ChamferLoss::Impl {
           vjp(device, "loss/chamfer_vjp") {}
 
     void bound(Stream& stream, const Cloud& cloud, const Levels& l) const {
+        RELIDAR_ASSERT_LE(std::size_t(l.tiles.x) * l.tiles.y, cloud.tile_low.size());
+        RELIDAR_ASSERT_LE(std::size_t(l.groups.x) * l.groups.y, cloud.group_low.size());
         relidar::run(stream, boxes, std::size_t(l.tiles.x) * l.tiles.y,
                      {cloud.points.address(), cloud.points.address(), cloud.tile_low.address(), cloud.tile_high.address(), l.points.x, l.points.y, l.tile.x, l.tile.y});
         relidar::run(stream, boxes, std::size_t(l.groups.x) * l.groups.y,
