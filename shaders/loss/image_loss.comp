@@ -8,6 +8,7 @@
 #include "../common/kernel.glsl"
 #include "../shared/loss.h"
 #include "../common/atomic_add.glsl"
+#include "../common/reduce.glsl"
 RELIDAR_PARAMS(ImageLossParams);
 
 /// Depth L1 of D or D / W. @return the term
@@ -32,27 +33,34 @@ float drop_term(RenderedRay r, bool dropped, inout RayGradient g) {
     return params.drop_weight * (max(z, 0.0) + log(1.0 + exp(-abs(z))));
 }
 
+/// All terms of a known ray: depth, intensity, drop, opacity.
+vec4 ray_terms(RenderedRay r, RayTarget target, inout RayGradient g) {
+    vec4 terms = vec4(0.0);
+    bool dropped = !(target.range_m > 0.0);
+    if (!dropped) {
+        terms.x = depth_term(r, target.range_m, g);
+        float error = r.intensity - target.intensity;
+        g.intensity += params.intensity_weight * sign(error);
+        terms.y = params.intensity_weight * abs(error);
+        float missing = 1.0 - r.weight;
+        g.weight -= 2.0 * params.opacity_weight * missing;
+        terms.w = params.opacity_weight * missing * missing;
+    }
+    terms.z = drop_term(r, dropped, g);
+    return terms;
+}
+
 void main() {
     uint i = thread_index();
-    if (i >= params.n_rays) return;
-    RayTarget target = params.targets.at[params.first_ray + i * params.ray_stride];
-    RenderedRay r = params.rendered.at[i];
-    RayGradient g = RayGradient(0.0, 0.0, 0.0, 0.0, 0.0);
-    float terms[RELIDAR_LOSS_TERMS] = float[](0.0, 0.0, 0.0, 0.0);
-    if (target.weight > 0.0) {
-        bool dropped = !(target.range_m > 0.0);
-        if (!dropped) {
-            terms[0] = depth_term(r, target.range_m, g);
-            float error = r.intensity - target.intensity;
-            g.intensity += params.intensity_weight * sign(error);
-            terms[1] = params.intensity_weight * abs(error);
-            float missing = 1.0 - r.weight;
-            g.weight -= 2.0 * params.opacity_weight * missing;
-            terms[3] = params.opacity_weight * missing * missing;
-        }
-        terms[2] = drop_term(r, dropped, g);
+    vec4 terms = vec4(0.0);
+    if (i < params.n_rays) {
+        RayTarget target = params.targets.at[params.first_ray + i * params.ray_stride];
+        RayGradient g = RayGradient(0.0, 0.0, 0.0, 0.0, 0.0);
+        if (target.weight > 0.0) terms = ray_terms(params.rendered.at[i], target, g);
+        params.upstream.at[i] = g;
     }
-    params.upstream.at[i] = g;
-    for (uint k = 0u; k < RELIDAR_LOSS_TERMS; ++k)
-        if (terms[k] != 0.0) atomic_add(params.terms, k, terms[k]);
+    add_to_sum(params.terms, RELIDAR_TERM_DEPTH, terms.x);
+    add_to_sum(params.terms, RELIDAR_TERM_INTENSITY, terms.y);
+    add_to_sum(params.terms, RELIDAR_TERM_DROP, terms.z);
+    add_to_sum(params.terms, RELIDAR_TERM_OPACITY, terms.w);
 }

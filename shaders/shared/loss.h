@@ -1,19 +1,29 @@
 // SPDX-License-Identifier: Apache-2.0
-// Image losses (Eq. 10): depth L1, intensity L1, ray-drop cross-entropy, and their derivative.
+// Losses (Eq. 10-11) and their derivatives. A weight in a parameter struct is already divided by what its term is averaged over.
+// Ray k of a launch is entry first_ray + k * ray_stride of its targets; rendered values and gradients are entry k.
 #ifndef RELIDAR_INCLUDED_SHARED_LOSS_H
 #define RELIDAR_INCLUDED_SHARED_LOSS_H
 #include "trace.h"
 
 RELIDAR_SHARED_BEGIN
 
-#define RELIDAR_LOSS_TERMS 4   // depth, intensity, drop, weight
+// Entries of `terms`, in the order of kLossTermNames.
+#define RELIDAR_TERM_DEPTH 0u
+#define RELIDAR_TERM_INTENSITY 1u
+#define RELIDAR_TERM_DROP 2u
+#define RELIDAR_TERM_OPACITY 3u
+#define RELIDAR_TERM_SSIM 4u
+#define RELIDAR_TERM_BOX 5u
+#define RELIDAR_TERM_ENTROPY 6u
+#define RELIDAR_TERM_CHAMFER 7u
+#define RELIDAR_LOSS_TERMS 8
 
 struct ImageLossParams {
     RenderedRays rendered;     // input [n_rays]
-    Targets targets;           // input, ray k of the launch is entry first_ray + k * ray_stride
+    Targets targets;           // input
     RayGradients upstream;     // output [n_rays]
-    Floats terms;              // accumulated [4] weighted loss terms
-    float depth_weight;        // each already divided by the number of pixels it is averaged over
+    Floats terms;              // accumulated [RELIDAR_LOSS_TERMS] weighted loss terms
+    float depth_weight;
     float intensity_weight;
     float drop_weight;
     float opacity_weight;      // (1 - W)^2 on returned pixels
@@ -21,6 +31,105 @@ struct ImageLossParams {
     uint first_ray;
     uint ray_stride;
     uint normalised_depth;     // 1: compare D / W, 0: compare D (paper)
+};
+
+#define RELIDAR_SSIM_FLOATS 5   // a pixel: derivatives by mean, variance (twice) and covariance over the sum of weights, both means
+
+/// Structural similarity of the intensity image and its derivative: loss/ssim writes `statistics`, loss/ssim_vjp reads them.
+struct SsimParams {
+    RenderedRays rendered;     // input [rows,columns]
+    Targets targets;           // input
+    Floats statistics;         // [rows,columns,RELIDAR_SSIM_FLOATS] output of ssim, input of ssim_vjp
+    RayGradients upstream;     // [rows,columns] accumulated by ssim_vjp
+    Floats terms;              // accumulated by ssim
+    float weight;              // of 1 - S of a pixel
+    uint first_ray;
+    uint ray_stride;
+    uint rows;
+    uint columns;
+    uint circular;             // 1: the first column follows the last one
+};
+
+#define RELIDAR_NO_POINT 1e30   // every coordinate of a ray's point where the ray has none: farther than anything
+#define RELIDAR_NO_INDEX 0xffffffffu
+
+/// The simulated and the measured point of each ray.
+struct ChamferPointsParams {
+    Rays rays;                 // input
+    RenderedRays rendered;     // input [n_rays]
+    Targets targets;           // input
+    Vec3s simulated;           // output [n_rays] m, relative to the origin of the batch's first ray
+    Vec3s measured;            // output [n_rays]
+    Floats counts;             // accumulated [2] simulated, measured points
+    uint n_rays;
+    uint first_ray;
+    uint ray_stride;
+    uint normalised_depth;     // 1: range D / W, 0: D
+};
+
+/// Bounds of rectangles of points or of boxes (a point is a box with low = high).
+struct ChamferBoxesParams {
+    Vec3s low;             // input [rows,columns]
+    Vec3s high;            // input [rows,columns]
+    Vec3s tile_low;        // output [tiles], row by row; RELIDAR_NO_POINT where the tile is empty
+    Vec3s tile_high;       // output [tiles]
+    uint rows;
+    uint columns;
+    uint tile_rows;
+    uint tile_columns;
+};
+
+/// A cloud in image order with two levels of boxes over it.
+struct ChamferCloud {
+    Vec3s points;        // [rows,columns]
+    Vec3s tile_low;      // boxes over tile_rows x tile_columns points
+    Vec3s tile_high;
+    Vec3s group_low;     // boxes over as many tiles
+    Vec3s group_high;
+};
+
+/// Nearest point of a cloud for every point of another one of the same shape.
+struct ChamferNearestParams {
+    Vec3s queries;         // input [rows,columns]
+    ChamferCloud cloud;    // input
+    Uints nearest;         // output [rows,columns] index in cloud.points; RELIDAR_NO_INDEX where the query or the whole cloud is no point
+    uint rows;
+    uint columns;
+    uint tile_rows;
+    uint tile_columns;
+};
+
+/// Squared distances both ways (loss/chamfer) and their derivative with respect to the simulated ranges (loss/chamfer_vjp).
+struct ChamferParams {
+    Rays rays;                 // input
+    RenderedRays rendered;     // input [n_rays]
+    Vec3s simulated;           // input [n_rays]
+    Vec3s measured;            // input [n_rays]
+    Uints nearest_measured;    // input [n_rays] of each simulated point
+    Uints nearest_simulated;   // input [n_rays] of each measured point
+    Floats counts;             // input [2]
+    Uints d_found;             // [n_rays,2] fixed point, m: accumulated by chamfer, input of chamfer_vjp
+    RayGradients upstream;     // accumulated [n_rays] by chamfer_vjp
+    Floats terms;              // accumulated by chamfer
+    float weight;
+    uint n_rays;
+    uint first_ray;
+    uint ray_stride;
+    uint normalised_depth;
+};
+
+/// Terms of a model's parameters themselves: actors that leave their box, opacities between 0 and 1.
+struct SurfelLossParams {
+    SurfelPointers surfels;     // input
+    SurfelPointers d_surfels;   // accumulated: mean, log_scale, opacity_logit
+    Uints touched;              // input [n] rows whose gradients are defined, or address 0 = all
+    Floats terms;               // accumulated
+    vec3 half_size;             // of the model's box, m; 0: it has none
+    float largest_scale;        // m: standard deviations beyond it count as outside
+    float box_weight;
+    float entropy_weight;
+    uint first_surfel;          // of the model
+    uint n_surfels;
 };
 
 RELIDAR_SHARED_END

@@ -86,12 +86,18 @@ void visit_scene(C& c, Visitor&& f) {
 template <class C, class Visitor>
 void visit_training(C& c, Visitor&& f) {
     f("loss.depth", c.loss.depth, at_least(0), "weight of the range term, L1 on returned rays");
-    f("loss.intensity", c.loss.intensity, at_least(0), "weight of the intensity term, L1 on returned rays");
+    f("loss.intensity", c.loss.intensity, at_least(0), "weight of the intensity term on returned rays");
+    f("loss.intensity_ssim", c.loss.intensity_ssim, between(0, 1), "share of 1 - SSIM in the intensity term, the rest is L1; needs batches that are images (train.batch); 0: paper");
     f("loss.drop", c.loss.drop, at_least(0), "weight of the ray-drop term, cross-entropy on all rays");
     f("loss.opacity", c.loss.opacity, at_least(0), "weight of (1 - W)^2 on returned rays");
     f("loss.normalised_depth", c.loss.normalised_depth, anything(), "the range term compares D / W; false: D, as the paper does");
+    f("loss.chamfer", c.loss.chamfer, at_least(0), "weight of the Chamfer distance between simulated and measured points, squared metres");
+    f("loss.box", c.loss.box, at_least(0), "weight of actors' surfels leaving their box; 0: paper");
+    f("loss.box_scale_share", c.loss.box_scale_share, above(0), "standard deviation an actor's surfel may have, over half the diagonal of its box");
+    f("loss.opacity_entropy", c.loss.opacity_entropy, at_least(0), "weight of the entropy of opacities");
     f("train.iterations", c.train.iterations, between(0, kMaxCount), "optimiser steps; 0: keep the initial scene");
     f("train.rays_per_iteration", c.train.rays_per_iteration, between(0, kMaxCount), "rays of one step; 0: all rays of one frame");
+    f("train.batch", c.train.batch, one_of({"rays", "columns"}), "rays of one step are every n-th ray of the frame, or a window of whole columns, which is an image");
     f("train.sh_degree_interval", c.train.sh_degree_interval, between(1, kMaxCount), "the active degree of the spherical harmonics rises by one after so many steps");
     f("train.mean_rate", c.train.mean_rate, at_least(0), "learning rate of the means at the start, times the extent");
     f("train.mean_rate_final", c.train.mean_rate_final, at_least(0), "learning rate of the means at the end, times the extent");

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of loss/image_loss (Eq. 10).
+// Binding of loss/image_loss, loss/ssim and loss/ssim_vjp (Eq. 10).
 #include <relidar/loss.hpp>
 
 #include <algorithm>
@@ -16,22 +16,36 @@ static_assert(sizeof(shared::RayGradient) == kUpstreamFloats * sizeof(float) && 
 struct ImageLoss::Impl {
     LossWeights weights;
     Kernel<shared::ImageLossParams> kernel;
+    Kernel<shared::SsimParams> ssim, ssim_vjp;
+    Array<float> statistics;   ///< of structural similarity
 };
 
-ImageLoss::ImageLoss(Device& device, const LossWeights& weights)
-    : impl_(new Impl{weights, {device, accumulating_variant(device, "loss/image_loss@")}}) {}
+ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays)
+    : impl_(new Impl{weights,
+                     {device, accumulating_variant(device, "loss/image_loss@")},
+                     {device, accumulating_variant(device, "loss/ssim@")},
+                     {device, "loss/ssim_vjp"},
+                     {device, weights.intensity_ssim > 0.0f ? std::size_t(n_rays) * RELIDAR_SSIM_FLOATS : 0, "structural similarity"}}) {}
 ImageLoss::~ImageLoss() = default;
 
-void ImageLoss::run(Stream& stream, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const Array<float>& terms, std::uint32_t slot) {
+void ImageLoss::run(Stream& stream, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const TermRow& terms) {
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kUpstreamFloats, upstream.size());
     RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.targets->size());
-    RELIDAR_ASSERT_LE((std::size_t(slot) + 1) * kLossTerms, terms.size());
-    const std::uint64_t slot_address = terms.address() + std::uint64_t(slot) * kLossTerms * sizeof(float);
     const LossWeights& w = impl_->weights;
     const float per_return = static_cast<float>(1.0 / std::max(batch.n_returned, 1.0)), per_ray = static_cast<float>(1.0 / std::max(batch.n_known, 1.0));
     relidar::run(stream, impl_->kernel, batch.n_rays,
-                 {rendered.address(), batch.targets->address(), upstream.address(), slot_address, w.depth * per_return, w.intensity * per_return, w.drop * per_ray,
-                  w.opacity * per_return, batch.n_rays, batch.first, batch.stride, w.normalised_depth ? 1u : 0u});
+                 {rendered.address(), batch.targets->address(), upstream.address(), terms.address(), w.depth * per_return, (1.0f - w.intensity_ssim) * w.intensity * per_return,
+                  w.drop * per_ray, w.opacity * per_return, batch.n_rays, batch.first, batch.stride, w.normalised_depth ? 1u : 0u});
+    if (!(w.intensity_ssim * w.intensity > 0.0f)) return;
+    const ImageShape& image = batch.image;
+    RELIDAR_ASSERT_LE(1u, image.rows);
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * RELIDAR_SSIM_FLOATS, impl_->statistics.size());
+    const shared::SsimParams ssim{rendered.address(),   batch.targets->address(), impl_->statistics.address(),
+                                  upstream.address(),   terms.address(),          w.intensity_ssim * w.intensity * per_return,
+                                  batch.first,          batch.stride,             image.rows,
+                                  image.columns,        image.circular ? 1u : 0u};
+    relidar::run(stream, impl_->ssim, batch.n_rays, ssim);
+    relidar::run(stream, impl_->ssim_vjp, batch.n_rays, ssim);
 }
 
 }  // namespace relidar

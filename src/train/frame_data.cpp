@@ -85,6 +85,8 @@ std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, c
         data.rays = Array<DeviceRay>(device, std::span<const DeviceRay>(rays[k]), "training rays");
         data.targets = Array<DeviceTarget>(device, std::span<const DeviceTarget>(targets[k]), "training targets");
         data.n_rays = static_cast<std::uint32_t>(rays[k].size());
+        const RayTable& table = frame.scan.rays;
+        if (table.rows > 1) data.image = {static_cast<std::uint32_t>(table.rows), static_cast<std::uint32_t>(table.columns), true};
         for (const DeviceTarget& t : targets[k]) {
             data.n_known += t.weight > 0.0f;
             data.n_returned += t.weight > 0.0f && t.range_m > 0.0f;

@@ -19,6 +19,7 @@ struct FrameData {
     Array<DeviceRay> rays;            ///< [n]
     Array<DeviceTarget> targets;      ///< [n]
     std::uint32_t n_rays = 0;
+    ImageShape image;                 ///< of the rays; none where the sensor has no image order
     double n_returned = 0.0;          ///< known rays that returned
     double n_known = 0.0;
     std::vector<InstancePose> placed;    ///< of all instances of the scene

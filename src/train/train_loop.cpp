@@ -63,13 +63,17 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       scene_(device, initial),
       accel_(device, scene_, accel_options(config)),
       forward_(device, config.image, accel_.proxy(), trace_options(config)),
-      loss_(device, config.loss),
+      batches_(device, config, frames_),
+      loss_(device, config.loss, largest_batch()),
+      chamfer_(device, config.loss, largest_batch()),
       backward_(device, config.image, accel_.proxy(), trace_options(config)),
+      surfel_loss_(device, config.loss),
       adam_(device, scene_.size(), {.only_touched = config.train.only_touched}),
       gradients_(device, scene_.size()),
       rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
       upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
       terms_(device, std::vector<float>(kTermSlots * kLossTerms, 0.0f), "loss terms"),
+      half_sizes_m_(box_half_sizes(initial, sequence)),
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.size(), config.train.seed),
       term_sums_(kLossTerms, 0.0) {
@@ -94,11 +98,7 @@ std::uint32_t TrainLoop::largest_batch() const {
 void TrainLoop::iterate(int step) {
     if (pending_.size() == kTermSlots) collect_terms();
     const FrameData& frame = frames_[sampler_.next()];
-    const std::uint32_t wanted = config_.train.rays_per_iteration > 0 ? static_cast<std::uint32_t>(config_.train.rays_per_iteration) : frame.n_rays;
-    const std::uint32_t stride = std::max(1u, frame.n_rays / std::max(wanted, 1u));
-    const std::uint32_t first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
-    const RayBatch rays{&frame.rays, first, stride, (frame.n_rays - first + stride - 1) / stride};
-    const TargetBatch targets{&frame.targets, first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride};
+    const auto [rays, targets] = batches_.sample(stream_, frame, sampler_.random());
     const ImageModel model = with_degree(config_.image, (step - 1) / std::max(1, config_.train.sh_degree_interval));
     forward_.set_sh_degree(model.sh_degree);
     backward_.set_sh_degree(model.sh_degree);
@@ -107,8 +107,11 @@ void TrainLoop::iterate(int step) {
     scene_.activate(stream_, model, frame.sensor_position_m);
     accel_.update(stream_, scene_);
     forward_.run(stream_, scene_, accel_, rays, rendered_);                                                              // Eq. 2-4
-    loss_.run(stream_, targets, rendered_, upstream_, terms_, static_cast<std::uint32_t>(pending_.size()));              // Eq. 10
+    const TermRow terms(terms_, static_cast<std::uint32_t>(pending_.size()));
+    loss_.run(stream_, targets, rendered_, upstream_, terms);                                                            // Eq. 10
+    chamfer_.run(stream_, rays, targets, rendered_, upstream_, terms);                                                   // Eq. 11
     backward_.run(stream_, scene_, accel_, {rays, &rendered_, &upstream_}, frame.sensor_position_m, gradients_);         // Eq. 9
+    surfel_loss_.run(stream_, scene_, half_sizes_m_, {&gradients_.surfels, config_.train.only_touched ? &gradients_.touched : nullptr}, terms);
     adam_.step(stream_, scene_.parameters(), gradients_.surfels, gradients_.touched, rates_at(config_.train, extent_m_, step), step, model.sh_degree);
     submitted_ = stream_.submit();
     pending_.push_back({step, frame.index});

@@ -9,6 +9,7 @@
 #include <relidar/train.hpp>
 
 #include "core/random.hpp"
+#include "train/batch.hpp"
 #include "train/frame_data.hpp"
 
 namespace relidar {
@@ -73,11 +74,15 @@ private:
     DeviceScene scene_;
     Accel accel_;
     ForwardPass forward_;
+    BatchSampler batches_;
     ImageLoss loss_;
+    ChamferLoss chamfer_;
     BackwardPass backward_;
+    SurfelLoss surfel_loss_;
     Adam adam_;
     Gradients gradients_;
     Array<float> rendered_, upstream_, terms_;
+    std::vector<glm::vec3> half_sizes_m_;   ///< of the models' boxes
     double extent_m_;
     FrameSampler sampler_;
     std::uint64_t submitted_ = 0;     ///< ticket of the last iteration

@@ -46,7 +46,7 @@ Config through_toml(const Config& config, const std::filesystem::path& folder) {
 /// Gives a key another value that it accepts.
 bool change(Config& config, const std::string& key) {
     const std::string before = value_of(config, key);
-    for (const char* value : {"0.12345678", "0.6000001", "0.25", "2", "7", "123456", "true", "false", "kitti360", "cast", "ray", "surfel", "median", "expected", "boxes", "masked", "a \"b\" \\c"}) {
+    for (const char* value : {"0.12345678", "0.6000001", "0.25", "2", "7", "123456", "true", "false", "kitti360", "cast", "columns", "ray", "surfel", "median", "expected", "boxes", "masked", "a \"b\" \\c"}) {
         if (value == before) continue;
         try {
             set_key(config, key, value);
@@ -155,6 +155,10 @@ TEST(Config, PaperIsThePaper) {
     EXPECT_EQ(c.init.opacity, 0.1);
     EXPECT_EQ(c.loss.depth, 0.1f);
     EXPECT_EQ(c.loss.drop, 0.01f);
+    EXPECT_EQ(c.loss.intensity, 0.1f);
+    EXPECT_EQ(c.loss.intensity_ssim, 0.0f);
+    EXPECT_EQ(c.loss.chamfer, 0.01f);
+    EXPECT_EQ(c.loss.box + c.loss.opacity + c.loss.opacity_entropy, 0.0f);
     EXPECT_FALSE(c.loss.normalised_depth);
     EXPECT_EQ(c.image.sh_direction, ShDirection::ray);
     EXPECT_EQ(c.render.range, "expected");
@@ -186,7 +190,7 @@ TEST_F(ConfigFile, BadFilesNameFileAndKey) {
     EXPECT_EQ(error("[loss]\ndepth = \"0.1\"\n"), file + "setting loss.depth: found \"0.1\", expected a number >= 0 without quotes");
     EXPECT_EQ(error("[sensor]\ngrid = 360\n"), file + "setting sensor.grid: found \"360\", expected one of native, kitti360 in quotes");
     EXPECT_EQ(error("[loss]\ndepth = [1, 2]\n"), file + "setting loss.depth: found a TOML array, expected a single value");
-    EXPECT_EQ(error("loss = 1\n"), file + "setting loss: unknown key, did you mean " + "preset?");
+    EXPECT_EQ(error("loss = 1\n"), file + "setting loss: unknown key, did you mean loss.box?");
     EXPECT_NE(error("[\"lo\\nss\"]\ndepth = 1\n").find("unknown key"), std::string::npos);
 }
 

@@ -1,0 +1,134 @@
+// SPDX-License-Identifier: Apache-2.0
+// loss/surfel_loss against the double reference: a background without a box and two actors; gradients are added to what is there, in
+// touched rows only; surfels outside their box come back.
+#include <cmath>
+#include <random>
+
+#include <relidar/loss.hpp>
+#include <relidar/optimizer.hpp>
+#include <relidar/scene.hpp>
+#include <relidar/sequence.hpp>
+
+#include "../reference/surfel_loss.hpp"
+#include "../support/device.hpp"
+#include "../support/gradient_check.hpp"
+
+namespace relidar {
+namespace {
+
+class SurfelLossTest : public test::DeviceTest {};
+
+constexpr std::uint32_t kBackground = 70, kActor = 45;
+
+Scene random_scene() {
+    std::mt19937_64 random(8);
+    std::uniform_real_distribution<float> uniform(-3.0f, 3.0f);
+    Scene scene;
+    scene.surfels.resize(kBackground + 2 * kActor);
+    for (glm::vec3& m : scene.surfels.mean) m = {uniform(random), uniform(random), uniform(random)};
+    for (glm::vec4& q : scene.surfels.rotation) q = {1, 0, 0, 0};
+    for (glm::vec2& s : scene.surfels.log_scale) s = 0.4f * glm::vec2(uniform(random), uniform(random) - 2.0f);
+    for (float& o : scene.surfels.opacity_logit) o = 4.0f * uniform(random);
+    scene.surfels.opacity_logit[3] = 500.0f, scene.surfels.opacity_logit[4] = -500.0f;
+    scene.models = {{"background", 0, kBackground}, {"a", kBackground, kActor}, {"b", kBackground + kActor, kActor}};
+    scene.instances = {{0, ""}, {2, "b"}, {1, "a"}};
+    return scene;
+}
+
+Sequence boxes_of(const std::string& first, const std::string& second) {
+    Sequence sequence;
+    for (const auto& [id, size] : {std::pair{first, glm::dvec3(4.0, 1.8, 1.5)}, {second, glm::dvec3(2.0, 0.6, 1.7)}}) {
+        BoxTrack box;
+        box.id = id;
+        box.size_m = size;
+        sequence.boxes.push_back(box);
+    }
+    return sequence;
+}
+
+TEST(BoxHalfSizes, FollowInstancesToTheirTracks) {
+    const std::vector<glm::vec3> half = box_half_sizes(random_scene(), boxes_of("b", "elsewhere"));
+    ASSERT_EQ(half.size(), 3u);
+    EXPECT_EQ(half[0], glm::vec3(0.0f));
+    EXPECT_EQ(half[1], glm::vec3(0.0f)) << "a track the log does not have";
+    EXPECT_EQ(half[2], glm::vec3(2.0f, 0.9f, 0.75f));
+}
+
+TEST_F(SurfelLossTest, AgreesWithReference) {
+    const Scene scene = random_scene();
+    const std::vector<glm::vec3> half = box_half_sizes(scene, boxes_of("a", "b"));
+    LossWeights weights;
+    weights.box = 0.3f, weights.opacity_entropy = 0.7f;
+    const std::size_t n = scene.surfels.size();
+    for (const bool all : {true, false}) {
+        std::vector<std::uint32_t> touched(n);
+        for (std::size_t i = 0; i < n; ++i) touched[i] = i % 3 != 0;
+        Stream stream(device());
+        DeviceScene on_device(device(), scene);
+        SurfelArrays d(device(), static_cast<std::uint32_t>(n), "gradient");
+        d.fill_zero(stream);
+        stream.fill(d.mean, 0x3e800000u);   // 0.25
+        const Array<std::uint32_t> rows(device(), std::span<const std::uint32_t>(touched), "touched");
+        const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
+        SurfelLoss loss(device(), weights);
+        loss.run(stream, on_device, half, {&d, all ? nullptr : &rows}, terms);
+        stream.finish();
+
+        double box = 0.0, entropy = 0.0;
+        test::GradientTable table;
+        const Surfels found = d.download();
+        for (std::size_t i = 0; i < n; ++i) {
+            reference::BoxedSurfel expected, ignored;
+            expected.mean = {0.25, 0.25, 0.25};
+            const bool write = all || touched[i];
+            if (i >= kBackground) {
+                const glm::dvec3 h = half[i < kBackground + kActor ? 1 : 2];
+                const Surfels& s = scene.surfels;
+                const reference::BoxedSurfel surfel{{s.mean[i].x, s.mean[i].y, s.mean[i].z}, {s.log_scale[i].x, s.log_scale[i].y}};
+                box += reference::box_loss(surfel, {{h.x, h.y, h.z}, 0.2 * glm::length(h)}, 0.3 / (2 * kActor), write ? expected : ignored);
+            }
+            double slope = 0.0;
+            entropy += reference::opacity_entropy(scene.surfels.opacity_logit[i], slope);
+            table.add_row("mean", {expected.mean[0], expected.mean[1], expected.mean[2]}, {found.mean[i].x, found.mean[i].y, found.mean[i].z});
+            table.add_row("log_scale", {expected.log_scale[0], expected.log_scale[1]}, {found.log_scale[i].x, found.log_scale[i].y});
+            table.add_row("opacity", {write ? 0.7 / double(n) * slope : 0.0}, {found.opacity_logit[i]});
+        }
+        EXPECT_NEAR(terms.download()[5], 0.3 * box / (2 * kActor), 1e-5 * box);
+        EXPECT_NEAR(terms.download()[6], 0.7 * entropy / double(n), 1e-5);
+        EXPECT_LE(table.worst_error(), test::kKernelGradient);
+        for (const auto& [name, group] : table.groups()) EXPECT_EQ(group.missing_rows(), 0u) << name;
+    }
+}
+
+TEST_F(SurfelLossTest, ActorsComeBackIntoTheirBoxAndTheBackgroundStays) {
+    const Scene scene = random_scene();
+    const std::vector<glm::vec3> half = box_half_sizes(scene, boxes_of("a", "b"));
+    LossWeights weights;
+    weights.box = 1.0f;
+    Stream stream(device());
+    DeviceScene on_device(device(), scene);
+    SurfelArrays d(device(), on_device.size(), "gradient");
+    const Array<std::uint32_t> touched(device(), on_device.size(), "touched");
+    const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
+    SurfelLoss loss(device(), weights);
+    Adam adam(device(), on_device.size(), {});
+    for (int step = 1; step <= 150; ++step) {
+        d.fill_zero(stream);
+        loss.run(stream, on_device, half, {&d, nullptr}, terms);
+        adam.step(stream, on_device.parameters(), d, touched, {0.03, 0.0, 0.03, 0.0, 0.0, 1.0}, step, 3);
+        stream.finish();
+    }
+    const Surfels end = on_device.parameters().download();
+    for (std::size_t i = 0; i < end.size(); ++i) {
+        if (i < kBackground) {
+            ASSERT_EQ(end.mean[i], scene.surfels.mean[i]);
+            continue;
+        }
+        const glm::vec3 h = half[i < kBackground + kActor ? 1 : 2];
+        for (int axis = 0; axis < 3; ++axis) EXPECT_LE(std::abs(end.mean[i][axis]), h[axis] + 0.05f) << "surfel " << i;
+        for (int axis = 0; axis < 2; ++axis) EXPECT_LE(std::exp(end.log_scale[i][axis]), 0.2f * glm::length(h) * 1.1f) << "surfel " << i;
+    }
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+// Structural similarity of the oracle: against scipy's separable correlation, against central differences, and in cases known by hand.
+#include <gtest/gtest.h>
+
+#include <random>
+
+#include "../support/gradient_check.hpp"
+#include "ssim.hpp"
+
+namespace relidar::reference {
+namespace {
+
+Image waves(bool circular) {
+    Image image{12, 15, circular, {}, {}, {}};
+    for (int i = 0; i < 12; ++i)
+        for (int j = 0; j < 15; ++j) {
+            image.x.push_back(0.5 + 0.4 * std::sin(0.7 * i + 0.3 * j * j / 4));
+            image.y.push_back(0.5 + 0.4 * std::sin(0.6 * i + 0.3 * j * j / 4 + 0.5));
+            image.known.push_back((3 * i + 5 * j) % 7 != 0);
+        }
+    return image;
+}
+
+/// 1 - S averaged where known, with scipy.ndimage.correlate1d over columns ("wrap" or "constant") and rows ("constant"), moments
+/// divided by the same filter of the mask.
+TEST(ReferenceSsim, AgreesWithScipy) {
+    EXPECT_NEAR(ssim_loss(waves(true)), 0.0632199605965267, 1e-12);
+    EXPECT_NEAR(ssim_loss(waves(false)), 0.06353378196252815, 1e-12);
+}
+
+TEST(ReferenceSsim, KnownCases) {
+    Image image = waves(true);
+    image.x = image.y;
+    EXPECT_NEAR(ssim_loss(image), 0.0, 1e-12) << "equal images";
+    image.known.assign(image.known.size(), false);
+    EXPECT_EQ(ssim_loss(image), 0.0) << "nothing known";
+    image.known[20] = true;
+    image.x[20] = 0.2, image.y[20] = 0.6;
+    EXPECT_NEAR(ssim_loss(image), 1.0 - (2 * 0.12 + 1e-4) / (0.04 + 0.36 + 1e-4), 1e-12) << "one pixel: its luminance alone";
+}
+
+TEST(ReferenceSsim, DerivativesAgreeWithDifferences) {
+    for (const bool circular : {true, false}) {
+        Image image = waves(circular);
+        std::vector<double> d;
+        ssim_loss(image, &d);
+        test::GradientTable table;
+        for (std::size_t i = 0; i < image.x.size(); ++i)
+            table.add_row("x", test::central_differences(&image.x[i], 1, [&] { return std::vector<double>{ssim_loss(image)}; }), {d[i]});
+        table.print("structural similarity");
+        EXPECT_LE(table.worst_error(), test::kReferenceGradient);
+        EXPECT_EQ(table.groups().at("x").missing_rows(), 0u);
+    }
+}
+
+}  // namespace
+}  // namespace relidar::reference

@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: Apache-2.0
+// Batches: every n-th ray, or (train/gather_columns) a window of whole columns with its rays and targets, wrapping around; refused
+// where structural similarity has no image.
+#include "train/batch.hpp"
+
+#include <set>
+
+#include <gmock/gmock.h>
+
+#include <relidar/error.hpp>
+
+#include "../export/temporary_folder.hpp"
+#include "../support/device.hpp"
+#include "train/frame_data.hpp"
+
+namespace relidar {
+namespace {
+
+class Batch : public test::DeviceTest {};
+
+/// A frame whose rays and targets say where they are.
+std::vector<FrameData> numbered_frame(Device& device, std::uint32_t rows, std::uint32_t columns, bool image) {
+    std::vector<DeviceRay> rays;
+    std::vector<DeviceTarget> targets;
+    for (std::uint32_t i = 0; i < rows * columns; ++i) {
+        rays.push_back({glm::vec3(i, i / columns, i % columns), {1, 0, 0}});
+        targets.push_back({float(i), 0.5f, 1.0f});
+    }
+    std::vector<FrameData> frames(1);
+    frames[0].rays = Array<DeviceRay>(device, std::span<const DeviceRay>(rays), "rays");
+    frames[0].targets = Array<DeviceTarget>(device, std::span<const DeviceTarget>(targets), "targets");
+    frames[0].n_rays = rows * columns;
+    frames[0].n_returned = frames[0].n_known = rows * columns;
+    if (image) frames[0].image = {rows, columns, true};
+    return frames;
+}
+
+Config config_for(const std::string& batch, int n_rays) {
+    Config config;
+    config.train.batch = batch;
+    config.train.rays_per_iteration = n_rays;
+    return config;
+}
+
+TEST_F(Batch, WindowsOfColumnsAreImages) {
+    const std::vector<FrameData> frames = numbered_frame(device(), 4, 50, true);
+    BatchSampler sampler(device(), config_for("columns", 45), frames);   // 11 columns
+    Stream stream(device());
+    Random random(3);
+    std::set<int> firsts;
+    for (int trial = 0; trial < 40; ++trial) {
+        const SampledBatch batch = sampler.sample(stream, frames[0], random);
+        stream.finish();
+        ASSERT_EQ(batch.rays.n_rays, 44u);
+        ASSERT_EQ(batch.targets.image.columns, 11u);
+        EXPECT_EQ(batch.targets.image.rows, 4u);
+        EXPECT_FALSE(batch.targets.image.circular);
+        EXPECT_DOUBLE_EQ(batch.targets.n_returned, 44.0);
+        const std::vector<DeviceRay> rays = batch.rays.rays->download();
+        const std::vector<DeviceTarget> targets = batch.targets.targets->download();
+        firsts.insert(int(rays[0].origin.z));
+        for (std::size_t k = 0; k < 44; ++k) {
+            EXPECT_EQ(rays[k].origin.y, float(k / 11));
+            EXPECT_EQ(int(rays[k].origin.z), (int(rays[0].origin.z) + int(k % 11)) % 50);
+            EXPECT_EQ(targets[k].range_m, rays[k].origin.x);
+        }
+    }
+    EXPECT_GT(firsts.size(), 15u);
+    EXPECT_GT(*firsts.rbegin(), 39) << "some windows wrap around";
+}
+
+TEST_F(Batch, EveryNthRayIsNoImageAndTheWholeFrameIs) {
+    const std::vector<FrameData> frames = numbered_frame(device(), 4, 50, true);
+    Stream stream(device());
+    Random random(3);
+    const SampledBatch some = BatchSampler(device(), config_for("rays", 40), frames).sample(stream, frames[0], random);
+    EXPECT_EQ(some.rays.stride, 5u);
+    EXPECT_EQ(some.rays.n_rays, 40u);
+    EXPECT_FALSE(some.targets.image.is_image());
+    for (const char* batch : {"rays", "columns"}) {
+        const SampledBatch all = BatchSampler(device(), config_for(batch, 0), frames).sample(stream, frames[0], random);
+        EXPECT_EQ(all.rays.n_rays, 200u);
+        EXPECT_TRUE(all.targets.image.circular);
+        EXPECT_EQ(all.targets.image.columns, 50u);
+    }
+}
+
+TEST_F(Batch, SimilarityNeedsImages) {
+    Config config = config_for("rays", 40);
+    config.loss.intensity_ssim = 0.15f;
+    const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true), cloud = numbered_frame(device(), 1, 50, false);
+    EXPECT_THAT(error_message<UsageError>([&] { BatchSampler(device(), config, image); }), ::testing::HasSubstr("train.batch=columns"));
+    config.train.batch = "columns";
+    BatchSampler(device(), config, image);
+    EXPECT_THAT(error_message<UsageError>([&] { BatchSampler(device(), config, cloud); }), ::testing::HasSubstr("without image order"));
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+// Every loss term in a training: each has a value in the log under its name, with batches that are images and with single rays.
+#include <cmath>
+
+#include <relidar/dataset.hpp>
+#include <relidar/train.hpp>
+
+#include "../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+class Losses : public test::DeviceTest {};
+
+TEST_F(Losses, EveryTermIsLogged) {
+    SyntheticOptions options;
+    options.n_frames = 5;
+    options.rows = 16;
+    options.columns = 256;
+    const Sequence street = make_synthetic_street(options);
+    for (const std::string batch : {"columns", "rays"}) {
+        Config config = make_preset("quick");
+        config.init.voxel_m = 0.4;
+        config.init.actor_min_points = 20;
+        config.init.max_scale_m = 2.0;
+        config.loss.intensity_ssim = batch == "columns" ? 0.15f : 0.0f;
+        config.loss.chamfer = config.loss.opacity_entropy = 0.01f;
+        config.loss.box = 0.01f;
+        config.loss.box_scale_share = 0.01f;   // so that some surfel is too large
+        config.train.batch = batch;
+        config.train.iterations = 3;
+        config.train.rays_per_iteration = 1024;
+        const TrainResult result = train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; });
+        ASSERT_GT(result.scene.models.size(), 1u) << "an actor";
+        for (std::size_t k = 0; k < kLossTerms; ++k) {
+            const double term = result.log.back().terms[k];
+            const bool off = std::string(kLossTermNames[k]) == "ssim" && batch == "rays";
+            EXPECT_TRUE(std::isfinite(term) && (term > 0.0) != off) << kLossTermNames[k] << " " << term << ", " << batch;
+        }
+    }
+}
+
+}  // namespace
+}  // namespace relidar
