@@ -10,6 +10,7 @@
 #include "../traversal/includes.glsl"
 #include "../common/atomic_add.glsl"
 #include "../common/compensated.glsl"
+#include "../shared/backward.h"
 RELIDAR_PARAMS(BackwardParams);
 
 vec3 d_ray_origin;      // world
@@ -21,21 +22,22 @@ void add3(Floats array, uint index, vec3 g) {
     atomic_add(array, index + 2u, g.z);
 }
 
-void add_record_gradient(uint surfel, SurfelHitGradient g, vec3 d_channel) {
-    uint row = surfel * 16u;
+/// @param row     16 times the row of the placed surfel
+/// @param others  of lanes 7, 11, 15: channels where SH are evaluated once a surfel, else the turn of the SH direction
+void add_record_gradient(uint row, SurfelHitGradient g, vec3 others) {
     add3(params.d_records, row, g.d_mean);
     atomic_add(params.d_records, row + 3u, g.d_opacity);
     add3(params.d_records, row + 4u, g.d_axis_u);
     add3(params.d_records, row + 8u, g.d_axis_v);
     add3(params.d_records, row + 12u, g.d_normal);
-    if (SH_PER_SURFEL == 0u) return;
-    atomic_add(params.d_records, row + 7u, d_channel.x);
-    atomic_add(params.d_records, row + 11u, d_channel.y);
-    atomic_add(params.d_records, row + 15u, d_channel.z);
+    if (SH_PER_SURFEL == 0u && params.with_turn == 0u) return;
+    atomic_add(params.d_records, row + 7u, others.x);
+    atomic_add(params.d_records, row + 11u, others.y);
+    atomic_add(params.d_records, row + 15u, others.z);
 }
 
-/// Gradient of the SH coefficients of one hit, and through the basis to the ray's direction.
-void add_sh_gradient(TraceScene scene, InstanceEntry m, vec3 direction, uint surfel, vec3 d_channel, float intensity) {
+/// Gradient of the SH coefficients of one hit. @return dL/d(direction) through the basis, model frame
+vec3 add_sh_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d_channel, float intensity) {
     if (!(intensity > 0.0)) d_channel.x = 0.0;   // clamped
     float d_basis[16];
     for (uint k = 0u; k < 16u; ++k) d_basis[k] = 0.0;
@@ -45,7 +47,7 @@ void add_sh_gradient(TraceScene scene, InstanceEntry m, vec3 direction, uint sur
             atomic_add(params.d_sh, slot, d_channel[c] * ray_basis[k]);
             d_basis[k] += d_channel[c] * scene.sh.at[slot];
         }
-    d_ray_direction += world_vector(m, sh_basis_vjp(direction, scene.sh_degree, d_basis));
+    return sh_basis_vjp(direction, scene.sh_degree, d_basis);
 }
 
 /// A hit as it was blended.
@@ -70,10 +72,15 @@ void add_hit(TraceScene scene, Ray ray, RayGradient g, BlendedHit blended) {
     float d_alpha = hit.alpha > scene.alpha_max ? 0.0 : blended.transmittance * blended.shade - blended.behind / (1.0 - alpha);   // Eq. 9
     SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, g.depth * blended.w, d_alpha);
     vec3 d_channel = blended.w * vec3(g.intensity, g.hit_logit, g.drop_logit);
-    add_record_gradient(blended.surfel, d, d_channel);
+    vec3 others = d_channel;
+    if (SH_PER_SURFEL == 0u) {
+        vec3 d_sh_direction = add_sh_gradient(scene, direction, blended.surfel, d_channel, blended.intensity);
+        d.d_direction += d_sh_direction;
+        others = cross(direction, d_sh_direction);
+    }
+    add_record_gradient(16u * (blended.surfel - m.first_surfel + m.first_row), d, others);
     d_ray_origin += world_vector(m, d.d_origin);
     d_ray_direction += world_vector(m, d.d_direction);
-    if (SH_PER_SURFEL == 0u) add_sh_gradient(scene, m, direction, blended.surfel, d_channel, blended.intensity);
 }
 
 // One chunk as it was blended, so that what lies behind a hit is summed back to front instead of by subtracting two long sums: no

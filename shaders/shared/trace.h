@@ -69,15 +69,6 @@ struct ForwardParams {
     RenderedRays rendered;   // output [n_rays]
 };
 
-struct BackwardParams {
-    TraceScene scene;
-    RenderedRays rendered;     // input [n_rays], of the forward pass with the same scene
-    RayGradients upstream;     // input [n_rays]
-    Floats d_records;          // accumulated [n,16]
-    Floats d_sh;               // accumulated [n,3,16], where SH are evaluated a hit
-    Floats d_rays;             // output [n_rays,6] d_origin, d_direction, or address 0
-};
-
 /// Ordered hits of each ray, for tests of the traversal contract.
 struct CollectHitsParams {
     TraceScene scene;

@@ -57,7 +57,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       loss_(device, config.loss),
       backward_(device, config.image, accel_.proxy(), trace_options(config)),
       adam_(device, scene_.size(), {.only_touched = config.train.only_touched}),
-      gradients_(device, scene_.size()),
+      gradients_(device, scene_),
       rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
       upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
       terms_(device, std::vector<float>(kLossTerms, 0.0f), "loss terms"),

@@ -57,8 +57,8 @@ struct TrainingState {
     double n_returned = 0.0;
     int step = 0;
 
-    TrainingState(Device& device, const BenchCase& bench, Proxy proxy, const std::vector<DeviceTarget>& wanted)
-        : gradients(device, static_cast<std::uint32_t>(bench.scene.surfels.size())),
+    TrainingState(Device& device, const BenchCase& bench, const DeviceScene& scene, Proxy proxy, const std::vector<DeviceTarget>& wanted)
+        : gradients(device, scene),
           adam(device, static_cast<std::uint32_t>(bench.scene.surfels.size()), {.only_touched = bench.config.train.only_touched}),
           allocated_with_moments(device.allocated_bytes()),
           loss(device, bench.config.loss),
@@ -96,7 +96,7 @@ public:
         hits_per_ray_ = n_hits / static_cast<double>(rays_.size());
         if (!training) return;
         const std::uint64_t before = device_.allocated_bytes();
-        training_ = std::make_unique<TrainingState>(device_, case_, accel_.proxy(), noisy_targets(rendering, case_.config.loss.normalised_depth));
+        training_ = std::make_unique<TrainingState>(device_, case_, scene_, accel_.proxy(), noisy_targets(rendering, case_.config.loss.normalised_depth));
         training_bytes_ = training_->allocated_with_moments - before;
     }
 
