@@ -51,14 +51,37 @@ struct RenderedBatch {
     const Array<float>* upstream = nullptr;   ///< [n_rays, kUpstreamFloats] of ImageLoss::run
 };
 
+/// How the gradients of hits are summed.
+///   atomics: each hit adds to its surfel, in whatever order the device runs them: the last digits differ from run to run
+///   gather:  each hit leaves a record, the records are sorted by surfel and summed in the order of rays: bit-equal from run to run on
+///            one device, as long as all records have room and no model is placed more than twice
+///   automatic: what measures best
+enum class Reduction { automatic, atomics, gather };
+
+struct BackwardOptions {
+    Reduction reduction = Reduction::automatic;
+    std::uint32_t hits_per_ray = 64;   ///< gather: room for so many records a ray of the largest batch, 36 bytes each (42 with ShDirection::ray)
+};
+
+/// Hit records of the gather.
+struct GatheredHits {
+    std::uint64_t most = 0;       ///< hits of the largest batch since the last report
+    std::uint64_t capacity = 0;   ///< room there is; hits beyond it are added with atomics: right, but not the same in every run
+};
+
 class BackwardPass {
 public:
-    BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options);
+    /// @throws UsageError where hits_per_ray is out of range
+    BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options, const BackwardOptions& backward = {});
     ~BackwardPass();
     /// Records the second cast and the chain rule to the parameters. All gradients are overwritten.
     /// @param view_origin_m  the one the scene was activated with
     void run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch, const glm::vec3& view_origin_m, Gradients& gradients);
     void set_sh_degree(int degree);
+    /// Blocks. Nothing with atomics.
+    GatheredHits take_gathered_hits();
+    /// Makes room for so many hit records, at least. Waits for the stream.
+    void reserve_hits(Stream& stream, std::uint64_t n_hits);
 
 private:
     struct Impl;

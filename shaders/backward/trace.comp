@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Backward pass (Eq. 9; M7, M8): casts the same rays again, front to back, and adds the gradient of every hit to its surfel's
-// record gradient. One thread a ray.
-// Input: scene, rendered, upstream. Accumulated: d_records, d_sh (where SH are evaluated a hit). Output: d_rays.
+// record gradient, or writes a record of the hit for backward/gather to do so. One thread a ray.
+// Input: scene, rendered, upstream, first_hit. Accumulated: d_records, d_sh (where SH are evaluated a hit). Output: d_rays, hits, rows.
 // @differs Eq. 8 as printed lacks the factor 1 / (1 - alpha) on the sum; Eq. 9 has it and is right. The background needs no term
 // of its own: it is in the final value that Eq. 9 subtracts from.
 #version 460
@@ -11,74 +11,49 @@
 #include "../common/atomic_add.glsl"
 #include "../common/compensated.glsl"
 #include "../shared/backward.h"
+#include "hit_gradient.glsl"
 RELIDAR_PARAMS(BackwardParams);
+
+layout(constant_id = 4) const uint GATHER = 0u;   // 1: write a record of each hit, for backward/gather; 0: add its gradient with atomics
 
 vec3 d_ray_origin;      // world
 vec3 d_ray_direction;
+bool adds_surfels;      // whether the present hit adds to surfels here
 
-void add3(Floats array, uint index, vec3 g) {
-    atomic_add(array, index, g.x);
-    atomic_add(array, index + 1u, g.y);
-    atomic_add(array, index + 2u, g.z);
+void add_sh(uint surfel, uint k, float amount) {
+    if (adds_surfels) atomic_add(params.d_sh, surfel * RELIDAR_SH_FLOATS + k, amount);
 }
 
-/// @param row     16 times the row of the placed surfel
-/// @param others  of lanes 7, 11, 15: channels where SH are evaluated once a surfel, else the turn of the SH direction
-void add_record_gradient(uint row, SurfelHitGradient g, vec3 others) {
-    add3(params.d_records, row, g.d_mean);
-    atomic_add(params.d_records, row + 3u, g.d_opacity);
-    add3(params.d_records, row + 4u, g.d_axis_u);
-    add3(params.d_records, row + 8u, g.d_axis_v);
-    add3(params.d_records, row + 12u, g.d_normal);
-    if (SH_PER_SURFEL == 0u && params.with_turn == 0u) return;
-    atomic_add(params.d_records, row + 7u, others.x);
-    atomic_add(params.d_records, row + 11u, others.y);
-    atomic_add(params.d_records, row + 15u, others.z);
-}
-
-/// Gradient of the SH coefficients of one hit. @return dL/d(direction) through the basis, model frame
-vec3 add_sh_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d_channel, float intensity) {
-    if (!(intensity > 0.0)) d_channel.x = 0.0;   // clamped
-    float d_basis[16];
-    for (uint k = 0u; k < 16u; ++k) d_basis[k] = 0.0;
-    for (uint c = 0u; c < 3u; ++c)
-        for (uint k = 0u; k < sh_count(scene.sh_degree); ++k) {
-            uint slot = surfel * RELIDAR_SH_FLOATS + c * RELIDAR_SH_COEFFICIENTS + k;
-            atomic_add(params.d_sh, slot, d_channel[c] * ray_basis[k]);
-            d_basis[k] += d_channel[c] * scene.sh.at[slot];
-        }
-    return sh_basis_vjp(direction, scene.sh_degree, d_basis);
+void add_record_gradient(uint row, float lanes[16]) {
+    bool others = SH_PER_SURFEL != 0u || params.with_turn != 0u;   // lanes 7, 11, 15
+    for (uint k = 0u; k < 16u; ++k)
+        if (others || k % 4u != 3u || k == 3u) atomic_add(params.d_records, 16u * row + k, lanes[k]);
 }
 
 /// A hit as it was blended.
 struct BlendedHit {
+    uint slot;             // of its record
     uint instance;
     uint surfel;
+    float alpha;           // sigma G
     float transmittance;   // before it
     float w;               // alpha times that
-    float intensity;
     float shade;           // g . c less the shift
     float behind;          // sum of w shade over the hits behind it, background included
 };
 
-void add_hit(TraceScene scene, Ray ray, RayGradient g, BlendedHit blended) {
-    InstanceEntry m = scene.instances.at[blended.instance];
-    SurfelRecord record = scene.records.at[blended.surfel];
-    enter_instance(scene, ray, blended.instance);
-    vec3 origin = entered_origin, direction = entered_direction;
-    SurfelHit hit;
-    intersect(record, origin, direction, hit);
-    float alpha = min(hit.alpha, scene.alpha_max);
-    float d_alpha = hit.alpha > scene.alpha_max ? 0.0 : blended.transmittance * blended.shade - blended.behind / (1.0 - alpha);   // Eq. 9
-    SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, g.depth * blended.w, d_alpha);
-    vec3 d_channel = blended.w * vec3(g.intensity, g.hit_logit, g.drop_logit);
-    vec3 others = d_channel;
-    if (SH_PER_SURFEL == 0u) {
-        vec3 d_sh_direction = add_sh_gradient(scene, direction, blended.surfel, d_channel, blended.intensity);
-        d.d_direction += d_sh_direction;
-        others = cross(direction, d_sh_direction);
+void add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b) {
+    InstanceEntry m = scene.instances.at[b.instance];
+    uint row = b.surfel - m.first_surfel + m.first_row;
+    float d_alpha = b.alpha > scene.alpha_max ? 0.0 : b.transmittance * b.shade - b.behind / (1.0 - b.alpha);   // Eq. 9
+    adds_surfels = GATHER == 0u || b.slot >= params.capacity;
+    if (!adds_surfels) {
+        params.hits.at[b.slot] = HitRecord(ray_index, b.instance, b.w, d_alpha);
+        params.rows.at[b.slot] = row;
+        if (uint64_t(params.d_rays) == 0ul) return;
     }
-    add_record_gradient(16u * (blended.surfel - m.first_surfel + m.first_row), d, others);
+    HitGradient d = hit_gradient(scene, ray, g, b.instance, b.surfel, b.w, d_alpha);
+    if (adds_surfels) add_record_gradient(row, d.lanes);
     d_ray_origin += world_vector(m, d.d_origin);
     d_ray_direction += world_vector(m, d.d_direction);
 }
@@ -88,12 +63,10 @@ void add_hit(TraceScene scene, Ray ray, RayGradient g, BlendedHit blended) {
 float chunk_transmittance[CHUNK];
 float chunk_w[CHUNK];
 float chunk_shade[CHUNK];
-float chunk_intensity[CHUNK];
 
 /// g . c of a hit in the buffer: what a unit of its weight is worth to the loss.
-float shade_of(TraceScene scene, Ray ray, RayGradient g, uint i, out float intensity) {
+float shade_of(TraceScene scene, Ray ray, RayGradient g, uint i) {
     vec3 c = hit_channels(scene, ray, hit_instance[i], hit_surfel[i], scene.records.at[hit_surfel[i]]);
-    intensity = c.x;
     return g.depth * hit_t[i] + g.weight + g.intensity * c.x + g.hit_logit * c.y + g.drop_logit * c.z;
 }
 
@@ -111,13 +84,14 @@ void blend_chunk(TraceScene scene, Ray ray, RayGradient g, uint n, inout BlendSt
         float alpha = min(hit_alpha[i], scene.alpha_max);
         chunk_transmittance[i] = state.transmittance;
         chunk_w[i] = alpha * state.transmittance;
-        chunk_shade[i] = shade_of(scene, ray, g, i, chunk_intensity[i]) - state.shift;
+        chunk_shade[i] = shade_of(scene, ray, g, i) - state.shift;
         add_compensated(state.remaining, state.lost, -chunk_w[i] * chunk_shade[i]);
         state.transmittance *= 1.0 - alpha;
     }
 }
 
-void backward(TraceScene scene, Ray ray, RenderedRay final, RayGradient g) {
+/// @return hits blended: final.n_hits, or fewer where the search does not find them again
+uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient g) {
     precise float remaining = g.depth * final.depth;
     remaining += g.weight * final.weight + g.intensity * final.intensity + g.hit_logit * final.hit_logit + g.drop_logit * final.drop_logit;
     // Eq. 9 does not change when the same number is taken from every value and from the background's, for all weights sum to 1.
@@ -129,24 +103,30 @@ void backward(TraceScene scene, Ray ray, RenderedRay final, RayGradient g) {
         next_hits(scene, ray, after, remaining_budget(scene, state.transmittance));
         uint n = min(n_hits, final.n_hits - blended);
         if (pass == 0u) {
-            float unused;
-            state.shift = shade_of(scene, ray, g, 0u, unused);
+            state.shift = shade_of(scene, ray, g, 0u);
             add_compensated(state.remaining, state.lost, -state.shift * final.weight);
             add_compensated(state.remaining, state.lost, -state.shift * final.transmittance);
         }
+        uint slot = GATHER != 0u ? params.first_hit.at[ray_index] + blended : 0u;
         blended += n;
         blend_chunk(scene, ray, g, n, state);
         bool ends = blended == final.n_hits || !hits_closed;
         float behind = ends ? state.transmittance * (g.drop_logit - state.shift) : state.remaining;   // background: drop logit 1
         for (uint k = n; k > 0u; --k) {
             uint i = k - 1u;
-            use_basis(scene, ray, hit_instance[i]);
-            add_hit(scene, ray, g, BlendedHit(hit_instance[i], hit_surfel[i], chunk_transmittance[i], chunk_w[i], chunk_intensity[i], chunk_shade[i], behind));
+            add_hit(scene, ray, ray_index, g, BlendedHit(slot + i, hit_instance[i], hit_surfel[i], hit_alpha[i], chunk_transmittance[i], chunk_w[i], chunk_shade[i], behind));
             behind += chunk_w[i] * chunk_shade[i];
         }
-        if (ends) return;
+        if (ends) break;
         after = hit_key(n_hits - 1u);
     }
+    return blended;
+}
+
+/// Marks the slots of a ray from `first` on as empty.
+void empty_slots(uint ray_index, uint first, uint n) {
+    uint start = params.first_hit.at[ray_index];
+    for (uint k = start + first; k < min(start + n, params.capacity); ++k) params.rows.at[k] = RELIDAR_NO_ROW(params.n_rows);
 }
 
 void main() {
@@ -158,7 +138,9 @@ void main() {
     ray_basis_instance = kNoInstance;
     RayGradient g = params.upstream.at[i];
     bool any_gradient = g.depth != 0.0 || g.weight != 0.0 || g.intensity != 0.0 || g.hit_logit != 0.0 || g.drop_logit != 0.0;
-    if (any_gradient) backward(params.scene, Ray(entry.origin, entry.direction), params.rendered.at[i], g);
+    RenderedRay final = params.rendered.at[i];
+    uint blended = any_gradient ? backward(params.scene, Ray(entry.origin, entry.direction), i, final, g) : 0u;
+    if (GATHER != 0u) empty_slots(i, blended, final.n_hits);
     if (uint64_t(params.d_rays) == 0ul) return;
     for (uint c = 0u; c < 3u; ++c) {
         params.d_rays.at[6u * i + c] = d_ray_origin[c];

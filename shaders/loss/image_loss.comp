@@ -1,13 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Image losses (Eq. 10) and their derivative: depth L1 and intensity L1 on returned rays, ray-drop cross-entropy of the softmax
 // of the two blended logits (M6) on all known rays. One thread a ray.
-// Input: rendered, targets. Output: upstream. Accumulated: terms.
+// Input: rendered, targets. Output: upstream, terms (summed in order by gpu/sum_rows).
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_EXT_shader_atomic_float : enable
 #include "../common/kernel.glsl"
 #include "../shared/loss.h"
-#include "../common/atomic_add.glsl"
 RELIDAR_PARAMS(ImageLossParams);
 
 /// Depth L1 of D or D / W. @return the term
@@ -53,6 +51,5 @@ void main() {
         terms[2] = drop_term(r, dropped, g);
     }
     params.upstream.at[i] = g;
-    for (uint k = 0u; k < RELIDAR_LOSS_TERMS; ++k)
-        if (terms[k] != 0.0) atomic_add(params.terms, k, terms[k]);
+    for (uint k = 0u; k < RELIDAR_LOSS_TERMS; ++k) params.terms.at[RELIDAR_LOSS_TERMS * i + k] = terms[k];
 }

@@ -1,10 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
-// Second cast and what follows from record gradients: gradients of poses.
+// The second cast, sums of its hit records by surfel, and what follows from them: gradients of poses.
 #ifndef RELIDAR_INCLUDED_SHARED_BACKWARD_H
 #define RELIDAR_INCLUDED_SHARED_BACKWARD_H
 #include "trace.h"
 
 RELIDAR_SHARED_BEGIN
+
+#define RELIDAR_GATHER_BLOCK 32u          // hits a thread sums
+#define RELIDAR_NO_ROW(n_rows) (n_rows)   // row of a slot without a gradient: behind all others when sorted
+
+/// A blended hit of which the rest is computed again: 16 bytes.
+struct HitRecord {
+    uint ray;        // of the batch
+    uint instance;
+    float w;         // blending weight
+    float d_alpha;   // dL/d(sigma G)
+};
+RELIDAR_POINTER(HitRecords, HitRecord);
 
 struct BackwardParams {
     TraceScene scene;
@@ -13,7 +25,28 @@ struct BackwardParams {
     Floats d_records;          // accumulated [n_rows,16], rows as InstanceEntry counts them
     Floats d_sh;               // accumulated [n,3,16], where SH are evaluated a hit
     Floats d_rays;             // output [n_rays,6] d_origin, d_direction, or address 0
+    Uints first_hit;           // input [n_rays + 1] slot of each ray's first hit (gather)
+    HitRecords hits;           // output [capacity] (gather)
+    Uints rows;                // output [capacity] (gather)
+    uint capacity;             // hits in slots beyond it are added with atomics
+    uint n_rows;
     uint with_turn;            // 1: d_records gets the turn of SH directions too, where SH are evaluated a hit
+};
+
+/// Sums of hit records by row: gather, then gather_heads for rows that go on in later blocks.
+struct GatherParams {
+    TraceScene scene;
+    RayGradients upstream;     // input [n_rays]
+    HitRecords hits;           // input [capacity]
+    Uints rows;                // input [capacity] ascending
+    Uints slots;               // input [capacity] of `hits`, in the order of rows
+    Uints n_hits;              // input [1], may exceed capacity
+    Floats heads;              // [blocks,16 or 64] sum of what a block's first row has in it, where the row began in an earlier block
+    Floats d_records;          // accumulated [n_rows,16]
+    Floats d_sh;               // accumulated [n,3,16], where SH are evaluated a hit
+    Uints most_hits;           // maximum [1] of n_hits
+    uint capacity;
+    uint n_rows;
 };
 
 /// Consecutive surfels of one instance.

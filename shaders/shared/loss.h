@@ -12,7 +12,7 @@ struct ImageLossParams {
     RenderedRays rendered;     // input [n_rays]
     Targets targets;           // input, ray k of the launch is entry first_ray + k * ray_stride
     RayGradients upstream;     // output [n_rays]
-    Floats terms;              // accumulated [4] weighted loss terms
+    Floats terms;              // output [n_rays,4] weighted loss terms
     float depth_weight;        // each already divided by the number of pixels it is averaged over
     float intensity_weight;
     float drop_weight;

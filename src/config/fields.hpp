@@ -98,6 +98,8 @@ void visit_training(C& c, Visitor&& f) {
     f("train.rate_decay", c.train.rate_decay, Accepts{0.0, 1.0, true, {}}, "every rate but the mean's ends at this share of its start; 1: constant, as in the paper");
     f("train.extent_m", c.train.extent_m, at_least(0), "extent of the scene, metres; 0: measured");
     f("train.only_touched", c.train.only_touched, anything(), "surfels without a gradient in a step keep their values and moments");
+    f("train.deterministic", c.train.deterministic, anything(), "gradients are summed in a fixed order: bit-equal parameters from run to run on one device");
+    f("train.gather_hits", c.train.gather_hits, between(1, 4096), "room for so many hit records a ray where gradients are summed in a fixed order");
     f("train.sensor_drop", c.train.sensor_drop, anything(), "learn what the sensor itself never sees (its own vehicle) apart from the scene");
     f("train.log_every", c.train.log_every, between(1, kMaxCount), "steps between two lines of the log");
     f("train.seed", c.train.seed, between(0, kMaxSeed), "seed of the order of frames and rays");

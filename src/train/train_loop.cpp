@@ -55,7 +55,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       accel_(device, scene_, accel_options(config)),
       forward_(device, config.image, accel_.proxy(), trace_options(config)),
       loss_(device, config.loss),
-      backward_(device, config.image, accel_.proxy(), trace_options(config)),
+      backward_(device, config.image, accel_.proxy(), trace_options(config), backward_options(config)),
       adam_(device, scene_.size(), {.only_touched = config.train.only_touched}),
       gradients_(device, scene_),
       rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
@@ -105,8 +105,17 @@ std::array<double, kLossTerms> TrainLoop::take_terms(int n, int step) {
     }
     if (const std::uint32_t capped = forward_.take_pass_cap_count())
         throw DeviceError(fmt::format("training, iterations {} to {}: {} rays reached the cap of passes, expected every ray to end", step - n + 1, step, capped));
+    check_room(n, step);
     terms_.upload(std::vector<float>(kLossTerms, 0.0f));
     return means;
+}
+
+void TrainLoop::check_room(int n, int step) {
+    const GatheredHits hits = backward_.take_gathered_hits();
+    if (config_.train.deterministic && hits.most > hits.capacity)
+        throw DeviceError(fmt::format("training, iterations {} to {}, in a fixed order: found {} hits in one of them, expected at most {}; train.gather_hits={} makes room",
+                                      step - n + 1, step, hits.most, hits.capacity, hits.most / std::max(1u, largest_batch()) + 1));
+    if (hits.most > hits.capacity / 2) backward_.reserve_hits(stream_, 2 * hits.most);   // before it is needed
 }
 
 DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {

@@ -40,11 +40,27 @@ protected:
         std::vector<reference::RayGradient> d_rays;
         for (std::size_t i = 0; i < scene.rays.size(); ++i) d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], chunk, upstream[i], expected));
 
-        Passes passes(device(), settings.image, scene, upstream, proxy, {.chunk = chunk, .brute_force = brute_force});
-        passes.run();
+        for (const Way& way : kWays) {
+            Passes passes(device(), settings.image, scene, upstream, proxy, {.chunk = chunk, .brute_force = brute_force}, way.options);
+            passes.run();
+            const GatheredHits hits = passes.backward.take_gathered_hits();
+            EXPECT_EQ(hits.most > hits.capacity, way.options.hits_per_ray == 2) << title;
+            expect_rows(expected, d_rays, passes.gradients, title + ", " + way.name, tolerance);
+        }
+    }
+
+    struct Way {
+        const char* name;
+        BackwardOptions options;
+    };
+    static constexpr Way kWays[] = {{"atomics", {.reduction = Reduction::atomics}},
+                                    {"gather", {.reduction = Reduction::gather}},
+                                    {"gather without room for all", {.reduction = Reduction::gather, .hits_per_ray = 2}}};
+
+    void expect_rows(const reference::Gradients& expected, const std::vector<reference::RayGradient>& d_rays, const Gradients& actual, const std::string& title, double tolerance) {
         GradientTable table;
-        add_surfel_rows(table, expected.surfels, passes.gradients.surfels.download());
-        const std::vector<float> rays = passes.gradients.rays.download();
+        add_surfel_rows(table, expected.surfels, actual.surfels.download());
+        const std::vector<float> rays = actual.rays.download();
         for (std::size_t i = 0; i < d_rays.size(); ++i) {
             table.add_row("ray origin", lanes(d_rays[i].origin, 3), lanes(rays.data() + 6 * i, 3));
             table.add_row("ray direction", lanes(d_rays[i].direction, 3), lanes(rays.data() + 6 * i + 3, 3));

@@ -62,7 +62,7 @@ struct TrainingState {
           adam(device, static_cast<std::uint32_t>(bench.scene.surfels.size()), {.only_touched = bench.config.train.only_touched}),
           allocated_with_moments(device.allocated_bytes()),
           loss(device, bench.config.loss),
-          backward(device, bench.config.image, proxy, trace_options(bench.config)),
+          backward(device, bench.config.image, proxy, trace_options(bench.config), backward_options(bench.config)),
           targets(device, std::span<const DeviceTarget>(wanted), "targets"),
           upstream(device, wanted.size() * kUpstreamFloats, "loss gradients"),
           terms(device, std::vector<float>(kLossTerms, 0.0f), "loss terms") {
