@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 
 #include <relidar/accel.hpp>
 #include <relidar/traversal.hpp>
@@ -49,6 +50,7 @@ struct RenderedBatch {
     RayBatch rays;
     const Array<float>* rendered = nullptr;   ///< [n_rays, kRenderedFloats] of ForwardPass::run with the same scene
     const Array<float>* upstream = nullptr;   ///< [n_rays, kUpstreamFloats] of ImageLoss::run
+    const KeptHits* kept = nullptr;           ///< of the same ForwardPass::run, or null
 };
 
 /// How the gradients of hits are summed.
@@ -60,6 +62,7 @@ enum class Reduction { automatic, atomics, gather };
 
 struct BackwardOptions {
     Reduction reduction = Reduction::automatic;
+    std::optional<bool> subgroup_sums = std::nullopt;   ///< atomics: hits of neighbouring rays on the same surfel are summed first; not given: where subgroups have 16 lanes or more
     std::uint32_t hits_per_ray = 64;   ///< gather: room for so many records a ray of the largest batch, 36 bytes each (42 with ShDirection::ray)
 };
 

@@ -12,8 +12,6 @@
 RELIDAR_PARAMS(GatherParams);
 #include "gather.glsl"
 
-void add_sh(uint surfel, uint k, float amount) { sh_sums[k] += amount; }
-
 /// @return the instance of the hit
 uint sum_hit(TraceScene scene, uint i, uint row) {
     HitRecord h = params.hits.at[params.slots.at[i]];
@@ -23,6 +21,8 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
     ray_basis_instance = kNoInstance;
     HitGradient d = hit_gradient(scene, Ray(entry.origin, entry.direction), params.upstream.at[h.ray], h.instance, row - m.first_row + m.first_surfel, h.w, h.d_alpha);
     for (uint k = 0u; k < 16u; ++k) sums[k] += d.lanes[k];
+    if (SH_PER_SURFEL == 0u)
+        for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k) sh_sums[k] += d.d_channel[k / RELIDAR_SH_COEFFICIENTS] * ray_basis[k % RELIDAR_SH_COEFFICIENTS];
     return h.instance;
 }
 

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backward pass (Eq. 9; M7, M8): casts the same rays again, front to back, and adds the gradient of every hit to its surfel's
+// Backward pass (Eq. 9; M7, M8): casts the same rays again, or takes the hits the forward pass kept, front to back, and adds the gradient of every hit to its surfel's
 // record gradient, or writes a record of the hit for backward/gather to do so. One thread a ray.
-// Input: scene, rendered, upstream, first_hit. Accumulated: d_records, d_sh (where SH are evaluated a hit). Output: d_rays, hits, rows.
+// Input: scene, rendered, upstream, kept, first_hit. Accumulated: d_records, d_sh (where SH are evaluated a hit). Output: d_rays, hits, rows.
 // @differs Eq. 8 as printed lacks the factor 1 / (1 - alpha) on the sum; Eq. 9 has it and is right. The background needs no term
 // of its own: it is in the final value that Eq. 9 subtracts from.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_ballot : require
 #include "../traversal/includes.glsl"
 #include "../common/atomic_add.glsl"
 #include "../common/compensated.glsl"
@@ -16,18 +18,42 @@ RELIDAR_PARAMS(BackwardParams);
 
 layout(constant_id = 4) const uint GATHER = 0u;   // 1: write a record of each hit, for backward/gather; 0: add its gradient with atomics
 
+layout(constant_id = 5) const uint SUBGROUP_SUMS = 0u;   // 1: lanes that hit the same surfel are summed before the atomics
+
 vec3 d_ray_origin;      // world
 vec3 d_ray_direction;
-bool adds_surfels;      // whether the present hit adds to surfels here
 
-void add_sh(uint surfel, uint k, float amount) {
-    if (adds_surfels) atomic_add(params.d_sh, surfel * RELIDAR_SH_FLOATS + k, amount);
+/// Adds `amount` of every lane that is here to one place of an array.
+void add(Floats array, uint index, float amount) {
+    if (SUBGROUP_SUMS == 0u) {
+        atomic_add(array, index, amount);
+        return;
+    }
+    float sum = subgroupAdd(amount);
+    if (subgroupElect()) atomic_add(array, index, sum);
 }
 
-void add_record_gradient(uint row, float lanes[16]) {
+void add_to_surfel(TraceScene scene, uint row, uint surfel, HitGradient d) {
     bool others = SH_PER_SURFEL != 0u || params.with_turn != 0u;   // lanes 7, 11, 15
     for (uint k = 0u; k < 16u; ++k)
-        if (others || k % 4u != 3u || k == 3u) atomic_add(params.d_records, 16u * row + k, lanes[k]);
+        if (others || k % 4u != 3u || k == 3u) add(params.d_records, 16u * row + k, d.lanes[k]);
+    if (SH_PER_SURFEL != 0u) return;
+    for (uint c = 0u; c < 3u; ++c)
+        for (uint k = 0u; k < sh_count(scene.sh_degree); ++k)
+            add(params.d_sh, surfel * RELIDAR_SH_FLOATS + c * RELIDAR_SH_COEFFICIENTS + k, d.d_channel[c] * ray_basis[k]);
+}
+
+/// The same, one surfel after the other where lanes of the subgroup hit several.
+void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient d) {
+    if (SUBGROUP_SUMS == 0u) {
+        add_to_surfel(scene, row, surfel, d);
+        return;
+    }
+    for (bool pending = true; pending;) {
+        if (subgroupBroadcastFirst(row) != row) continue;
+        add_to_surfel(scene, row, surfel, d);
+        pending = false;
+    }
 }
 
 /// A hit as it was blended.
@@ -46,14 +72,14 @@ void add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHi
     InstanceEntry m = scene.instances.at[b.instance];
     uint row = b.surfel - m.first_surfel + m.first_row;
     float d_alpha = b.alpha > scene.alpha_max ? 0.0 : b.transmittance * b.shade - b.behind / (1.0 - b.alpha);   // Eq. 9
-    adds_surfels = GATHER == 0u || b.slot >= params.capacity;
-    if (!adds_surfels) {
+    bool recorded = GATHER != 0u && b.slot < params.capacity;
+    if (recorded) {
         params.hits.at[b.slot] = HitRecord(ray_index, b.instance, b.w, d_alpha);
         params.rows.at[b.slot] = row;
         if (uint64_t(params.d_rays) == 0ul) return;
     }
     HitGradient d = hit_gradient(scene, ray, g, b.instance, b.surfel, b.w, d_alpha);
-    if (adds_surfels) add_record_gradient(row, d.lanes);
+    if (!recorded) add_gradient(scene, row, b.surfel, d);
     d_ray_origin += world_vector(m, d.d_origin);
     d_ray_direction += world_vector(m, d.d_direction);
 }
@@ -90,6 +116,22 @@ void blend_chunk(TraceScene scene, Ray ray, RayGradient g, uint n, inout BlendSt
     }
 }
 
+/// Fills the hit buffer from what the forward pass kept, where that was all of the ray.
+void load_kept_hits(TraceScene scene, Ray ray, uint first, uint n) {
+    reset_hits(0.0);
+    hits_closed = true;
+    for (n_hits = 0u; n_hits < min(n, CHUNK); ++n_hits) {
+        KeptHit kept = params.kept.at[first + n_hits];
+        SurfelHit hit;
+        enter_instance(scene, ray, kept.instance);
+        intersect(scene.records.at[kept.surfel], entered_origin, entered_direction, hit);
+        hit_t[n_hits] = hit.t;
+        hit_alpha[n_hits] = hit.alpha;
+        hit_instance[n_hits] = kept.instance;
+        hit_surfel[n_hits] = kept.surfel;
+    }
+}
+
 /// @return hits blended: final.n_hits, or fewer where the search does not find them again
 uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient g) {
     precise float remaining = g.depth * final.depth;
@@ -100,7 +142,8 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
     uint blended = 0u;
     Key after = first_key(scene);
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && blended < final.n_hits; ++pass) {
-        next_hits(scene, ray, after, remaining_budget(scene, state.transmittance));
+        if (final.n_hits <= params.n_kept) load_kept_hits(scene, ray, ray_index * params.n_kept + blended, final.n_hits - blended);
+        else next_hits(scene, ray, after, remaining_budget(scene, state.transmittance));
         uint n = min(n_hits, final.n_hits - blended);
         if (pass == 0u) {
             state.shift = shade_of(scene, ray, g, 0u);

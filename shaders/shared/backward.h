@@ -28,6 +28,8 @@ struct BackwardParams {
     Uints first_hit;           // input [n_rays + 1] slot of each ray's first hit (gather)
     HitRecords hits;           // output [capacity] (gather)
     Uints rows;                // output [capacity] (gather)
+    KeptHits kept;             // input [n_rays,n_kept] of the forward pass
+    uint n_kept;               // rays with more hits are cast again
     uint capacity;             // hits in slots beyond it are added with atomics
     uint n_rows;
     uint with_turn;            // 1: d_records gets the turn of SH directions too, where SH are evaluated a hit

@@ -64,9 +64,18 @@ struct TraceScene {
     uint ray_stride;
 };
 
+/// A blended hit, so that it need not be searched again.
+struct KeptHit {
+    uint instance;
+    uint surfel;
+};
+RELIDAR_POINTER(KeptHits, KeptHit);
+
 struct ForwardParams {
     TraceScene scene;
     RenderedRays rendered;   // output [n_rays]
+    KeptHits kept;           // output [n_rays,n_kept] the first hits of each ray
+    uint n_kept;
 };
 
 /// Ordered hits of each ray, for tests of the traversal contract.

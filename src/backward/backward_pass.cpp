@@ -21,6 +21,9 @@ constexpr std::uint32_t kMostHitsPerRay = 4096;
 /// Measured: docs/platform.md.
 bool gathers(Reduction reduction) { return reduction == Reduction::gather; }
 
+/// Pays where neighbouring rays fill a subgroup, not on the 8 lanes of a CPU: docs/platform.md.
+bool sums_in_subgroups(const Device& device) { return device.info().subgroup_size >= 16; }
+
 }  // namespace
 
 struct BackwardPass::Impl {
@@ -36,7 +39,8 @@ struct BackwardPass::Impl {
                 {{1u, static_cast<std::uint32_t>(options.chunk)},
                  {2u, proxy == Proxy::boxes ? 1u : 0u},
                  {3u, m.sh_direction == ShDirection::surfel ? 1u : 0u},
-                 {4u, gathers(backward.reduction) ? 1u : 0u}}),
+                 {4u, gathers(backward.reduction) ? 1u : 0u},
+                 {5u, backward.subgroup_sums.value_or(sums_in_subgroups(device)) ? 1u : 0u}}),
           poses(device),
           gather(gathers(backward.reduction) ? std::make_unique<HitGather>(device, m, backward.hits_per_ray) : nullptr),
           pass_cap(device, 1, "pass cap count") {}
@@ -70,6 +74,11 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
     params.d_records = gradients.records.address();
     params.d_sh = gradients.surfels.sh.address();
     params.d_rays = gradients.rays.size() ? gradients.rays.address() : 0;
+    if (batch.kept) {
+        RELIDAR_ASSERT_LE(2 * std::size_t(batch.rays.n_rays) * batch.kept->per_ray, batch.kept->hits.size());
+        params.kept = batch.kept->hits.address();
+        params.n_kept = batch.kept->per_ray;
+    }
     params.n_rows = scene.gradient_rows();
     params.with_turn = wants_poses ? 1u : 0u;
     if (impl_->gather) {

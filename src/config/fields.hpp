@@ -117,6 +117,7 @@ void visit(C& c, Visitor&& f) {
     f("eval.lpips_weights", c.eval.lpips_weights, anything(), "safetensors file with the weights of LPIPS (AlexNet, v0.1); empty: the file that RELIDAR_LPIPS_WEIGHTS names, or no LPIPS");
     f("trace.chunk", c.trace.chunk, between(1, 64), "hits sorted at a time");
     f("trace.proxy", c.trace.proxy, one_of({"automatic", "triangles", "boxes"}), "what stands for a surfel in the acceleration structure");
+    f("trace.keep_hits", c.trace.keep_hits, between(0, 4096), "training: hits kept a ray, 8 bytes each, so that rays with no more are not cast a second time; 0: cast all again, as the paper does");
 }
 
 }  // namespace relidar::config_detail

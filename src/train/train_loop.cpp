@@ -59,6 +59,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       adam_(device, scene_.size(), {.only_touched = config.train.only_touched}),
       gradients_(device, scene_),
       rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
+      kept_(device, largest_batch(), static_cast<std::uint32_t>(config.trace.keep_hits)),
       upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
       terms_(device, std::vector<float>(kLossTerms, 0.0f), "loss terms"),
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
@@ -87,9 +88,9 @@ void TrainLoop::iterate(int step) {
     scene_.place(stream_, frame.placed);                                                                                 // Eq. 4-5
     scene_.activate(stream_, model, frame.sensor_position_m);
     accel_.update(stream_, scene_);
-    forward_.run(stream_, scene_, accel_, rays, rendered_);                                                              // Eq. 2-4
+    forward_.run(stream_, scene_, accel_, rays, rendered_, &kept_);                                                      // Eq. 2-4
     loss_.run(stream_, targets, rendered_, upstream_, terms_);                                                           // Eq. 10
-    backward_.run(stream_, scene_, accel_, {rays, &rendered_, &upstream_}, frame.sensor_position_m, gradients_);         // Eq. 9
+    backward_.run(stream_, scene_, accel_, {rays, &rendered_, &upstream_, &kept_}, frame.sensor_position_m, gradients_); // Eq. 9
     adam_.step(stream_, scene_.parameters(), gradients_.surfels, gradients_.touched, rates_at(config_.train, extent_m_, step), step, model.sh_degree);
     stream_.submit();
 }

@@ -51,7 +51,9 @@ private:
     BackwardPass backward_;
     Adam adam_;
     Gradients gradients_;
-    Array<float> rendered_, upstream_, terms_;
+    Array<float> rendered_;
+    KeptHits kept_;
+    Array<float> upstream_, terms_;
     double extent_m_;
     FrameSampler sampler_;
 

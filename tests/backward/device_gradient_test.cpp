@@ -3,6 +3,7 @@
 // parameter lane of every surfel and the ray, in both SH direction modes; and a few direct differences of the device itself, so that
 // the chain is tested as a whole.
 #include <cmath>
+#include <span>
 
 #include "passes.hpp"
 
@@ -27,6 +28,20 @@ void add_surfel_rows(GradientTable& table, const std::vector<reference::Surfel>&
     }
 }
 
+/// Every way the gradients of hits are found and summed.
+struct Way {
+    const char* name;
+    BackwardOptions options;
+    std::uint32_t kept = 0;   ///< hits a ray kept by the forward pass
+};
+constexpr Way kWays[] = {{"atomics", {.reduction = Reduction::atomics, .subgroup_sums = false}},
+                          {"gather", {.reduction = Reduction::gather}},
+                                {"atomics, subgroup sums", {.reduction = Reduction::atomics, .subgroup_sums = true}},
+                                {"atomics, kept hits", {.reduction = Reduction::atomics}, 64},
+                                {"atomics, some kept hits", {.reduction = Reduction::atomics}, 5},
+                                {"gather, some kept hits", {.reduction = Reduction::gather}, 5},
+                                {"gather without room for all", {.reduction = Reduction::gather, .subgroup_sums = true, .hits_per_ray = 2}}};
+
 class DeviceGradient : public test::DeviceTest {
 protected:
     void expect_agreement(ShDirection direction, const test::RandomSceneOptions& options, Proxy proxy, int chunk, const std::string& title, bool brute_force = false, double tolerance = test::kKernelGradient) {
@@ -40,22 +55,15 @@ protected:
         std::vector<reference::RayGradient> d_rays;
         for (std::size_t i = 0; i < scene.rays.size(); ++i) d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], chunk, upstream[i], expected));
 
-        for (const Way& way : kWays) {
+        for (const Way& way : std::span(kWays).first(brute_force ? 2 : std::size(kWays))) {   // other ways of finding hits change nothing there
             Passes passes(device(), settings.image, scene, upstream, proxy, {.chunk = chunk, .brute_force = brute_force}, way.options);
+            if (way.kept) passes.kept = std::make_unique<KeptHits>(device(), scene.rays.size(), way.kept);
             passes.run();
             const GatheredHits hits = passes.backward.take_gathered_hits();
             EXPECT_EQ(hits.most > hits.capacity, way.options.hits_per_ray == 2) << title;
             expect_rows(expected, d_rays, passes.gradients, title + ", " + way.name, tolerance);
         }
     }
-
-    struct Way {
-        const char* name;
-        BackwardOptions options;
-    };
-    static constexpr Way kWays[] = {{"atomics", {.reduction = Reduction::atomics}},
-                                    {"gather", {.reduction = Reduction::gather}},
-                                    {"gather without room for all", {.reduction = Reduction::gather, .hits_per_ray = 2}}};
 
     void expect_rows(const reference::Gradients& expected, const std::vector<reference::RayGradient>& d_rays, const Gradients& actual, const std::string& title, double tolerance) {
         GradientTable table;

@@ -28,6 +28,7 @@ struct Passes {
     BackwardPass backward;
     Array<DeviceRay> rays;
     Array<float> rendered, upstream;
+    std::unique_ptr<KeptHits> kept;   ///< null: cast again
     Gradients gradients;
     glm::vec3 view_origin;
 
@@ -52,11 +53,11 @@ struct Passes {
     void run_forward() {
         scene.activate(stream, model, view_origin);
         accel.update(stream, scene);
-        forward.run(stream, scene, accel, batch(), rendered);
+        forward.run(stream, scene, accel, batch(), rendered, kept.get());
     }
     void run() {
         run_forward();
-        backward.run(stream, scene, accel, {batch(), &rendered, &upstream}, view_origin, gradients);
+        backward.run(stream, scene, accel, {batch(), &rendered, &upstream, kept.get()}, view_origin, gradients);
         stream.finish();
     }
     /// sum over rays of upstream . rendered, in double

@@ -54,6 +54,7 @@ struct TrainingState {
     BackwardPass backward;
     Array<DeviceTarget> targets;
     Array<float> upstream, terms;
+    KeptHits kept;
     double n_returned = 0.0;
     int step = 0;
 
@@ -65,7 +66,8 @@ struct TrainingState {
           backward(device, bench.config.image, proxy, trace_options(bench.config), backward_options(bench.config)),
           targets(device, std::span<const DeviceTarget>(wanted), "targets"),
           upstream(device, wanted.size() * kUpstreamFloats, "loss gradients"),
-          terms(device, std::vector<float>(kLossTerms, 0.0f), "loss terms") {
+          terms(device, std::vector<float>(kLossTerms, 0.0f), "loss terms"),
+          kept(device, wanted.size(), static_cast<std::uint32_t>(bench.config.trace.keep_hits)) {
         gradients.zero_untouched = !bench.config.train.only_touched;
         for (const DeviceTarget& target : wanted) n_returned += target.range_m > 0.0f;
     }
@@ -160,14 +162,14 @@ private:
     void frame() {
         scene_.activate(stream_, case_.config.image, case_.view_origin_m);
         accel_.update(stream_, scene_);
-        forward_.run(stream_, scene_, accel_, batch(), rendered_);
+        forward_.run(stream_, scene_, accel_, batch(), rendered_, training_ ? &training_->kept : nullptr);
     }
 
     void learn(TrainingState& t) {
         constexpr LearningRates kStandStill{0.0, 0.0, 0.0, 0.0, 0.0, 0.05};
         const RayBatch rays = batch();
         t.loss.run(stream_, {&t.targets, 0, 1, rays.n_rays, t.n_returned, static_cast<double>(rays.n_rays)}, rendered_, t.upstream, t.terms);
-        t.backward.run(stream_, scene_, accel_, {rays, &rendered_, &t.upstream}, case_.view_origin_m, t.gradients);
+        t.backward.run(stream_, scene_, accel_, {rays, &rendered_, &t.upstream, &t.kept}, case_.view_origin_m, t.gradients);
         t.adam.step(stream_, scene_.parameters(), t.gradients.surfels, t.gradients.touched, kStandStill, ++t.step, case_.config.image.sh_degree);
     }
 
