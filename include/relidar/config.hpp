@@ -68,7 +68,7 @@ struct EvalConfig {
 struct TraceConfig {
     int chunk = 16;
     std::string proxy = "automatic";   ///< "automatic", "triangles", "boxes"
-    int keep_hits = 32;                ///< hits a ray that the forward pass keeps for the backward pass; 0 = cast every ray again (paper)
+    int keep_hits = 64;                ///< hits a ray that the forward pass keeps for the backward pass; 0 = cast every ray again (paper)
 };
 
 struct Config {

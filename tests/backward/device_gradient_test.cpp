@@ -36,11 +36,11 @@ struct Way {
 };
 constexpr Way kWays[] = {{"atomics", {.reduction = Reduction::atomics, .subgroup_sums = false}},
                           {"gather", {.reduction = Reduction::gather}},
-                                {"atomics, subgroup sums", {.reduction = Reduction::atomics, .subgroup_sums = true}},
-                                {"atomics, kept hits", {.reduction = Reduction::atomics}, 64},
-                                {"atomics, some kept hits", {.reduction = Reduction::atomics}, 5},
-                                {"gather, some kept hits", {.reduction = Reduction::gather}, 5},
-                                {"gather without room for all", {.reduction = Reduction::gather, .subgroup_sums = true, .hits_per_ray = 2}}};
+                          {"atomics, subgroup sums", {.reduction = Reduction::atomics, .subgroup_sums = true}},
+                          {"atomics, kept hits", {.reduction = Reduction::atomics}, 64},
+                          {"atomics, some kept hits", {.reduction = Reduction::atomics}, 5},
+                          {"gather, some kept hits", {.reduction = Reduction::gather}, 5},
+                          {"gather without room for all", {.reduction = Reduction::gather, .subgroup_sums = true, .hits_per_ray = 2}}};
 
 class DeviceGradient : public test::DeviceTest {
 protected:
