@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 
 #include <relidar/accel.hpp>
 #include <relidar/traversal.hpp>
@@ -12,16 +13,36 @@
 
 namespace relidar {
 
+/// What is wanted beside the gradients of the surfels.
+struct WantedGradients {
+    std::uint32_t n_rays = 0;   ///< > 0: of so many rays, at most
+    bool poses = false;         ///< of all instances and of the sensor
+};
+
 /// Gradients of everything the image depends on.
 struct Gradients {
     SurfelArrays surfels;                ///< dL/d(parameter), layout of Surfels
-    Array<float> records;                ///< [n,16] dL/d(record)
+    Array<float> records;                ///< [DeviceScene::gradient_rows,16] dL/d(record) of each placed surfel
     Array<std::uint32_t> touched;        ///< [n] 1 where a surfel has a gradient in this batch
     bool zero_untouched = true;          ///< false: parameter gradients of the other surfels are left undefined (Adam skips them)
-    Array<float> view_origin;            ///< [3] accumulated (ShDirection::surfel), frame of the model
     Array<float> rays;                   ///< [n_rays,6] dL/d(origin), dL/d(direction), world; empty unless asked for
 
-    Gradients(Device& device, std::uint32_t n_surfels, std::uint32_t n_rays_with_gradient = 0);
+    /// [instances,6] dL/d(v, w) at 0, v metres, w radians, both in the world's axes: world_from_model becomes (exp([w]x) R, T + v), so w turns
+    /// the model about its own origin. Row 0 is the background's: a refinement keeps that where it is. Exactly 0 for instances that no ray
+    /// with a gradient meets, and for absent ones. With ShDirection::surfel a model is viewed from its first placement: further ones have
+    /// no share in what its SH directions do. Empty unless asked for.
+    Array<float> poses;
+    /// [6] dL/d(v, w) at 0: every ray of the batch moves as one body, origin' = c + exp([w]x) (origin - c) + v and direction' = exp([w]x)
+    /// direction, c = view_origin_m, which moves along. With a rolling shutter that is one correction for the whole frame. Empty unless asked for.
+    Array<float> sensor;
+
+    Gradients(Device& device, const DeviceScene& scene, const WantedGradients& wanted = {});
+    ~Gradients();
+    Gradients(Gradients&&) noexcept;
+    Gradients& operator=(Gradients&&) noexcept;
+
+    struct PoseSums;
+    std::unique_ptr<PoseSums> pose_sums;   ///< what poses and sensor are summed from
 };
 
 /// A batch that has been rendered and compared.
@@ -29,16 +50,41 @@ struct RenderedBatch {
     RayBatch rays;
     const Array<float>* rendered = nullptr;   ///< [n_rays, kRenderedFloats] of ForwardPass::run with the same scene
     const Array<float>* upstream = nullptr;   ///< [n_rays, kUpstreamFloats] of ImageLoss::run
+    const KeptHits* kept = nullptr;           ///< of the same ForwardPass::run, or null
+};
+
+/// How the gradients of hits are summed.
+///   atomics: each hit adds to its surfel, in whatever order the device runs them: the last digits differ from run to run
+///   gather:  each hit leaves a record, the records are sorted by surfel and summed in the order of rays: bit-equal from run to run on
+///            one device, as long as all records have room and no model is placed more than twice
+///   automatic: what measures best
+enum class Reduction { automatic, atomics, gather };
+
+struct BackwardOptions {
+    Reduction reduction = Reduction::automatic;
+    std::optional<bool> subgroup_sums = std::nullopt;   ///< atomics: hits of neighbouring rays on the same surfel are summed first; not given: where subgroups have 16 lanes or more
+    std::uint32_t hits_per_ray = 64;   ///< gather: room for so many records a ray of the largest batch, 36 bytes each (42 with ShDirection::ray)
+};
+
+/// Hit records of the gather.
+struct GatheredHits {
+    std::uint64_t most = 0;       ///< hits of the largest batch since the last report
+    std::uint64_t capacity = 0;   ///< room there is; hits beyond it are added with atomics: right, but not the same in every run
 };
 
 class BackwardPass {
 public:
-    BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options);
+    /// @throws UsageError where hits_per_ray is out of range
+    BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options, const BackwardOptions& backward = {});
     ~BackwardPass();
     /// Records the second cast and the chain rule to the parameters. All gradients are overwritten.
     /// @param view_origin_m  the one the scene was activated with
     void run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch, const glm::vec3& view_origin_m, Gradients& gradients);
     void set_sh_degree(int degree);
+    /// Blocks. Nothing with atomics.
+    GatheredHits take_gathered_hits();
+    /// Makes room for so many hit records, at least. Waits for the stream.
+    void reserve_hits(Stream& stream, std::uint64_t n_hits);
 
 private:
     struct Impl;

@@ -17,6 +17,7 @@
 namespace relidar {
 
 struct AccelOptions;
+struct BackwardOptions;
 struct TraceOptions;
 
 struct DatasetConfig {
@@ -50,6 +51,8 @@ struct TrainConfig {
     double rate_decay = 1.0;         ///< all rates but the mean's end at this share of their start, exponentially (1 = paper)
     double extent_m = 0.0;           ///< 0 = from the scene
     bool only_touched = false;       ///< Adam leaves surfels without a gradient in this batch alone
+    bool deterministic = false;      ///< bit-equal parameters from run to run on one device
+    int gather_hits = 64;            ///< hit records a ray there is room for where gradients are gathered
     bool sensor_drop = false;        ///< learn what the sensor itself never sees apart from the scene (stands in for the paper's U-Net)
     int log_every = 50;
     int checkpoint_every = 0;          ///< iterations between checkpoints; 0 = by time alone
@@ -69,6 +72,7 @@ struct EvalConfig {
 struct TraceConfig {
     int chunk = 16;
     std::string proxy = "automatic";   ///< "automatic", "triangles", "boxes"
+    int keep_hits = 64;                ///< hits a ray that the forward pass keeps for the backward pass; 0 = cast every ray again (paper)
 };
 
 struct Config {
@@ -108,5 +112,6 @@ std::string to_toml(const Config& config);
 /// Enum fields.
 AccelOptions accel_options(const Config& config);
 TraceOptions trace_options(const Config& config);
+BackwardOptions backward_options(const Config& config);
 
 }  // namespace relidar

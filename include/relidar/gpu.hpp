@@ -26,6 +26,7 @@ struct DeviceInfo {
     std::uint64_t memory_bytes = 0;    ///< of the largest device-local heap
     bool ray_query = false;            ///< hardware (or driver) ray queries with acceleration structures
     bool float_atomics = false;        ///< float atomic add on buffers; otherwise compare-and-swap
+    int subgroup_size = 1;             ///< lanes that run together
     bool timestamps = false;           ///< compute timestamps
     std::string why_not_ray_query;     ///< missing extensions and features, empty where ray_query
     std::string why_not_usable;        ///< missing base features, empty where relidar runs at all

@@ -166,10 +166,10 @@ struct SurfelArrays {
 
 /// What the activation's derivative reads and writes.
 struct ActivationGradients {
-    const Array<float>* d_records = nullptr;       ///< [n,16] input
+    const Array<float>* d_records = nullptr;       ///< [gradient_rows,16] input
     SurfelArrays* d_surfels = nullptr;             ///< output
     Array<std::uint32_t>* touched = nullptr;       ///< [n] output: 1 where any record gradient is not zero
-    Array<float>* d_view_origin = nullptr;         ///< [3] accumulated
+    Array<float>* d_view = nullptr;                ///< [n,3] output with ShDirection::surfel: dL/d(view origin) by way of each surfel, model frame; null where not wanted
     bool zero_untouched = true;                    ///< write zeros for surfels without a gradient
 };
 
@@ -198,6 +198,8 @@ public:
     float alpha_min() const;                  ///< the records were activated for: where a surfel ends
     std::uint64_t instances_address() const;  ///< of the instance table
     std::uint32_t size() const;               ///< surfels
+    std::uint32_t first_gradient_row(std::size_t instance) const;   ///< of the record gradients of an instance's surfels
+    std::uint32_t gradient_rows() const;      ///< of record gradients: surfels, then those of every further placement of a model
 
 private:
     struct Impl;

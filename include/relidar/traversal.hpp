@@ -41,6 +41,15 @@ struct TraceOptions {
     bool brute_force = false;     ///< test every surfel instead of using the acceleration structure (tests)
 };
 
+/// The first hits of each ray of a batch, as the forward pass blended them, so that the backward pass need not search them again.
+struct KeptHits {
+    Array<std::uint32_t> hits;    ///< [n_rays, per_ray, 2] instance, surfel
+    std::uint32_t per_ray = 0;    ///< a ray with more hits is cast again
+
+    /// @param n_rays  of the largest batch
+    KeptHits(Device& device, std::size_t n_rays, std::uint32_t hits_per_ray) : hits(device, 2 * n_rays * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
+};
+
 /// Rays as kernels read them.
 std::vector<DeviceRay> to_device_rays(const WorldRays& rays);
 

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // Forward pass (Eq. 2-4; M4, M5): collects hits chunk by chunk, blends nearest first. One thread a ray.
-// Input: scene (rays, records, instances, sh, acceleration structure). Output: rendered. Accumulated: scene.pass_cap_count.
+// Input: scene (rays, records, instances, sh, acceleration structure). Output: rendered, kept. Accumulated: scene.pass_cap_count.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../traversal/includes.glsl"
 #include "../common/compensated.glsl"
 RELIDAR_PARAMS(ForwardParams);
 
-RenderedRay render(TraceScene scene, Ray ray) {
+RenderedRay render(TraceScene scene, Ray ray, uint ray_index) {
     RenderedRay r = RenderedRay(0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0u, RELIDAR_NO_INSTANCE);
     float lost[5] = float[](0.0, 0.0, 0.0, 0.0, 0.0);
     ray_basis_instance = kNoInstance;
@@ -31,6 +31,7 @@ RenderedRay render(TraceScene scene, Ray ray) {
             if (crosses) r.median_depth = hit_t[i];
             if (crosses || r.n_hits == 0u) r.instance = hit_instance[i];
             r.transmittance = next;
+            if (r.n_hits < params.n_kept) params.kept.at[ray_index * params.n_kept + r.n_hits] = KeptHit(hit_instance[i], hit_surfel[i]);
             ++r.n_hits;
         }
         if (!hits_closed) ended = true;
@@ -45,5 +46,5 @@ void main() {
     uint i = thread_index();
     if (i >= params.scene.n_rays) return;
     RayEntry entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
-    params.rendered.at[i] = render(params.scene, Ray(entry.origin, entry.direction));
+    params.rendered.at[i] = render(params.scene, Ray(entry.origin, entry.direction), i);
 }

@@ -1,13 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Parameter gradients from record gradients: the chain rule of activate.comp, once a frame instead of once a hit (docs/method.md
 // section 4, reduction a). One thread a surfel.
-// Input: surfels, d_records. Output: d_surfels (sh only where SH are evaluated a surfel), touched. Accumulated: d_view_origin.
+// Input: surfels, d_records, more_rows. Output: d_surfels (sh only where SH are evaluated a surfel), touched, d_view.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_EXT_shader_atomic_float : enable
 #include "../common/kernel.glsl"
 #include "../shared/scene.h"
-#include "../common/atomic_add.glsl"
 #include "../gaussian/quaternion.glsl"
 #include "../gaussian/sh.glsl"
 RELIDAR_PARAMS(ActivateVjpParams);
@@ -33,6 +31,22 @@ vec3 channels_vjp(uint surfel, vec3 direction, vec3 d_channel) {
 
 vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1], a.at[i + 2]); }
 
+void store_view(uint surfel, vec3 g) {
+    if (uint64_t(params.d_view) == 0ul) return;
+    for (uint k = 0u; k < 3u; ++k) params.d_view.at[3 * surfel + k] = g[k];
+}
+
+/// Record gradient of a surfel, summed over the placements of its model. @return whether it is not zero
+bool load_row(uint i, out float row[16]) {
+    bool any_gradient = false;
+    for (uint k = 0u; k < 16u; ++k) {
+        row[k] = params.d_records.at[16u * (params.first_surfel + i) + k];
+        for (uint p = 0u; p < params.n_more; ++p) row[k] += params.d_records.at[16u * (params.more_rows.at[p] + i) + k];
+        any_gradient = any_gradient || row[k] != 0.0;
+    }
+    return any_gradient;
+}
+
 void store_zero(uint surfel) {
     for (uint k = 0u; k < 3u; ++k) params.d_surfels.mean.at[3 * surfel + k] = 0.0;
     for (uint k = 0u; k < 4u; ++k) params.d_surfels.rotation.at[4 * surfel + k] = 0.0;
@@ -46,21 +60,21 @@ void main() {
     uint i = thread_index();
     if (i >= params.n_surfels) return;
     uint surfel = params.first_surfel + i;
-    uint row = surfel * 16u;
-    bool any_gradient = false;
-    for (uint k = 0u; k < 16u; ++k) any_gradient = any_gradient || params.d_records.at[row + k] != 0.0;
+    float row[16];
+    bool any_gradient = load_row(i, row);
     params.touched.at[surfel] = any_gradient ? 1u : 0u;
     if (!any_gradient) {
         if (params.zero_untouched != 0u) store_zero(surfel);
+        store_view(surfel, vec3(0.0));
         return;
     }
 
-    vec3 d_mean = load3(params.d_records, row);
-    float d_opacity = params.d_records.at[row + 3];
-    vec3 d_axis_u = load3(params.d_records, row + 4);
-    vec3 d_axis_v = load3(params.d_records, row + 8);
-    vec3 d_normal = load3(params.d_records, row + 12);
-    vec3 d_channel = vec3(params.d_records.at[row + 7], params.d_records.at[row + 11], params.d_records.at[row + 15]);
+    vec3 d_mean = vec3(row[0], row[1], row[2]);
+    float d_opacity = row[3];
+    vec3 d_axis_u = vec3(row[4], row[5], row[6]);
+    vec3 d_axis_v = vec3(row[8], row[9], row[10]);
+    vec3 d_normal = vec3(row[12], row[13], row[14]);
+    vec3 d_channel = vec3(row[7], row[11], row[15]);
 
     vec4 q = vec4(params.surfels.rotation.at[4 * surfel], params.surfels.rotation.at[4 * surfel + 1],
                   params.surfels.rotation.at[4 * surfel + 2], params.surfels.rotation.at[4 * surfel + 3]);
@@ -76,8 +90,7 @@ void main() {
         vec3 d_direction = channels_vjp(surfel, direction, d_channel);
         vec3 d_to_mean = (d_direction - direction * dot(direction, d_direction)) * inverse_length;
         d_mean += d_to_mean;
-        for (uint k = 0u; k < 3u; ++k)
-            if (d_to_mean[k] != 0.0) atomic_add(params.d_view_origin, k, -d_to_mean[k]);
+        store_view(surfel, -d_to_mean);
     }
     for (uint k = 0u; k < 3u; ++k) params.d_surfels.mean.at[3 * surfel + k] = d_mean[k];
     for (uint k = 0u; k < 4u; ++k) params.d_surfels.rotation.at[4 * surfel + k] = d_q[k];

@@ -30,6 +30,7 @@ struct InstanceEntry {
     vec4 row2;
     uint first_surfel;    // of the model, in the scene's surfel arrays
     uint n_surfels;
+    uint first_row;       // of its record gradients: a model's first placement has those of its surfels, others follow after all surfels
 };
 RELIDAR_POINTER(Instances, InstanceEntry);
 
@@ -57,13 +58,15 @@ struct ActivateParams {
 /// Parameter gradients from record gradients (scene/activate_vjp.comp).
 struct ActivateVjpParams {
     SurfelPointers surfels;     // input
-    Floats d_records;           // input [n,16], laid out as SurfelRecord
+    Floats d_records;           // input [n_rows,16], laid out as SurfelRecord
+    Uints more_rows;            // input [n_more] first row of each further placement of the model
     SurfelPointers d_surfels;   // output; sh is accumulated where SH are evaluated a hit
     Uints touched;              // output [n] 1 where any record gradient is not zero
-    Floats d_view_origin;       // accumulated [3], model frame
+    Floats d_view;              // output [n,3] dL/d(view_origin) by way of each surfel (SH a surfel only), or address 0
     vec3 view_origin;
     uint first_surfel;
     uint n_surfels;
+    uint n_more;
     uint sh_degree;
     uint sh_per_surfel;
     uint zero_untouched;        // 1: write zeros where touched is 0

@@ -66,18 +66,18 @@ struct TraceScene {
     uint ray_stride;
 };
 
+/// A blended hit, so that it need not be searched again.
+struct KeptHit {
+    uint instance;
+    uint surfel;
+};
+RELIDAR_POINTER(KeptHits, KeptHit);
+
 struct ForwardParams {
     TraceScene scene;
     RenderedRays rendered;   // output [n_rays]
-};
-
-struct BackwardParams {
-    TraceScene scene;
-    RenderedRays rendered;     // input [n_rays], of the forward pass with the same scene
-    RayGradients upstream;     // input [n_rays]
-    Floats d_records;          // accumulated [n,16]
-    Floats d_sh;               // accumulated [n,3,16], where SH are evaluated a hit
-    Floats d_rays;             // output [n_rays,6] d_origin, d_direction, or address 0
+    KeptHits kept;           // output [n_rays,n_kept] the first hits of each ray
+    uint n_kept;
 };
 
 /// Ordered hits of each ray, for tests of the traversal contract.

@@ -1,55 +1,97 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of backward/trace and scene/activate_vjp: second cast, then the chain rule once a surfel (Eq. 9, M7, M8).
+// Binding of backward/trace: second cast, sums of its hits, then the chain rule once a surfel (Eq. 9, M7, M8).
 #include <relidar/backward.hpp>
 
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
 #include <relidar/forward.hpp>
 
+#include "backward/hit_gather.hpp"
+#include "backward/pose_gradients.hpp"
 #include "core/assert.hpp"
 #include "gpu/stream.hpp"
 #include "traversal/trace_scene.hpp"
 
 namespace relidar {
+namespace {
+
+constexpr std::uint32_t kMostHitsPerRay = 4096;
+
+/// Measured: docs/platform.md.
+bool gathers(Reduction reduction) { return reduction == Reduction::gather; }
+
+/// Pays where neighbouring rays fill a subgroup, not on the 8 lanes of a CPU: docs/platform.md.
+bool sums_in_subgroups(const Device& device) { return device.info().subgroup_size >= 16; }
+
+}  // namespace
 
 struct BackwardPass::Impl {
     ImageModel model;
     Kernel<shared::BackwardParams> trace;
-    Array<std::uint32_t> pass_cap;   ///< the forward pass reports; here it only must not be null
+    PoseGradients poses;
+    std::unique_ptr<HitGather> gather;   ///< null: atomics
+    Array<std::uint32_t> pass_cap;       ///< the forward pass reports; here it only must not be null
+
+    Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options, const BackwardOptions& backward)
+        : model(m),
+          trace(device, accumulating_variant(device, "backward/trace" + traversal_variant(options)),
+                {{1u, static_cast<std::uint32_t>(options.chunk)},
+                 {2u, proxy == Proxy::boxes ? 1u : 0u},
+                 {3u, m.sh_direction == ShDirection::surfel ? 1u : 0u},
+                 {4u, gathers(backward.reduction) ? 1u : 0u},
+                 {5u, backward.subgroup_sums.value_or(sums_in_subgroups(device)) ? 1u : 0u}}),
+          poses(device),
+          gather(gathers(backward.reduction) ? std::make_unique<HitGather>(device, m, backward.hits_per_ray) : nullptr),
+          pass_cap(device, 1, "pass cap count") {}
 };
 
-namespace {
-
-std::string variant(const Device& device, const TraceOptions& options) {
-    return accumulating_variant(device, "backward/trace" + traversal_variant(options));
+BackwardPass::BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options, const BackwardOptions& backward) {
+    if (backward.hits_per_ray < 1 || backward.hits_per_ray > kMostHitsPerRay)
+        throw UsageError(fmt::format("hit records of the backward pass: found room for {} a ray, expected 1 to {}", backward.hits_per_ray, kMostHitsPerRay));
+    impl_ = std::make_unique<Impl>(device, model, proxy, options, backward);
 }
 
-}  // namespace
-
-Gradients::Gradients(Device& device, std::uint32_t n_surfels, std::uint32_t n_rays_with_gradient)
-    : surfels(device, n_surfels, "gradient"),
-      records(device, 16 * std::size_t(n_surfels), "record gradient"),
-      touched(device, n_surfels, "touched surfels"),
-      view_origin(device, 3, "view origin gradient"),
-      rays(n_rays_with_gradient ? Array<float>(device, 6 * std::size_t(n_rays_with_gradient), "ray gradient") : Array<float>()) {}
-
-BackwardPass::BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options)
-    : impl_(new Impl{model,
-                     {device, variant(device, options),
-                      {{1u, static_cast<std::uint32_t>(options.chunk)}, {2u, proxy == Proxy::boxes ? 1u : 0u}, {3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}}},
-                     Array<std::uint32_t>(device, 1, "pass cap count")}) {}
 BackwardPass::~BackwardPass() = default;
 void BackwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
+GatheredHits BackwardPass::take_gathered_hits() { return impl_->gather ? impl_->gather->take_use() : GatheredHits{}; }
+
+void BackwardPass::reserve_hits(Stream& stream, std::uint64_t n_hits) {
+    if (!impl_->gather) return;
+    stream.finish();
+    impl_->gather->reserve(n_hits);
+}
 
 void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch, const glm::vec3& view_origin_m, Gradients& gradients) {
     RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays) * kRenderedFloats, batch.rendered->size());
-    RELIDAR_ASSERT_LE(16 * std::size_t(scene.size()), gradients.records.size());
+    RELIDAR_ASSERT_LE(16 * std::size_t(scene.gradient_rows()), gradients.records.size());
     const ImageModel& model = impl_->model;
+    const bool wants_poses = gradients.poses.size() > 0;
+    shared::BackwardParams params{};
+    params.scene = trace_scene(scene, accel, batch.rays, model, impl_->pass_cap.address());
+    params.rendered = batch.rendered->address();
+    params.upstream = batch.upstream->address();
+    params.d_records = gradients.records.address();
+    params.d_sh = gradients.surfels.sh.address();
+    params.d_rays = gradients.rays.size() ? gradients.rays.address() : 0;
+    if (batch.kept) {
+        RELIDAR_ASSERT_LE(2 * std::size_t(batch.rays.n_rays) * batch.kept->per_ray, batch.kept->hits.size());
+        params.kept = batch.kept->hits.address();
+        params.n_kept = batch.kept->per_ray;
+    }
+    params.n_rows = scene.gradient_rows();
+    params.with_turn = wants_poses ? 1u : 0u;
+    if (impl_->gather) {
+        impl_->gather->assign_slots(stream, batch);
+        impl_->gather->fill(params);
+    }
     stream.fill(gradients.records);
-    stream.fill(gradients.view_origin);
     if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);
-    relidar::run(stream, impl_->trace, batch.rays.n_rays,
-                 {trace_scene(scene, accel, batch.rays, model, impl_->pass_cap.address()), batch.rendered->address(), batch.upstream->address(), gradients.records.address(),
-                  gradients.surfels.sh.address(), gradients.rays.size() ? gradients.rays.address() : 0});
-    scene.activate_vjp(stream, model, view_origin_m, {&gradients.records, &gradients.surfels, &gradients.touched, &gradients.view_origin, gradients.zero_untouched});
+    relidar::run(stream, impl_->trace, batch.rays.n_rays, params);
+    if (impl_->gather) impl_->gather->run(stream, params);
+    scene.activate_vjp(stream, model, view_origin_m,
+                       {&gradients.records, &gradients.surfels, &gradients.touched, wants_poses ? &gradients.pose_sums->d_view : nullptr, gradients.zero_untouched});
+    if (wants_poses) impl_->poses.run(stream, scene, model, view_origin_m, gradients);
 }
 
 }  // namespace relidar

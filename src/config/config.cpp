@@ -14,6 +14,7 @@
 #include "config/field_text.hpp"
 #include "core/files.hpp"
 #include <relidar/accel.hpp>
+#include <relidar/backward.hpp>
 #include <relidar/error.hpp>
 #include <relidar/traversal.hpp>
 
@@ -155,6 +156,13 @@ AccelOptions accel_options(const Config& config) {
 TraceOptions trace_options(const Config& config) {
     TraceOptions options;
     options.chunk = config.trace.chunk;
+    return options;
+}
+
+BackwardOptions backward_options(const Config& config) {
+    BackwardOptions options;
+    if (config.train.deterministic) options.reduction = Reduction::gather;
+    options.hits_per_ray = static_cast<std::uint32_t>(config.train.gather_hits);
     return options;
 }
 

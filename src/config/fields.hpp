@@ -109,6 +109,8 @@ void visit_training(C& c, Visitor&& f) {
     f("train.rate_decay", c.train.rate_decay, Accepts{0.0, 1.0, true, {}}, "every rate but the mean's ends at this share of its start; 1: constant, as in the paper");
     f("train.extent_m", c.train.extent_m, at_least(0), "extent of the scene, metres; 0: measured");
     f("train.only_touched", c.train.only_touched, anything(), "surfels without a gradient in a step keep their values and moments");
+    f("train.deterministic", c.train.deterministic, anything(), "gradients are summed in a fixed order: bit-equal parameters from run to run on one device");
+    f("train.gather_hits", c.train.gather_hits, between(1, 4096), "room for so many hit records a ray where gradients are summed in a fixed order");
     f("train.sensor_drop", c.train.sensor_drop, anything(), "learn what the sensor itself never sees (its own vehicle) apart from the scene");
     f("train.log_every", c.train.log_every, between(1, kMaxCount), "steps between two lines of the log");
     f("train.checkpoint_every", c.train.checkpoint_every, between(0, kMaxCount), "steps between two checkpoints; 0: by time alone");
@@ -129,6 +131,7 @@ void visit(C& c, Visitor&& f) {
     f("eval.lpips_weights", c.eval.lpips_weights, anything(), "safetensors file with the weights of LPIPS (AlexNet, v0.1); empty: the file that RELIDAR_LPIPS_WEIGHTS names, or no LPIPS");
     f("trace.chunk", c.trace.chunk, between(1, 64), "hits sorted at a time");
     f("trace.proxy", c.trace.proxy, one_of({"automatic", "triangles", "boxes"}), "what stands for a surfel in the acceleration structure");
+    f("trace.keep_hits", c.trace.keep_hits, between(0, 4096), "training: hits kept a ray, 8 bytes each, so that rays with no more are not cast a second time; 0: cast all again, as the paper does");
 }
 
 }  // namespace relidar::config_detail

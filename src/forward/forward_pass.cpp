@@ -37,10 +37,12 @@ ForwardPass::ForwardPass(Device& device, const ImageModel& model, Proxy proxy, c
 ForwardPass::~ForwardPass() = default;
 void ForwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 
-void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered) {
+void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered, KeptHits* kept) {
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kRenderedFloats, rendered.size());
     RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.rays->size());
-    relidar::run(stream, impl_->trace, batch.n_rays, {trace_scene(scene, accel, batch, impl_->model, impl_->pass_cap.address()), rendered.address()});
+    RELIDAR_ASSERT_LE(kept ? 2 * std::size_t(batch.n_rays) * kept->per_ray : 0, kept ? kept->hits.size() : 0);
+    relidar::run(stream, impl_->trace, batch.n_rays,
+                 {trace_scene(scene, accel, batch, impl_->model, impl_->pass_cap.address()), rendered.address(), kept ? kept->hits.address() : 0, kept ? kept->per_ray : 0});
 }
 
 std::uint32_t ForwardPass::take_pass_cap_count() {

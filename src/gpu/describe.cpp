@@ -48,6 +48,8 @@ std::uint64_t largest_local_heap(VkPhysicalDevice physical) {
 
 std::string version_text(std::uint32_t v) { return fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(v), VK_API_VERSION_MINOR(v), VK_API_VERSION_PATCH(v)); }
 
+constexpr VkSubgroupFeatureFlags kSubgroupOperations = VK_SUBGROUP_FEATURE_BASIC_BIT | VK_SUBGROUP_FEATURE_ARITHMETIC_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT;
+
 }  // namespace
 
 DeviceInfo describe(VkPhysicalDevice physical, int index) {
@@ -56,7 +58,8 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
         return std::any_of(extensions.begin(), extensions.end(), [&](const VkExtensionProperties& e) { return std::strcmp(e.extensionName, name) == 0; });
     };
     VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES};
-    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &driver};
+    VkPhysicalDeviceVulkan11Properties v11{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_1_PROPERTIES, &driver};
+    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &v11};
     vkGetPhysicalDeviceProperties2(physical, &properties);
 
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
@@ -75,6 +78,7 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     info.driver = fmt::format("{} {}", driver.driverName, driver.driverInfo);
     info.api_version = version_text(properties.properties.apiVersion);
     info.memory_bytes = largest_local_heap(physical);
+    info.subgroup_size = static_cast<int>(v11.subgroupSize);
     info.timestamps = properties.properties.limits.timestampComputeAndGraphics != 0;
     info.float_atomics = has(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) && atomics.shaderBufferFloat32AtomicAdd;
 
@@ -86,6 +90,8 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     base.need(v12.hostQueryReset, "hostQueryReset");
     base.need(v13.maintenance4, "maintenance4");
     base.need(features.features.shaderInt64, "shaderInt64");
+    base.need((v11.subgroupSupportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (v11.subgroupSupportedOperations & kSubgroupOperations) == kSubgroupOperations,
+              "subgroup arithmetic and ballots in compute");
     info.why_not_usable = base.text;
 
     Missing rays;

@@ -11,7 +11,7 @@
 
 namespace relidar {
 
-static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry) == 56);
+static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry) == 60);
 static_assert(RELIDAR_SH_COEFFICIENTS == kShCoefficients && RELIDAR_SH_FLOATS == kShFloats);
 
 SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& what)
@@ -62,10 +62,35 @@ void check_layout(const Scene& scene) {
             throw DataError(fmt::format("loading scene: an instance places model {}, expected one of {}", instance.model, scene.models.size()));
 }
 
+/// Where the record gradients of each placement lie: those of a model's first placement are its surfels' own rows, further ones follow
+/// after all surfels.
+struct GradientRows {
+    std::vector<std::uint32_t> first;           ///< [instances]
+    std::vector<std::uint32_t> more;            ///< further placements, by model
+    std::vector<std::uint32_t> first_of_model;  ///< [models + 1] into `more`
+    std::uint32_t n = 0;
+
+    explicit GradientRows(const Scene& scene) : first(scene.instances.size()), n(static_cast<std::uint32_t>(scene.surfels.size())) {
+        for (std::uint32_t model = 0; model < scene.models.size(); ++model) {
+            first_of_model.push_back(static_cast<std::uint32_t>(more.size()));
+            bool placed = false;
+            for (std::size_t i = 0; i < scene.instances.size(); ++i) {
+                if (scene.instances[i].model != model) continue;
+                first[i] = placed ? n : scene.models[model].first;
+                if (placed) more.push_back(n), n += scene.models[model].count;
+                placed = true;
+            }
+        }
+        first_of_model.push_back(static_cast<std::uint32_t>(more.size()));
+    }
+};
+
 }  // namespace
 
 struct DeviceScene::Impl {
     Scene layout;
+    GradientRows rows;
+    Array<std::uint32_t> more_rows;
     SurfelArrays parameters;
     Array<float> records;
     Array<shared::InstanceEntry> instances;
@@ -76,11 +101,13 @@ struct DeviceScene::Impl {
 
     Impl(Device& device, const Scene& scene)
         : layout(layout_of(scene)),
+          rows(scene),
+          more_rows(device, rows.more, "rows of further placements"),
           parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel"),
           records(device, 16 * scene.surfels.size(), "surfel records"),
           instances(device, scene.instances.size(), "instance table"),
           activate(device, "scene/activate"),
-          activate_vjp(device, accumulating_variant(device, "scene/activate_vjp@")) {}
+          activate_vjp(device, "scene/activate_vjp") {}
 
     /// Takes the poses. @return the table hits are moved into their models with; an absent instance has no surfels
     std::vector<shared::InstanceEntry> instance_table(const std::vector<InstancePose>& placed) {
@@ -91,7 +118,7 @@ struct DeviceScene::Impl {
         for (std::size_t i = 0; i < placed.size(); ++i) {
             const glm::mat4 m(to_matrix(inverse(placed[i].world_from_model)));
             const Model& model = layout.models[layout.instances[i].model];
-            entries.push_back({{m[0].x, m[1].x, m[2].x, m[3].x}, {m[0].y, m[1].y, m[2].y, m[3].y}, {m[0].z, m[1].z, m[2].z, m[3].z}, model.first, placed[i].present ? model.count : 0u});
+            entries.push_back({{m[0].x, m[1].x, m[2].x, m[3].x}, {m[0].y, m[1].y, m[2].y, m[3].y}, {m[0].z, m[1].z, m[2].z, m[3].z}, model.first, placed[i].present ? model.count : 0u, rows.first[i]});
         }
         return entries;
     }
@@ -135,11 +162,13 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
 }
 
 void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m, const ActivationGradients& g) {
+    const GradientRows& rows = impl_->rows;
     for (std::size_t i = 0; i < impl_->layout.models.size(); ++i) {
         const Model& range = impl_->layout.models[i];
         run(stream, impl_->activate_vjp, range.count,
-            {pointers(impl_->parameters), g.d_records->address(), pointers(*g.d_surfels), g.touched->address(), g.d_view_origin->address(),
-             impl_->view_origin(i, view_origin_m), range.first, range.count, static_cast<std::uint32_t>(model.sh_degree),
+            {pointers(impl_->parameters), g.d_records->address(), impl_->more_rows.address() + sizeof(std::uint32_t) * rows.first_of_model[i], pointers(*g.d_surfels),
+             g.touched->address(), g.d_view ? g.d_view->address() : 0, impl_->view_origin(i, view_origin_m), range.first, range.count,
+             rows.first_of_model[i + 1] - rows.first_of_model[i], static_cast<std::uint32_t>(model.sh_degree),
              model.sh_direction == ShDirection::surfel ? 1u : 0u, g.zero_untouched ? 1u : 0u});
     }
 }
@@ -152,5 +181,7 @@ const Array<float>& DeviceScene::records() const { return impl_->records; }
 std::uint64_t DeviceScene::instances_address() const { return impl_->instances.address(); }
 float DeviceScene::alpha_min() const { return impl_->alpha_min; }
 std::uint32_t DeviceScene::size() const { return impl_->parameters.n; }
+std::uint32_t DeviceScene::first_gradient_row(std::size_t instance) const { return impl_->rows.first[instance]; }
+std::uint32_t DeviceScene::gradient_rows() const { return impl_->rows.n; }
 
 }  // namespace relidar

@@ -66,11 +66,12 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       batches_(device, config, frames_),
       loss_(device, config.loss, largest_batch()),
       chamfer_(device, config.loss, largest_batch()),
-      backward_(device, config.image, accel_.proxy(), trace_options(config)),
+      backward_(device, config.image, accel_.proxy(), trace_options(config), backward_options(config)),
       surfel_loss_(device, config.loss),
       adam_(device, scene_.size(), {.only_touched = config.train.only_touched}),
-      gradients_(device, scene_.size()),
+      gradients_(device, scene_),
       rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
+      kept_(device, largest_batch(), static_cast<std::uint32_t>(config.trace.keep_hits)),
       upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
       terms_(device, std::vector<float>(kTermSlots * kLossTerms, 0.0f), "loss terms"),
       half_sizes_m_(box_half_sizes(initial, sequence)),
@@ -106,11 +107,11 @@ void TrainLoop::iterate(int step) {
     scene_.place(stream_, frame.placed);                                                                                 // Eq. 4-5
     scene_.activate(stream_, model, frame.sensor_position_m);
     accel_.update(stream_, scene_);
-    forward_.run(stream_, scene_, accel_, rays, rendered_);                                                              // Eq. 2-4
+    forward_.run(stream_, scene_, accel_, rays, rendered_, &kept_);                                                      // Eq. 2-4
     const TermRow terms(terms_, static_cast<std::uint32_t>(pending_.size()));
     loss_.run(stream_, targets, rendered_, upstream_, terms);                                                            // Eq. 10
     chamfer_.run(stream_, rays, targets, rendered_, upstream_, terms);                                                   // Eq. 11
-    backward_.run(stream_, scene_, accel_, {rays, &rendered_, &upstream_}, frame.sensor_position_m, gradients_);         // Eq. 9
+    backward_.run(stream_, scene_, accel_, {rays, &rendered_, &upstream_, &kept_}, frame.sensor_position_m, gradients_); // Eq. 9
     surfel_loss_.run(stream_, scene_, half_sizes_m_, {&gradients_.surfels, config_.train.only_touched ? &gradients_.touched : nullptr}, terms);
     adam_.step(stream_, scene_.parameters(), gradients_.surfels, gradients_.touched, rates_at(config_.train, extent_m_, step), step, model.sh_degree);
     submitted_ = stream_.submit();
@@ -131,6 +132,7 @@ void TrainLoop::collect_terms() {
     }
     if (const std::uint32_t capped = forward_.take_pass_cap_count())
         throw DeviceError(fmt::format("training, iterations {} to {}: {} rays reached the cap of passes, expected every ray to end", pending_.front().step, pending_.back().step, capped));
+    check_room();
     n_summed_ += pending_.size();
     pending_.clear();
     terms_.upload(std::vector<float>(kTermSlots * kLossTerms, 0.0f));
@@ -155,6 +157,14 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
     visit_state(StateReader(checkpoint));
     if (!sampler_.is_sound(frames_.size()) || term_sums_.size() != kLossTerms)
         throw DataError(fmt::format("resuming from iteration {}: the order of frames or the sums of losses are not those of {} frames and {} terms", checkpoint.iteration, frames_.size(), kLossTerms));
+}
+
+void TrainLoop::check_room() {
+    const GatheredHits hits = backward_.take_gathered_hits();
+    if (config_.train.deterministic && hits.most > hits.capacity)
+        throw DeviceError(fmt::format("training, iterations {} to {}, in a fixed order: found {} hits in one of them, expected at most {}; train.gather_hits={} makes room",
+                                      pending_.front().step, pending_.back().step, hits.most, hits.capacity, hits.most / std::max(1u, largest_batch()) + 1));
+    if (hits.most > hits.capacity / 2) backward_.reserve_hits(stream_, 2 * hits.most);   // before it is needed
 }
 
 DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {

@@ -81,7 +81,9 @@ private:
     SurfelLoss surfel_loss_;
     Adam adam_;
     Gradients gradients_;
-    Array<float> rendered_, upstream_, terms_;
+    Array<float> rendered_;
+    KeptHits kept_;
+    Array<float> upstream_, terms_;
     std::vector<glm::vec3> half_sizes_m_;   ///< of the models' boxes
     double extent_m_;
     FrameSampler sampler_;
@@ -105,6 +107,8 @@ private:
     std::uint32_t largest_batch() const;
     /// Waits for the device and adds up the losses of the iterations pending.
     void collect_terms();
+    /// Hits of the pending iterations against the room for their records; makes more. @throws DeviceError where a deterministic step did not fit
+    void check_room();
 };
 
 }  // namespace relidar

@@ -3,94 +3,18 @@
 // parameter lane of every surfel and the ray, in both SH direction modes; and a few direct differences of the device itself, so that
 // the chain is tested as a whole.
 #include <cmath>
-#include <random>
+#include <span>
 
-#include <relidar/backward.hpp>
-#include <relidar/forward.hpp>
-#include <relidar/loss.hpp>
-
-#include "../support/device.hpp"
-#include "../support/gradient_check.hpp"
-#include "../support/placed.hpp"
-#include "../support/random_scene.hpp"
+#include "passes.hpp"
 
 namespace relidar {
 namespace {
 
 using reference::PixelGradient;
 using test::GradientTable;
-
-/// Everything one forward and backward pass needs, on the device.
-struct Passes {
-    Device& device;
-    ImageModel model;
-    test::SceneAndPoses placed;
-    Stream stream;
-    DeviceScene scene;
-    Accel accel;
-    ForwardPass forward;
-    BackwardPass backward;
-    Array<DeviceRay> rays;
-    Array<float> rendered, upstream;
-    Gradients gradients;
-    glm::vec3 view_origin;
-
-    Passes(Device& d, const ImageModel& m, const test::RandomScene& s, const std::vector<PixelGradient>& g, Proxy proxy, const TraceOptions& trace)
-        : device(d), model(m), placed(test::to_scene(test::to_surfels(s.world.surfels), s.world.instances)), stream(d), scene(d, placed.scene),
-          accel(d, scene, {.proxy = proxy}), forward(d, m, proxy, trace), backward(d, m, proxy, trace), rays(d, s.rays.size(), "rays"),
-          rendered(d, s.rays.size() * kRenderedFloats, "rendered"), upstream(d, s.rays.size() * kUpstreamFloats, "upstream"),
-          gradients(d, scene.size(), static_cast<std::uint32_t>(s.rays.size())), view_origin(s.view_origin) {
-        scene.set_poses(placed.world_from_instance);
-        std::vector<DeviceRay> r;
-        std::vector<float> u;
-        for (std::size_t i = 0; i < s.rays.size(); ++i) {
-            r.push_back({glm::vec3(s.rays[i].origin), glm::vec3(s.rays[i].direction)});
-            for (const double x : {g[i].depth, g[i].weight, g[i].intensity, g[i].hit_logit, g[i].drop_logit}) u.push_back(static_cast<float>(x));
-        }
-        rays.upload(r);
-        upstream.upload(u);
-    }
-
-    RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size())}; }
-    void run_forward() {
-        scene.activate(stream, model, view_origin);
-        accel.update(stream, scene);
-        forward.run(stream, scene, accel, batch(), rendered);
-    }
-    void run() {
-        run_forward();
-        backward.run(stream, scene, accel, {batch(), &rendered, &upstream}, view_origin, gradients);
-        stream.finish();
-    }
-    /// sum over rays of upstream . rendered, in double
-    double loss() {
-        run_forward();
-        stream.finish();
-        const std::vector<float> r = rendered.download(), u = upstream.download();
-        double sum = 0.0;
-        for (std::size_t i = 0; i < rays.size(); ++i)
-            for (int k = 0; k < kUpstreamFloats; ++k) sum += double(r[i * kRenderedFloats + std::size_t(k)]) * u[i * kUpstreamFloats + std::size_t(k)];
-        return sum;
-    }
-};
-
-std::vector<PixelGradient> random_upstream(std::size_t n, std::uint64_t seed) {
-    std::mt19937_64 random(seed);
-    std::normal_distribution<float> normal;
-    std::vector<PixelGradient> g;
-    for (std::size_t i = 0; i < n; ++i) {
-        const float depth = 0.3f * normal(random);
-        g.push_back({depth, normal(random), normal(random), normal(random), normal(random)});
-    }
-    return g;
-}
-
-template <class Vector>
-std::vector<double> lanes(const Vector& v, int n) {
-    std::vector<double> row;
-    for (int k = 0; k < n; ++k) row.push_back(v[k]);
-    return row;
-}
+using test::lanes;
+using test::Passes;
+using test::random_upstream;
 
 void add_surfel_rows(GradientTable& table, const std::vector<reference::Surfel>& expected, const Surfels& actual) {
     for (std::size_t i = 0; i < expected.size(); ++i) {
@@ -103,6 +27,20 @@ void add_surfel_rows(GradientTable& table, const std::vector<reference::Surfel>&
             table.add_row(names[c], lanes(expected[i].sh.data() + c * kShCoefficients, kShCoefficients), lanes(actual.sh.data() + i * kShFloats + std::size_t(c * kShCoefficients), kShCoefficients));
     }
 }
+
+/// Every way the gradients of hits are found and summed.
+struct Way {
+    const char* name;
+    BackwardOptions options;
+    std::uint32_t kept = 0;   ///< hits a ray kept by the forward pass
+};
+constexpr Way kWays[] = {{"atomics", {.reduction = Reduction::atomics, .subgroup_sums = false}},
+                          {"gather", {.reduction = Reduction::gather}},
+                          {"atomics, subgroup sums", {.reduction = Reduction::atomics, .subgroup_sums = true}},
+                          {"atomics, kept hits", {.reduction = Reduction::atomics}, 64},
+                          {"atomics, some kept hits", {.reduction = Reduction::atomics}, 5},
+                          {"gather, some kept hits", {.reduction = Reduction::gather}, 5},
+                          {"gather without room for all", {.reduction = Reduction::gather, .subgroup_sums = true, .hits_per_ray = 2}}};
 
 class DeviceGradient : public test::DeviceTest {
 protected:
@@ -117,16 +55,24 @@ protected:
         std::vector<reference::RayGradient> d_rays;
         for (std::size_t i = 0; i < scene.rays.size(); ++i) d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], chunk, upstream[i], expected));
 
-        Passes passes(device(), settings.image, scene, upstream, proxy, {.chunk = chunk, .brute_force = brute_force});
-        passes.run();
+        for (const Way& way : std::span(kWays).first(brute_force ? 2 : std::size(kWays))) {   // other ways of finding hits change nothing there
+            Passes passes(device(), settings.image, scene, upstream, proxy, {.chunk = chunk, .brute_force = brute_force}, way.options);
+            if (way.kept) passes.kept = std::make_unique<KeptHits>(device(), scene.rays.size(), way.kept);
+            passes.run();
+            const GatheredHits hits = passes.backward.take_gathered_hits();
+            EXPECT_EQ(hits.most > hits.capacity, way.options.hits_per_ray == 2) << title;
+            expect_rows(expected, d_rays, passes.gradients, title + ", " + way.name, tolerance);
+        }
+    }
+
+    void expect_rows(const reference::Gradients& expected, const std::vector<reference::RayGradient>& d_rays, const Gradients& actual, const std::string& title, double tolerance) {
         GradientTable table;
-        add_surfel_rows(table, expected.surfels, passes.gradients.surfels.download());
-        const std::vector<float> rays = passes.gradients.rays.download(), view = passes.gradients.view_origin.download();
+        add_surfel_rows(table, expected.surfels, actual.surfels.download());
+        const std::vector<float> rays = actual.rays.download();
         for (std::size_t i = 0; i < d_rays.size(); ++i) {
             table.add_row("ray origin", lanes(d_rays[i].origin, 3), lanes(rays.data() + 6 * i, 3));
             table.add_row("ray direction", lanes(d_rays[i].direction, 3), lanes(rays.data() + 6 * i + 3, 3));
         }
-        if (direction == ShDirection::surfel && options.actor_instances == 0) table.add_row("view origin", lanes(expected.view_origin, 3), lanes(view, 3));
         table.print(title + " on " + device().info().name);
         for (const auto& [name, group] : table.groups()) {
             EXPECT_LE(group.worst_error(), tolerance) << name << ", " << title;

@@ -48,6 +48,7 @@ TEST_F(Activate, RecordsAgreeWithReference) {
 TEST_F(Activate, VjpAgreesWithDifferencesOfReference) {
     std::vector<reference::Surfel> surfels = some_surfels();
     const glm::vec3 view(0.3f, -0.2f, 0.1f);
+    glm::dvec3 seen_from(view);
     std::mt19937_64 random(3);
     std::normal_distribution<float> normal;
     std::vector<float> d_records;
@@ -60,7 +61,7 @@ TEST_F(Activate, VjpAgreesWithDifferencesOfReference) {
     DeviceScene scene(device(), make_background_scene(test::to_surfels(surfels)));
     SurfelArrays d_surfels(device(), n, "gradient");
     Array<std::uint32_t> touched(device(), n, "touched");
-    Array<float> d_view(device(), std::vector<float>(3, 0.0f), "view gradient");
+    Array<float> d_view(device(), 3 * surfels.size(), "view gradient");
     const Array<float> upstream(device(), std::span<const float>(d_records), "record gradient");
     scene.activate_vjp(stream, model, view, {&upstream, &d_surfels, &touched, &d_view});
     stream.finish();
@@ -68,14 +69,16 @@ TEST_F(Activate, VjpAgreesWithDifferencesOfReference) {
     EXPECT_EQ(touched.download()[1], 0u);
     EXPECT_EQ(glm::length(actual.mean[1]), 0.0f);
 
+    const std::vector<float> views = d_view.download();
     test::GradientTable table;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         const auto terms = [&] {
-            std::vector<double> sum = record_of(surfels[i], glm::dvec3(view));
+            std::vector<double> sum = record_of(surfels[i], seen_from);
             for (std::size_t k = 0; k < 16; ++k) sum[k] *= d_records[16 * i + k];
             return sum;
         };
         const auto row = [](const float* v, int count) { return std::vector<double>(v, v + count); };
+        table.add_row("view origin", test::central_differences(&seen_from.x, 3, terms), row(views.data() + 3 * i, 3));
         table.add_row("mean", test::central_differences(&surfels[i].mean.x, 3, terms), row(&actual.mean[i].x, 3));
         table.add_row("rotation", test::central_differences(&surfels[i].rotation.x, 4, terms), row(&actual.rotation[i].x, 4));
         table.add_row("log_scale", test::central_differences(&surfels[i].log_scale.x, 2, terms), row(&actual.log_scale[i].x, 2));

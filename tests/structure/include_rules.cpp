@@ -30,7 +30,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"checkpoint", {"export", "scene", "optimizer", "refine", "gpu"}},   // export: safetensors
         {"traversal", {"accel", "scene", "gpu"}},   // rays and hits: what forward and backward share
         {"backward", {"traversal", "forward", "accel", "scene", "gpu"}},
-        {"config", {"traversal", "accel", "forward", "loss", "optimizer", "densify", "scene", "sequence", "sensor", "gpu"}},   // options of all of them
+        {"config", {"traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "scene", "sequence", "sensor", "gpu"}},   // options of all of them
         {"run", {"config", "export", "scene", "sequence", "sensor"}},   // a run's folder; export: safetensors
         {"render", {"config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
         {"train",

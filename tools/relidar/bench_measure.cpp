@@ -54,18 +54,20 @@ struct TrainingState {
     BackwardPass backward;
     Array<DeviceTarget> targets;
     Array<float> upstream, terms;
+    KeptHits kept;
     double n_returned = 0.0;
     int step = 0;
 
-    TrainingState(Device& device, const BenchCase& bench, Proxy proxy, const std::vector<DeviceTarget>& wanted)
-        : gradients(device, static_cast<std::uint32_t>(bench.scene.surfels.size())),
+    TrainingState(Device& device, const BenchCase& bench, const DeviceScene& scene, Proxy proxy, const std::vector<DeviceTarget>& wanted)
+        : gradients(device, scene),
           adam(device, static_cast<std::uint32_t>(bench.scene.surfels.size()), {.only_touched = bench.config.train.only_touched}),
           allocated_with_moments(device.allocated_bytes()),
           loss(device, bench.config.loss),
-          backward(device, bench.config.image, proxy, trace_options(bench.config)),
+          backward(device, bench.config.image, proxy, trace_options(bench.config), backward_options(bench.config)),
           targets(device, std::span<const DeviceTarget>(wanted), "targets"),
           upstream(device, wanted.size() * kUpstreamFloats, "loss gradients"),
-          terms(device, std::vector<float>(kLossTerms, 0.0f), "loss terms") {
+          terms(device, std::vector<float>(kLossTerms, 0.0f), "loss terms"),
+          kept(device, wanted.size(), static_cast<std::uint32_t>(bench.config.trace.keep_hits)) {
         gradients.zero_untouched = !bench.config.train.only_touched;
         for (const DeviceTarget& target : wanted) n_returned += target.range_m > 0.0f;
     }
@@ -96,7 +98,7 @@ public:
         hits_per_ray_ = n_hits / static_cast<double>(rays_.size());
         if (!training) return;
         const std::uint64_t before = device_.allocated_bytes();
-        training_ = std::make_unique<TrainingState>(device_, case_, accel_.proxy(), noisy_targets(rendering, case_.config.loss.normalised_depth));
+        training_ = std::make_unique<TrainingState>(device_, case_, scene_, accel_.proxy(), noisy_targets(rendering, case_.config.loss.normalised_depth));
         training_bytes_ = training_->allocated_with_moments - before;
     }
 
@@ -160,14 +162,14 @@ private:
     void frame() {
         scene_.activate(stream_, case_.config.image, case_.view_origin_m);
         accel_.update(stream_, scene_);
-        forward_.run(stream_, scene_, accel_, batch(), rendered_);
+        forward_.run(stream_, scene_, accel_, batch(), rendered_, training_ ? &training_->kept : nullptr);
     }
 
     void learn(TrainingState& t) {
         constexpr LearningRates kStandStill{0.0, 0.0, 0.0, 0.0, 0.0, 0.05};
         const RayBatch rays = batch();
         t.loss.run(stream_, {&t.targets, 0, 1, rays.n_rays, t.n_returned, static_cast<double>(rays.n_rays)}, rendered_, t.upstream, t.terms);
-        t.backward.run(stream_, scene_, accel_, {rays, &rendered_, &t.upstream}, case_.view_origin_m, t.gradients);
+        t.backward.run(stream_, scene_, accel_, {rays, &rendered_, &t.upstream, &t.kept}, case_.view_origin_m, t.gradients);
         t.adam.step(stream_, scene_.parameters(), t.gradients.surfels, t.gradients.touched, kStandStill, ++t.step, case_.config.image.sh_degree);
     }
 

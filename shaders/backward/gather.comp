@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sums the gradients of hits surfel by surfel, in the order of rays, without atomics: the same in every run. Hits come sorted by row; a
+// thread takes a block of 32 and adds the sum of each row that begins there; what belongs to a row begun earlier is left in `heads`.
+// Input: scene, upstream, hits, rows, slots, n_hits. Accumulated: d_records, d_sh. Output: heads. Maximum: most_hits.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_shader_atomic_float : enable
+#include "../traversal/includes.glsl"
+#include "../common/atomic_add.glsl"
+#include "../shared/backward.h"
+#include "hit_gradient.glsl"
+RELIDAR_PARAMS(GatherParams);
+#include "gather.glsl"
+
+/// @return the instance of the hit
+uint sum_hit(TraceScene scene, uint i, uint row) {
+    HitRecord h = params.hits.at[params.slots.at[i]];
+    InstanceEntry m = scene.instances.at[h.instance];
+    RayEntry entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
+    entered_instance = kNoInstance;   // another ray
+    ray_basis_instance = kNoInstance;
+    HitGradient d = hit_gradient(scene, Ray(entry.origin, entry.direction), params.upstream.at[h.ray], h.instance, row - m.first_row + m.first_surfel, h.w, h.d_alpha);
+    for (uint k = 0u; k < 16u; ++k) sums[k] += d.lanes[k];
+    if (SH_PER_SURFEL == 0u)
+        for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k) sh_sums[k] += d.d_channel[k / RELIDAR_SH_COEFFICIENTS] * ray_basis[k % RELIDAR_SH_COEFFICIENTS];
+    return h.instance;
+}
+
+/// Adds what a block has of a row, or leaves it to the block in which the row begins.
+void finish_row(uint block, uint row, uint instance, bool begins_here) {
+    if (begins_here) {
+        add_to_row(row, instance);
+        return;
+    }
+    uint head = block * head_width();
+    for (uint k = 0u; k < 16u; ++k) params.heads.at[head + k] = sums[k];
+    for (uint k = 16u; k < head_width(); ++k) params.heads.at[head + k] = sh_sums[k - 16u];
+}
+
+void main() {
+    uint block = thread_index(), first = block * RELIDAR_GATHER_BLOCK;
+    if (block == 0u) params.most_hits.at[0] = max(params.most_hits.at[0], params.n_hits.at[0]);
+    uint end = block_end(block);
+    if (first >= end) return;
+    uint row = params.rows.at[first], instance = 0u;
+    bool begins_here = first == 0u || params.rows.at[first - 1u] != row;
+    clear_sums();
+    for (uint i = first; i < end; ++i) {
+        uint next = params.rows.at[i];
+        if (next >= params.n_rows) break;   // empty slots, behind all others
+        if (next != row) {
+            finish_row(block, row, instance, begins_here);
+            clear_sums();
+            row = next;
+            begins_here = true;
+        }
+        instance = sum_hit(params.scene, i, row);
+    }
+    if (row < params.n_rows) finish_row(block, row, instance, begins_here);
+}

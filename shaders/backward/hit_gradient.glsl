@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+// Gradient of one blended hit (M8): of its record, its channels and the ray in the model's frame. Shared by the kernels that add it with
+// atomics and in order.
+#ifndef RELIDAR_INCLUDED_BACKWARD_HIT_GRADIENT_GLSL
+#define RELIDAR_INCLUDED_BACKWARD_HIT_GRADIENT_GLSL
+
+/// What a hit adds to the record gradient of its placed surfel, lane by lane, and to its ray in the model's frame.
+struct HitGradient {
+    float lanes[16];
+    vec3 d_channel;     // where SH are evaluated a hit: a coefficient gets d_channel times ray_basis
+    vec3 d_origin;
+    vec3 d_direction;
+};
+
+/// dL/d(direction) through the SH basis, model frame.
+vec3 sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d_channel) {
+    float d_basis[16];
+    for (uint k = 0u; k < 16u; ++k) d_basis[k] = 0.0;
+    uint first = surfel * RELIDAR_SH_FLOATS;
+    for (uint c = 0u; c < 3u; ++c)
+        for (uint k = 0u; k < sh_count(scene.sh_degree); ++k) d_basis[k] += d_channel[c] * scene.sh.at[first + c * RELIDAR_SH_COEFFICIENTS + k];
+    return sh_basis_vjp(direction, scene.sh_degree, d_basis);
+}
+
+/// @param w        blending weight
+/// @param d_alpha  dL/d(sigma G), 0 where clamped
+HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance, uint surfel, float w, float d_alpha) {
+    SurfelRecord record = scene.records.at[surfel];
+    enter_instance(scene, ray, instance);
+    vec3 origin = entered_origin, direction = entered_direction;
+    SurfelHit hit;
+    intersect(record, origin, direction, hit);
+    SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, g.depth * w, d_alpha);
+    vec3 d_channel = w * vec3(g.intensity, g.hit_logit, g.drop_logit);
+    vec3 others = d_channel;   // of the channels, or how the SH direction turns (scene/activate_vjp, backward/pose_blocks)
+    if (SH_PER_SURFEL == 0u) {
+        use_basis(scene, ray, instance);
+        if (!(evaluate_channel(scene, surfel, 0u) > 0.0)) d_channel.x = 0.0;   // clamped
+        vec3 d_sh_direction = sh_direction_gradient(scene, direction, surfel, d_channel);
+        d.d_direction += d_sh_direction;
+        others = cross(direction, d_sh_direction);
+    }
+    float lanes[16] = float[](d.d_mean.x, d.d_mean.y, d.d_mean.z, d.d_opacity, d.d_axis_u.x, d.d_axis_u.y, d.d_axis_u.z, others.x,
+                              d.d_axis_v.x, d.d_axis_v.y, d.d_axis_v.z, others.y, d.d_normal.x, d.d_normal.y, d.d_normal.z, others.z);
+    return HitGradient(lanes, d_channel, d.d_origin, d.d_direction);
+}
+#endif

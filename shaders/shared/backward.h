@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: Apache-2.0
+// The second cast, sums of its hit records by surfel, and what follows from them: gradients of poses.
+#ifndef RELIDAR_INCLUDED_SHARED_BACKWARD_H
+#define RELIDAR_INCLUDED_SHARED_BACKWARD_H
+#include "trace.h"
+
+RELIDAR_SHARED_BEGIN
+
+#define RELIDAR_GATHER_BLOCK 32u          // hits a thread sums
+#define RELIDAR_NO_ROW(n_rows) (n_rows)   // row of a slot without a gradient: behind all others when sorted
+
+/// A blended hit of which the rest is computed again: 16 bytes.
+struct HitRecord {
+    uint ray;        // of the batch
+    uint instance;
+    float w;         // blending weight
+    float d_alpha;   // dL/d(sigma G)
+};
+RELIDAR_POINTER(HitRecords, HitRecord);
+
+struct BackwardParams {
+    TraceScene scene;
+    RenderedRays rendered;     // input [n_rays], of the forward pass with the same scene
+    RayGradients upstream;     // input [n_rays]
+    Floats d_records;          // accumulated [n_rows,16], rows as InstanceEntry counts them
+    Floats d_sh;               // accumulated [n,3,16], where SH are evaluated a hit
+    Floats d_rays;             // output [n_rays,6] d_origin, d_direction, or address 0
+    Uints first_hit;           // input [n_rays + 1] slot of each ray's first hit (gather)
+    HitRecords hits;           // output [capacity] (gather)
+    Uints rows;                // output [capacity] (gather)
+    KeptHits kept;             // input [n_rays,n_kept] of the forward pass
+    uint n_kept;               // rays with more hits are cast again
+    uint capacity;             // hits in slots beyond it are added with atomics
+    uint n_rows;
+    uint with_turn;            // 1: d_records gets the turn of SH directions too, where SH are evaluated a hit
+};
+
+/// Sums of hit records by row: gather, then gather_heads for rows that go on in later blocks.
+struct GatherParams {
+    TraceScene scene;
+    RayGradients upstream;     // input [n_rays]
+    HitRecords hits;           // input [capacity]
+    Uints rows;                // input [capacity] ascending
+    Uints slots;               // input [capacity] of `hits`, in the order of rows
+    Uints n_hits;              // input [1], may exceed capacity
+    Floats heads;              // [blocks,16 or 64] sum of what a block's first row has in it, where the row began in an earlier block
+    Floats d_records;          // accumulated [n_rows,16]
+    Floats d_sh;               // accumulated [n,3,16], where SH are evaluated a hit
+    Uints most_hits;           // maximum [1] of n_hits
+    uint capacity;
+    uint n_rows;
+};
+
+/// Consecutive surfels of one instance.
+struct PoseBlock {
+    uint first_surfel;
+    uint first_row;
+    uint n_surfels;
+    uint with_view;   // 1: the placement from which the model is viewed
+};
+RELIDAR_POINTER(PoseBlocks, PoseBlock);
+
+#define RELIDAR_POSE_SUMS 9   // force, torque about the model's origin, dL/d(view origin); model frame
+
+struct PoseBlocksParams {
+    Records records;       // input
+    Floats d_records;      // input [n_rows,16]
+    Floats d_view;         // input [n,3] where SH are evaluated once a surfel
+    PoseBlocks blocks;     // input [n_blocks]
+    Floats sums;           // output [n_blocks,9]
+    uint n_blocks;
+    uint sh_per_surfel;
+};
+
+struct PosesParams {
+    Instances instances;   // input
+    Floats sums;           // input [n_blocks,9]
+    Uints first_block;     // input [n_instances + 1]
+    Floats d_poses;        // output [n_instances,6] d_translation, d_rotation, world
+    vec3 view_origin;      // world, m
+    uint n_instances;
+};
+
+struct SensorPoseParams {
+    Instances instances;   // input
+    Floats d_poses;        // input [n_instances,6]
+    Floats d_sensor;       // output [6] d_translation, d_rotation, world
+    vec3 view_origin;      // world, m: the sensor's position
+    uint n_instances;
+};
+
+RELIDAR_SHARED_END
+#endif

@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of backward/gather and backward/gather_heads.
+#include "backward/hit_gather.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cstddef>
+
+#include "gpu/stream.hpp"
+
+namespace relidar {
+
+HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray)
+    : device_(device),
+      hits_per_ray_(hits_per_ray),
+      head_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
+      gather_(device, accumulating_variant(device, "backward/gather@"), {{3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}}),
+      heads_kernel_(device, accumulating_variant(device, "backward/gather_heads@"), {{3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}}),
+      most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch") {}
+
+void HitGather::reserve(std::uint64_t n_hits) {
+    constexpr std::uint64_t kMost = 1ull << 31;   // slots have 32 bits
+    const auto capacity = static_cast<std::uint32_t>(std::min(n_hits, kMost));
+    if (sort_ && capacity <= sort_->capacity()) return;
+    sort_.reset();
+    sort_ = std::make_unique<RadixSort>(device_, capacity);
+    hits_ = Array<shared::HitRecord>(device_, capacity, "hit records");
+    heads_ = Array<float>(device_, std::size_t(head_floats_) * (capacity / RELIDAR_GATHER_BLOCK + 1), "sums of hit records");
+}
+
+void HitGather::assign_slots(Stream& stream, const RenderedBatch& batch) {
+    n_rays_ = batch.rays.n_rays;
+    if (std::size_t(n_rays_) + 1 > first_hit_.size()) {
+        stream.finish();
+        first_hit_ = Array<std::uint32_t>(device_, std::size_t(n_rays_) + 1, "slots of rays");
+        prefix_sum_ = std::make_unique<PrefixSum>(device_, n_rays_);
+        reserve(std::uint64_t(n_rays_) * hits_per_ray_);
+    }
+    prefix_sum_->run(stream, {batch.rendered->address(), offsetof(shared::RenderedRay, n_hits) / 4, sizeof(shared::RenderedRay) / 4}, first_hit_.address(), n_rays_);
+}
+
+void HitGather::fill(shared::BackwardParams& params) const {
+    params.first_hit = first_hit_.address();
+    params.hits = hits_.address();
+    params.rows = sort_->keys().address();
+    params.capacity = sort_->capacity();
+}
+
+void HitGather::run(Stream& stream, const shared::BackwardParams& params) {
+    const std::uint64_t n_hits = first_hit_.address() + sizeof(std::uint32_t) * n_rays_;
+    const RadixSort::Sorted sorted = sort_->run(stream, n_hits, static_cast<std::uint32_t>(std::bit_width(params.n_rows)));
+    const shared::GatherParams gather{params.scene, params.upstream, hits_.address(), sorted.keys.address(), sorted.values.address(), n_hits, heads_.address(),
+                                      params.d_records, params.d_sh, most_hits_.address(), sort_->capacity(), params.n_rows};
+    const std::uint32_t n_blocks = sort_->capacity() / RELIDAR_GATHER_BLOCK + 1;
+    relidar::run(stream, gather_, n_blocks, gather);
+    relidar::run(stream, heads_kernel_, n_blocks, gather);
+}
+
+GatheredHits HitGather::take_use() {
+    const std::uint32_t most = most_hits_.download()[0];
+    most_hits_.upload(std::vector<std::uint32_t>{0u});
+    return {most, sort_ ? sort_->capacity() : 0};
+}
+
+}  // namespace relidar

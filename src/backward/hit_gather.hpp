@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+// Hit records of the second cast, their order by surfel, and their sums (backward/gather, gather_heads): the way without atomics.
+#pragma once
+
+#include <memory>
+
+#include <relidar/backward.hpp>
+
+#include "gpu/radix_sort.hpp"
+#include "shared/backward.h"
+
+namespace relidar {
+
+class HitGather {
+public:
+    /// @param hits_per_ray  room for records is made for so many a ray of the largest batch
+    HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray);
+    /// Makes room for a batch and, in the stream, gives each ray its slots: those of its rendered hits, in the order of rays. Waits where a
+    /// batch is larger than any before.
+    void assign_slots(Stream& stream, const RenderedBatch& batch);
+    /// Where the second cast writes.
+    void fill(shared::BackwardParams& params) const;
+    /// Sums the records by row into what the second cast was given for it.
+    void run(Stream& stream, const shared::BackwardParams& params);
+    GatheredHits take_use();
+    /// Room for so many hits, at least. The device must be idle.
+    void reserve(std::uint64_t n_hits);
+
+private:
+    Device& device_;
+    std::uint32_t hits_per_ray_, head_floats_;
+    Kernel<shared::GatherParams> gather_, heads_kernel_;
+    Array<std::uint32_t> most_hits_, first_hit_;
+    Array<shared::HitRecord> hits_;
+    Array<float> heads_;
+    std::unique_ptr<PrefixSum> prefix_sum_;   ///< over rays
+    std::unique_ptr<RadixSort> sort_;         ///< by row
+    std::uint32_t n_rays_ = 0;                ///< of the present batch
+};
+
+}  // namespace relidar

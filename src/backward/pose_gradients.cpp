@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of backward/pose_blocks, backward/poses and backward/sensor_pose.
+#include "backward/pose_gradients.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/assert.hpp"
+#include "gpu/stream.hpp"
+
+namespace relidar {
+namespace {
+
+struct BlockTable {
+    std::vector<shared::PoseBlock> blocks;
+    std::vector<std::uint32_t> first;   ///< [instances + 1]
+};
+
+/// As many blocks an instance as surfels a block: both halves of the sum are equally long.
+BlockTable block_table(const DeviceScene& scene) {
+    const Scene& layout = scene.layout();
+    BlockTable table;
+    std::vector<bool> viewed(layout.models.size(), false);
+    for (std::size_t i = 0; i < layout.instances.size(); ++i) {
+        const std::uint32_t model = layout.instances[i].model;
+        const std::uint32_t n = layout.models[model].count, first = layout.models[model].first, first_row = scene.first_gradient_row(i);
+        const std::uint32_t size = std::max(16u, static_cast<std::uint32_t>(std::sqrt(double(n))));
+        table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
+        for (std::uint32_t k = 0; k < n; k += size) table.blocks.push_back({first + k, first_row + k, std::min(size, n - k), viewed[model] ? 0u : 1u});
+        viewed[model] = true;
+    }
+    table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
+    return table;
+}
+
+}  // namespace
+
+Gradients::PoseSums::PoseSums(Device& device, const DeviceScene& scene) {
+    const BlockTable table = block_table(scene);
+    blocks = Array<shared::PoseBlock>(device, table.blocks, "pose blocks");
+    first_block = Array<std::uint32_t>(device, table.first, "first pose blocks");
+    sums = Array<float>(device, RELIDAR_POSE_SUMS * table.blocks.size(), "pose sums");
+    d_view = Array<float>(device, 3 * std::size_t(scene.size()), "view gradient");
+}
+
+PoseGradients::PoseGradients(Device& device) : blocks_(device, "backward/pose_blocks"), poses_(device, "backward/poses"), sensor_(device, "backward/sensor_pose") {}
+
+void PoseGradients::run(Stream& stream, const DeviceScene& scene, const ImageModel& model, const glm::vec3& view_origin_m, Gradients& gradients) {
+    const Gradients::PoseSums& sums = *gradients.pose_sums;
+    const auto n_instances = static_cast<std::uint32_t>(scene.layout().instances.size()), n_blocks = static_cast<std::uint32_t>(sums.blocks.size());
+    RELIDAR_ASSERT_LE(std::size_t(n_instances) + 1, sums.first_block.size());
+    relidar::run(stream, blocks_, n_blocks,
+                 {scene.records().address(), gradients.records.address(), sums.d_view.address(), sums.blocks.address(), sums.sums.address(), n_blocks,
+                  model.sh_direction == ShDirection::surfel ? 1u : 0u});
+    relidar::run(stream, poses_, n_instances,
+                 {scene.instances_address(), sums.sums.address(), sums.first_block.address(), gradients.poses.address(), view_origin_m, n_instances});
+    relidar::run(stream, sensor_, 1, {scene.instances_address(), gradients.poses.address(), gradients.sensor.address(), view_origin_m, n_instances});
+}
+
+}  // namespace relidar

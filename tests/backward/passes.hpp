@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: Apache-2.0
+// A random scene with a forward and a backward pass on the device, and random gradients of what its rays render.
+#pragma once
+
+#include <random>
+#include <vector>
+
+#include <relidar/backward.hpp>
+#include <relidar/forward.hpp>
+#include <relidar/loss.hpp>
+
+#include "../support/device.hpp"
+#include "../support/gradient_check.hpp"
+#include "../support/placed.hpp"
+#include "../support/random_scene.hpp"
+
+namespace relidar::test {
+
+/// Everything one forward and backward pass needs, on the device.
+struct Passes {
+    Device& device;
+    ImageModel model;
+    SceneAndPoses placed;
+    Stream stream;
+    DeviceScene scene;
+    Accel accel;
+    ForwardPass forward;
+    BackwardPass backward;
+    Array<DeviceRay> rays;
+    Array<float> rendered, upstream;
+    std::unique_ptr<KeptHits> kept;   ///< null: cast again
+    Gradients gradients;
+    glm::vec3 view_origin;
+
+    Passes(Device& d, const ImageModel& m, const RandomScene& s, const std::vector<reference::PixelGradient>& g, Proxy proxy, const TraceOptions& trace,
+           const BackwardOptions& options = {})
+        : device(d), model(m), placed(to_scene(to_surfels(s.world.surfels), s.world.instances)), stream(d), scene(d, placed.scene),
+          accel(d, scene, {.proxy = proxy}), forward(d, m, proxy, trace), backward(d, m, proxy, trace, options), rays(d, s.rays.size(), "rays"),
+          rendered(d, s.rays.size() * kRenderedFloats, "rendered"), upstream(d, s.rays.size() * kUpstreamFloats, "upstream"),
+          gradients(d, scene, {.n_rays = static_cast<std::uint32_t>(s.rays.size()), .poses = true}), view_origin(s.view_origin) {
+        scene.set_poses(placed.world_from_instance);
+        std::vector<DeviceRay> r;
+        std::vector<float> u;
+        for (std::size_t i = 0; i < s.rays.size(); ++i) {
+            r.push_back({glm::vec3(s.rays[i].origin), glm::vec3(s.rays[i].direction)});
+            for (const double x : {g[i].depth, g[i].weight, g[i].intensity, g[i].hit_logit, g[i].drop_logit}) u.push_back(static_cast<float>(x));
+        }
+        rays.upload(r);
+        upstream.upload(u);
+    }
+
+    RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size())}; }
+    void run_forward() {
+        scene.activate(stream, model, view_origin);
+        accel.update(stream, scene);
+        forward.run(stream, scene, accel, batch(), rendered, kept.get());
+    }
+    void run() {
+        run_forward();
+        backward.run(stream, scene, accel, {batch(), &rendered, &upstream, kept.get()}, view_origin, gradients);
+        stream.finish();
+    }
+    /// sum over rays of upstream . rendered, in double
+    double loss() {
+        run_forward();
+        stream.finish();
+        const std::vector<float> r = rendered.download(), u = upstream.download();
+        double sum = 0.0;
+        for (std::size_t i = 0; i < rays.size(); ++i)
+            for (int k = 0; k < kUpstreamFloats; ++k) sum += double(r[i * kRenderedFloats + std::size_t(k)]) * u[i * kUpstreamFloats + std::size_t(k)];
+        return sum;
+    }
+};
+
+inline std::vector<reference::PixelGradient> random_upstream(std::size_t n, std::uint64_t seed) {
+    std::mt19937_64 random(seed);
+    std::normal_distribution<float> normal;
+    std::vector<reference::PixelGradient> g;
+    for (std::size_t i = 0; i < n; ++i) {
+        const float depth = 0.3f * normal(random);
+        g.push_back({depth, normal(random), normal(random), normal(random), normal(random)});
+    }
+    return g;
+}
+
+template <class Vector>
+std::vector<double> lanes(const Vector& v, int n) {
+    std::vector<double> row;
+    for (int k = 0; k < n; ++k) row.push_back(v[k]);
+    return row;
+}
+
+}  // namespace relidar::test

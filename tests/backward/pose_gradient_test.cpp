@@ -1,0 +1,148 @@
+// SPDX-License-Identifier: Apache-2.0
+// Gradients of instance poses and of the sensor's pose: backward/pose_blocks, poses and sensor_pose against the double reference, where
+// they are summed hit by hit instead of surfel by surfel, and against central differences of the double forward pass. Overlapping
+// instances, one model placed twice, instances that are absent or that no ray meets.
+#include <glm/gtc/quaternion.hpp>
+
+#include "passes.hpp"
+
+namespace relidar {
+namespace {
+
+using reference::PixelGradient;
+using test::GradientTable;
+using test::lanes;
+using test::Passes;
+
+glm::dquat turn_by(const glm::dvec3& w) { return glm::length(w) > 0.0 ? glm::angleAxis(glm::length(w), glm::normalize(w)) : glm::dquat(1.0, 0.0, 0.0, 0.0); }
+
+/// A random scene, its upstream gradients and the double loss.
+struct Problem {
+    reference::Settings settings;
+    test::RandomScene scene;
+    std::vector<PixelGradient> upstream;
+
+    Problem(ShDirection direction, const test::RandomSceneOptions& options) {
+        settings.image.sh_direction = direction;
+        scene = test::make_random_scene(options, settings);
+        settings.view_origin = scene.view_origin;
+        upstream = test::random_upstream(scene.rays.size(), options.seed);
+    }
+
+    std::vector<double> terms(const std::vector<reference::Ray>& rays, const reference::Settings& s) const {
+        const reference::BruteForce brute(scene.world, s.image, reference::Precision::double_record);
+        std::vector<double> result;
+        for (std::size_t i = 0; i < rays.size(); ++i) {
+            const reference::Pixel p = render(scene.world, brute, s, rays[i], 16);
+            const PixelGradient& g = upstream[i];
+            result.push_back(g.depth * p.depth + g.weight * p.weight + g.intensity * p.intensity + g.hit_logit * p.hit_logit + g.drop_logit * p.drop_logit);
+        }
+        return result;
+    }
+
+    /// The whole sensor moved by v and turned by w about the view origin.
+    std::vector<double> terms_of_moved_sensor(const glm::dvec3& v, const glm::dvec3& w) const {
+        const glm::dquat turn = turn_by(w);
+        reference::Settings s = settings;
+        s.view_origin += v;
+        std::vector<reference::Ray> rays = scene.rays;
+        for (reference::Ray& ray : rays) ray = {settings.view_origin + turn * (ray.origin - settings.view_origin) + v, turn * ray.direction};
+        return terms(rays, s);
+    }
+};
+
+/// Central differences of a twist (v, w) that `terms` takes.
+std::vector<double> twist_differences(const std::function<std::vector<double>(const glm::dvec3&, const glm::dvec3&)>& terms) {
+    glm::dvec3 v(0.0), w(0.0);
+    const auto now = [&] { return terms(v, w); };
+    std::vector<double> result = test::central_differences(&v.x, 3, now);
+    for (const double x : test::central_differences(&w.x, 3, now, test::kAngleStep)) result.push_back(x);
+    return result;
+}
+
+void add_twist(GradientTable& table, const std::string& name, const std::vector<double>& expected, const std::vector<double>& actual) {
+    const auto half = [](const std::vector<double>& row, int i) { return std::vector<double>(row.begin() + 3 * i, row.begin() + 3 * i + 3); };
+    table.add_row(name + " translation", half(expected, 0), half(actual, 0));
+    table.add_row(name + " rotation", half(expected, 1), half(actual, 1));
+}
+
+class PoseGradient : public test::DeviceTest {
+protected:
+    void expect_agreement(ShDirection direction, const test::RandomSceneOptions& options, const std::string& title) {
+        Problem p(direction, options);
+        const reference::BruteForce brute(p.scene.world, p.settings.image, reference::Precision::double_record);
+        reference::Gradients expected(p.scene.world);
+        for (std::size_t i = 0; i < p.scene.rays.size(); ++i) reference::backward(p.scene.world, brute, p.settings, p.scene.rays[i], 16, p.upstream[i], expected);
+        Passes passes(device(), p.settings.image, p.scene, p.upstream, Proxy::boxes, {.chunk = 16});
+        passes.run();
+        const std::vector<float> poses = passes.gradients.poses.download();
+        GradientTable table;
+        for (std::size_t k = 0; k < expected.instances.size(); ++k) {
+            std::vector<double> row = lanes(expected.instances[k].translation, 3);
+            for (const double x : lanes(expected.instances[k].rotation, 3)) row.push_back(x);
+            add_twist(table, "reference pose", row, lanes(poses.data() + 6 * k, 6));
+            reference::Placement& placed = p.scene.world.instances[k];
+            const Pose start = placed.world_from_model;
+            const std::vector<double> differences = twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) {
+                placed.world_from_model = {turn_by(w) * start.rotation, start.translation + v};
+                return p.terms(p.scene.rays, p.settings);
+            });
+            placed.world_from_model = start;
+            add_twist(table, "differences, pose", differences, lanes(poses.data() + 6 * k, 6));
+        }
+        add_twist(table, "differences, sensor", twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) { return p.terms_of_moved_sensor(v, w); }),
+                  lanes(passes.gradients.sensor.download().data(), 6));
+        table.print(title);
+        for (const auto& [name, group] : table.groups()) {
+            EXPECT_LE(group.worst_error(), test::kKernelGradient) << name << ", " << title;
+            EXPECT_EQ(group.nonzero_rows(), group.actual.size()) << name << ", " << title;
+        }
+    }
+};
+
+TEST_F(PoseGradient, ModelPlacedThriceShAlongRay) {
+    test::RandomSceneOptions options;
+    options.seed = 41, options.rays = 60, options.actor_instances = 3;
+    expect_agreement(ShDirection::ray, options, "poses, SH along the ray, one model placed three times");
+}
+
+TEST_F(PoseGradient, ShAlongSurfelSeesTheViewOriginMove) {
+    test::RandomSceneOptions options;
+    options.seed = 42, options.rays = 60, options.actor_instances = 1, options.actor_surfels = 30;
+    expect_agreement(ShDirection::surfel, options, "poses, SH along sensor -> mean, an actor in the background");
+}
+
+TEST_F(PoseGradient, ManyBlocksOfSurfels) {
+    test::RandomSceneOptions options;
+    options.seed = 43, options.rays = 40, options.actor_instances = 1, options.actor_surfels = 90, options.background_surfels = 60;
+    options.opacity_low = 0.02, options.opacity_high = 0.2;
+    expect_agreement(ShDirection::ray, options, "poses, transparent, 90 surfels an actor");
+}
+
+/// Behind the sensor, absent, or met by rays without a gradient: exactly nothing.
+TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
+    test::RandomSceneOptions options;
+    options.seed = 44, options.actor_instances = 3;
+    Problem p(ShDirection::ray, options);
+    Passes passes(device(), p.settings.image, p.scene, p.upstream, Proxy::boxes, {.chunk = 16});
+    std::vector<InstancePose> placed = passes.scene.poses();
+    placed[1].world_from_model.translation = {-20.0, 0.0, 0.0};
+    placed[2].present = false;
+    passes.scene.place(passes.stream, placed);
+    passes.run();
+    const std::vector<float> poses = passes.gradients.poses.download();
+    double met = 0.0;
+    for (std::size_t k = 0; k < 6; ++k) {
+        EXPECT_EQ(poses[6 + k], 0.0f) << "behind the sensor";
+        EXPECT_EQ(poses[12 + k], 0.0f) << "absent";
+        met += std::abs(poses[18 + k]);
+    }
+    EXPECT_GT(met, 0.0);
+    passes.upstream.upload(std::vector<float>(passes.upstream.size(), 0.0f));
+    passes.run();
+    for (const float x : passes.gradients.poses.download()) EXPECT_EQ(x, 0.0f);
+    for (const float x : passes.gradients.sensor.download()) EXPECT_EQ(x, 0.0f);
+}
+
+}  // namespace
+}  // namespace relidar
