@@ -2,6 +2,7 @@
 // What the kernels that trace rays share: rays, targets, rendered values and their gradients (forward, loss, backward).
 #ifndef RELIDAR_INCLUDED_SHARED_TRACE_H
 #define RELIDAR_INCLUDED_SHARED_TRACE_H
+#include "bvh.h"
 #include "scene.h"
 
 RELIDAR_SHARED_BEGIN
@@ -48,6 +49,7 @@ RELIDAR_POINTER(RayGradients, RayGradient);
 /// What every tracing kernel needs. Ray k of the launch is entry first_ray + k * ray_stride of `rays`.
 struct TraceScene {
     uint64_t tlas;          // acceleration structure address (ray query)
+    BvhPointers bvh;        // the tree (software traversal)
     Rays rays;              // input
     Records records;        // input
     Instances instances;    // input

@@ -128,6 +128,8 @@ float remaining_budget(TraceScene scene, float transmittance) {
 
 #ifdef RELIDAR_TRAVERSAL_RAY_QUERY
 #include "ray_query.glsl"
+#elif defined(RELIDAR_TRAVERSAL_SOFTWARE_BVH)
+#include "software_bvh.glsl"
 #else
 #include "brute_force.glsl"
 #endif

@@ -1,52 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 // The traversal contract on the device (forward/collect_hits): ray query over triangles and over boxes, and brute force, against the
-// host's brute force and Embree. All decide by the same float function, so ordered ids must be equal; what single precision cannot
-// decide (a hit within rounding of its outline, two t within rounding of each other) is counted and bounded.
-#include "../support/device.hpp"
-#include "../support/placed.hpp"
-#include "cases.hpp"
-#include "hit_comparison.hpp"
+// host's brute force and Embree.
+#include "device_hits.hpp"
 
 namespace relidar {
 namespace {
 
 using test::HitDifferences;
+using test::hits_of;
+using test::kMaxHits;
 using test::TraversalCase;
 
-constexpr std::uint32_t kMaxHits = 256;
-
-std::vector<reference::Hit> hits_of(const CollectedHits& c, std::size_t ray) {
-    std::vector<reference::Hit> hits;
-    for (std::uint32_t i = 0; i < std::min(c.counts[ray], c.max_hits); ++i) {
-        const std::size_t slot = ray * c.max_hits + i;
-        hits.push_back({c.t[slot], c.instance[slot], c.surfel[slot]});
-    }
-    return hits;
-}
-
-class DeviceHits : public test::DeviceTest {
+class DeviceHits : public test::DeviceHits {
 protected:
     CollectedHits collect(const TraversalCase& c, const AccelOptions& accel, const TraceOptions& trace) {
         test::SceneAndPoses placed = test::to_scene(c.surfels, c.instances);
         return collect_hits(device(), {&placed.scene, placed.world_from_instance, {}, accel, trace}, c.rays, kMaxHits);
-    }
-
-    /// Compares every ray of a case with the host's brute force (float canonical).
-    HitDifferences compare(const TraversalCase& c, const reference::HitProvider& expected, const CollectedHits& actual) {
-        const reference::World world = test::to_world(c);
-        const std::vector<reference::Ray> rays = test::to_reference(c.rays);
-        HitDifferences differences;
-        for (std::size_t i = 0; i < rays.size(); ++i) {
-            EXPECT_LE(actual.counts[i], kMaxHits) << "the case has more hits than the test keeps";
-            test::compare_hits(world, {}, rays[i], i, reference::all_hits(expected, rays[i], 64), hits_of(actual, i), differences);
-        }
-        return differences;
-    }
-
-    void expect_equal(const TraversalCase& c, const HitDifferences& d, const std::string& title) {
-        EXPECT_EQ(d.n_errors, 0u) << d.summary(title) << "\n" << d.first_error;
-        const std::size_t allowed = c.grazing ? d.n_rays / 100 : 2 + d.n_rays / 5000;
-        EXPECT_LE(d.n_different_rays, allowed) << d.summary(title);
     }
 };
 
