@@ -55,6 +55,7 @@ struct TraceScene {
     Instances instances;    // input
     Floats sh;              // input [n,3,16], read where SH are evaluated a hit
     Uints pass_cap_count;   // accumulated [1]: rays that reached the cap of passes
+    Uints visits;           // accumulated [2]: nodes opened, surfels tested, where the kernel counts them (software traversal)
     float near_m;
     float alpha_min;
     float alpha_max;

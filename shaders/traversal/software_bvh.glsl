@@ -6,6 +6,7 @@
 #extension GL_KHR_shader_subgroup_ballot : enable
 #extension GL_KHR_shader_subgroup_vote : enable
 layout(constant_id = 4) const uint PACKET = 0u;
+layout(constant_id = 5) const uint COUNT_VISITS = 0u;
 
 const uint kStackSize = 64u;
 const uint kInstanceEntry = 0x80000000u;   // entries of instances; others are nodes
@@ -44,6 +45,7 @@ void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
     uint floor_size = 0u;   // stack entries that belong to the top tree
     uint instance = 0u;
     stack_size = 0u;
+    uint n_nodes = 0u, n_tested = 0u;
     push_entry(0u, start);
     while (stack_size > 0u) {
         --stack_size;
@@ -66,6 +68,7 @@ void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
         }
         BvhNodes nodes = in_model ? scene.bvh.nodes : scene.bvh.top_nodes;
         BvhNode node = nodes.at[entry];
+        ++n_nodes;
         uint inner = node.exponents >> 24;
         vec3 scale = uintBitsToFloat(uvec3(node.exponents & 255u, (node.exponents >> 8) & 255u, (node.exponents >> 16) & 255u) << 23) * walk.inverse;
         vec3 at = (node.origin - walk.origin) * walk.inverse;
@@ -101,6 +104,7 @@ void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
             while (leaf_bits != 0u) {
                 uint i = uint(findLSB(leaf_bits));
                 leaf_bits &= leaf_bits - 1u;
+                ++n_tested;
                 offer(scene, ray, after, instance, scene.bvh.order.at[node.first_leaf + i]);
             }
             if (hits_closed) end = hit_t[n_hits - 1u] + 1e-4 + 1e-5 * hit_t[n_hits - 1u];
@@ -130,6 +134,10 @@ void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
             if ((hit & (1u << chosen)) == 0u) own = 2e30;
             push_entry(node.first_child + bitCount(inner & ((1u << chosen) - 1u)), own);
         }
+    }
+    if (COUNT_VISITS != 0u) {
+        atomicAdd(scene.visits.at[0], n_nodes);
+        atomicAdd(scene.visits.at[1], n_tested);
     }
 }
 #endif

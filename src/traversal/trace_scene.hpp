@@ -11,7 +11,7 @@
 namespace relidar {
 
 inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model, std::uint64_t pass_cap_address) {
-    return {accel.tlas_address(), {}, batch.rays->address(), scene.records().address(), scene.instances_address(), scene.parameters().sh.address(), pass_cap_address,
+    return {accel.tlas_address(), {}, batch.rays->address(), scene.records().address(), scene.instances_address(), scene.parameters().sh.address(), pass_cap_address, 0,
             model.near_m, model.alpha_min, model.alpha_max, model.transmittance_min, static_cast<std::uint32_t>(scene.layout().instances.size()),
             static_cast<std::uint32_t>(model.sh_degree), batch.n_rays, batch.first, batch.stride};
 }

@@ -27,7 +27,7 @@ protected:
         const Array<std::uint32_t> pass_cap(device(), std::vector<std::uint32_t>{0u}, "pass cap count");
         const Array<std::uint32_t> counts(device(), n, "counts"), instance(device(), n_slots, "instances"), surfel(device(), n_slots, "surfels");
         const Array<float> t(device(), n_slots, "distances");
-        const shared::TraceScene trace{0, bvh.pointers(), rays.address(), scene.records().address(), scene.instances_address(), scene.parameters().sh.address(), pass_cap.address(),
+        const shared::TraceScene trace{0, bvh.pointers(), rays.address(), scene.records().address(), scene.instances_address(), scene.parameters().sh.address(), pass_cap.address(), 0,
                                        model.near_m, model.alpha_min, model.alpha_max, model.transmittance_min, static_cast<std::uint32_t>(placed.scene.instances.size()),
                                        static_cast<std::uint32_t>(model.sh_degree), static_cast<std::uint32_t>(n), 0, 1};
         run(stream, kernel, n, {trace, counts.address(), t.address(), instance.address(), surfel.address(), test::kMaxHits});
