@@ -33,8 +33,10 @@ KernelBase::KernelBase(Device& owner, std::string_view name, std::initializer_li
     VkShaderModule module = VK_NULL_HANDLE;
     gpu::check(vkCreateShaderModule(device.device, &module_info, nullptr, &module), "vkCreateShaderModule");
 
-    std::vector<Constant> all{{0u, device.workgroup_size}};
-    all.insert(all.end(), constants);
+    std::vector<Constant> all(constants);
+    const auto size = std::find_if(all.begin(), all.end(), [](const Constant& c) { return c.id == 0u; });
+    impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
+    if (size == all.end()) all.push_back({0u, device.workgroup_size});
     std::vector<VkSpecializationMapEntry> map;
     for (std::size_t i = 0; i < all.size(); ++i)
         map.push_back({all[i].id, static_cast<std::uint32_t>(i * sizeof(Constant) + offsetof(Constant, value)), sizeof(std::uint32_t)});

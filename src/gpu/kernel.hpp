@@ -26,7 +26,7 @@ struct Constant {
     std::uint32_t value;
 };
 
-/// A pipeline, compiled once. Constant 0 is the workgroup size, set here.
+/// A pipeline, compiled once. Constant 0 is the workgroup size: the device's, unless the constants name one.
 class KernelBase {
 public:
     /// @param name of an embedded kernel @throws DeviceError where the driver rejects it

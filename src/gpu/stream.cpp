@@ -107,7 +107,7 @@ void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, con
     vkCmdBindPipeline(buffer, VK_PIPELINE_BIND_POINT_COMPUTE, kernel.impl().pipeline);
     vkCmdPushConstants(buffer, device->pipeline_layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, 8, &address);
     constexpr std::uint32_t kMaxGroups = 65535;   // in one dimension, on every Vulkan device
-    const std::uint32_t n_groups = (n_threads - 1) / device->workgroup_size + 1;
+    const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
     const std::uint32_t rows = (n_groups - 1) / kMaxGroups + 1;
     vkCmdDispatch(buffer, (n_groups - 1) / rows + 1, rows, 1);
     end_timing();

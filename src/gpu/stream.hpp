@@ -16,6 +16,7 @@ struct KernelBase::Impl {
     Device::Impl* device = nullptr;
     std::string name;
     VkPipeline pipeline = VK_NULL_HANDLE;
+    std::uint32_t workgroup_size = 0;   ///< threads
     ~Impl();
 };
 

@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which model a surfel belongs to, and boxes as six floats.
+#ifndef RELIDAR_INCLUDED_ACCEL_BVH_FOREST_GLSL
+#define RELIDAR_INCLUDED_ACCEL_BVH_FOREST_GLSL
+
+struct Box {
+    vec3 low;
+    vec3 high;
+};
+
+const float BOX_HUGE = 3.402823466e38;
+Box empty_box() { return Box(vec3(BOX_HUGE), vec3(-BOX_HUGE)); }
+bool is_empty(Box b) { return !(b.low.x <= b.high.x); }
+Box joined(Box a, Box b) { return Box(min(a.low, b.low), max(a.high, b.high)); }
+
+Box load_box(Floats boxes, uint i) {
+    return Box(vec3(boxes.at[6 * i], boxes.at[6 * i + 1], boxes.at[6 * i + 2]), vec3(boxes.at[6 * i + 3], boxes.at[6 * i + 4], boxes.at[6 * i + 5]));
+}
+
+// Values that one workgroup writes and another of the same launch reads, behind an atomic counter.
+layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedFloats { float at[]; };
+layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
+
+Box load_shared_box(Floats boxes, uint i) {
+    SharedFloats b = SharedFloats(uint64_t(boxes));
+    return Box(vec3(b.at[6 * i], b.at[6 * i + 1], b.at[6 * i + 2]), vec3(b.at[6 * i + 3], b.at[6 * i + 4], b.at[6 * i + 5]));
+}
+void store_shared_box(Floats boxes, uint i, Box value) {
+    SharedFloats b = SharedFloats(uint64_t(boxes));
+    for (uint c = 0u; c < 3u; ++c) {
+        b.at[6 * i + c] = value.low[c];
+        b.at[6 * i + 3 + c] = value.high[c];
+    }
+}
+
+/// Counts an arrival at a node after everything written before has become visible.
+/// @return whether it is the last of `expected`: then everything the others wrote is visible
+bool arrives_last(Uints arrivals, uint node, uint expected) {
+    memoryBarrierBuffer();
+    uint before = atomicAdd(SharedUints(uint64_t(arrivals)).at[node], 1u);
+    memoryBarrierBuffer();
+    return before + 1u == expected;
+}
+
+/// Half the surface; edges are cut at 1e18 m, so that it is always a number.
+float half_area(Box b) {
+    vec3 e = clamp(b.high - b.low, vec3(0.0), vec3(1e18));
+    return e.x * e.y + e.y * e.z + e.z * e.x;
+}
+
+/// The last model that starts at or before a surfel; models without surfels are never found.
+uint find_model(Uvec2s models, uint n_models, uint surfel) {
+    uint low = 0u, high = n_models;
+    while (high - low > 1u) {
+        uint middle = (low + high) / 2u;
+        if (models.at[middle].x <= surfel) low = middle;
+        else high = middle;
+    }
+    return low;
+}
+
+/// Unsigned numbers in the order of the floats.
+uint ordered_bits(float x) {
+    uint bits = floatBitsToUint(x);
+    return (bits & 0x80000000u) != 0u ? ~bits : bits | 0x80000000u;
+}
+float from_ordered_bits(uint bits) { return uintBitsToFloat((bits & 0x80000000u) != 0u ? bits & 0x7fffffffu : ~bits); }
+#endif

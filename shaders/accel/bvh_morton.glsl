@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+// Morton codes: cells along a space-filling curve. All axes are counted in the same unit, so that the first splits cut the longest edge.
+#ifndef RELIDAR_INCLUDED_ACCEL_BVH_MORTON_GLSL
+#define RELIDAR_INCLUDED_ACCEL_BVH_MORTON_GLSL
+
+/// Two empty bits before each bit of a number of 10 bits.
+uint spread(uint x) {
+    x = (x | (x << 16)) & 0x030000ffu;
+    x = (x | (x << 8)) & 0x0300f00fu;
+    x = (x | (x << 4)) & 0x030c30c3u;
+    return (x | (x << 2)) & 0x09249249u;
+}
+uint interleave(uvec3 cell) { return spread(cell.x) << 2 | spread(cell.y) << 1 | spread(cell.z); }
+
+/// Cell of a point within bounds, `bits` an axis; whatever is no number falls into cell 0.
+uvec3 morton_cell(vec3 point, vec3 low, vec3 high, uint bits) {
+    vec3 edges = high - low;
+    float longest = max(max(edges.x, edges.y), edges.z), n_cells = float(1u << bits);
+    float cells = longest > 0.0 && longest < 1e38 ? n_cells / longest : 0.0;
+    uvec3 cell;
+    for (uint c = 0u; c < 3u; ++c) {
+        float position = (point[c] - low[c]) * cells;
+        cell[c] = position > 0.0 ? uint(min(position, n_cells - 1.0)) : 0u;
+    }
+    return cell;
+}
+#endif

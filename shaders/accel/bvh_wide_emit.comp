@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+// Collapse, last of four kernels: the topology of each wide node, and its leaf entries. Boxes follow with accel/bvh_refit. One thread
+// a binary node. Input: tree, offsets, tiles, surfels, models. Output: wide.nodes, wide.order, wide.links.
+// Floor: 8 B a node read; 4 B a surfel and 28 B a wide node written.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../common/kernel.glsl"
+#include "../shared/bvh_build.h"
+#include "bvh_forest.glsl"
+#include "bvh_binary.glsl"
+RELIDAR_PARAMS(BvhWideParams);
+
+void main() {
+    uint node = thread_index();
+    if (node >= params.n_surfels || !becomes_wide(params.tree, node)) return;
+    uint slots[RELIDAR_BVH_WIDTH];
+    uint n_slots = collect_slots(params.tree, node, slots);
+    uvec2 start = params.offsets.at[node] + params.tiles.at[node / RELIDAR_BVH_TILE];
+    uint first_surfel = params.models.at[find_model(params.models, params.n_models, node)].x;   // nodes lie where their surfels lie
+    uint place = params.tree.places.at[node], first_child = params.n_models + start.x;
+    uint inner_mask = 0u, n_inner = 0u, n_entries = 0u;
+    uint leaves[2] = uint[](0u, 0u);
+    for (uint s = 0u; s < n_slots; ++s) {
+        if (is_inner_slot(params.tree, slots[s])) {
+            inner_mask |= 1u << s;
+            params.wide.links.at[first_child + n_inner++] = uvec2(place, first_surfel);
+            continue;
+        }
+        uint positions[RELIDAR_BVH_LEAF_SIZE];
+        uint count = collect_surfels(params.tree, slots[s], positions);
+        leaves[s / 4u] |= (n_entries | count << 5) << (8u * (s % 4u));
+        for (uint k = 0u; k < count; ++k) params.wide.order.at[start.y + n_entries++] = params.surfels.at[positions[k]] - first_surfel;
+    }
+    if (params.tree.parents.at[node] == RELIDAR_BVH_NO_NODE) params.wide.links.at[place] = uvec2(RELIDAR_BVH_NO_NODE, first_surfel);
+    params.wide.nodes.at[place].exponents = inner_mask << 24;
+    params.wide.nodes.at[place].first_child = first_child;
+    params.wide.nodes.at[place].first_leaf = start.y;
+    params.wide.nodes.at[place].leaves = leaves;
+}

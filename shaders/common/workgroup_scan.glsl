@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: Apache-2.0
+// Prefix sums over a workgroup of at most 32 subgroups. Threads are numbered subgroup by subgroup, which is what stability and
+// repeatability rest on; a shader that uses this numbers its elements by scan_thread().
+#ifndef RELIDAR_INCLUDED_COMMON_WORKGROUP_SCAN_GLSL
+#define RELIDAR_INCLUDED_COMMON_WORKGROUP_SCAN_GLSL
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+shared uvec2 scan_sums[32];
+
+uint scan_thread() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
+
+/// Workgroups of a launch are folded into two dimensions as threads are (kernel.glsl).
+uint workgroup_index() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
+
+/// Sum of x over the threads before this one. Every thread of the workgroup must call it.
+/// @param total of all threads
+uvec2 workgroup_exclusive_add(uvec2 x, out uvec2 total) {
+    uvec2 before = subgroupExclusiveAdd(x), sum = subgroupAdd(x);
+    if (subgroupElect()) scan_sums[gl_SubgroupID] = sum;
+    barrier();
+    total = uvec2(0u);
+    for (uint s = 0u; s < gl_NumSubgroups; ++s) {
+        if (s == gl_SubgroupID) before += total;
+        total += scan_sums[s];
+    }
+    barrier();
+    return before;
+}
+#endif

@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the kernels that build and refit the software acceleration structure (shaders/accel/bvh_*.comp) read and write. One forest for all
+// models: binary trees over surfels sorted along a space-filling curve, then wide nodes. Sizes live on the device; no kernel waits
+// for another workgroup of its own launch.
+#ifndef RELIDAR_INCLUDED_SHARED_BVH_BUILD_H
+#define RELIDAR_INCLUDED_SHARED_BVH_BUILD_H
+#include "bvh.h"
+#include "scene.h"
+
+RELIDAR_SHARED_BEGIN
+
+#define RELIDAR_BVH_WORKGROUP 256u    // threads of the kernels that share memory; 32 subgroups at most
+#define RELIDAR_BVH_TILE 4096u        // elements of one workgroup of these kernels: 16 a thread
+#define RELIDAR_SORT_DIGITS 256u
+#define RELIDAR_BVH_MORTON_BITS 13u   // an axis
+#define RELIDAR_BVH_LEAF 0x80000000u  // a child of a binary node is a sorted position
+
+RELIDAR_POINTER(Uvec2s, uvec2);
+
+/// Bounds of the means of each model that can be hit (accel/bvh_bounds.comp).
+struct BvhBoundsParams {
+    Floats boxes;       // input [n,6] m: surfel boxes, empty where never hit
+    Uvec2s models;      // input [n_models] first surfel, number of surfels
+    Uints bounds;       // accumulated [n_models,6]: least ordered bits of the centres' x, y, z, then of -x, -y, -z
+    uint n_surfels;
+    uint n_models;
+};
+
+/// Sort keys (accel/bvh_keys.comp).
+struct BvhKeysParams {
+    Records records;    // input [n]
+    Uvec2s models;      // input [n_models]
+    Uints bounds;       // input [n_models,6]
+    Uvec2s keys;        // output [n] low, high: Morton code, then model
+    Uints values;       // output [n] surfel
+    uint n_surfels;
+    uint n_models;
+};
+
+/// One pass of a stable radix sort (accel/bvh_sort_*.comp).
+struct BvhSortParams {
+    Uvec2s keys;         // input [n] low, high
+    Uints values;        // input [n]
+    Uvec2s sorted_keys;  // output [n]
+    Uints sorted_values; // output [n]
+    Uints counts;        // [256,n_tiles] keys of a digit in a tile; after the scan: those in tiles before
+    Uints totals;        // [256] keys of a digit
+    uint n;
+    uint n_tiles;
+    uint shift;          // of the digit, a multiple of 8
+};
+
+/// Binary trees over the sorted surfels, node i of a model at its sorted position i. A child is a node, a sorted position (LEAF), or NO_NODE.
+struct BvhBinary {
+    Uvec2s children;      // [n]
+    Uints parents;        // [n] of nodes; NO_NODE: a root, or no node
+    Uints leaf_parents;   // [n] of sorted positions
+    Uints states;         // [n] slots, surfels, closed: see accel/bvh_binary.glsl
+    Uints arrivals;       // [n] children that are done
+    Floats boxes;         // [n,6] m
+    Uints places;         // [n] wide node made of this node's subtree
+};
+
+struct BvhHierarchyParams {
+    BvhBinary tree;    // output
+    Uvec2s keys;       // input [n] sorted
+    Uvec2s models;     // input [n_models]
+    uint n_surfels;
+    uint n_models;
+};
+
+struct BvhMergeParams {
+    BvhBinary tree;    // input and output
+    Floats boxes;      // input [n,6] of surfels
+    Uints surfels;     // input [n] surfel at a sorted position
+    uint n_surfels;
+};
+
+/// Wide nodes as they are built and refitted: what a traversal does not need.
+struct BvhWide {
+    BvhNodes nodes;     // [bound]
+    Uints order;        // [n]
+    Uvec2s links;       // [bound] parent or NO_NODE, first surfel of the model
+    Floats boxes;       // [bound,6] m: real box of the node
+    Uints arrivals;     // [bound] inner children that are done; 0 between launches
+    Uints count;        // [1] nodes in use
+};
+
+/// Collapse of binary trees into wide nodes (accel/bvh_wide_*.comp).
+struct BvhWideParams {
+    BvhBinary tree;     // input; places: output
+    BvhWide wide;       // output
+    Uvec2s offsets;     // [n] inner children, leaf entries of the nodes before: of a tile, then of all
+    Uvec2s tiles;       // [n_tiles] the same of the tiles before
+    Uints surfels;      // input [n]
+    Uvec2s models;      // input [n_models]
+    uint n_surfels;
+    uint n_tiles;
+    uint n_models;
+};
+
+struct BvhRefitParams {
+    BvhWide wide;
+    Floats boxes;        // input [n,6] of surfels
+    uint bound;          // wide nodes there is room for
+};
+
+/// The tree over the instances (accel/bvh_top.comp).
+struct BvhTopParams {
+    BvhPointers bvh;       // output: roots, top_nodes, top_order
+    Instances instances;   // input [n_instances]
+    Uints model_of;        // input [n_instances]
+    Uvec2s models;         // input [n_models]
+    Floats model_boxes;    // input [n_models,6] m, model frame: boxes of the first wide nodes, which are the roots
+    Floats boxes;          // scratch [n_instances + nodes,6] m, world
+    Uvec2s keys;           // scratch [power of two >= n_instances]
+    uint n_instances;
+    uint n_padded;         // that power of two
+};
+
+/// Surface-area cost (accel/bvh_cost.comp).
+struct BvhCostParams {
+    BvhWide wide;
+    Floats boxes;     // input [n,6] of surfels
+    Floats partial;   // output [n_groups] m^2
+    uint bound;
+};
+
+RELIDAR_SHARED_END
+#endif

@@ -1,0 +1,249 @@
+// SPDX-License-Identifier: Apache-2.0
+// Records the kernels of a build, a refit and a top tree.
+#include "accel/bvh.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "accel/bvh_sort.hpp"
+#include "gpu/stream.hpp"
+#include "shared/accel.h"
+
+namespace relidar {
+
+static_assert(sizeof(shared::BvhNode) == 80);
+
+namespace {
+
+constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
+constexpr Constant kShares{0u, kWorkgroup};   // kernels that share memory
+
+std::uint32_t tiles_of(std::uint32_t n) { return (n + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE; }
+
+void check_subgroups(Device& device) {
+    VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
+    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &sizes};
+    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
+    vkGetPhysicalDeviceProperties2(device.impl().physical, &properties);
+    const VkSubgroupFeatureFlags needed = VK_SUBGROUP_FEATURE_BASIC_BIT | VK_SUBGROUP_FEATURE_VOTE_BIT | VK_SUBGROUP_FEATURE_ARITHMETIC_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT;
+    const bool in_compute = (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & needed) == needed;
+    if (!in_compute || sizes.minSubgroupSize * 32 < kWorkgroup || sizes.maxSubgroupSize > 64)
+        throw DeviceError(fmt::format("making the software acceleration structure on {}: found subgroup operations {:#x} and sizes {} to {}, expected {:#x} in compute and sizes within 8 to 64",
+                                      device.info().name, subgroup.supportedOperations, sizes.minSubgroupSize, sizes.maxSubgroupSize, std::uint32_t(needed)));
+}
+
+/// First surfel and number of surfels of each model, which together are all surfels in order.
+std::vector<glm::uvec2> model_ranges(const DeviceScene& scene) {
+    std::vector<glm::uvec2> ranges;
+    std::uint32_t next = 0;
+    for (const Model& model : scene.layout().models) {
+        if (model.first != next)
+            throw DataError(fmt::format("making the acceleration structure: model {} starts at surfel {}, expected {}", model.name, model.first, next));
+        ranges.push_back({model.first, model.count});
+        next += model.count;
+    }
+    if (next != scene.size()) throw DataError(fmt::format("making the acceleration structure: the models end at surfel {}, expected {}", next, scene.size()));
+    return ranges;
+}
+
+std::vector<std::uint32_t> model_of_instances(const DeviceScene& scene) {
+    std::vector<std::uint32_t> models;
+    for (const Instance& instance : scene.layout().instances) models.push_back(instance.model);
+    return models;
+}
+
+/// Nodes of the top tree of n instances, eight things a node.
+std::uint32_t top_nodes(std::uint32_t n) {
+    std::uint32_t n_nodes = 0;
+    do {
+        n = std::max((n + 7) / 8, 1u);
+        n_nodes += n;
+    } while (n > 1);
+    return n_nodes;
+}
+
+}  // namespace
+
+struct Bvh::Impl {
+    std::uint32_t n, n_models, n_instances, bound;
+    Device* device;
+    Kernel<shared::ProxyParams> proxies;
+    Kernel<shared::BvhBoundsParams> bounds_kernel;
+    Kernel<shared::BvhKeysParams> keys_kernel;
+    RadixSort sort;
+    Kernel<shared::BvhHierarchyParams> hierarchy;
+    Kernel<shared::BvhMergeParams> merge;
+    Kernel<shared::BvhWideParams> wide_count, wide_scan, wide_place, wide_emit;
+    Kernel<shared::BvhRefitParams> refit_kernel;
+    Kernel<shared::BvhTopParams> top;
+    Kernel<shared::BvhCostParams> cost_kernel;
+    Array<glm::uvec2> models;               ///< [n_models]
+    Array<std::uint32_t> model_of;          ///< [n_instances]
+    Array<float> boxes;                     ///< [n,6] of surfels
+    Array<std::uint32_t> bounds;            ///< [n_models,6]
+    Buffer scratch;                         ///< binary trees, and the pairs being sorted
+    Array<glm::uvec2> tiles;
+    Array<shared::BvhNode> nodes;           ///< [bound]
+    Array<std::uint32_t> order;             ///< [n]
+    Array<glm::uvec2> links;                ///< [bound]
+    Array<float> node_boxes;                ///< [bound,6]
+    Array<std::uint32_t> arrivals, count;   ///< [bound], [1]
+    Array<std::uint32_t> roots, top_order;  ///< [n_instances]
+    Array<shared::BvhNode> top_node_array;
+    Array<float> top_boxes;
+    Array<glm::uvec2> top_keys;
+
+    Impl(Device& device, const DeviceScene& scene);
+    shared::BvhBinary binary() const;
+    shared::BvhWide wide() const { return {nodes.address(), order.address(), links.address(), node_boxes.address(), arrivals.address(), count.address()}; }
+    SortPairs pairs(int set) const;
+    std::uint32_t key_bits() const { return 3 * RELIDAR_BVH_MORTON_BITS + static_cast<std::uint32_t>(std::bit_width(n_models - 1)); }
+    void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
+    SortPairs sorted_surfels(Stream& stream, const DeviceScene& scene);
+    void fit_nodes(Stream& stream);
+};
+
+Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
+    : n(scene.size()),
+      n_models(static_cast<std::uint32_t>(scene.layout().models.size())),
+      n_instances(static_cast<std::uint32_t>(scene.layout().instances.size())),
+      bound(node_bound(n, n_models)),
+      device(&d),
+      proxies(d, "accel/proxies", {{2u, 2u}}),
+      bounds_kernel(d, "accel/bvh_bounds", {kShares}),
+      keys_kernel(d, "accel/bvh_keys"),
+      sort(d, n),
+      hierarchy(d, "accel/bvh_hierarchy"),
+      merge(d, "accel/bvh_merge"),
+      wide_count(d, "accel/bvh_wide_count", {kShares}),
+      wide_scan(d, "accel/bvh_wide_scan", {kShares}),
+      wide_place(d, "accel/bvh_wide_place"),
+      wide_emit(d, "accel/bvh_wide_emit"),
+      refit_kernel(d, "accel/bvh_refit"),
+      top(d, "accel/bvh_top", {kShares}),
+      cost_kernel(d, "accel/bvh_cost", {kShares}),
+      models(d, std::span<const glm::uvec2>(model_ranges(scene)), "models of the acceleration structure"),
+      model_of(d, std::span<const std::uint32_t>(model_of_instances(scene)), "models of the instances"),
+      boxes(d, 6 * std::size_t(n), "surfel boxes"),
+      bounds(d, 6 * std::size_t(n_models), "model bounds"),
+      scratch(d, 64 * std::size_t(std::max(n, 1u)), "acceleration structure scratch"),
+      tiles(d, tiles_of(n), "collapse sums"),
+      nodes(d, bound, "wide nodes"),
+      order(d, n, "surfels in leaf order"),
+      links(d, bound, "wide node links"),
+      node_boxes(d, 6 * std::size_t(bound), "wide node boxes"),
+      arrivals(d, bound, "wide node arrivals"),
+      count(d, 1, "wide node count"),
+      roots(d, n_instances, "instance roots"),
+      top_order(d, n_instances, "instances in leaf order"),
+      top_node_array(d, top_nodes(n_instances), "top nodes"),
+      top_boxes(d, 6 * (std::size_t(n_instances) + top_nodes(n_instances)), "instance boxes"),
+      top_keys(d, std::bit_ceil(std::max(n_instances, 1u)), "instance keys") {}
+
+/// The binary trees' share of the scratch: 52 B a surfel. The boxes come last: the pairs of set 1 lie there before there are any.
+shared::BvhBinary Bvh::Impl::binary() const {
+    const std::uint64_t at = scratch.address(), m = n;
+    return {at, at + 8 * m, at + 12 * m, at + 16 * m, at + 20 * m, at + 28 * m, at + 24 * m};
+}
+
+/// Where pairs are sorted: set 0 keeps the result, set 1 is overwritten by the boxes of the binary nodes.
+SortPairs Bvh::Impl::pairs(int set) const {
+    const std::uint64_t at = scratch.address() + (set == 0 ? 52 : 28) * std::uint64_t(n);
+    return {at, at + 8 * std::uint64_t(n)};
+}
+
+void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
+    run(stream, proxies, n, {scene.records().address(), 0, boxes.address(), scene.alpha_min(), options.margin_m, options.margin_scale, n});
+}
+
+SortPairs Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
+    stream.fill(bounds, 0xffffffffu);
+    run(stream, bounds_kernel, std::size_t(tiles_of(n)) * kWorkgroup, {boxes.address(), models.address(), bounds.address(), n, n_models});
+    const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);   // so that the result is set 0
+    const SortPairs from = pairs(first_set);
+    run(stream, keys_kernel, n, {scene.records().address(), models.address(), bounds.address(), from.keys, from.values, n, n_models});
+    return sort.sort(stream, from, pairs(1 - first_set), n, key_bits());
+}
+
+void Bvh::Impl::fit_nodes(Stream& stream) {
+    run(stream, refit_kernel, bound, {wide(), boxes.address(), bound});
+}
+
+Bvh::Bvh(Device& device, const DeviceScene& scene) {
+    check_subgroups(device);
+    impl_ = std::make_unique<Impl>(device, scene);
+    Stream stream(device);
+    for (const Buffer* zero : {&impl_->nodes.buffer(), &impl_->arrivals.buffer(), &impl_->count.buffer()}) stream.fill(*zero);
+    stream.fill(impl_->links, RELIDAR_BVH_NO_NODE);
+    stream.finish();
+}
+
+Bvh::~Bvh() = default;
+
+void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
+    Impl& b = *impl_;
+    b.make_boxes(stream, scene, options);
+    const SortPairs sorted = b.sorted_surfels(stream, scene);
+    run(stream, b.hierarchy, b.n, {b.binary(), sorted.keys, b.models.address(), b.n, b.n_models});
+    run(stream, b.merge, b.n, {b.binary(), b.boxes.address(), sorted.values, b.n});
+    const std::uint64_t offsets = sorted.keys;   // the keys are no longer needed
+    const shared::BvhWideParams collapse{b.binary(), b.wide(), offsets, b.tiles.address(), sorted.values, b.models.address(), b.n, tiles_of(b.n), b.n_models};
+    run(stream, b.wide_count, std::size_t(tiles_of(b.n)) * kWorkgroup, collapse);
+    run(stream, b.wide_scan, kWorkgroup, collapse);
+    run(stream, b.wide_place, b.n, collapse);
+    run(stream, b.wide_emit, b.n, collapse);
+    b.fit_nodes(stream);
+    move(stream, scene);
+}
+
+void Bvh::refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
+    impl_->make_boxes(stream, scene, options);
+    impl_->fit_nodes(stream);
+    move(stream, scene);
+}
+
+void Bvh::move(Stream& stream, const DeviceScene& scene) {
+    Impl& b = *impl_;
+    run(stream, b.top, kWorkgroup,
+        {pointers(), scene.instances_address(), b.model_of.address(), b.models.address(), b.node_boxes.address(), b.top_boxes.address(), b.top_keys.address(), b.n_instances,
+         static_cast<std::uint32_t>(b.top_keys.size())});
+}
+
+shared::BvhPointers Bvh::pointers() const {
+    const Impl& b = *impl_;
+    return {b.nodes.address(), b.order.address(), b.roots.address(), b.top_node_array.address(), b.top_order.address()};
+}
+
+std::uint64_t Bvh::memory_bytes() const {
+    const Impl& b = *impl_;
+    std::uint64_t bytes = b.sort.memory_bytes();
+    for (const Buffer* buffer : {&b.models.buffer(), &b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch, &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(),
+                                 &b.links.buffer(), &b.node_boxes.buffer(), &b.arrivals.buffer(), &b.count.buffer(), &b.roots.buffer(), &b.top_order.buffer(),
+                                 &b.top_node_array.buffer(), &b.top_boxes.buffer(), &b.top_keys.buffer()})
+        bytes += buffer->size_bytes();
+    return bytes;
+}
+
+BvhOnHost Bvh::download() const {
+    const Impl& b = *impl_;
+    BvhOnHost host{b.nodes.download(), b.order.download(), b.roots.download(), b.top_node_array.download(), b.top_order.download(), b.boxes.download()};
+    host.nodes.resize(std::min<std::size_t>(b.count.download().front(), host.nodes.size()));
+    return host;
+}
+
+double Bvh::cost() {
+    Impl& b = *impl_;
+    Array<float> partial(*b.device, (b.bound + kWorkgroup - 1) / kWorkgroup, "cost sums");
+    Stream stream(*b.device);
+    run(stream, b.cost_kernel, b.bound, {b.wide(), b.boxes.address(), partial.address(), b.bound});
+    stream.finish();
+    const std::vector<float> sums = partial.download();
+    return std::accumulate(sums.begin(), sums.end(), 0.0);
+}
+
+}  // namespace relidar

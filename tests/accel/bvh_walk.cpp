@@ -1,0 +1,138 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "bvh_walk.hpp"
+
+#include <bit>
+#include <cmath>
+
+#include <fmt/format.h>
+
+namespace relidar::test {
+namespace {
+
+std::uint32_t byte_of(const std::uint32_t* words, int slot) { return words[slot / 4] >> (8 * (slot % 4)) & 255u; }
+
+double decoded(float origin, std::uint32_t exponent, std::uint32_t q) {
+    const float scale = std::bit_cast<float>(exponent << 23);
+    volatile float offset = static_cast<float>(q) * scale;   // each step rounded to float
+    volatile float x = origin + offset;
+    return x;
+}
+
+/// A recursion over one tree, stopped at the first fault.
+struct TreeCheck {
+    const BvhOnHost& bvh;
+    const Model& model;
+    std::vector<int>& seen;
+    std::vector<int> surfel_seen = {};
+    std::string fault = {};
+
+    bool fail(std::string text) {
+        if (fault.empty()) fault = std::move(text);
+        return false;
+    }
+
+    /// Real box of all below a leaf slot.
+    bool leaf(const Slot& slot, HostBox& real) {
+        if (slot.count > RELIDAR_BVH_LEAF_SIZE) return fail(fmt::format("a leaf of {} surfels", slot.count));
+        if (std::size_t(slot.first) + slot.count > bvh.order.size()) return fail(fmt::format("leaf entries {} + {} pass the end", slot.first, slot.count));
+        for (std::uint32_t k = 0; k < slot.count; ++k) {
+            const std::uint32_t surfel = bvh.order[slot.first + k];
+            if (surfel >= model.count) return fail(fmt::format("surfel {} of a model of {}", surfel, model.count));
+            if (++surfel_seen[surfel] > 1) return fail(fmt::format("surfel {} is in two leaves", surfel));
+            real.add(surfel_box(bvh, model.first + surfel));
+        }
+        return true;
+    }
+
+    bool node(std::uint32_t index, int depth, HostBox& real) {
+        if (index >= bvh.nodes.size()) return fail(fmt::format("node {} of {}", index, bvh.nodes.size()));
+        if (++seen[index] > 1) return fail(fmt::format("node {} is reached twice", index));
+        if (depth > 100) return fail("deeper than 100 nodes");
+        const std::array<Slot, RELIDAR_BVH_WIDTH> slots = slots_of(bvh.nodes[index]);
+        for (int s = 0; s < RELIDAR_BVH_WIDTH; ++s) {
+            HostBox below;
+            if (!(slots[s].inner ? node(slots[s].child, depth + 1, below) : leaf(slots[s], below))) return false;
+            const HostBox box = decoded_box(bvh.nodes[index], s);
+            if (!box.holds(below)) return fail(fmt::format("slot {} of node {} is smaller than what is in it", s, index));
+            if (below.empty() && !box.empty()) return fail(fmt::format("slot {} of node {} holds nothing and is not inverted", s, index));
+            real.add(below);
+        }
+        return true;
+    }
+};
+
+}  // namespace
+
+HostBox decoded_box(const shared::BvhNode& node, int slot) {
+    const std::uint32_t* low[] = {node.low_x, node.low_y, node.low_z};
+    const std::uint32_t* high[] = {node.high_x, node.high_y, node.high_z};
+    HostBox box;
+    for (int c = 0; c < 3; ++c) {
+        if (byte_of(low[c], slot) > byte_of(high[c], slot)) return {};
+        const std::uint32_t exponent = node.exponents >> (8 * c) & 255u;
+        box.low[c] = decoded(node.origin[c], exponent, byte_of(low[c], slot));
+        box.high[c] = decoded(node.origin[c], exponent, byte_of(high[c], slot));
+    }
+    return box;
+}
+
+HostBox surfel_box(const BvhOnHost& bvh, std::size_t surfel) {
+    HostBox box;
+    for (int c = 0; c < 3; ++c) {
+        box.low[c] = bvh.boxes[6 * surfel + c];
+        box.high[c] = bvh.boxes[6 * surfel + 3 + c];
+    }
+    return box;
+}
+
+std::array<Slot, RELIDAR_BVH_WIDTH> slots_of(const shared::BvhNode& node) {
+    std::array<Slot, RELIDAR_BVH_WIDTH> slots;
+    std::uint32_t child = node.first_child;
+    for (int s = 0; s < RELIDAR_BVH_WIDTH; ++s) {
+        const std::uint32_t leaf = byte_of(node.leaves, s);
+        slots[s].inner = node.exponents >> (24 + s) & 1u;
+        if (slots[s].inner) slots[s].child = child++;
+        else slots[s] = {false, 0, node.first_leaf + (leaf & 31u), leaf >> 5};
+    }
+    return slots;
+}
+
+std::string fault_of_tree(const BvhOnHost& bvh, std::uint32_t root, const Model& model, std::vector<int>& seen) {
+    TreeCheck check{bvh, model, seen};
+    check.surfel_seen.assign(model.count, 0);
+    HostBox box;
+    if (!check.node(root, 0, box)) return check.fault;
+    for (std::uint32_t i = 0; i < model.count; ++i)
+        if (check.surfel_seen[i] != 1) return fmt::format("surfel {} of {} is in no leaf", i, model.count);
+    return "";
+}
+
+bool meets(const HostRay& ray, const HostBox& box) {
+    if (box.empty()) return false;
+    double near = 0.0, far = HUGE_VAL;
+    for (int c = 0; c < 3; ++c) {
+        const double a = (box.low[c] - ray.origin[c]) / ray.direction[c], b = (box.high[c] - ray.origin[c]) / ray.direction[c];
+        near = std::max(near, std::min(a, b));
+        far = std::min(far, std::max(a, b));
+    }
+    return near <= far;
+}
+
+std::size_t walk(const std::vector<shared::BvhNode>& nodes, std::uint32_t root, const HostRay& ray, const std::function<void(std::uint32_t)>& leaf) {
+    std::size_t visits = 0;
+    std::vector<std::uint32_t> stack{root};
+    while (!stack.empty()) {
+        const shared::BvhNode& node = nodes.at(stack.back());
+        stack.pop_back();
+        ++visits;
+        const std::array<Slot, RELIDAR_BVH_WIDTH> slots = slots_of(node);
+        for (int s = 0; s < RELIDAR_BVH_WIDTH; ++s) {
+            if (!(slots[s].inner || slots[s].count) || !meets(ray, decoded_box(node, s))) continue;
+            if (slots[s].inner) stack.push_back(slots[s].child);
+            for (std::uint32_t k = 0; k < slots[s].count; ++k) leaf(slots[s].first + k);
+        }
+    }
+    return visits;
+}
+
+}  // namespace relidar::test
