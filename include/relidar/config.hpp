@@ -61,6 +61,9 @@ struct RenderConfig {
 struct TraceConfig {
     int chunk = 16;
     std::string proxy = "automatic";   ///< "automatic", "triangles", "boxes"
+    std::string walk = "automatic";    ///< "automatic", "lane", "subgroup"
+    int rebuild_every = 1000;
+    double rebuild_growth = 1.3;
 };
 
 struct Config {

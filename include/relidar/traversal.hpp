@@ -35,9 +35,13 @@ struct RayBatch {
     std::uint32_t n_rays = 0;
 };
 
+/// Whether each ray walks the software tree on its own or the rays of a subgroup walk it together.
+enum class Walk { automatic, lane, subgroup };
+
 /// How rays are traced; none of it changes the image.
 struct TraceOptions {
     int chunk = 16;               ///< hits sorted at a time, 1..64
+    Walk walk = Walk::automatic;  ///< software traversal alone; automatic = what measures faster on the kind of device
     bool brute_force = false;     ///< test every surfel instead of using the acceleration structure (tests)
 };
 

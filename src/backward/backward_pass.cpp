@@ -19,7 +19,7 @@ struct BackwardPass::Impl {
 namespace {
 
 std::string variant(const Device& device, const TraceOptions& options) {
-    return accumulating_variant(device, "backward/trace" + traversal_variant(options));
+    return accumulating_variant(device, "backward/trace" + traversal_variant(device, options));
 }
 
 }  // namespace
@@ -33,8 +33,7 @@ Gradients::Gradients(Device& device, std::uint32_t n_surfels, std::uint32_t n_ra
 
 BackwardPass::BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options)
     : impl_(new Impl{model,
-                     {device, variant(device, options),
-                      {{1u, static_cast<std::uint32_t>(options.chunk)}, {2u, proxy == Proxy::boxes ? 1u : 0u}, {3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}}},
+                     {device, variant(device, options), trace_constants(device, proxy, options, model)},
                      Array<std::uint32_t>(device, 1, "pass cap count")}) {}
 BackwardPass::~BackwardPass() = default;
 void BackwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }

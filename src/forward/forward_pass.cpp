@@ -24,8 +24,7 @@ struct ForwardPass::Impl {
 
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options)
         : model(m),
-          trace(device, "forward/trace" + traversal_variant(options),
-                {{1u, static_cast<std::uint32_t>(options.chunk)}, {2u, proxy == Proxy::boxes ? 1u : 0u}, {3u, m.sh_direction == ShDirection::surfel ? 1u : 0u}}),
+          trace(device, "forward/trace" + traversal_variant(device, options), trace_constants(device, proxy, options, m)),
           pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count") {}
 };
 
