@@ -1,55 +1,54 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binary nodes on their way to wide ones. A node's state holds how many slots its subtree takes in the wide node of an ancestor, how
-// many surfels it has (counted to 15), and whether it is closed: made a wide node of its own, one slot to its parent.
+// Binary nodes on their way to wide ones. The cheapest way to share the slots of a wide node out among subtrees is found bottom up (Ylitie
+// et al. 2017, section 3.1): a subtree in one slot is a leaf where it has at most LEAF_SIZE surfels, else a wide node of its own.
+// A node's decision word: its surfels, counted to 15, in bits 0-3; the left child's share of 2 ... 8 slots in 3 bits each from bit 4
+// on, 0 where one slot fewer is no dearer.
 #ifndef RELIDAR_INCLUDED_ACCEL_BVH_BINARY_GLSL
 #define RELIDAR_INCLUDED_ACCEL_BVH_BINARY_GLSL
 
-const uint CLOSED = 0x100u;
-uint make_state(uint n_slots, uint n_surfels) { return n_slots | n_surfels << 4; }
-uint slots_of(uint state) { return (state & CLOSED) != 0u ? 1u : state & 15u; }
-uint surfels_of(uint state) { return (state >> 4) & 15u; }
-
 bool is_leaf(uint child) { return (child & RELIDAR_BVH_LEAF) != 0u; }
+uint surfels_of(uint decisions) { return decisions & 15u; }
+uint left_share(uint decisions, uint n_slots) { return (decisions >> (3u * n_slots - 2u)) & 7u; }
 
-/// Whether a node becomes a wide node: closed, or the root of a model.
-bool becomes_wide(BvhBinary tree, uint node) {
-    return (tree.states.at[node] & CLOSED) != 0u || (tree.parents.at[node] == RELIDAR_BVH_NO_NODE && tree.children.at[node].x != RELIDAR_BVH_NO_NODE);
-}
+/// Surfels below a child, counted to 15.
+uint count_surfels(BvhBinary tree, uint child) { return is_leaf(child) ? 1u : surfels_of(tree.decisions.at[child]); }
+bool is_inner_slot(BvhBinary tree, uint child) { return count_surfels(tree, child) > RELIDAR_BVH_LEAF_SIZE; }
 
-bool is_inner_slot(BvhBinary tree, uint child) { return !is_leaf(child) && (tree.states.at[child] & CLOSED) != 0u; }
-
-/// The children of the wide node made of a binary node, from left to right.
+/// Children of the wide node made of a binary one, from left to right.
 uint collect_slots(BvhBinary tree, uint node, out uint slots[RELIDAR_BVH_WIDTH]) {
-    if (surfels_of(tree.states.at[node]) <= RELIDAR_BVH_LEAF_SIZE) {
-        slots[0] = node;
-        return 1u;
-    }
-    uint stack[RELIDAR_BVH_WIDTH];   // each entry still yields a slot: never more than there are
-    uvec2 children = tree.children.at[node];
-    stack[0] = children.y;
-    stack[1] = children.x;
+    slots[0] = node;
+    if (is_leaf(node)) return 1u;   // a model of one surfel
+    uint stack[RELIDAR_BVH_WIDTH], shares[RELIDAR_BVH_WIDTH];
+    stack[0] = node;
+    shares[0] = RELIDAR_BVH_WIDTH;
     uint n_slots = 0u;
-    for (uint n = 2u; n > 0u;) {
-        uint child = stack[--n];
-        if (is_leaf(child) || slots_of(tree.states.at[child]) == 1u) {
-            slots[n_slots++] = child;
-        } else {
-            children = tree.children.at[child];
-            stack[n++] = children.y;
-            stack[n++] = children.x;
+    for (uint n = 1u; n > 0u;) {
+        uint child = stack[--n], share = shares[n], left = 0u;
+        if (!is_leaf(child)) {
+            uint decisions = tree.decisions.at[child];
+            while (share > 1u && left_share(decisions, share) == 0u) --share;
+            if (share > 1u) left = left_share(decisions, share);
         }
+        if (left == 0u) {
+            slots[n_slots++] = child;
+            continue;
+        }
+        uvec2 children = tree.children.at[child];
+        stack[n] = children.y;
+        shares[n++] = share - left;
+        stack[n] = children.x;
+        shares[n++] = left;
     }
     return n_slots;
 }
 
 /// Sorted positions of the surfels of a leaf slot.
 uint collect_surfels(BvhBinary tree, uint slot, out uint positions[RELIDAR_BVH_LEAF_SIZE]) {
-    uint stack[RELIDAR_BVH_LEAF_SIZE + 1u];
+    uint stack[RELIDAR_BVH_LEAF_SIZE];
     stack[0] = slot;
     uint n_surfels = 0u;
     for (uint n = 1u; n > 0u;) {
         uint child = stack[--n];
-        if (child == RELIDAR_BVH_NO_NODE) continue;
         if (is_leaf(child)) {
             positions[n_surfels++] = child & ~RELIDAR_BVH_LEAF;
         } else {

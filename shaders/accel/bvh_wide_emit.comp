@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collapse, last of four kernels: the topology of each wide node, and its leaf entries. Boxes follow with accel/bvh_refit. One thread
-// a binary node. Input: tree, offsets, tiles, surfels, models. Output: wide.nodes, wide.order, wide.links.
-// Floor: 8 B a node read; 4 B a surfel and 28 B a wide node written.
+// Collapse, last of five kernels: the topology of each wide node, and its leaf entries. Boxes follow with accel/bvh_refit. One thread
+// a queue entry. Input: tree, queue, slots, offsets, tiles, places, surfels, models. Output: wide.nodes, wide.order, wide.links.
+// Floor: 8 B a surfel read, 4 B written; 48 B a wide node read, 28 B written.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
@@ -11,27 +11,31 @@
 RELIDAR_PARAMS(BvhWideParams);
 
 void main() {
-    uint node = thread_index();
-    if (node >= params.n_surfels || !becomes_wide(params.tree, node)) return;
-    uint slots[RELIDAR_BVH_WIDTH];
-    uint n_slots = collect_slots(params.tree, node, slots);
+    uint entry = thread_index();
+    if (entry >= min(params.bound, params.wide.count.at[0])) return;
+    uint node = params.queue.at[entry];
+    if (node == RELIDAR_BVH_NO_NODE) return;
+    uint place = entry < params.n_models ? entry : params.places.at[node];
+    node &= ~RELIDAR_BVH_LEAF;
     uvec2 start = params.offsets.at[node] + params.tiles.at[node / RELIDAR_BVH_TILE];
-    uint first_surfel = params.models.at[find_model(params.models, params.n_models, node)].x;   // nodes lie where their surfels lie
-    uint place = params.tree.places.at[node], first_child = params.n_models + start.x;
+    uint first_surfel = params.models.at[find_model(params.models, params.n_models, node)].x;   // a node's number is a position of its model
+    uint first_child = params.n_models + start.x;
     uint inner_mask = 0u, n_inner = 0u, n_entries = 0u;
     uint leaves[2] = uint[](0u, 0u);
-    for (uint s = 0u; s < n_slots; ++s) {
-        if (is_inner_slot(params.tree, slots[s])) {
+    for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
+        uint slot = params.slots.at[8u * entry + s];
+        if (slot == RELIDAR_BVH_NO_NODE) break;
+        if (is_inner_slot(params.tree, slot)) {
             inner_mask |= 1u << s;
             params.wide.links.at[first_child + n_inner++] = uvec2(place, first_surfel);
             continue;
         }
         uint positions[RELIDAR_BVH_LEAF_SIZE];
-        uint count = collect_surfels(params.tree, slots[s], positions);
+        uint count = collect_surfels(params.tree, slot, positions);
         leaves[s / 4u] |= (n_entries | count << 5) << (8u * (s % 4u));
         for (uint k = 0u; k < count; ++k) params.wide.order.at[start.y + n_entries++] = params.surfels.at[positions[k]] - first_surfel;
     }
-    if (params.tree.parents.at[node] == RELIDAR_BVH_NO_NODE) params.wide.links.at[place] = uvec2(RELIDAR_BVH_NO_NODE, first_surfel);
+    if (entry < params.n_models) params.wide.links.at[place] = uvec2(RELIDAR_BVH_NO_NODE, first_surfel);
     params.wide.nodes.at[place].exponents = inner_mask << 24;
     params.wide.nodes.at[place].first_child = first_child;
     params.wide.nodes.at[place].first_leaf = start.y;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collapse, second of four kernels: sums of the tiles before each tile, and how many wide nodes there are. One workgroup of 256 threads.
+// Collapse, third of five kernels: sums of the tiles before each tile, and how many wide nodes there are. One workgroup of 256 threads.
 // Tiles: in place; wide.count: output. Floor: nothing that counts.
 #version 460
 #extension GL_GOOGLE_include_directive : require

@@ -33,6 +33,8 @@ struct BvhKeysParams {
     Uints bounds;       // input [n_models,6]
     Uvec2s keys;        // output [n] low, high: Morton code, then model
     Uints values;       // output [n] surfel
+    Uints other_ends;   // output [n] NO_NODE, for bvh_cluster
+    Uints demands;      // output [n] 0, for bvh_wide_mark
     uint n_surfels;
     uint n_models;
 };
@@ -50,30 +52,28 @@ struct BvhSortParams {
     uint shift;          // of the digit, a multiple of 8
 };
 
-/// Binary trees over the sorted surfels, node i of a model at its sorted position i. A child is a node, a sorted position (LEAF), or NO_NODE.
+/// Binary trees over the sorted surfels. A child is a node, or a sorted position with the bit LEAF. A node of a model has the number of one
+/// of the sorted positions of its surfels.
 struct BvhBinary {
     Uvec2s children;      // [n]
-    Uints parents;        // [n] of nodes; NO_NODE: a root, or no node
-    Uints leaf_parents;   // [n] of sorted positions
-    Uints states;         // [n] slots, surfels, closed: see accel/bvh_binary.glsl
-    Uints arrivals;       // [n] children that are done
     Floats boxes;         // [n,6] m
-    Uints places;         // [n] wide node made of this node's subtree
+    Floats costs;         // [n,7] of the subtree in at most 1 ... 7 slots of a wide node, m^2
+    Uints decisions;      // [n] how these slots are shared out: see accel/bvh_binary.glsl
+    Uints spares;         // [n] the position of a node's subtree that numbers no node yet
 };
 
-struct BvhHierarchyParams {
-    BvhBinary tree;    // output
-    Uvec2s keys;       // input [n] sorted
-    Uvec2s models;     // input [n_models]
+/// Agglomeration along the sorted surfels (accel/bvh_cluster.comp).
+struct BvhClusterParams {
+    BvhBinary tree;      // output
+    Floats boxes;        // input [n,6] of surfels
+    Uvec2s keys;         // input [n] sorted
+    Uints surfels;       // input [n] surfel at a sorted position
+    Uvec2s models;       // input [n_models]
+    Uints other_ends;    // [n] NO_NODE before: other end of the range that first arrived at the split behind a position
+    Uints clusters;      // [n] roots within a range, from its first position on; fewer than there is room for end with NO_NODE
+    Uints roots;         // output [n_models] root of each model
     uint n_surfels;
     uint n_models;
-};
-
-struct BvhMergeParams {
-    BvhBinary tree;    // input and output
-    Floats boxes;      // input [n,6] of surfels
-    Uints surfels;     // input [n] surfel at a sorted position
-    uint n_surfels;
 };
 
 /// Wide nodes as they are built and refitted: what a traversal does not need.
@@ -88,15 +88,22 @@ struct BvhWide {
 
 /// Collapse of binary trees into wide nodes (accel/bvh_wide_*.comp).
 struct BvhWideParams {
-    BvhBinary tree;     // input; places: output
+    BvhBinary tree;     // input
     BvhWide wide;       // output
-    Uvec2s offsets;     // [n] inner children, leaf entries of the nodes before: of a tile, then of all
+    Uints queue;        // [bound] binary nodes that become wide: first the roots of the models, then level by level, in any order
+    Uints slots;        // [bound,8] children of the wide node made of a queue entry, NO_NODE behind the last
+    Uints level_sizes;  // [levels + 1] queue entries of each level; 0 before, the roots are known
+    Uints demands;      // [n] of a binary node: wide children + 256 leaf entries; 0 where it does not become wide
+    Uvec2s offsets;     // [n] inner children, leaf entries of the nodes before in the tile
     Uvec2s tiles;       // [n_tiles] the same of the tiles before
-    Uints surfels;      // input [n]
+    Uints places;       // [n] wide node made of a binary node
+    Uints surfels;      // input [n] surfel at a sorted position
     Uvec2s models;      // input [n_models]
     uint n_surfels;
     uint n_tiles;
     uint n_models;
+    uint bound;         // wide nodes there is room for
+    uint level;         // of a launch of bvh_wide_mark
 };
 
 struct BvhRefitParams {

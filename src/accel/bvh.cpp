@@ -69,6 +69,11 @@ std::uint32_t top_nodes(std::uint32_t n) {
 
 }  // namespace
 
+/// The scratch, in bytes times the number of surfels. Keys, boxes and costs are needed no more when the collapse begins; it puts its own there.
+constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 8, kValuesAt = 12, kDemandsAt = 16, kKeysAt = 20, kBoxesAt = 28, kCostsAt = 52, kSparesAt = 80, kOtherEndsAt = 84,
+                        kClustersAt = 88;
+constexpr std::uint32_t kOffsetsAt = kKeysAt, kPlacesAt = kBoxesAt, kSlotsAt = kBoxesAt + 4;
+
 struct Bvh::Impl {
     std::uint32_t n, n_models, n_instances, bound;
     Device* device;
@@ -76,9 +81,8 @@ struct Bvh::Impl {
     Kernel<shared::BvhBoundsParams> bounds_kernel;
     Kernel<shared::BvhKeysParams> keys_kernel;
     RadixSort sort;
-    Kernel<shared::BvhHierarchyParams> hierarchy;
-    Kernel<shared::BvhMergeParams> merge;
-    Kernel<shared::BvhWideParams> wide_count, wide_scan, wide_place, wide_emit;
+    Kernel<shared::BvhClusterParams> cluster;
+    Kernel<shared::BvhWideParams> wide_mark, wide_mark_rest, wide_count, wide_scan, wide_place, wide_emit;
     Kernel<shared::BvhRefitParams> refit_kernel;
     Kernel<shared::BvhTopParams> top;
     Kernel<shared::BvhCostParams> cost_kernel;
@@ -87,6 +91,8 @@ struct Bvh::Impl {
     Array<float> boxes;                     ///< [n,6] of surfels
     Array<std::uint32_t> bounds;            ///< [n_models,6]
     Buffer scratch;                         ///< binary trees, and the pairs being sorted
+    Array<std::uint32_t> queue;             ///< [bound] binary nodes that become wide
+    Array<std::uint32_t> level_sizes;       ///< of the queue
     Array<glm::uvec2> tiles;
     Array<shared::BvhNode> nodes;           ///< [bound]
     Array<std::uint32_t> order;             ///< [n]
@@ -102,7 +108,10 @@ struct Bvh::Impl {
     shared::BvhBinary binary() const;
     shared::BvhWide wide() const { return {nodes.address(), order.address(), links.address(), node_boxes.address(), arrivals.address(), count.address()}; }
     SortPairs pairs(int set) const;
-    std::uint32_t key_bits() const { return 3 * RELIDAR_BVH_MORTON_BITS + static_cast<std::uint32_t>(std::bit_width(n_models - 1)); }
+    std::uint64_t at(std::uint32_t bytes_a_surfel) const;
+    std::uint32_t levels() const;
+    void collapse(Stream& stream);
+    std::uint32_t key_bits() const { return 3 * RELIDAR_BVH_MORTON_BITS + static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1)); }
     void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
     SortPairs sorted_surfels(Stream& stream, const DeviceScene& scene);
     void fit_nodes(Stream& stream);
@@ -118,8 +127,9 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       bounds_kernel(d, "accel/bvh_bounds", {kShares}),
       keys_kernel(d, "accel/bvh_keys"),
       sort(d, n),
-      hierarchy(d, "accel/bvh_hierarchy"),
-      merge(d, "accel/bvh_merge"),
+      cluster(d, "accel/bvh_cluster"),
+      wide_mark(d, "accel/bvh_wide_mark"),
+      wide_mark_rest(d, "accel/bvh_wide_mark", {kShares, {2u, 1u}}),
       wide_count(d, "accel/bvh_wide_count", {kShares}),
       wide_scan(d, "accel/bvh_wide_scan", {kShares}),
       wide_place(d, "accel/bvh_wide_place"),
@@ -131,7 +141,9 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       model_of(d, std::span<const std::uint32_t>(model_of_instances(scene)), "models of the instances"),
       boxes(d, 6 * std::size_t(n), "surfel boxes"),
       bounds(d, 6 * std::size_t(n_models), "model bounds"),
-      scratch(d, 64 * std::size_t(std::max(n, 1u)), "acceleration structure scratch"),
+      scratch(d, std::max<std::size_t>(92 * std::size_t(n), kSlotsAt * std::size_t(n) + 32 * std::size_t(bound)), "acceleration structure scratch"),
+      queue(d, bound, "collapse queue"),
+      level_sizes(d, levels() + 1, "collapse levels"),
       tiles(d, tiles_of(n), "collapse sums"),
       nodes(d, bound, "wide nodes"),
       order(d, n, "surfels in leaf order"),
@@ -145,17 +157,19 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       top_boxes(d, 6 * (std::size_t(n_instances) + top_nodes(n_instances)), "instance boxes"),
       top_keys(d, std::bit_ceil(std::max(n_instances, 1u)), "instance keys") {}
 
-/// The binary trees' share of the scratch: 52 B a surfel. The boxes come last: the pairs of set 1 lie there before there are any.
-shared::BvhBinary Bvh::Impl::binary() const {
-    const std::uint64_t at = scratch.address(), m = n;
-    return {at, at + 8 * m, at + 12 * m, at + 16 * m, at + 20 * m, at + 28 * m, at + 24 * m};
+std::uint64_t Bvh::Impl::at(std::uint32_t bytes_a_surfel) const { return scratch.address() + bytes_a_surfel * std::uint64_t(n); }
+
+/// Launches of bvh_wide_mark that are as wide as the level may be; a full tree of this bound is not deeper than 4 levels less.
+std::uint32_t Bvh::Impl::levels() const {
+    std::uint32_t n_levels = 4;
+    for (std::uint64_t width = n_models; width < bound; width *= RELIDAR_BVH_WIDTH) ++n_levels;
+    return n_levels;
 }
 
-/// Where pairs are sorted: set 0 keeps the result, set 1 is overwritten by the boxes of the binary nodes.
-SortPairs Bvh::Impl::pairs(int set) const {
-    const std::uint64_t at = scratch.address() + (set == 0 ? 52 : 28) * std::uint64_t(n);
-    return {at, at + 8 * std::uint64_t(n)};
-}
+shared::BvhBinary Bvh::Impl::binary() const { return {at(kChildrenAt), at(kBoxesAt), at(kCostsAt), at(kDecisionsAt), at(kSparesAt)}; }
+
+/// Where pairs are sorted: set 0 keeps the result, set 1 is overwritten by the costs of the binary nodes.
+SortPairs Bvh::Impl::pairs(int set) const { return set == 0 ? SortPairs{at(kKeysAt), at(kValuesAt)} : SortPairs{at(kCostsAt), at(kCostsAt + 8)}; }
 
 void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
     run(stream, proxies, n, {scene.records().address(), 0, boxes.address(), scene.alpha_min(), options.margin_m, options.margin_scale, n});
@@ -166,8 +180,20 @@ SortPairs Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
     run(stream, bounds_kernel, std::size_t(tiles_of(n)) * kWorkgroup, {boxes.address(), models.address(), bounds.address(), n, n_models});
     const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);   // so that the result is set 0
     const SortPairs from = pairs(first_set);
-    run(stream, keys_kernel, n, {scene.records().address(), models.address(), bounds.address(), from.keys, from.values, n, n_models});
+    run(stream, keys_kernel, n, {scene.records().address(), models.address(), bounds.address(), from.keys, from.values, at(kOtherEndsAt), at(kDemandsAt), n, n_models});
     return sort.sort(stream, from, pairs(1 - first_set), n, key_bits());
+}
+
+void Bvh::Impl::collapse(Stream& stream) {
+    stream.fill(level_sizes);
+    shared::BvhWideParams params{binary(), wide(), queue.address(), at(kSlotsAt), level_sizes.address(), at(kDemandsAt), at(kOffsetsAt), tiles.address(), at(kPlacesAt),
+                                 at(kValuesAt), models.address(), n, tiles_of(n), n_models, bound, 0};
+    for (std::uint64_t width = n_models; params.level < levels() - 1; ++params.level, width = std::min<std::uint64_t>(width * RELIDAR_BVH_WIDTH, bound)) run(stream, wide_mark, width, params);
+    run(stream, wide_mark_rest, kWorkgroup, params);
+    run(stream, wide_count, std::size_t(tiles_of(n)) * kWorkgroup, params);
+    run(stream, wide_scan, kWorkgroup, params);
+    run(stream, wide_place, bound, params);
+    run(stream, wide_emit, bound, params);
 }
 
 void Bvh::Impl::fit_nodes(Stream& stream) {
@@ -179,7 +205,7 @@ Bvh::Bvh(Device& device, const DeviceScene& scene) {
     impl_ = std::make_unique<Impl>(device, scene);
     Stream stream(device);
     for (const Buffer* zero : {&impl_->nodes.buffer(), &impl_->arrivals.buffer(), &impl_->count.buffer()}) stream.fill(*zero);
-    stream.fill(impl_->links, RELIDAR_BVH_NO_NODE);
+    for (const Buffer* none : {&impl_->links.buffer(), &impl_->queue.buffer()}) stream.fill(*none, RELIDAR_BVH_NO_NODE);   // as models without surfels keep them
     stream.finish();
 }
 
@@ -189,14 +215,9 @@ void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& op
     Impl& b = *impl_;
     b.make_boxes(stream, scene, options);
     const SortPairs sorted = b.sorted_surfels(stream, scene);
-    run(stream, b.hierarchy, b.n, {b.binary(), sorted.keys, b.models.address(), b.n, b.n_models});
-    run(stream, b.merge, b.n, {b.binary(), b.boxes.address(), sorted.values, b.n});
-    const std::uint64_t offsets = sorted.keys;   // the keys are no longer needed
-    const shared::BvhWideParams collapse{b.binary(), b.wide(), offsets, b.tiles.address(), sorted.values, b.models.address(), b.n, tiles_of(b.n), b.n_models};
-    run(stream, b.wide_count, std::size_t(tiles_of(b.n)) * kWorkgroup, collapse);
-    run(stream, b.wide_scan, kWorkgroup, collapse);
-    run(stream, b.wide_place, b.n, collapse);
-    run(stream, b.wide_emit, b.n, collapse);
+    run(stream, b.cluster, b.n,
+        {b.binary(), b.boxes.address(), sorted.keys, sorted.values, b.models.address(), b.at(kOtherEndsAt), b.at(kClustersAt), b.queue.address(), b.n, b.n_models});
+    b.collapse(stream);
     b.fit_nodes(stream);
     move(stream, scene);
 }
@@ -222,7 +243,7 @@ shared::BvhPointers Bvh::pointers() const {
 std::uint64_t Bvh::memory_bytes() const {
     const Impl& b = *impl_;
     std::uint64_t bytes = b.sort.memory_bytes();
-    for (const Buffer* buffer : {&b.models.buffer(), &b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch, &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(),
+    for (const Buffer* buffer : {&b.models.buffer(), &b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch, &b.queue.buffer(), &b.level_sizes.buffer(), &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(),
                                  &b.links.buffer(), &b.node_boxes.buffer(), &b.arrivals.buffer(), &b.count.buffer(), &b.roots.buffer(), &b.top_order.buffer(),
                                  &b.top_node_array.buffer(), &b.top_boxes.buffer(), &b.top_keys.buffer()})
         bytes += buffer->size_bytes();

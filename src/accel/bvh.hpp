@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The software acceleration structure (shared/bvh.h), built and refitted on the device. One forest holds the trees of all models, so the
-// number of launches does not depend on how many there are: sort along a space-filling curve, binary radix trees, collapse to eight
-// children, boxes bottom up. The host waits for nothing and reads nothing but in cost().
-// Memory: 24 B a surfel for boxes, 64 for scratch, 4 for the order, 29 for wide nodes (at most n / 4 and one a model).
+// number of launches does not depend on how many there are: sort along a space-filling curve, binary trees by agglomeration, collapse to
+// the cheapest eight children, boxes bottom up. The host waits for nothing and reads nothing but in cost() and download().
+// Memory: 24 B a surfel for boxes, 92 for scratch, 4 for the order, 30 for wide nodes (at most n / 4 and one a model).
 #pragma once
 
 #include <cstdint>
@@ -49,7 +49,7 @@ public:
     /// Blocking; what was recorded must have been submitted.
     BvhOnHost download() const;
 
-    /// Wide nodes there is room for: a closed node has at least 5 slots, so n surfels make at most n / 4 nodes besides the roots.
+    /// Wide nodes there is room for: n surfels make at most n / 4 nodes besides the roots (accel/bvh_wide_mark).
     static std::uint32_t node_bound(std::uint32_t n_surfels, std::uint32_t n_models) { return n_surfels / 4 + n_models; }
 
 private:

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The trees over the surfels (accel/bvh_bounds, bvh_keys, bvh_hierarchy, bvh_merge, bvh_wide_count, bvh_wide_scan, bvh_wide_place,
+// The trees over the surfels (accel/bvh_bounds, bvh_keys, bvh_cluster, bvh_wide_mark, bvh_wide_count, bvh_wide_scan, bvh_wide_place,
 // bvh_wide_emit, bvh_refit, bvh_cost): what must hold of every tree, read back after builds and refits of scenes of every kind, and the
 // surfels that rays reach through it against all surfels one by one.
 #include <algorithm>
