@@ -143,7 +143,7 @@ void backward(TraceScene scene, Ray ray, RenderedRay final, RayGradient g) {
 }
 
 void main() {
-    uint i = thread_index();
+    uint i = traced_ray(params.scene);
     if (i >= params.scene.n_rays) return;
     RayEntry entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
     d_ray_origin = vec3(0.0);

@@ -46,7 +46,7 @@ struct RayGradient {
 };
 RELIDAR_POINTER(RayGradients, RayGradient);
 
-/// What every tracing kernel needs. Ray k of the launch is entry first_ray + k * ray_stride of `rays`.
+/// What every tracing kernel needs. Ray k of the batch is entry first_ray + k * ray_stride of `rays`.
 struct TraceScene {
     uint64_t tlas;          // acceleration structure address (ray query)
     BvhPointers bvh;        // the tree (software traversal)
@@ -65,6 +65,7 @@ struct TraceScene {
     uint n_rays;
     uint first_ray;
     uint ray_stride;
+    uint columns;           // of the image that the batch is, traced in tiles; 0: rays as they come
 };
 
 struct ForwardParams {

@@ -33,6 +33,17 @@ uint entered_first_surfel;
 vec3 entered_origin;
 vec3 entered_direction;
 
+/// The ray of this thread, in the order of the batch; n_rays and more: none. In an image, 8 threads in sequence are 4 x 2 neighbours, and
+/// 32 are 8 x 4: they open the same nodes.
+uint traced_ray(TraceScene scene) {
+    uint i = thread_index();
+    if (scene.columns == 0u) return i;
+    uint tile = i >> 5u, across = (scene.columns + 7u) >> 3u;
+    uint x = (tile % across) * 8u + ((i >> 1u) & 4u) + (i & 3u);
+    uint y = (tile / across) * 4u + ((i >> 3u) & 2u) + ((i >> 2u) & 1u);
+    return x < scene.columns ? y * scene.columns + x : scene.n_rays;
+}
+
 bool before(Key a, Key b) {
     if (a.t != b.t) return a.t < b.t;
     if (a.instance != b.instance) return a.instance < b.instance;

@@ -45,7 +45,7 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
     stream.fill(gradients.records);
     stream.fill(gradients.view_origin);
     if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);
-    relidar::run(stream, impl_->trace, batch.rays.n_rays,
+    relidar::run(stream, impl_->trace, trace_threads(batch.rays),
                  {trace_scene(scene, accel, batch.rays, model, impl_->pass_cap.address()), batch.rendered->address(), batch.upstream->address(), gradients.records.address(),
                   gradients.surfels.sh.address(), gradients.rays.size() ? gradients.rays.address() : 0});
     scene.activate_vjp(stream, model, view_origin_m, {&gradients.records, &gradients.surfels, &gradients.touched, &gradients.view_origin, gradients.zero_untouched});

@@ -39,7 +39,8 @@ void ForwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered) {
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kRenderedFloats, rendered.size());
     RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.rays->size());
-    relidar::run(stream, impl_->trace, batch.n_rays, {trace_scene(scene, accel, batch, impl_->model, impl_->pass_cap.address()), rendered.address()});
+    RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);   // whole rows
+    relidar::run(stream, impl_->trace, trace_threads(batch), {trace_scene(scene, accel, batch, impl_->model, impl_->pass_cap.address()), rendered.address()});
 }
 
 std::uint32_t ForwardPass::take_pass_cap_count() {

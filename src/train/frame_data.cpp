@@ -67,6 +67,11 @@ void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& m
     }
 }
 
+RayBatch FrameData::batch(std::uint32_t first, std::uint32_t stride) const {
+    const bool image = columns % stride == 0 && first < stride;   // every stride-th column of each row
+    return {&rays, first, stride, (n_rays - first + stride - 1) / stride, image ? columns / stride : 0};
+}
+
 std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, const std::vector<int>& positions, const Unknown& unknown) {
     std::vector<std::vector<DeviceRay>> rays(positions.size());
     std::vector<std::vector<DeviceTarget>> targets(positions.size());
@@ -83,6 +88,8 @@ std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, c
         data.rays = Array<DeviceRay>(device, std::span<const DeviceRay>(rays[k]), "training rays");
         data.targets = Array<DeviceTarget>(device, std::span<const DeviceTarget>(targets[k]), "training targets");
         data.n_rays = static_cast<std::uint32_t>(rays[k].size());
+        const RayTable& table = frame.scan.rays;
+        if (table.rows > 1 && std::size_t(table.rows) * std::size_t(table.columns) == rays[k].size()) data.columns = static_cast<std::uint32_t>(table.columns);
         for (const DeviceTarget& t : targets[k]) {
             data.n_known += t.weight > 0.0f;
             data.n_returned += t.weight > 0.0f && t.range_m > 0.0f;

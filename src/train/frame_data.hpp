@@ -18,10 +18,14 @@ struct FrameData {
     Array<DeviceRay> rays;            ///< [n]
     Array<DeviceTarget> targets;      ///< [n]
     std::uint32_t n_rays = 0;
+    std::uint32_t columns = 0;        ///< of the range image, row by row; 0 = no image
     double n_returned = 0.0;          ///< known rays that returned
     double n_known = 0.0;
     std::vector<InstancePose> placed;    ///< of all instances of the scene
     glm::vec3 sensor_position_m{0.0f};   ///< world, at the reference time
+
+    /// Every stride-th ray from `first` on.
+    RayBatch batch(std::uint32_t first, std::uint32_t stride) const;
 };
 
 /// What training must not look at.

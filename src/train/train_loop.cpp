@@ -78,7 +78,7 @@ void TrainLoop::iterate(int step) {
     const std::uint32_t wanted = config_.train.rays_per_iteration > 0 ? static_cast<std::uint32_t>(config_.train.rays_per_iteration) : frame.n_rays;
     const std::uint32_t stride = std::max(1u, frame.n_rays / std::max(wanted, 1u));
     const std::uint32_t first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
-    const RayBatch rays{&frame.rays, first, stride, (frame.n_rays - first + stride - 1) / stride};
+    const RayBatch rays = frame.batch(first, stride);
     const TargetBatch targets{&frame.targets, first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride};
     const ImageModel model = with_degree(config_.image, (step - 1) / std::max(1, config_.train.sh_degree_interval));
     forward_.set_sh_degree(model.sh_degree);
@@ -118,7 +118,7 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
     for (const FrameData& frame : frames_) {
         const Scan& scan = sequence.frames[std::size_t(frame.position)].scan;
         const std::uint32_t stride = std::max(1u, frame.n_rays / kRays), first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
-        const RayBatch rays{&frame.rays, first, stride, (frame.n_rays - first + stride - 1) / stride};
+        const RayBatch rays = frame.batch(first, stride);
         scene_.place(stream_, frame.placed);
         scene_.activate(stream_, model, frame.sensor_position_m);
         accel_.update(stream_, scene_);

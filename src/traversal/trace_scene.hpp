@@ -10,12 +10,19 @@
 
 namespace relidar {
 
+/// Threads that trace a batch: whole tiles of 8 x 4 rays over an image, some of them beside it; else one a ray.
+inline std::size_t trace_threads(const RayBatch& batch) {
+    if (batch.columns == 0) return batch.n_rays;
+    const std::size_t rows = batch.n_rays / batch.columns;
+    return (rows + 3) / 4 * ((std::size_t(batch.columns) + 7) / 8) * 32;
+}
+
 inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model, std::uint64_t pass_cap_address) {
     const AccelAddresses a = accel.addresses();
     return {a.tlas, {a.nodes, a.order, a.roots, a.top_nodes, a.top_order}, batch.rays->address(), scene.records().address(), scene.instances_address(),
             scene.parameters().sh.address(), pass_cap_address, 0,
             model.near_m, model.alpha_min, model.alpha_max, model.transmittance_min, static_cast<std::uint32_t>(scene.layout().instances.size()),
-            static_cast<std::uint32_t>(model.sh_degree), batch.n_rays, batch.first, batch.stride};
+            static_cast<std::uint32_t>(model.sh_degree), batch.n_rays, batch.first, batch.stride, batch.columns};
 }
 
 /// Which build of a tracing kernel a device runs.

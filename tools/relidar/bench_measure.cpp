@@ -156,7 +156,7 @@ private:
     double hits_per_ray_ = 0.0;
     Samples kernels_, rebuild_kernels_, phases_;
 
-    RayBatch batch() const { return {&rays_, 0, 1, static_cast<std::uint32_t>(rays_.size())}; }
+    RayBatch batch() const { return {&rays_, 0, 1, static_cast<std::uint32_t>(rays_.size()), static_cast<std::uint32_t>(case_.columns)}; }
     void frame() {
         scene_.activate(stream_, case_.config.image, case_.view_origin_m);
         accel_.update(stream_, scene_);
@@ -207,6 +207,7 @@ BenchResult Bench::result() {
         if (row.name == "backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
     }
     result.hits_per_ray = hits_per_ray_;
+    result.visits = count_visits(device_, scene_, accel_, batch(), case_.config.image, trace_options(case_.config));
     result.memory = {allocated_with_scene_ - allocated_before_, allocated_with_accel_ - allocated_with_scene_, training_bytes_, device_.allocated_bytes() - allocated_with_accel_ - training_bytes_, device_.peak_bytes()};
     return result;
 }
