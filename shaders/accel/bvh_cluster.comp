@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Binary trees by agglomeration (Benthin et al., "H-PLOC: Hierarchical Parallel Locally-Ordered Clustering", 2024): the radix tree over
 // the sorted keys (after Apetrei 2014, ends of ranges exchanged at splits) says which ranges come together; where two do, their at
-// most 32 clusters are merged to at most 16, each with its nearest of the 8 next to it where that is mutual. Costs of wide nodes are
-// found with each merge. One thread a sorted position; the second to reach a split goes on. Input: boxes, keys, surfels, models. Output:
-// tree, roots. Nodes take the numbers of positions, not of a counter, so that a build is repeatable.
-// Floor: 36 B a surfel read, 68 B written and read again a node; 250 box unions a surfel.
+// most 32 clusters are merged to at most 16, each with its nearest of the 8 on either side where that is mutual. Costs of wide nodes are
+// found with each merge. One thread a sorted position; the second to reach a split goes on, and its subgroup works on one range together,
+// as hardly any two of its threads get so far. A workgroup is one subgroup: on lavapipe a subgroup's barrier holds up all of them. Input: boxes, keys, surfels, models. Output: tree, roots. Nodes take the numbers of
+// positions, not of a counter, so that a build is repeatable. Floor: 36 B a surfel read, 68 B written and read again a node; 500 box
+// unions a surfel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
@@ -12,23 +13,32 @@
 #include "bvh_forest.glsl"
 #include "bvh_binary.glsl"
 #include "bvh_merge.glsl"
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_vote : require
+#extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+layout(constant_id = 2) const uint GROUPS = 4u;   // subgroups of a workgroup, at most
 RELIDAR_PARAMS(BvhClusterParams);
 
-const uint KEPT = 16u, RADIUS = 8u;
+const uint KEPT = 16u, ROOM = 2u * KEPT, RADIUS = 8u;
 struct Cluster {
     Box box;
     uint root;    // node or leaf
     uint spare;   // position of its subtree that numbers no node yet
 };
-Cluster clusters[2u * KEPT];
-uint nearest[2u * KEPT];
-float distances[2u * KEPT];
-uint n_clusters;
+shared Cluster clusters[GROUPS * ROOM];
+shared uint nearest[GROUPS * ROOM];
+shared ivec4 tasks[GROUPS];   // of a subgroup: first position, last of the left range, last position; whether it is a whole model
+uint base;                    // of this subgroup's clusters
 
-int first, last;   // sorted positions of the model
+/// All that the subgroup has written to shared memory becomes visible to it.
+void synchronise() {
+    subgroupMemoryBarrierShared();
+    subgroupBarrier();
+}
 
 /// Length of the common prefix of the keys at a position and the next; -1 at the ends of the model.
-int common_prefix(int i) {
+int common_prefix(int i, int first, int last) {
     if (i < first || i >= last) return -1;
     uvec2 a = params.keys.at[i], b = params.keys.at[i + 1];
     if (a.y != b.y) return 31 - findMSB(a.y ^ b.y);
@@ -36,46 +46,40 @@ int common_prefix(int i) {
     return 95 - findMSB(uint(i ^ (i + 1)));
 }
 
-/// Appends the clusters of a range.
-void load_clusters(int from, int to) {
-    SharedUints roots = SharedUints(uint64_t(params.clusters));
-    for (int i = from; i <= min(to, from + int(KEPT) - 1); ++i) {
-        uint root = roots.at[i];
-        if (root == RELIDAR_BVH_NO_NODE) return;
-        Cluster c;
-        c.root = root;
-        if (is_leaf(root)) {
-            c.spare = root & ~RELIDAR_BVH_LEAF;
-            c.box = load_box(params.boxes, params.surfels.at[c.spare]);
-        } else {
-            c.spare = SharedUints(uint64_t(params.tree.spares)).at[root];
-            c.box = load_shared_box(params.tree.boxes, root);
-        }
-        clusters[n_clusters++] = c;
+Cluster load_cluster(uint root) {
+    if (is_leaf(root)) {
+        uint position = root & ~RELIDAR_BVH_LEAF;
+        return Cluster(load_box(params.boxes, params.surfels.at[position]), root, position);
     }
+    return Cluster(load_shared_box(params.tree.boxes, root), root, SharedUints(uint64_t(params.tree.spares)).at[root]);
 }
 
-void store_clusters(int from) {
+/// Appends the clusters of a range to `n`. @return how many there are then
+uint load_clusters(int from, int to, uint n) {
     SharedUints roots = SharedUints(uint64_t(params.clusters));
-    for (uint k = 0u; k < n_clusters; ++k) roots.at[from + k] = clusters[k].root;
-    if (n_clusters < KEPT) roots.at[from + n_clusters] = RELIDAR_BVH_NO_NODE;
+    uint n_range = min(uint(to - from) + 1u, KEPT);
+    for (uint start = 0u; start < n_range; start += gl_SubgroupSize) {
+        uint k = start + gl_SubgroupInvocationID;
+        uint root = k < n_range ? roots.at[from + k] : RELIDAR_BVH_NO_NODE;
+        uint end = subgroupMin(root == RELIDAR_BVH_NO_NODE ? k : n_range);
+        if (k < end) clusters[base + n + k] = load_cluster(root);
+        if (end < start + gl_SubgroupSize) return n + min(end, n_range);
+    }
+    return n + n_range;
 }
 
-/// For each cluster the one of its neighbours with which it has the smallest box; of equal pairs the first, so that one pair is mutual.
-void find_nearest() {
-    for (uint i = 0u; i < n_clusters; ++i) distances[i] = BOX_HUGE;
-    for (uint i = 0u; i < n_clusters; ++i)
-        for (uint j = i + 1u; j < min(i + 1u + RADIUS, n_clusters); ++j) {
-            float area = half_area(joined(clusters[i].box, clusters[j].box));
-            if (area < distances[i]) {
-                distances[i] = area;
-                nearest[i] = j;
-            }
-            if (area < distances[j]) {
-                distances[j] = area;
-                nearest[j] = i;
-            }
-        }
+/// The one of a cluster's neighbours with which it has the smallest box; of equal pairs the first, so that one pair is mutual.
+uint nearest_to(uint i, uint n) {
+    Box own = clusters[base + i].box;
+    float least = BOX_HUGE;
+    uint found = i;
+    for (uint j = i - min(i, RADIUS); j < min(i + RADIUS + 1u, n); ++j) {
+        float area = half_area(joined(own, clusters[base + j].box));
+        if (j == i || !(area < least)) continue;
+        least = area;
+        found = j;
+    }
+    return found;
 }
 
 /// A node above two clusters.
@@ -89,48 +93,80 @@ Cluster merged(Cluster a, Cluster b) {
     return Cluster(box, node, a.spare);
 }
 
-/// Merges until at most so many are left.
-void reduce_to(uint wanted) {
-    while (n_clusters > wanted) {
-        find_nearest();
-        uint n = 0u;
-        for (uint i = 0u; i < n_clusters; ++i) {
-            uint j = nearest[i];
-            bool mutual = nearest[j] == i;
-            if (mutual && j < i) continue;
-            clusters[n] = clusters[i];
-            if (mutual) clusters[n] = merged(clusters[i], clusters[j]);
-            ++n;
-        }
-        n_clusters = n;
+/// Merges once. @return clusters left
+uint merge_mutual(uint n) {
+    for (uint i = gl_SubgroupInvocationID; i < n; i += gl_SubgroupSize) nearest[base + i] = nearest_to(i, n);
+    synchronise();
+    uint n_kept = 0u;
+    for (uint start = 0u; start < n; start += gl_SubgroupSize) {
+        uint i = start + gl_SubgroupInvocationID;
+        uint j = i < n ? nearest[base + i] : 0u;
+        bool mutual = i < n && nearest[base + j] == i, kept = i < n && !(mutual && j < i);
+        Cluster c;
+        if (kept) c = clusters[base + i];
+        if (kept && mutual) c = merged(c, clusters[base + j]);
+        synchronise();
+        uvec2 lanes = subgroupBallot(kept).xy, before = lanes & gl_SubgroupLtMask.xy;
+        if (kept) clusters[base + n_kept + uint(bitCount(before.x) + bitCount(before.y))] = c;   // at or before i: read already
+        n_kept += uint(bitCount(lanes.x) + bitCount(lanes.y));
     }
+    memoryBarrierBuffer();   // nodes are read by merges above
+    synchronise();
+    return n_kept;
+}
+
+/// The subgroup joins two ranges.
+void join_ranges(ivec4 task) {
+    uint n = load_clusters(task.x, task.y, 0u);
+    n = load_clusters(task.y + 1, task.z, n);
+    synchronise();
+    bool whole = task.w >= 0;
+    while (n > (whole ? 1u : KEPT)) n = merge_mutual(n);
+    if (whole) {
+        if (gl_SubgroupInvocationID == 0u) params.roots.at[task.w] = clusters[base].root;
+        return;
+    }
+    SharedUints roots = SharedUints(uint64_t(params.clusters));
+    for (uint k = gl_SubgroupInvocationID; k < n; k += gl_SubgroupSize) roots.at[task.x + k] = clusters[base + k].root;
+    if (n < KEPT && gl_SubgroupInvocationID == 0u) roots.at[task.x + n] = RELIDAR_BVH_NO_NODE;
+}
+
+/// Brings a range to the split it shares with its neighbour. @return whether the neighbour was there: then the range is grown by it
+bool meet_neighbour(inout int from, inout int to, out int split, int first, int last) {
+    bool leftward = common_prefix(from - 1, first, last) > common_prefix(to, first, last);
+    split = leftward ? from - 1 : to;
+    uint other = atomicExchange(SharedUints(uint64_t(params.other_ends)).at[split], uint(leftward ? to : from));
+    if (other == RELIDAR_BVH_NO_NODE) return false;
+    if (leftward) from = int(other);
+    else to = int(other);
+    return true;
 }
 
 void main() {
     uint position = thread_index();
-    if (position >= params.n_surfels) return;
-    uint model = find_model(params.models, params.n_models, position);
-    first = int(params.models.at[model].x);
-    last = first + int(params.models.at[model].y) - 1;
-    int from = int(position), to = from;
-    SharedUints(uint64_t(params.clusters)).at[position] = position | RELIDAR_BVH_LEAF;
-    while (from != first || to != last) {
-        int left = common_prefix(from - 1), right = common_prefix(to), split = left > right ? from - 1 : to;
-        memoryBarrierBuffer();
-        uint other = atomicExchange(SharedUints(uint64_t(params.other_ends)).at[split], uint(split == to ? from : to));
-        memoryBarrierBuffer();
-        if (other == RELIDAR_BVH_NO_NODE) return;   // the other range goes on when it arrives
-        if (split == to) to = int(other);
-        else from = int(other);
-        if (to - from < int(KEPT)) continue;
-        n_clusters = 0u;
-        load_clusters(from, split);
-        load_clusters(split + 1, to);
-        if (n_clusters > KEPT) reduce_to(KEPT);
-        store_clusters(from);
+    base = gl_SubgroupID * ROOM;
+    bool climbing = position < params.n_surfels;
+    int model = climbing ? int(find_model(params.models, params.n_models, position)) : 0;
+    int first = int(params.models.at[model].x), last = first + int(params.models.at[model].y) - 1;
+    int from = int(position), to = from, split = from;
+    if (climbing) SharedUints(uint64_t(params.clusters)).at[position] = position | RELIDAR_BVH_LEAF;
+    if (climbing && first == last) {
+        params.roots.at[model] = position | RELIDAR_BVH_LEAF;
+        climbing = false;
     }
-    n_clusters = 0u;
-    load_clusters(first, last);
-    reduce_to(1u);
-    params.roots.at[model] = clusters[0].root;
+    while (subgroupAny(climbing)) {
+        memoryBarrierBuffer();
+        if (climbing) climbing = meet_neighbour(from, to, split, first, last);
+        memoryBarrierBuffer();
+        bool whole = from == first && to == last, waiting = climbing && (whole || to - from >= int(KEPT));
+        while (subgroupAny(waiting)) {
+            bool next = waiting && gl_SubgroupInvocationID == subgroupMin(waiting ? gl_SubgroupInvocationID : 0xffffffffu);
+            if (next) tasks[gl_SubgroupID] = ivec4(from, split, to, whole ? model : -1);
+            synchronise();
+            join_ranges(tasks[gl_SubgroupID]);
+            synchronise();
+            if (next) waiting = false;
+        }
+        if (whole) climbing = false;
+    }
 }

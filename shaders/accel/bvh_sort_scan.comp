@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Radix sort, second of three kernels a pass: for each value of the digit, how many keys of it are in the tiles before. A workgroup
-// of 256 threads a value. Counts: in place; totals: output. Floor: 8 B an entry of counts, 1/2 B a key.
+// Radix sort, second of three kernels a pass: for each value of the digit, how many keys of it are in the tiles before. A subgroup a value. Counts: in place; totals: output. Floor: 8 B an entry of counts, 1/2 B a key.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
@@ -9,16 +8,16 @@
 RELIDAR_PARAMS(BvhSortParams);
 
 void main() {
-    uint digit = workgroup_index(), thread = scan_thread();
-    if (digit >= RELIDAR_SORT_DIGITS) return;
-    uint before = 0u;
-    for (uint first = 0u; first < params.n_tiles; first += RELIDAR_BVH_WORKGROUP) {
-        uint tile = first + thread, at = digit * params.n_tiles + tile;
-        uvec2 total;
-        uint in_tiles = tile < params.n_tiles ? params.counts.at[at] : 0u;
-        uint sum = workgroup_exclusive_add(uvec2(in_tiles, 0u), total).x;
-        if (tile < params.n_tiles) params.counts.at[at] = before + sum;
-        before += total.x;
+    uint n_subgroups = gl_NumWorkGroups.x * gl_NumWorkGroups.y * gl_NumSubgroups;
+    for (uint digit = workgroup_index() * gl_NumSubgroups + gl_SubgroupID; digit < RELIDAR_SORT_DIGITS; digit += n_subgroups) {
+        uint before = 0u;
+        for (uint first = 0u; first < params.n_tiles; first += gl_SubgroupSize) {
+            uint tile = first + gl_SubgroupInvocationID, at = digit * params.n_tiles + tile;
+            uint in_tile = tile < params.n_tiles ? params.counts.at[at] : 0u;
+            uint sum = before + subgroupExclusiveAdd(in_tile);
+            if (tile < params.n_tiles) params.counts.at[at] = sum;
+            before += subgroupAdd(in_tile);
+        }
+        if (gl_SubgroupInvocationID == 0u) params.totals.at[digit] = before;
     }
-    if (thread == 0u) params.totals.at[digit] = before;
 }

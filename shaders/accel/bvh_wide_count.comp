@@ -9,16 +9,19 @@
 #include "../common/workgroup_scan.glsl"
 RELIDAR_PARAMS(BvhWideParams);
 
+uvec2 sums_of(uint demand) { return uvec2(demand & 255u, demand >> 8); }
+
 void main() {
     uint tile = workgroup_index();
     if (tile >= params.n_tiles) return;
-    uvec2 before = uvec2(0u);
-    for (uint first = 0u; first < RELIDAR_BVH_TILE; first += RELIDAR_BVH_WORKGROUP) {
-        uint node = tile * RELIDAR_BVH_TILE + first + scan_thread();
-        uint demand = node < params.n_surfels ? params.demands.at[node] : 0u;
-        uvec2 total, sum = workgroup_exclusive_add(uvec2(demand & 255u, demand >> 8), total);
-        if (node < params.n_surfels) params.offsets.at[node] = before + sum;
-        before += total;
+    const uint RUN = RELIDAR_BVH_TILE / RELIDAR_BVH_WORKGROUP;   // consecutive nodes of a thread: two lines of the cache
+    uint first = tile * RELIDAR_BVH_TILE + scan_thread() * RUN, end = min(first + RUN, params.n_surfels);
+    uvec2 own = uvec2(0u), total;
+    for (uint node = first; node < end; ++node) own += sums_of(params.demands.at[node]);
+    uvec2 before = workgroup_exclusive_add(own, total);
+    for (uint node = first; node < end; ++node) {
+        params.offsets.at[node] = before;
+        before += sums_of(params.demands.at[node]);
     }
-    if (scan_thread() == 0u) params.tiles.at[tile] = before;
+    if (scan_thread() == 0u) params.tiles.at[tile] = total;
 }

@@ -19,9 +19,11 @@ uvec2 workgroup_exclusive_add(uvec2 x, out uvec2 total) {
     if (subgroupElect()) scan_sums[gl_SubgroupID] = sum;
     barrier();
     total = uvec2(0u);
-    for (uint s = 0u; s < gl_NumSubgroups; ++s) {
-        if (s == gl_SubgroupID) before += total;
-        total += scan_sums[s];
+    for (uint first = 0u; first < gl_NumSubgroups; first += gl_SubgroupSize) {
+        uint s = first + gl_SubgroupInvocationID;
+        uvec2 of_subgroup = s < gl_NumSubgroups ? scan_sums[s] : uvec2(0u);
+        total += subgroupAdd(of_subgroup);
+        before += subgroupAdd(s < gl_SubgroupID ? of_subgroup : uvec2(0u));
     }
     barrier();
     return before;

@@ -25,7 +25,8 @@ constexpr Constant kShares{0u, kWorkgroup};   // kernels that share memory
 
 std::uint32_t tiles_of(std::uint32_t n) { return (n + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE; }
 
-void check_subgroups(Device& device) {
+/// Threads of a subgroup. @throws DeviceError where the device lacks what the kernels need of them
+std::uint32_t subgroup_size(const Device& device) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &sizes};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
@@ -35,6 +36,7 @@ void check_subgroups(Device& device) {
     if (!in_compute || sizes.minSubgroupSize * 32 < kWorkgroup || sizes.maxSubgroupSize > 64)
         throw DeviceError(fmt::format("making the software acceleration structure on {}: found subgroup operations {:#x} and sizes {} to {}, expected {:#x} in compute and sizes within 8 to 64",
                                       device.info().name, subgroup.supportedOperations, sizes.minSubgroupSize, sizes.maxSubgroupSize, std::uint32_t(needed)));
+    return subgroup.subgroupSize;
 }
 
 /// First surfel and number of surfels of each model, which together are all surfels in order.
@@ -127,7 +129,7 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       bounds_kernel(d, "accel/bvh_bounds", {kShares}),
       keys_kernel(d, "accel/bvh_keys"),
       sort(d, n),
-      cluster(d, "accel/bvh_cluster"),
+      cluster(d, "accel/bvh_cluster", {{0u, subgroup_size(d)}, {2u, subgroup_size(d) / 8}}),
       wide_mark(d, "accel/bvh_wide_mark"),
       wide_mark_rest(d, "accel/bvh_wide_mark", {kShares, {2u, 1u}}),
       wide_count(d, "accel/bvh_wide_count", {kShares}),
@@ -201,7 +203,6 @@ void Bvh::Impl::fit_nodes(Stream& stream) {
 }
 
 Bvh::Bvh(Device& device, const DeviceScene& scene) {
-    check_subgroups(device);
     impl_ = std::make_unique<Impl>(device, scene);
     Stream stream(device);
     for (const Buffer* zero : {&impl_->nodes.buffer(), &impl_->arrivals.buffer(), &impl_->count.buffer()}) stream.fill(*zero);

@@ -32,7 +32,7 @@ SortPairs RadixSort::sort(Stream& stream, SortPairs from, SortPairs other, std::
     for (std::uint32_t pass = 0; pass < passes(key_bits); ++pass) {
         const shared::BvhSortParams params{from.keys, from.values, other.keys, other.values, counts_.address(), totals_.address(), n, n_tiles, 8 * pass};
         run(stream, count_, std::size_t(n_tiles) * RELIDAR_BVH_WORKGROUP, params);
-        run(stream, scan_, std::size_t(RELIDAR_SORT_DIGITS) * RELIDAR_BVH_WORKGROUP, params);
+        run(stream, scan_, 32 * RELIDAR_BVH_WORKGROUP, params);   // 32 workgroups of 4 to 32 subgroups each, for 256 digits
         run(stream, scatter_, std::size_t(n_tiles) * RELIDAR_BVH_WORKGROUP, params);
         std::swap(from, other);
     }
