@@ -104,7 +104,7 @@ std::array<double, kLossTerms> TrainLoop::take_terms(int n, int step) {
             throw DataError(fmt::format("training, iterations {} to {}: the {} loss is {}, expected a finite number", step - n + 1, step, kLossTermNames[k], sums[k]));
     }
     if (const std::uint32_t capped = forward_.take_pass_cap_count())
-        throw DeviceError(fmt::format("training, iterations {} to {}: {} rays reached the cap of passes, expected every ray to end", step - n + 1, step, capped));
+        throw DeviceError(fmt::format("training, iterations {} to {}: {} rays reached the cap of passes or filled the traversal stack, expected every ray to end", step - n + 1, step, capped));
     terms_.upload(std::vector<float>(kLossTerms, 0.0f));
     accel_.check_growth();
     return means;

@@ -34,7 +34,7 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
         {trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)}, placed.model, pass_cap.address()), counts.address(), t.address(), instance.address(), surfel.address(), max_hits});
     stream.finish();
     if (const std::uint32_t capped = pass_cap.download()[0])
-        throw DeviceError(fmt::format("collecting hits of {} rays: {} reached the cap of {} passes, expected every ray to end", n, capped, RELIDAR_MAX_PASSES));
+        throw DeviceError(fmt::format("collecting hits of {} rays: {} reached the cap of {} passes or filled the traversal stack, expected every ray to end", n, capped, RELIDAR_MAX_PASSES));
     return {max_hits, counts.download(), t.download(), instance.download(), surfel.download()};
 }
 

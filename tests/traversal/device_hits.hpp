@@ -26,6 +26,16 @@ inline std::vector<reference::Hit> hits_of(const CollectedHits& c, std::size_t r
     return hits;
 }
 
+/// Hits of a scene that to_scene() made, by the world's numbers of its surfels.
+inline CollectedHits in_world(CollectedHits hits, const SceneAndPoses& placed) {
+    for (std::size_t ray = 0; ray < hits.counts.size(); ++ray)
+        for (std::uint32_t i = 0; i < std::min(hits.counts[ray], hits.max_hits); ++i) {
+            std::uint32_t& surfel = hits.surfel[ray * hits.max_hits + i];
+            surfel = placed.original.at(surfel);
+        }
+    return hits;
+}
+
 class DeviceHits : public DeviceTest {
 protected:
     /// Compares every ray of a case with a host provider (float canonical).

@@ -84,7 +84,7 @@ TEST_F(ManyRays, AgreeAfterBuildRefitAndRebuild) {
     Accel accel(device(), scene, {});
     std::mt19937 random(5);
     const auto update = [&](bool rebuild) {
-        scene.parameters().upload(case_.surfels);
+        scene.parameters().upload(case_.surfels);   // the ranges of this case follow each other: numbers are the same
         scene.activate(stream, model_, glm::vec3(0.0f));
         accel.update(stream, scene, rebuild);
         stream.finish();

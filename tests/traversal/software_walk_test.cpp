@@ -22,7 +22,8 @@ protected:
         const test::HostBvh bvh(device(), scene);
         const shared::BvhPointers p = bvh.pointers();
         const AccelAddresses addresses{0, p.nodes.value, p.order.value, p.roots.value, p.top_nodes.value, p.top_order.value};
-        return test::collect(device(), "traversal/collect_hits@software_bvh", {{1u, chunk}, {4u, packet}}, test::to_trace_scene(scene, model, addresses), c.rays, test::kMaxHits);
+        const shared::TraceScene trace = test::to_trace_scene(scene, model, addresses);
+        return test::in_world(test::collect(device(), "traversal/collect_hits@software_bvh", {{1u, chunk}, {4u, packet}}, trace, c.rays, test::kMaxHits), placed);
     }
 };
 

@@ -195,7 +195,7 @@ std::vector<BenchRow> rows_of(const Samples& samples, std::vector<std::string> o
 }
 
 BenchResult Bench::result() {
-    if (const std::uint32_t capped = forward_.take_pass_cap_count()) throw DeviceError(fmt::format("tracing {} rays: {} reached the cap of passes, expected every ray to end", rays_.size(), capped));
+    if (const std::uint32_t capped = forward_.take_pass_cap_count()) throw DeviceError(fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, expected every ray to end", rays_.size(), capped));
     kernels_.merge(rebuild_kernels_);   // those that an iteration has not
     BenchResult result;
     result.proxy = accel_.proxy() == Proxy::boxes ? "boxes" : "triangles";
