@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # add_kernel(stage/stem [TRACES] [ACCUMULATES]): compiles shaders/<stage>/<stem>.comp to SPIR-V and embeds it in the library.
-#   TRACES       built once per traversal backend: @ray_query, @brute_force
+#   TRACES       built once per traversal backend: @ray_query, @software_bvh, @brute_force
 #   ACCUMULATES  built once with the device's float atomics and once with compare-and-swap: suffix _atomics, _swap
 # embed_kernels(<target>): generates the table that relidar::embedded_kernels() returns. Nothing to find at run time.
 find_program(RELIDAR_GLSLANG glslangValidator REQUIRED)
@@ -32,7 +32,7 @@ function(add_kernel path)
     set(source ${PROJECT_SOURCE_DIR}/shaders/${path}.comp)
     set(variants "@|")  # no backend: "stem", or "stem@_atomics" and "stem@_swap"
     if(KERNEL_TRACES)
-        set(variants "@ray_query|-DRELIDAR_TRAVERSAL_RAY_QUERY" "@brute_force|")
+        set(variants "@ray_query|-DRELIDAR_TRAVERSAL_RAY_QUERY" "@software_bvh|-DRELIDAR_TRAVERSAL_SOFTWARE_BVH" "@brute_force|")
     endif()
     foreach(variant IN LISTS variants)
         string(REGEX REPLACE "\\|.*" "" suffix "${variant}")

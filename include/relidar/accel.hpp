@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Proxy geometry and the two-level acceleration structure over it: one bottom level a model, one top-level instance a placed
-// model, so moving an actor rewrites a transform and nothing else.
+// The two-level acceleration structure: one tree a model over boxes or proxies of its surfels, a top level over the placed models, so
+// moving an actor rewrites a transform and nothing else. The driver's where the device traverses by ray query, else relidar's own.
 #pragma once
 
 #include <cstdint>
@@ -11,7 +11,8 @@
 
 namespace relidar {
 
-/// What stands for a surfel in the tree. Both propose the same hits; `boxes` are faster on lavapipe, `triangles` on ray-tracing hardware.
+/// What stands for a surfel in the driver's tree. Both propose the same hits; `boxes` are faster on lavapipe, `triangles` on ray-tracing
+/// hardware. The software tree is always over boxes.
 enum class Proxy { automatic, triangles, boxes };
 
 struct AccelOptions {
@@ -19,6 +20,16 @@ struct AccelOptions {
     /// Proxies are grown by this factor and length, so that rounding in a driver's own intersection loses no hit.
     float margin_scale = 1.002f;
     float margin_m = 1e-4f;
+    /// When a structure is built anew instead of refitted (besides when it is told to): after so many refits (0 = never), and, software
+    /// tree alone, at the next update after check_growth() has found its cost grown by this factor since the build.
+    int rebuild_every = 1000;
+    float rebuild_growth = 1.3f;
+};
+
+/// Device addresses of the structure that a device's traversal searches; the others are 0.
+struct AccelAddresses {
+    std::uint64_t tlas = 0;                                                       ///< ray query
+    std::uint64_t nodes = 0, order = 0, roots = 0, top_nodes = 0, top_order = 0;   ///< software
 };
 
 /// Proxy that suits a device where none is chosen.
@@ -29,15 +40,20 @@ public:
     Accel(Device& device, const DeviceScene& scene, const AccelOptions& options);
     ~Accel();
 
-    /// Records proxies from the scene's records and a build (first time, or rebuild) or refit of all bottom levels, then the top level.
+    /// Records proxies from the scene's records and a build (first time, when told, or when due) or refit of all trees, then the top level.
     void update(Stream& stream, const DeviceScene& scene, bool rebuild = false);
     /// Records the top level alone: instances have moved, no surfel has changed.
     void move(Stream& stream, const DeviceScene& scene);
 
-    std::uint64_t tlas_address() const;
+    /// Measures how much the software tree has grown since its build; the next update() rebuilds one that is outgrown. Blocking: for log
+    /// lines, not for iterations. What was recorded must have been submitted.
+    void check_growth();
+
+    AccelAddresses addresses() const;
     Proxy proxy() const;
     std::uint64_t memory_bytes() const;   ///< of structures, proxies and scratch
-    std::uint64_t builds() const;         ///< bottom-level builds and refits recorded so far
+    std::uint64_t updates() const;        ///< builds and refits recorded so far
+    int refits_since_build() const;
 
 private:
     struct Impl;

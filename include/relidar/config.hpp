@@ -73,6 +73,9 @@ struct TraceConfig {
     int chunk = 16;
     std::string proxy = "automatic";   ///< "automatic", "triangles", "boxes"
     int keep_hits = 64;                ///< hits a ray that the forward pass keeps for the backward pass; 0 = cast every ray again (paper)
+    std::string walk = "automatic";    ///< "automatic", "lane", "subgroup"
+    int rebuild_every = 1000;
+    double rebuild_growth = 1.3;
 };
 
 struct Config {

@@ -13,7 +13,8 @@
 
 namespace relidar {
 
-/// How rays find surfels.
+/// How rays find surfels: the driver's acceleration structures and ray queries, or relidar's own tree walked in the tracing kernels.
+/// Automatic: ray query on a GPU that has it, else software; software on a CPU, where it is 2 to 4 times faster.
 enum class Traversal { automatic, ray_query, software };
 
 /// One Vulkan device of this machine and what relidar can do with it.
@@ -29,14 +30,19 @@ struct DeviceInfo {
     int subgroup_size = 1;             ///< lanes that run together
     bool timestamps = false;           ///< compute timestamps
     std::string why_not_ray_query;     ///< missing extensions and features, empty where ray_query
+    bool software = false;             ///< relidar's own tree can be built and walked
+    std::string why_not_software;      ///< missing subgroup operations, empty where software
     std::string why_not_usable;        ///< missing base features, empty where relidar runs at all
 };
+
+/// What Traversal::automatic means on a device; `automatic` where neither works.
+Traversal best_traversal(const DeviceInfo& info);
 
 /// Every Vulkan device, in the loader's order. @throws DeviceError where no Vulkan loader or driver is installed
 std::vector<DeviceInfo> list_devices();
 
 struct DeviceOptions {
-    int index = -1;                              ///< of list_devices; -1 = first GPU with ray query, else first usable device
+    int index = -1;                              ///< of list_devices; -1 = the first GPU, one with ray query before others, else a CPU device
     Traversal traversal = Traversal::automatic;
     bool validation = false;                     ///< Khronos validation layer; also RELIDAR_VALIDATION=1
 };
@@ -51,6 +57,7 @@ public:
     Device& operator=(const Device&) = delete;
 
     const DeviceInfo& info() const;
+    /// How this device's rays find surfels: ray_query or software, never automatic.
     Traversal traversal() const;
     /// Device memory held now / at most since the device was opened, bytes.
     std::uint64_t allocated_bytes() const;

@@ -33,11 +33,18 @@ struct RayBatch {
     std::uint32_t first = 0;
     std::uint32_t stride = 1;
     std::uint32_t n_rays = 0;
+    /// Where the batch is an image, row by row: its columns, of which n_rays is a multiple. Threads that run together then trace tiles of
+    /// 8 x 4 neighbours, which open the same nodes. 0 = rays as they come.
+    std::uint32_t columns = 0;
 };
+
+/// Whether each ray walks the software tree on its own or the rays of a subgroup walk it together.
+enum class Walk { automatic, lane, subgroup };
 
 /// How rays are traced; none of it changes the image.
 struct TraceOptions {
     int chunk = 16;               ///< hits sorted at a time, 1..64
+    Walk walk = Walk::automatic;  ///< software traversal alone; automatic = what measures faster on the kind of device
     bool brute_force = false;     ///< test every surfel instead of using the acceleration structure (tests)
 };
 

@@ -16,9 +16,9 @@
 #include "hit_gradient.glsl"
 RELIDAR_PARAMS(BackwardParams);
 
-layout(constant_id = 4) const uint GATHER = 0u;   // 1: write a record of each hit, for backward/gather; 0: add its gradient with atomics
+layout(constant_id = 6) const uint GATHER = 0u;   // 1: write a record of each hit, for backward/gather; 0: add its gradient with atomics
 
-layout(constant_id = 5) const uint SUBGROUP_SUMS = 0u;   // 1: lanes that hit the same surfel are summed before the atomics
+layout(constant_id = 7) const uint SUBGROUP_SUMS = 0u;   // 1: lanes that hit the same surfel are summed before the atomics
 
 vec3 d_ray_origin;      // world
 vec3 d_ray_direction;
@@ -173,7 +173,7 @@ void empty_slots(uint ray_index, uint first, uint n) {
 }
 
 void main() {
-    uint i = thread_index();
+    uint i = traced_ray(params.scene);
     if (i >= params.scene.n_rays) return;
     RayEntry entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
     d_ray_origin = vec3(0.0);

@@ -2,6 +2,7 @@
 // What the kernels that trace rays share: rays, targets, rendered values and their gradients (forward, loss, backward).
 #ifndef RELIDAR_INCLUDED_SHARED_TRACE_H
 #define RELIDAR_INCLUDED_SHARED_TRACE_H
+#include "bvh.h"
 #include "scene.h"
 
 RELIDAR_SHARED_BEGIN
@@ -47,14 +48,16 @@ struct RayGradient {
 };
 RELIDAR_POINTER(RayGradients, RayGradient);
 
-/// What every tracing kernel needs. Ray k of the launch is entry first_ray + k * ray_stride of `rays`.
+/// What every tracing kernel needs. Ray k of the batch is entry first_ray + k * ray_stride of `rays`.
 struct TraceScene {
     uint64_t tlas;          // acceleration structure address (ray query)
+    BvhPointers bvh;        // the tree (software traversal)
     Rays rays;              // input
     Records records;        // input
     Instances instances;    // input
     Floats sh;              // input [n,3,16], read where SH are evaluated a hit
     Uints pass_cap_count;   // accumulated [1]: rays that reached the cap of passes
+    Uints visits;           // accumulated [2]: nodes opened, surfels tested, where the kernel counts them (software traversal)
     float near_m;
     float alpha_min;
     float alpha_max;
@@ -64,6 +67,7 @@ struct TraceScene {
     uint n_rays;
     uint first_ray;
     uint ray_stride;
+    uint columns;           // of the image that the batch is, traced in tiles; 0: rays as they come
 };
 
 /// A blended hit, so that it need not be searched again.

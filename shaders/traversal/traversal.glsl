@@ -33,6 +33,17 @@ uint entered_first_surfel;
 vec3 entered_origin;
 vec3 entered_direction;
 
+/// The ray of this thread, in the order of the batch; n_rays and more: none. In an image, 8 threads in sequence are 4 x 2 neighbours, and
+/// 32 are 8 x 4: they open the same nodes.
+uint traced_ray(TraceScene scene) {
+    uint i = thread_index();
+    if (scene.columns == 0u) return i;
+    uint tile = i >> 5u, across = (scene.columns + 7u) >> 3u;
+    uint x = (tile % across) * 8u + ((i >> 1u) & 4u) + (i & 3u);
+    uint y = (tile / across) * 4u + ((i >> 3u) & 2u) + ((i >> 2u) & 1u);
+    return x < scene.columns ? y * scene.columns + x : scene.n_rays;
+}
+
 bool before(Key a, Key b) {
     if (a.t != b.t) return a.t < b.t;
     if (a.instance != b.instance) return a.instance < b.instance;
@@ -62,7 +73,7 @@ float optical_depth(float alpha, float alpha_max) { return -log(1.0 - min(alpha,
 
 /// Drops the farthest hits while those before them already end the ray (T under T_min whatever comes behind).
 void cut_by_transmittance(float alpha_max) {
-    while (n_hits > 1u) {
+    while (hits_optical_depth >= optical_budget && n_hits > 1u) {
         float last = optical_depth(hit_alpha[n_hits - 1u], alpha_max);
         if (hits_optical_depth - last < optical_budget) return;
         hits_optical_depth -= last;
@@ -71,19 +82,29 @@ void cut_by_transmittance(float alpha_max) {
     }
 }
 
-void insert(Key key, float alpha, float alpha_max) {
+/// Whether the hit is in the buffer. Equal keys are rare: t alone is looked at as long as it decides.
+bool is_known(Key key) {
     uint slot = n_hits;
-    while (slot > 0u && !before(hit_key(slot - 1u), key)) --slot;
-    if (slot < n_hits && hit_key(slot) == key) return;   // the second triangle of one surfel
+    while (slot > 0u && hit_t[slot - 1u] > key.t) --slot;
+    while (slot > 0u && before(key, hit_key(slot - 1u))) --slot;
+    return slot > 0u && hit_key(slot - 1u) == key;
+}
+
+/// Takes a hit into the buffer; the farthest one leaves where it is full. Each hit is moved once, as its place is looked for.
+void insert(Key key, float alpha, float alpha_max) {
+#ifdef RELIDAR_TRAVERSAL_RAY_QUERY
+    if (is_known(key)) return;   // the second triangle of one surfel, or a box the driver reports twice
+#endif
     if (n_hits == CHUNK) {
-        hits_optical_depth -= optical_depth(hit_alpha[CHUNK - 1u], alpha_max);
         --n_hits;
+        hits_optical_depth -= optical_depth(hit_alpha[n_hits], alpha_max);
     }
-    for (uint i = n_hits; i > slot; --i) {
-        hit_t[i] = hit_t[i - 1u];
-        hit_alpha[i] = hit_alpha[i - 1u];
-        hit_instance[i] = hit_instance[i - 1u];
-        hit_surfel[i] = hit_surfel[i - 1u];
+    uint slot = n_hits;
+    for (; slot > 0u && !before(hit_key(slot - 1u), key); --slot) {
+        hit_t[slot] = hit_t[slot - 1u];
+        hit_alpha[slot] = hit_alpha[slot - 1u];
+        hit_instance[slot] = hit_instance[slot - 1u];
+        hit_surfel[slot] = hit_surfel[slot - 1u];
     }
     hit_t[slot] = key.t;
     hit_alpha[slot] = alpha;
@@ -128,6 +149,8 @@ float remaining_budget(TraceScene scene, float transmittance) {
 
 #ifdef RELIDAR_TRAVERSAL_RAY_QUERY
 #include "ray_query.glsl"
+#elif defined(RELIDAR_TRAVERSAL_SOFTWARE_BVH)
+#include "software_bvh.glsl"
 #else
 #include "brute_force.glsl"
 #endif

@@ -33,14 +33,16 @@ struct BackwardPass::Impl {
     std::unique_ptr<HitGather> gather;   ///< null: atomics
     Array<std::uint32_t> pass_cap;       ///< the forward pass reports; here it only must not be null
 
+    static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options, const BackwardOptions& backward) {
+        std::vector<Constant> all = trace_constants(device, proxy, options, m);
+        all.push_back({6u, gathers(backward.reduction) ? 1u : 0u});
+        all.push_back({7u, backward.subgroup_sums.value_or(sums_in_subgroups(device)) ? 1u : 0u});
+        return all;
+    }
+
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options, const BackwardOptions& backward)
         : model(m),
-          trace(device, accumulating_variant(device, "backward/trace" + traversal_variant(options)),
-                {{1u, static_cast<std::uint32_t>(options.chunk)},
-                 {2u, proxy == Proxy::boxes ? 1u : 0u},
-                 {3u, m.sh_direction == ShDirection::surfel ? 1u : 0u},
-                 {4u, gathers(backward.reduction) ? 1u : 0u},
-                 {5u, backward.subgroup_sums.value_or(sums_in_subgroups(device)) ? 1u : 0u}}),
+          trace(device, accumulating_variant(device, "backward/trace" + traversal_variant(device, options)), constants(device, m, proxy, options, backward)),
           poses(device),
           gather(gathers(backward.reduction) ? std::make_unique<HitGather>(device, m, backward.hits_per_ray) : nullptr),
           pass_cap(device, 1, "pass cap count") {}
@@ -87,7 +89,7 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
     }
     stream.fill(gradients.records);
     if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);
-    relidar::run(stream, impl_->trace, batch.rays.n_rays, params);
+    relidar::run(stream, impl_->trace, trace_threads(batch.rays), params);
     if (impl_->gather) impl_->gather->run(stream, params);
     scene.activate_vjp(stream, model, view_origin_m,
                        {&gradients.records, &gradients.surfels, &gradients.touched, wants_poses ? &gradients.pose_sums->d_view : nullptr, gradients.zero_untouched});

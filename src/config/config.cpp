@@ -150,12 +150,16 @@ AccelOptions accel_options(const Config& config) {
     AccelOptions options;
     if (config.trace.proxy == "triangles") options.proxy = Proxy::triangles;
     if (config.trace.proxy == "boxes") options.proxy = Proxy::boxes;
+    options.rebuild_every = config.trace.rebuild_every;
+    options.rebuild_growth = static_cast<float>(config.trace.rebuild_growth);
     return options;
 }
 
 TraceOptions trace_options(const Config& config) {
     TraceOptions options;
     options.chunk = config.trace.chunk;
+    if (config.trace.walk == "lane") options.walk = Walk::lane;
+    if (config.trace.walk == "subgroup") options.walk = Walk::subgroup;
     return options;
 }
 

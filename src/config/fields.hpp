@@ -130,7 +130,10 @@ void visit(C& c, Visitor&& f) {
     f("render.range", c.render.range, one_of({"expected", "normalised", "median"}), "range of a ray: D (paper), D / W, or where the transmittance crosses 0.5");
     f("eval.lpips_weights", c.eval.lpips_weights, anything(), "safetensors file with the weights of LPIPS (AlexNet, v0.1); empty: the file that RELIDAR_LPIPS_WEIGHTS names, or no LPIPS");
     f("trace.chunk", c.trace.chunk, between(1, 64), "hits sorted at a time");
-    f("trace.proxy", c.trace.proxy, one_of({"automatic", "triangles", "boxes"}), "what stands for a surfel in the acceleration structure");
+    f("trace.proxy", c.trace.proxy, one_of({"automatic", "triangles", "boxes"}), "what stands for a surfel in the driver's acceleration structure (ray query)");
+    f("trace.walk", c.trace.walk, one_of({"automatic", "lane", "subgroup"}), "rays walk the tree each on its own or by subgroups (software traversal)");
+    f("trace.rebuild_every", c.trace.rebuild_every, at_least(0), "refits of the acceleration structure before it is built anew; 0 = never");
+    f("trace.rebuild_growth", c.trace.rebuild_growth, between(1.0, 1000.0), "cost of the tree over its cost when built that has it built anew; looked at with each log line (software traversal)");
     f("trace.keep_hits", c.trace.keep_hits, between(0, 4096), "training: hits kept a ray, 8 bytes each, so that rays with no more are not cast a second time; 0: cast all again, as the paper does");
 }
 

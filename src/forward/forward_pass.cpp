@@ -24,8 +24,7 @@ struct ForwardPass::Impl {
 
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options)
         : model(m),
-          trace(device, "forward/trace" + traversal_variant(options),
-                {{1u, static_cast<std::uint32_t>(options.chunk)}, {2u, proxy == Proxy::boxes ? 1u : 0u}, {3u, m.sh_direction == ShDirection::surfel ? 1u : 0u}}),
+          trace(device, "forward/trace" + traversal_variant(device, options), trace_constants(device, proxy, options, m)),
           pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count") {}
 };
 
@@ -41,7 +40,8 @@ void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& acc
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kRenderedFloats, rendered.size());
     RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.rays->size());
     RELIDAR_ASSERT_LE(kept ? 2 * std::size_t(batch.n_rays) * kept->per_ray : 0, kept ? kept->hits.size() : 0);
-    relidar::run(stream, impl_->trace, batch.n_rays,
+    RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);   // whole rows
+    relidar::run(stream, impl_->trace, trace_threads(batch),
                  {trace_scene(scene, accel, batch, impl_->model, impl_->pass_cap.address()), rendered.address(), kept ? kept->hits.address() : 0, kept ? kept->per_ray : 0});
 }
 

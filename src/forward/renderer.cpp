@@ -48,7 +48,7 @@ Rendering Renderer::trace(const WorldRays& rays, const glm::vec3& view_origin_m)
     r.forward.run(r.stream, r.scene, r.accel, {&r.rays, 0, 1, static_cast<std::uint32_t>(rays.size())}, r.rendered);
     r.stream.finish();
     if (const std::uint32_t capped = r.forward.take_pass_cap_count())
-        throw DeviceError(fmt::format("tracing {} rays: {} of them reached the cap of {} passes, expected every ray to end", rays.size(), capped, RELIDAR_MAX_PASSES));
+        throw DeviceError(fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal stack, expected every ray to end", rays.size(), capped, RELIDAR_MAX_PASSES));
     return to_rendering(r.rendered.download(), rays.size());
 }
 

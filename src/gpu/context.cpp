@@ -111,7 +111,7 @@ std::vector<DeviceInfo> describe_all(const std::vector<VkPhysicalDevice>& physic
     return infos;
 }
 
-/// The device asked for, or the best one: a GPU with ray query, then a CPU with ray query.
+/// The device asked for, or the best one: a GPU before a CPU, one with ray query before others.
 int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     if (infos.empty()) throw DeviceError("opening a device: found no Vulkan device, expected at least one; `tools/dev/setup` installs a software driver");
     const int n = static_cast<int>(infos.size());
@@ -120,20 +120,23 @@ int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     if (options.index >= 0) return options.index;
     int best = 0, best_score = -1;
     for (const DeviceInfo& d : infos) {
-        const int score = (d.why_not_usable.empty() ? 4 : 0) + (d.ray_query ? 2 : 0) + (d.type != "CPU" ? 1 : 0);
+        const bool runs = options.traversal == Traversal::ray_query ? d.ray_query : options.traversal == Traversal::software ? d.software : best_traversal(d) != Traversal::automatic;
+        const int score = (d.why_not_usable.empty() ? 8 : 0) + (runs ? 4 : 0) + (d.type != "CPU" ? 2 : 0) + (d.ray_query ? 1 : 0);
         if (score > best_score) { best = d.index; best_score = score; }
     }
     return best;
 }
 
-void require(const DeviceInfo& info, const DeviceOptions& options) {
+void require(const DeviceInfo& info, Traversal wanted) {
     if (!info.why_not_usable.empty())
         throw DeviceError(fmt::format("opening device {} ({}): it lacks {}, expected all of them", info.index, info.name, info.why_not_usable));
-    if (options.traversal == Traversal::software)
-        throw DeviceError("opening a device with --traversal software: this version traverses by ray query only (the software BVH is planned), expected auto or ray_query");
-    if (!info.ray_query)
-        throw DeviceError(fmt::format("opening device {} ({}) with ray query: it lacks {}, expected them; Mesa lavapipe 24.1 or newer has them on any CPU (tools/dev/setup)",
-                                      info.index, info.name, info.why_not_ray_query));
+    if (wanted == Traversal::ray_query && !info.ray_query)
+        throw DeviceError(fmt::format("opening device {} ({}) with ray query: it lacks {}, expected them, or --traversal auto", info.index, info.name, info.why_not_ray_query));
+    if (wanted == Traversal::software && !info.software)
+        throw DeviceError(fmt::format("opening device {} ({}) with software traversal: it lacks {}, expected them, or --traversal auto", info.index, info.name, info.why_not_software));
+    if (wanted == Traversal::automatic && best_traversal(info) == Traversal::automatic)
+        throw DeviceError(fmt::format("opening device {} ({}): for ray query it lacks {}, for software traversal {}, expected all of one of them", info.index, info.name,
+                                      info.why_not_ray_query, info.why_not_software));
 }
 
 }  // namespace
@@ -143,6 +146,11 @@ std::vector<DeviceInfo> list_devices() {
     return describe_all(instance.physical_devices());
 }
 
+Traversal best_traversal(const DeviceInfo& info) {
+    if (info.software && (info.type == "CPU" || !info.ray_query)) return Traversal::software;   // measured: docs/platform.md
+    return info.ray_query ? Traversal::ray_query : Traversal::automatic;
+}
+
 Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     const bool validation = validation_wanted(options);
     impl_->instance = std::make_unique<gpu::Instance>(validation);
@@ -150,7 +158,8 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     const std::vector<DeviceInfo> infos = describe_all(physical);
     const int index = choose(infos, options);
     impl_->info = infos[static_cast<std::size_t>(index)];
-    require(impl_->info, options);
+    require(impl_->info, options.traversal);
+    impl_->traversal = options.traversal == Traversal::automatic ? best_traversal(impl_->info) : options.traversal;
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->open();
 }
@@ -190,9 +199,8 @@ void Device::Impl::open() {
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
     features.features.shaderInt64 = VK_TRUE;
 
-    std::vector<const char*> extensions;
     void** tail = &v13.pNext;
-    if (info.ray_query) {
+    if (traversal == Traversal::ray_query) {
         extensions.insert(extensions.end(), {VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, VK_KHR_RAY_QUERY_EXTENSION_NAME, VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME});
         *tail = &query;
         tail = &accel.pNext;
@@ -207,7 +215,6 @@ void Device::Impl::open() {
     device_info.enabledExtensionCount = static_cast<std::uint32_t>(extensions.size());
     device_info.ppEnabledExtensionNames = extensions.data();
     gpu::check(vkCreateDevice(physical, &device_info, nullptr, &device), "vkCreateDevice");
-    volkLoadDevice(device);
     vkGetDeviceQueue(device, queue_family, 0, &queue);
     vkGetPhysicalDeviceMemoryProperties(physical, &memory);
 
@@ -222,7 +229,7 @@ void Device::Impl::read_limits() {
     vkGetPhysicalDeviceProperties2(physical, &properties);
     timestamp_period_ns = properties.properties.limits.timestampPeriod;
     workgroup_size = std::max(32u, subgroup.subgroupSize);
-    if (info.ray_query) scratch_alignment = std::max(1u, accel_properties.minAccelerationStructureScratchOffsetAlignment);
+    if (traversal == Traversal::ray_query) scratch_alignment = std::max(1u, accel_properties.minAccelerationStructureScratchOffsetAlignment);
 }
 
 void Device::Impl::make_pipeline_layout() {

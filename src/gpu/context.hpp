@@ -6,6 +6,7 @@
 #include <memory>
 #include <mutex>
 #include <string>
+#include <vector>
 
 #include <volk.h>
 
@@ -45,6 +46,7 @@ struct Device::Impl {
     VkQueue queue = VK_NULL_HANDLE;
     std::uint32_t queue_family = 0;
     DeviceInfo info;
+    std::vector<const char*> extensions;   ///< enabled
     Traversal traversal = Traversal::ray_query;
     VkPhysicalDeviceMemoryProperties memory{};
     float timestamp_period_ns = 1.0f;

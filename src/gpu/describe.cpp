@@ -58,8 +58,9 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
         return std::any_of(extensions.begin(), extensions.end(), [&](const VkExtensionProperties& e) { return std::strcmp(e.extensionName, name) == 0; });
     };
     VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES};
-    VkPhysicalDeviceVulkan11Properties v11{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_1_PROPERTIES, &driver};
-    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &v11};
+    VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES, &driver};
+    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &sizes};
+    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
     vkGetPhysicalDeviceProperties2(physical, &properties);
 
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
@@ -78,7 +79,7 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     info.driver = fmt::format("{} {}", driver.driverName, driver.driverInfo);
     info.api_version = version_text(properties.properties.apiVersion);
     info.memory_bytes = largest_local_heap(physical);
-    info.subgroup_size = static_cast<int>(v11.subgroupSize);
+    info.subgroup_size = static_cast<int>(subgroup.subgroupSize);
     info.timestamps = properties.properties.limits.timestampComputeAndGraphics != 0;
     info.float_atomics = has(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) && atomics.shaderBufferFloat32AtomicAdd;
 
@@ -90,7 +91,7 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     base.need(v12.hostQueryReset, "hostQueryReset");
     base.need(v13.maintenance4, "maintenance4");
     base.need(features.features.shaderInt64, "shaderInt64");
-    base.need((v11.subgroupSupportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (v11.subgroupSupportedOperations & kSubgroupOperations) == kSubgroupOperations,
+    base.need((subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
               "subgroup arithmetic and ballots in compute");
     info.why_not_usable = base.text;
 
@@ -102,6 +103,15 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     rays.need(query.rayQuery, "rayQuery");
     info.why_not_ray_query = rays.text;
     info.ray_query = rays.text.empty() && base.text.empty();
+
+    const auto operations = [&](VkSubgroupFeatureFlags wanted) { return (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & wanted) == wanted; };
+    Missing groups;
+    groups.need(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
+    groups.need(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
+    groups.need(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
+    groups.need(sizes.minSubgroupSize >= 8 && sizes.maxSubgroupSize <= 64, "subgroups of 8 to 64 lanes");
+    info.why_not_software = groups.text;
+    info.software = groups.text.empty() && base.text.empty();
     return info;
 }
 

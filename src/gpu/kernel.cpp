@@ -22,7 +22,7 @@ std::span<const std::uint32_t> find_words(std::string_view name) {
 
 }  // namespace
 
-KernelBase::KernelBase(Device& owner, std::string_view name, std::initializer_list<Constant> constants) : impl_(std::make_unique<Impl>()) {
+KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants) : impl_(std::make_unique<Impl>()) {
     Device::Impl& device = owner.impl();
     impl_->device = &device;
     impl_->name = std::string(name.substr(0, name.find('@')));

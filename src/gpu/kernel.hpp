@@ -2,7 +2,6 @@
 // A compute pipeline from embedded SPIR-V. Every kernel has the same interface: the address of its parameter struct.
 #pragma once
 
-#include <initializer_list>
 #include <span>
 #include <string_view>
 #include <vector>
@@ -30,7 +29,7 @@ struct Constant {
 class KernelBase {
 public:
     /// @param name of an embedded kernel @throws DeviceError where the driver rejects it
-    KernelBase(Device& device, std::string_view name, std::initializer_list<Constant> constants = {});
+    KernelBase(Device& device, std::string_view name, const std::vector<Constant>& constants = {});
     ~KernelBase();
     KernelBase(const KernelBase&) = delete;
     KernelBase& operator=(const KernelBase&) = delete;

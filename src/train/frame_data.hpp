@@ -24,6 +24,9 @@ struct FrameData {
     double n_known = 0.0;
     std::vector<InstancePose> placed;    ///< of all instances of the scene
     glm::vec3 sensor_position_m{0.0f};   ///< world, at the reference time
+
+    /// Every stride-th ray from `first` on.
+    RayBatch batch(std::uint32_t first, std::uint32_t stride) const;
 };
 
 /// What training must not look at.

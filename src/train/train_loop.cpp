@@ -131,8 +131,9 @@ void TrainLoop::collect_terms() {
         }
     }
     if (const std::uint32_t capped = forward_.take_pass_cap_count())
-        throw DeviceError(fmt::format("training, iterations {} to {}: {} rays reached the cap of passes, expected every ray to end", pending_.front().step, pending_.back().step, capped));
+        throw DeviceError(fmt::format("training, iterations {} to {}: {} rays reached the cap of passes or filled the traversal stack, expected every ray to end", pending_.front().step, pending_.back().step, capped));
     check_room();
+    accel_.check_growth();
     n_summed_ += pending_.size();
     pending_.clear();
     terms_.upload(std::vector<float>(kTermSlots * kLossTerms, 0.0f));
@@ -175,7 +176,7 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
     for (const FrameData& frame : frames_) {
         const Scan& scan = sequence.frames[std::size_t(frame.position)].scan;
         const std::uint32_t stride = std::max(1u, frame.n_rays / kRays), first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
-        const RayBatch rays{&frame.rays, first, stride, (frame.n_rays - first + stride - 1) / stride};
+        const RayBatch rays = frame.batch(first, stride);
         scene_.place(stream_, frame.placed);
         scene_.activate(stream_, model, frame.sensor_position_m);
         accel_.update(stream_, scene_);

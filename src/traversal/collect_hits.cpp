@@ -22,8 +22,7 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
     DeviceScene on_device(device, *placed.scene);
     on_device.set_poses(placed.world_from_instance);
     Accel accel(device, on_device, placed.accel);
-    const Kernel<shared::CollectHitsParams> kernel(device, "traversal/collect_hits" + traversal_variant(placed.trace),
-                                                   {{1u, static_cast<std::uint32_t>(placed.trace.chunk)}, {2u, accel.proxy() == Proxy::boxes ? 1u : 0u}});
+    const Kernel<shared::CollectHitsParams> kernel(device, "traversal/collect_hits" + traversal_variant(device, placed.trace), trace_constants(device, accel.proxy(), placed.trace, placed.model));
     const std::size_t n = rays.size();
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
     const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
@@ -35,7 +34,7 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
         {trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)}, placed.model, pass_cap.address()), counts.address(), t.address(), instance.address(), surfel.address(), max_hits});
     stream.finish();
     if (const std::uint32_t capped = pass_cap.download()[0])
-        throw DeviceError(fmt::format("collecting hits of {} rays: {} reached the cap of {} passes, expected every ray to end", n, capped, RELIDAR_MAX_PASSES));
+        throw DeviceError(fmt::format("collecting hits of {} rays: {} reached the cap of {} passes or filled the traversal stack, expected every ray to end", n, capped, RELIDAR_MAX_PASSES));
     return {max_hits, counts.download(), t.download(), instance.download(), surfel.download()};
 }
 

@@ -82,13 +82,13 @@ TEST_F(Proxies, RefitFollowsMovedSurfelsAndMovingInstancesBuildsNothing) {
         scene.activate(stream, {}, glm::vec3(0.0f));
         accel.update(stream, scene);
         EXPECT_NEAR(depth(), 4.0f, 1e-5f);
-        const std::uint64_t builds = accel.builds();
+        const std::uint64_t updates = accel.updates();
         Pose pose;
         pose.translation.x = 3.0;
         scene.set_poses({pose});
         accel.move(stream, scene);
         EXPECT_NEAR(depth(), 7.0f, 1e-5f);
-        EXPECT_EQ(accel.builds(), builds);
+        EXPECT_EQ(accel.updates(), updates);
     }
 }
 

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // Devices, memory and submission: what is listed, copies of every size, fills, memory accounting, impossible requests.
+#include <algorithm>
 #include <numeric>
 
 #include <relidar/error.hpp>
 #include <relidar/gpu.hpp>
 
 #include "../support/device.hpp"
+#include "gpu/context.hpp"
 
 namespace relidar {
 namespace {
@@ -61,7 +63,42 @@ TEST_F(Gpu, ImpossibleRequestsSayWhatWasAsked) {
         EXPECT_NE(std::string(error.what()).find("a test of the impossible"), std::string::npos) << error.what();
     }
     EXPECT_THROW(Device({.index = 1000}), DeviceError);
-    EXPECT_THROW(Device({.traversal = Traversal::software}), DeviceError);
+}
+
+TEST_F(Gpu, ExtensionsOfRayQueryAreEnabledForRayQueryAlone) {
+    const auto has_ray_tracing = [](const Device& d) {
+        const auto& enabled = d.impl().extensions;
+        return std::any_of(enabled.begin(), enabled.end(), [](const char* name) {
+            const std::string text = name;
+            return text.find("acceleration_structure") != std::string::npos || text.find("ray_query") != std::string::npos || text.find("deferred_host") != std::string::npos;
+        });
+    };
+    if (device().info().software) {
+        const Device software({.index = device().info().index, .traversal = Traversal::software});
+        EXPECT_EQ(software.traversal(), Traversal::software);
+        EXPECT_FALSE(has_ray_tracing(software));
+    }
+    if (device().info().ray_query) {
+        const Device ray_query({.index = device().info().index, .traversal = Traversal::ray_query});
+        EXPECT_EQ(ray_query.traversal(), Traversal::ray_query);
+        EXPECT_TRUE(has_ray_tracing(ray_query));
+    } else {
+        EXPECT_THROW(Device({.index = device().info().index, .traversal = Traversal::ray_query}), DeviceError);
+    }
+}
+
+TEST_F(Gpu, BestTraversalFollowsWhatADeviceHas) {
+    DeviceInfo d;
+    d.type = "discrete GPU";
+    EXPECT_EQ(best_traversal(d), Traversal::automatic) << "neither";
+    d.software = true;
+    EXPECT_EQ(best_traversal(d), Traversal::software);
+    d.ray_query = true;
+    EXPECT_EQ(best_traversal(d), Traversal::ray_query);
+    d.type = "CPU";
+    EXPECT_EQ(best_traversal(d), Traversal::software);
+    d.software = false;
+    EXPECT_EQ(best_traversal(d), Traversal::ray_query);
 }
 
 }  // namespace

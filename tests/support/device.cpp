@@ -17,12 +17,21 @@ std::string& failure() {
     return text;
 }
 
+Traversal wanted_traversal() {
+    const char* text = std::getenv("RELIDAR_TEST_TRAVERSAL");
+    const std::string name = text ? text : "";
+    if (name == "ray_query") return Traversal::ray_query;
+    if (name == "software") return Traversal::software;
+    if (!name.empty()) throw UsageError("RELIDAR_TEST_TRAVERSAL: found \"" + name + "\", expected ray_query or software");
+    return Traversal::automatic;
+}
+
 }  // namespace
 
 Device* find_device() {
     static const std::unique_ptr<Device> device = [] {
         try {
-            return std::make_unique<Device>();
+            return std::make_unique<Device>(DeviceOptions{.traversal = wanted_traversal()});
         } catch (const Error& error) {
             failure() = error.what();
             return std::unique_ptr<Device>();

@@ -3,16 +3,21 @@
 
 namespace relidar::test {
 
-SceneAndPoses to_scene(Surfels surfels, const std::vector<reference::Placement>& placements) {
+SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Placement>& placements) {
     SceneAndPoses result;
+    std::vector<reference::Placement> ranges;   // of the models
     for (const reference::Placement& p : placements) {
         std::uint32_t model = 0;
-        while (model < result.scene.models.size() && (result.scene.models[model].first != p.first || result.scene.models[model].count != p.count)) ++model;
-        if (model == result.scene.models.size()) result.scene.models.push_back({"model " + std::to_string(model), p.first, p.count});
+        while (model < ranges.size() && (ranges[model].first != p.first || ranges[model].count != p.count)) ++model;
+        if (model == ranges.size()) {
+            ranges.push_back(p);
+            result.scene.models.push_back({"model " + std::to_string(model), static_cast<std::uint32_t>(result.original.size()), p.count});
+            for (std::uint32_t i = 0; i < p.count; ++i) result.original.push_back(p.first + i);
+        }
         result.scene.instances.push_back({model, ""});
         result.world_from_instance.push_back(p.world_from_model);
     }
-    result.scene.surfels = std::move(surfels);
+    result.scene.surfels = take(surfels, result.original);
     return result;
 }
 

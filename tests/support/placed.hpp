@@ -8,12 +8,14 @@
 
 namespace relidar::test {
 
-/// The scene and poses of a world, every distinct range of surfels a model.
+/// The scene and poses of a world, every distinct range of surfels a model. Models of a scene lie one behind the other, so ranges that
+/// overlap become copies; a surfel that no range holds is left out.
 struct SceneAndPoses {
     Scene scene;
     std::vector<Pose> world_from_instance;
+    std::vector<std::uint32_t> original;   ///< [n] the world's number of each surfel of the scene, ascending within a model
 };
-SceneAndPoses to_scene(Surfels surfels, const std::vector<reference::Placement>& placements);
+SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Placement>& placements);
 
 WorldRays to_world_rays(const std::vector<reference::Ray>& rays);
 

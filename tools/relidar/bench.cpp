@@ -84,7 +84,8 @@ void add_bench(CLI::App& app, Call& call) {
     const CLI::Option* rays = command->add_option("--rays", choice.rays, "waymo (64 x 2650), kitti (66 x 1030) or a size, +2.0 to -24.9 degrees (default: 64x1024)")->type_name("NAME|ROWSxCOLUMNS");
     command->add_option("--run", choice.run, "bench a run instead: its scene, and its sensor's rays at the first held-out frame")->type_name("RUN");
     command->add_option("--chunk", choice.chunk, "hits sorted at a time, 1 to 64 (default: 16, or as the run says)")->type_name("N");
-    command->add_option("--proxy", choice.proxy, "what stands for a surfel: auto, triangles or boxes (default: auto, or as the run says)")->type_name("WHAT");
+    command->add_option("--proxy", choice.proxy, "what stands for a surfel in ray query: auto, triangles or boxes (default: auto, or as the run says)")->type_name("WHAT");
+    command->add_option("--walk", choice.walk, "how rays walk the software tree: auto, lane or subgroup (default: auto, or as the run says)")->type_name("HOW");
     command->add_option("--sh", choice.sh, "harmonics evaluated along each ray, or once a surfel (default: ray, or as the run says)")->type_name("ray|surfel");
     command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")->type_name("N");
     command->add_flag("--no-backward", options->no_backward, "rendering alone: no loss, gradients or optimiser, nor their memory");

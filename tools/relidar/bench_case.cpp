@@ -46,6 +46,7 @@ std::optional<ImageSize> parse_rays(const std::string& text) {
 void apply(const BenchChoice& choice, Config& config) {
     if (!choice.chunk.empty()) set_key(config, "trace.chunk", choice.chunk);
     if (!choice.proxy.empty()) set_key(config, "trace.proxy", choice.proxy == "auto" ? "automatic" : choice.proxy);
+    if (!choice.walk.empty()) set_key(config, "trace.walk", choice.walk == "auto" ? "automatic" : choice.walk);
     if (!choice.sh.empty()) set_key(config, "image.sh_direction", choice.sh);
 }
 

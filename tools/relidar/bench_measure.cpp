@@ -158,7 +158,7 @@ private:
     double hits_per_ray_ = 0.0;
     Samples kernels_, rebuild_kernels_, phases_;
 
-    RayBatch batch() const { return {&rays_, 0, 1, static_cast<std::uint32_t>(rays_.size())}; }
+    RayBatch batch() const { return {&rays_, 0, 1, static_cast<std::uint32_t>(rays_.size()), static_cast<std::uint32_t>(case_.columns)}; }
     void frame() {
         scene_.activate(stream_, case_.config.image, case_.view_origin_m);
         accel_.update(stream_, scene_);
@@ -197,7 +197,7 @@ std::vector<BenchRow> rows_of(const Samples& samples, std::vector<std::string> o
 }
 
 BenchResult Bench::result() {
-    if (const std::uint32_t capped = forward_.take_pass_cap_count()) throw DeviceError(fmt::format("tracing {} rays: {} reached the cap of passes, expected every ray to end", rays_.size(), capped));
+    if (const std::uint32_t capped = forward_.take_pass_cap_count()) throw DeviceError(fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, expected every ray to end", rays_.size(), capped));
     kernels_.merge(rebuild_kernels_);   // those that an iteration has not
     BenchResult result;
     result.proxy = accel_.proxy() == Proxy::boxes ? "boxes" : "triangles";
@@ -209,6 +209,7 @@ BenchResult Bench::result() {
         if (row.name == "backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
     }
     result.hits_per_ray = hits_per_ray_;
+    result.visits = count_visits(device_, scene_, accel_, batch(), case_.config.image, trace_options(case_.config));
     result.memory = {allocated_with_scene_ - allocated_before_, allocated_with_accel_ - allocated_with_scene_, training_bytes_, device_.allocated_bytes() - allocated_with_accel_ - training_bytes_, device_.peak_bytes()};
     return result;
 }

@@ -7,6 +7,8 @@
 #include <string>
 #include <vector>
 
+#include <relidar/forward.hpp>
+
 namespace relidar {
 class Device;
 }
@@ -47,6 +49,7 @@ struct BenchResult {
     double forward_mrays_per_s = 0.0;                ///< median of forward/trace
     std::optional<double> backward_mrays_per_s;      ///< median of backward/trace
     double hits_per_ray = 0.0;           ///< blended
+    std::optional<VisitCounts> visits;   ///< a ray of the forward pass; software traversal alone
     BenchMemory memory;
 };
 

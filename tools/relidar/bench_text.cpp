@@ -26,6 +26,10 @@ std::string phase_text(const std::string& phase, bool training) {
 }
 
 std::string traversal_of(const Device& device) { return device.traversal() == Traversal::software ? "software" : "ray_query"; }
+/// What there is to choose about a traversal.
+std::string search_of(const Device& device, const BenchCase& bench, const BenchResult& result) {
+    return device.traversal() == Traversal::software ? "walk " + bench.config.trace.walk : "proxy " + result.proxy;
+}
 std::string sh_of(const BenchCase& bench) { return bench.config.image.sh_direction == ShDirection::ray ? "ray" : "surfel"; }
 std::uint64_t surfel_bytes(const BenchMemory& m) { return m.scene + m.accel + m.training; }
 
@@ -57,7 +61,7 @@ Json memory_json(const BenchMemory& m, std::size_t n_surfels, std::size_t n_rays
 
 std::string bench_text(const BenchCase& bench, const BenchResult& result, const Device& device) {
     std::string text = fmt::format("case      {}: {} surfels, {} rays ({} x {})\n", bench.name, bench.scene.surfels.size(), bench.rays.size(), bench.rows, bench.columns);
-    text += fmt::format("device    {}\nsettings  traversal {}, proxy {}, chunk {}, harmonics along the {}\n", device.info().name, traversal_of(device), result.proxy, bench.config.trace.chunk,
+    text += fmt::format("device    {}\nsettings  traversal {}, {}, chunk {}, harmonics along the {}\n", device.info().name, traversal_of(device), search_of(device, bench, result), bench.config.trace.chunk,
                         sh_of(bench));
     if (!result.device_clock) text += "note      the device has no timestamps: wall time of the forward pass alone, waits included\n";
     std::vector<std::vector<std::string>> rows{{"kernel", "p10 ms", "median ms", "p90 ms"}};
@@ -65,6 +69,7 @@ std::string bench_text(const BenchCase& bench, const BenchResult& result, const 
     for (const BenchRow& row : result.kernels) add(row.name, row.ms);
     for (const BenchRow& row : result.phases) add(phase_text(row.name, result.backward_mrays_per_s.has_value()), row.ms);
     text += "\n" + table(rows) + fmt::format("\nforward   {:.3f} Mrays/s, {:.2f} blended hits a ray\n", result.forward_mrays_per_s, result.hits_per_ray);
+    if (result.visits) text += fmt::format("visits    {:.1f} nodes and {:.1f} surfels tested a ray\n", result.visits->nodes, result.visits->surfels);
     if (result.backward_mrays_per_s) text += fmt::format("backward  {:.3f} Mrays/s\n", *result.backward_mrays_per_s);
     return text + memory_text(result.memory, bench.scene.surfels.size(), bench.rays.size());
 }
@@ -77,7 +82,7 @@ std::string bench_json(const BenchCase& bench, const BenchSettings& settings, co
                  {"command", command_line},
                  {"device", {{"name", info.name}, {"type", info.type}, {"driver", info.driver}, {"float_atomics", info.float_atomics}, {"traversal", traversal_of(device)}}},
                  {"case", {{"name", bench.name}, {"surfels", bench.scene.surfels.size()}, {"instances", bench.scene.instances.size()}, {"rays", bench.rays.size()},
-                           {"rows", bench.rows}, {"columns", bench.columns}, {"chunk", bench.config.trace.chunk}, {"proxy", result.proxy}, {"sh", sh_of(bench)},
+                           {"rows", bench.rows}, {"columns", bench.columns}, {"chunk", bench.config.trace.chunk}, {"proxy", result.proxy}, {"walk", bench.config.trace.walk}, {"sh", sh_of(bench)},
                            {"sh_degree", bench.config.image.sh_degree}}},
                  {"repetitions", settings.repeat},
                  {"clock", result.device_clock ? "device timestamps, all launches of a kernel in a repetition" : "wall time of the forward pass, waits included"},
@@ -86,8 +91,11 @@ std::string bench_json(const BenchCase& bench, const BenchSettings& settings, co
                  {"forward_mrays_per_s", result.forward_mrays_per_s},
                  {"backward_mrays_per_s", nullptr},
                  {"hits_per_ray", result.hits_per_ray},
+                 {"nodes_per_ray", nullptr},
+                 {"surfels_tested_per_ray", nullptr},
                  {"memory", memory_json(result.memory, bench.scene.surfels.size(), bench.rays.size())}};
     if (result.backward_mrays_per_s) json["backward_mrays_per_s"] = *result.backward_mrays_per_s;
+    if (result.visits) json["nodes_per_ray"] = result.visits->nodes, json["surfels_tested_per_ray"] = result.visits->surfels;
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

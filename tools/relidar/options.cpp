@@ -25,8 +25,8 @@ bool parse(const std::string& text, T& value) {
 }  // namespace
 
 void add_device_options(CLI::App& command, DeviceChoice& choice) {
-    command.add_option("--device", choice.index, "Vulkan device by its number in `relidar devices` (default: first GPU with ray query, else first usable device)")->type_name("N");
-    command.add_option("--traversal", choice.traversal, "how rays find surfels: auto, ray_query, or software (planned) (default: auto)")->type_name("HOW");
+    command.add_option("--device", choice.index, "Vulkan device by its number in `relidar devices` (default: a GPU, one with ray query first; else a CPU device)")->type_name("N");
+    command.add_option("--traversal", choice.traversal, "how rays find surfels: auto, ray_query or software; auto is ray_query on a GPU that has it, else software (default: auto)")->type_name("HOW");
 }
 
 DeviceOptions device_options(const DeviceChoice& choice) {

@@ -1,0 +1,178 @@
+// SPDX-License-Identifier: Apache-2.0
+// Backend: a two-level tree of wide nodes with quantised boxes (shared/bvh.h), walked with a stack, near children first. The top tree
+// holds instances; an instance's entry moves the ray into its model's frame until the stack is down to where it was entered.
+// Two ways, by specialisation: each ray on its own, or the rays of a subgroup together, which open a node if any of them needs it and
+// test its surfels all at once. Together, every ray still keeps its own stack and its own distances, and takes the union of what its
+// subgroup wants: a ray that has lost its neighbours, by any divergence, goes on alone with nothing missing.
+//
+// No hit is lost:
+// - The slab test uses the very ray that intersect() uses (entered_origin, entered_direction). t is the ray's parameter, the same in the
+//   world and in a model whatever the instance's scale, so distances of all trees compare with the canonical t.
+// - A slab distance q scale + at is off by at most 8 roundings of its terms; kSlack times both terms moves near planes nearer and
+//   far planes farther by more than that.
+// - A direction component of less than kLeastSlope is taken as that: over 100 km the ray is off by 10^-7 m, less than the slack. So no
+//   division by zero and, for coordinates under 10^25 m, no NaN; the comparisons open a node should there be one.
+// - A node is left out behind `end` and before `start` only. Both keep 1e-4 m + 1e-5 t for the rounding of the canonical t, as every
+//   backend's (README.md).
+//
+// What it costs on a GPU: a node is 80 bytes and about 150 operations for eight boxes; a surfel 64 bytes and 40 operations.
+#ifndef RELIDAR_INCLUDED_TRAVERSAL_SOFTWARE_BVH_GLSL
+#define RELIDAR_INCLUDED_TRAVERSAL_SOFTWARE_BVH_GLSL
+#extension GL_KHR_shader_subgroup_vote : enable
+#extension GL_KHR_shader_subgroup_ballot : enable
+#extension GL_KHR_shader_subgroup_arithmetic : enable
+layout(constant_id = 4) const uint TOGETHER = 0u;       // rays of a subgroup walk the tree together
+layout(constant_id = 5) const uint COUNT_VISITS = 0u;
+
+// At most 7 entries stay behind a level: enough for 9 levels of full nodes, 8^9 surfels. A tree as deep and as wide as to need more makes
+// the ray end early, and be counted as an error.
+const uint kStackSize = 64u;
+const uint kInstanceEntry = 0x80000000u;   // entries of instances; others are nodes
+const float kNever = 1e30;
+const float kSlack = 5e-7;                 // 8 roundings of 2^-24
+const float kLeastSlope = 1e-12;
+
+uint stack_entry[kStackSize];
+float stack_t[kStackSize];     // where this ray enters it, kNever where it does not
+uint stack_size;
+bool stack_full;
+
+/// A ray as boxes are tested with it, in the frame of the tree that is being walked.
+struct BoxRay {
+    vec3 origin;
+    vec3 inverse;   // of the direction
+    float start;    // m along the ray: boxes before and behind are left out
+    float end;
+};
+
+void set_box_ray(inout BoxRay ray, vec3 origin, vec3 direction) {
+    vec3 least = mix(vec3(kLeastSlope), vec3(-kLeastSlope), lessThan(direction, vec3(0.0)));
+    ray.origin = origin;
+    ray.inverse = 1.0 / mix(direction, least, lessThan(abs(direction), vec3(kLeastSlope)));
+}
+
+uint byte_of(uvec2 bytes, uint slot) { return ((slot < 4u ? bytes.x : bytes.y) >> (8u * (slot & 3u))) & 255u; }
+
+/// @param t  output: where the ray enters the box of each slot, if it does
+/// @return a bit a slot whose box the ray meets within [start, end]; empty slots may be among them
+uint meet_boxes(BvhNode node, BoxRay ray, out float t[RELIDAR_BVH_WIDTH]) {
+    vec3 scale = uintBitsToFloat((uvec3(node.exponents, node.exponents >> 8u, node.exponents >> 16u) & 255u) << 23u) * ray.inverse;
+    vec3 at = (node.origin - ray.origin) * ray.inverse;
+    vec3 slack = kSlack * (abs(at) + 255.0 * abs(scale));
+    vec3 near_at = at - slack, far_at = at + slack;
+    uvec2 low[3] = uvec2[](uvec2(node.low_x[0], node.low_x[1]), uvec2(node.low_y[0], node.low_y[1]), uvec2(node.low_z[0], node.low_z[1]));
+    uvec2 high[3] = uvec2[](uvec2(node.high_x[0], node.high_x[1]), uvec2(node.high_y[0], node.high_y[1]), uvec2(node.high_z[0], node.high_z[1]));
+    uvec2 near[3], far[3];
+    [[unroll]] for (uint c = 0u; c < 3u; ++c) {
+        near[c] = ray.inverse[c] < 0.0 ? high[c] : low[c];
+        far[c] = ray.inverse[c] < 0.0 ? low[c] : high[c];
+    }
+    uint met = 0u;
+    [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) {
+        vec3 enter = vec3(byte_of(near[0], slot), byte_of(near[1], slot), byte_of(near[2], slot)) * scale + near_at;
+        vec3 leave = vec3(byte_of(far[0], slot), byte_of(far[1], slot), byte_of(far[2], slot)) * scale + far_at;
+        t[slot] = max(max(enter.x, enter.y), max(enter.z, ray.start));
+        float last = min(min(leave.x, leave.y), min(leave.z, ray.end));
+        if (!(t[slot] > last)) met |= 1u << slot;
+    }
+    return met;
+}
+
+void push_entry(uint entry, float t) {
+    stack_full = stack_full || stack_size == kStackSize;
+    if (stack_full) return;
+    stack_entry[stack_size] = entry;
+    stack_t[stack_size] = t;
+    ++stack_size;
+}
+
+/// Puts the inner slots that are to be opened on the stack, the nearest on top. Together: in the order of the subgroup's first ray.
+void push_children(BvhNode node, uint inner, uint opened, uint met, float t[RELIDAR_BVH_WIDTH]) {
+    float key[RELIDAR_BVH_WIDTH];
+    [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] = TOGETHER != 0u ? subgroupBroadcastFirst(t[slot]) : t[slot];
+    for (uint left = inner & opened; left != 0u;) {
+        uint farthest = uint(findLSB(left));
+        float farthest_key = -1.0, own = kNever;
+        [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot)
+            if ((left & (1u << slot)) != 0u && key[slot] > farthest_key) {
+                farthest = slot;
+                farthest_key = key[slot];
+                own = t[slot];
+            }
+        left &= ~(1u << farthest);
+        push_entry(node.first_child + bitCount(inner & ((1u << farthest) - 1u)), (met & (1u << farthest)) != 0u ? own : kNever);
+    }
+}
+
+/// @return a bit for every entry of `order`, from the node's first on, that lies in an opened leaf slot
+uint leaf_entries(BvhNode node, uint opened) {
+    uvec2 leaves = uvec2(node.leaves[0], node.leaves[1]);
+    uint entries = 0u;
+    [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) {
+        uint leaf = byte_of(leaves, slot);
+        if ((opened & (1u << slot)) != 0u) entries |= ((1u << (leaf >> 5u)) - 1u) << (leaf & 31u);
+    }
+    return entries;
+}
+
+/// Takes the lowest entry out of a set. @return its index
+uint take_lowest(inout uint entries) {
+    uint lowest = uint(findLSB(entries));
+    entries &= entries - 1u;
+    return lowest;
+}
+
+void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
+    reset_hits(budget);
+    BoxRay walked;
+    walked.start = search_start(after);
+    walked.end = kNever;
+    uint instance = RELIDAR_BVH_NO_NODE;   // whose model is being walked; none: the top tree
+    uint outside = 0u;                     // stack entries of the top tree
+    uint n_nodes = 0u, n_tested = 0u;
+    set_box_ray(walked, ray.origin, ray.direction);
+    stack_size = 0u;
+    stack_full = false;
+    push_entry(0u, walked.start);
+    while (stack_size > 0u) {
+        --stack_size;
+        uint entry = stack_entry[stack_size];
+        bool wanted = stack_t[stack_size] <= walked.end;
+        if (!(TOGETHER != 0u ? subgroupAny(wanted) : wanted)) continue;
+        if (stack_size < outside) {
+            outside = 0u;
+            instance = RELIDAR_BVH_NO_NODE;
+            set_box_ray(walked, ray.origin, ray.direction);
+        }
+        if ((entry & kInstanceEntry) != 0u) {
+            instance = entry & ~kInstanceEntry;
+            outside = stack_size;
+            enter_instance(scene, ray, instance);
+            set_box_ray(walked, entered_origin, entered_direction);
+            entry = scene.bvh.roots.at[instance];
+            if (entry == RELIDAR_BVH_NO_NODE) continue;
+        }
+        bool in_model = instance != RELIDAR_BVH_NO_NODE;
+        BvhNodes nodes = in_model ? scene.bvh.nodes : scene.bvh.top_nodes;
+        BvhNode node = nodes.at[entry];
+        ++n_nodes;
+        float t[RELIDAR_BVH_WIDTH];
+        uint met = meet_boxes(node, walked, t);
+        uint opened = TOGETHER != 0u ? subgroupOr(met) : met;
+        uint entries = leaf_entries(node, opened);
+        push_children(node, node.exponents >> 24u, opened, met, t);
+        if (!in_model) {
+            while (entries != 0u) push_entry(kInstanceEntry | scene.bvh.top_order.at[node.first_leaf + take_lowest(entries)], walked.start);
+            continue;
+        }
+        n_tested += bitCount(entries);
+        while (entries != 0u) offer(scene, ray, after, instance, scene.bvh.order.at[node.first_leaf + take_lowest(entries)]);
+        if (hits_closed) walked.end = hit_t[n_hits - 1u] + (1e-4 + 1e-5 * hit_t[n_hits - 1u]);
+    }
+    if (stack_full) atomicAdd(scene.pass_cap_count.at[0], 1u);
+    if (COUNT_VISITS != 0u) {
+        atomicAdd(scene.visits.at[0], n_nodes);
+        atomicAdd(scene.visits.at[1], n_tested);
+    }
+}
+#endif

@@ -1,0 +1,209 @@
+// SPDX-License-Identifier: Apache-2.0
+// Bottom levels (one a model) and the top level (one instance a placed model), built and refitted by the driver.
+#include "accel/hardware.hpp"
+
+#include <algorithm>
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "gpu/stream.hpp"
+#include "shared/accel.h"
+
+namespace relidar {
+
+namespace {
+
+/// A buffer that holds one acceleration structure.
+struct Structure {
+    Device::Impl* device = nullptr;
+    std::unique_ptr<Buffer> storage;
+    VkAccelerationStructureKHR handle = VK_NULL_HANDLE;
+    std::uint64_t address = 0;
+
+    Structure(Device& owner, VkAccelerationStructureTypeKHR type, VkDeviceSize size, const std::string& what) : device(&owner.impl()) {
+        storage = std::make_unique<Buffer>(owner, size, what);
+        VkAccelerationStructureCreateInfoKHR info{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_CREATE_INFO_KHR};
+        info.buffer = storage->impl().handle;
+        info.size = size;
+        info.type = type;
+        gpu::check(vkCreateAccelerationStructureKHR(device->device, &info, nullptr, &handle), "vkCreateAccelerationStructureKHR");
+        VkAccelerationStructureDeviceAddressInfoKHR query{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_DEVICE_ADDRESS_INFO_KHR};
+        query.accelerationStructure = handle;
+        address = vkGetAccelerationStructureDeviceAddressKHR(device->device, &query);
+    }
+    ~Structure() { vkDestroyAccelerationStructureKHR(device->device, handle, nullptr); }
+    Structure(const Structure&) = delete;
+    Structure& operator=(const Structure&) = delete;
+};
+
+/// What one build reads, kept together because Vulkan wants pointers between the pieces.
+struct BuildInput {
+    VkAccelerationStructureGeometryKHR geometry{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_KHR};
+    VkAccelerationStructureBuildGeometryInfoKHR info{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_GEOMETRY_INFO_KHR};
+    VkAccelerationStructureBuildRangeInfoKHR range{};
+
+    /// @param n primitives or instances
+    VkAccelerationStructureBuildSizesInfoKHR sizes(Device::Impl& device, std::uint32_t n) {
+        range.primitiveCount = n;
+        info.geometryCount = 1;
+        info.pGeometries = &geometry;
+        VkAccelerationStructureBuildSizesInfoKHR result{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_SIZES_INFO_KHR};
+        vkGetAccelerationStructureBuildSizesKHR(device.device, VK_ACCELERATION_STRUCTURE_BUILD_TYPE_DEVICE_KHR, &info, &n, &result);
+        return result;
+    }
+
+    void record(Stream::Impl& stream, const Structure& target, bool update, std::uint64_t scratch) {
+        info.mode = update ? VK_BUILD_ACCELERATION_STRUCTURE_MODE_UPDATE_KHR : VK_BUILD_ACCELERATION_STRUCTURE_MODE_BUILD_KHR;
+        info.srcAccelerationStructure = update ? target.handle : VK_NULL_HANDLE;
+        info.dstAccelerationStructure = target.handle;
+        info.scratchData.deviceAddress = scratch;
+        const VkAccelerationStructureBuildRangeInfoKHR* ranges = &range;
+        vkCmdBuildAccelerationStructuresKHR(stream.commands(), 1, &info, &ranges);
+    }
+};
+
+/// Vertex indices of two triangles a surfel: corners 0 1 2 and 2 3 0.
+std::vector<std::uint32_t> triangle_indices(std::uint32_t n) {
+    std::vector<std::uint32_t> indices;
+    indices.reserve(6 * std::size_t(n));
+    for (std::uint32_t i = 0; i < n; ++i)
+        for (const std::uint32_t corner : {0u, 1u, 2u, 2u, 3u, 0u}) indices.push_back(4 * i + corner);
+    return indices;
+}
+
+}  // namespace
+
+struct HardwareAccel::Impl {
+    Proxy proxy;
+    Kernel<shared::ProxyParams> proxies;
+    Array<float> geometry;            ///< vertices [n,4,3] or boxes [n,6]
+    Array<std::uint32_t> indices;     ///< of the largest model; shared by all, each with its own first vertex
+    std::vector<std::unique_ptr<Structure>> blas;   ///< one a model, null where it has no surfels
+    std::vector<BuildInput> blas_input;
+    std::unique_ptr<Structure> tlas;
+    BuildInput tlas_input;
+    Buffer scratch;
+    std::uint64_t scratch_address = 0;
+
+    Impl(Device& device, Proxy p)
+        : proxy(p), proxies(device, "accel/proxies", {{2u, proxy == Proxy::boxes ? 1u : 0u}}) {}
+
+    void describe_model(const Model& model);
+    std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
+};
+
+/// Geometry of one bottom level: the model's slice of the proxy array. No opaque flag: every candidate must be offered.
+void HardwareAccel::Impl::describe_model(const Model& model) {
+    BuildInput& input = blas_input.emplace_back();
+    if (proxy == Proxy::boxes) {
+        input.geometry.geometryType = VK_GEOMETRY_TYPE_AABBS_KHR;
+        input.geometry.geometry.aabbs = {VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_AABBS_DATA_KHR, nullptr, {geometry.address() + 24ull * model.first}, 24};
+    } else {
+        input.geometry.geometryType = VK_GEOMETRY_TYPE_TRIANGLES_KHR;
+        auto& t = input.geometry.geometry.triangles;
+        t = {};
+        t.sType = VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_TRIANGLES_DATA_KHR;
+        t.vertexFormat = VK_FORMAT_R32G32B32_SFLOAT;
+        t.vertexData.deviceAddress = geometry.address() + 48ull * model.first;
+        t.vertexStride = 12;
+        t.maxVertex = 4 * std::max(model.count, 1u) - 1;
+        t.indexType = VK_INDEX_TYPE_UINT32;
+        t.indexData.deviceAddress = indices.address();
+    }
+    input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR;
+    input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR | VK_BUILD_ACCELERATION_STRUCTURE_ALLOW_UPDATE_BIT_KHR;
+}
+
+/// Writes the instances of models that have surfels into the stream's parameter ring. @return their device address
+std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
+    const Scene& layout = scene.layout();
+    std::vector<VkAccelerationStructureInstanceKHR> rows;
+    for (std::size_t i = 0; i < layout.instances.size(); ++i) {
+        const Structure* model = blas[layout.instances[i].model].get();
+        if (!model || !scene.poses()[i].present) continue;
+        const glm::mat4 m(to_matrix(scene.poses()[i].world_from_model));
+        VkAccelerationStructureInstanceKHR& row = rows.emplace_back();
+        for (int r = 0; r < 3; ++r)
+            for (int c = 0; c < 4; ++c) row.transform.matrix[r][c] = m[c][r];
+        row.instanceCustomIndex = static_cast<std::uint32_t>(i) & 0xffffffu;
+        row.mask = 0xff;
+        row.instanceShaderBindingTableRecordOffset = 0;
+        row.flags = VK_GEOMETRY_INSTANCE_TRIANGLE_FACING_CULL_DISABLE_BIT_KHR;
+        row.accelerationStructureReference = model->address;
+    }
+    tlas_input.range.primitiveCount = static_cast<std::uint32_t>(rows.size());
+    return rows.empty() ? 0 : stream.store(rows.data(), rows.size() * sizeof(rows[0]));
+}
+
+HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy) : impl_(std::make_unique<Impl>(device, proxy)) {
+    Impl& a = *impl_;
+    const Scene& layout = scene.layout();
+    std::uint32_t largest = 0;
+    for (const Model& model : layout.models) largest = std::max(largest, model.count);
+    a.geometry = Array<float>(device, std::size_t(scene.size()) * (a.proxy == Proxy::boxes ? 6 : 12), "proxies");
+    if (a.proxy == Proxy::triangles) a.indices = Array<std::uint32_t>(device, std::span<const std::uint32_t>(triangle_indices(largest)), "proxy indices");
+
+    VkDeviceSize scratch_bytes = 256;
+    a.blas_input.reserve(layout.models.size());
+    for (const Model& model : layout.models) {
+        a.describe_model(model);
+        const std::uint32_t n = model.count * (a.proxy == Proxy::boxes ? 1u : 2u);
+        if (n == 0) {
+            a.blas.push_back(nullptr);
+            continue;
+        }
+        const VkAccelerationStructureBuildSizesInfoKHR sizes = a.blas_input.back().sizes(device.impl(), n);
+        a.blas.push_back(std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR, sizes.accelerationStructureSize, "bottom level of " + model.name));
+        scratch_bytes = std::max({scratch_bytes, sizes.buildScratchSize, sizes.updateScratchSize});
+    }
+
+    a.tlas_input.geometry.geometryType = VK_GEOMETRY_TYPE_INSTANCES_KHR;
+    a.tlas_input.geometry.geometry.instances = {VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_INSTANCES_DATA_KHR, nullptr, VK_FALSE, {}};
+    a.tlas_input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR;
+    a.tlas_input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR;
+    const VkAccelerationStructureBuildSizesInfoKHR sizes = a.tlas_input.sizes(device.impl(), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
+    a.tlas = std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR, sizes.accelerationStructureSize, "top level");
+    scratch_bytes = std::max(scratch_bytes, sizes.buildScratchSize);
+    const std::uint64_t alignment = device.impl().scratch_alignment;
+    a.scratch = Buffer(device, scratch_bytes + alignment, "acceleration structure scratch");
+    a.scratch_address = (a.scratch.address() + alignment - 1) / alignment * alignment;
+}
+
+HardwareAccel::~HardwareAccel() = default;
+
+void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const AccelOptions& options, bool refit) {
+    Impl& a = *impl_;
+    Stream::Impl& s = stream.impl();
+    run(stream, a.proxies, scene.size(),
+        {scene.records().address(), a.geometry.address(), a.geometry.address(), scene.alpha_min(), options.margin_m, options.margin_scale, scene.size()});
+    for (std::size_t i = 0; i < a.blas.size(); ++i) {
+        if (!a.blas[i]) continue;
+        s.begin_timing(refit ? "accel/refit" : "accel/build");
+        a.blas_input[i].record(s, *a.blas[i], refit, a.scratch_address);
+        s.end_timing();
+    }
+    move(stream, scene);
+}
+
+void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
+    Impl& a = *impl_;
+    Stream::Impl& s = stream.impl();
+    s.begin_timing("accel/top_level");
+    a.tlas_input.geometry.geometry.instances.data.deviceAddress = a.write_instances(s, scene);
+    a.tlas_input.record(s, *a.tlas, false, a.scratch_address);
+    s.end_timing();
+}
+
+std::uint64_t HardwareAccel::tlas_address() const { return impl_->tlas->address; }
+
+std::uint64_t HardwareAccel::memory_bytes() const {
+    std::uint64_t bytes = impl_->geometry.buffer().size_bytes() + impl_->indices.buffer().size_bytes() + impl_->scratch.size_bytes() + impl_->tlas->storage->size_bytes();
+    for (const auto& structure : impl_->blas)
+        if (structure) bytes += structure->storage->size_bytes();
+    return bytes;
+}
+
+}  // namespace relidar

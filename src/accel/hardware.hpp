@@ -1,0 +1,32 @@
+// SPDX-License-Identifier: Apache-2.0
+// The driver's acceleration structures over proxies (M3): what ray query searches. One bottom level a model, one instance a placed
+// model. Needs a device opened for ray query.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+
+#include <relidar/accel.hpp>
+
+namespace relidar {
+
+class HardwareAccel {
+public:
+    /// Room for the scene. Nothing is built yet. @param proxy triangles or boxes
+    HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy);
+    ~HardwareAccel();
+
+    /// Records proxies, a build or refit of all bottom levels, and the top level. A refit needs a build before.
+    void record(Stream& stream, const DeviceScene& scene, const AccelOptions& options, bool refit);
+    /// Records the top level alone.
+    void move(Stream& stream, const DeviceScene& scene);
+
+    std::uint64_t tlas_address() const;
+    std::uint64_t memory_bytes() const;
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace relidar

@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: Apache-2.0
+// A two-level tree in the layout of shared/bvh.h, built on the host by recursive object median: tests of the traversal alone, which
+// must not depend on the device's builder. Boxes are the device's own (accel/proxies).
+#pragma once
+
+#include <memory>
+
+#include <relidar/accel.hpp>
+
+#include "shared/bvh.h"
+
+namespace relidar::test {
+
+class HostBvh {
+public:
+    /// The scene must be activated. Blocks.
+    HostBvh(Device& device, const DeviceScene& scene);
+    shared::BvhPointers pointers() const;
+
+private:
+    Array<shared::BvhNode> nodes_, top_nodes_;
+    Array<std::uint32_t> order_, roots_, top_order_;
+};
+
+}  // namespace relidar::test

@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "collect.hpp"
+
+#include <gtest/gtest.h>
+
+#include "gpu/stream.hpp"
+
+namespace relidar::test {
+
+shared::TraceScene to_trace_scene(const DeviceScene& scene, const ImageModel& model, const AccelAddresses& a) {
+    return {a.tlas, {a.nodes, a.order, a.roots, a.top_nodes, a.top_order}, 0, scene.records().address(), scene.instances_address(), scene.parameters().sh.address(), 0, 0,
+            model.near_m, model.alpha_min, model.alpha_max, model.transmittance_min, static_cast<std::uint32_t>(scene.layout().instances.size()),
+            static_cast<std::uint32_t>(model.sh_degree), 0, 0, 1, 0};
+}
+
+CollectedHits collect(Device& device, const std::string& kernel, const std::vector<Constant>& constants, shared::TraceScene scene, const WorldRays& rays, std::uint32_t max_hits) {
+    const Kernel<shared::CollectHitsParams> collect_hits(device, kernel, constants);
+    const std::size_t n = rays.size(), n_slots = n * max_hits;
+    const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
+    const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
+    const Array<std::uint32_t> counts(device, n, "counts"), instance(device, n_slots, "instances"), surfel(device, n_slots, "surfels");
+    const Array<float> t(device, n_slots, "distances");
+    scene.rays = device_rays.address();
+    scene.pass_cap_count = pass_cap.address();
+    scene.n_rays = static_cast<std::uint32_t>(n);
+    Stream stream(device);
+    run(stream, collect_hits, n, {scene, counts.address(), t.address(), instance.address(), surfel.address(), max_hits});
+    stream.finish();
+    EXPECT_EQ(pass_cap.download()[0], 0u) << kernel << ": rays that did not end";
+    return {max_hits, counts.download(), t.download(), instance.download(), surfel.download()};
+}
+
+}  // namespace relidar::test

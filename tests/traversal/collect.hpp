@@ -1,0 +1,19 @@
+// SPDX-License-Identifier: Apache-2.0
+// Runs one build of traversal/collect_hits on a scene that is on the device already: what relidar::collect_hits does with a scene of
+// its own, for tests that refit, rebuild or bring a tree themselves.
+#pragma once
+
+#include <relidar/traversal.hpp>
+
+#include "gpu/kernel.hpp"
+#include "shared/trace.h"
+
+namespace relidar::test {
+
+/// What a launch reads of a scene. Its rays, and where passes at the cap are counted, are filled in by collect().
+shared::TraceScene to_trace_scene(const DeviceScene& scene, const ImageModel& model, const AccelAddresses& accel);
+
+/// @param kernel  a build of collect_hits, "traversal/collect_hits@..." @param constants  of traversal/trace_scene.hpp
+CollectedHits collect(Device& device, const std::string& kernel, const std::vector<Constant>& constants, shared::TraceScene scene, const WorldRays& rays, std::uint32_t max_hits);
+
+}  // namespace relidar::test

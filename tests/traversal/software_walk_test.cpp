@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+// The walk of software_bvh.glsl alone, over trees built on the host: what fails here is the traversal, not the device's builder.
+#include "../support/host_bvh.hpp"
+#include "collect.hpp"
+#include "device_hits.hpp"
+
+namespace relidar {
+namespace {
+
+using test::TraversalCase;
+
+class SoftwareWalk : public test::DeviceHits {
+protected:
+    CollectedHits collect(const TraversalCase& c, std::uint32_t chunk, std::uint32_t packet) {
+        const test::SceneAndPoses placed = test::to_scene(c.surfels, c.instances);
+        Stream stream(device());
+        DeviceScene scene(device(), placed.scene);
+        scene.set_poses(placed.world_from_instance);
+        const ImageModel model;
+        scene.activate(stream, model, glm::vec3(0.0f));
+        stream.finish();
+        const test::HostBvh bvh(device(), scene);
+        const shared::BvhPointers p = bvh.pointers();
+        const AccelAddresses addresses{0, p.nodes.value, p.order.value, p.roots.value, p.top_nodes.value, p.top_order.value};
+        const shared::TraceScene trace = test::to_trace_scene(scene, model, addresses);
+        return test::in_world(test::collect(device(), "traversal/collect_hits@software_bvh", {{1u, chunk}, {4u, packet}}, trace, c.rays, test::kMaxHits), placed);
+    }
+};
+
+TEST_F(SoftwareWalk, ConformanceCases) {
+    if (device().traversal() != Traversal::software) GTEST_SKIP() << "the software traversal's own";
+    for (const TraversalCase& c : test::conformance_cases(21, 1000)) {
+        const reference::BruteForce brute(test::to_world(c), {}, reference::Precision::float_record);
+        for (const std::uint32_t chunk : {1u, 5u, 16u, 64u})
+            for (const std::uint32_t packet : {0u, 1u})
+                expect_equal(c, compare(c, brute, collect(c, chunk, packet)), c.name + (packet ? ", subgroup" : ", lane") + ", chunk " + std::to_string(chunk));
+    }
+}
+
+}  // namespace
+}  // namespace relidar

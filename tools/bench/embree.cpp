@@ -1,0 +1,269 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar_bench_embree: the image of `relidar bench` rendered by Embree on the host, as a yardstick for the software traversal. The
+// same surfels, rays, order and blending (docs/method.md M1-M5, Eq. 2-4), single precision, two threads: an intersection filter puts
+// candidates into a sorted buffer of `chunk` hits and shortens the ray once it is full.
+#if __has_include(<embree4/rtcore.h>)
+#include <embree4/rtcore.h>
+#else
+#include <embree3/rtcore.h>
+#endif
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cmath>
+#include <ctime>
+#include <limits>
+#include <thread>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include <relidar/scene.hpp>
+#include <relidar/sensor.hpp>
+
+namespace {
+
+using namespace relidar;
+
+#if RTC_VERSION_MAJOR >= 4
+using Context = RTCRayQueryContext;
+#else
+using Context = RTCIntersectContext;
+#endif
+
+constexpr int kMaxChunk = 64, kMaxPasses = 4096;
+constexpr float kGrow = 1.002f, kPad_m = 1e-4f;   // of proxies, as AccelOptions
+
+/// A surfel as a hit reads it, and its channels' coefficients.
+struct Record {
+    glm::vec3 mean;
+    float opacity;
+    glm::vec3 axis_u, axis_v, normal;
+};
+
+struct Hit {
+    float t, alpha;
+    unsigned surfel;
+};
+
+bool before(const Hit& a, const Hit& b) { return a.t != b.t ? a.t < b.t : a.surfel < b.surfel; }
+
+struct World {
+    ImageModel model;
+    std::vector<Record> records;
+    std::vector<float> sh;
+};
+
+/// One pass of one ray; the context Embree hands to the filter is its first member.
+struct Query {
+    Context context;
+    const World* world;
+    glm::vec3 origin, direction;
+    Hit after;
+    int chunk;
+    int n = 0;
+    Hit hits[kMaxChunk];
+
+    void offer(unsigned surfel) {
+        const Record& s = world->records[surfel];
+        const glm::vec3 to_mean = s.mean - origin;
+        const float t = glm::dot(s.normal, to_mean) / glm::dot(s.normal, direction);
+        if (n == chunk && t > hits[n - 1].t) return;
+        const glm::vec3 p = t * direction - to_mean;
+        const float u = glm::dot(s.axis_u, p), v = glm::dot(s.axis_v, p);
+        const Hit hit{t, s.opacity * std::exp(-0.5f * (u * u + v * v)), surfel};
+        if (!(hit.alpha >= world->model.alpha_min) || !before(after, hit)) return;
+        int slot = n;
+        while (slot > 0 && before(hit, hits[slot - 1])) --slot;
+        if (slot == chunk || (slot > 0 && hits[slot - 1].surfel == surfel)) return;   // a split quad is met twice
+        n = std::min(n + 1, chunk);
+        std::copy_backward(hits + slot, hits + n - 1, hits + n);
+        hits[slot] = hit;
+    }
+    float end() const { return n == chunk ? hits[n - 1].t + 1e-4f + 1e-5f * hits[n - 1].t : std::numeric_limits<float>::infinity(); }
+};
+
+void on_candidate(const RTCFilterFunctionNArguments* args) {
+    Query& query = *reinterpret_cast<Query*>(args->context);
+    query.offer(RTCHitN_primID(args->hit, 1, 0));
+    args->valid[0] = RTCRayN_tfar(args->ray, 1, 0) > query.end() ? -1 : 0;   // accepted: the ray ends here
+}
+
+/// Real spherical harmonics of degree 3 (shaders/gaussian/sh.glsl).
+void sh_basis(const glm::vec3& d, float* b) {
+    const float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
+    const float values[16] = {0.28209479f, -0.48860251f * y, 0.48860251f * z, -0.48860251f * x, 1.09254843f * x * y, -1.09254843f * y * z, 0.31539157f * (2 * zz - xx - yy),
+                              -1.09254843f * x * z, 0.54627422f * (xx - yy), -0.59004359f * y * (3 * xx - yy), 2.89061144f * x * y * z, -0.45704580f * y * (4 * zz - xx - yy),
+                              0.37317633f * z * (2 * zz - 3 * xx - 3 * yy), -0.45704580f * x * (4 * zz - xx - yy), 1.44530572f * z * (xx - yy), -0.59004359f * x * (xx - 3 * yy)};
+    std::copy(values, values + 16, b);
+}
+
+struct Pixel {
+    float depth = 0, weight = 0, intensity = 0, hit_logit = 0, drop_logit = 0, transmittance = 1;
+    unsigned n_hits = 0;
+};
+
+class Renderer {
+public:
+    Renderer(const Surfels& surfels, int chunk, const std::string& build_threads) : device_(rtcNewDevice(build_threads.c_str())), scene_(rtcNewScene(device_)), chunk_(chunk) {
+        world_.sh = surfels.sh;
+        const RTCGeometry mesh = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_QUAD);
+        auto* corners = static_cast<glm::vec3*>(rtcSetNewGeometryBuffer(mesh, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, sizeof(glm::vec3), 4 * surfels.size()));
+        auto* indices = static_cast<unsigned*>(rtcSetNewGeometryBuffer(mesh, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT4, 4 * sizeof(unsigned), surfels.size()));
+        for (std::size_t i = 0; i < surfels.size(); ++i) add(surfels, i, corners + 4 * i);
+        for (unsigned i = 0; i < 4 * surfels.size(); ++i) indices[i] = i;
+        rtcSetGeometryIntersectFilterFunction(mesh, on_candidate);
+        rtcSetGeometryBuildQuality(mesh, RTC_BUILD_QUALITY_HIGH);
+        rtcCommitGeometry(mesh);
+        rtcAttachGeometry(scene_, mesh);
+        rtcReleaseGeometry(mesh);
+        rtcSetSceneBuildQuality(scene_, RTC_BUILD_QUALITY_HIGH);
+        rtcCommitScene(scene_);
+    }
+    ~Renderer() {
+        rtcReleaseScene(scene_);
+        rtcReleaseDevice(device_);
+    }
+    Renderer(const Renderer&) = delete;
+    Renderer& operator=(const Renderer&) = delete;
+
+    Pixel trace(const glm::vec3& origin, const glm::vec3& direction) const {
+        Query query;
+        query.world = &world_, query.origin = origin, query.direction = direction, query.chunk = chunk_;
+        query.after = {world_.model.near_m, 0.0f, ~0u};
+        float basis[16];
+        sh_basis(direction, basis);
+        Pixel pixel;
+        for (int pass = 0; pass < kMaxPasses; ++pass) {
+            next_hits(query);
+            for (int i = 0; i < query.n; ++i)
+                if (!blend(query.hits[i], basis, pixel)) return finished(pixel);
+            if (query.n < query.chunk) return finished(pixel);
+            query.after = query.hits[query.n - 1];
+        }
+        return pixel;
+    }
+
+private:
+    RTCDevice device_;
+    RTCScene scene_;
+    int chunk_;
+    World world_;
+
+    /// Record and proxy rectangle of a surfel (M1-M3).
+    void add(const Surfels& surfels, std::size_t i, glm::vec3* corners) {
+        const glm::vec4 q = surfels.rotation[i];
+        const glm::mat3 r = glm::mat3_cast(glm::normalize(glm::quat(q[0], q[1], q[2], q[3])));
+        const glm::vec2 scale = glm::exp(surfels.log_scale[i]);
+        const float opacity = 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i]));
+        world_.records.push_back({surfels.mean[i], opacity, r[0] / scale.x, r[1] / scale.y, r[2]});
+        const float k = std::sqrt(2.0f * std::log(std::max(opacity / world_.model.alpha_min, 1.0f)));
+        const glm::vec3 u = (k * scale.x * kGrow + kPad_m) * r[0], v = (k * scale.y * kGrow + kPad_m) * r[1];
+        const glm::vec3 m = surfels.mean[i];
+        corners[0] = m - u - v, corners[1] = m + u - v, corners[2] = m + u + v, corners[3] = m - u + v;
+    }
+
+    void next_hits(Query& query) const {
+        query.n = 0;
+        RTCRayHit target{};
+        target.ray.org_x = query.origin.x, target.ray.org_y = query.origin.y, target.ray.org_z = query.origin.z;
+        target.ray.dir_x = query.direction.x, target.ray.dir_y = query.direction.y, target.ray.dir_z = query.direction.z;
+        target.ray.tnear = std::max(0.0f, query.after.t - (1e-4f + 1e-5f * query.after.t));
+        target.ray.tfar = std::numeric_limits<float>::infinity();
+        target.ray.mask = ~0u;
+        target.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+        target.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+#if RTC_VERSION_MAJOR >= 4
+        rtcInitRayQueryContext(&query.context);
+        RTCIntersectArguments arguments;
+        rtcInitIntersectArguments(&arguments);
+        arguments.context = &query.context;
+        rtcIntersect1(scene_, &target, &arguments);
+#else
+        rtcInitIntersectContext(&query.context);
+        rtcIntersect1(scene_, &query.context, &target);
+#endif
+    }
+
+    /// @return false where the hit ends the ray instead
+    bool blend(const Hit& hit, const float* basis, Pixel& pixel) const {
+        const float alpha = std::min(hit.alpha, world_.model.alpha_max), next = pixel.transmittance * (1.0f - alpha);
+        if (next < world_.model.transmittance_min) return false;
+        const float w = alpha * pixel.transmittance;
+        const float* sh = world_.sh.data() + std::size_t(kShFloats) * hit.surfel;
+        float channel[3] = {0.5f, 0.5f, 0.5f};
+        for (int c = 0; c < 3; ++c)
+            for (int k = 0; k < 16; ++k) channel[c] += basis[k] * sh[16 * c + k];
+        pixel.depth += w * hit.t, pixel.weight += w;
+        pixel.intensity += w * std::max(channel[0], 0.0f), pixel.hit_logit += w * channel[1], pixel.drop_logit += w * channel[2];
+        pixel.transmittance = next;
+        ++pixel.n_hits;
+        return true;
+    }
+
+    static Pixel finished(Pixel pixel) {
+        pixel.drop_logit += pixel.transmittance;   // background
+        return pixel;
+    }
+};
+
+/// All rays, in blocks that threads take from a counter.
+std::vector<Pixel> render(const Renderer& renderer, const RayTable& rays, int n_threads) {
+    constexpr std::size_t kBlock = 256;
+    std::vector<Pixel> image(rays.size());
+    std::atomic<std::size_t> next{0};
+    const auto work = [&] {
+        for (std::size_t begin = next.fetch_add(kBlock); begin < image.size(); begin = next.fetch_add(kBlock))
+            for (std::size_t i = begin; i < std::min(begin + kBlock, image.size()); ++i) image[i] = renderer.trace(rays.origin[i], rays.direction[i]);
+    };
+    std::vector<std::thread> threads;
+    for (int i = 1; i < n_threads; ++i) threads.emplace_back(work);
+    work();
+    for (std::thread& thread : threads) thread.join();
+    return image;
+}
+
+double cpu_seconds() { return double(std::clock()) / CLOCKS_PER_SEC; }
+
+RayTable make_rays(const std::string& text) {
+    int rows = 0, columns = 0;
+    if (std::sscanf(text.c_str(), "%dx%d", &rows, &columns) == 2) return make_benchmark_rays(rows, columns, 2.0, -24.9);   // as relidar bench
+    return make_benchmark_rays(text);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    CLI::App app("render a benchmark street with Embree and print a line: Mrays/s by wall time and by processor time, blended hits a ray, mean depth");
+    std::string scene = "A", rays_name = "64x1024";
+    unsigned n_surfels = 100000;
+    int chunk = 16, repeat = 10, n_threads = 2;
+    app.add_option("--scene", scene, "A or B")->check(CLI::IsMember({"A", "B"}));
+    app.add_option("--surfels", n_surfels, "surfels of the street")->check(CLI::Range(1u, 50000000u));
+    app.add_option("--rays", rays_name, "waymo, kitti or ROWSxCOLUMNS");
+    app.add_option("--chunk", chunk, "hits sorted at a time")->check(CLI::Range(1, kMaxChunk));
+    app.add_option("--repeat", repeat, "images timed")->check(CLI::Range(1, 10000));
+    app.add_option("--threads", n_threads, "threads")->check(CLI::Range(1, 256));
+    CLI11_PARSE(app, argc, argv);
+
+    const Renderer renderer(make_benchmark_street(n_surfels, 20261120, scene == "B"), chunk, fmt::format("threads={}", n_threads));
+    const RayTable rays = make_rays(rays_name);
+    std::vector<Pixel> image = render(renderer, rays, n_threads);   // warm up
+    std::vector<double> wall, cpu;
+    for (int i = 0; i < repeat; ++i) {
+        const auto start = std::chrono::steady_clock::now();
+        const double cpu_start = cpu_seconds();
+        image = render(renderer, rays, n_threads);
+        cpu.push_back((cpu_seconds() - cpu_start) / n_threads);
+        wall.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
+    }
+    std::sort(wall.begin(), wall.end());
+    std::sort(cpu.begin(), cpu.end());
+    double n_hits = 0.0, depth = 0.0;
+    for (const Pixel& pixel : image) n_hits += pixel.n_hits, depth += pixel.depth;
+    const double mrays = 1e-6 * double(rays.size()), n = double(rays.size());
+    fmt::print("{:.4f} {:.4f} {:.3f} {:.6f}\n", mrays / wall[wall.size() / 2], mrays / cpu[cpu.size() / 2], n_hits / n, depth / n);
+    return 0;
+}
