@@ -58,7 +58,7 @@ private:
     FrameSampler sampler_;
 
     std::uint32_t largest_batch() const;
-    /// Hits of the last n iterations against the room for their records; makes more. @throws DeviceError where a deterministic step did not fit
+    /// Deterministic training: hits of the last n iterations against the room for their records; makes more. @throws DeviceError where a step did not fit
     void check_room(int n, int step);
 };
 
