@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backward pass (Eq. 9; M7, M8): casts the same rays again, or takes the hits the forward pass kept, front to back, and adds the gradient of every hit to its surfel's
-// record gradient, or writes a record of the hit for backward/gather to do so. One thread a ray.
-// Input: scene, rendered, upstream, kept, first_hit. Accumulated: d_records, d_sh (where SH are evaluated a hit). Output: d_rays, hits, rows.
+// Backward pass (Eq. 9; M7, M8): casts the same rays again, or takes the hits the forward pass kept, front to back, and adds the
+// gradient of every hit to its surfel's record gradient, or writes a record of the hit for backward/gather to do so. One thread a ray.
+// Input: scene, rendered, upstream, kept, first_hit. Accumulated: d_records, d_sh (where SH are evaluated a hit).
+// Output: d_rays, hits, rows.
 // @differs Eq. 8 as printed lacks the factor 1 / (1 - alpha) on the sum; Eq. 9 has it and is right. The background needs no term
 // of its own: it is in the final value that Eq. 9 subtracts from.
 #version 460
@@ -68,6 +69,7 @@ struct BlendedHit {
     float behind;          // sum of w shade over the hits behind it, background included
 };
 
+/// Gradient of one hit: a record of it, or atomics; and the ray's own.
 void add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b) {
     InstanceEntry m = scene.instances.at[b.instance];
     uint row = b.surfel - m.first_surfel + m.first_row;

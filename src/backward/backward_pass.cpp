@@ -18,8 +18,11 @@ namespace {
 
 constexpr std::uint32_t kMostHitsPerRay = 4096;
 
-/// Measured: docs/platform.md.
-bool gathers(Reduction reduction) { return reduction == Reduction::gather; }
+/// Where SH are evaluated a hit there are 64 atomics a hit, and one record beats them; with 16 they are about equal, and need no memory
+/// (docs/platform.md).
+bool gathers(Reduction reduction, ShDirection direction) {
+    return reduction == Reduction::gather || (reduction == Reduction::automatic && direction == ShDirection::ray);
+}
 
 /// Pays where neighbouring rays fill a subgroup, not on the 8 lanes of a CPU: docs/platform.md.
 bool sums_in_subgroups(const Device& device) { return device.info().subgroup_size >= 16; }
@@ -35,7 +38,7 @@ struct BackwardPass::Impl {
 
     static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options, const BackwardOptions& backward) {
         std::vector<Constant> all = trace_constants(device, proxy, options, m);
-        all.push_back({6u, gathers(backward.reduction) ? 1u : 0u});
+        all.push_back({6u, gathers(backward.reduction, m.sh_direction) ? 1u : 0u});
         all.push_back({7u, backward.subgroup_sums.value_or(sums_in_subgroups(device)) ? 1u : 0u});
         return all;
     }
@@ -44,7 +47,7 @@ struct BackwardPass::Impl {
         : model(m),
           trace(device, accumulating_variant(device, "backward/trace" + traversal_variant(device, options)), constants(device, m, proxy, options, backward)),
           poses(device),
-          gather(gathers(backward.reduction) ? std::make_unique<HitGather>(device, m, backward.hits_per_ray) : nullptr),
+          gather(gathers(backward.reduction, m.sh_direction) ? std::make_unique<HitGather>(device, m, backward.hits_per_ray) : nullptr),
           pass_cap(device, 1, "pass cap count") {}
 };
 

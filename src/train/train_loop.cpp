@@ -161,10 +161,11 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
 }
 
 void TrainLoop::check_room() {
+    if (!config_.train.deterministic) return;
     const GatheredHits hits = backward_.take_gathered_hits();
-    if (config_.train.deterministic && hits.most > hits.capacity)
+    if (hits.most > hits.capacity)
         throw DeviceError(fmt::format("training, iterations {} to {}, in a fixed order: found {} hits in one of them, expected at most {}; train.gather_hits={} makes room",
-                                      pending_.front().step, pending_.back().step, hits.most, hits.capacity, hits.most / std::max(1u, largest_batch()) + 1));
+                                      pending_.front().step, pending_.back().step, hits.most, hits.capacity, hits.most / std::max(1u, config_.train.rays_per_iteration > 0 ? static_cast<std::uint32_t>(config_.train.rays_per_iteration) : largest_batch()) + 1));
     if (hits.most > hits.capacity / 2) backward_.reserve_hits(stream_, 2 * hits.most);   // before it is needed
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prefix sums, the stable radix sort and sums of rows against the standard library: sizes around block, tile and level borders, counts
+// Prefix sums (gpu/scan_sums, scan_write), the stable sort (gpu/radix_count, radix_scatter) and gpu/sum_rows against the standard library: sizes around block, tile and level borders, counts
 // known to the device alone, fewer keys than there is room for, strided counts; nothing is written beyond the arrays.
 #include <algorithm>
 #include <numeric>
