@@ -39,7 +39,7 @@ Config standard() {
     config.image.sh_direction = ShDirection::surfel;   // 48 coefficients a surfel and frame instead of a hit
     config.image.transmittance_min = 1e-3f;
     config.loss.normalised_depth = true;               // with D a weight of 0.97 pushes every surface 3 % away
-    config.loss.chamfer = 0.0f;                        // to be measured
+    config.loss.chamfer = 0.0f;                        // 0.01 changed no metric by more than 1 % over 110 steps of `quick`, and costs a tenth of a step
     config.loss.opacity = 0.1f;                        // what D no longer does: close the holes
     config.train.iterations = 3000;
     config.train.sh_degree_interval = 500;
