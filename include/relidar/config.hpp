@@ -58,6 +58,10 @@ struct RenderConfig {
     std::string range = "normalised";   ///< "expected" (D, paper), "normalised" (D / W) or "median"
 };
 
+struct EvalConfig {
+    std::string lpips_weights;          ///< safetensors file; empty = what RELIDAR_LPIPS_WEIGHTS names, or no LPIPS
+};
+
 struct TraceConfig {
     int chunk = 16;
     std::string proxy = "automatic";   ///< "automatic", "triangles", "boxes"
@@ -75,6 +79,7 @@ struct Config {
     LossWeights loss;
     TrainConfig train;
     RenderConfig render;
+    EvalConfig eval;
     TraceConfig trace;
 };
 

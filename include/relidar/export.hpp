@@ -15,6 +15,8 @@
 
 namespace relidar {
 
+struct Scene;
+
 /// Writes a file by calling `write` on a temporary path beside it, flushing to disk and renaming.
 /// The folder must exist. A link is followed; a target that is no regular file (a folder, /dev/null) is refused.
 /// @throws DataError where the folder cannot be written or the disk is full; the temporary file is removed. A DataError or
@@ -31,7 +33,7 @@ struct NamedArray {
     std::vector<std::byte> bytes;
 
     std::size_t count() const;
-    /// Values converted to float (f4, f8, integers, b1 as 0 or 1). @throws DataError for f2
+    /// Values converted to float (b1 as 0 or 1). @throws DataError where bytes do not fill the shape
     std::vector<float> as_float() const;
 };
 
@@ -50,6 +52,10 @@ void write_safetensors(const std::filesystem::path& path, const std::vector<Name
 /// Arrays in the order of their data. Whether values are finite is not checked. @throws DataError for a file that is damaged
 std::vector<NamedArray> read_safetensors(const std::filesystem::path& path, std::map<std::string, std::string>* metadata = nullptr);
 
+/// Weights of LPIPS: arrays conv{0..4}.weight, conv{0..4}.bias, lin{0..4}.weight of a safetensors file, half or single precision.
+/// @throws DataError for a file that is damaged or lacks one; Lpips checks their sizes
+LpipsWeights read_lpips_weights(const std::filesystem::path& path);
+
 /// A point cloud in the sensor's frame.
 struct PointCloud {
     std::vector<glm::vec3> position_m;   ///< [n]
@@ -61,6 +67,17 @@ struct PointCloud {
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud);         ///< binary little-endian
 void write_pcd(const std::filesystem::path& path, const PointCloud& cloud);         ///< PCD 0.7, binary
 void write_kitti_bin(const std::filesystem::path& path, const PointCloud& cloud);   ///< n x float32 x y z intensity
+
+/// All surfels of a scene as PLY in the layout of 3D Gaussian splatting, every property a little-endian float:
+///   x y z, nx ny nz (the surfel's normal), f_dc_0..2, f_rest_0..44 (intensity in all three colours: value = 0.5 + basis . coefficients,
+///   f_rest_{15 c + k - 1} = coefficient k of colour c), opacity (logit), scale_0..2 (ln metres; the third, across the surfel, ln 1e-4),
+///   rot_0..3 (w x y z), then what the layout has no place for: hit_0..15 and drop_0..15 (coefficients of the two logits), model (index).
+/// Positions are in the frame of each surfel's model: actors stand at the origin. @throws DataError as for write_atomically
+void write_surfel_ply(const std::filesystem::path& path, const Scene& scene);
+/// Reads it back: bit-equal surfels, grouped by model, with the models, instances and sensor-level ray-drop of `layout`. Properties
+/// may come in any order and others may be there; nx ny nz, scale_2 and the second and third colour are not read.
+/// @throws DataError for text or big-endian files, missing properties, sizes that do not match, values that are not finite
+Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout);
 
 /// Float channels of one image, ZIP compressed. @param channels name -> [rows*columns]
 void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels);

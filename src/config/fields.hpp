@@ -112,6 +112,7 @@ void visit(C& c, Visitor&& f) {
     visit_scene(c, f);
     visit_training(c, f);
     f("render.range", c.render.range, one_of({"expected", "normalised", "median"}), "range of a ray: D (paper), D / W, or where the transmittance crosses 0.5");
+    f("eval.lpips_weights", c.eval.lpips_weights, anything(), "safetensors file with the weights of LPIPS (AlexNet, v0.1); empty: the file that RELIDAR_LPIPS_WEIGHTS names, or no LPIPS");
     f("trace.chunk", c.trace.chunk, between(1, 64), "hits sorted at a time");
     f("trace.proxy", c.trace.proxy, one_of({"automatic", "triangles", "boxes"}), "what stands for a surfel in the driver's acceleration structure (ray query)");
     f("trace.walk", c.trace.walk, one_of({"automatic", "lane", "subgroup"}), "rays walk the tree each on its own or by subgroups (software traversal)");

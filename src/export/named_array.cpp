@@ -3,7 +3,9 @@
 #include "named_array.hpp"
 
 #include <array>
+#include <cmath>
 #include <cstring>
+#include <limits>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -24,6 +26,18 @@ NamedArray make(std::string name, std::vector<std::size_t> shape, const char* dt
     return array;
 }
 
+/// IEEE 754 half precision.
+struct Half {
+    std::uint16_t bits;
+
+    explicit operator float() const {
+        const int exponent = bits >> 10 & 31, mantissa = bits & 1023;
+        float value = std::ldexp(float(exponent ? mantissa + 1024 : mantissa), exponent ? exponent - 25 : -24);
+        if (exponent == 31) value = mantissa ? std::numeric_limits<float>::quiet_NaN() : std::numeric_limits<float>::infinity();
+        return bits & 0x8000 ? -value : value;
+    }
+};
+
 template <class T>
 std::vector<float> convert(const NamedArray& array) {
     std::vector<float> result(array.bytes.size() / sizeof(T));
@@ -38,8 +52,8 @@ std::vector<float> convert(const NamedArray& array) {
 using Converter = std::vector<float> (*)(const NamedArray&);
 
 Converter converter(std::string_view dtype) {
-    static constexpr std::array<std::pair<std::string_view, Converter>, 11> kConverters{{
-        {"f4", convert<float>}, {"f8", convert<double>},
+    static constexpr std::array<std::pair<std::string_view, Converter>, 12> kConverters{{
+        {"f2", convert<Half>}, {"f4", convert<float>}, {"f8", convert<double>},
         {"i1", convert<std::int8_t>}, {"i2", convert<std::int16_t>},
         {"i4", convert<std::int32_t>}, {"i8", convert<std::int64_t>},
         {"u1", convert<std::uint8_t>}, {"u2", convert<std::uint16_t>},
@@ -56,7 +70,6 @@ Converter converter(std::string_view dtype) {
 namespace export_detail {
 
 std::size_t item_size(std::string_view dtype) {
-    if (dtype == "f2") return 2;
     if (!converter(dtype)) return 0;
     return std::size_t(dtype[1] - '0');
 }
@@ -93,9 +106,7 @@ std::size_t NamedArray::count() const {
 
 std::vector<float> NamedArray::as_float() const {
     export_detail::check_array(*this);
-    const Converter function = converter(dtype);
-    if (!function) throw DataError(fmt::format("array '{}': type '{}' cannot be read as float", name, dtype));
-    return function(*this);
+    return converter(dtype)(*this);
 }
 
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values, std::size_t n) {

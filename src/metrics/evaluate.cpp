@@ -10,79 +10,21 @@
 #include <cmath>
 #include <map>
 
-#include <fmt/format.h>
-
+#include "core/parallel.hpp"
+#include "pixel_errors.hpp"
 #include <relidar/error.hpp>
 
 namespace relidar {
 namespace {
 
-using Mask = std::vector<bool>;
-using Values = std::vector<double>;
+using namespace metrics_detail;
 using Points = std::vector<glm::dvec3>;
 
-constexpr double kRealDropThreshold = 0.5;                      // a real image holds 0 or 1
-constexpr double kClampLow = 1e-6;                              // lower end of the peer's clamp, depth and intensity alike
-constexpr double kMaxIntensity = 1.0;
 constexpr double kMinSquaredError = 1e-20;                      // caps PSNR of identical images at a finite value
 constexpr double kFineThreshold_m = 0.05;
 constexpr double kPeerThreshold_m = 0.22360679774997896964;     // sqrt(0.05): the peer compares the squared distance with 0.05
 constexpr int kSsimWindow = 7;
-
-void check_values(const std::vector<float>& values, std::size_t n, const char* image, const char* array) {
-    if (values.size() != n)
-        throw DataError(fmt::format("evaluating a range image: {} {} has {} values, expected {}", image, array, values.size(), n));
-    const auto bad = std::find_if(values.begin(), values.end(), [](float v) { return !std::isfinite(v); });
-    if (bad != values.end())
-        throw DataError(fmt::format("evaluating a range image: {} {} is {} at pixel {}, expected a finite value", image, array, *bad,
-                                    bad - values.begin()));
-}
-
-void check_vectors(const std::vector<glm::vec3>& values, std::size_t n, const char* image, const char* array) {
-    if (values.size() != n)
-        throw DataError(fmt::format("evaluating a range image: {} {} has {} values, expected {}", image, array, values.size(), n));
-}
-
-void check_image(const RangeImage& image, const char* name) {
-    if (image.rows <= 0 || image.columns <= 0)
-        throw DataError(fmt::format("evaluating a range image: the {} one has {} x {} pixels", name, image.rows, image.columns));
-    const std::size_t n = std::size_t(image.rows) * std::size_t(image.columns);
-    check_values(image.range_m, n, name, "range_m");
-    check_values(image.intensity, n, name, "intensity");
-    check_values(image.drop_prob, n, name, "drop_prob");
-    check_vectors(image.origin, n, name, "origin");
-    check_vectors(image.direction, n, name, "direction");
-}
-
-Mask not_dropped(const RangeImage& image, double threshold) {
-    Mask mask(image.drop_prob.size());
-    for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = double(image.drop_prob[i]) < threshold;
-    return mask;
-}
-
-/// A return needs a range: a pixel whose ray met nothing is a drop, whatever its drop probability says.
-Mask returned(const RangeImage& image, double threshold) {
-    Mask mask = not_dropped(image, threshold);
-    for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = mask[i] && image.range_m[i] > 0.0f;
-    return mask;
-}
-
-double clamped(float value, double high) { return std::clamp(double(value), kClampLow, high); }
-
-/// Every pixel, 0 (hence the clamp's lower end) where the mask is unset.
-Values masked(const std::vector<float>& values, const Mask& mask, double high) {
-    Values result(values.size());
-    for (std::size_t i = 0; i < values.size(); ++i) result[i] = clamped(mask[i] ? values[i] : 0.0f, high);
-    return result;
-}
-
-/// The pixels of the mask alone.
-Values selected(const std::vector<float>& values, const Mask& mask, double high) {
-    Values result;
-    for (std::size_t i = 0; i < values.size(); ++i)
-        if (mask[i]) result.push_back(clamped(values[i], high));
-    return result;
-}
+constexpr int kLpipsEdge = 31;                                   // below this its poolings leave no pixel
 
 Points points(const RangeImage& image, const Mask& mask) {
     Points result;
@@ -91,46 +33,32 @@ Points points(const RangeImage& image, const Mask& mask) {
     return result;
 }
 
-double mean_of(const Values& values) {
-    double sum = 0.0;
-    for (double v : values) sum += v;
-    return sum / double(values.size());
+/// A whole image and what it is compared with.
+struct ImagePair {
+    Values rendered, real;
+    int rows, columns;
+    double peak;
+};
+
+/// The images of one threshold: every pixel, dropped ones at 0.
+ImagePair depth_pair(const RangeImage& rendered, const RangeImage& real, double threshold, double max_range_m) {
+    return {masked(rendered.range_m, not_dropped(rendered, threshold), max_range_m),
+            masked(real.range_m, not_dropped(real, kRealDropThreshold), max_range_m), real.rows, real.columns, max_range_m};
+}
+ImagePair intensity_pair(const RangeImage& rendered, const RangeImage& real, double threshold) {
+    return {masked(rendered.intensity, not_dropped(rendered, threshold), kMaxIntensity),
+            masked(real.intensity, not_dropped(real, kRealDropThreshold), kMaxIntensity), real.rows, real.columns, kMaxIntensity};
 }
 
-double mean_square(const Values& values) {
-    double sum = 0.0;
-    for (double v : values) sum += v * v;
-    return sum / double(values.size());
-}
-
-/// Middle value; mean of the two middle ones for an even count. Reorders its argument.
-double median(Values values) {
-    const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
-    std::nth_element(values.begin(), middle, values.end());
-    if (values.size() % 2 == 1) return *middle;
-    return 0.5 * (*middle + *std::max_element(values.begin(), middle));
-}
-
-/// RMSE, MAE, MedAE; nothing where no pixel is left. @return mean squared error, or -1
-double add_errors(MetricRow& row, const std::string& prefix, const std::string& unit, const Values& a, const Values& b) {
-    if (a.empty()) return -1.0;
-    Values error(a.size());
-    for (std::size_t i = 0; i < a.size(); ++i) error[i] = std::abs(a[i] - b[i]);
-    const double squared = mean_square(error);
-    row[prefix + "rmse" + unit] = std::sqrt(squared);
-    row[prefix + "mae" + unit] = mean_of(error);
-    row[prefix + "medae" + unit] = median(std::move(error));
-    return squared;
-}
-
-/// Errors, PSNR and SSIM of whole images. SSIM is left out where it is undefined (image below the window, constant truth).
-void add_image(MetricRow& row, const std::string& prefix, const std::string& unit, const Values& a, const Values& truth,
-               const RangeImage& shape, double peak) {
-    const double squared = add_errors(row, prefix, unit, a, truth);
-    row[prefix + "psnr_db"] = 10.0 * std::log10(peak * peak / std::max(squared, kMinSquaredError));
-    const auto [low, high] = std::minmax_element(truth.begin(), truth.end());
-    if (shape.rows >= kSsimWindow && shape.columns >= kSsimWindow && *high > *low)
-        row[prefix + "ssim"] = ssim(a, truth, shape.rows, shape.columns, *high - *low);
+/// Errors, PSNR, SSIM and LPIPS of whole images. SSIM is left out where it is undefined (image below the window, constant truth).
+void add_image(MetricRow& row, const std::string& prefix, const std::string& unit, const ImagePair& image, const Lpips* lpips) {
+    const double squared = add_errors(row, prefix, unit, image.rendered, image.real);
+    row[prefix + "psnr_db"] = 10.0 * std::log10(image.peak * image.peak / std::max(squared, kMinSquaredError));
+    const auto [low, high] = std::minmax_element(image.real.begin(), image.real.end());
+    if (image.rows >= kSsimWindow && image.columns >= kSsimWindow && *high > *low)
+        row[prefix + "ssim"] = ssim(image.rendered, image.real, image.rows, image.columns, *high - *low);
+    if (lpips && image.rows >= kLpipsEdge && image.columns >= kLpipsEdge)
+        row[prefix + "lpips"] = lpips->distance(image.rendered, image.real, image.rows, image.columns);
 }
 
 double share_below(const Values& distances, double threshold) {
@@ -159,14 +87,11 @@ struct CloudDistances {
 };
 
 void add_peer(MetricRow& row, const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
-    const Mask kept = not_dropped(rendered, options.peer_drop_threshold);
-    const Mask truth = not_dropped(real, kRealDropThreshold);
-    add_image(row, "peer/depth_", "_m", masked(rendered.range_m, kept, options.max_range_m),
-              masked(real.range_m, truth, options.max_range_m), real, options.max_range_m);
-    add_image(row, "peer/intensity_", "", masked(rendered.intensity, kept, kMaxIntensity),
-              masked(real.intensity, truth, kMaxIntensity), real, kMaxIntensity);
+    const double threshold = options.peer_drop_threshold;
+    add_image(row, "peer/depth_", "_m", depth_pair(rendered, real, threshold, options.max_range_m), options.lpips);
+    add_image(row, "peer/intensity_", "", intensity_pair(rendered, real, threshold), options.lpips);
 
-    const Points a = points(rendered, returned(rendered, options.peer_drop_threshold));
+    const Points a = points(rendered, returned(rendered, threshold));
     const Points b = points(real, returned(real, kRealDropThreshold));
     if (a.empty() && b.empty()) return;
     const CloudDistances distances(a, b);
@@ -200,6 +125,9 @@ void add_strict(MetricRow& row, const RangeImage& rendered, const RangeImage& re
     add_errors(row, "strict/intensity_", "", selected(rendered.intensity, both, kMaxIntensity),
                selected(real.intensity, both, kMaxIntensity));
     add_drop(row, kept, truth);
+    const double threshold = options.strict_drop_threshold;
+    add_image(row, "strict/image_depth_", "_m", depth_pair(rendered, real, threshold, options.max_range_m), nullptr);
+    add_image(row, "strict/image_intensity_", "", intensity_pair(rendered, real, threshold), nullptr);
 
     const Points a = points(rendered, kept), b = points(real, truth);
     if (a.empty() && b.empty()) return;
@@ -215,15 +143,22 @@ void add_strict(MetricRow& row, const RangeImage& rendered, const RangeImage& re
 }  // namespace
 
 MetricRow evaluate(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
-    check_image(rendered, "rendered");
-    check_image(real, "real");
-    if (rendered.rows != real.rows || rendered.columns != real.columns)
-        throw DataError(fmt::format("evaluating a range image: {} x {} pixels rendered, {} x {} real", rendered.rows,
-                                    rendered.columns, real.rows, real.columns));
+    check_pair(rendered, real);
     MetricRow row;
     add_peer(row, rendered, real, options);
     add_strict(row, rendered, real, options);
     return row;
+}
+
+std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons, const MetricOptions& options) {
+    std::vector<MetricRow> rows(comparisons.size());
+    run_parallel(static_cast<int>(comparisons.size()), [&](int i) {
+        const Comparison& c = comparisons[static_cast<std::size_t>(i)];
+        MetricRow& row = rows[static_cast<std::size_t>(i)];
+        row = evaluate(*c.rendered, *c.real, options);
+        row.merge(evaluate_regions(*c.rendered, *c.real, c.regions, options));
+    });
+    return rows;
 }
 
 MetricRow mean(const std::vector<MetricRow>& rows) {

@@ -4,6 +4,7 @@
 #include <relidar/export.hpp>
 
 #include <cstring>
+#include <limits>
 
 #include "numpy_files.hpp"
 #include "temporary_folder.hpp"
@@ -162,7 +163,10 @@ TEST(NamedArray, ConvertsToFloat) {
     const std::int32_t integers[2] = {-5, 1 << 20};
     EXPECT_EQ(make_array("a", {2}, doubles, 2).as_float(), (std::vector<float>{0.25f, -3.0f}));
     EXPECT_EQ(make_array("a", {2}, integers, 2).as_float(), (std::vector<float>{-5.0f, 1048576.0f}));
-    data_error([] { (void)bytes_array("a", "f2", {2}, 4).as_float(); });
+    NamedArray half = bytes_array("a", "f2", {7}, 14);
+    const std::uint16_t bits[7] = {0x3c00, 0xc000, 0x3555, 0x0001, 0x83ff, 0x7bff, 0xfc00};   // IEEE 754 binary16
+    std::memcpy(half.bytes.data(), bits, sizeof bits);
+    EXPECT_EQ(half.as_float(), (std::vector<float>{1.0f, -2.0f, 0.333251953125f, 0x1p-24f, -1023.0f * 0x1p-24f, 65504.0f, -std::numeric_limits<float>::infinity()}));
     data_error([] { (void)bytes_array("a", "f4", {2}, 7).as_float(); });
 }
 

@@ -141,7 +141,7 @@ TEST(Evaluate, IdenticalImagesArePerfect) {
         EXPECT_NEAR(row.at(name), 1.0, 1e-12) << name;
     EXPECT_NEAR(row.at("peer/depth_psnr_db"), 10.0 * std::log10(6400.0 / 1e-20), 1e-9);   // capped, not infinite
     EXPECT_NEAR(row.at("peer/intensity_psnr_db"), 200.0, 1e-9);
-    EXPECT_EQ(row.size(), 26u);
+    EXPECT_EQ(row.size(), 36u);   // peer 12, strict 24; no LPIPS without weights
 }
 
 TEST(Evaluate, LeavesOutWhatIsNotDefined) {

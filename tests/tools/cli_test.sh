@@ -39,10 +39,10 @@ bad() {
 
 help_tells() {
     good --help
-    for command in devices config info train render eval bench demo; do
+    for command in devices config info train render eval export import bench demo; do
         says "^  $command "
     done
-    for command in devices config info train render eval bench demo; do
+    for command in devices config info train render eval export import bench demo; do
         good "$command" --help
         says "Example"
     done
@@ -82,7 +82,12 @@ wrong_usage() {
     bad 2 "full: the folder is not empty.*--force" train street --out full
     bad 3 "nowhere: no such folder" render nowhere --out x
     bad 3 "nowhere: no such folder" eval nowhere
-    bad 2 'scene: found "C", expected A or B' bench --scene C
+    bad 2 '--baseline: found "nerest", expected nearest or nearest-actors' eval street --baseline nerest
+    bad 3 "nowhere: no such folder" eval nowhere --baseline nearest
+    bad 3 "street: no frame was held out" eval street --baseline nearest --frames 0:5
+    bad 3 "nowhere: no such folder" export nowhere --out x
+    bad 3 "nowhere: no such folder" import scene.ply --run nowhere --out x
+    bad 2 'scene: found "D", expected A, B or C' bench --scene D
     bad 2 'surfels: found 0, expected 1 to' bench --surfels 0
     bad 2 'surfels: found "many", expected an integer' bench --surfels many
     bad 2 'rays: found "64x", expected waymo, kitti or' bench --rays 64x
@@ -180,6 +185,42 @@ evaluation() {
     bad 3 "frame 10 is not there" eval run --set dataset.path=short
 }
 
+# The baseline needs no device.
+baseline() {
+    good eval street --baseline nearest --set dataset.test_every=5 --out base/metrics.json --pictures base/pictures
+    says "^strict/depth_medae_m +[0-9.]+ +[0-9.]+ +[0-9.]+$"
+    says "^moving_boxes +[1-9]"
+    says "^peer/depth_lpips +no weights"
+    says "drop_prob < 0.4$"
+    for key in '"scored": "baseline nearest"' '"lpips": "no weights"' '"strict/cd_mean_m"' '"moving_boxes/depth_medae_m"'; do check "metrics.json lacks $key" grep -q "$key" base/metrics.json; done
+    for picture in range intensity drop; do exists base/pictures/${picture}_000010.png; done
+    good eval street --baseline nearest-actors --set dataset.test_every=5 --quiet
+    check "eval --quiet prints" test ! -s out -a ! -s err
+    printf 'no weights' >weights.safetensors
+    bad 3 "weights.safetensors" eval street --baseline nearest --set dataset.test_every=5 --lpips-weights weights.safetensors
+    RELIDAR_LPIPS_WEIGHTS=missing.safetensors bad 3 "missing.safetensors" eval street --baseline nearest --set dataset.test_every=5
+}
+
+baseline_beside_a_run() {
+    good eval run --baseline nearest --out beside.json
+    says "^metric +mean +lowest +highest +baseline nearest"
+    check "beside.json lacks the baseline" grep -q '"scored": "baseline nearest"' beside.json
+    bad 2 "--frames: found it beside a run" eval run --baseline nearest --frames 0:5
+}
+
+surfels_as_ply() {
+    good export run --out ply/scene.ply
+    says "scene.ply: [0-9]+ surfels"
+    good import ply/scene.ply --run run --out imported
+    check "the imported model differs" cmp run/model.safetensors imported/model.safetensors
+    good info imported
+    bad 2 "imported: the folder is not empty.*--force" import ply/scene.ply --run run --out imported
+    head -c 9000 ply/scene.ply >ply/cut.ply
+    bad 3 "ply/cut.ply.*expected [0-9]+ vertices" import ply/cut.ply --run run --out x
+    bad 3 "broken.toml.*does not begin with" import broken.toml --run run --out x
+    absent x
+}
+
 damaged_runs() {
     rm -rf hurt && cp -r run hurt && head -c 3000 run/scene.json >hurt/scene.json
     bad 3 "hurt/scene.json: not valid JSON" render hurt --out x
@@ -242,11 +283,14 @@ help_tells
 wrong_usage
 no_driver
 log_info
+baseline
 if "$relidar" devices >out 2>err; then
     devices
     training
     rendering
     evaluation
+    baseline_beside_a_run
+    surfels_as_ply
     damaged_runs
     interruption
     bench

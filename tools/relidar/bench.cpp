@@ -57,7 +57,7 @@ void add_bench(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("bench", "time every kernel of a training iteration, on a benchmark street or a run");
     const auto options = std::make_shared<Options>();
     BenchChoice& choice = options->choice;
-    const CLI::Option* scene = command->add_option("--scene", choice.street, "street A: surfels of 0.1 to 0.3 m; B: smaller the more there are (default: A)")->type_name("A|B");
+    const CLI::Option* scene = command->add_option("--scene", choice.street, "street A: surfels of 0.1 to 0.3 m; B: smaller the more there are; C: as B, all of opacity 0.1 (default: A)")->type_name("A|B|C");
     const CLI::Option* surfels = command->add_option("--surfels", choice.n_surfels, "surfels of the street (default: 100000)")->type_name("N");
     const CLI::Option* rays = command->add_option("--rays", choice.rays, "waymo (64 x 2650), kitti (66 x 1030) or a size, +2.0 to -24.9 degrees (default: 64x1024)")->type_name("NAME|ROWSxCOLUMNS");
     command->add_option("--run", choice.run, "bench a run instead: its scene, and its sensor's rays at the first held-out frame")->type_name("RUN");

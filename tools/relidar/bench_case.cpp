@@ -15,6 +15,7 @@ namespace relidar::cli {
 namespace {
 
 constexpr long long kMaxSurfels = 50'000'000, kMaxRays = 100'000'000, kMaxRows = 65535;   // a channel number has 16 bits
+constexpr float kFaintLogit = -2.19722458f;                // opacity 0.1
 constexpr double kTop_deg = 2.0, kBottom_deg = -24.9;   // HDL-64E, as the kitti rays
 
 struct ImageSize {
@@ -58,7 +59,8 @@ BenchCase street_case(const BenchChoice& choice) {
     bench.columns = table.columns;
     bench.view_origin_m = table.origin.front();
     bench.rays = {std::move(table.origin), std::move(table.direction)};   // the street's world is the sensor's
-    const Surfels surfels = make_benchmark_street(static_cast<std::uint32_t>(choice.n_surfels), 20261120, choice.street == "B");
+    Surfels surfels = make_benchmark_street(static_cast<std::uint32_t>(choice.n_surfels), 20261120, choice.street != "A");
+    if (choice.street == "C") surfels.opacity_logit.assign(surfels.size(), kFaintLogit);
     bench.scene = make_background_scene(surfels.permuted(kd_order(surfels.mean)));
     bench.config = make_preset("paper");
     return bench;
@@ -87,7 +89,7 @@ BenchCase run_case(const BenchChoice& choice) {
 }  // namespace
 
 void check(const BenchChoice& choice) {
-    if (choice.street != "A" && choice.street != "B") throw UsageError(fmt::format("--scene: found \"{}\", expected A or B", choice.street));
+    if (choice.street != "A" && choice.street != "B" && choice.street != "C") throw UsageError(fmt::format("--scene: found \"{}\", expected A, B or C", choice.street));
     if (choice.n_surfels < 1 || choice.n_surfels > kMaxSurfels) throw UsageError(fmt::format("--surfels: found {}, expected 1 to {}", choice.n_surfels, kMaxSurfels));
     parse_rays(choice.rays);
     Config unused;

@@ -11,7 +11,7 @@ namespace relidar::cli {
 
 /// The case as asked for on the command line.
 struct BenchChoice {
-    std::string street = "A";         ///< A: surfels of one size however many; B: smaller the more there are
+    std::string street = "A";         ///< A: surfels of one size however many; B: smaller the more there are; C: as B, all of opacity 0.1
     long long n_surfels = 100000;
     std::string rays = "64x1024";     ///< waymo, kitti or ROWSxCOLUMNS
     std::string run;                  ///< a run folder instead of a street

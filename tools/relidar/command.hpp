@@ -26,6 +26,8 @@ void add_info(CLI::App& app, Call& call);
 void add_train(CLI::App& app, Call& call);
 void add_render(CLI::App& app, Call& call);
 void add_eval(CLI::App& app, Call& call);
+void add_export(CLI::App& app, Call& call);
+void add_import(CLI::App& app, Call& call);
 void add_demo(CLI::App& app, Call& call);
 void add_bench(CLI::App& app, Call& call);
 

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar eval: the held-out frames of a run rendered again and scored against the log it was trained on.
+// relidar eval: the held-out frames of a run rendered again and scored against the log it was trained on, and the baseline that
+// any rendering has to beat, for which a log is enough.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <memory>
+#include <optional>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
@@ -14,6 +16,7 @@
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
+#include "pictures.hpp"
 #include <relidar/export.hpp>
 #include <relidar/run.hpp>
 
@@ -23,16 +26,20 @@ namespace {
 constexpr double kSameTime_s = 1e-3;
 
 struct Options {
-    std::string run;
+    std::string target;
     std::string out;
+    std::string frames;
+    std::string baseline;
+    std::string pictures;
+    std::string lpips;
     std::vector<std::string> sets;
     DeviceChoice device;
     bool quiet = false;
 };
 
-/// Gives the run's held-out frames the scans of the log. Poses stay those of the run.
-void attach_scans(Run& run, Sequence log) {
-    for (const int position : run.split.test) {
+/// Gives frames of the run the scans of the log. Poses stay those of the run.
+void attach_scans(Run& run, const std::vector<int>& positions, Sequence& log) {
+    for (const int position : positions) {
         Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
         const auto it = std::find_if(log.frames.begin(), log.frames.end(), [&](const Frame& f) { return f.index == frame.index; });
         if (it == log.frames.end()) throw DataError(fmt::format("{}: frame {} is not there, expected it as when {} was trained", run.config.dataset.path, frame.index, run.folder.string()));
@@ -43,27 +50,87 @@ void attach_scans(Run& run, Sequence log) {
     }
 }
 
-void run_eval(const Options& options) {
-    Run run = load_run(options.run);
-    apply_sets(run.config, options.sets);
-    const std::filesystem::path out = options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out);
-    const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
-    if (run.split.test.empty()) throw DataError(fmt::format("{}: no frame was held out, expected at least one to evaluate", run.folder.string()));
+void apply_options(Config& config, const Options& options) {
+    apply_sets(config, options.sets);
+    if (!options.lpips.empty()) config.eval.lpips_weights = absolute_path(options.lpips);
+}
+
+void check_held_out(const Split& split, const std::string& where) {
+    if (split.test.empty()) throw DataError(fmt::format("{}: no frame was held out, expected at least one to evaluate", where));
+}
+
+/// Where results go, proved writable before the work begins.
+struct Output {
+    std::filesystem::path file;                ///< empty: no file
+    std::optional<OutputFolder> folder, pictures;
+
+    Output(const std::filesystem::path& metrics, const std::string& picture_folder) : file(metrics) {
+        if (!file.empty()) folder.emplace(file.has_parent_path() ? file.parent_path() : ".");
+        if (!picture_folder.empty()) pictures.emplace(picture_folder);
+    }
+};
+
+void write_results(const Output& output, const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin, bool quiet) {
+    end_progress_line();
+    if (!output.file.empty()) write_text(output.file, metrics_json(evaluation, config, origin));
+    if (output.pictures) write_strips(output.pictures->path(), evaluation, config.dataset.max_range_m);
+    if (quiet) return;
+    print(metric_table(evaluation, origin.baseline));
+    print(fmt::format("\n{} held-out frames", evaluation.frames.size()));
+    if (evaluation.trace_ms > 0.0)
+        print(fmt::format(", {:.1f} ms of tracing a frame, {:.3f} Mrays/s, {} of device memory", evaluation.trace_ms, evaluation.mrays_per_s, byte_size(origin.peak_device_bytes)));
+    if (!output.file.empty()) print("\nmetrics  " + absolute_path(output.file.string()));
+    print("\n");
+}
+
+double seconds_since(std::chrono::steady_clock::time_point start) { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); }
+
+void score_run(const Options& options) {
+    Run run = load_run(options.target);
+    apply_options(run.config, options);
+    const Output output(options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out), options.pictures);
+    check_held_out(run.split, run.folder.string());
     Device device(device_options(options.device));
-    attach_scans(run, load_dataset(run.config));
+    Sequence log = load_dataset(run.config);
+    attach_scans(run, run.split.test, log);
+    if (!options.baseline.empty()) attach_scans(run, run.split.train, log);
 
     catch_interrupts();
     const auto start = std::chrono::steady_clock::now();
-    ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     Progress progress(options.quiet);
+    std::optional<Evaluation> baseline;
+    if (!options.baseline.empty()) baseline = evaluate_baseline(options.baseline, run.config, run.sequence, run.split, progress);
+    ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     const Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, progress);
-    const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    end_progress_line();
-    write_text(out, metrics_json(evaluation, run.config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
-    if (options.quiet) return;
-    print(metric_table(evaluation));
-    print(fmt::format("\n{} held-out frames, {:.1f} ms of tracing a frame, {} of device memory\nmetrics  {}\n", evaluation.frames.size(), evaluation.trace_ms, byte_size(device.peak_bytes()),
-                      absolute_path(out.string())));
+    write_results(output, evaluation, run.config,
+                  {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds_since(start), baseline ? &*baseline : nullptr}, options.quiet);
+}
+
+/// The baseline alone: a log, no run, no device.
+void score_log(const Options& options) {
+    Config config = make_preset("default");
+    apply_options(config, options);
+    config.dataset.path = absolute_dataset(options.target);
+    const FrameRange range = options.frames.empty() ? FrameRange{config.dataset.frames_begin, config.dataset.frames_end} : parse_frames(options.frames);
+    config.dataset.frames_begin = range.begin;
+    config.dataset.frames_end = range.end;
+    const Output output(options.out, options.pictures);
+    const Sequence log = load_dataset(config);
+    const Split split = split_frames(log, config.dataset.test_every);
+    check_held_out(split, options.target);
+
+    catch_interrupts();
+    const auto start = std::chrono::steady_clock::now();
+    Progress progress(options.quiet);
+    const Evaluation evaluation = evaluate_baseline(options.baseline, config, log, split, progress);
+    write_results(output, evaluation, config, {"", "none", 0, seconds_since(start)}, options.quiet);
+}
+
+void run_eval(const Options& options) {
+    if (!options.baseline.empty()) (void)box_motion(options.baseline);   // a wrong name is found before the log is read
+    if (!options.baseline.empty() && !is_run(options.target)) return score_log(options);
+    if (!options.frames.empty()) throw UsageError("--frames: found it beside a run, which has its own held-out frames; expected it with --baseline and a log");
+    score_run(options);
 }
 
 }  // namespace
@@ -71,16 +138,22 @@ void run_eval(const Options& options) {
 void add_eval(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("eval", "score the held-out frames of a run against its log");
     const auto options = std::make_shared<Options>();
-    command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
-    command->add_option("--out", options->out, "JSON file for the numbers (default: RUN/metrics.json)")->type_name("FILE");
+    command->add_option("RUN", options->target, "run folder of `relidar train`; with --baseline also a log")->required();
+    command->add_option("--out", options->out, "JSON file for the numbers (default: RUN/metrics.json; of a log: none)")->type_name("FILE");
+    command->add_option("--baseline", options->baseline, "score the two neighbouring real scans too, moved by the poses: nearest, or nearest-actors, which moves boxes with their tracks")->type_name("NAME");
+    command->add_option("--frames", options->frames, "frames of a log, first:end (default: all)")->type_name("A:B");
+    command->add_option("--pictures", options->pictures, "folder for pictures of each held-out frame: real, rendered, error")->type_name("DIR");
+    command->add_option("--lpips-weights", options->lpips, "safetensors file with the weights of LPIPS (default: eval.lpips_weights, else RELIDAR_LPIPS_WEIGHTS)")->type_name("FILE");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer("The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"
-                    "Metrics: peer/* as published tables do it, strict/* over pixels returned in both; units in the names.\n"
+                    "Metrics: peer/* as published tables do it, strict/* over pixels returned in both, moving_boxes/* and so on by region; units in the names.\n"
                     "Examples:\n"
                     "  relidar eval run\n"
-                    "  relidar eval run --out median.json --set render.range=median");
+                    "  relidar eval run --out median.json --set render.range=median\n"
+                    "  relidar eval run --baseline nearest --pictures pictures\n"
+                    "  relidar eval LOG --baseline nearest --frames 0:50 --set sensor.grid=kitti360");
     command->callback([&call, options] { call.run = [options] { run_eval(*options); }; });
 }
 

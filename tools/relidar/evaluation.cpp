@@ -2,58 +2,125 @@
 #include "evaluation.hpp"
 
 #include <algorithm>
+#include <cstdlib>
+#include <memory>
 #include <numeric>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
 #include "console.hpp"
 #include "interrupt.hpp"
+#include <relidar/error.hpp>
+#include <relidar/export.hpp>
 
 namespace relidar::cli {
 namespace {
-
-using Json = nlohmann::ordered_json;
 
 SensorChoice sensor_of(const Config& config, const Sequence& sequence, const Frame& frame) {
     if (config.sensor.grid == "native") return {frame.scan.rays, std::nullopt, true};
     return configured_sensor(config, sequence);
 }
 
-Json protocol_json(const Config& config) {
-    return {{"frames", "held out of training; mean over frames, metric by metric, over the frames that have it"},
-            {"grid", config.sensor.grid},
-            {"grid_method", config.sensor.grid == "native" ? "rays of the real scan" : config.sensor.grid_method},
-            {"range", config.render.range},
-            {"max_range_m", config.dataset.max_range_m},
-            {"peer", "all pixels, dropped ones at 0, ranges clamped to [1e-6, max_range_m]; returned where drop_prob < 0.4; squared Chamfer distance, F-score at 0.05 m^2 squared distance"},
-            {"strict", "pixels returned in both, drop_prob < 0.5; Chamfer distance both ways summed; F-score at 5 cm and 22.4 cm; drop metrics with dropped as positive"}};
+/// The pixels whose return lies in a moving box: binned as the points are, with the answer in the place of the intensity.
+std::vector<bool> moving_pixels(const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
+    const std::vector<bool> moving = moving_returns(sequence, frame, config.init.actor_min_step_m, sensor_offset);
+    Scan flags = frame.scan;
+    std::copy(moving.begin(), moving.end(), flags.intensity.begin());
+    const RangeImage binned = real_image(config, flags);
+    return {binned.intensity.begin(), binned.intensity.end()};
+}
+
+/// A frame that is rendered but not scored yet.
+struct RenderedFrame {
+    ScoredFrame frame;
+    std::vector<bool> moving;   ///< [n] pixels
+};
+
+RenderedFrame real_frame(const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
+    RenderedFrame result;
+    result.frame.frame = frame.index;
+    result.frame.time_s = frame.time_s;
+    result.frame.real = real_image(config, frame.scan);
+    result.moving = moving_pixels(config, sequence, frame, sensor_offset);
+    return result;
+}
+
+RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
+    RenderedFrame result = real_frame(config, sequence, frame, sensor_offset);
+    const SensorChoice sensor = sensor_of(config, sequence, frame);
+    result.frame.n_rays = sensor.rays.size();
+    result.frame.rendered = renderer.render(sensor, frame.time_s, sensor_offset);
+    return result;
+}
+
+/// LPIPS where there are weights. Called before the long work, so that a wrong file is noticed at once.
+std::unique_ptr<Lpips> load_lpips(const Config& config) {
+    const std::string file = lpips_file(config);
+    return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
+}
+
+/// Metrics of all frames at once, on all cores. @param lpips or nothing
+std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config& config, const Lpips* lpips) {
+    MetricOptions options;
+    options.max_range_m = config.dataset.max_range_m;
+    options.lpips = lpips;
+    std::vector<Comparison> comparisons;
+    for (const RenderedFrame& r : rendered) comparisons.push_back({&r.frame.rendered.image, &r.frame.real, standard_regions(r.frame.real, r.moving)});
+    const std::vector<MetricRow> rows = evaluate_all(comparisons, options);
+    std::vector<ScoredFrame> frames;
+    for (std::size_t i = 0; i < rendered.size(); ++i) {
+        frames.push_back(std::move(rendered[i].frame));
+        frames.back().metrics = rows[i];
+    }
+    return frames;
 }
 
 }  // namespace
 
 ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
-    ScoredFrame scored;
-    scored.frame = frame.index;
-    scored.time_s = frame.time_s;
-    const SensorChoice sensor = sensor_of(config, sequence, frame);
-    scored.n_rays = sensor.rays.size();
-    scored.rendered = renderer.render(sensor, frame.time_s, sensor_offset);
-    scored.real = real_image(config, frame.scan);
-    MetricOptions options;
-    options.max_range_m = config.dataset.max_range_m;
-    scored.metrics = evaluate(scored.rendered.image, scored.real, options);
-    return scored;
+    const std::unique_ptr<Lpips> lpips = load_lpips(config);
+    return score({render_frame(renderer, config, sequence, frame, sensor_offset)}, config, lpips.get()).front();
 }
 
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const std::vector<int>& positions, Progress& progress) {
-    std::vector<ScoredFrame> frames;
+    const std::unique_ptr<Lpips> lpips = load_lpips(config);
+    std::vector<RenderedFrame> frames;
     for (const int position : positions) {
         stop_if_interrupted();
-        frames.push_back(score_frame(renderer, config, sequence, sequence.frames.at(static_cast<std::size_t>(position))));
-        progress.count("evaluating frame", frames.size(), positions.size());
+        frames.push_back(render_frame(renderer, config, sequence, sequence.frames.at(static_cast<std::size_t>(position)), {}));
+        progress.count("rendering held-out frame", frames.size(), positions.size());
     }
-    return summarise(std::move(frames), renderer.times());
+    return summarise(score(std::move(frames), config, lpips.get()), renderer.times());
+}
+
+BoxMotion box_motion(const std::string& baseline) {
+    if (baseline == "nearest") return BoxMotion::stay;
+    if (baseline == "nearest-actors") return BoxMotion::follow;
+    throw UsageError(fmt::format("--baseline: found \"{}\", expected nearest or nearest-actors", baseline));
+}
+
+Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence, const Split& split, Progress& progress) {
+    const BoxMotion boxes = box_motion(name);
+    const std::unique_ptr<Lpips> lpips = load_lpips(config);
+    std::vector<RenderedFrame> frames;
+    for (const int position : split.test) {
+        stop_if_interrupted();
+        const Frame& frame = sequence.frames.at(static_cast<std::size_t>(position));
+        RenderedFrame result = real_frame(config, sequence, frame, {});
+        const Scan points = neighbour_points(sequence, position, split.train, boxes, config.init.actor_min_step_m);
+        result.frame.rendered.image = real_image(config, config.sensor.grid == "native" ? bin_onto_rays(frame.scan.rays, points) : points);
+        frames.push_back(std::move(result));
+        progress.count("projecting neighbours of frame", frames.size(), split.test.size());
+    }
+    Evaluation evaluation = summarise(score(std::move(frames), config, lpips.get()), {});
+    evaluation.title = "baseline " + name;
+    return evaluation;
+}
+
+std::string lpips_file(const Config& config) {
+    if (!config.eval.lpips_weights.empty()) return config.eval.lpips_weights;
+    const char* named = std::getenv("RELIDAR_LPIPS_WEIGHTS");
+    return named ? named : "";
 }
 
 MetricRow mean_times(const KernelTimes& times) {
@@ -78,41 +145,6 @@ Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times) 
     if (evaluation.trace_ms > 0.0) evaluation.mrays_per_s = n_rays / (1000.0 * evaluation.trace_ms);
     evaluation.frames = std::move(frames);
     return evaluation;
-}
-
-std::string metric_table(const Evaluation& evaluation) {
-    const bool spread = evaluation.frames.size() > 1;
-    std::vector<std::vector<std::string>> rows{{"metric", "value"}};
-    if (spread) rows = {{"metric", "mean", "lowest", "highest"}};
-    for (const auto& [name, mean_value] : evaluation.mean) {
-        double low = mean_value, high = mean_value;
-        for (const ScoredFrame& frame : evaluation.frames) {
-            const auto it = frame.metrics.find(name);
-            if (it == frame.metrics.end()) continue;
-            low = std::min(low, it->second);
-            high = std::max(high, it->second);
-        }
-        rows.push_back({name, number(mean_value)});
-        if (spread) rows.back().insert(rows.back().end(), {number(low), number(high)});
-    }
-    return table(rows);
-}
-
-std::string metrics_json(const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin) {
-    Json frames = Json::array();
-    for (const ScoredFrame& f : evaluation.frames) frames.push_back({{"frame", f.frame}, {"time_s", f.time_s}, {"trace_ms", f.rendered.trace_ms}, {"metrics", f.metrics}});
-    const Json json = {{"format", "relidar metrics"},
-                       {"version", 1},
-                       {"relidar", RELIDAR_VERSION},
-                       {"run", origin.run},
-                       {"dataset", config.dataset.path},
-                       {"protocol", protocol_json(config)},
-                       {"mean", evaluation.mean},
-                       {"frames", frames},
-                       {"timings", {{"kernel_ms", evaluation.kernel_ms}, {"trace_ms", evaluation.trace_ms}, {"mrays_per_s", evaluation.mrays_per_s}, {"seconds", origin.seconds}}},
-                       {"device", origin.device},
-                       {"peak_device_bytes", origin.peak_device_bytes}};
-    return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
 }  // namespace relidar::cli

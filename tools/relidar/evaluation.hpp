@@ -23,6 +23,7 @@ struct ScoredFrame {
 };
 
 struct Evaluation {
+    std::string title = "rendered";   ///< what was scored
     std::vector<ScoredFrame> frames;
     MetricRow mean;
     MetricRow kernel_ms;       ///< mean of one launch
@@ -44,15 +45,26 @@ Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times);
 /// Mean milliseconds a launch, by kernel.
 MetricRow mean_times(const KernelTimes& times);
 
-/// Metric table for the terminal: mean, lowest and highest of the frames.
-std::string metric_table(const Evaluation& evaluation);
+/// What the baseline `nearest` or `nearest-actors` does with moving boxes. @throws UsageError for another name
+BoxMotion box_motion(const std::string& baseline);
+
+/// A baseline on frames of a log with its scans: what projecting the neighbouring training scans gives. @throws as box_motion
+Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence, const Split& split, Progress& progress);
+
+/// The file with the weights of LPIPS: eval.lpips_weights, else what RELIDAR_LPIPS_WEIGHTS names, else none.
+std::string lpips_file(const Config& config);
+
+/// Metric tables for the terminal: mean, lowest and highest of the frames, the mean of the baseline where there is one, errors by
+/// region, and what the names mean.
+std::string metric_table(const Evaluation& evaluation, const Evaluation* baseline = nullptr);
 
 /// What a metrics.json needs beside the numbers.
 struct MetricsOrigin {
-    std::string run;               ///< path of the run
+    std::string run;               ///< path of the run; empty without one
     std::string device;
     std::uint64_t peak_device_bytes = 0;
     double seconds = 0.0;
+    const Evaluation* baseline = nullptr;
 };
 /// Per frame and mean, with protocol, timings, device and memory.
 std::string metrics_json(const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin);

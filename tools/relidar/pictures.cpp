@@ -71,6 +71,18 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
               {"absolute error, black 0 to white 1", error(real.drop_prob, rendered.drop_prob, 1.0f, {})}}}};
 }
 
+void write_strips(const std::filesystem::path& folder, const Evaluation& evaluation, double max_range_m) {
+    constexpr const char* kNames[] = {"range", "intensity", "drop"};   // in the order of comparison_figures
+    for (const ScoredFrame& frame : evaluation.frames) {
+        const std::vector<ReportFigure> figures = comparison_figures(frame, "", "real", max_range_m);
+        for (std::size_t k = 0; k < figures.size(); ++k) {
+            std::vector<Image> strip;
+            for (const auto& [caption, image] : figures[k].images) strip.push_back(image);
+            write_png(folder / fmt::format("{}_{:06}.png", kNames[k], frame.frame), stack(strip, stretch_of(frame.real)));
+        }
+    }
+}
+
 Image scan_picture(const RenderedScan& scan) {
     const RangeImage& image = scan.image;
     float farthest = 1.0f;

@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar export and relidar import: the surfels of a run as a PLY file that tools for 3D Gaussian splatting open, and back.
+#include <memory>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include "command.hpp"
+#include "console.hpp"
+#include "options.hpp"
+#include "output_folder.hpp"
+#include <relidar/export.hpp>
+#include <relidar/run.hpp>
+
+namespace relidar::cli {
+namespace {
+
+struct ExportOptions {
+    std::string run;
+    std::string out;
+    bool quiet = false;
+};
+
+struct ImportOptions {
+    std::string file;
+    std::string run;
+    std::string out;
+    bool force = false;
+    bool quiet = false;
+};
+
+std::string sizes(const Scene& scene) { return fmt::format("{} surfels, {} model{}", scene.surfels.size(), scene.models.size(), scene.models.size() == 1 ? "" : "s"); }
+
+void run_export(const ExportOptions& options) {
+    const Run run = load_run(options.run);
+    const std::filesystem::path out = options.out;
+    const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
+    write_surfel_ply(out, run.scene);
+    if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), sizes(run.scene)));
+}
+
+void run_import(const ImportOptions& options) {
+    check_empty(options.out, options.force);
+    Run run = load_run(options.run);
+    run.scene = read_surfel_ply(options.file, run.scene);
+    const OutputFolder folder(options.out);
+    remove_run_files(folder.path());
+    run.folder = folder.path();
+    save_run(run);
+    if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), sizes(run.scene)));
+}
+
+}  // namespace
+
+void add_export(CLI::App& app, Call& call) {
+    CLI::App* command = app.add_subcommand("export", "write the surfels of a run as PLY, in the layout of 3D Gaussian splatting");
+    const auto options = std::make_shared<ExportOptions>();
+    command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
+    command->add_option("--out", options->out, "file to write")->required()->type_name("FILE.ply");
+    command->add_flag("--quiet", options->quiet, "print errors only");
+    command->footer("Common viewers show it: intensity as colour, flat ellipsoids. Further float properties hold hit_0..15, drop_0..15 and model, so that\n"
+                    "`relidar import` gives back the same scene bit by bit. Actors are in the frames of their boxes, at the origin.\n"
+                    "Example: relidar export run --out scene.ply");
+    command->callback([&call, options] { call.run = [options] { run_export(*options); }; });
+}
+
+void add_import(CLI::App& app, Call& call) {
+    CLI::App* command = app.add_subcommand("import", "make a run of a PLY file that `relidar export` wrote and another tool may have edited");
+    const auto options = std::make_shared<ImportOptions>();
+    command->add_option("FILE", options->file, "PLY file with the properties that `relidar export` writes")->required();
+    command->add_option("--run", options->run, "run it came from: settings, sensor, poses, boxes and names of models")->required()->type_name("RUN");
+    command->add_option("--out", options->out, "run folder to make")->required()->type_name("RUN2");
+    command->add_flag("--force", options->force, "overwrite the run in RUN2");
+    command->add_flag("--quiet", options->quiet, "print errors only");
+    command->footer("Example: relidar import scene.ply --run run --out cleaned");
+    command->callback([&call, options] { call.run = [options] { run_import(*options); }; });
+}
+
+}  // namespace relidar::cli
