@@ -160,7 +160,8 @@ void main() {
         memoryBarrierBuffer();
         bool whole = from == first && to == last, waiting = climbing && (whole || to - from >= int(KEPT));
         while (subgroupAny(waiting)) {
-            bool next = waiting && gl_SubgroupInvocationID == subgroupMin(waiting ? gl_SubgroupInvocationID : 0xffffffffu);
+            uint first_lane = subgroupMin(waiting ? gl_SubgroupInvocationID : 0xffffffffu);
+            bool next = gl_SubgroupInvocationID == first_lane;
             if (next) tasks[gl_SubgroupID] = ivec4(from, split, to, whole ? model : -1);
             synchronise();
             join_ranges(tasks[gl_SubgroupID]);

@@ -3,8 +3,6 @@
 #ifndef RELIDAR_INCLUDED_ACCEL_BVH_MERGE_GLSL
 #define RELIDAR_INCLUDED_ACCEL_BVH_MERGE_GLSL
 
-const float SURFEL_COST = 0.3;   // of a surfel test, in visits of a node
-
 struct Subtree {
     uint root;
     float area;

@@ -143,7 +143,7 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       model_of(d, std::span<const std::uint32_t>(model_of_instances(scene)), "models of the instances"),
       boxes(d, 6 * std::size_t(n), "surfel boxes"),
       bounds(d, 6 * std::size_t(n_models), "model bounds"),
-      scratch(d, std::max<std::size_t>({92 * std::size_t(n), kSlotsAt * std::size_t(n) + 32 * std::size_t(bound), 1}), "acceleration structure scratch"),
+      scratch(d, std::max({92 * std::size_t(n), kSlotsAt * std::size_t(n) + 32 * std::size_t(bound), std::size_t(4)}), "acceleration structure scratch"),
       queue(d, bound, "collapse queue"),
       level_sizes(d, levels() + 1, "collapse levels"),
       tiles(d, tiles_of(n), "collapse sums"),

@@ -43,7 +43,7 @@ public:
 
     shared::BvhPointers pointers() const;
     std::uint64_t memory_bytes() const;
-    /// Surface-area cost of all trees as they are now, m^2: half areas of nodes, and of leaf slots times their surfels. Compare with the
+    /// Surface-area cost of all trees as they are now, m^2: half areas of nodes, and of leaf slots times the tests of their surfels. Compare with the
     /// value after the last build. Blocking; what was recorded must have been submitted.
     double cost();
     /// Blocking; what was recorded must have been submitted.
