@@ -60,7 +60,7 @@ public:
 private:
     Checkpoint& checkpoint_;
 
-    void put(const std::string& name, const char* dtype, std::vector<std::size_t> shape, const void* values);
+    void put(const std::string& name, const char* dtype, std::vector<std::size_t> shape, const void* values);   ///< copies
 };
 
 /// Copies state back from a checkpoint, called exactly as the writer was. Vectors on the host take the length found; what is on the
@@ -92,6 +92,7 @@ public:
 private:
     const Checkpoint& checkpoint_;
 
+    /// An array that must have this type and shape; one of this type and any length; five arrays of n rows; all bytes of one.
     const NamedArray& find(const std::string& name, const char* dtype, const std::vector<std::size_t>& shape) const;
     const NamedArray& find_rows(const std::string& name, const char* dtype) const;
     Surfels surfels_of(const std::string& name, std::size_t n) const;
