@@ -52,7 +52,7 @@ ActorMoves measure_moves(Device& device, int n_actors, int repeat) {
     accel.update(stream, on_device);
     stream.finish();
     result.build_ms = ms_since(start);
-    const std::uint64_t builds_before = accel.builds();
+    const std::uint64_t builds_before = accel.updates();
     std::vector<double> samples;
     for (int step = 1; step <= kWarmUp + repeat; ++step) {
         stop_if_interrupted();
@@ -64,7 +64,7 @@ ActorMoves measure_moves(Device& device, int n_actors, int repeat) {
         if (step > kWarmUp) samples.push_back(ms_since(start));
     }
     result.move_ms = spread_of(samples);
-    result.builds = accel.builds() - builds_before;
+    result.builds = accel.updates() - builds_before;
     return result;
 }
 

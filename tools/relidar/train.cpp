@@ -175,7 +175,7 @@ void run_train(const Options& given, const std::string& command_line) {
     remove_run_files(folder.path());
     if (!start) remove_checkpoints(checkpoint_folder(folder.path()));
     write_text(folder.path() / kConfigFile, to_toml(config));   // what a killed run is resumed from
-    Run run{folder.path(), config, std::move(sequence), split, {}};
+    Run run{folder.path(), config, std::move(sequence), split, {}, {}};
     TrainResult result = train_or_tell(device, run, options, start ? &*start : nullptr);
     end_progress_line();
     start.reset();
