@@ -82,7 +82,7 @@ struct Bvh::Impl {
     Kernel<shared::ProxyParams> proxies;
     Kernel<shared::BvhBoundsParams> bounds_kernel;
     Kernel<shared::BvhKeysParams> keys_kernel;
-    RadixSort sort;
+    PairSort sort;
     Kernel<shared::BvhClusterParams> cluster;
     Kernel<shared::BvhWideParams> wide_mark, wide_mark_rest, wide_count, wide_scan, wide_place, wide_emit;
     Kernel<shared::BvhRefitParams> refit_kernel;
@@ -180,7 +180,7 @@ void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const Accel
 SortPairs Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
     stream.fill(bounds, 0xffffffffu);
     run(stream, bounds_kernel, std::size_t(tiles_of(n)) * kWorkgroup, {boxes.address(), models.address(), bounds.address(), n, n_models});
-    const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);   // so that the result is set 0
+    const int first_set = static_cast<int>(PairSort::passes(key_bits()) % 2);   // so that the result is set 0
     const SortPairs from = pairs(first_set);
     run(stream, keys_kernel, n, {scene.records().address(), models.address(), bounds.address(), from.keys, from.values, at(kOtherEndsAt), at(kDemandsAt), n, n_models});
     return sort.sort(stream, from, pairs(1 - first_set), n, key_bits());

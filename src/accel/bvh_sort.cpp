@@ -19,14 +19,14 @@ std::uint32_t tiles_of(std::uint32_t n) { return (n + RELIDAR_BVH_TILE - 1) / RE
 
 static_assert(RELIDAR_BVH_WORKGROUP == RELIDAR_SORT_DIGITS, "a thread a digit");
 
-RadixSort::RadixSort(Device& device, std::uint32_t n)
+PairSort::PairSort(Device& device, std::uint32_t n)
     : count_(device, "accel/bvh_sort_count", {kWorkgroup}),
       scan_(device, "accel/bvh_sort_scan", {kWorkgroup}),
       scatter_(device, "accel/bvh_sort_scatter", {kWorkgroup}),
       counts_(device, std::size_t(RELIDAR_SORT_DIGITS) * tiles_of(n), "sort counts"),
       totals_(device, RELIDAR_SORT_DIGITS, "sort totals") {}
 
-SortPairs RadixSort::sort(Stream& stream, SortPairs from, SortPairs other, std::uint32_t n, std::uint32_t key_bits) const {
+SortPairs PairSort::sort(Stream& stream, SortPairs from, SortPairs other, std::uint32_t n, std::uint32_t key_bits) const {
     const std::uint32_t n_tiles = tiles_of(n);
     RELIDAR_ASSERT_LE(std::size_t(RELIDAR_SORT_DIGITS) * n_tiles, counts_.size());
     for (std::uint32_t pass = 0; pass < passes(key_bits); ++pass) {

@@ -15,10 +15,10 @@ struct SortPairs {
     std::uint64_t values = 0;   ///< [n]
 };
 
-class RadixSort {
+class PairSort {
 public:
     /// Room for n pairs at most.
-    RadixSort(Device& device, std::uint32_t n);
+    PairSort(Device& device, std::uint32_t n);
 
     /// Passes that keys of so many bits take. After an odd number the pairs lie in the other set.
     static std::uint32_t passes(std::uint32_t key_bits) { return (key_bits + 7) / 8; }

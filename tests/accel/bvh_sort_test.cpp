@@ -23,7 +23,7 @@ protected:
         std::iota(values.begin(), values.end(), 0u);
         Array<glm::uvec2> from_keys(device(), std::span<const glm::uvec2>(words), "keys"), other_keys(device(), n, "keys");
         Array<std::uint32_t> from_values(device(), std::span<const std::uint32_t>(values), "values"), other_values(device(), n, "values");
-        RadixSort sort(device(), n);
+        PairSort sort(device(), n);
         Stream stream(device());
         const SortPairs result = sort.sort(stream, {from_keys.address(), from_values.address()}, {other_keys.address(), other_values.address()}, n, key_bits);
         stream.finish();
