@@ -32,6 +32,8 @@ JsonField JsonField::at(const std::string& key) const {
     return {*it, *file_, name};
 }
 
+bool JsonField::has(const std::string& key) const { return value_->is_object() && value_->contains(key); }
+
 JsonField JsonField::at(std::size_t index) const { return {value_->at(index), *file_, fmt::format("{}[{}]", name_, index)}; }
 
 std::size_t JsonField::size() const {

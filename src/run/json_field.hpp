@@ -18,6 +18,7 @@ public:
     JsonField(const nlohmann::json& value, const std::string& file, std::string name) : value_(&value), file_(&file), name_(std::move(name)) {}
 
     JsonField at(const std::string& key) const;   ///< member of an object
+    bool has(const std::string& key) const;       ///< whether an object has such a member
     JsonField at(std::size_t index) const;        ///< entry of an array
     std::size_t size() const;                     ///< of an array
     double number() const;                        ///< finite
