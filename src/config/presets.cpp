@@ -16,6 +16,7 @@ Config paper() {
     config.init.max_scale_m = 1000.0;   // the paper does not clamp
     config.init.actor_classes = "Car,Van,Truck";
     config.render.range = "expected";
+    config.densify.strategy = DensifyStrategy::adaptive;
     return config;
 }
 

@@ -51,8 +51,10 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
         const std::array<double, kLossTerms> terms = loop.take_terms(step - logged, step);
         logged = step;
         result.log.push_back(progress_at(step, config, seconds_since(start), terms, loop.n_surfels()));
+        result.log.back().densified = loop.take_densified();
         result.interrupted = !progress(result.log.back());
     }
+    if (config.densify.prune_unseen && !result.interrupted) loop.prune_unseen();
     result.scene = loop.download();
     if (config.train.sensor_drop && !result.interrupted) result.scene.sensor_drop = loop.estimate_sensor_drop(sequence);
     result.train_s = seconds_since(start);

@@ -52,19 +52,21 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       frames_(upload_frames(device, sequence, split.train, unknown(sequence, split, initial, config))),
       stream_(device, true),
       scene_(device, initial),
-      accel_(device, scene_, accel_options(config)),
-      forward_(device, config.image, accel_.proxy(), trace_options(config)),
+      accel_(std::in_place, device, scene_, accel_options(config)),
+      forward_(device, config.image, accel_->proxy(), trace_options(config)),
       loss_(device, config.loss),
-      backward_(device, config.image, accel_.proxy(), trace_options(config)),
+      backward_(device, config.image, accel_->proxy(), trace_options(config)),
       adam_(device, scene_.size(), {.only_touched = config.train.only_touched}),
-      gradients_(device, scene_.size()),
+      gradients_(std::in_place, device, scene_.size()),
       rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
       upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
       terms_(device, std::vector<float>(kLossTerms, 0.0f), "loss terms"),
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.size(), config.train.seed) {
-    gradients_.zero_untouched = !config.train.only_touched;
+    gradients_->zero_untouched = !config.train.only_touched;
     for (FrameData& frame : frames_) frame.placed = place_instances(initial, sequence, sequence.frames[std::size_t(frame.position)].time_s);
+    if (config.densify.strategy != DensifyStrategy::none || config.densify.prune_unseen)
+        densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.size()), config.train.seed);
 }
 
 std::uint32_t TrainLoop::largest_batch() const {
@@ -74,7 +76,8 @@ std::uint32_t TrainLoop::largest_batch() const {
 }
 
 void TrainLoop::iterate(int step) {
-    const FrameData& frame = frames_[sampler_.next()];
+    const std::size_t frame_index = sampler_.next();
+    const FrameData& frame = frames_[frame_index];
     const std::uint32_t wanted = config_.train.rays_per_iteration > 0 ? static_cast<std::uint32_t>(config_.train.rays_per_iteration) : frame.n_rays;
     const std::uint32_t stride = std::max(1u, frame.n_rays / std::max(wanted, 1u));
     const std::uint32_t first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
@@ -86,12 +89,49 @@ void TrainLoop::iterate(int step) {
 
     scene_.place(stream_, frame.placed);                                                                                 // Eq. 4-5
     scene_.activate(stream_, model, frame.sensor_position_m);
-    accel_.update(stream_, scene_);
-    forward_.run(stream_, scene_, accel_, rays, rendered_);                                                              // Eq. 2-4
+    accel_->update(stream_, scene_);
+    forward_.run(stream_, scene_, *accel_, rays, rendered_);                                                              // Eq. 2-4
     loss_.run(stream_, targets, rendered_, upstream_, terms_);                                                           // Eq. 10
-    backward_.run(stream_, scene_, accel_, {rays, &rendered_, &upstream_}, frame.sensor_position_m, gradients_);         // Eq. 9
-    adam_.step(stream_, scene_.parameters(), gradients_.surfels, gradients_.touched, rates_at(config_.train, extent_m_, step), step, model.sh_degree);
+    backward_.run(stream_, scene_, *accel_, {rays, &rendered_, &upstream_}, frame.sensor_position_m, *gradients_);       // Eq. 9
+    if (densifier_) densifier_->observe(stream_, scene_, {&gradients_->surfels, &gradients_->touched, static_cast<std::uint32_t>(frame_index), stride == 1});
+    const LearningRates rates = rates_at(config_.train, extent_m_, step);
+    adam_.step(stream_, scene_.parameters(), gradients_->surfels, gradients_->touched, rates, step, model.sh_degree);
+    if (densifier_ && densifier_->due(step)) change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene_, adam_, step, others_bytes); });
+    if (densifier_) densifier_->after_step(stream_, scene_, adam_, step, rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
     stream_.submit();
+}
+
+/// What is sized for the surfels of the scene goes before they change, and comes back for the new number of them.
+template <class Change>
+void TrainLoop::change_surfels(const Change& change) {
+    Device& device = stream_.device();
+    stream_.finish();
+    const std::uint64_t before = device.allocated_bytes();
+    const bool zero_untouched = gradients_->zero_untouched;
+    accel_.reset();
+    gradients_.reset();
+    const double others_bytes = double(before - device.allocated_bytes()) / std::max(scene_.size(), 1u);
+    densified_.add(change(others_bytes));
+    gradients_.emplace(device, scene_.size()).zero_untouched = zero_untouched;
+    accel_.emplace(device, scene_, accel_options(config_));
+}
+
+void TrainLoop::prune_unseen() {
+    densifier_->forget(stream_);
+    const ImageModel model = with_degree(config_.image, std::max(config_.train.iterations - 1, 0) / std::max(1, config_.train.sh_degree_interval));
+    for (std::size_t i = 0; i < frames_.size(); ++i) {
+        const FrameData& frame = frames_[i];
+        const RayBatch rays{&frame.rays, 0, 1, frame.n_rays};
+        scene_.place(stream_, frame.placed);
+        scene_.activate(stream_, model, frame.sensor_position_m);
+        accel_->update(stream_, scene_);
+        forward_.run(stream_, scene_, *accel_, rays, rendered_);
+        loss_.run(stream_, {&frame.targets, 0, 1, frame.n_rays, frame.n_returned, frame.n_known}, rendered_, upstream_, terms_);
+        backward_.run(stream_, scene_, *accel_, {rays, &rendered_, &upstream_}, frame.sensor_position_m, *gradients_);
+        densifier_->observe(stream_, scene_, {&gradients_->surfels, &gradients_->touched, static_cast<std::uint32_t>(i), true});
+        stream_.submit();
+    }
+    change_surfels([&](double) { return densifier_->prune_unseen(stream_, scene_, adam_); });
 }
 
 std::array<double, kLossTerms> TrainLoop::take_terms(int n, int step) {
@@ -120,8 +160,8 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
         const RayBatch rays{&frame.rays, first, stride, (frame.n_rays - first + stride - 1) / stride};
         scene_.place(stream_, frame.placed);
         scene_.activate(stream_, model, frame.sensor_position_m);
-        accel_.update(stream_, scene_);
-        forward_.run(stream_, scene_, accel_, rays, rendered_);
+        accel_->update(stream_, scene_);
+        forward_.run(stream_, scene_, *accel_, rays, rendered_);
         stream_.finish();
         const Rendering r = to_rendering(rendered_.download(), rays.n_rays);
         for (std::uint32_t k = 0; k < rays.n_rays; ++k) {

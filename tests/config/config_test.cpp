@@ -159,6 +159,11 @@ TEST(Config, PaperIsThePaper) {
     EXPECT_EQ(c.image.sh_direction, ShDirection::ray);
     EXPECT_EQ(c.render.range, "expected");
     EXPECT_EQ(trace_options(c).chunk, 16);
+    EXPECT_EQ(c.densify.strategy, DensifyStrategy::adaptive);
+    EXPECT_EQ(c.densify.gradient_threshold, 2e-4);
+    EXPECT_EQ(c.densify.clone_extent_share, 2e-4);
+    EXPECT_EQ(c.densify.until, 15000);
+    EXPECT_EQ(make_preset("default").densify.strategy, DensifyStrategy::none);
 }
 
 TEST(Config, EnumFieldsReachTheirStages) {
