@@ -9,10 +9,13 @@
 #include <vector>
 
 #include <relidar/gpu.hpp>
-#include <relidar/optimizer.hpp>
-#include <relidar/scene.hpp>
 
 namespace relidar {
+
+class Adam;
+class DeviceScene;
+struct Scene;
+struct SurfelArrays;
 
 /// What is added and removed.
 enum class DensifyStrategy {

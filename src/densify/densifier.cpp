@@ -8,6 +8,8 @@
 
 #include <fmt/format.h>
 
+#include <relidar/optimizer.hpp>
+
 #include "core/assert.hpp"
 #include "core/random.hpp"
 #include "densify/rearrange.hpp"
@@ -137,7 +139,10 @@ std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::ui
 
 DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules, int step, double others_bytes) {
     const std::uint32_t before = scene.size();
-    RELIDAR_ASSERT_LE(before, arrays.capacity());
+    if (arrays.capacity() < before) {   // a resumed run has brought a larger scene and its statistics
+        stream.finish();
+        arrays.reserve(before);
+    }
     const std::vector<ModelCounts> counted = counts(stream, scene, rules, step);
     GrowthPlan plan = limited_to(plan_growth(counted, options, before, random(Draw::phase, step)), memory_limit);
     std::string why;
@@ -176,6 +181,7 @@ const std::vector<double>& Densifier::extents_m() const { return impl_->extents_
 void Densifier::observe(Stream& stream, const DeviceScene& scene, const ObservedBatch& batch) {
     const SurfelStatistics& s = impl_->arrays.statistics;
     RELIDAR_ASSERT_LE(batch.frame / 32 + 1, s.n_words);
+    RELIDAR_ASSERT_LE(std::size_t(scene.size()) * s.n_words, s.frames.size());
     relidar::run(stream, impl_->observe, scene.size(),
         {batch.gradients->mean.address(), batch.touched->address(), s.gradient_sum.address(), s.n_seen.address(), s.frames.address(), scene.size(), s.n_words, batch.frame,
          batch.whole_frame ? 1u : 0u});

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include <relidar/densify.hpp>
+#include <relidar/scene.hpp>
 
 #include "shared/densify.h"
 

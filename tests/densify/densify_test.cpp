@@ -7,6 +7,8 @@
 #include <random>
 
 #include <relidar/densify.hpp>
+#include <relidar/forward.hpp>
+#include <relidar/optimizer.hpp>
 
 #include "../support/device.hpp"
 #include "core/random.hpp"
@@ -287,6 +289,17 @@ TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
         all.densifier.after_step(all.stream, all.device_scene, all.adam, 3000, 1.0);
         all.stream.finish();
         EXPECT_EQ(all.device_scene.parameters().download().size(), 0u);
+    }
+}
+
+/// What the training loop makes for the scene afterwards takes empty models and empty scenes.
+TEST_F(Densify, EmptyModelsCanBeTraced) {
+    for (const std::vector<std::uint32_t>& counts : {std::vector<std::uint32_t>{50, 0, 20}, std::vector<std::uint32_t>{0, 0}}) {
+        Renderer renderer(device(), test::random_model_scene(counts, 20), {});
+        WorldRays rays;
+        rays.origin = {glm::vec3(0.0f)};
+        rays.direction = {glm::vec3(1.0f, 0.0f, 0.0f)};
+        EXPECT_EQ(renderer.trace(rays, glm::vec3(0.0f)).size(), 1u);
     }
 }
 

@@ -6,6 +6,7 @@
 #include <random>
 
 #include <relidar/densify.hpp>
+#include <relidar/optimizer.hpp>
 
 #include "../reference/densify.hpp"
 #include "../support/device.hpp"

@@ -4,6 +4,7 @@
 #include <random>
 
 #include <relidar/densify.hpp>
+#include <relidar/scene.hpp>
 
 #include "../support/device.hpp"
 #include "random_model.hpp"
