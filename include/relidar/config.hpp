@@ -10,6 +10,7 @@
 #include <string_view>
 #include <vector>
 
+#include <relidar/densify.hpp>
 #include <relidar/loss.hpp>
 #include <relidar/optimizer.hpp>
 #include <relidar/scene.hpp>
@@ -86,6 +87,7 @@ struct Config {
     ImageModel image;
     LossWeights loss;
     TrainConfig train;
+    DensifyOptions densify;
     RenderConfig render;
     EvalConfig eval;
     TraceConfig trace;

@@ -45,6 +45,7 @@ struct DeviceOptions {
     int index = -1;                              ///< of list_devices; -1 = the first GPU, one with ray query before others, else a CPU device
     Traversal traversal = Traversal::automatic;
     bool validation = false;                     ///< Khronos validation layer; also RELIDAR_VALIDATION=1
+    std::uint64_t memory_limit_bytes = 0;        ///< device-local memory it may hold, 0 = all there is; also RELIDAR_MEMORY_LIMIT_MIB=n
 };
 
 /// An open device. Everything made from it must be destroyed first.
@@ -88,6 +89,8 @@ public:
     /// Blocking copies through staging memory. @throws DeviceError on a lost device
     void upload(const void* data, std::size_t n_bytes, std::size_t offset_bytes = 0);
     void download(void* data, std::size_t n_bytes, std::size_t offset_bytes = 0) const;
+    /// Blocking copy of the first bytes of another buffer of the same device.
+    void copy_from(const Buffer& source, std::size_t n_bytes);
 
     struct Impl;
     Impl& impl() const { return *impl_; }
@@ -108,10 +111,20 @@ public:
     std::uint64_t address() const { return buffer_.address(); }
     const Buffer& buffer() const { return buffer_; }
     void upload(std::span<const T> values, std::size_t first = 0) { if (!values.empty()) buffer_.upload(values.data(), values.size_bytes(), first * sizeof(T)); }
-    std::vector<T> download() const {
-        std::vector<T> values(n_);
-        if (n_) buffer_.download(values.data(), n_ * sizeof(T));
+    std::vector<T> download() const { return download(n_); }
+    /// The first n values.
+    std::vector<T> download(std::size_t n) const {
+        std::vector<T> values(n);
+        if (n) buffer_.download(values.data(), n * sizeof(T));
         return values;
+    }
+    /// Makes room for n values and keeps those there are; the rest is undefined. Never shrinks. Nothing may be in flight that uses the
+    /// array: it moves. @throws DeviceError where memory is exhausted; the array is then as before
+    void reserve(Device& device, std::size_t n, const std::string& what) {
+        if (n <= n_) return;
+        Array larger(device, n, what);
+        if (n_) larger.buffer_.copy_from(buffer_, n_ * sizeof(T));
+        *this = std::move(larger);
     }
 
 private:

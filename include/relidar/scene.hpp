@@ -43,6 +43,7 @@ struct Model {
     std::string name;   ///< "background" or the track id
     std::uint32_t first = 0;
     std::uint32_t count = 0;
+    glm::vec3 half_size_m{0.0f};   ///< of the box around the origin that its surfels belong in, model frame; 0 = unbounded
 };
 
 /// A model placed in the world. Instance 0 is the background with the identity pose.
@@ -146,7 +147,9 @@ Surfels make_benchmark_street(std::uint32_t n, std::uint32_t seed = 20261120, bo
 RayTable make_benchmark_rays(const std::string& kind);
 RayTable make_benchmark_rays(int rows, int columns, double top_deg, double bottom_deg);
 
-/// Where training's extent-relative settings come from: 3 x the 90th percentile of 2 |p - centre|.
+/// Where training's extent-relative settings come from: 3 x the 90th percentile of 2 |p - centre| over a model's surfels; 1 where it has none.
+double model_extent(const Scene& scene, std::size_t model);
+/// The same of the background.
 double background_extent(const Scene& scene);
 
 /// Models, instances and sensor-level ray-drop of a scene, without its surfels.
@@ -155,12 +158,17 @@ Scene layout_of(const Scene& scene);
 /// Parameters, gradients or moments of all surfels on a device, one array a group in the layout of Surfels.
 struct SurfelArrays {
     Array<float> mean, rotation, log_scale, opacity_logit, sh;
-    std::uint32_t n = 0;
+    std::uint32_t n = 0;   ///< surfels; the arrays may hold more
 
     SurfelArrays() = default;
     SurfelArrays(Device& device, std::uint32_t n, const std::string& what);
     void upload(const Surfels& surfels);
     Surfels download() const;
+    /// Surfels there is room for in every group.
+    std::uint32_t capacity() const;
+    /// Makes room for so many surfels and keeps those there are; new room is undefined. Nothing may be in flight that uses the arrays.
+    /// @throws DeviceError where memory is exhausted: some groups may then have grown, none has lost anything
+    void reserve(Device& device, std::uint32_t capacity, const std::string& what);
     void fill_zero(Stream& stream);
 };
 
@@ -190,6 +198,12 @@ public:
     /// Records the chain rule back from record gradients to parameters.
     /// SH gradients are written with ShDirection::surfel; with ShDirection::ray the hits have accumulated them already.
     void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m, const ActivationGradients& gradients);
+
+    /// Makes room for so many surfels in parameters and records. As SurfelArrays::reserve.
+    void reserve(Device& device, std::uint32_t capacity);
+    /// New ranges of the same models, after the parameter arrays were rearranged; size() is then their sum and the records are stale.
+    /// The instance table follows with the next place() or set_poses().
+    void set_models(const std::vector<Model>& models);
 
     const Scene& layout() const;   ///< models and instances; its surfels are empty
     SurfelArrays& parameters();

@@ -29,6 +29,7 @@ struct TrainProgress {
     std::array<double, kLossTerms> terms{};        ///< weighted, mean over the iterations since the last line
     double loss = 0.0;
     std::uint32_t n_surfels = 0;
+    DensifyReport densified;                       ///< sums over the densifications since the last line; `before` and `after` are of the last one
 };
 
 /// What training leaves behind. Log and times count from the first start, whatever the number of interruptions.

@@ -119,6 +119,25 @@ void visit_training(C& c, Visitor&& f) {
     f("train.seed", c.train.seed, between(0, kMaxSeed), "seed of the order of frames and rays");
 }
 
+template <class C, class Visitor>
+void visit_densify(C& c, Visitor&& f) {
+    f("densify.strategy", c.densify.strategy, one_of({"none", "adaptive", "prune_only", "mcmc"}), "surfels are added and removed: by gradient (adaptive, paper), removed only, or moved from dead to living and grown (mcmc)");
+    f("densify.from", c.densify.from, between(0, kMaxCount), "first step after which surfels are added and removed");
+    f("densify.until", c.densify.until, between(0, kMaxCount), "from this step on no surfel is added, removed or reset");
+    f("densify.every", c.densify.every, between(1, kMaxCount), "steps between");
+    f("densify.gradient_threshold", c.densify.gradient_threshold, at_least(0), "adaptive: a surfel grows above this mean norm of the gradient of its mean, the loss being a mean over a frame");
+    f("densify.clone_extent_share", c.densify.clone_extent_share, at_least(0), "adaptive: below this share of the extent a growing surfel is cloned, above it is split");
+    f("densify.min_opacity", c.densify.min_opacity, between(0, 0.5), "fainter surfels are removed; at least image.alpha_min counts");
+    f("densify.max_extent_share", c.densify.max_extent_share, above(0), "adaptive, prune_only: surfels larger than this share of the extent are removed");
+    f("densify.large_from", c.densify.large_from, between(0, kMaxCount), "step after which large surfels are removed");
+    f("densify.opacity_reset_every", c.densify.opacity_reset_every, between(0, kMaxCount), "adaptive: steps between two resets of all opacities; 0: never");
+    f("densify.reset_opacity", c.densify.reset_opacity, Accepts{0.0, 0.99, true, {}}, "adaptive: opacities are reset to at most this");
+    f("densify.max_surfels", c.densify.max_surfels, between(1, 16000000), "no growth beyond this many surfels");
+    f("densify.growth", c.densify.growth, between(0, 1), "mcmc: share of surfels added each time");
+    f("densify.noise", c.densify.noise, at_least(0), "mcmc: noise on the means of faint surfels at the first learning rate, in standard deviations of the surfel");
+    f("densify.prune_unseen", c.densify.prune_unseen, anything(), "at the end of training remove surfels that no training frame gives a gradient");
+}
+
 /// Calls f(key, field, accepts, help) for every setting, in the order of the TOML file.
 template <class C, class Visitor>
 void visit(C& c, Visitor&& f) {
@@ -127,6 +146,7 @@ void visit(C& c, Visitor&& f) {
     visit_sensor(c, f);
     visit_scene(c, f);
     visit_training(c, f);
+    visit_densify(c, f);
     f("render.range", c.render.range, one_of({"expected", "normalised", "median"}), "range of a ray: D (paper), D / W, or where the transmittance crosses 0.5");
     f("eval.lpips_weights", c.eval.lpips_weights, anything(), "safetensors file with the weights of LPIPS (AlexNet, v0.1); empty: the file that RELIDAR_LPIPS_WEIGHTS names, or no LPIPS");
     f("trace.chunk", c.trace.chunk, between(1, 64), "hits sorted at a time");

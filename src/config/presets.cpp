@@ -17,6 +17,7 @@ Config paper() {
     config.init.actor_classes = "Car,Van,Truck";
     config.init.actor_pad_to = 8000;
     config.render.range = "expected";
+    config.densify.strategy = DensifyStrategy::adaptive;
     return config;
 }
 

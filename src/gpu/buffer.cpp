@@ -46,9 +46,17 @@ DeviceError out_of_memory(const Device::Impl& device, std::size_t size, const st
                                    gpu::result_name(result), double(device.allocated) / 1048576.0, device.info.name));
 }
 
+/// The budget is of device-local memory: staging and parameters are the host's.
+void check_budget(const Device::Impl& device, std::size_t size, const std::string& what) {
+    if (device.memory_limit_bytes == 0 || device.allocated + size <= device.memory_limit_bytes) return;
+    throw DeviceError(fmt::format("allocating {:.1f} MiB for {}: found {:.1f} MiB in use, expected to stay within the limit of {:.1f} MiB", double(size) / 1048576.0, what,
+                                  double(device.allocated) / 1048576.0, double(device.memory_limit_bytes) / 1048576.0));
+}
+
 }  // namespace
 
 Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, bool host_visible, const std::string& what) : device(&owner), n_bytes(size) {
+    if (!host_visible) check_budget(owner, size, what);
     VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
     info.size = size;
     info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT | VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
@@ -103,6 +111,8 @@ void Buffer::upload(const void* data, std::size_t n_bytes, std::size_t offset_by
         copy_now(*impl_->device, staging.handle, impl_->handle, {0, offset_bytes + done, n});
     }
 }
+
+void Buffer::copy_from(const Buffer& source, std::size_t n_bytes) { copy_now(*impl_->device, source.impl_->handle, impl_->handle, {0, 0, n_bytes}); }
 
 void Buffer::download(void* data, std::size_t n_bytes, std::size_t offset_bytes) const {
     Impl staging(*impl_->device, std::min(n_bytes, kStagingBytes), true, "staging");

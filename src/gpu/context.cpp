@@ -3,6 +3,7 @@
 // pipeline layout that every kernel shares.
 #include "gpu/context.hpp"
 
+#include <charconv>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -111,6 +112,16 @@ std::vector<DeviceInfo> describe_all(const std::vector<VkPhysicalDevice>& physic
     return infos;
 }
 
+std::uint64_t memory_limit(const DeviceOptions& options) {
+    const char* text = std::getenv("RELIDAR_MEMORY_LIMIT_MIB");
+    if (options.memory_limit_bytes || !text || !*text) return options.memory_limit_bytes;
+    std::uint64_t mib = 0;
+    const char* end = text + std::strlen(text);
+    const auto [parsed, failed] = std::from_chars(text, end, mib);
+    if (failed != std::errc() || parsed != end || mib == 0 || mib > (1u << 30)) throw UsageError(fmt::format("RELIDAR_MEMORY_LIMIT_MIB: found '{}', expected a number of MiB above 0", text));
+    return mib << 20;
+}
+
 /// The device asked for, or the best one: a GPU before a CPU, one with ray query before others.
 int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     if (infos.empty()) throw DeviceError("opening a device: found no Vulkan device, expected at least one; `tools/dev/setup` installs a software driver");
@@ -161,6 +172,7 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     require(impl_->info, options.traversal);
     impl_->traversal = options.traversal == Traversal::automatic ? best_traversal(impl_->info) : options.traversal;
     impl_->physical = physical[static_cast<std::size_t>(index)];
+    impl_->memory_limit_bytes = memory_limit(options);
     impl_->open();
 }
 

@@ -53,6 +53,7 @@ struct Device::Impl {
     std::uint32_t workgroup_size = 32;
     std::uint32_t scratch_alignment = 256;
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;   ///< shared by all kernels: one 8-byte push constant
+    std::uint64_t memory_limit_bytes = 0;   ///< 0 = none
     std::atomic<std::uint64_t> allocated{0};
     std::atomic<std::uint64_t> peak{0};
 

@@ -17,8 +17,8 @@ public:
     /// @param value must outlive this  @param name of the field, empty for the whole file
     JsonField(const nlohmann::json& value, const std::string& file, std::string name) : value_(&value), file_(&file), name_(std::move(name)) {}
 
-    bool has(const std::string& key) const;
     JsonField at(const std::string& key) const;   ///< member of an object
+    bool has(const std::string& key) const;       ///< whether an object has such a member
     JsonField at(std::size_t index) const;        ///< entry of an array
     std::size_t size() const;                     ///< of an array
     double number() const;                        ///< finite

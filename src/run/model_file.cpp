@@ -71,6 +71,14 @@ void read_group(const Group& group, const NamedArray& array, std::size_t n, cons
     check_finite(group, file);
 }
 
+/// Of a model's box; absent in the files of earlier versions: unbounded.
+glm::vec3 read_half_size(const JsonField& model) {
+    if (!model.has("half_size_m")) return glm::vec3(0.0f);
+    const std::array<double, 3> v = model.at("half_size_m").numbers<3>();
+    for (std::size_t k = 0; k < 3; ++k) model.at("half_size_m").at(k).number(0.0, 1e6);
+    return {float(v[0]), float(v[1]), float(v[2])};
+}
+
 void read_layout(const JsonField& layout, Scene& scene) {
     const auto n = static_cast<std::int64_t>(scene.surfels.size());
     const JsonField models = layout.at("models"), instances = layout.at("instances");
@@ -80,7 +88,7 @@ void read_layout(const JsonField& layout, Scene& scene) {
         const std::int64_t first = m.at("first").integer(0, kMaxSurfels), count = m.at("count").integer(0, kMaxSurfels);
         if (first != next) m.at("first").fail(fmt::format("found {}", first), fmt::format("expected {}, where the model before ends", next));
         next = first + count;
-        scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first), static_cast<std::uint32_t>(count)});
+        scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first), static_cast<std::uint32_t>(count), read_half_size(m)});
     }
     if (next != n) models.fail(fmt::format("found models of {} surfels", next), fmt::format("expected {}", n));
     if (models.size() == 0 || instances.size() == 0) models.fail("found no model or no instance", "expected at least one each");
@@ -118,7 +126,7 @@ void read_sensor_drop(const std::vector<NamedArray>& arrays, Scene& scene, const
 
 std::string layout_to_json(const Scene& scene) {
     nlohmann::ordered_json json = {{"models", nlohmann::ordered_json::array()}, {"instances", nlohmann::ordered_json::array()}};
-    for (const Model& m : scene.models) json["models"].push_back({{"name", m.name}, {"first", m.first}, {"count", m.count}});
+    for (const Model& m : scene.models) json["models"].push_back({{"name", m.name}, {"first", m.first}, {"count", m.count}, {"half_size_m", {m.half_size_m.x, m.half_size_m.y, m.half_size_m.z}}});
     for (const Instance& i : scene.instances) json["instances"].push_back({{"model", i.model}, {"track", i.track}});
     return json.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
 }

@@ -2,10 +2,13 @@
 // The scene on the device: parameter arrays, records, the instance table, and the activation kernels between them.
 #include <relidar/scene.hpp>
 
+#include <algorithm>
+
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
 
+#include "core/assert.hpp"
 #include "gpu/stream.hpp"
 #include "shared/scene.h"
 
@@ -31,6 +34,18 @@ void SurfelArrays::upload(const Surfels& s) {
     sh.upload(s.sh);
 }
 
+std::uint32_t SurfelArrays::capacity() const {
+    return static_cast<std::uint32_t>(std::min({mean.size() / 3, rotation.size() / 4, log_scale.size() / 2, opacity_logit.size(), sh.size() / kShFloats}));
+}
+
+void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::string& what) {
+    mean.reserve(device, 3 * std::size_t(count), what + " mean");
+    rotation.reserve(device, 4 * std::size_t(count), what + " rotation");
+    log_scale.reserve(device, 2 * std::size_t(count), what + " log_scale");
+    opacity_logit.reserve(device, count, what + " opacity");
+    sh.reserve(device, kShFloats * std::size_t(count), what + " sh");
+}
+
 Surfels SurfelArrays::download() const {
     Surfels s;
     s.resize(n);
@@ -38,8 +53,8 @@ Surfels SurfelArrays::download() const {
     mean.buffer().download(s.mean.data(), s.mean.size() * sizeof(glm::vec3));
     rotation.buffer().download(s.rotation.data(), s.rotation.size() * sizeof(glm::vec4));
     log_scale.buffer().download(s.log_scale.data(), s.log_scale.size() * sizeof(glm::vec2));
-    s.opacity_logit = opacity_logit.download();
-    s.sh = sh.download();
+    s.opacity_logit = opacity_logit.download(n);
+    s.sh = sh.download(kShFloats * std::size_t(n));
     return s;
 }
 
@@ -171,6 +186,19 @@ void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const gl
              rows.first_of_model[i + 1] - rows.first_of_model[i], static_cast<std::uint32_t>(model.sh_degree),
              model.sh_direction == ShDirection::surfel ? 1u : 0u, g.zero_untouched ? 1u : 0u});
     }
+}
+
+void DeviceScene::reserve(Device& device, std::uint32_t capacity) {
+    impl_->parameters.reserve(device, capacity, "surfel");
+    impl_->records.reserve(device, 16 * std::size_t(capacity), "surfel records");
+}
+
+void DeviceScene::set_models(const std::vector<Model>& models) {
+    const std::uint32_t n = models.empty() ? 0u : models.back().first + models.back().count;
+    RELIDAR_ASSERT_LE(n, impl_->parameters.capacity());
+    RELIDAR_ASSERT_LE(16 * std::size_t(n), impl_->records.size());
+    impl_->layout.models = models;
+    impl_->parameters.n = n;
 }
 
 const std::vector<InstancePose>& DeviceScene::poses() const { return impl_->poses; }

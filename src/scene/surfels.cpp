@@ -88,17 +88,20 @@ std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points) {
     return order;
 }
 
-double background_extent(const Scene& scene) {
-    if (scene.models.empty() || scene.models[0].count == 0) return 1.0;
-    const auto first = scene.surfels.mean.begin() + scene.models[0].first, last = first + scene.models[0].count;
+double model_extent(const Scene& scene, std::size_t model) {
+    if (model >= scene.models.size() || scene.models[model].count == 0) return 1.0;
+    const Model& range = scene.models[model];
+    const auto first = scene.surfels.mean.begin() + range.first, last = first + range.count;
     glm::dvec3 centre(0.0);
     for (auto p = first; p != last; ++p) centre += glm::dvec3(*p);
-    centre /= double(scene.models[0].count);
+    centre /= double(range.count);
     std::vector<double> distance;
     for (auto p = first; p != last; ++p) distance.push_back(2.0 * glm::length(glm::dvec3(*p) - centre));
     const auto q90 = distance.begin() + static_cast<std::ptrdiff_t>(0.9 * double(distance.size() - 1));
     std::nth_element(distance.begin(), q90, distance.end());
     return 3.0 * *q90;
 }
+
+double background_extent(const Scene& scene) { return model_extent(scene, 0); }
 
 }  // namespace relidar

@@ -48,12 +48,14 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
         if (logs_at(step, config.train)) {
             const std::array<double, kLossTerms> terms = loop.take_terms();
             result.log.push_back(progress_at(step, config, trained_s(), terms, loop.n_surfels()));
+            result.log.back().densified = loop.take_densified();
             stop = !progress(result.log.back());
         }
         stop = stop || (session.stop && session.stop());
         if (stop || checkpoints.due(step)) checkpoints.save(loop, result, trained_s());
     }
     result.interrupted = result.iterations < config.train.iterations;
+    if (config.densify.prune_unseen && !result.interrupted) loop.prune_unseen();
     result.scene = loop.download();
     if (config.train.sensor_drop && !result.interrupted) result.scene.sensor_drop = loop.estimate_sensor_drop(sequence);
     result.train_s = trained_s();

@@ -61,15 +61,15 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       frames_(upload_frames(device, sequence, split.train, unknown(sequence, split, initial, config))),
       stream_(device, true),
       scene_(device, initial),
-      accel_(device, scene_, accel_options(config)),
-      forward_(device, config.image, accel_.proxy(), trace_options(config)),
+      accel_(std::in_place, device, scene_, accel_options(config)),
+      forward_(device, config.image, accel_->proxy(), trace_options(config)),
       batches_(device, config, frames_),
       loss_(device, config.loss, largest_batch()),
       chamfer_(device, config.loss, largest_batch()),
-      backward_(device, config.image, accel_.proxy(), trace_options(config), backward_options(config)),
+      backward_(device, config.image, accel_->proxy(), trace_options(config), backward_options(config)),
       surfel_loss_(device, config.loss),
       adam_(device, scene_.size(), {.only_touched = config.train.only_touched}),
-      gradients_(device, scene_),
+      gradients_(std::in_place, device, scene_),
       rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
       kept_(device, largest_batch(), static_cast<std::uint32_t>(config.trace.keep_hits)),
       upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
@@ -78,8 +78,10 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.size(), config.train.seed),
       term_sums_(kLossTerms, 0.0) {
-    gradients_.zero_untouched = !config.train.only_touched;
+    gradients_->zero_untouched = !config.train.only_touched;
     for (FrameData& frame : frames_) frame.placed = place_instances(initial, sequence, sequence.frames[std::size_t(frame.position)].time_s);
+    if (config.densify.strategy != DensifyStrategy::none || config.densify.prune_unseen)
+        densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.size()), config.train.seed);
 }
 
 TrainLoop::~TrainLoop() {
@@ -98,7 +100,8 @@ std::uint32_t TrainLoop::largest_batch() const {
 
 void TrainLoop::iterate(int step) {
     if (pending_.size() == kTermSlots) collect_terms();
-    const FrameData& frame = frames_[sampler_.next()];
+    const std::size_t frame_index = sampler_.next();
+    const FrameData& frame = frames_[frame_index];
     const auto [rays, targets] = batches_.sample(stream_, frame, sampler_.random());
     const ImageModel model = with_degree(config_.image, (step - 1) / std::max(1, config_.train.sh_degree_interval));
     forward_.set_sh_degree(model.sh_degree);
@@ -106,16 +109,54 @@ void TrainLoop::iterate(int step) {
 
     scene_.place(stream_, frame.placed);                                                                                 // Eq. 4-5
     scene_.activate(stream_, model, frame.sensor_position_m);
-    accel_.update(stream_, scene_);
-    forward_.run(stream_, scene_, accel_, rays, rendered_, &kept_);                                                      // Eq. 2-4
+    accel_->update(stream_, scene_);
+    forward_.run(stream_, scene_, *accel_, rays, rendered_, &kept_);                                                       // Eq. 2-4
     const TermRow terms(terms_, static_cast<std::uint32_t>(pending_.size()));
-    loss_.run(stream_, targets, rendered_, upstream_, terms);                                                            // Eq. 10
-    chamfer_.run(stream_, rays, targets, rendered_, upstream_, terms);                                                   // Eq. 11
-    backward_.run(stream_, scene_, accel_, {rays, &rendered_, &upstream_, &kept_}, frame.sensor_position_m, gradients_); // Eq. 9
-    surfel_loss_.run(stream_, scene_, half_sizes_m_, {&gradients_.surfels, config_.train.only_touched ? &gradients_.touched : nullptr}, terms);
-    adam_.step(stream_, scene_.parameters(), gradients_.surfels, gradients_.touched, rates_at(config_.train, extent_m_, step), step, model.sh_degree);
-    submitted_ = stream_.submit();
+    loss_.run(stream_, targets, rendered_, upstream_, terms);                                                              // Eq. 10
+    chamfer_.run(stream_, rays, targets, rendered_, upstream_, terms);                                                     // Eq. 11
+    backward_.run(stream_, scene_, *accel_, {rays, &rendered_, &upstream_, &kept_}, frame.sensor_position_m, *gradients_); // Eq. 9
+    surfel_loss_.run(stream_, scene_, half_sizes_m_, {&gradients_->surfels, config_.train.only_touched ? &gradients_->touched : nullptr}, terms);
+    if (densifier_) densifier_->observe(stream_, scene_, {&gradients_->surfels, &gradients_->touched, static_cast<std::uint32_t>(frame_index), rays.n_rays == frame.n_rays});
+    const LearningRates rates = rates_at(config_.train, extent_m_, step);
+    adam_.step(stream_, scene_.parameters(), gradients_->surfels, gradients_->touched, rates, step, model.sh_degree);
     pending_.push_back({step, frame.index});
+    if (densifier_ && densifier_->due(step)) change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene_, adam_, step, others_bytes); });
+    if (densifier_) densifier_->after_step(stream_, scene_, adam_, step, rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
+    submitted_ = stream_.submit();
+}
+
+/// What is sized for the surfels of the scene goes before they change, and comes back for the new number of them.
+template <class Change>
+void TrainLoop::change_surfels(const Change& change) {
+    Device& device = stream_.device();
+    stream_.finish();
+    const std::uint64_t before = device.allocated_bytes();
+    const bool zero_untouched = gradients_->zero_untouched;
+    accel_.reset();
+    gradients_.reset();
+    const double others_bytes = double(before - device.allocated_bytes()) / std::max(scene_.size(), 1u);
+    densified_.add(change(others_bytes));
+    gradients_.emplace(device, scene_).zero_untouched = zero_untouched;
+    accel_.emplace(device, scene_, accel_options(config_));
+}
+
+void TrainLoop::prune_unseen() {
+    collect_terms();
+    densifier_->forget(stream_);
+    const ImageModel model = with_degree(config_.image, std::max(config_.train.iterations - 1, 0) / std::max(1, config_.train.sh_degree_interval));
+    for (std::size_t i = 0; i < frames_.size(); ++i) {
+        const FrameData& frame = frames_[i];
+        const RayBatch rays = frame.batch(0, 1);
+        scene_.place(stream_, frame.placed);
+        scene_.activate(stream_, model, frame.sensor_position_m);
+        accel_->update(stream_, scene_);
+        forward_.run(stream_, scene_, *accel_, rays, rendered_, &kept_);
+        loss_.run(stream_, {&frame.targets, 0, 1, frame.n_rays, frame.n_returned, frame.n_known, frame.image}, rendered_, upstream_, terms_);
+        backward_.run(stream_, scene_, *accel_, {rays, &rendered_, &upstream_, &kept_}, frame.sensor_position_m, *gradients_);
+        densifier_->observe(stream_, scene_, {&gradients_->surfels, &gradients_->touched, static_cast<std::uint32_t>(i), true});
+        stream_.submit();
+    }
+    change_surfels([&](double) { return densifier_->prune_unseen(stream_, scene_, adam_); });
 }
 
 void TrainLoop::collect_terms() {
@@ -133,7 +174,7 @@ void TrainLoop::collect_terms() {
     if (const std::uint32_t capped = forward_.take_pass_cap_count())
         throw DeviceError(fmt::format("training, iterations {} to {}: {} rays reached the cap of passes or filled the traversal stack, expected every ray to end", pending_.front().step, pending_.back().step, capped));
     check_room();
-    accel_.check_growth();
+    accel_->check_growth();
     n_summed_ += pending_.size();
     pending_.clear();
     terms_.upload(std::vector<float>(kTermSlots * kLossTerms, 0.0f));
@@ -180,8 +221,8 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
         const RayBatch rays = frame.batch(first, stride);
         scene_.place(stream_, frame.placed);
         scene_.activate(stream_, model, frame.sensor_position_m);
-        accel_.update(stream_, scene_);
-        forward_.run(stream_, scene_, accel_, rays, rendered_);
+        accel_->update(stream_, scene_);
+        forward_.run(stream_, scene_, *accel_, rays, rendered_);
         stream_.finish();
         const Rendering r = to_rendering(rendered_.download(), rays.n_rays);
         for (std::uint32_t k = 0; k < rays.n_rays; ++k) {

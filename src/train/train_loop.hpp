@@ -2,8 +2,12 @@
 // One training iteration and everything it touches on the device.
 #pragma once
 
+#include <optional>
+#include <utility>
+
 #include <relidar/backward.hpp>
 #include <relidar/checkpoint.hpp>
+#include <relidar/densify.hpp>
 #include <relidar/forward.hpp>
 #include <relidar/optimizer.hpp>
 #include <relidar/train.hpp>
@@ -52,6 +56,10 @@ public:
     void save(Checkpoint& checkpoint);
     /// Takes it back. The loop must have been made for the checkpoint's scene and log. @throws DataError for what does not fit
     void restore(const Checkpoint& checkpoint);
+    /// What densification has done since the last call.
+    DensifyReport take_densified() { return std::exchange(densified_, {}); }
+    /// Removes surfels that get no gradient from any ray of any training frame (densify.prune_unseen). Blocks.
+    void prune_unseen();
     /// Sensor-level ray-drop, from rays for which the scene as it is now expects a return. Blocks.
     DropTable estimate_sensor_drop(const Sequence& sequence);
     /// The scene as it is now. Blocks.
@@ -72,7 +80,7 @@ private:
     std::vector<FrameData> frames_;
     Stream stream_;
     DeviceScene scene_;
-    Accel accel_;
+    std::optional<Accel> accel_;
     ForwardPass forward_;
     BatchSampler batches_;
     ImageLoss loss_;
@@ -80,7 +88,9 @@ private:
     BackwardPass backward_;
     SurfelLoss surfel_loss_;
     Adam adam_;
-    Gradients gradients_;
+    std::optional<Gradients> gradients_;
+    std::optional<Densifier> densifier_;   ///< where the config wants one
+    DensifyReport densified_;              ///< since the last log line
     Array<float> rendered_;
     KeptHits kept_;
     Array<float> upstream_, terms_;
@@ -102,6 +112,11 @@ private:
         visit("term_sums", term_sums_);
         visit("n_summed", n_summed_);
         sampler_.visit_state(visit);
+        if (!densifier_) return;
+        visit("densify/extents_m", densifier_->extents_m());
+        visit("densify/gradient_sum", densifier_->statistics().gradient_sum);
+        visit("densify/n_seen", densifier_->statistics().n_seen);
+        visit("densify/frames", densifier_->statistics().frames);
     }
 
     std::uint32_t largest_batch() const;
@@ -109,6 +124,8 @@ private:
     void collect_terms();
     /// Hits of the pending iterations against the room for their records; makes more. @throws DeviceError where a deterministic step did not fit
     void check_room();
+    template <class Change>
+    void change_surfels(const Change& change);
 };
 
 }  // namespace relidar

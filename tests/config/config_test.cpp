@@ -46,7 +46,7 @@ Config through_toml(const Config& config, const std::filesystem::path& folder) {
 /// Gives a key another value that it accepts.
 bool change(Config& config, const std::string& key) {
     const std::string before = value_of(config, key);
-    for (const char* value : {"0.12345678", "0.6000001", "0.25", "2", "7", "123456", "true", "false", "kitti360", "cast", "columns", "ray", "surfel", "median", "expected", "boxes", "lane", "masked", "a \"b\" \\c"}) {
+    for (const char* value : {"0.12345678", "0.6000001", "0.25", "2", "7", "123456", "true", "false", "kitti360", "cast", "columns", "ray", "surfel", "median", "expected", "boxes", "adaptive", "lane", "masked", "a \"b\" \\c"}) {
         if (value == before) continue;
         try {
             set_key(config, key, value);
@@ -163,6 +163,11 @@ TEST(Config, PaperIsThePaper) {
     EXPECT_EQ(c.image.sh_direction, ShDirection::ray);
     EXPECT_EQ(c.render.range, "expected");
     EXPECT_EQ(trace_options(c).chunk, 16);
+    EXPECT_EQ(c.densify.strategy, DensifyStrategy::adaptive);
+    EXPECT_EQ(c.densify.gradient_threshold, 2e-4);
+    EXPECT_EQ(c.densify.clone_extent_share, 2e-4);
+    EXPECT_EQ(c.densify.until, 15000);
+    EXPECT_EQ(make_preset("default").densify.strategy, DensifyStrategy::none);
 }
 
 TEST(Config, EnumFieldsReachTheirStages) {

@@ -43,6 +43,38 @@ TEST_F(Gpu, MemoryIsCountedAndReturned) {
     EXPECT_EQ(device().allocated_bytes(), before);
 }
 
+TEST_F(Gpu, GrowingKeepsWhatThereWas) {
+    std::vector<std::uint32_t> values(1000);
+    std::iota(values.begin(), values.end(), 3u);
+    Array<std::uint32_t> array(device(), std::span<const std::uint32_t>(values), "test");
+    array.reserve(device(), 5000, "test");
+    EXPECT_EQ(array.size(), 5000u);
+    EXPECT_EQ(array.download(1000), values);
+    const std::uint64_t address = array.address();
+    array.reserve(device(), 10, "test");
+    EXPECT_EQ(array.address(), address) << "there is room already";
+}
+
+TEST_F(Gpu, MemoryLimitIsKept) {
+    Device limited({.memory_limit_bytes = 8u << 20});
+    Array<float> first(limited, 1 << 20, "the first half");
+    try {
+        first.reserve(limited, 2 << 20, "twice the first half");
+        FAIL() << "4 MiB and 8 MiB do not fit into 8";
+    } catch (const DeviceError& error) {
+        EXPECT_NE(std::string(error.what()).find("twice the first half: found 4.0 MiB in use, expected to stay within the limit of 8.0 MiB"), std::string::npos) << error.what();
+    }
+    EXPECT_EQ(first.size(), std::size_t(1) << 20) << "as before";
+    first = {};
+    EXPECT_NO_THROW(Array<float>(limited, 3 << 19, "what fits now"));
+    ::setenv("RELIDAR_MEMORY_LIMIT_MIB", "1", 1);
+    Device by_environment;
+    ::setenv("RELIDAR_MEMORY_LIMIT_MIB", "much", 1);
+    EXPECT_THROW(Device(DeviceOptions{}), UsageError);
+    ::unsetenv("RELIDAR_MEMORY_LIMIT_MIB");
+    EXPECT_THROW(Array<float>(by_environment, 1 << 19, "2 MiB"), DeviceError);
+}
+
 TEST_F(Gpu, FillsAreOrderedAndManySubmissionsOverlap) {
     Array<std::uint32_t> array(device(), 100, "test");
     Stream stream(device(), true);

@@ -58,7 +58,7 @@ double distance_after(Device& device, float shift, bool cut_gradient, bool image
     ImageLoss other_terms(device, weights);
     ChamferLoss chamfer(device, weights, kRays);
     Adam adam(device, scene.size(), {});
-    Gradients gradients(device, scene.size());
+    Gradients gradients(device, scene);
     Array<float> rendered(device, kRays * kRenderedFloats, "rendered"), upstream(device, kRays * kUpstreamFloats, "upstream");
     const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
     const RayBatch batch{&device_rays, 0, 1, kRays};

@@ -19,7 +19,7 @@ protected:
         TemporaryFolder::SetUp();
         path = folder / "model.safetensors";
         scene = make_background_scene(example_surfels(4));
-        scene.models = {{"background", 0, 3}, {"track 7", 3, 1}};
+        scene.models = {{"background", 0, 3}, {"track 7", 3, 1, {2.25f, 0.875f, 0.75f}}};
         scene.instances = {{0, ""}, {1, "7"}};
         save_model(path, scene);
         arrays = read_safetensors(path, &metadata);
@@ -53,6 +53,8 @@ TEST_F(ModelFile, RoundTripsExactly) {
     EXPECT_EQ(read.models[1].name, "track 7");
     EXPECT_EQ(read.models[1].first, 3u);
     EXPECT_EQ(read.models[1].count, 1u);
+    EXPECT_EQ(read.models[0].half_size_m, glm::vec3(0.0f));
+    EXPECT_EQ(read.models[1].half_size_m, glm::vec3(2.25f, 0.875f, 0.75f));
     ASSERT_EQ(read.instances.size(), 2u);
     EXPECT_EQ(read.instances[1].model, 1u);
     EXPECT_EQ(read.instances[1].track, "7");
@@ -133,6 +135,7 @@ TEST_F(ModelFile, ModelsMustCoverTheSurfels) {
     const std::string instances = R"(,"instances":[{"model":0,"track":""}]})";
     EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":3}])" + instances).find("models of 3 surfels, expected 4"), std::string::npos);
     EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":1,"count":3}])" + instances).find("models[0].first: found 1, expected 0"), std::string::npos);
+    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":4,"half_size_m":[1,-1,1]}])" + instances).find("half_size_m[1]: found -1"), std::string::npos);
     EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":-4}])" + instances).find("models[0].count: found -4"), std::string::npos);
     EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":4}],"instances":[{"model":1,"track":""}]})").find("instances[0].model: found 1"), std::string::npos);
     EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":4}],"instances":[]})").find("found no model or no instance"), std::string::npos);

@@ -40,7 +40,9 @@ TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
         const auto box = std::find_if(street.boxes.begin(), street.boxes.end(), [&](const BoxTrack& b) { return b.id == scene.instances[m].track; });
         ASSERT_NE(box, street.boxes.end());
         EXPECT_EQ(scene.models[m].first, scene.models[m - 1].first + scene.models[m - 1].count);
+        EXPECT_GT(glm::length(scene.models[m].half_size_m), 2.0f) << "a car has a box";
         for (std::uint32_t i = 0; i < scene.models[m].count; ++i) {
+            ASSERT_TRUE(glm::all(glm::lessThanEqual(glm::abs(scene.surfels.mean[scene.models[m].first + i]), scene.models[m].half_size_m)));
             const glm::dvec3 p = glm::abs(glm::dvec3(scene.surfels.mean[scene.models[m].first + i]));
             EXPECT_LE(p.x, 0.5 * box->size_m.x + 0.11);
             EXPECT_LE(p.y, 0.5 * box->size_m.y + 0.11);

@@ -20,6 +20,9 @@ std::string log_line(const TrainProgress& p) {
     nlohmann::ordered_json json = {{"iteration", p.iteration}, {"seconds", p.seconds}, {"iterations_per_second", p.iterations_per_second}, {"loss", p.loss}};
     for (std::size_t k = 0; k < p.terms.size(); ++k) json[kLossTermNames[k]] = p.terms[k];
     json["surfels"] = p.n_surfels;
+    if (const DensifyReport& d = p.densified; d.added || d.removed())
+        json["densified"] = {{"added", d.added}, {"clones_wanted", d.clones}, {"splits_wanted", d.splits}, {"invalid", d.invalid}, {"faint", d.faint}, {"large", d.large}, {"outside", d.outside}};
+    if (!p.densified.note.empty()) json["note"] = p.densified.note;
     return json.dump() + "\n";
 }
 
@@ -66,6 +69,7 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
     session.note = note;
     const TrainResult result = train(device, sequence, split, config,
                                      [&](const TrainProgress& p) {
+                                         if (!p.densified.note.empty()) note(p.densified.note);
                                          progress.show(progress_text(p), p.iteration == p.n_iterations);
                                          log.add(p);
                                          return true;

@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: Apache-2.0
+// Random numbers without a state: a hash of what they are for, so that a repeated or resumed run draws the same ones.
+// PCG4D of Jarzynski and Olano, "Hash Functions for GPU Rendering" (2020).
+#ifndef RELIDAR_INCLUDED_COMMON_RANDOM_GLSL
+#define RELIDAR_INCLUDED_COMMON_RANDOM_GLSL
+
+uvec4 pcg4d(uvec4 v) {
+    v = v * 1664525u + 1013904223u;
+    v.x += v.y * v.w;
+    v.y += v.z * v.x;
+    v.z += v.x * v.y;
+    v.w += v.y * v.z;
+    v ^= v >> 16u;
+    v.x += v.y * v.w;
+    v.y += v.z * v.x;
+    v.z += v.x * v.y;
+    v.w += v.y * v.z;
+    return v;
+}
+
+/// Two independent standard normal deviates (Box and Muller).
+/// @param key of the launch  @param item index of what they are for  @param draw which pair of that item
+vec2 random_normal2(uint key, uint item, uint draw) {
+    uvec4 bits = pcg4d(uvec4(key, item, draw, 0u));
+    float radius = sqrt(-2.0 * log((float(bits.x >> 8u) + 1.0) * (1.0 / 16777216.0)));
+    float angle = 6.283185307179586 * float(bits.y >> 8u) * (1.0 / 16777216.0);
+    return radius * vec2(cos(angle), sin(angle));
+}
+#endif

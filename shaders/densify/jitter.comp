@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: Apache-2.0
+// Exploration of the Monte Carlo strategy: means move at random in their surfel's plane, by scales of the surfel, and only those of
+// faint surfels, which have nothing to lose (gate of "3D Gaussian Splatting as Markov Chain Monte Carlo": sigmoid(-100 (s - 0.005))).
+// One thread a surfel. In place: surfels.mean.
+// @differs the paper's noise is the covariance (m^2) times a number that only suits the length unit of its scenes; here it is in scales.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../common/kernel.glsl"
+#include "../common/random.glsl"
+#include "../shared/densify.h"
+#include "../gaussian/quaternion.glsl"
+RELIDAR_PARAMS(JitterParams);
+
+void main() {
+    uint i = thread_index();
+    if (i >= params.n_surfels) return;
+    SurfelPointers s = params.surfels;
+    float opacity = 1.0 / (1.0 + exp(-s.opacity_logit.at[i]));
+    float gate = 1.0 / (1.0 + exp(100.0 * (opacity - 0.005)));
+    vec4 q = vec4(s.rotation.at[4 * i], s.rotation.at[4 * i + 1], s.rotation.at[4 * i + 2], s.rotation.at[4 * i + 3]);
+    mat3 r = rotation_matrix(q);
+    vec2 z = params.amount * gate * random_normal2(params.key, i, 0u);
+    vec3 offset = z.x * exp(s.log_scale.at[2 * i]) * r[0] + z.y * exp(s.log_scale.at[2 * i + 1]) * r[1];
+    for (uint k = 0u; k < 3u; ++k) s.mean.at[3 * i + k] += offset[k];
+}

@@ -1,0 +1,222 @@
+// SPDX-License-Identifier: Apache-2.0
+// Bindings of densify/observe, classify, spawn, reset_opacity and jitter, and the order of a densification: classify, read the counts
+// back, make room, hand out copies, move every array, give the new surfels their values.
+#include <relidar/densify.hpp>
+
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include <relidar/optimizer.hpp>
+
+#include "core/assert.hpp"
+#include "core/random.hpp"
+#include "densify/rearrange.hpp"
+#include "densify/room.hpp"
+#include "gpu/stream.hpp"
+
+namespace relidar {
+
+namespace {
+
+constexpr float kUnbounded = std::numeric_limits<float>::infinity();
+
+double logit(double p) { return std::log(p / (1.0 - p)); }
+
+shared::SurfelPointers pointers(const SurfelArrays& arrays) {
+    return {arrays.mean.address(), arrays.rotation.address(), arrays.log_scale.address(), arrays.opacity_logit.address(), arrays.sh.address()};
+}
+
+double extent_of(const Scene& scene, std::size_t model) {
+    const glm::vec3 half_size = scene.models[model].half_size_m;
+    return half_size.x > 0.0f ? 8.0 * double(glm::length(half_size)) : model_extent(scene, model);
+}
+
+/// What is asked of classification.
+struct Rules {
+    std::uint32_t growth = RELIDAR_DENSIFY_BY_NOTHING;
+    float min_opacity = 0.0f;
+    float max_extent_share = kUnbounded;
+    bool boxes = false;
+    bool drop_unseen = false;
+};
+
+/// What each use of random numbers is mixed with.
+enum class Draw : std::uint64_t { classify = 1, phase = 2, noise = 3 };
+
+}  // namespace
+
+struct Densifier::Impl {
+    Device& device;
+    DensifyOptions options;
+    float min_opacity;
+    std::uint64_t seed;
+    std::vector<double> extents_m;
+    Rearrangement arrays;
+    Array<std::uint32_t> counters;   ///< [n_models, RELIDAR_DENSIFY_COUNTERS]
+    Kernel<shared::ObserveParams> observe;
+    Kernel<shared::ClassifyParams> classify;
+    Kernel<shared::SpawnParams> spawn;
+    Kernel<shared::ResetOpacityParams> reset_opacity;
+    Kernel<shared::JitterParams> jitter;
+    std::uint32_t memory_limit = std::numeric_limits<std::uint32_t>::max();   ///< surfels, once it has been met
+
+    Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames, std::uint64_t random_seed)
+        : device(d), options(o), min_opacity(std::max(float(o.min_opacity), alpha_min)), seed(random_seed),
+          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames),
+          counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
+          observe(d, "densify/observe"), classify(d, "densify/classify"), spawn(d, "densify/spawn"),
+          reset_opacity(d, "densify/reset_opacity"), jitter(d, "densify/jitter") {
+        for (std::size_t model = 0; model < scene.models.size(); ++model) extents_m.push_back(extent_of(scene, model));
+    }
+
+    std::uint64_t random(Draw draw, int step) const { return hash64(hash64(seed, std::uint64_t(draw)), std::uint64_t(step)); }
+    Rules rules_at(int step) const;
+    std::vector<ModelCounts> counts(Stream& stream, const DeviceScene& scene, const Rules& rules, int step);
+    std::uint32_t make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted, double others_bytes, std::string& why);
+    DensifyReport apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules, int step, double others_bytes);
+};
+
+Rules Densifier::Impl::rules_at(int step) const {
+    Rules rules{RELIDAR_DENSIFY_BY_NOTHING, min_opacity, kUnbounded, true, false};
+    if (options.strategy == DensifyStrategy::adaptive) rules.growth = RELIDAR_DENSIFY_BY_GRADIENT;
+    if (options.strategy == DensifyStrategy::mcmc) rules.growth = RELIDAR_DENSIFY_BY_OPACITY;
+    else if (step > options.large_from) rules.max_extent_share = static_cast<float>(options.max_extent_share);
+    return rules;
+}
+
+std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceScene& scene, const Rules& rules, int step) {
+    const std::vector<Model>& models = scene.layout().models;
+    const SurfelStatistics& s = arrays.statistics;
+    const std::uint32_t key = static_cast<std::uint32_t>(random(Draw::classify, step));
+    stream.fill(counters);
+    for (std::size_t i = 0; i < models.size(); ++i) {
+        const Model& m = models[i];
+        const float extent = static_cast<float>(extents_m[i]);
+        relidar::run(stream, classify, m.count,
+            {pointers(scene.parameters()), s.gradient_sum.address(), s.n_seen.address(), s.frames.address(), arrays.action.address(), arrays.weight.address(),
+             counters.address() + i * sizeof(ModelCounts), rules.boxes ? m.half_size_m : glm::vec3(0.0f), rules.min_opacity, rules.max_extent_share * extent,
+             static_cast<float>(options.clone_extent_share) * extent, static_cast<float>(options.gradient_threshold), rules.growth, rules.drop_unseen ? 1u : 0u,
+             m.first, m.count, s.n_words, key});
+    }
+    stream.finish();
+    const std::vector<std::uint32_t> values = counters.download();
+    std::vector<ModelCounts> result(models.size());
+    for (std::size_t i = 0; i < values.size(); ++i) result[i / RELIDAR_DENSIFY_COUNTERS][i % RELIDAR_DENSIFY_COUNTERS] = values[i];
+    return result;
+}
+
+/// @return the largest size tried, at most `wanted`, for which there is memory; the arrays then have room for it
+std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted, double others_bytes, std::string& why) {
+    const std::uint32_t before = scene.size();
+    const double bytes = double(arrays.bytes_per_surfel()) + 4.0 * (3.0 * (10 + kShFloats) + 16.0);   // with parameters, records and moments
+    const auto fits = [&](std::uint32_t target, double capacity) {
+        const std::uint32_t now = arrays.capacity();
+        const bool grows = capacity > now;
+        const double while_copied = grows ? 4.0 * kShFloats * now : 0.0;
+        why = missing_memory(device, others_bytes * target + (grows ? bytes * (capacity - now) + while_copied : 0.0));
+        if (!why.empty() || !grows) return why.empty();
+        try {
+            const std::uint32_t n = static_cast<std::uint32_t>(capacity);
+            scene.reserve(device, n);
+            adam.moment1().reserve(device, n, "first moment");
+            adam.moment2().reserve(device, n, "second moment");
+            arrays.reserve(n);
+        } catch (const DeviceError& error) {
+            why = error.what();
+        }
+        return why.empty();
+    };
+    for (std::uint32_t growth = wanted > before ? wanted - before : 0; growth > 0; growth = growth >= 16 ? growth / 2 : 0) {
+        const std::uint32_t target = before + growth;
+        const double generous = std::min(1.5 * double(arrays.capacity()), double(std::max(static_cast<std::uint32_t>(options.max_surfels), target)));
+        const bool there = target <= arrays.capacity();
+        if (fits(target, there ? target : std::max(double(target), generous)) || (!there && fits(target, target))) return target;
+    }
+    return std::min(wanted, before);
+}
+
+DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules, int step, double others_bytes) {
+    const std::uint32_t before = scene.size();
+    if (arrays.capacity() < before) {   // a resumed run has brought a larger scene and its statistics
+        stream.finish();
+        arrays.reserve(before);
+    }
+    const std::vector<ModelCounts> counted = counts(stream, scene, rules, step);
+    GrowthPlan plan = limited_to(plan_growth(counted, options, before, random(Draw::phase, step)), memory_limit);
+    std::string why;
+    const std::uint32_t room = make_room(scene, adam, plan.size(), others_bytes, why);
+    std::string note;
+    if (room < plan.size()) {
+        memory_limit = room;
+        plan = limited_to(plan, room);
+        note = fmt::format("densification ends at {} surfels, as with densify.max_surfels={}: {}", room, room, why);
+    }
+    DensifyReport report = report_of(counted, plan);
+    report.note = note;
+    if (report.removed() == 0 && report.added == 0) {
+        arrays.start_over(stream);
+        stream.finish();
+        return report;
+    }
+    arrays.allot(stream, plan, before);
+    arrays.move(stream, scene.parameters(), false, plan.size());
+    arrays.move(stream, adam.moment1(), true, plan.size());
+    arrays.move(stream, adam.moment2(), true, plan.size());
+    relidar::run(stream, spawn, before, {pointers(scene.parameters()), arrays.action.address(), arrays.n_rows.address(), arrays.starts.address(), rules.min_opacity, before,
+                                static_cast<std::uint32_t>(random(Draw::classify, step))});
+    arrays.move_statistics(stream);
+    stream.finish();
+    scene.set_models(plan.ranges(scene.layout().models, counted));
+    return report;
+}
+
+Densifier::Densifier(Device& device, const Scene& initial, const DensifyOptions& options, float alpha_min, std::uint32_t n_frames, std::uint64_t seed)
+    : impl_(std::make_unique<Impl>(device, initial, options, alpha_min, n_frames, seed)) {}
+Densifier::~Densifier() = default;
+SurfelStatistics& Densifier::statistics() { return impl_->arrays.statistics; }
+std::vector<double>& Densifier::extents_m() { return impl_->extents_m; }
+const std::vector<double>& Densifier::extents_m() const { return impl_->extents_m; }
+
+void Densifier::observe(Stream& stream, const DeviceScene& scene, const ObservedBatch& batch) {
+    const SurfelStatistics& s = impl_->arrays.statistics;
+    RELIDAR_ASSERT_LE(batch.frame / 32 + 1, s.n_words);
+    RELIDAR_ASSERT_LE(std::size_t(scene.size()) * s.n_words, s.frames.size());
+    relidar::run(stream, impl_->observe, scene.size(),
+        {batch.gradients->mean.address(), batch.touched->address(), s.gradient_sum.address(), s.n_seen.address(), s.frames.address(), scene.size(), s.n_words, batch.frame,
+         batch.whole_frame ? 1u : 0u});
+}
+
+bool Densifier::due(int step) const {
+    const DensifyOptions& o = impl_->options;
+    return o.strategy != DensifyStrategy::none && step >= o.from && step < o.until && step % std::max(1, o.every) == 0;
+}
+
+DensifyReport Densifier::run(Stream& stream, DeviceScene& scene, Adam& adam, int step, double others_bytes) {
+    return impl_->apply(stream, scene, adam, impl_->rules_at(step), step, others_bytes);
+}
+
+void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step, double rate_share) {
+    const DensifyOptions& o = impl_->options;
+    if (o.strategy == DensifyStrategy::mcmc && o.noise > 0.0)
+        relidar::run(stream, impl_->jitter, scene.size(), {pointers(scene.parameters()), static_cast<float>(o.noise * rate_share), scene.size(),
+                                                  static_cast<std::uint32_t>(impl_->random(Draw::noise, step))});
+    if (o.strategy != DensifyStrategy::adaptive || o.opacity_reset_every <= 0 || step >= o.until || step % o.opacity_reset_every != 0) return;
+    relidar::run(stream, impl_->reset_opacity, scene.size(), {scene.parameters().opacity_logit.address(), static_cast<float>(logit(o.reset_opacity)), scene.size()});
+    stream.fill(adam.moment1().opacity_logit);
+    stream.fill(adam.moment2().opacity_logit);
+}
+
+void Densifier::forget(Stream& stream) {
+    stream.fill(impl_->arrays.statistics.frames);
+    impl_->arrays.start_over(stream);
+}
+
+DensifyReport Densifier::prune_unseen(Stream& stream, DeviceScene& scene, Adam& adam) {
+    Rules rules;
+    rules.drop_unseen = true;
+    return impl_->apply(stream, scene, adam, rules, 0, 0.0);
+}
+
+}  // namespace relidar

@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: Apache-2.0
+// Bindings of densify/allot and densify/move.
+#include "densify/rearrange.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include "core/assert.hpp"
+#include "gpu/stream.hpp"
+
+namespace relidar {
+
+Rearrangement::Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames)
+    : device_(device), prefix_sum_(device), allot_(device, "densify/allot"), move_(device, "densify/move") {
+    statistics.n_words = std::max(1u, (n_frames + 31) / 32);
+    reserve(n_surfels);
+    Stream stream(device);
+    stream.fill(statistics.frames);
+    start_over(stream);
+    stream.finish();
+}
+
+void Rearrangement::reserve(std::uint32_t n) {
+    const std::size_t n_words = std::size_t(n) * statistics.n_words;
+    prefix_sum_.reserve(device_, n);
+    spare_.reserve(device_, n, "spare surfel");
+    statistics.gradient_sum.reserve(device_, n, "gradient statistics");
+    statistics.n_seen.reserve(device_, n, "seen batches");
+    statistics.frames.reserve(device_, n_words, "seen frames");
+    spare_frames_.reserve(device_, n_words, "spare seen frames");
+    for (Array<std::uint32_t>* array : {&action, &weight, &starts, &n_rows}) array->reserve(device_, n, "densification");
+}
+
+std::uint32_t Rearrangement::capacity() const {
+    const std::size_t n = std::min({action.size(), weight.size(), starts.size(), n_rows.size(), statistics.gradient_sum.size(), statistics.n_seen.size()});
+    const std::size_t n_frames = std::min(statistics.frames.size(), spare_frames_.size()) / statistics.n_words;
+    return std::min(spare_.capacity(), static_cast<std::uint32_t>(std::min(n, n_frames)));
+}
+
+std::size_t Rearrangement::bytes_per_surfel() const { return 4 * (std::size_t(10 + kShFloats) + 6 + 2 * statistics.n_words); }
+
+void Rearrangement::allot(Stream& stream, const GrowthPlan& plan, std::uint32_t before) {
+    RELIDAR_ASSERT_LE(std::max(before, plan.size()), capacity());
+    before_ = before;
+    prefix_sum_.run(stream, weight, starts, before);
+    run(stream, allot_, before, {weight.address(), starts.address(), action.address(), n_rows.address(), before, plan.n_new, plan.total_weight, plan.phase});
+    prefix_sum_.run(stream, n_rows, starts, before);
+}
+
+template <class T>
+void Rearrangement::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, std::uint32_t stride, bool fresh) {
+    run(stream, move_, before_, {rows.address(), spare.address(), action.address(), n_rows.address(), starts.address(), before_, stride, fresh ? 1u : 0u});
+    std::swap(rows, spare);
+}
+
+void Rearrangement::move(Stream& stream, SurfelArrays& set, bool fresh, std::uint32_t after) {
+    move_rows(stream, set.mean, spare_.mean, 3, fresh);
+    move_rows(stream, set.rotation, spare_.rotation, 4, fresh);
+    move_rows(stream, set.log_scale, spare_.log_scale, 2, fresh);
+    move_rows(stream, set.opacity_logit, spare_.opacity_logit, 1, fresh);
+    move_rows(stream, set.sh, spare_.sh, kShFloats, fresh);
+    set.n = after;
+}
+
+void Rearrangement::move_statistics(Stream& stream) {
+    move_rows(stream, statistics.frames, spare_frames_, statistics.n_words, false);
+    start_over(stream);
+}
+
+void Rearrangement::start_over(Stream& stream) {
+    stream.fill(statistics.gradient_sum);
+    stream.fill(statistics.n_seen);
+}
+
+}  // namespace relidar

@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+// Single kernels of densification: sum_blocks and scan_blocks as a prefix sum, allot and move through small arrays, reset_opacity, jitter.
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <random>
+
+#include <relidar/densify.hpp>
+#include <relidar/optimizer.hpp>
+
+#include "../reference/densify.hpp"
+#include "../support/device.hpp"
+#include "core/random.hpp"
+#include "densify/growth_plan.hpp"
+#include "densify/prefix_sum.hpp"
+#include "gpu/stream.hpp"
+#include "random_model.hpp"
+
+namespace relidar {
+namespace {
+
+class DensifyKernels : public test::DeviceTest {};
+
+TEST_F(DensifyKernels, PrefixSumOfAnySize) {
+    PrefixSum prefix_sum(device());
+    for (const std::uint32_t n : {1u, 255u, 256u, 257u, 65536u, 70001u, 256u * 256u * 256u / 50u}) {   // one to three levels
+        std::mt19937 random(n);
+        std::vector<std::uint32_t> values(n), expected(n);
+        for (std::uint32_t& v : values) v = random() % 5;
+        std::exclusive_scan(values.begin(), values.end(), expected.begin(), 0u);
+        constexpr std::uint32_t kGuard = 0xabcdef01u;
+        const Array<std::uint32_t> on_device(device(), std::span<const std::uint32_t>(values), "values");
+        Array<std::uint32_t> starts(device(), n + 64, "starts");
+        Stream stream(device());
+        stream.fill(starts, kGuard);
+        prefix_sum.reserve(device(), n);
+        prefix_sum.run(stream, on_device, starts, n);
+        stream.finish();
+        const std::vector<std::uint32_t> actual = starts.download();
+        EXPECT_TRUE(std::equal(expected.begin(), expected.end(), actual.begin())) << n;
+        EXPECT_EQ(std::count(actual.begin() + n, actual.end(), kGuard), 64) << "past the end of " << n;
+    }
+}
+
+TEST_F(DensifyKernels, AllotHandsOutAsTheReferenceDoes) {
+    std::mt19937 random(4);
+    const std::uint32_t n = 777;
+    std::vector<std::uint32_t> weight(n), cumulative(n), action(n);
+    for (std::uint32_t i = 0; i < n; ++i) {
+        action[i] = random() % 4 == 0 ? RELIDAR_DENSIFY_DROP : RELIDAR_DENSIFY_SHARE;
+        weight[i] = action[i] == RELIDAR_DENSIFY_DROP ? 0 : 1 + random() % 255;
+    }
+    std::exclusive_scan(weight.begin(), weight.end(), cumulative.begin(), 0u);
+    const std::uint32_t total = cumulative.back() + weight.back();
+    const Kernel<shared::AllotParams> allot(device(), "densify/allot");
+    for (const std::uint32_t n_new : {0u, 1u, 300u, 5000u}) {
+        GrowthPlan plan{0, total, n_new, static_cast<std::uint32_t>(random() % total)};
+        const Array<std::uint32_t> w(device(), std::span<const std::uint32_t>(weight), "weight"), c(device(), std::span<const std::uint32_t>(cumulative), "cumulative");
+        const Array<std::uint32_t> a(device(), std::span<const std::uint32_t>(action), "action"), rows(device(), n, "rows");
+        Stream stream(device());
+        run(stream, allot, n, {w.address(), c.address(), a.address(), rows.address(), n, n_new, total, plan.phase});
+        stream.finish();
+        const std::vector<std::uint32_t> copies = reference::copies_of(weight, n_new, plan.phase), actual = rows.download(), fate = a.download();
+        for (std::uint32_t i = 0; i < n; ++i) {
+            EXPECT_EQ(actual[i], action[i] == RELIDAR_DENSIFY_DROP ? 0 : 1 + copies[i]);
+            EXPECT_EQ(fate[i], action[i] == RELIDAR_DENSIFY_SHARE && copies[i] == 0 ? RELIDAR_DENSIFY_KEEP : action[i]);
+            EXPECT_EQ(plan.allotted_before(cumulative[i] + weight[i]) - plan.allotted_before(cumulative[i]), copies[i]) << "what the host expects";
+        }
+    }
+}
+
+/// A densifier and what it works on, at its own times.
+struct Trained {
+    Scene scene;
+    DeviceScene device_scene;
+    Adam adam;
+    Densifier densifier;
+    Trained(Device& device, Scene initial, const DensifyOptions& options)
+        : scene(std::move(initial)), device_scene(device, scene), adam(device, std::uint32_t(scene.surfels.size()), {}), densifier(device, scene, options, 1.0f / 255.0f, 3, 9) {}
+};
+
+TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
+    DensifyOptions options;
+    options.strategy = DensifyStrategy::adaptive;
+    Trained t(device(), test::random_model_scene({200}, 3), options);
+    const Surfels tags = t.scene.surfels;
+    Stream stream(device());
+    for (const int step : {2999, 3001, 15000}) t.densifier.after_step(stream, t.device_scene, t.adam, step, 1.0);
+    stream.finish();
+    EXPECT_EQ(t.device_scene.parameters().download().opacity_logit, tags.opacity_logit) << "nothing is due at these steps";
+    t.adam.moment1().upload(tags);
+    t.adam.moment2().upload(tags);
+    t.densifier.after_step(stream, t.device_scene, t.adam, 3000, 1.0);
+    stream.finish();
+    const Surfels after = t.device_scene.parameters().download(), m = t.adam.moment1().download(), v = t.adam.moment2().download();
+    const float limit = std::log(0.01f / 0.99f);
+    std::size_t lowered = 0;
+    for (std::size_t i = 0; i < after.size(); ++i) {
+        EXPECT_FLOAT_EQ(after.opacity_logit[i], std::min(tags.opacity_logit[i], limit));
+        lowered += tags.opacity_logit[i] > limit;
+    }
+    EXPECT_GT(lowered, 100u);
+    EXPECT_EQ(m.opacity_logit, std::vector<float>(after.size(), 0.0f));
+    EXPECT_EQ(v.opacity_logit, std::vector<float>(after.size(), 0.0f));
+    EXPECT_EQ(m.sh, tags.sh) << "the other groups keep their moments";
+    EXPECT_EQ(after.log_scale, tags.log_scale);
+}
+
+TEST_F(DensifyKernels, JitterMovesFaintSurfelsInTheirPlane) {
+    DensifyOptions options;
+    options.strategy = DensifyStrategy::mcmc;
+    options.noise = 0.4;
+    Trained t(device(), test::random_model_scene({300}, 5), options);
+    const Surfels before = t.scene.surfels;
+    Stream stream(device());
+    t.densifier.after_step(stream, t.device_scene, t.adam, 17, 0.5);
+    stream.finish();
+    const Surfels after = t.device_scene.parameters().download();
+    const std::uint32_t key = static_cast<std::uint32_t>(hash64(hash64(9, 3), 17));
+    std::size_t moved = 0;
+    for (std::uint32_t i = 0; i < before.size(); ++i) {
+        const reference::DensifiedSurfel s = test::densified(before, i);
+        const double gate = 1.0 / (1.0 + std::exp(100.0 * (s.opacity - 0.005)));
+        const glm::dvec3 expected = reference::point_of(s, 0.2 * gate * reference::random_normal2(key, i, 0));
+        EXPECT_LT(glm::length(glm::dvec3(after.mean[i]) - expected), 1e-5 * (1.0 + glm::length(expected)));
+        moved += glm::length(expected - s.mean) > 0.02 * std::min(s.scale.x, s.scale.y);
+    }
+    EXPECT_GT(moved, 10u);
+    EXPECT_LT(moved, 200u) << "opaque surfels stay";
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "densify.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+namespace relidar::reference {
+
+glm::dvec2 random_normal2(std::uint32_t key, std::uint32_t item, std::uint32_t draw) {
+    std::array<std::uint32_t, 4> v{key, item, draw, 0};
+    for (std::uint32_t& x : v) x = x * 1664525u + 1013904223u;
+    const auto mix = [&] {
+        v[0] += v[1] * v[3];
+        v[1] += v[2] * v[0];
+        v[2] += v[0] * v[1];
+        v[3] += v[1] * v[2];
+    };
+    mix();
+    for (std::uint32_t& x : v) x ^= x >> 16;
+    mix();
+    const double radius = std::sqrt(-2.0 * std::log(((v[0] >> 8) + 1.0) / 16777216.0)), angle = 2.0 * 3.14159265358979323846 * double(v[1] >> 8) / 16777216.0;
+    return {radius * std::cos(angle), radius * std::sin(angle)};
+}
+
+glm::dvec3 point_of(const DensifiedSurfel& s, const glm::dvec2& z) {
+    const glm::dvec4 q = s.rotation / glm::length(s.rotation);
+    const double w = q.x, x = q.y, y = q.z, k = q.w;
+    const glm::dvec3 a_u(w * w + x * x - y * y - k * k, 2.0 * (x * y + w * k), 2.0 * (x * k - w * y));
+    const glm::dvec3 a_v(2.0 * (x * y - w * k), w * w - x * x + y * y - k * k, 2.0 * (y * k + w * x));
+    return s.mean + z.x * s.scale.x * a_u + z.y * s.scale.y * a_v;
+}
+
+Fate fate_of(const DensifiedSurfel& s, double mean_gradient, bool seen, const DensifyRules& rules, std::uint32_t item) {
+    if (!s.finite) return Fate::invalid;
+    if (s.opacity < rules.min_opacity) return Fate::faint;
+    const bool grows = mean_gradient > rules.gradient_threshold;
+    const double largest = std::max(s.scale.x, s.scale.y);
+    const bool splits = grows && largest >= rules.clone_scale;
+    if ((splits ? largest / 1.6 : largest) > rules.max_scale) return Fate::large;
+    if (rules.half_size.x > 0.0) {
+        bool outside[2];
+        for (std::uint32_t draw = 0; draw < 2; ++draw) {
+            const glm::dvec3 p = glm::abs(point_of(s, random_normal2(rules.key, item, draw)));
+            outside[draw] = p.x > rules.half_size.x || p.y > rules.half_size.y || p.z > rules.half_size.z;
+        }
+        if (outside[0] && outside[1]) return Fate::outside;
+    }
+    if (rules.drop_unseen && !seen) return Fate::unseen;
+    if (rules.share) return Fate::share;
+    return splits ? Fate::split : grows ? Fate::clone : Fate::keep;
+}
+
+std::vector<std::uint32_t> copies_of(const std::vector<std::uint32_t>& weight, std::uint32_t n_new, std::uint32_t phase) {
+    std::vector<std::uint64_t> cumulative;
+    std::uint64_t total = 0;
+    for (const std::uint32_t w : weight) cumulative.push_back(total += w);
+    std::vector<std::uint32_t> copies(weight.size(), 0);
+    for (std::uint64_t j = 0; j < n_new; ++j) {
+        const auto owner = std::find_if(cumulative.begin(), cumulative.end(), [&](std::uint64_t c) { return c * n_new + phase >= (j + 1) * total; });
+        ++copies.at(std::size_t(owner - cumulative.begin()));
+    }
+    return copies;
+}
+
+SharedSurfel share(double opacity, int n) {
+    const double shared = 1.0 - std::pow(1.0 - opacity, 1.0 / n);
+    double sum = 0.0;
+    for (int i = 1; i <= n; ++i) {
+        double binomial = 1.0;   // i - 1 over k
+        for (int k = 0; k < i; ++k) {
+            sum += binomial * (k % 2 ? -1.0 : 1.0) * std::pow(shared, k + 1) / (k + 1);
+            binomial *= double(i - 1 - k) / (k + 1);
+        }
+    }
+    return {shared, std::sqrt(opacity / sum)};
+}
+
+}  // namespace relidar::reference
