@@ -30,6 +30,13 @@ constexpr const char* kOrder[] = {"scene/activate", "accel/proxies", "accel/buil
 
 double ms_since(Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); }
 
+/// Row that a kernel counts in. Those of the software tree go together, under the names of the driver's builds.
+std::string row_of(const std::string& kernel, const std::string& phase) {
+    if (kernel == "accel/bvh_top") return "accel/top_level";
+    if (kernel.starts_with("accel/bvh_")) return phase == "rebuild" ? "accel/build" : "accel/refit";
+    return kernel;
+}
+
 /// What was rendered, with uniform noise: no gradient of the L1 terms is zero. Rays that met little are dropped ones.
 std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normalised_depth) {
     constexpr float kRangeNoise_m = 0.1f, kIntensityNoise = 0.05f, kSolid = 0.5f;
@@ -176,9 +183,11 @@ private:
     /// Sums the times since the last call by kernel.
     void take(const std::string& phase, Samples& kernels) {
         double total = 0.0;
-        for (const auto& [kernel, times] : stream_.times().milliseconds) {
-            kernels[kernel].push_back(std::accumulate(times.begin(), times.end(), 0.0));
-            total += kernels[kernel].back();
+        std::map<std::string, double> sums;
+        for (const auto& [kernel, times] : stream_.times().milliseconds) sums[row_of(kernel, phase)] += std::accumulate(times.begin(), times.end(), 0.0);
+        for (const auto& [row, ms] : sums) {
+            kernels[row].push_back(ms);
+            total += ms;
         }
         phases_[phase].push_back(total);
         stream_.reset_times();
