@@ -109,6 +109,7 @@ TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
     Config config = sparse_config();
     config.train.iterations = 40;
     config.densify.from = config.densify.every = 5;
+    config.densify.strategy = DensifyStrategy::adaptive;
     config.densify.gradient_threshold = 0.0;   // whatever is seen grows
     std::uint64_t needed = 0;
     {
