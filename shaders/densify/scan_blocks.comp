@@ -8,10 +8,10 @@
 RELIDAR_PARAMS(ScanBlocksParams);
 
 void main() {
-    uint first = thread_index() * RELIDAR_SCAN_BLOCK;
+    uint first = thread_index() * RELIDAR_DENSIFY_BLOCK;
     if (first >= params.n) return;
-    uint last = min(first + RELIDAR_SCAN_BLOCK, params.n);
-    uint sum = uint64_t(params.block_starts) == 0ul ? 0u : params.block_starts.at[first / RELIDAR_SCAN_BLOCK];
+    uint last = min(first + RELIDAR_DENSIFY_BLOCK, params.n);
+    uint sum = uint64_t(params.block_starts) == 0ul ? 0u : params.block_starts.at[first / RELIDAR_DENSIFY_BLOCK];
     for (uint i = first; i < last; ++i) {
         uint value = params.values.at[i];
         params.starts.at[i] = sum;

@@ -8,10 +8,10 @@
 RELIDAR_PARAMS(SumBlocksParams);
 
 void main() {
-    uint first = thread_index() * RELIDAR_SCAN_BLOCK;
+    uint first = thread_index() * RELIDAR_DENSIFY_BLOCK;
     if (first >= params.n) return;
-    uint last = min(first + RELIDAR_SCAN_BLOCK, params.n);
+    uint last = min(first + RELIDAR_DENSIFY_BLOCK, params.n);
     uint sum = 0u;
     for (uint i = first; i < last; ++i) sum += params.values.at[i];
-    params.sums.at[first / RELIDAR_SCAN_BLOCK] = sum;
+    params.sums.at[first / RELIDAR_DENSIFY_BLOCK] = sum;
 }

@@ -31,7 +31,7 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_DENSIFY_BY_GRADIENT 1
 #define RELIDAR_DENSIFY_BY_OPACITY 2
 
-#define RELIDAR_SCAN_BLOCK 256   // values one thread sums
+#define RELIDAR_DENSIFY_BLOCK 256   // values one thread sums
 
 /// One batch into the statistics (densify/observe.comp).
 struct ObserveParams {
@@ -68,10 +68,10 @@ struct ClassifyParams {
     uint key;                   // of the random numbers
 };
 
-/// Sums of blocks of RELIDAR_SCAN_BLOCK values (densify/sum_blocks.comp). One thread a block.
+/// Sums of blocks of RELIDAR_DENSIFY_BLOCK values (densify/sum_blocks.comp). One thread a block.
 struct SumBlocksParams {
     Uints values;   // input [n]
-    Uints sums;     // output [ceil(n / RELIDAR_SCAN_BLOCK)]
+    Uints sums;     // output [ceil(n / RELIDAR_DENSIFY_BLOCK)]
     uint n;
 };
 

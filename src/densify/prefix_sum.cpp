@@ -8,14 +8,14 @@ namespace relidar {
 
 namespace {
 
-std::size_t blocks_of(std::size_t n) { return (n + RELIDAR_SCAN_BLOCK - 1) / RELIDAR_SCAN_BLOCK; }
+std::size_t blocks_of(std::size_t n) { return (n + RELIDAR_DENSIFY_BLOCK - 1) / RELIDAR_DENSIFY_BLOCK; }
 
 }  // namespace
 
-PrefixSum::PrefixSum(Device& device) : sum_blocks_(device, "densify/sum_blocks"), scan_blocks_(device, "densify/scan_blocks") {}
+BlockScan::BlockScan(Device& device) : sum_blocks_(device, "densify/sum_blocks"), scan_blocks_(device, "densify/scan_blocks") {}
 
-void PrefixSum::reserve(Device& device, std::size_t n) {
-    for (std::size_t level = 0; n > RELIDAR_SCAN_BLOCK; ++level) {
+void BlockScan::reserve(Device& device, std::size_t n) {
+    for (std::size_t level = 0; n > RELIDAR_DENSIFY_BLOCK; ++level) {
         n = blocks_of(n);
         if (levels_.size() == level) levels_.emplace_back();
         levels_[level].sums.reserve(device, n, "block sums");
@@ -23,9 +23,9 @@ void PrefixSum::reserve(Device& device, std::size_t n) {
     }
 }
 
-void PrefixSum::run(Stream& stream, const Array<std::uint32_t>& values, const Array<std::uint32_t>& starts, std::uint32_t n) {
+void BlockScan::run(Stream& stream, const Array<std::uint32_t>& values, const Array<std::uint32_t>& starts, std::uint32_t n) {
     std::vector<std::uint32_t> counts{n};   // of the values, then of the blocks of each level
-    while (counts.back() > RELIDAR_SCAN_BLOCK) counts.push_back(static_cast<std::uint32_t>(blocks_of(counts.back())));
+    while (counts.back() > RELIDAR_DENSIFY_BLOCK) counts.push_back(static_cast<std::uint32_t>(blocks_of(counts.back())));
     const std::size_t depth = counts.size() - 1;
     const auto values_of = [&](std::size_t level) { return level == 0 ? values.address() : levels_[level - 1].sums.address(); };
     const auto starts_of = [&](std::size_t level) { return level == 0 ? starts.address() : levels_[level - 1].starts.address(); };

@@ -9,9 +9,9 @@
 
 namespace relidar {
 
-class PrefixSum {
+class BlockScan {
 public:
-    explicit PrefixSum(Device& device);
+    explicit BlockScan(Device& device);
     /// Makes room for n values. Nothing may be in flight.
     void reserve(Device& device, std::size_t n);
     /// Records starts[i] = values[0] + ... + values[i - 1]. The sum of all must fit into 32 bits.

@@ -34,7 +34,7 @@ private:
     Device& device_;
     SurfelArrays spare_;
     Array<std::uint32_t> spare_frames_;
-    PrefixSum prefix_sum_;
+    BlockScan prefix_sum_;
     Kernel<shared::AllotParams> allot_;
     Kernel<shared::MoveParams> move_;
     std::uint32_t before_ = 0;

@@ -50,6 +50,16 @@ std::string version_text(std::uint32_t v) { return fmt::format("{}.{}.{}", VK_AP
 
 constexpr VkSubgroupFeatureFlags kSubgroupOperations = VK_SUBGROUP_FEATURE_BASIC_BIT | VK_SUBGROUP_FEATURE_ARITHMETIC_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT;
 
+std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup, const VkPhysicalDeviceSubgroupSizeControlProperties& sizes) {
+    const auto operations = [&](VkSubgroupFeatureFlags wanted) { return (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & wanted) == wanted; };
+    Missing groups;
+    groups.need(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
+    groups.need(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
+    groups.need(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
+    groups.need(sizes.minSubgroupSize >= 8 && sizes.maxSubgroupSize <= 64, "subgroups of 8 to 64 lanes");
+    return groups.text;
+}
+
 }  // namespace
 
 DeviceInfo describe(VkPhysicalDevice physical, int index) {
@@ -104,14 +114,8 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     info.why_not_ray_query = rays.text;
     info.ray_query = rays.text.empty() && base.text.empty();
 
-    const auto operations = [&](VkSubgroupFeatureFlags wanted) { return (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & wanted) == wanted; };
-    Missing groups;
-    groups.need(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
-    groups.need(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
-    groups.need(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
-    groups.need(sizes.minSubgroupSize >= 8 && sizes.maxSubgroupSize <= 64, "subgroups of 8 to 64 lanes");
-    info.why_not_software = groups.text;
-    info.software = groups.text.empty() && base.text.empty();
+    info.why_not_software = missing_for_software(subgroup, sizes);
+    info.software = info.why_not_software.empty() && base.text.empty();
     return info;
 }
 

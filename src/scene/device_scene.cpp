@@ -85,7 +85,7 @@ struct GradientRows {
     std::vector<std::uint32_t> first_of_model;  ///< [models + 1] into `more`
     std::uint32_t n = 0;
 
-    explicit GradientRows(const Scene& scene) : first(scene.instances.size()), n(static_cast<std::uint32_t>(scene.surfels.size())) {
+    GradientRows(const Scene& scene, std::uint32_t n_surfels) : first(scene.instances.size()), n(n_surfels) {
         for (std::uint32_t model = 0; model < scene.models.size(); ++model) {
             first_of_model.push_back(static_cast<std::uint32_t>(more.size()));
             bool placed = false;
@@ -116,7 +116,7 @@ struct DeviceScene::Impl {
 
     Impl(Device& device, const Scene& scene)
         : layout(layout_of(scene)),
-          rows(scene),
+          rows(scene, static_cast<std::uint32_t>(scene.surfels.size())),
           more_rows(device, rows.more, "rows of further placements"),
           parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel"),
           records(device, 16 * scene.surfels.size(), "surfel records"),
@@ -199,6 +199,8 @@ void DeviceScene::set_models(const std::vector<Model>& models) {
     RELIDAR_ASSERT_LE(16 * std::size_t(n), impl_->records.size());
     impl_->layout.models = models;
     impl_->parameters.n = n;
+    impl_->rows = GradientRows(impl_->layout, n);
+    impl_->more_rows.upload(impl_->rows.more);   // as many as before: instances do not change
 }
 
 const std::vector<InstancePose>& DeviceScene::poses() const { return impl_->poses; }

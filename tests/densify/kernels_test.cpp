@@ -22,7 +22,7 @@ namespace {
 class DensifyKernels : public test::DeviceTest {};
 
 TEST_F(DensifyKernels, PrefixSumOfAnySize) {
-    PrefixSum prefix_sum(device());
+    BlockScan prefix_sum(device());
     for (const std::uint32_t n : {1u, 255u, 256u, 257u, 65536u, 70001u, 256u * 256u * 256u / 50u}) {   // one to three levels
         std::mt19937 random(n);
         std::vector<std::uint32_t> values(n), expected(n);

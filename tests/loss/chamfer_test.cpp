@@ -65,7 +65,7 @@ Found device_chamfer(Device& device, const Clouds& c, const Setting& s = {}) {
     std::vector<DeviceTarget> targets(n * s.stride);
     for (std::size_t i = 0; i < n; ++i) {
         const bool dropped = c.simulated[i] == 0.0f;
-        for (const float x : {c.simulated[i] * (s.normalised ? s.weight : 1.0f), s.weight, 0.5f, dropped ? 0.0f : 1.0f, dropped ? 1.0f : 0.0f, 0.0f, 0.0f, 0.0f}) rendered.push_back(x);
+        for (const float x : {c.simulated[i] * (s.normalised ? s.weight : 1.0f), s.weight, 0.5f, dropped ? 0.0f : 1.0f, dropped ? 1.0f : 0.0f, 0.0f, 0.0f, 0.0f, 0.0f}) rendered.push_back(x);
         rays[i * s.stride] = c.rays[i];
         targets[i * s.stride] = {c.measured[i], 0.5f, 1.0f};
     }

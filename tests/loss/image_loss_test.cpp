@@ -33,7 +33,7 @@ Data random_data(std::size_t n, std::uint64_t seed) {
         const float hit = spread * (unit(random) - 0.5f), drop = spread * (unit(random) - 0.5f), intensity = unit(random);
         const bool dropped = unit(random) < 0.3f;
         for (const float x : {depth, weight, intensity, hit, drop, 1.0f - weight, range}) d.rendered.push_back(x);
-        d.rendered.push_back(0.0f);
+        for (int unused = 0; unused < 2; ++unused) d.rendered.push_back(0.0f);   // hits, instance
         d.targets.push_back({dropped ? 0.0f : range, dropped ? 0.0f : unit(random), 1.0f});
         reference::Pixel p;
         p.depth = depth, p.weight = weight, p.intensity = intensity, p.hit_logit = hit, p.drop_logit = drop;

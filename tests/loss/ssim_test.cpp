@@ -43,7 +43,7 @@ Result device_ssim(Device& device, const Image& image, float share, std::uint32_
     double known = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
         known += image.known[i];
-        for (const float x : {10.0f, 1.0f, image.known[i] ? float(image.x[i]) : 7.0f, 0.0f, 0.0f, 0.0f, 10.0f, 0.0f}) rendered.push_back(x);
+        for (const float x : {10.0f, 1.0f, image.known[i] ? float(image.x[i]) : 7.0f, 0.0f, 0.0f, 0.0f, 10.0f, 0.0f, 0.0f}) rendered.push_back(x);
         targets[i * stride] = image.known[i] ? DeviceTarget{10.0f, float(image.y[i]), 1.0f} : i % 2 ? DeviceTarget{0.0f, 5.0f, 1.0f} : DeviceTarget{10.0f, 5.0f, 0.0f};
     }
     LossWeights weights;

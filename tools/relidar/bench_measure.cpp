@@ -218,7 +218,7 @@ BenchResult Bench::result() {
         if (row.name == "backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
     }
     result.hits_per_ray = hits_per_ray_;
-    result.visits = count_visits(device_, scene_, accel_, batch(), case_.config.image, trace_options(case_.config));
+    if (const auto visits = count_visits(device_, scene_, accel_, batch(), case_.config.image, trace_options(case_.config))) result.visits = BenchVisits{visits->nodes, visits->surfels};
     result.memory = {allocated_with_scene_ - allocated_before_, allocated_with_accel_ - allocated_with_scene_, training_bytes_, device_.allocated_bytes() - allocated_with_accel_ - training_bytes_, device_.peak_bytes()};
     return result;
 }

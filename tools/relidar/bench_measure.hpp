@@ -7,7 +7,6 @@
 #include <string>
 #include <vector>
 
-#include <relidar/forward.hpp>
 
 namespace relidar {
 class Device;
@@ -41,6 +40,12 @@ struct BenchMemory {
     std::uint64_t peak = 0;       ///< since the device was opened
 };
 
+/// What a ray of the forward pass looks at, on average.
+struct BenchVisits {
+    double nodes = 0.0;
+    double surfels = 0.0;
+};
+
 struct BenchResult {
     bool device_clock = true;            ///< false: wall time, forward alone
     std::string proxy;
@@ -49,7 +54,7 @@ struct BenchResult {
     double forward_mrays_per_s = 0.0;                ///< median of forward/trace
     std::optional<double> backward_mrays_per_s;      ///< median of backward/trace
     double hits_per_ray = 0.0;           ///< blended
-    std::optional<VisitCounts> visits;   ///< a ray of the forward pass; software traversal alone
+    std::optional<BenchVisits> visits;   ///< software traversal alone
     BenchMemory memory;
 };
 
