@@ -1,24 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prefix sums over a workgroup of at most 32 subgroups. Threads are numbered subgroup by subgroup, which is what stability and
+// Prefix sums over a workgroup of at most 64 subgroups. Threads are numbered subgroup by subgroup, which is what stability and
 // repeatability rest on; a shader that uses this numbers its elements by scan_thread().
 #ifndef RELIDAR_INCLUDED_COMMON_WORKGROUP_SCAN_GLSL
 #define RELIDAR_INCLUDED_COMMON_WORKGROUP_SCAN_GLSL
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
-shared uvec2 scan_sums[32];
+shared uvec2 scan_sums[64];
 
 uint scan_thread() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
 /// Workgroups of a launch are folded into two dimensions as threads are (kernel.glsl).
 uint workgroup_index() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
 
-/// Sum of x over the threads before this one. Every thread of the workgroup must call it.
-/// @param total of all threads
-uvec2 workgroup_exclusive_add(uvec2 x, out uvec2 total) {
-    uvec2 before = subgroupExclusiveAdd(x), sum = subgroupAdd(x);
+/// Sum over the subgroups before this one. Every thread of the workgroup must call it.
+/// @param sum of this subgroup @param total of all
+uvec2 subgroups_before(uvec2 sum, out uvec2 total) {
     if (subgroupElect()) scan_sums[gl_SubgroupID] = sum;
     barrier();
     total = uvec2(0u);
+    uvec2 before = uvec2(0u);
     for (uint first = 0u; first < gl_NumSubgroups; first += gl_SubgroupSize) {
         uint s = first + gl_SubgroupInvocationID;
         uvec2 of_subgroup = s < gl_NumSubgroups ? scan_sums[s] : uvec2(0u);
@@ -27,5 +27,12 @@ uvec2 workgroup_exclusive_add(uvec2 x, out uvec2 total) {
     }
     barrier();
     return before;
+}
+
+/// Sum of x over the threads before this one. Every thread of the workgroup must call it.
+/// @param total of all threads
+uvec2 workgroup_exclusive_add(uvec2 x, out uvec2 total) {
+    uvec2 before = subgroupExclusiveAdd(x);
+    return before + subgroups_before(subgroupAdd(x), total);
 }
 #endif

@@ -1,18 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stable radix sort, first half of a pass: how often each value of a digit occurs in a tile of keys. One thread a tile.
-// Input: keys, n_keys. Output: table.
+// Radix sort, first of three kernels a pass: how many keys of a tile have each value of the digit. A workgroup of 256 threads a tile
+// of 4096 keys. Input: n_keys, keys. Output: counts. Floor: the keys read.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
 #include "../shared/gpu.h"
+#include "../common/workgroup_scan.glsl"
 RELIDAR_PARAMS(RadixSortParams);
+#include "radix.glsl"
+shared uint histogram[RELIDAR_SORT_DIGITS];
 
 void main() {
-    uint tile = thread_index();
-    if (tile >= params.n_tiles) return;
-    uint counts[RELIDAR_SORT_DIGITS];
-    for (uint d = 0u; d < RELIDAR_SORT_DIGITS; ++d) counts[d] = 0u;
-    uint first = tile * RELIDAR_SORT_TILE, end = min(first + RELIDAR_SORT_TILE, min(params.n_keys.at[0], params.capacity));
-    for (uint i = first; i < end; ++i) ++counts[(params.keys.at[i] >> params.shift) % RELIDAR_SORT_DIGITS];
-    for (uint d = 0u; d < RELIDAR_SORT_DIGITS; ++d) params.table.at[d * params.n_tiles + tile] = counts[d];
+    uint tile = workgroup_index(), thread = scan_thread(), n = n_keys();
+    if (tile >= n_tiles()) return;
+    histogram[thread] = 0u;
+    barrier();
+    uint first = tile * RELIDAR_TILE_SIZE;
+    for (uint i = first + thread; i < min(first + RELIDAR_TILE_SIZE, n); i += RELIDAR_TILE_THREADS) atomicAdd(histogram[digit_of(i)], 1u);
+    barrier();
+    params.counts.at[thread * n_tiles() + tile] = histogram[thread];
 }

@@ -1,24 +1,79 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stable radix sort, second half of a pass: moves the keys of a tile, in order, behind those of smaller digits and of earlier tiles.
-// One thread a tile.
-// Input: keys, values, n_keys, table. Output: sorted_keys, sorted_values.
+// Radix sort, last of three kernels a pass: moves each key behind all smaller digits and the equal digits before it. A workgroup of
+// 256 threads a tile of 4096 keys; each subgroup owns a run of the tile and ranks it round by round with ballots, so that the order
+// of equal digits is kept. Input: n_keys, keys, order, counts, totals. Output: sorted_keys, sorted_order. Floor: key and order read
+// and written.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
 #include "../shared/gpu.h"
+#include "../common/workgroup_scan.glsl"
+#extension GL_KHR_shader_subgroup_ballot : require
 RELIDAR_PARAMS(RadixSortParams);
+#include "radix.glsl"
+
+const uint ROUNDS = RELIDAR_TILE_SIZE / RELIDAR_TILE_THREADS;
+const uint WORDS = RELIDAR_SORT_DIGITS / 2u;   // two 16-bit counts each: a tile has fewer than 65536 keys
+shared uint counters[32u * WORDS];             // keys of a digit in the run of a subgroup; then in the runs before
+shared uint digit_start[RELIDAR_SORT_DIGITS];  // where the keys of this tile start
+
+uint half_word(uint word, uint digit) { return (word >> (16u * (digit & 1u))) & 0xffffu; }
+
+/// Lanes of the subgroup that hold the same digit; lanes without a key agree among themselves.
+uvec2 peers_of(bool valid, uint digit) {
+    uvec2 with_key = subgroupBallot(valid).xy;
+    uvec2 peers = valid ? with_key : ~with_key;
+    for (uint bit = 1u; bit < RELIDAR_SORT_DIGITS; bit <<= 1) {
+        bool set = (digit & bit) != 0u;
+        uvec2 lanes = subgroupBallot(set).xy;
+        peers &= set ? lanes : ~lanes;
+    }
+    return peers;
+}
+
+/// Counts of the subgroups become those of the subgroups before.
+void sum_counters() {
+    if (scan_thread() >= WORDS) return;
+    uint sum = 0u;
+    for (uint at = scan_thread(); at < gl_NumSubgroups * WORDS; at += WORDS) {
+        uint word = counters[at];
+        counters[at] = sum;
+        sum += word;
+    }
+}
 
 void main() {
-    uint tile = thread_index();
-    if (tile >= params.n_tiles) return;
-    uint first = tile * RELIDAR_SORT_TILE, end = min(first + RELIDAR_SORT_TILE, min(params.n_keys.at[0], params.capacity));
-    if (first >= end) return;
-    uint next[RELIDAR_SORT_DIGITS];
-    for (uint d = 0u; d < RELIDAR_SORT_DIGITS; ++d) next[d] = params.table.at[d * params.n_tiles + tile];
-    for (uint i = first; i < end; ++i) {
-        uint key = params.keys.at[i];
-        uint to = next[(key >> params.shift) % RELIDAR_SORT_DIGITS]++;
-        params.sorted_keys.at[to] = key;
-        params.sorted_values.at[to] = uint64_t(params.values) != 0ul ? params.values.at[i] : i;
+    uint tile = workgroup_index(), thread = scan_thread(), n = n_keys();
+    if (tile >= n_tiles()) return;
+    uint counter = gl_SubgroupID * WORDS;
+    uint run = tile * RELIDAR_TILE_SIZE + gl_SubgroupID * gl_SubgroupSize * ROUNDS + gl_SubgroupInvocationID;
+    uvec2 unused;
+    digit_start[thread] = workgroup_exclusive_add(uvec2(params.totals.at[thread], 0u), unused).x + params.counts.at[thread * n_tiles() + tile];
+    for (uint i = thread; i < gl_NumSubgroups * WORDS; i += RELIDAR_TILE_THREADS) counters[i] = 0u;
+    barrier();
+    uint rank[ROUNDS];
+    for (uint r = 0u; r < ROUNDS; ++r) {
+        uint i = run + r * gl_SubgroupSize;
+        bool valid = i < n;
+        uint digit = valid ? digit_of(i) : 0u;
+        uvec2 peers = peers_of(valid, digit), before = peers & gl_SubgroupLtMask.xy;
+        uint smaller = bitCount(before.x) + bitCount(before.y);
+        rank[r] = half_word(counters[counter + digit / 2u], digit) + smaller;
+        subgroupMemoryBarrierShared();
+        subgroupBarrier();
+        if (valid && smaller == 0u) atomicAdd(counters[counter + digit / 2u], (bitCount(peers.x) + bitCount(peers.y)) << (16u * (digit & 1u)));
+        subgroupMemoryBarrierShared();
+        subgroupBarrier();
+    }
+    barrier();
+    sum_counters();
+    barrier();
+    for (uint r = 0u; r < ROUNDS; ++r) {
+        uint i = run + r * gl_SubgroupSize;
+        if (i >= n) continue;
+        uint digit = digit_of(i);
+        uint to = digit_start[digit] + half_word(counters[counter + digit / 2u], digit) + rank[r];
+        for (uint word = 0u; word < KEY_WORDS; ++word) params.sorted_keys.at[to * KEY_WORDS + word] = params.keys.at[i * KEY_WORDS + word];
+        params.sorted_order.at[to] = uint64_t(params.order) != 0ul ? params.order.at[i] : i;
     }
 }

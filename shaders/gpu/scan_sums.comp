@@ -1,16 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prefix sums, going up: sum of each block of 256 counts. One thread a block.
-// Input: counts. Output: block_sums.
+// Prefix sums, going up: the sum of each tile. A workgroup of 256 threads a tile of 4096 counts.
+// Input: counts. Output: tile_sums. Floor: 4 B a count read.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
 #include "../shared/gpu.h"
+#include "../common/workgroup_scan.glsl"
 RELIDAR_PARAMS(ScanParams);
 
 void main() {
-    uint first = thread_index() * RELIDAR_SCAN_BLOCK;
+    uint tile = workgroup_index(), first = tile * RELIDAR_TILE_SIZE;
     if (first >= params.n) return;
-    uint end = min(first + RELIDAR_SCAN_BLOCK, params.n), sum = 0u;
-    for (uint i = first; i < end; ++i) sum += params.counts.at[params.offset + i * params.stride];
-    params.block_sums.at[first / RELIDAR_SCAN_BLOCK] = sum;
+    uint sum = 0u;
+    for (uint i = first + scan_thread(); i < min(first + RELIDAR_TILE_SIZE, params.n); i += RELIDAR_TILE_THREADS) sum += params.counts.at[params.offset + i * params.stride];
+    uvec2 total;
+    workgroup_exclusive_add(uvec2(sum, 0u), total);
+    if (scan_thread() == 0u) params.tile_sums.at[tile] = total.x;
 }

@@ -11,7 +11,6 @@ RELIDAR_SHARED_BEGIN
 
 #define RELIDAR_BVH_WORKGROUP 256u    // threads of the kernels that share memory; 32 subgroups at most
 #define RELIDAR_BVH_TILE 4096u        // elements of one workgroup of these kernels: 16 a thread
-#define RELIDAR_SORT_DIGITS 256u
 #define RELIDAR_BVH_MORTON_BITS 13u   // an axis
 #define RELIDAR_BVH_LEAF 0x80000000u  // a child of a binary node is a sorted position
 
@@ -32,24 +31,10 @@ struct BvhKeysParams {
     Uvec2s models;      // input [n_models]
     Uints bounds;       // input [n_models,6]
     Uvec2s keys;        // output [n] low, high: Morton code, then model
-    Uints values;       // output [n] surfel
     Uints other_ends;   // output [n] NO_NODE, for bvh_cluster
     Uints demands;      // output [n] 0, for bvh_wide_mark
     uint n_surfels;
     uint n_models;
-};
-
-/// One pass of a stable radix sort (accel/bvh_sort_*.comp).
-struct BvhSortParams {
-    Uvec2s keys;         // input [n] low, high
-    Uints values;        // input [n]
-    Uvec2s sorted_keys;  // output [n]
-    Uints sorted_values; // output [n]
-    Uints counts;        // [256,n_tiles] keys of a digit in a tile; after the scan: those in tiles before
-    Uints totals;        // [256] keys of a digit
-    uint n;
-    uint n_tiles;
-    uint shift;          // of the digit, a multiple of 8
 };
 
 /// Binary trees over the sorted surfels. A child is a node, or a sorted position with the bit LEAF. A node of a model has the number of one

@@ -31,8 +31,6 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_DENSIFY_BY_GRADIENT 1
 #define RELIDAR_DENSIFY_BY_OPACITY 2
 
-#define RELIDAR_DENSIFY_BLOCK 256   // values one thread sums
-
 /// One batch into the statistics (densify/observe.comp).
 struct ObserveParams {
     Floats d_mean;         // input [n,3] gradient with respect to the mean; undefined where not touched
@@ -66,21 +64,6 @@ struct ClassifyParams {
     uint n_surfels;
     uint n_words;
     uint key;                   // of the random numbers
-};
-
-/// Sums of blocks of RELIDAR_DENSIFY_BLOCK values (densify/sum_blocks.comp). One thread a block.
-struct SumBlocksParams {
-    Uints values;   // input [n]
-    Uints sums;     // output [ceil(n / RELIDAR_DENSIFY_BLOCK)]
-    uint n;
-};
-
-/// Exclusive prefix sum within blocks (densify/scan_blocks.comp). One thread a block.
-struct ScanBlocksParams {
-    Uints values;         // input [n]
-    Uints block_starts;   // input, exclusive prefix sum of the blocks' sums; address 0 = one block
-    Uints starts;         // output [n]
-    uint n;
 };
 
 /// Hands n_new copies out by weight (densify/allot.comp).

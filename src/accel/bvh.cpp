@@ -10,9 +10,10 @@
 
 #include <relidar/error.hpp>
 
-#include "accel/bvh_sort.hpp"
+#include "gpu/radix_sort.hpp"
 #include "gpu/stream.hpp"
 #include "shared/accel.h"
+#include "shared/bvh_build.h"
 
 namespace relidar {
 
@@ -27,16 +28,9 @@ std::uint32_t tiles_of(std::uint32_t n) { return (n + RELIDAR_BVH_TILE - 1) / RE
 
 /// Threads of a subgroup. @throws DeviceError where the device lacks what the kernels need of them
 std::uint32_t subgroup_size(const Device& device) {
-    VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
-    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &sizes};
-    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
-    vkGetPhysicalDeviceProperties2(device.impl().physical, &properties);
-    const VkSubgroupFeatureFlags needed = VK_SUBGROUP_FEATURE_BASIC_BIT | VK_SUBGROUP_FEATURE_VOTE_BIT | VK_SUBGROUP_FEATURE_ARITHMETIC_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT;
-    const bool in_compute = (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & needed) == needed;
-    if (!in_compute || sizes.minSubgroupSize * 32 < kWorkgroup || sizes.maxSubgroupSize > 64)
-        throw DeviceError(fmt::format("making the software acceleration structure on {}: found subgroup operations {:#x} and sizes {} to {}, expected {:#x} in compute and sizes within 8 to 64",
-                                      device.info().name, subgroup.supportedOperations, sizes.minSubgroupSize, sizes.maxSubgroupSize, std::uint32_t(needed)));
-    return subgroup.subgroupSize;
+    const DeviceInfo& info = device.info();
+    if (!info.software) throw DeviceError(fmt::format("making the software acceleration structure on {}: missing {}", info.name, info.why_not_software));
+    return static_cast<std::uint32_t>(info.subgroup_size);
 }
 
 /// First surfel and number of surfels of each model, which together are all surfels in order.
@@ -82,7 +76,7 @@ struct Bvh::Impl {
     Kernel<shared::ProxyParams> proxies;
     Kernel<shared::BvhBoundsParams> bounds_kernel;
     Kernel<shared::BvhKeysParams> keys_kernel;
-    PairSort sort;
+    RadixSort sort;
     Kernel<shared::BvhClusterParams> cluster;
     Kernel<shared::BvhWideParams> wide_mark, wide_mark_rest, wide_count, wide_scan, wide_place, wide_emit;
     Kernel<shared::BvhRefitParams> refit_kernel;
@@ -92,7 +86,7 @@ struct Bvh::Impl {
     Array<std::uint32_t> model_of;          ///< [n_instances]
     Array<float> boxes;                     ///< [n,6] of surfels
     Array<std::uint32_t> bounds;            ///< [n_models,6]
-    Buffer scratch;                         ///< binary trees, and the pairs being sorted
+    Buffer scratch;                         ///< binary trees, and the keys being sorted
     Array<std::uint32_t> queue;             ///< [bound] binary nodes that become wide
     Array<std::uint32_t> level_sizes;       ///< of the queue
     Array<glm::uvec2> tiles;
@@ -109,13 +103,13 @@ struct Bvh::Impl {
     Impl(Device& device, const DeviceScene& scene);
     shared::BvhBinary binary() const;
     shared::BvhWide wide() const { return {nodes.address(), order.address(), links.address(), node_boxes.address(), arrivals.address(), count.address()}; }
-    SortPairs pairs(int set) const;
+    SortSet sort_set(int set) const;
     std::uint64_t at(std::uint32_t bytes_a_surfel) const;
     std::uint32_t levels() const;
     void collapse(Stream& stream);
     std::uint32_t key_bits() const { return 3 * RELIDAR_BVH_MORTON_BITS + static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1)); }
     void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
-    SortPairs sorted_surfels(Stream& stream, const DeviceScene& scene);
+    SortSet sorted_surfels(Stream& stream, const DeviceScene& scene);
     void fit_nodes(Stream& stream);
 };
 
@@ -128,7 +122,7 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       proxies(d, "accel/proxies", {{2u, 2u}}),
       bounds_kernel(d, "accel/bvh_bounds", {kShares}),
       keys_kernel(d, "accel/bvh_keys"),
-      sort(d, n),
+      sort(d, n, 2),
       cluster(d, "accel/bvh_cluster", {{0u, subgroup_size(d)}, {2u, subgroup_size(d) / 8}}),
       wide_mark(d, "accel/bvh_wide_mark"),
       wide_mark_rest(d, "accel/bvh_wide_mark", {kShares, {2u, 1u}}),
@@ -170,20 +164,20 @@ std::uint32_t Bvh::Impl::levels() const {
 
 shared::BvhBinary Bvh::Impl::binary() const { return {at(kChildrenAt), at(kBoxesAt), at(kCostsAt), at(kDecisionsAt), at(kSparesAt)}; }
 
-/// Where pairs are sorted: set 0 keeps the result, set 1 is overwritten by the costs of the binary nodes.
-SortPairs Bvh::Impl::pairs(int set) const { return set == 0 ? SortPairs{at(kKeysAt), at(kValuesAt)} : SortPairs{at(kCostsAt), at(kCostsAt + 8)}; }
+/// Where keys are sorted: set 0 keeps the result, set 1 is overwritten by the costs of the binary nodes.
+SortSet Bvh::Impl::sort_set(int set) const { return set == 0 ? SortSet{at(kKeysAt), at(kValuesAt)} : SortSet{at(kCostsAt), at(kCostsAt + 8)}; }
 
 void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
     run(stream, proxies, n, {scene.records().address(), 0, boxes.address(), scene.alpha_min(), options.margin_m, options.margin_scale, n});
 }
 
-SortPairs Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
+SortSet Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
     stream.fill(bounds, 0xffffffffu);
     run(stream, bounds_kernel, std::size_t(tiles_of(n)) * kWorkgroup, {boxes.address(), models.address(), bounds.address(), n, n_models});
-    const int first_set = static_cast<int>(PairSort::passes(key_bits()) % 2);   // so that the result is set 0
-    const SortPairs from = pairs(first_set);
-    run(stream, keys_kernel, n, {scene.records().address(), models.address(), bounds.address(), from.keys, from.values, at(kOtherEndsAt), at(kDemandsAt), n, n_models});
-    return sort.sort(stream, from, pairs(1 - first_set), n, key_bits());
+    const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);   // so that the result is set 0
+    const SortSet from = sort_set(first_set);
+    run(stream, keys_kernel, n, {scene.records().address(), models.address(), bounds.address(), from.keys, at(kOtherEndsAt), at(kDemandsAt), n, n_models});
+    return sort.run(stream, from, sort_set(1 - first_set), key_bits());
 }
 
 void Bvh::Impl::collapse(Stream& stream) {
@@ -215,9 +209,9 @@ Bvh::~Bvh() = default;
 void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
     Impl& b = *impl_;
     b.make_boxes(stream, scene, options);
-    const SortPairs sorted = b.sorted_surfels(stream, scene);
+    const SortSet sorted = b.sorted_surfels(stream, scene);
     run(stream, b.cluster, b.n,
-        {b.binary(), b.boxes.address(), sorted.keys, sorted.values, b.models.address(), b.at(kOtherEndsAt), b.at(kClustersAt), b.queue.address(), b.n, b.n_models});
+        {b.binary(), b.boxes.address(), sorted.keys, sorted.order, b.models.address(), b.at(kOtherEndsAt), b.at(kClustersAt), b.queue.address(), b.n, b.n_models});
     b.collapse(stream);
     b.fit_nodes(stream);
     move(stream, scene);

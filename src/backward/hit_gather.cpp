@@ -16,14 +16,19 @@ HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits
       head_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
       gather_(device, accumulating_variant(device, "backward/gather@"), {{3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}}),
       heads_kernel_(device, accumulating_variant(device, "backward/gather_heads@"), {{3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}}),
-      most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch") {}
+      most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch"),
+      prefix_sum_(device) {}
 
 void HitGather::reserve(std::uint64_t n_hits) {
     constexpr std::uint64_t kMost = 1ull << 31;   // slots have 32 bits
     const auto capacity = static_cast<std::uint32_t>(std::min(n_hits, kMost));
     if (sort_ && capacity <= sort_->capacity()) return;
     sort_.reset();
-    sort_ = std::make_unique<RadixSort>(device_, capacity);
+    sort_ = std::make_unique<RadixSort>(device_, capacity, 1);
+    for (int set : {0, 1}) {
+        rows_[set] = Array<std::uint32_t>(device_, capacity, "rows of hits");
+        slots_[set] = Array<std::uint32_t>(device_, capacity, "sorted hits");
+    }
     hits_ = Array<shared::HitRecord>(device_, capacity, "hit records");
     heads_ = Array<float>(device_, std::size_t(head_floats_) * (capacity / RELIDAR_GATHER_BLOCK + 1), "sums of hit records");
 }
@@ -33,23 +38,24 @@ void HitGather::assign_slots(Stream& stream, const RenderedBatch& batch) {
     if (std::size_t(n_rays_) + 1 > first_hit_.size()) {
         stream.finish();
         first_hit_ = Array<std::uint32_t>(device_, std::size_t(n_rays_) + 1, "slots of rays");
-        prefix_sum_ = std::make_unique<PrefixSum>(device_, n_rays_);
+        prefix_sum_.reserve(device_, n_rays_);
         reserve(std::uint64_t(n_rays_) * hits_per_ray_);
     }
-    prefix_sum_->run(stream, {batch.rendered->address(), offsetof(shared::RenderedRay, n_hits) / 4, sizeof(shared::RenderedRay) / 4}, first_hit_.address(), n_rays_);
+    const StridedCounts hits{batch.rendered->address(), offsetof(shared::RenderedRay, n_hits) / 4, sizeof(shared::RenderedRay) / 4};
+    prefix_sum_.run(stream, hits, first_hit_.address(), n_rays_, n_hits_address());
 }
 
 void HitGather::fill(shared::BackwardParams& params) const {
     params.first_hit = first_hit_.address();
     params.hits = hits_.address();
-    params.rows = sort_->keys().address();
+    params.rows = rows_[0].address();
     params.capacity = sort_->capacity();
 }
 
 void HitGather::run(Stream& stream, const shared::BackwardParams& params) {
-    const std::uint64_t n_hits = first_hit_.address() + sizeof(std::uint32_t) * n_rays_;
-    const RadixSort::Sorted sorted = sort_->run(stream, n_hits, static_cast<std::uint32_t>(std::bit_width(params.n_rows)));
-    const shared::GatherParams gather{params.scene, params.upstream, hits_.address(), sorted.keys.address(), sorted.values.address(), n_hits, heads_.address(),
+    const auto set = [&](int i) { return SortSet{rows_[i].address(), slots_[i].address()}; };
+    const SortSet sorted = sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)), n_hits_address());
+    const shared::GatherParams gather{params.scene, params.upstream, hits_.address(), sorted.keys, sorted.order, n_hits_address(), heads_.address(),
                                       params.d_records, params.d_sh, most_hits_.address(), sort_->capacity(), params.n_rows};
     const std::uint32_t n_blocks = sort_->capacity() / RELIDAR_GATHER_BLOCK + 1;
     relidar::run(stream, gather_, n_blocks, gather);

@@ -6,6 +6,7 @@
 
 #include <relidar/backward.hpp>
 
+#include "gpu/prefix_sum.hpp"
 #include "gpu/radix_sort.hpp"
 #include "shared/backward.h"
 
@@ -33,9 +34,12 @@ private:
     Array<std::uint32_t> most_hits_, first_hit_;
     Array<shared::HitRecord> hits_;
     Array<float> heads_;
-    std::unique_ptr<PrefixSum> prefix_sum_;   ///< over rays
-    std::unique_ptr<RadixSort> sort_;         ///< by row
-    std::uint32_t n_rays_ = 0;                ///< of the present batch
+    Array<std::uint32_t> rows_[2], slots_[2];   ///< sort keys, and where the hits lie
+    PrefixSum prefix_sum_;                      ///< over rays
+    std::unique_ptr<RadixSort> sort_;           ///< by row
+    std::uint32_t n_rays_ = 0;                  ///< of the present batch
+
+    std::uint64_t n_hits_address() const { return first_hit_.address() + sizeof(std::uint32_t) * n_rays_; }
 };
 
 }  // namespace relidar

@@ -42,9 +42,9 @@ std::size_t Rearrangement::bytes_per_surfel() const { return 4 * (std::size_t(10
 void Rearrangement::allot(Stream& stream, const GrowthPlan& plan, std::uint32_t before) {
     RELIDAR_ASSERT_LE(std::max(before, plan.size()), capacity());
     before_ = before;
-    prefix_sum_.run(stream, weight, starts, before);
+    prefix_sum_.run(stream, {weight.address()}, starts.address(), before);
     run(stream, allot_, before, {weight.address(), starts.address(), action.address(), n_rows.address(), before, plan.n_new, plan.total_weight, plan.phase});
-    prefix_sum_.run(stream, n_rows, starts, before);
+    prefix_sum_.run(stream, {n_rows.address()}, starts.address(), before);
 }
 
 template <class T>

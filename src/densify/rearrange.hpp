@@ -6,7 +6,8 @@
 #include <relidar/densify.hpp>
 
 #include "densify/growth_plan.hpp"
-#include "densify/prefix_sum.hpp"
+#include "gpu/prefix_sum.hpp"
+#include "shared/densify.h"
 
 namespace relidar {
 
@@ -34,7 +35,7 @@ private:
     Device& device_;
     SurfelArrays spare_;
     Array<std::uint32_t> spare_frames_;
-    BlockScan prefix_sum_;
+    PrefixSum prefix_sum_;
     Kernel<shared::AllotParams> allot_;
     Kernel<shared::MoveParams> move_;
     std::uint32_t before_ = 0;

@@ -103,6 +103,7 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     base.need(features.features.shaderInt64, "shaderInt64");
     base.need((subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
               "subgroup arithmetic and ballots in compute");
+    base.need(subgroup.subgroupSize >= 4 && subgroup.subgroupSize <= 64, "subgroups of 4 to 64 lanes");
     info.why_not_usable = base.text;
 
     Missing rays;

@@ -1,32 +1,44 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of gpu/scan_sums and gpu/scan_write.
+// Binding of gpu/scan_sums and gpu/scan_write: sums up the levels, prefix sums down again.
 #include "gpu/prefix_sum.hpp"
 
 #include "core/assert.hpp"
 #include "gpu/stream.hpp"
 
 namespace relidar {
+namespace {
 
-PrefixSum::PrefixSum(Device& device, std::size_t most) : sums_(device, "gpu/scan_sums"), write_(device, "gpu/scan_write") {
-    for (std::size_t n = most; n > RELIDAR_SCAN_BLOCK;) {
-        n = (n - 1) / RELIDAR_SCAN_BLOCK + 1;
-        levels_.emplace_back(device, n, "block sums");
+constexpr Constant kWorkgroup{0u, RELIDAR_TILE_THREADS};
+
+std::size_t tiles_of(std::size_t n) { return (n + RELIDAR_TILE_SIZE - 1) / RELIDAR_TILE_SIZE; }
+
+}  // namespace
+
+PrefixSum::PrefixSum(Device& device) : sums_(device, "gpu/scan_sums", {kWorkgroup}), write_(device, "gpu/scan_write", {kWorkgroup}) {}
+
+void PrefixSum::reserve(Device& device, std::size_t n) {
+    for (std::size_t level = 0; n > RELIDAR_TILE_SIZE; ++level) {
+        n = tiles_of(n);
+        if (levels_.size() == level) levels_.emplace_back();
+        levels_[level].reserve(device, n, "sums of tiles");
     }
 }
 
-void PrefixSum::run(Stream& stream, const StridedCounts& counts, std::uint64_t prefix, std::uint32_t n) { run_level(stream, counts, prefix, n, 0); }
+void PrefixSum::run(Stream& stream, const StridedCounts& counts, std::uint64_t prefix, std::uint32_t n, std::uint64_t total) const {
+    run_level(stream, {counts.address, 0, prefix, total, n, counts.offset, counts.stride}, 0);
+}
 
-void PrefixSum::run_level(Stream& stream, const StridedCounts& counts, std::uint64_t prefix, std::uint32_t n, std::size_t level) {
-    if (n == 0) return;
-    const std::uint32_t n_blocks = (n - 1) / RELIDAR_SCAN_BLOCK + 1;
-    std::uint64_t block_sums = 0;
-    if (n_blocks > 1) {
+void PrefixSum::run_level(Stream& stream, shared::ScanParams params, std::size_t level) const {
+    if (params.n == 0) return;
+    const std::size_t n_tiles = tiles_of(params.n), n_threads = n_tiles * RELIDAR_TILE_THREADS;
+    if (n_tiles > 1) {
         RELIDAR_ASSERT_LE(level + 1, levels_.size());
-        block_sums = levels_[level].address();
-        relidar::run(stream, sums_, n_blocks, {counts.address, block_sums, 0, n, counts.offset, counts.stride});
-        run_level(stream, {block_sums}, block_sums, n_blocks, level + 1);
+        RELIDAR_ASSERT_LE(n_tiles, levels_[level].size());
+        params.tile_sums = levels_[level].address();
+        relidar::run(stream, sums_, n_threads, params);
+        run_level(stream, {params.tile_sums, 0, params.tile_sums, 0, static_cast<std::uint32_t>(n_tiles), 0, 1}, level + 1);
     }
-    relidar::run(stream, write_, n_blocks, {counts.address, block_sums, prefix, n, counts.offset, counts.stride});
+    relidar::run(stream, write_, n_threads, params);
 }
 
 }  // namespace relidar

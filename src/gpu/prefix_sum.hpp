@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prefix sums over counts on the device (gpu/scan_sums, gpu/scan_write).
+// Exclusive prefix sums over counts on the device (gpu/scan_sums, gpu/scan_write).
 #pragma once
 
 #include "gpu/kernel.hpp"
@@ -16,16 +16,18 @@ struct StridedCounts {
 
 class PrefixSum {
 public:
-    /// @param most  elements of the longest array
-    PrefixSum(Device& device, std::size_t most);
-    /// prefix[i] = sum of the counts before i, i = 0..n; in place (stride 1) prefix[n] is not written.
-    void run(Stream& stream, const StridedCounts& counts, std::uint64_t prefix, std::uint32_t n);
+    explicit PrefixSum(Device& device);
+    /// Makes room for n counts. Nothing may be in flight.
+    void reserve(Device& device, std::size_t n);
+    /// Records prefix[i] = sum of the counts before i, i < n; in place where prefix is the counts. The sum of all must fit into 32 bits.
+    /// @param total  device address where the sum of all goes, 0 = nowhere; not written where n is 0
+    void run(Stream& stream, const StridedCounts& counts, std::uint64_t prefix, std::uint32_t n, std::uint64_t total = 0) const;
 
 private:
     Kernel<shared::ScanParams> sums_, write_;
-    std::vector<Array<std::uint32_t>> levels_;   ///< block sums, then sums of those, ...
+    std::vector<Array<std::uint32_t>> levels_;   ///< sums of tiles, then of tiles of those, ...
 
-    void run_level(Stream& stream, const StridedCounts& counts, std::uint64_t prefix, std::uint32_t n, std::size_t level);
+    void run_level(Stream& stream, shared::ScanParams params, std::size_t level) const;
 };
 
 }  // namespace relidar

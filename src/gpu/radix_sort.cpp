@@ -1,34 +1,49 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of gpu/radix_count and gpu/radix_scatter: least significant digit first.
+// Binding of gpu/radix_count, gpu/radix_scan and gpu/radix_scatter: least significant digit first.
 #include "gpu/radix_sort.hpp"
 
-#include <algorithm>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
 
 #include "gpu/stream.hpp"
 
 namespace relidar {
+namespace {
 
-RadixSort::RadixSort(Device& device, std::uint32_t capacity)
+constexpr Constant kWorkgroup{0u, RELIDAR_TILE_THREADS};
+constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;   // 128 to 1024 subgroups, for 256 digits
+
+std::size_t tiles_of(std::uint32_t n) { return (std::size_t(n) + RELIDAR_TILE_SIZE - 1) / RELIDAR_TILE_SIZE; }
+
+}  // namespace
+
+static_assert(RELIDAR_TILE_THREADS == RELIDAR_SORT_DIGITS, "a thread a digit");
+static_assert(RELIDAR_SORT_DIGITS == 1u << RELIDAR_SORT_BITS && RELIDAR_SORT_BITS == 8, "as passes() counts");
+
+RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_words)
     : capacity_(capacity),
-      n_tiles_((std::max(capacity, 1u) - 1) / RELIDAR_SORT_TILE + 1),
-      keys_{{device, capacity, "sort keys"}, {device, capacity, "sorted keys"}},
-      values_{{device, capacity, "sort values"}, {device, capacity, "sorted values"}},
-      table_(device, std::size_t(RELIDAR_SORT_DIGITS) * n_tiles_, "digit counts"),
-      prefix_sum_(device, table_.size()),
-      count_(device, "gpu/radix_count"),
-      scatter_(device, "gpu/radix_scatter") {}
+      count_(device, "gpu/radix_count", {kWorkgroup, {1u, key_words}}),
+      scan_(device, "gpu/radix_scan", {kWorkgroup}),
+      scatter_(device, "gpu/radix_scatter", {kWorkgroup, {1u, key_words}}),
+      counts_(device, RELIDAR_SORT_DIGITS * tiles_of(capacity), "sort counts"),
+      totals_(device, RELIDAR_SORT_DIGITS, "sort totals") {
+    if (const int lanes = device.info().subgroup_size; lanes < 8 || lanes > 64)
+        throw DeviceError(fmt::format("making a sort on {}: found subgroups of {} lanes, expected 8 to 64", device.info().name, lanes));
+}
 
-RadixSort::Sorted RadixSort::run(Stream& stream, std::uint64_t n_keys, std::uint32_t n_bits) {
-    int from = 0;
-    for (std::uint32_t shift = 0; shift == 0 || shift < n_bits; shift += RELIDAR_SORT_BITS) {
-        const shared::RadixSortParams params{n_keys, keys_[from].address(), shift == 0 ? 0 : values_[from].address(), keys_[1 - from].address(), values_[1 - from].address(),
-                                             table_.address(), capacity_, n_tiles_, shift};
-        relidar::run(stream, count_, n_tiles_, params);
-        prefix_sum_.run(stream, {table_.address()}, table_.address(), static_cast<std::uint32_t>(table_.size()));
-        relidar::run(stream, scatter_, n_tiles_, params);
-        from = 1 - from;
+SortSet RadixSort::run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits, std::uint64_t n_keys) const {
+    const std::size_t n_threads = tiles_of(capacity_) * RELIDAR_TILE_THREADS;
+    for (std::uint32_t pass = 0; pass < passes(key_bits); ++pass) {
+        const shared::RadixSortParams params{n_keys, from.keys, pass == 0 ? 0 : from.order, other.keys, other.order, counts_.address(), totals_.address(), capacity_, RELIDAR_SORT_BITS * pass};
+        relidar::run(stream, count_, n_threads, params);
+        relidar::run(stream, scan_, kScanThreads, params);
+        relidar::run(stream, scatter_, n_threads, params);
+        std::swap(from, other);
     }
-    return {keys_[from], values_[from]};
+    return from;
 }
 
 }  // namespace relidar

@@ -1,32 +1,39 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stable sort of keys on the device, which may know alone how many there are (gpu/radix_count, gpu/radix_scatter).
+// Stable radix sort of keys on the device, which may know alone how many there are: 8 bits a pass, three kernels a pass
+// (gpu/radix_count, radix_scan, radix_scatter).
 #pragma once
 
-#include "gpu/prefix_sum.hpp"
+#include "gpu/kernel.hpp"
+#include "shared/gpu.h"
 
 namespace relidar {
 
+/// Addresses of one set of keys.
+struct SortSet {
+    std::uint64_t keys = 0;    ///< [n,key_words] low word first
+    std::uint64_t order = 0;   ///< [n] the place each key had before
+};
+
 class RadixSort {
 public:
-    /// @param capacity  keys there is room for: about 18 bytes each
-    RadixSort(Device& device, std::uint32_t capacity);
+    /// @param capacity  keys at most: about 1/4 byte each @param key_words  32-bit words of a key
+    /// @throws DeviceError where subgroups have fewer than 8 lanes or more than 64
+    RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_words);
     std::uint32_t capacity() const { return capacity_; }
-    /// Where the keys are to be written before run().
-    Array<std::uint32_t>& keys() { return keys_[0]; }
 
-    struct Sorted {
-        const Array<std::uint32_t>& keys;     ///< ascending
-        const Array<std::uint32_t>& values;   ///< the place each key had before; equal keys keep their order
-    };
-    /// @param n_keys  device address of their number; keys beyond the capacity are left out
-    /// @param n_bits  that keys have
-    Sorted run(Stream& stream, std::uint64_t n_keys, std::uint32_t n_bits);
+    /// Passes that keys of so many bits take. After an odd number the sorted keys lie in the other set.
+    static std::uint32_t passes(std::uint32_t key_bits) { return key_bits > 8 ? (key_bits + 7) / 8 : 1; }
+    /// Records a sort by the low key_bits bits; equal keys keep their order. Both sets are overwritten.
+    /// @param from    its order is not read @param n_keys  device address of their number, 0 = the capacity; keys beyond the capacity are left out
+    /// @return the set that holds the sorted keys
+    SortSet run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits, std::uint64_t n_keys = 0) const;
+    std::uint64_t memory_bytes() const { return counts_.buffer().size_bytes() + totals_.buffer().size_bytes(); }
 
 private:
-    std::uint32_t capacity_, n_tiles_;
-    Array<std::uint32_t> keys_[2], values_[2], table_;
-    PrefixSum prefix_sum_;
-    Kernel<shared::RadixSortParams> count_, scatter_;
+    std::uint32_t capacity_;
+    Kernel<shared::RadixSortParams> count_, scan_, scatter_;
+    Array<std::uint32_t> counts_;   ///< [RELIDAR_SORT_DIGITS, tiles]
+    Array<std::uint32_t> totals_;   ///< [RELIDAR_SORT_DIGITS]
 };
 
 }  // namespace relidar

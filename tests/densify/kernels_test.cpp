@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Single kernels of densification: sum_blocks and scan_blocks as a prefix sum, allot and move through small arrays, reset_opacity, jitter.
+// Single kernels of densification: allot through small arrays, reset_opacity, jitter.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -12,35 +12,14 @@
 #include "../support/device.hpp"
 #include "core/random.hpp"
 #include "densify/growth_plan.hpp"
-#include "densify/prefix_sum.hpp"
 #include "gpu/stream.hpp"
+#include "shared/densify.h"
 #include "random_model.hpp"
 
 namespace relidar {
 namespace {
 
 class DensifyKernels : public test::DeviceTest {};
-
-TEST_F(DensifyKernels, PrefixSumOfAnySize) {
-    BlockScan prefix_sum(device());
-    for (const std::uint32_t n : {1u, 255u, 256u, 257u, 65536u, 70001u, 256u * 256u * 256u / 50u}) {   // one to three levels
-        std::mt19937 random(n);
-        std::vector<std::uint32_t> values(n), expected(n);
-        for (std::uint32_t& v : values) v = random() % 5;
-        std::exclusive_scan(values.begin(), values.end(), expected.begin(), 0u);
-        constexpr std::uint32_t kGuard = 0xabcdef01u;
-        const Array<std::uint32_t> on_device(device(), std::span<const std::uint32_t>(values), "values");
-        Array<std::uint32_t> starts(device(), n + 64, "starts");
-        Stream stream(device());
-        stream.fill(starts, kGuard);
-        prefix_sum.reserve(device(), n);
-        prefix_sum.run(stream, on_device, starts, n);
-        stream.finish();
-        const std::vector<std::uint32_t> actual = starts.download();
-        EXPECT_TRUE(std::equal(expected.begin(), expected.end(), actual.begin())) << n;
-        EXPECT_EQ(std::count(actual.begin() + n, actual.end(), kGuard), 64) << "past the end of " << n;
-    }
-}
 
 TEST_F(DensifyKernels, AllotHandsOutAsTheReferenceDoes) {
     std::mt19937 random(4);

@@ -1,50 +1,60 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prefix sums (gpu/scan_sums, scan_write), the stable sort (gpu/radix_count, radix_scatter) and gpu/sum_rows against the standard library: sizes around block, tile and level borders, counts
-// known to the device alone, fewer keys than there is room for, strided counts; nothing is written beyond the arrays.
+// Prefix sums (gpu/scan_sums, scan_write) and the stable sort (gpu/radix_count, radix_scan, radix_scatter) against the standard
+// library: sizes around the borders of tiles and levels, counts known to the device alone, fewer keys than there is room for, strided
+// counts; nothing is written beyond the arrays.
 #include <algorithm>
 #include <numeric>
+#include <optional>
 #include <random>
 
 #include "../support/device.hpp"
 #include "gpu/prefix_sum.hpp"
 #include "gpu/radix_sort.hpp"
-#include "gpu/sum_rows.hpp"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 namespace {
 
 constexpr std::uint32_t kGuard = 0xdeadbeefu;
 
-class Order : public test::DeviceTest {
+using Words = std::vector<std::uint32_t>;
+
+class PrefixSums : public test::DeviceTest {
 protected:
     std::mt19937 random{7};
-    std::vector<std::uint32_t> numbers(std::size_t n, std::uint32_t below) {
-        std::vector<std::uint32_t> result(n);
+    Words numbers(std::size_t n, std::uint32_t below) {
+        Words result(n);
         for (std::uint32_t& x : result) x = random() % below;
         return result;
     }
 };
 
-TEST_F(Order, PrefixSumsOfEverySize) {
+TEST_F(PrefixSums, OfEverySize) {
     Stream stream(device());
-    PrefixSum prefix_sum(device(), 200000);
-    for (const std::uint32_t n : {1u, 2u, 255u, 256u, 257u, 65536u, 65537u, 200000u}) {
-        const std::vector<std::uint32_t> counts = numbers(3 * n + 1, 50);
-        const Array<std::uint32_t> in(device(), std::span<const std::uint32_t>(counts), "counts"), out(device(), std::vector<std::uint32_t>(n + 2, kGuard), "prefix");
-        prefix_sum.run(stream, {in.address(), 1, 3}, out.address(), n);
+    PrefixSum prefix_sum(device());
+    for (const std::uint32_t n : {1u, 2u, 255u, 256u, 257u, 4095u, 4096u, 4097u, 200'000u, 4096u * 4096u + 1u}) {   // one to three levels
+        const std::uint32_t stride = n < 1'000'000 ? 3 : 1;
+        const Words counts = numbers(std::size_t(stride) * n + 1, 50);
+        const Array<std::uint32_t> in(device(), std::span<const std::uint32_t>(counts), "counts"), out(device(), Words(n + 64, kGuard), "prefix"), total(device(), Words(2, kGuard), "total");
+        prefix_sum.reserve(device(), n);
+        prefix_sum.run(stream, {in.address(), 1, stride}, out.address(), n, total.address());
         stream.finish();
-        std::vector<std::uint32_t> expected(1, 0u);
-        for (std::uint32_t i = 0; i < n; ++i) expected.push_back(expected.back() + counts[1 + 3 * i]);
-        expected.push_back(kGuard);
-        EXPECT_EQ(out.download(), expected) << n << " counts";
+        Words expected;
+        for (std::uint32_t i = 0; i < n; ++i) expected.push_back(counts[1 + stride * i]);
+        const std::uint32_t sum = std::accumulate(expected.begin(), expected.end(), 0u);
+        std::exclusive_scan(expected.begin(), expected.end(), expected.begin(), 0u);
+        expected.resize(n + 64, kGuard);
+        EXPECT_TRUE(out.download() == expected) << n << " counts";
+        EXPECT_EQ(total.download(), (Words{sum, kGuard})) << n << " counts";
     }
 }
 
-TEST_F(Order, PrefixSumsInPlace) {
+TEST_F(PrefixSums, InPlace) {
     Stream stream(device());
-    const std::uint32_t n = 70000;
-    PrefixSum prefix_sum(device(), n);
-    std::vector<std::uint32_t> counts = numbers(n, 9);
+    const std::uint32_t n = 70'000;
+    PrefixSum prefix_sum(device());
+    prefix_sum.reserve(device(), n);
+    Words counts = numbers(n, 9);
     const Array<std::uint32_t> array(device(), std::span<const std::uint32_t>(counts), "counts");
     prefix_sum.run(stream, {array.address()}, array.address(), n);
     stream.finish();
@@ -52,44 +62,70 @@ TEST_F(Order, PrefixSumsInPlace) {
     EXPECT_EQ(array.download(), counts);
 }
 
-TEST_F(Order, SortIsStable) {
-    Stream stream(device());
-    struct Case {
-        std::uint32_t n, capacity, bits;
-    };
-    for (const auto& [n, capacity, bits] : {Case{0, 10, 4}, Case{1, 1, 1}, Case{128, 128, 6}, Case{129, 1000, 7}, Case{5000, 5000, 3}, Case{20000, 30000, 20}, Case{20000, 12345, 13}}) {
-        RadixSort sort(device(), capacity);
-        const std::vector<std::uint32_t> keys = numbers(capacity, 1u << bits);
-        sort.keys().upload(keys);
-        const Array<std::uint32_t> n_keys(device(), std::vector<std::uint32_t>{n}, "number of keys");
-        const RadixSort::Sorted sorted = sort.run(stream, n_keys.address(), bits);
+class Sort : public test::DeviceTest {
+protected:
+    std::mt19937_64 random{1};
+    std::vector<std::uint64_t> numbers(std::size_t n) {
+        std::vector<std::uint64_t> result(n);
+        for (std::uint64_t& x : result) x = random();
+        return result;
+    }
+
+    /// Sorts on the device by the low bits. @param n_keys  that the device alone knows of; of the rest nothing may be moved
+    void compare(const std::vector<std::uint64_t>& keys, std::uint32_t key_words, std::uint32_t key_bits, std::optional<std::uint32_t> n_keys = {}) {
+        const auto capacity = static_cast<std::uint32_t>(keys.size()), n = std::min(n_keys.value_or(capacity), capacity);
+        Words words;
+        for (const std::uint64_t key : keys)
+            for (std::uint32_t w = 0; w < key_words; ++w) words.push_back(static_cast<std::uint32_t>(key >> 32 * w));
+        const Array<std::uint32_t> count(device(), Words{n_keys.value_or(0)}, "count");
+        const Array<std::uint32_t> first(device(), std::span<const std::uint32_t>(words), "keys"), second(device(), Words(words.size(), kGuard), "keys");
+        const Array<std::uint32_t> first_order(device(), Words(capacity, kGuard), "order"), second_order(device(), Words(capacity, kGuard), "order");
+        const RadixSort sort(device(), capacity, key_words);
+        Stream stream(device());
+        const SortSet result = sort.run(stream, {first.address(), first_order.address()}, {second.address(), second_order.address()}, key_bits, n_keys ? count.address() : 0);
         stream.finish();
-        const std::uint32_t n_sorted = std::min(n, capacity);
-        std::vector<std::uint32_t> order(n_sorted), actual = sorted.values.download(), actual_keys = sorted.keys.download();
+
+        const std::uint64_t mask = key_bits == 64 ? ~std::uint64_t(0) : (std::uint64_t(1) << (key_bits + 7) / 8 * 8) - 1;
+        Words order(n), sorted;
         std::iota(order.begin(), order.end(), 0u);
-        std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return keys[a] < keys[b]; });
-        actual.resize(n_sorted);
-        EXPECT_EQ(actual, order) << n << " of " << capacity << " keys of " << bits << " bits";
-        for (std::uint32_t i = 0; i < n_sorted; ++i) ASSERT_EQ(actual_keys[i], keys[order[i]]);
+        std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return (keys[a] & mask) < (keys[b] & mask); });
+        for (const std::uint32_t i : order) sorted.insert(sorted.end(), words.begin() + key_words * i, words.begin() + key_words * (i + 1));
+        const bool swapped = RadixSort::passes(key_bits) % 2 == 1;
+        EXPECT_EQ(result.keys, (swapped ? second : first).address());
+        Words actual = (swapped ? second : first).download(), actual_order = (swapped ? second_order : first_order).download();
+        const std::string what = std::to_string(n) + " of " + std::to_string(capacity) + " keys of " + std::to_string(key_bits) + " bits";
+        EXPECT_TRUE(std::equal(sorted.begin(), sorted.end(), actual.begin())) << what;
+        EXPECT_TRUE(std::equal(order.begin(), order.end(), actual_order.begin())) << what;
+        EXPECT_EQ(Words(actual_order.begin() + n, actual_order.end()), Words(capacity - n, kGuard)) << what;
+    }
+};
+
+TEST_F(Sort, EqualsStableSort) {
+    for (const std::uint32_t n : {1u, 2u, 31u, 256u, 4095u, 4096u, 4097u, 100'003u}) {
+        for (const std::uint32_t bits : {1u, 8u, 13u, 32u}) compare(numbers(n), 1, bits);
+        for (const std::uint32_t bits : {8u, 40u, 64u}) compare(numbers(n), 2, bits);
     }
 }
 
-TEST_F(Order, SumsOfRows) {
-    Stream stream(device());
-    for (const std::uint32_t n : {1u, 2u, 3u, 100u, 101u, 70001u}) {
-        std::vector<float> rows;
-        double expected[3] = {0.5, 0.5, 0.5};
-        for (std::uint32_t i = 0; i < 3 * n; ++i) {
-            rows.push_back(static_cast<float>(random() % 1000) / 1000.0f);
-            expected[i % 3] += rows.back();
-        }
-        SumRows sum(device(), 70001, 3);
-        const Array<float> in(device(), std::span<const float>(rows), "rows"), out(device(), std::vector<float>(3, 0.5f), "sums");
-        sum.add(stream, in.address(), n, out.address());
-        stream.finish();
-        const std::vector<float> actual = out.download();
-        for (std::size_t k = 0; k < 3; ++k) EXPECT_NEAR(actual[k], expected[k], 1e-5 * expected[k]) << n << " rows, column " << k;
+TEST_F(Sort, AsManyAsTheDeviceKnowsOf) {
+    for (const auto& [n, capacity] : {std::pair{0u, 10u}, {1u, 5000u}, {4096u, 30'000u}, {12'345u, 30'000u}, {20'000u, 12'345u}}) compare(numbers(capacity), 1, 20, n);
+    compare(numbers(9000), 2, 48, 5000);
+}
+
+TEST_F(Sort, KeepsTheOrderOfEqualKeys) {
+    for (const std::uint64_t different : {1u, 2u, 3u, 300u}) {
+        std::vector<std::uint64_t> keys = numbers(20'000);
+        for (std::uint64_t& key : keys) key = key % different * 0x0101'0000'0001ull;
+        compare(keys, 2, 47);
     }
+}
+
+TEST_F(Sort, SortedAndReversedKeys) {
+    std::vector<std::uint64_t> keys(10'000);
+    std::iota(keys.begin(), keys.end(), 0xffff'0000ull);   // the carry crosses the words
+    compare(keys, 2, 40);
+    std::reverse(keys.begin(), keys.end());
+    compare(keys, 2, 40);
 }
 
 }  // namespace

@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: Apache-2.0
+// Radix sort, second of three kernels a pass: for each value of the digit, how many keys of it are in the tiles before. A subgroup a
+// value. Input: n_keys. Counts: in place; totals: output. Floor: 8 B an entry of counts, 1/2 B a key.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../common/kernel.glsl"
+#include "../shared/gpu.h"
+#include "../common/workgroup_scan.glsl"
+RELIDAR_PARAMS(RadixSortParams);
+#include "radix.glsl"
+
+void main() {
+    uint tiles = n_tiles(), n_subgroups = gl_NumWorkGroups.x * gl_NumWorkGroups.y * gl_NumSubgroups;
+    for (uint digit = workgroup_index() * gl_NumSubgroups + gl_SubgroupID; digit < RELIDAR_SORT_DIGITS; digit += n_subgroups) {
+        uint before = 0u;
+        for (uint first = 0u; first < tiles; first += gl_SubgroupSize) {
+            uint tile = first + gl_SubgroupInvocationID, at = digit * tiles + tile;
+            uint in_tile = tile < tiles ? params.counts.at[at] : 0u;
+            uint sum = before + subgroupExclusiveAdd(in_tile);
+            if (tile < tiles) params.counts.at[at] = sum;
+            before += subgroupAdd(in_tile);
+        }
+        if (gl_SubgroupInvocationID == 0u) params.totals.at[digit] = before;
+    }
+}
