@@ -42,6 +42,13 @@ constexpr const char* dtype_of() {
     else return sizeof(T) == 4 ? "u4" : "u8";
 }
 
+/// The first n values of a device array that may have room for more.
+template <class T>
+struct FirstOf {
+    Array<T>& array;
+    std::size_t n;
+};
+
 /// Copies state into a checkpoint: one call for each thing that is state. Device arrays must not be in use by work still running.
 class StateWriter {
 public:
@@ -54,6 +61,8 @@ public:
     void operator()(const std::string& name, const std::vector<T>& values) { put(name, dtype_of<T>(), {values.size()}, values.data()); }
     template <class T>
     void operator()(const std::string& name, const Array<T>& array) { (*this)(name, array.download()); }
+    template <class T>
+    void operator()(const std::string& name, const FirstOf<T>& first) { (*this)(name, first.array.download(first.n)); }
     /// Five arrays, name/mean [n,3] to name/sh [n,3,16].
     void operator()(const std::string& name, const SurfelArrays& surfels);
 
@@ -79,10 +88,12 @@ public:
         copy(found, values.data());
     }
     template <class T>
-    void operator()(const std::string& name, Array<T>& array) const {
-        std::vector<T> values(array.size());
-        copy(find(name, dtype_of<T>(), {array.size()}), values.data());
-        array.upload(values);
+    void operator()(const std::string& name, Array<T>& array) const { (*this)(name, FirstOf<T>{array, array.size()}); }
+    template <class T>
+    void operator()(const std::string& name, const FirstOf<T>& first) const {
+        std::vector<T> values(first.n);
+        copy(find(name, dtype_of<T>(), {first.n}), values.data());
+        first.array.upload(values);
     }
     void operator()(const std::string& name, SurfelArrays& surfels) const { surfels.upload(surfels_of(name, surfels.n)); }
 

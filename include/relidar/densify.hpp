@@ -3,9 +3,11 @@
 // removed where they do nothing (docs/method.md section 6). Parameters, optimiser moments and statistics move together.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <relidar/gpu.hpp>
@@ -58,7 +60,13 @@ struct DensifyReport {
     void add(const DensifyReport& later);
 };
 
-/// Statistics since the last densification, kept with the surfels. A checkpoint holds them.
+/// All its counts by name.
+inline constexpr std::array<std::pair<const char*, std::uint32_t DensifyReport::*>, 10> kDensifyCounts{{
+    {"before", &DensifyReport::before}, {"after", &DensifyReport::after}, {"added", &DensifyReport::added}, {"clones", &DensifyReport::clones},
+    {"splits", &DensifyReport::splits}, {"invalid", &DensifyReport::invalid}, {"faint", &DensifyReport::faint}, {"large", &DensifyReport::large},
+    {"outside", &DensifyReport::outside}, {"unseen", &DensifyReport::unseen}}};
+
+/// Statistics since the last densification, kept with the surfels; the arrays may have room for more than n. A checkpoint holds them.
 struct SurfelStatistics {
     Array<float> gradient_sum;        ///< [n] sum over batches of the norm of the gradient
     Array<std::uint32_t> n_seen;      ///< [n] batches whose frame shows the surfel

@@ -15,8 +15,6 @@
 namespace relidar {
 
 struct RayBatch;
-struct Scene;
-struct Sequence;
 struct SurfelArrays;
 class DeviceScene;
 
@@ -117,16 +115,13 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Half the size of each model's box, metres; 0 for the background and for models without a track in the log.
-std::vector<glm::vec3> box_half_sizes(const Scene& scene, const Sequence& sequence);
-
 /// Gradients of a scene's parameters, as the backward pass leaves them.
 struct SurfelGradients {
     SurfelArrays* d_surfels = nullptr;               ///< accumulated
     const Array<std::uint32_t>* touched = nullptr;   ///< rows that hold a gradient; null = all do
 };
 
-/// Terms of the parameters themselves, with mu the mean in the box frame, h half the box, s a standard deviation and sigma an opacity:
+/// Terms of the parameters themselves, with mu the mean in the box frame, h the Model::half_size_m, s a standard deviation and sigma an opacity:
 ///   box      mean over actors' surfels of  sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)
 ///   entropy  mean over all surfels of  -sigma ln sigma - (1 - sigma) ln(1 - sigma)
 class SurfelLoss {
@@ -134,9 +129,8 @@ public:
     SurfelLoss(Device& device, const LossWeights& weights);
     ~SurfelLoss();
     /// Records both terms; to follow the backward pass.
-    /// @param half_sizes_m  one a model of the scene, box_half_sizes
-    /// @param terms         accumulated
-    void run(Stream& stream, const DeviceScene& scene, const std::vector<glm::vec3>& half_sizes_m, const SurfelGradients& gradients, const TermRow& terms);
+    /// @param terms  accumulated
+    void run(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients, const TermRow& terms);
 
 private:
     struct Impl;

@@ -139,10 +139,6 @@ std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::ui
 
 DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules, int step, double others_bytes) {
     const std::uint32_t before = scene.size();
-    if (arrays.capacity() < before) {   // a resumed run has brought a larger scene and its statistics
-        stream.finish();
-        arrays.reserve(before);
-    }
     const std::vector<ModelCounts> counted = counts(stream, scene, rules, step);
     GrowthPlan plan = limited_to(plan_growth(counted, options, before, random(Draw::phase, step)), memory_limit);
     std::string why;

@@ -103,6 +103,7 @@ struct LogColumns {
     std::vector<double> seconds;
     std::vector<std::uint32_t> surfels;
     std::array<std::vector<double>, kLossTerms> terms;
+    std::array<std::vector<std::uint32_t>, kDensifyCounts.size()> densified;
 
     template <class Visitor>
     void visit_state(Visitor&& visit) {
@@ -110,6 +111,7 @@ struct LogColumns {
         visit("log/seconds", seconds);
         visit("log/surfels", surfels);
         for (std::size_t k = 0; k < terms.size(); ++k) visit(std::string("log/") + kLossTermNames[k], terms[k]);
+        for (std::size_t k = 0; k < densified.size(); ++k) visit(std::string("log/densified/") + kDensifyCounts[k].first, densified[k]);
     }
 };
 
@@ -159,6 +161,7 @@ void write_result(StateWriter& write, const TrainResult& result, double train_s)
         log.seconds.push_back(p.seconds);
         log.surfels.push_back(p.n_surfels);
         for (std::size_t k = 0; k < p.terms.size(); ++k) log.terms[k].push_back(p.terms[k]);
+        for (std::size_t k = 0; k < kDensifyCounts.size(); ++k) log.densified[k].push_back(p.densified.*kDensifyCounts[k].second);
     }
     log.visit_state(write);
     write("initialise_s", result.initialise_s);
@@ -169,13 +172,15 @@ std::vector<TrainProgress> resumed_log(const Checkpoint& checkpoint, const Confi
     LogColumns log;
     log.visit_state(StateReader(checkpoint));
     const std::size_t n = log.iteration.size();
-    const bool even = log.seconds.size() == n && log.surfels.size() == n && std::all_of(log.terms.begin(), log.terms.end(), [n](const auto& term) { return term.size() == n; });
+    const auto as_long = [n](const auto& column) { return column.size() == n; };
+    const bool even = as_long(log.seconds) && as_long(log.surfels) && std::ranges::all_of(log.terms, as_long) && std::ranges::all_of(log.densified, as_long);
     if (!even) throw DataError(fmt::format("resuming from iteration {}: the columns of the log differ in length", checkpoint.iteration));
     std::vector<TrainProgress> lines;
     for (std::size_t i = 0; i < n; ++i) {
         std::array<double, kLossTerms> terms{};
         for (std::size_t k = 0; k < terms.size(); ++k) terms[k] = log.terms[k][i];
         lines.push_back(progress_at(log.iteration[i], config, log.seconds[i], terms, log.surfels[i]));
+        for (std::size_t k = 0; k < kDensifyCounts.size(); ++k) lines.back().densified.*kDensifyCounts[k].second = log.densified[k][i];
     }
     return lines;
 }

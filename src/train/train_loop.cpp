@@ -74,7 +74,6 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       kept_(device, largest_batch(), static_cast<std::uint32_t>(config.trace.keep_hits)),
       upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
       terms_(device, std::vector<float>(kTermSlots * kLossTerms, 0.0f), "loss terms"),
-      half_sizes_m_(box_half_sizes(initial, sequence)),
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.size(), config.train.seed),
       term_sums_(kLossTerms, 0.0) {
@@ -115,7 +114,7 @@ void TrainLoop::iterate(int step) {
     loss_.run(stream_, targets, rendered_, upstream_, terms);                                                              // Eq. 10
     chamfer_.run(stream_, rays, targets, rendered_, upstream_, terms);                                                     // Eq. 11
     backward_.run(stream_, scene_, *accel_, {rays, &rendered_, &upstream_, &kept_}, frame.sensor_position_m, *gradients_); // Eq. 9
-    surfel_loss_.run(stream_, scene_, half_sizes_m_, {&gradients_->surfels, config_.train.only_touched ? &gradients_->touched : nullptr}, terms);
+    surfel_loss_.run(stream_, scene_, {&gradients_->surfels, config_.train.only_touched ? &gradients_->touched : nullptr}, terms);
     if (densifier_) densifier_->observe(stream_, scene_, {&gradients_->surfels, &gradients_->touched, static_cast<std::uint32_t>(frame_index), rays.n_rays == frame.n_rays});
     const LearningRates rates = rates_at(config_.train, extent_m_, step);
     adam_.step(stream_, scene_.parameters(), gradients_->surfels, gradients_->touched, rates, step, model.sh_degree);

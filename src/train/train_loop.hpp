@@ -94,7 +94,6 @@ private:
     Array<float> rendered_;
     KeptHits kept_;
     Array<float> upstream_, terms_;
-    std::vector<glm::vec3> half_sizes_m_;   ///< of the models' boxes
     double extent_m_;
     FrameSampler sampler_;
     std::uint64_t submitted_ = 0;     ///< ticket of the last iteration
@@ -114,9 +113,11 @@ private:
         sampler_.visit_state(visit);
         if (!densifier_) return;
         visit("densify/extents_m", densifier_->extents_m());
-        visit("densify/gradient_sum", densifier_->statistics().gradient_sum);
-        visit("densify/n_seen", densifier_->statistics().n_seen);
-        visit("densify/frames", densifier_->statistics().frames);
+        SurfelStatistics& s = densifier_->statistics();
+        visit("densify/gradient_sum", FirstOf<float>{s.gradient_sum, scene_.size()});
+        visit("densify/n_seen", FirstOf<std::uint32_t>{s.n_seen, scene_.size()});
+        visit("densify/frames", FirstOf<std::uint32_t>{s.frames, std::size_t(scene_.size()) * s.n_words});
+        for (const auto& [name, count] : kDensifyCounts) visit(std::string("densify/report/") + name, densified_.*count);
     }
 
     std::uint32_t largest_batch() const;

@@ -7,7 +7,6 @@
 #include <relidar/loss.hpp>
 #include <relidar/optimizer.hpp>
 #include <relidar/scene.hpp>
-#include <relidar/sequence.hpp>
 
 #include "../reference/surfel_loss.hpp"
 #include "../support/device.hpp"
@@ -30,33 +29,13 @@ Scene random_scene() {
     for (glm::vec2& s : scene.surfels.log_scale) s = 0.4f * glm::vec2(uniform(random), uniform(random) - 2.0f);
     for (float& o : scene.surfels.opacity_logit) o = 4.0f * uniform(random);
     scene.surfels.opacity_logit[3] = 500.0f, scene.surfels.opacity_logit[4] = -500.0f;
-    scene.models = {{"background", 0, kBackground}, {"a", kBackground, kActor}, {"b", kBackground + kActor, kActor}};
+    scene.models = {{"background", 0, kBackground}, {"a", kBackground, kActor, {2.0f, 0.9f, 0.75f}}, {"b", kBackground + kActor, kActor, {1.0f, 0.3f, 0.85f}}};
     scene.instances = {{0, ""}, {2, "b"}, {1, "a"}};
     return scene;
 }
 
-Sequence boxes_of(const std::string& first, const std::string& second) {
-    Sequence sequence;
-    for (const auto& [id, size] : {std::pair{first, glm::dvec3(4.0, 1.8, 1.5)}, {second, glm::dvec3(2.0, 0.6, 1.7)}}) {
-        BoxTrack box;
-        box.id = id;
-        box.size_m = size;
-        sequence.boxes.push_back(box);
-    }
-    return sequence;
-}
-
-TEST(BoxHalfSizes, FollowInstancesToTheirTracks) {
-    const std::vector<glm::vec3> half = box_half_sizes(random_scene(), boxes_of("b", "elsewhere"));
-    ASSERT_EQ(half.size(), 3u);
-    EXPECT_EQ(half[0], glm::vec3(0.0f));
-    EXPECT_EQ(half[1], glm::vec3(0.0f)) << "a track the log does not have";
-    EXPECT_EQ(half[2], glm::vec3(2.0f, 0.9f, 0.75f));
-}
-
 TEST_F(SurfelLossTest, AgreesWithReference) {
     const Scene scene = random_scene();
-    const std::vector<glm::vec3> half = box_half_sizes(scene, boxes_of("a", "b"));
     LossWeights weights;
     weights.box = 0.3f, weights.opacity_entropy = 0.7f;
     const std::size_t n = scene.surfels.size();
@@ -71,7 +50,7 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
         const Array<std::uint32_t> rows(device(), std::span<const std::uint32_t>(touched), "touched");
         const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
         SurfelLoss loss(device(), weights);
-        loss.run(stream, on_device, half, {&d, all ? nullptr : &rows}, terms);
+        loss.run(stream, on_device, {&d, all ? nullptr : &rows}, terms);
         stream.finish();
 
         double box = 0.0, entropy = 0.0;
@@ -82,7 +61,7 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
             expected.mean = {0.25, 0.25, 0.25};
             const bool write = all || touched[i];
             if (i >= kBackground) {
-                const glm::dvec3 h = half[i < kBackground + kActor ? 1 : 2];
+                const glm::dvec3 h = scene.models[i < kBackground + kActor ? 1 : 2].half_size_m;
                 const Surfels& s = scene.surfels;
                 const reference::BoxedSurfel surfel{{s.mean[i].x, s.mean[i].y, s.mean[i].z}, {s.log_scale[i].x, s.log_scale[i].y}};
                 box += reference::box_loss(surfel, {{h.x, h.y, h.z}, 0.2 * glm::length(h)}, 0.3 / (2 * kActor), write ? expected : ignored);
@@ -102,7 +81,6 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
 
 TEST_F(SurfelLossTest, ActorsComeBackIntoTheirBoxAndTheBackgroundStays) {
     const Scene scene = random_scene();
-    const std::vector<glm::vec3> half = box_half_sizes(scene, boxes_of("a", "b"));
     LossWeights weights;
     weights.box = 1.0f;
     Stream stream(device());
@@ -114,7 +92,7 @@ TEST_F(SurfelLossTest, ActorsComeBackIntoTheirBoxAndTheBackgroundStays) {
     Adam adam(device(), on_device.size(), {});
     for (int step = 1; step <= 150; ++step) {
         d.fill_zero(stream);
-        loss.run(stream, on_device, half, {&d, nullptr}, terms);
+        loss.run(stream, on_device, {&d, nullptr}, terms);
         adam.step(stream, on_device.parameters(), d, touched, {0.03, 0.0, 0.03, 0.0, 0.0, 1.0}, step, 3);
         stream.finish();
     }
@@ -124,7 +102,7 @@ TEST_F(SurfelLossTest, ActorsComeBackIntoTheirBoxAndTheBackgroundStays) {
             ASSERT_EQ(end.mean[i], scene.surfels.mean[i]);
             continue;
         }
-        const glm::vec3 h = half[i < kBackground + kActor ? 1 : 2];
+        const glm::vec3 h = scene.models[i < kBackground + kActor ? 1 : 2].half_size_m;
         for (int axis = 0; axis < 3; ++axis) EXPECT_LE(std::abs(end.mean[i][axis]), h[axis] + 0.05f) << "surfel " << i;
         for (int axis = 0; axis < 2; ++axis) EXPECT_LE(std::exp(end.log_scale[i][axis]), 0.2f * glm::length(h) * 1.1f) << "surfel " << i;
     }
