@@ -16,13 +16,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-SyntheticOptions small() {
-    SyntheticOptions options;
-    options.n_frames = 5;
-    options.rows = 16;
-    options.columns = 256;
-    return options;
-}
+SyntheticOptions small() { return {.n_frames = 5, .rows = 16, .columns = 256}; }
 
 RayTable one_ray(const glm::vec3& direction) {
     RayTable rays;

@@ -14,14 +14,7 @@
 namespace relidar {
 namespace {
 
-SyntheticOptions street_options() {
-    SyntheticOptions options;
-    options.n_frames = 12;
-    options.rows = 24;
-    options.columns = 512;
-    options.range_noise_m = 0.0;
-    return options;
-}
+SyntheticOptions street_options() { return {.n_frames = 12, .rows = 24, .columns = 512, .range_noise_m = 0.0}; }
 
 InitialiseOptions with_actors() {
     InitialiseOptions options;

@@ -13,14 +13,7 @@
 namespace relidar {
 namespace {
 
-SyntheticOptions small_street() {
-    SyntheticOptions options;
-    options.n_frames = 12;
-    options.rows = 24;
-    options.columns = 256;
-    options.range_noise_m = 0.0;
-    return options;
-}
+SyntheticOptions small_street() { return {.n_frames = 12, .rows = 24, .columns = 256, .range_noise_m = 0.0}; }
 
 glm::vec3 normal_of(const glm::vec4& q) {
     const glm::vec4 u = glm::normalize(q);   // w, x, y, z

@@ -13,13 +13,7 @@ namespace {
 
 class DensifyTrain : public test::DeviceTest {};
 
-Sequence street() {
-    SyntheticOptions options;
-    options.n_frames = 11;
-    options.rows = 16;
-    options.columns = 256;
-    return make_synthetic_street(options);
-}
+Sequence street() { return make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256}); }
 
 /// One surfel where the `small` configuration of the other tests has about eight, every second ray.
 Config sparse_config() {

@@ -13,11 +13,7 @@ namespace {
 class Losses : public test::DeviceTest {};
 
 TEST_F(Losses, EveryTermIsLogged) {
-    SyntheticOptions options;
-    options.n_frames = 5;
-    options.rows = 16;
-    options.columns = 256;
-    const Sequence street = make_synthetic_street(options);
+    const Sequence street = make_synthetic_street({.n_frames = 5, .rows = 16, .columns = 256});
     for (const std::string batch : {"columns", "rays"}) {
         Config config = make_preset("quick");
         config.init.voxel_m = 0.4;

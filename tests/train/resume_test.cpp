@@ -74,9 +74,7 @@ protected:
         std::string pattern = (fs::temp_directory_path() / "relidar-resume-XXXXXX").string();
         ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
         folder = pattern;
-        SyntheticOptions options;
-        options.n_frames = 11, options.rows = 16, options.columns = 256;
-        street = make_synthetic_street(options);
+        street = make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256});
         split = split_frames(street, 10);
     }
     void TearDown() override {

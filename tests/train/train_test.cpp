@@ -18,13 +18,7 @@ namespace {
 
 class Train : public test::DeviceTest {};
 
-SyntheticOptions small_street() {
-    SyntheticOptions options;
-    options.n_frames = 11;
-    options.rows = 16;
-    options.columns = 256;
-    return options;
-}
+SyntheticOptions small_street() { return {.n_frames = 11, .rows = 16, .columns = 256}; }
 
 Config small_config() {
     Config config = make_preset("quick");
