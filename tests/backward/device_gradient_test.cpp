@@ -83,29 +83,15 @@ protected:
 };
 
 TEST_F(DeviceGradient, ShAlongRayWithInstances) {
-    test::RandomSceneOptions options;
-    options.seed = 31;
-    options.rays = 60;
-    expect_agreement(ShDirection::ray, options, Proxy::triangles, 4, "triangles, SH along the ray, 3 instances, chunk 4");
+    expect_agreement(ShDirection::ray, {.seed = 31, .rays = 60}, Proxy::triangles, 4, "triangles, SH along the ray, 3 instances, chunk 4");
 }
 
 TEST_F(DeviceGradient, ShAlongSurfelWithInstance) {
-    test::RandomSceneOptions options;
-    options.seed = 32;
-    options.rays = 60;
-    options.actor_instances = 1;
-    expect_agreement(ShDirection::surfel, options, Proxy::boxes, 16, "boxes, SH along sensor -> mean, 2 instances, chunk 16");
+    expect_agreement(ShDirection::surfel, {.seed = 32, .actor_instances = 1, .rays = 60}, Proxy::boxes, 16, "boxes, SH along sensor -> mean, 2 instances, chunk 16");
 }
 
 TEST_F(DeviceGradient, ViewOriginAndLongLists) {
-    test::RandomSceneOptions options;
-    options.seed = 33;
-    options.rays = 40;
-    options.actor_instances = 0;
-    options.actor_surfels = 0;
-    options.background_surfels = 80;
-    options.opacity_low = 0.02, options.opacity_high = 0.2;
-    expect_agreement(ShDirection::surfel, options, Proxy::boxes, 16, "transparent, long lists, chunk 16");
+    expect_agreement(ShDirection::surfel, {.seed = 33, .background_surfels = 80, .actor_surfels = 0, .actor_instances = 0, .rays = 40, .opacity_low = 0.02, .opacity_high = 0.2}, Proxy::boxes, 16, "transparent, long lists, chunk 16");
 }
 
 TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {

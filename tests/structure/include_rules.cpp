@@ -21,7 +21,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"edit", {"scene", "sequence", "sensor"}},
         {"accel", {"scene", "gpu"}},
         {"optimizer", {"scene", "gpu"}},
-        {"loss", {"traversal", "scene", "sequence", "sensor", "gpu"}},
+        {"loss", {"traversal", "scene", "gpu"}},
         {"metrics", {"sequence", "sensor", "gpu"}},
         {"refine", {"sequence", "sensor", "gpu"}},
         {"export", {"metrics", "scene", "sequence", "sensor"}},   // metrics: the rows a report shows
