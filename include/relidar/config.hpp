@@ -40,7 +40,7 @@ struct SensorConfig {
 struct TrainConfig {
     int iterations = 30000;
     int rays_per_iteration = 0;      ///< 0 = all rays of one frame (paper)
-    std::string batch = "rays";      ///< fewer than all: "rays" (every n-th of the frame) or "columns" (a window of whole columns)
+    std::string batch = "rays";      ///< fewer than all: "rays" (every n-th column of the frame) or "columns" (a window of whole columns)
     int sh_degree_interval = 1000;   ///< +1 degree this often
     double mean_rate = 1.6e-4;       ///< times the extent
     double mean_rate_final = 1.6e-6;
@@ -93,7 +93,7 @@ struct Config {
     TraceConfig trace;
 };
 
-/// The named preset: "paper", "default" or "quick". @throws UsageError for another name, naming the nearest
+/// The named preset: "paper", "released", "default" or "quick". @throws UsageError for another name, naming the nearest
 Config make_preset(const std::string& name);
 
 /// A key with its present value as text and what it means.

@@ -81,6 +81,7 @@ struct ImageModel {
     float transmittance_min = 1e-4f;         ///< a surfel that would bring T under this is not blended and ends the ray
     int sh_degree = 3;                       ///< active SH degree, 0..3
     ShDirection sh_direction = ShDirection::ray;
+    bool single_drop_logit = false;          ///< hit logits are 0 and have no gradient: M6 is a sigmoid of the drop logit (ablation)
 };
 
 /// What becomes of boxes that move: models of their own; nothing (their points and rays are left out); or background like the rest.

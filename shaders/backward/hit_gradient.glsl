@@ -31,7 +31,7 @@ HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance
     SurfelHit hit;
     intersect(record, origin, direction, hit);
     SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, g.depth * w, d_alpha);
-    vec3 d_channel = w * vec3(g.intensity, g.hit_logit, g.drop_logit);
+    vec3 d_channel = w * vec3(g.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : g.hit_logit, g.drop_logit);
     vec3 others = d_channel;   // of the channels, or how the SH direction turns (scene/activate_vjp, backward/pose_blocks)
     if (SH_PER_SURFEL == 0u) {
         use_basis(scene, ray, instance);

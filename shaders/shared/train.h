@@ -6,7 +6,8 @@
 
 RELIDAR_SHARED_BEGIN
 
-/// Whole columns of a frame, one beside the other, as an image of their own.
+/// Some columns of a frame, whole and one beside the other, as an image of their own: column k is first_column + k column_stride of the
+/// frame, which wraps around.
 struct GatherColumnsParams {
     Rays rays;               // input [rows,columns]
     Targets targets;         // input [rows,columns]
@@ -14,7 +15,8 @@ struct GatherColumnsParams {
     Targets batch_targets;   // output [rows,n_columns]
     uint rows;
     uint columns;
-    uint first_column;       // columns wrap around behind the last one
+    uint first_column;
+    uint column_stride;
     uint n_columns;
 };
 

@@ -4,6 +4,7 @@
 #ifndef RELIDAR_INCLUDED_TRAVERSAL_SHADING_GLSL
 #define RELIDAR_INCLUDED_TRAVERSAL_SHADING_GLSL
 layout(constant_id = 3) const uint SH_PER_SURFEL = 1u;
+layout(constant_id = 8) const uint SINGLE_DROP_LOGIT = 0u;   // 1: hit logits are 0, whatever the scene holds
 
 const uint kNoInstance = 0xffffffffu;
 float ray_basis[16];              // SH basis of the current ray in the frame of ray_basis_instance
@@ -26,8 +27,8 @@ float evaluate_channel(TraceScene scene, uint surfel, uint channel) {
 
 /// @return intensity (clamped at 0), hit logit, drop logit
 vec3 hit_channels(TraceScene scene, Ray ray, uint instance, uint surfel, SurfelRecord record) {
-    if (SH_PER_SURFEL != 0u) return vec3(record.intensity, record.hit_logit, record.drop_logit);
+    if (SH_PER_SURFEL != 0u) return vec3(record.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : record.hit_logit, record.drop_logit);
     use_basis(scene, ray, instance);
-    return vec3(max(evaluate_channel(scene, surfel, 0u), 0.0), evaluate_channel(scene, surfel, 1u), evaluate_channel(scene, surfel, 2u));
+    return vec3(max(evaluate_channel(scene, surfel, 0u), 0.0), SINGLE_DROP_LOGIT != 0u ? 0.0 : evaluate_channel(scene, surfel, 1u), evaluate_channel(scene, surfel, 2u));
 }
 #endif

@@ -81,6 +81,7 @@ void visit_scene(C& c, Visitor&& f) {
     f("image.transmittance_min", c.image.transmittance_min, between(0, 0.5), "a surfel that would bring the transmittance below this ends the ray");
     f("image.sh_degree", c.image.sh_degree, between(0, 3), "degree of the spherical harmonics");
     f("image.sh_direction", c.image.sh_direction, one_of({"ray", "surfel"}), "spherical harmonics are evaluated per hit along the ray, or once a surfel along sensor to mean");
+    f("image.single_drop_logit", c.image.single_drop_logit, anything(), "ray-drop is the sigmoid of one blended logit, hit logits stay 0; false: the softmax of two (paper)");
 }
 
 template <class C, class Visitor>
@@ -97,7 +98,7 @@ void visit_training(C& c, Visitor&& f) {
     f("loss.opacity_entropy", c.loss.opacity_entropy, at_least(0), "weight of the entropy of opacities");
     f("train.iterations", c.train.iterations, between(0, kMaxCount), "optimiser steps; 0: keep the initial scene");
     f("train.rays_per_iteration", c.train.rays_per_iteration, between(0, kMaxCount), "rays of one step; 0: all rays of one frame");
-    f("train.batch", c.train.batch, one_of({"rays", "columns"}), "rays of one step are every n-th ray of the frame, or a window of whole columns, which is an image");
+    f("train.batch", c.train.batch, one_of({"rays", "columns"}), "rays of one step are every n-th column of the frame (every n-th ray where it has no image order), or a window of neighbouring columns, which looks as the frame does");
     f("train.sh_degree_interval", c.train.sh_degree_interval, between(1, kMaxCount), "the active degree of the spherical harmonics rises by one after so many steps");
     f("train.mean_rate", c.train.mean_rate, at_least(0), "learning rate of the means at the start, times the extent");
     f("train.mean_rate_final", c.train.mean_rate_final, at_least(0), "learning rate of the means at the end, times the extent");
@@ -141,7 +142,7 @@ void visit_densify(C& c, Visitor&& f) {
 /// Calls f(key, field, accepts, help) for every setting, in the order of the TOML file.
 template <class C, class Visitor>
 void visit(C& c, Visitor&& f) {
-    f("preset", c.preset, one_of({"paper", "default", "quick"}), "where all values start from; setting it replaces every other value");
+    f("preset", c.preset, one_of({"paper", "released", "default", "quick"}), "where all values start from; setting it replaces every other value");
     visit_dataset(c, f);
     visit_sensor(c, f);
     visit_scene(c, f);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of train/gather_columns, and the two ways to take some rays of a frame.
+// Binding of train/gather_columns: the ways to take some rays of a frame.
 #include "train/batch.hpp"
 
 #include <algorithm>
@@ -17,8 +17,7 @@ namespace relidar {
 static_assert(sizeof(shared::RayEntry) == sizeof(DeviceRay) && sizeof(shared::RayTarget) == sizeof(DeviceTarget));
 
 struct BatchSampler::Impl {
-    std::uint32_t wanted;   ///< rays; 0 = all
-    bool columns;
+    TrainConfig config;
     Array<DeviceRay> rays;
     Array<DeviceTarget> targets;
     Kernel<shared::GatherColumnsParams> gather;
@@ -26,20 +25,41 @@ struct BatchSampler::Impl {
 
 namespace {
 
+/// Columns first + k * stride of an image, k < n.
+struct Columns {
+    std::uint32_t stride = 1;
+    std::uint32_t n = 0;   ///< 0 = the batch is no choice of columns
+};
+
+std::uint32_t stride_over_rays(const FrameData& frame, const TrainConfig& config) {
+    const std::uint32_t wanted = static_cast<std::uint32_t>(config.rays_per_iteration);
+    return wanted == 0 ? 1u : std::max(1u, frame.n_rays / wanted);
+}
+
 /// Image of a whole frame; one without image order is a row of rays.
 ImageShape frame_image(const FrameData& frame) { return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false}; }
 
-std::uint32_t columns_of_batch(const FrameData& frame, std::uint32_t wanted) {
+Columns window(const FrameData& frame, const TrainConfig& config) {
     const ImageShape image = frame_image(frame);
-    return wanted == 0 ? image.columns : std::clamp((wanted + image.rows / 2) / image.rows, 1u, image.columns);
+    const std::uint32_t n = std::clamp((static_cast<std::uint32_t>(config.rays_per_iteration) + image.rows / 2) / image.rows, 1u, image.columns);
+    return n < image.columns ? Columns{1, n} : Columns{};
 }
 
-/// Rays of the largest window.
-std::size_t largest_window(const std::vector<FrameData>& frames, const TrainConfig& train) {
+/// Every n-th ray by columns, so that neighbours of the batch are near each other in both directions whatever the number of columns.
+Columns every_nth(const FrameData& frame, const TrainConfig& config) {
+    const std::uint32_t stride = std::min(stride_over_rays(frame, config), frame.image.columns);
+    return frame.image.is_image() && stride > 1 ? Columns{stride, frame.image.columns / stride} : Columns{};
+}
+
+Columns columns_of_batch(const FrameData& frame, const TrainConfig& config) {
+    if (config.rays_per_iteration == 0) return {};
+    return config.batch == "columns" ? window(frame, config) : every_nth(frame, config);
+}
+
+/// Rays of the largest batch of columns.
+std::size_t largest_gathered(const std::vector<FrameData>& frames, const TrainConfig& config) {
     std::size_t largest = 0;
-    if (train.batch != "columns") return largest;
-    for (const FrameData& frame : frames)
-        largest = std::max(largest, std::size_t(frame_image(frame).rows) * columns_of_batch(frame, static_cast<std::uint32_t>(train.rays_per_iteration)));
+    for (const FrameData& frame : frames) largest = std::max(largest, std::size_t(frame_image(frame).rows) * columns_of_batch(frame, config).n);
     return largest;
 }
 
@@ -54,10 +74,9 @@ void check_images(const Config& config, const std::vector<FrameData>& frames) {
 }  // namespace
 
 BatchSampler::BatchSampler(Device& device, const Config& config, const std::vector<FrameData>& frames)
-    : impl_(new Impl{static_cast<std::uint32_t>(config.train.rays_per_iteration),
-                     config.train.batch == "columns",
-                     {device, largest_window(frames, config.train), "batch rays"},
-                     {device, largest_window(frames, config.train), "batch targets"},
+    : impl_(new Impl{config.train,
+                     {device, largest_gathered(frames, config.train), "batch rays"},
+                     {device, largest_gathered(frames, config.train), "batch targets"},
                      {device, "train/gather_columns"}}) {
     check_images(config, frames);
 }
@@ -65,17 +84,18 @@ BatchSampler::~BatchSampler() = default;
 
 SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random& random) {
     Impl& b = *impl_;
-    const ImageShape image = frame_image(frame);
-    const std::uint32_t n_columns = columns_of_batch(frame, b.wanted);
-    if (b.columns && n_columns < image.columns) {
-        const std::uint32_t first = static_cast<std::uint32_t>(random.next() % (image.circular ? image.columns : image.columns - n_columns + 1));
-        const std::uint32_t n = image.rows * n_columns;
+    const Columns columns = columns_of_batch(frame, b.config);
+    if (columns.n > 0) {
+        const ImageShape image = frame_image(frame);
+        const bool wraps = image.circular || columns.stride > 1;   // only a window must not jump
+        const std::uint32_t first = static_cast<std::uint32_t>(random.next() % (wraps ? image.columns : image.columns - columns.n + 1));
+        const std::uint32_t n = image.rows * columns.n;
         run(stream, b.gather, n,
-            {frame.rays.address(), frame.targets.address(), b.rays.address(), b.targets.address(), image.rows, image.columns, first, n_columns});
+            {frame.rays.address(), frame.targets.address(), b.rays.address(), b.targets.address(), image.rows, image.columns, first, columns.stride, columns.n});
         const double share = double(n) / frame.n_rays;   // of the whole frame's count: unbiased, and no sector counts more for being empty
-        return {{&b.rays, 0, 1, n, n_columns}, {&b.targets, 0, 1, n, share * frame.n_returned, share * frame.n_known, {image.rows, n_columns, false}}};
+        return {{&b.rays, 0, 1, n, columns.n}, {&b.targets, 0, 1, n, share * frame.n_returned, share * frame.n_known, {image.rows, columns.n, false}}};
     }
-    const std::uint32_t stride = b.columns || b.wanted == 0 ? 1u : std::max(1u, frame.n_rays / b.wanted);
+    const std::uint32_t stride = b.config.batch == "columns" ? 1u : stride_over_rays(frame, b.config);
     const std::uint32_t first = static_cast<std::uint32_t>(random.next() % stride);
     const RayBatch rays = frame.batch(first, stride);
     return {rays, {&frame.targets, first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride, stride == 1 ? frame.image : ImageShape{}}};

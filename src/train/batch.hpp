@@ -21,9 +21,9 @@ struct SampledBatch {
     TargetBatch targets;
 };
 
-/// Samples train.rays_per_iteration rays of a frame: all of them (0), every n-th one in image order (train.batch = rays), or a window
-/// of whole neighbouring columns (columns), which is an image, as structural similarity and Chamfer want it. Frames without image
-/// order count as one row.
+/// Samples about train.rays_per_iteration rays of a frame: all of them (0), every n-th column, the first drawn from all of
+/// them (train.batch = rays), or a window of neighbouring columns (columns), as structural similarity wants it. Both are images, so that
+/// rays which run together open the same nodes. Of a frame without image order every n-th ray is taken; a window treats it as one row.
 class BatchSampler {
 public:
     /// @throws UsageError where structural similarity is wanted of batches or frames that are no images

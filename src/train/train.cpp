@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -20,6 +21,13 @@ namespace {
 using Clock = std::chrono::steady_clock;
 double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
+/// With one drop logit it starts as the difference of the two, which is the same ray-drop probability (M6).
+InitialiseOptions start_options(const Config& config) {
+    InitialiseOptions options = config.init;
+    if (config.image.single_drop_logit) options.drop_logit -= std::exchange(options.hit_logit, 0.0);
+    return options;
+}
+
 bool logs_at(int step, const TrainConfig& config) { return step == 1 || step % std::max(1, config.log_every) == 0 || step == config.iterations; }
 
 }  // namespace
@@ -29,7 +37,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     if (session.start) check_resumable(*session.start, sequence, split, config);
     TrainResult result;
     const Clock::time_point begin = Clock::now();
-    const Scene initial = session.start ? scene_of(*session.start) : initialise_scene(sequence, split.train, config.init);
+    const Scene initial = session.start ? scene_of(*session.start) : initialise_scene(sequence, split.train, start_options(config));
     result.initialise_s = seconds_since(begin);
 
     TrainLoop loop(device, sequence, split, initial, config);

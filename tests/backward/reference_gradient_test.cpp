@@ -22,8 +22,9 @@ struct Problem {
     std::vector<PixelGradient> upstream;
     int chunk = 16;
 
-    Problem(ShDirection direction, const test::RandomSceneOptions& options, int chunk_size) : chunk(chunk_size) {
+    Problem(ShDirection direction, const test::RandomSceneOptions& options, int chunk_size, bool single_drop_logit = false) : chunk(chunk_size) {
         settings.image.sh_direction = direction;
+        settings.image.single_drop_logit = single_drop_logit;
         scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         std::mt19937_64 random(options.seed + 1);
@@ -102,8 +103,8 @@ std::size_t most_hits(const Problem& p) {
     return most;
 }
 
-void expect_differences_agree(ShDirection direction, const test::RandomSceneOptions& options, int chunk, const char* title) {
-    Problem problem(direction, options, chunk);
+void expect_differences_agree(ShDirection direction, const test::RandomSceneOptions& options, int chunk, const char* title, bool single_drop_logit = false) {
+    Problem problem(direction, options, chunk, single_drop_logit);
     EXPECT_GT(most_hits(problem), std::size_t(chunk)) << "the scene should need more than one chunk";
     std::vector<RayGradient> d_rays;
     const Gradients gradients = problem.gradients(d_rays);
@@ -114,9 +115,8 @@ void expect_differences_agree(ShDirection direction, const test::RandomSceneOpti
     for (const auto& [name, group] : table.groups()) {
         EXPECT_LE(group.worst_error(), test::kReferenceGradient) << name << ", seed " << options.seed;
         EXPECT_EQ(group.missing_rows(), 0u) << name;
-        if (name != "view origin" || direction == ShDirection::surfel) {
-            EXPECT_GT(group.nonzero_rows(), 0u) << name;
-        }
+        const bool constant = (name == "view origin" && direction != ShDirection::surfel) || (name == "sh hit" && single_drop_logit);
+        EXPECT_EQ(group.nonzero_rows() == 0u, constant) << name;
     }
 }
 
@@ -129,6 +129,13 @@ TEST(ReferenceGradient, EveryParameterShAlongSurfel) {
     test::RandomSceneOptions options;
     options.seed = 2;
     expect_differences_agree(ShDirection::surfel, options, 4, "SH along sensor -> mean, 3 instances, chunk 4");
+}
+
+TEST(ReferenceGradient, SingleDropLogit) {
+    test::RandomSceneOptions options;
+    options.seed = 5;
+    expect_differences_agree(ShDirection::ray, options, 4, "one drop logit, SH along the ray, chunk 4", true);
+    expect_differences_agree(ShDirection::surfel, options, 4, "one drop logit, SH along sensor -> mean, chunk 4", true);
 }
 
 /// How many blended hits are clamped at alpha_max, and how many rays end by the T_min rule.

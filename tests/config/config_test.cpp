@@ -58,7 +58,7 @@ bool change(Config& config, const std::string& key) {
 }
 
 TEST_F(ConfigFile, PresetsRoundTrip) {
-    for (const char* name : {"paper", "default", "quick"}) {
+    for (const char* name : {"paper", "released", "default", "quick"}) {
         const Config config = make_preset(name);
         EXPECT_EQ(config.preset, name);
         expect_equal(config, through_toml(config, folder));
@@ -168,6 +168,19 @@ TEST(Config, PaperIsThePaper) {
     EXPECT_EQ(c.densify.clone_extent_share, 2e-4);
     EXPECT_EQ(c.densify.until, 15000);
     EXPECT_EQ(make_preset("default").densify.strategy, DensifyStrategy::none);
+}
+
+/// docs/method.md section 5, column by column: three weights, and nothing else.
+TEST(Config, ReleasedDiffersFromThePaperInThreeLosses) {
+    Config c = make_preset("released");
+    EXPECT_EQ(c.loss.intensity_ssim, 0.15f);
+    EXPECT_EQ(c.loss.chamfer, 0.0f);
+    EXPECT_EQ(c.loss.box, 0.01f);
+    EXPECT_EQ(c.train.rays_per_iteration, 0) << "structural similarity is of images";
+    const Config paper = make_preset("paper");
+    c.preset = paper.preset;
+    c.loss.intensity_ssim = paper.loss.intensity_ssim, c.loss.chamfer = paper.loss.chamfer, c.loss.box = paper.loss.box;
+    expect_equal(c, paper);
 }
 
 TEST(Config, EnumFieldsReachTheirStages) {

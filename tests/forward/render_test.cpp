@@ -97,6 +97,31 @@ TEST_F(Forward, MovedInstanceIsSeenWhereItStands) {
     }
 }
 
+/// One logit: what a scene holds as hit logits plays no part, and M6 is a sigmoid that calls an empty ray dropped.
+TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
+    for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
+        reference::Settings settings;
+        settings.image.sh_direction = direction;
+        settings.image.single_drop_logit = true;
+        test::RandomSceneOptions options;
+        options.seed = 22;
+        options.actor_instances = 1;
+        options.rays = 100;
+        const test::RandomScene scene = test::make_random_scene(options, settings);
+        settings.view_origin = scene.view_origin;
+        const Expected e = render_reference(scene, settings);
+        const test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+        Renderer renderer(device(), placed.scene, settings.image, {}, {.chunk = 5});
+        renderer.set_poses(placed.world_from_instance);
+        const Rendering r = renderer.trace(test::to_world_rays(scene.rays), glm::vec3(scene.view_origin));
+        EXPECT_EQ(r.hit_logit, std::vector<float>(scene.rays.size(), 0.0f));
+        EXPECT_LE(nmse(r.drop_logit, e.drop_logit), test::kKernelNmse);
+        EXPECT_LE(nmse(r.depth, e.depth), test::kKernelNmse);
+        const Rendering empty = Renderer(device(), make_background_scene({}), settings.image).trace({{{0, 0, 0}}, {{1, 0, 0}}}, glm::vec3(0.0f));
+        EXPECT_GT(empty.drop_logit[0], empty.hit_logit[0]);
+    }
+}
+
 /// A faint floater before a wall does not give its name to the wall; alone, it is what the ray meets.
 TEST_F(Forward, LabelIsThatOfTheSurfaceNotOfAFloater) {
     Surfels surfels;

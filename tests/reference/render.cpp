@@ -70,6 +70,7 @@ ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, co
     s.raw_intensity = s.value[0];
     s.intensity_clamped = s.raw_intensity < 0.0;
     s.value[0] = std::max(s.raw_intensity, 0.0);
+    if (settings.image.single_drop_logit) s.value[1] = 0.0;
     return s;
 }
 

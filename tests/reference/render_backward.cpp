@@ -124,7 +124,9 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
         const glm::dvec3 view = to_model(pose, {settings.view_origin, glm::dvec3(0.0)}).origin;
         Surfel& d_surfel = gradients.surfels[s.hit.surfel];
         LocalGradient d_local;
-        value_backward(surfel, settings, local, view, d_hits[i].value, d_surfel, d_local);
+        glm::dvec3 d_value = d_hits[i].value;
+        if (settings.image.single_drop_logit) d_value[1] = 0.0;
+        value_backward(surfel, settings, local, view, d_value, d_surfel, d_local);
         geometry_backward(surfel, local, s, d_hits[i], d_surfel, d_local);
         pose_backward(pose, ray, settings.view_origin, d_local, gradients.instances[s.hit.instance], d_ray, gradients.view_origin);
     }

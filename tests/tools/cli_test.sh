@@ -50,6 +50,9 @@ help_tells() {
     says "^relidar [0-9]+\.[0-9]+"
     good config --preset paper
     says "^iterations = 30000$"
+    good config --preset released
+    says '^preset = "released"$'
+    says "^intensity_ssim = 0.15[0-9]*$"
 }
 
 wrong_usage() {
@@ -261,6 +264,18 @@ evaluation() {
     bad 3 "frame 10 is not there" eval run --set dataset.path=short
 }
 
+# Weights of LPIPS are read before anything is made or trained; --no-eval needs none.
+wrong_weights() {
+    bad 3 "missing.safetensors" train street --out unweighted --set eval.lpips_weights=missing.safetensors
+    absent unweighted
+    RELIDAR_LPIPS_WEIGHTS=missing.safetensors bad 3 "missing.safetensors" train street --out unweighted
+    absent unweighted
+    bad 3 "missing.safetensors" demo --out unweighted --set eval.lpips_weights=missing.safetensors
+    absent unweighted
+    good train street --out unweighted --quiet --preset quick --set train.iterations=1 --no-eval --set eval.lpips_weights=missing.safetensors
+    rm -r unweighted
+}
+
 # The baseline needs no device.
 baseline() {
     good eval street --baseline nearest --set dataset.test_every=5 --out base/metrics.json --pictures base/pictures
@@ -393,6 +408,7 @@ if "$relidar" devices >out 2>err; then
     rendering
     editing
     wrong_edits
+    wrong_weights
     evaluation
     baseline_beside_a_run
     surfels_as_ply

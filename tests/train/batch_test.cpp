@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Batches: every n-th ray, or (train/gather_columns) a window of whole columns with its rays and targets, wrapping around; refused
-// where structural similarity has no image.
+// Batches (train/gather_columns): every n-th column, or a window of whole columns, with their rays and targets, wrapping around; every
+// n-th ray where there is no image order; refused where structural similarity has no image.
 #include "train/batch.hpp"
 
 #include <set>
@@ -69,11 +69,49 @@ TEST_F(Batch, WindowsOfColumnsAreImages) {
     EXPECT_GT(*firsts.rbegin(), 39) << "some windows wrap around";
 }
 
-TEST_F(Batch, EveryNthRayIsNoImageAndTheWholeFrameIs) {
-    const std::vector<FrameData> frames = numbered_frame(device(), 4, 50, true);
+/// 53 columns are no multiple of anything: batches are images all the same, and every column is drawn as often as any other.
+TEST_F(Batch, EveryNthColumnIsAnImageAndNoColumnIsPreferred) {
+    constexpr std::uint32_t kRows = 3, kColumns = 53, kStride = 5, kTaken = kColumns / kStride;
+    constexpr int kTrials = 2000;
+    const std::vector<FrameData> frames = numbered_frame(device(), kRows, kColumns, true);
+    BatchSampler sampler(device(), config_for("rays", 30), frames);   // every 5th
+    Stream stream(device());
+    Random random(7);
+    std::vector<int> drawn(kColumns, 0);
+    for (int trial = 0; trial < kTrials; ++trial) {
+        const SampledBatch batch = sampler.sample(stream, frames[0], random);
+        stream.finish();
+        ASSERT_EQ(batch.rays.n_rays, kRows * kTaken);
+        ASSERT_EQ(batch.rays.columns, kTaken);
+        ASSERT_EQ(batch.rays.stride, 1u);
+        EXPECT_DOUBLE_EQ(batch.targets.n_returned, double(kRows * kTaken));
+        const std::vector<DeviceRay> rays = batch.rays.rays->download();
+        const std::vector<DeviceTarget> targets = batch.targets.targets->download();
+        for (std::uint32_t k = 0; k < kRows * kTaken; ++k) {
+            ASSERT_EQ(rays[k].origin.y, float(k / kTaken));
+            ASSERT_EQ(std::uint32_t(rays[k].origin.z), (std::uint32_t(rays[0].origin.z) + k % kTaken * kStride) % kColumns);
+            ASSERT_EQ(targets[k].range_m, rays[k].origin.x);
+            if (k < kTaken) ++drawn[std::size_t(rays[k].origin.z)];
+        }
+    }
+    const double expected = double(kTrials) * kTaken / kColumns;   // 377, standard deviation about 17
+    for (std::uint32_t c = 0; c < kColumns; ++c) EXPECT_NEAR(drawn[c], expected, 85.0) << "column " << c;
+}
+
+TEST_F(Batch, StridesBeyondTheColumnsTakeOne) {
+    const std::vector<FrameData> frames = numbered_frame(device(), 8, 5, true);
     Stream stream(device());
     Random random(3);
-    const SampledBatch some = BatchSampler(device(), config_for("rays", 40), frames).sample(stream, frames[0], random);
+    const SampledBatch one = BatchSampler(device(), config_for("rays", 3), frames).sample(stream, frames[0], random);
+    EXPECT_EQ(one.rays.n_rays, 8u);
+    EXPECT_EQ(one.rays.columns, 1u);
+}
+
+TEST_F(Batch, EveryNthRayOfAListIsNoImageAndTheWholeFrameIs) {
+    const std::vector<FrameData> frames = numbered_frame(device(), 4, 50, true), list = numbered_frame(device(), 4, 50, false);
+    Stream stream(device());
+    Random random(3);
+    const SampledBatch some = BatchSampler(device(), config_for("rays", 40), list).sample(stream, list[0], random);
     EXPECT_EQ(some.rays.stride, 5u);
     EXPECT_EQ(some.rays.n_rays, 40u);
     EXPECT_FALSE(some.targets.image.is_image());

@@ -51,6 +51,40 @@ TEST_F(Train, LearnsTheStreet) {
     EXPECT_LT(held_out_error(device(), result.scene, config, street, split), 0.9 * held_out_error(device(), untrained.scene, config, street, split));
 }
 
+/// One drop logit starts at the same ray-drop probability as two and learns; hit logits stay 0, through training and in the saved scene.
+TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
+    const Sequence street = make_synthetic_street(small_street());
+    const Split split = split_frames(street, 10);
+    Config config = small_config();
+    config.init.hit_logit = 1.7, config.init.drop_logit = -0.4;
+    const auto trained = [&](bool single, int iterations) {
+        config.image.single_drop_logit = single;
+        config.train.iterations = iterations;
+        return train(device(), street, split, config, [](const TrainProgress&) { return true; });
+    };
+    const auto image = [&](const Scene& scene) {
+        const Frame& frame = street.frames[std::size_t(split.test[0])];
+        return ScanRenderer(device(), scene, config, street).render({frame.scan.rays, std::nullopt}, frame.time_s).image;
+    };
+    const RangeImage two = image(trained(false, 0).scene), one = image(trained(true, 0).scene);
+    ASSERT_EQ(one.drop_prob.size(), two.drop_prob.size());
+    for (std::size_t i = 0; i < one.drop_prob.size(); ++i) EXPECT_NEAR(one.drop_prob[i], two.drop_prob[i], 1e-5f);
+
+    const TrainResult result = trained(true, 40);
+    const std::vector<float>& sh = result.scene.surfels.sh;
+    float lowest_drop = sh[2 * kShCoefficients], highest_drop = lowest_drop;
+    for (std::size_t i = 0; i < result.scene.surfels.size(); ++i) {
+        const float* hit = sh.data() + i * kShFloats + kShCoefficients;
+        ASSERT_NEAR(0.5f + 0.28209479f * hit[0], 0.0f, 1e-6f);
+        for (int k = 1; k < kShCoefficients; ++k) ASSERT_EQ(hit[k], 0.0f);
+        lowest_drop = std::min(lowest_drop, hit[kShCoefficients]);
+        highest_drop = std::max(highest_drop, hit[kShCoefficients]);
+    }
+    EXPECT_GT(highest_drop - lowest_drop, 0.1f) << "all start equal";
+    const auto drop_term = [](const TrainProgress& p) { return p.terms[2]; };
+    EXPECT_LT(drop_term(result.log.back()), 0.8 * drop_term(result.log.front()));
+}
+
 /// Two runs with actors end in the same bits; without room for the hits it says so instead of drifting apart.
 TEST_F(Train, DeterministicTrainingRepeatsItself) {
     SyntheticOptions options = small_street();

@@ -104,6 +104,7 @@ void finish(Device& device, const Run& run, const SyntheticOptions& street, Repo
 void run_demo(const Options& options, const std::string& command_line) {
     const fs::path out = options.out;
     const Config config = config_of(options, out / "street");
+    check_lpips_weights(config);
     const OutputFolder folder(out), run_folder(out / "run");
     Device device(device_options(options.device));
     SyntheticOptions street;

@@ -54,7 +54,7 @@ RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const S
     return result;
 }
 
-/// LPIPS where there are weights. Called before the long work, so that a wrong file is noticed at once.
+/// LPIPS where there are weights.
 std::unique_ptr<Lpips> load_lpips(const Config& config) {
     const std::string file = lpips_file(config);
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
@@ -125,6 +125,8 @@ Evaluation evaluate_baseline(const std::string& name, const Config& config, cons
     evaluation.title = "baseline " + name;
     return evaluation;
 }
+
+void check_lpips_weights(const Config& config) { load_lpips(config); }
 
 std::string lpips_file(const Config& config) {
     if (!config.eval.lpips_weights.empty()) return config.eval.lpips_weights;

@@ -51,6 +51,9 @@ BoxMotion box_motion(const std::string& baseline);
 /// A baseline on frames of a log with its scans: what projecting the neighbouring training scans gives. @throws as box_motion
 Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence, const Split& split, Progress& progress);
 
+/// Reads the weights of LPIPS, where some are named, to notice a wrong file before the long work. @throws DataError as read_lpips_weights
+void check_lpips_weights(const Config& config);
+
 /// The file with the weights of LPIPS: eval.lpips_weights, else what RELIDAR_LPIPS_WEIGHTS names, else none.
 std::string lpips_file(const Config& config);
 

@@ -44,7 +44,7 @@ void add_set_option(CLI::App& command, std::vector<std::string>& sets) {
 }
 
 void add_settings_options(CLI::App& command, Settings& settings) {
-    command.add_option("--preset", settings.preset, "settings to start from: default, quick (minutes on a CPU) or paper")->type_name("NAME");
+    command.add_option("--preset", settings.preset, "settings to start from: default, quick (minutes on a CPU), paper (its text) or released (its authors' settings)")->type_name("NAME");
     command.add_option("--config", settings.file, "TOML file with settings, over the preset")->type_name("FILE");
     add_set_option(command, settings.sets);
 }

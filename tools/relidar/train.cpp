@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar train: a log becomes a run, or a run goes on. What can fail early does: settings, output folder, checkpoint, device, then the log.
+// relidar train: a log becomes a run, or a run goes on. What can fail early does: settings, weights of LPIPS, output folder, checkpoint,
+// device, then the log.
 #include <memory>
 #include <optional>
 
@@ -70,6 +71,7 @@ Config config_of(const Options& options) {
     Config config = start_settings(options);
     if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
     config.dataset.poses = absolute_path(config.dataset.poses);
+    config.eval.lpips_weights = absolute_path(config.eval.lpips_weights);
     if (!options.frames.empty()) {
         const FrameRange range = parse_frames(options.frames);
         config.dataset.frames_begin = range.begin;
@@ -162,6 +164,7 @@ void run_train(const Options& given, const std::string& command_line) {
         return;
     }
     const bool resume = options.resume && !options.force;
+    if (!options.no_eval) check_lpips_weights(config);
     if (!resume) check_empty(options.out, options.force);
     std::optional<Checkpoint> start = resume ? find_start(options) : std::nullopt;
     const OutputFolder folder(options.out);
