@@ -120,7 +120,7 @@ double search_operations(const FloorSizes& s) { return s.nodes_opened * kNodeOpe
 
 std::optional<double> copy_bytes_per_s(Device& device) {
     constexpr std::size_t kMiB = std::size_t(1) << 20;
-    for (std::size_t n_bytes = (device.info().type == "CPU" ? 64 : 256) * kMiB; n_bytes >= kMiB; n_bytes /= 4) {
+    for (std::size_t n_bytes = 256 * kMiB; n_bytes >= kMiB; n_bytes /= 4) {
         try {
             return 2.0 * static_cast<double>(n_bytes) / seconds_of_copy(device, n_bytes);
         } catch (const DeviceError&) {   // no room for two of that size
