@@ -149,6 +149,8 @@ public:
     void fill(const Buffer& buffer, std::uint32_t pattern = 0);
     template <class T>
     void fill(const Array<T>& array, std::uint32_t pattern = 0) { fill(array.buffer(), pattern); }
+    /// Copies the first n_bytes of one buffer to another of the same device.
+    void copy(const Buffer& from, const Buffer& to, std::size_t n_bytes);
     /// Submits what was recorded. @return a ticket for wait()
     std::uint64_t submit();
     /// Blocks until a ticket is done. @throws DeviceError on a lost device or a device-side check, with the kernel's name

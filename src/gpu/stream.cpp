@@ -147,6 +147,13 @@ void Stream::fill(const Buffer& buffer, std::uint32_t pattern) {
     impl_->end_timing();
 }
 
+void Stream::copy(const Buffer& from, const Buffer& to, std::size_t n_bytes) {
+    const VkBufferCopy region{0, 0, n_bytes};
+    impl_->begin_timing("copy");
+    vkCmdCopyBuffer(impl_->commands(), from.impl().handle, to.impl().handle, 1, &region);
+    impl_->end_timing();
+}
+
 std::uint64_t Stream::submit() {
     Impl& s = *impl_;
     VkCommandBuffer commands = s.commands();

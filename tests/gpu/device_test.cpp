@@ -87,6 +87,20 @@ TEST_F(Gpu, FillsAreOrderedAndManySubmissionsOverlap) {
     EXPECT_EQ(stream.times().milliseconds.at("fill").size(), device().info().timestamps ? 20u : 0u);
 }
 
+TEST_F(Gpu, CopiesAreOrderedAndKeepWhatLiesBehind) {
+    const std::vector<std::uint32_t> zeros(1000, 0u);
+    const Array<std::uint32_t> from(device(), 1000, "test"), to(device(), std::span<const std::uint32_t>(zeros), "test");
+    Stream stream(device());
+    stream.fill(from, 7u);
+    stream.copy(from.buffer(), to.buffer(), 4 * 999);
+    stream.fill(from, 8u);
+    stream.finish();
+    std::vector<std::uint32_t> expected(1000, 7u);
+    expected.back() = 0u;
+    EXPECT_EQ(to.download(), expected);
+    EXPECT_EQ(from.download(), std::vector<std::uint32_t>(1000, 8u));
+}
+
 TEST_F(Gpu, ImpossibleRequestsSayWhatWasAsked) {
     try {
         const Array<float> array(device(), std::size_t(1) << 44, "a test of the impossible");

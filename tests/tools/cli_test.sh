@@ -101,6 +101,7 @@ wrong_usage() {
     bad 2 'trace.chunk: found "65"' bench --chunk 65
     bad 2 'trace.proxy: found "cube"' bench --proxy cube
     bad 2 'sh_direction: found "normal"' bench --sh normal
+    bad 2 'trace.keep_hits: found "-1"' bench --keep-hits -1
     bad 2 'actors: found 1.5 in "1,1.5"' bench --actors 1,1.5
     bad 2 'actors: found "x"' bench --actors x
     bad 2 'repeat: found 0, expected 1 to' bench --repeat 0
@@ -368,12 +369,22 @@ resuming() {
 
 bench() {
     good bench --surfels 2000 --rays 16x64 --repeat 2 --json numbers/bench.json
-    for kernel in scene/activate accel/build accel/refit forward/trace backward/trace optimizer/adam "whole iteration" "move of one instance"; do says "^$kernel +[0-9.]+ +[0-9.]+ +[0-9.]+$"; done
+    for kernel in scene/activate accel/build accel/refit forward/trace backward/trace optimizer/adam "whole iteration" "move of one instance"; do says "^$kernel +[0-9.]+ +[0-9.]+ +[0-9.]+ +([0-9.]+ +[0-9.]+|- +-)$"; done
+    says "^floors    bytes that must move once, at the [0-9.]+ GB/s of a copy"
     says "^forward +[0-9.]+ Mrays/s, 0\.[0-9]+ blended hits a ray"
     exists numbers/bench.json
-    for key in forward_mrays_per_s backward_mrays_per_s hits_per_ray bytes_per_surfel accel_bytes_per_surfel; do
+    for key in forward_mrays_per_s backward_mrays_per_s hits_per_ray bytes_per_surfel accel_bytes_per_surfel copy_bytes_per_s median_over_floor; do
         check "bench.json lacks $key" grep -Eq "\"$key\": [0-9]*[1-9.]" numbers/bench.json
     done
+    # By hand: 2000 surfels of 58 floats, of which 4 arrays are read and 3 written; records of 64 B from 40 B and 3 x 16 harmonics;
+    # 1024 rays of 36 B rendered, 12 B measured and 20 B of gradients.
+    for floor in "optimizer/adam\": 3248000" "scene/activate\": 592000" "loss/image_loss\": 69632"; do
+        check "bench.json: other bytes than $floor" grep -Eq "\"$floor(\.0)?,?$" numbers/bench.json
+    done
+    good bench --surfels 2000 --rays 16x64 --repeat 1 --deterministic --keep-hits 0 --json gather.json
+    for kernel in backward/sort backward/gather; do says "^$kernel +[0-9.]+"; done
+    check "bench --deterministic does not gather" grep -q '"reduction": "gather"' gather.json
+    check "bench --keep-hits 0 keeps hits" grep -q '"keep_hits": 0' gather.json
     good bench --run run --no-backward --repeat 1 --json render.json --quiet
     check "bench --quiet prints" test ! -s out -a ! -s err
     check "bench --run: other rays than the run's 8 x 96" grep -q '"rays": 768' render.json

@@ -87,6 +87,8 @@ void add_bench(CLI::App& app, Call& call) {
     command->add_option("--proxy", choice.proxy, "what stands for a surfel in ray query: auto, triangles or boxes (default: auto, or as the run says)")->type_name("WHAT");
     command->add_option("--walk", choice.walk, "how rays walk the software tree: auto, lane or subgroup (default: auto, or as the run says)")->type_name("HOW");
     command->add_option("--sh", choice.sh, "harmonics evaluated along each ray, or once a surfel (default: ray, or as the run says)")->type_name("ray|surfel");
+    command->add_option("--keep-hits", choice.keep_hits, "hits a ray that the backward pass need not search again; 0: it casts every ray again (default: 64, or as the run says)")->type_name("N");
+    command->add_flag("--deterministic", choice.deterministic, "gather gradients in a fixed order instead of adding them with atomics");
     command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")->type_name("N");
     command->add_flag("--no-backward", options->no_backward, "rendering alone: no loss, gradients or optimiser, nor their memory");
     command->add_option("--actors", options->actors, "time this instead: so many actors of 10000 surfels each moved at once; several numbers parted by commas")->type_name("LIST");
@@ -95,11 +97,13 @@ void add_bench(CLI::App& app, Call& call) {
     command->add_flag("--quiet", options->settings.quiet, "print errors only");
     command->footer("A repetition: rebuild (proxies, bottom level, top level); an iteration (activation, refit, forward, loss, backward, Adam with\n"
                     "learning rate 0, so that the scene stays); one instance moved (top level). Times are device timestamps; a kernel launched\n"
-                    "several times in an iteration counts in full. Mrays/s: of forward/trace and backward/trace, median.\n"
+                    "several times in an iteration counts in full. Mrays/s: of forward/trace and backward/trace, median. A floor is the bytes that a\n"
+                    "kernel must move once, over what a copy moves on the same device: no latency, no divergence, no arithmetic.\n"
                     "Examples:\n"
                     "  relidar bench --json bench.json\n"
                     "  relidar bench --scene B --surfels 1000000 --rays waymo --sh surfel\n"
                     "  relidar bench --run run --repeat 50\n"
+                    "  relidar bench --keep-hits 0 --deterministic\n"
                     "  relidar bench --actors 1,10,100");
     command->callback([&call, options, scene, surfels, rays] {
         options->describes_street = scene->count() + surfels->count() + rays->count() > 0;

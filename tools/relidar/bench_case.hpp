@@ -15,7 +15,8 @@ struct BenchChoice {
     long long n_surfels = 100000;
     std::string rays = "64x1024";     ///< waymo, kitti or ROWSxCOLUMNS
     std::string run;                  ///< a run folder instead of a street
-    std::string chunk, proxy, walk, sh;     ///< settings over those of the case; empty = as they are
+    std::string chunk, proxy, walk, sh, keep_hits;   ///< settings over those of the case; empty = as they are
+    bool deterministic = false;       ///< gradients are gathered, whatever the case says
 };
 
 /// A scene, the rays cast into it, and the settings of its kernels.

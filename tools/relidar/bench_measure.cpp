@@ -26,14 +26,15 @@ using Samples = std::map<std::string, std::vector<double>>;
 
 constexpr double kWarmUp_ms = 200.0;   // kernels are compiled and clocks raised in the first moments
 constexpr const char* kOrder[] = {"scene/activate", "accel/proxies", "accel/build", "accel/refit", "accel/top_level", "forward/trace",
-                                  "loss/image_loss", "fill", "backward/trace", "scene/activate_vjp", "optimizer/adam"};
+                                  "loss/image_loss", "fill", "backward/sort", "backward/trace", "backward/gather", "backward/gather_heads", "scene/activate_vjp", "optimizer/adam"};
 
 double ms_since(Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); }
 
-/// Row that a kernel counts in. Those of the software tree go together, under the names of the driver's builds.
+/// Row that a kernel counts in. Those of the software tree go together, under the names of the driver's builds; so do prefix sums and sorts.
 std::string row_of(const std::string& kernel, const std::string& phase) {
     if (kernel == "accel/bvh_top") return "accel/top_level";
     if (kernel.starts_with("accel/bvh_")) return phase == "rebuild" ? "accel/build" : "accel/refit";
+    if (kernel.starts_with("gpu/")) return phase == "rebuild" ? "accel/build" : "backward/sort";
     return kernel;
 }
 
@@ -100,9 +101,12 @@ public:
         frame();
         stream_.finish();
         const Rendering rendering = to_rendering(rendered_.download(), rays_.size());
-        double n_hits = 0.0;
-        for (const std::uint32_t hits : rendering.hits) n_hits += hits;
-        hits_per_ray_ = n_hits / static_cast<double>(rays_.size());
+        const double keep = training ? case_.config.trace.keep_hits : 0;
+        for (const std::uint32_t hits : rendering.hits) {
+            sizes_.n_hits += hits;
+            sizes_.n_hits_written += std::min<double>(hits, keep);
+            sizes_.n_hits_kept += hits <= keep ? hits : 0.0;
+        }
         if (!training) return;
         const std::uint64_t before = device_.allocated_bytes();
         training_ = std::make_unique<TrainingState>(device_, case_, scene_, accel_.proxy(), noisy_targets(rendering, case_.config.loss.normalised_depth));
@@ -147,6 +151,7 @@ public:
     }
 
     BenchResult result();
+    FloorSizes sizes(const BenchResult& result) const;
 
 private:
     Device& device_;
@@ -162,7 +167,7 @@ private:
     Array<float> rendered_;
     std::unique_ptr<TrainingState> training_;
     std::uint64_t training_bytes_ = 0;
-    double hits_per_ray_ = 0.0;
+    FloorSizes sizes_;
     Samples kernels_, rebuild_kernels_, phases_;
 
     RayBatch batch() const { return {&rays_, 0, 1, static_cast<std::uint32_t>(rays_.size()), static_cast<std::uint32_t>(case_.columns)}; }
@@ -217,10 +222,33 @@ BenchResult Bench::result() {
         if (row.name == "forward/trace") result.forward_mrays_per_s = krays / row.ms.median;
         if (row.name == "backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
     }
-    result.hits_per_ray = hits_per_ray_;
+    result.hits_per_ray = sizes_.n_hits / static_cast<double>(rays_.size());
     if (const auto visits = count_visits(device_, scene_, accel_, batch(), case_.config.image, trace_options(case_.config))) result.visits = BenchVisits{visits->nodes, visits->surfels};
     result.memory = {allocated_with_scene_ - allocated_before_, allocated_with_accel_ - allocated_with_scene_, training_bytes_, device_.allocated_bytes() - allocated_with_accel_ - training_bytes_, device_.peak_bytes()};
+    result.sizes = sizes(result);
     return result;
+}
+
+/// What the floors of this case follow from.
+FloorSizes Bench::sizes(const BenchResult& result) const {
+    FloorSizes s = sizes_;
+    s.n_surfels = scene_.size();
+    s.n_models = static_cast<double>(case_.scene.models.size());
+    s.n_rays = static_cast<double>(rays_.size());
+    s.n_sh = (case_.config.image.sh_degree + 1) * (case_.config.image.sh_degree + 1);
+    s.sh_per_surfel = case_.config.image.sh_direction == ShDirection::surfel;
+    s.training = training_ != nullptr;
+    s.gather = kernels_.contains("backward/gather");
+    s.only_touched = case_.config.train.only_touched;
+    s.boxes = accel_.proxy() == Proxy::boxes;
+    s.software = device_.traversal() == Traversal::software;
+    if (result.visits) {
+        s.nodes_opened = result.visits->nodes * s.n_rays;
+        s.surfels_tested = result.visits->surfels * s.n_rays;
+    }
+    if (training_)
+        for (const std::uint32_t touched : training_->gradients.touched.download(scene_.size())) s.n_touched += touched;
+    return s;
 }
 
 }  // namespace
@@ -235,7 +263,9 @@ Spread spread_of(std::vector<double> samples) {
     return {at(0.1), at(0.5), at(0.9)};
 }
 
-BenchResult measure(Device& device, const BenchCase& bench_case, const BenchSettings& settings) {
+namespace {
+
+BenchResult measure_case(Device& device, const BenchCase& bench_case, const BenchSettings& settings) {
     const bool device_clock = device.info().timestamps;
     Progress(settings.quiet).show("warming up");
     Bench bench(device, bench_case);
@@ -255,6 +285,14 @@ BenchResult measure(Device& device, const BenchCase& bench_case, const BenchSett
     }
     BenchResult result = bench.result();
     result.device_clock = device_clock;
+    return result;
+}
+
+}  // namespace
+
+BenchResult measure(Device& device, const BenchCase& bench_case, const BenchSettings& settings) {
+    BenchResult result = measure_case(device, bench_case, settings);
+    result.copy_bytes_per_s = copy_bytes_per_s(device);   // now that the case has left the memory
     return result;
 }
 

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "bench_floor.hpp"
 
 namespace relidar {
 class Device;
@@ -56,6 +57,8 @@ struct BenchResult {
     double hits_per_ray = 0.0;           ///< blended
     std::optional<BenchVisits> visits;   ///< software traversal alone
     BenchMemory memory;
+    FloorSizes sizes;
+    std::optional<double> copy_bytes_per_s;   ///< read and written together
 };
 
 struct BenchSettings {
