@@ -15,10 +15,18 @@ namespace relidar {
 struct Config;
 struct FrameData;
 
+/// Whole columns of a frame, copied into a batch of their own.
+struct ColumnWindow {
+    std::uint32_t columns = 0;     ///< of the frame; 0 = the batch points into the frame's own rays
+    std::uint32_t first = 0;       ///< of the window; columns wrap around
+    std::uint32_t n_columns = 0;
+};
+
 /// Rays of one iteration and what they measured.
 struct SampledBatch {
     RayBatch rays;
     TargetBatch targets;
+    ColumnWindow window{};
 };
 
 /// Samples train.rays_per_iteration rays of a frame: all of them (0), every n-th one in image order (train.batch = rays), or a window
