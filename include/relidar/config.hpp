@@ -55,6 +55,12 @@ struct TrainConfig {
     bool deterministic = false;      ///< bit-equal parameters from run to run on one device
     int gather_hits = 64;            ///< hit records a ray there is room for where gradients are gathered
     bool sensor_drop = false;        ///< learn what the sensor itself never sees apart from the scene (stands in for the paper's U-Net)
+    std::string refine_poses = "none";   ///< "none", "sensor", "actors", "sensor,actors": poses that are optimised with the scene
+    int pose_from = 0;                   ///< poses stay as they are up to this iteration
+    double pose_rate_m = 2e-3;           ///< at the start; poses' rates end at a tenth
+    double pose_rate_rad = 2e-4;
+    double pose_prior_per_m2 = 0.01;     ///< weights of |translation|^2 and |rotation|^2 of every correction in the loss
+    double pose_prior_per_rad2 = 0.1;
     int log_every = 50;
     int checkpoint_every = 0;          ///< iterations between checkpoints; 0 = by time alone
     double checkpoint_minutes = 10.0;  ///< minutes between checkpoints; 0 = by iterations alone

@@ -117,6 +117,7 @@ struct InitialiseOptions {
 struct InstancePose {
     Pose world_from_model;
     bool present = true;
+    double time_s = 0.0;   ///< place_instances: the moment at which its track was asked
 };
 
 /// Boxes whose points and rays are not the background's: those that move, and the tracks asked for; none with ActorMode::background.

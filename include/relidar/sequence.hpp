@@ -12,6 +12,12 @@
 
 namespace relidar {
 
+/// Where a time lies in a track: between entries `left` and `left + 1`, at fraction s; outside 0..1 beyond its ends.
+struct TrackPlace {
+    std::size_t left = 0;
+    double s = 0.0;   ///< 0 where the track has one entry only
+};
+
 /// Poses at ascending times.
 struct PoseTrack {
     std::vector<double> time_s;
@@ -20,6 +26,8 @@ struct PoseTrack {
     /// Interpolated pose (slerp, lerp). Outside the first and last time the end segment's velocity continues.
     /// @throws DataError where the track is empty
     Pose at(double t_s) const;
+    /// Between which poses at(t_s) interpolates. @throws DataError where the track is empty
+    TrackPlace place(double t_s) const;
     bool covers(double t_s) const { return !time_s.empty() && t_s >= time_s.front() && t_s <= time_s.back(); }
 };
 

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -32,9 +33,17 @@ struct TrainProgress {
     DensifyReport densified;                       ///< sums over the densifications since the last line; `before` and `after` are of the last one
 };
 
+/// Poses as training corrected them (train.refine_poses). Held-out frames have no rays of their own in it: their poses are corrected by what
+/// the neighbouring turns see that were fired between, or, without a rolling shutter, by the corrections before and after interpolated.
+struct RefinedPoses {
+    PoseTrack world_from_sensor;
+    std::vector<BoxTrack> boxes;
+};
+
 /// What training leaves behind. Log and times count from the first start, whatever the number of interruptions.
 struct TrainResult {
     Scene scene;
+    std::optional<RefinedPoses> poses;   ///< to render the scene with; nothing where the log's own were kept
     std::vector<TrainProgress> log;
     KernelTimes times;                 ///< of this session
     double initialise_s = 0.0;

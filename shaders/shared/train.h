@@ -20,5 +20,48 @@ struct GatherColumnsParams {
     uint n_columns;
 };
 
+/// A ray's place among the poses of the sensor: it moves with (1 - s) of knot `left` and s of the next one.
+struct RayPlace {
+    uint left;
+    float s;
+};
+RELIDAR_POINTER(RayPlaces, RayPlace);
+
+/// A pose of the sensor and its correction, world.
+struct PoseKnot {
+    vec3 position;      // uncorrected, m
+    vec3 translation;   // m
+    vec3 rotation;      // rotation vector, rad
+};
+RELIDAR_POINTER(PoseKnots, PoseKnot);
+
+/// A frame's rays as the corrected poses have them.
+struct MoveRaysParams {
+    Rays rays;          // input [n_rays]
+    RayPlaces places;   // input [n_rays]
+    PoseKnots knots;    // input, those of this frame
+    Rays moved;         // output [n_rays]
+    uint n_rays;
+};
+
+/// Gradients of rays as gradients of the knots' corrections. Ray k of the batch is entry first_ray + k * ray_stride of `moved`, and of
+/// `places` too unless it was gathered from a window of columns.
+struct KnotGradientsParams {
+    Rays moved;          // input
+    RayPlaces places;    // input, of the whole frame
+    PoseKnots knots;     // input
+    Floats d_rays;       // input [n_rays,6]
+    Floats rows;         // output [n_lanes,n_knots,6]: dL/d(translation), dL/d(rotation), each row over every n_lanes-th ray
+    uint n_rays;
+    uint first_ray;
+    uint ray_stride;
+    uint columns;        // of the frame; 0 = the batch is no copy of columns
+    uint first_column;
+    uint column_stride;
+    uint n_columns;
+    uint n_knots;
+    uint n_lanes;
+};
+
 RELIDAR_SHARED_END
 #endif

@@ -113,6 +113,12 @@ void visit_training(C& c, Visitor&& f) {
     f("train.deterministic", c.train.deterministic, anything(), "gradients are summed in a fixed order: bit-equal parameters from run to run on one device");
     f("train.gather_hits", c.train.gather_hits, between(1, 4096), "room for so many hit records a ray where gradients are summed in a fixed order");
     f("train.sensor_drop", c.train.sensor_drop, anything(), "learn what the sensor itself never sees (its own vehicle) apart from the scene");
+    f("train.refine_poses", c.train.refine_poses, one_of({"none", "sensor", "actors", "sensor,actors"}), "poses that are corrected together with the scene: of the sensor, of the actors' boxes");
+    f("train.pose_from", c.train.pose_from, between(0, kMaxCount), "poses stay as they are up to this step");
+    f("train.pose_rate_m", c.train.pose_rate_m, at_least(0), "learning rate of the poses' translations at the start, metres; a tenth at the end");
+    f("train.pose_rate_rad", c.train.pose_rate_rad, at_least(0), "learning rate of the poses' rotations at the start, radians; a tenth at the end");
+    f("train.pose_prior_per_m2", c.train.pose_prior_per_m2, at_least(0), "weight of the squared translation of a correction, per square metre");
+    f("train.pose_prior_per_rad2", c.train.pose_prior_per_rad2, at_least(0), "weight of the squared rotation of a correction, per square radian");
     f("train.log_every", c.train.log_every, between(1, kMaxCount), "steps between two lines of the log");
     f("train.checkpoint_every", c.train.checkpoint_every, between(0, kMaxCount), "steps between two checkpoints; 0: by time alone");
     f("train.checkpoint_minutes", c.train.checkpoint_minutes, at_least(0), "minutes between two checkpoints; 0: by steps alone; Ctrl-C always leaves one");

@@ -60,6 +60,7 @@ Run load_run(const fs::path& folder) {
     run.sequence = std::move(scene.sequence);
     run.split = std::move(scene.split);
     run.edits = std::move(scene.edits);
+    run.refined_poses = std::move(scene.refined_poses);
     run.scene = load_model(folder / kModelFile);
     if (run.scene.surfels.size() != scene.n_surfels) {
         throw DataError(fmt::format("{}: counts.surfels: found {}, but {} holds {}", scene_path.string(), scene.n_surfels, kModelFile, run.scene.surfels.size()));

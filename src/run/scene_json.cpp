@@ -167,6 +167,7 @@ std::string to_scene_json(const Run& run) {
                  {"sensor", to_json(s.sensor)},
                  {"frames", frames_json(s, run.split)},
                  {"boxes", boxes}};
+    if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
     parse_scene_json(text, "writing scene.json");   // what could not be read back (a NaN pose) is refused before it is written
@@ -191,6 +192,7 @@ SceneFile parse_scene_json(const std::string& text, const std::string& file) {
     const JsonField boxes = root.at("boxes");
     for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box(boxes.at(i)));
     if (root.has("edits")) read_edits(root.at("edits"), scene);
+    if (root.has("refined_poses")) scene.refined_poses = root.at("refined_poses").text();
     check_counts(root, scene);
     scene.n_surfels = static_cast<std::size_t>(root.at("counts").at("surfels").integer(0, 4294967295));
     return scene;

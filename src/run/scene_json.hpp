@@ -16,6 +16,7 @@ struct SceneFile {
     Sequence sequence;     ///< frames without scans
     Split split;
     std::vector<RunEdit> edits;
+    std::string refined_poses;
     std::size_t n_surfels = 0;
 };
 /// @param file name used in messages @throws DataError naming file and field

@@ -169,7 +169,9 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
         InstancePose& pose = placed.emplace_back();
         if (instance.track.empty()) continue;
         pose.present = box != sequence.boxes.end() && box->present(time_s);
-        if (pose.present) pose.world_from_model = box->world_from_box.at(box_facing_time(sequence, *box, time_s));
+        if (!pose.present) continue;
+        pose.time_s = box_facing_time(sequence, *box, time_s);
+        pose.world_from_model = box->world_from_box.at(pose.time_s);
     }
     return placed;
 }

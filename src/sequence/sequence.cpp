@@ -13,13 +13,7 @@
 namespace relidar {
 namespace {
 
-/// Where a time lies in a track: between entries `left` and `left + 1`, at fraction s.
-struct Place {
-    std::size_t left;
-    double s;
-};
-
-Place find_place(const std::vector<double>& time_s, double t_s) {
+TrackPlace find_place(const std::vector<double>& time_s, double t_s) {
     const auto after = std::upper_bound(time_s.begin(), time_s.end(), t_s);
     const std::ptrdiff_t last = static_cast<std::ptrdiff_t>(time_s.size()) - 2;
     const std::size_t left = static_cast<std::size_t>(std::clamp<std::ptrdiff_t>(after - time_s.begin() - 1, 0, last));
@@ -54,7 +48,7 @@ bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) con
     const glm::dvec3 half = 0.5 * size_m + glm::dvec3(margin_m);
     const PoseTrack& track = world_from_box;
     if (track.pose.size() > 1) {  // the centre alone rules most points out, without a slerp
-        const Place at = find_place(track.time_s, t_s);
+        const TrackPlace at = find_place(track.time_s, t_s);
         const glm::dvec3 centre = glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
         const glm::dvec3 d = point_m - centre;
         if (glm::dot(d, d) > glm::dot(half, half)) return false;
@@ -63,13 +57,16 @@ bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) con
     return local.x <= half.x && local.y <= half.y && local.z <= half.z;
 }
 
-Pose PoseTrack::at(double t_s) const {
+TrackPlace PoseTrack::place(double t_s) const {
     if (pose.empty() || pose.size() != time_s.size()) {
         throw DataError(fmt::format("pose track: {} poses at {} times, expected at least one of each", pose.size(), time_s.size()));
     }
-    if (pose.size() == 1) return pose.front();
-    const Place place = find_place(time_s, t_s);
-    return interpolate(pose[place.left], pose[place.left + 1], place.s);
+    return pose.size() == 1 ? TrackPlace{} : find_place(time_s, t_s);
+}
+
+Pose PoseTrack::at(double t_s) const {
+    const auto [left, s] = place(t_s);
+    return pose.size() == 1 ? pose.front() : interpolate(pose[left], pose[left + 1], s);
 }
 
 std::size_t Scan::count_returns() const {

@@ -93,12 +93,12 @@ SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random
         run(stream, b.gather, n,
             {frame.rays.address(), frame.targets.address(), b.rays.address(), b.targets.address(), image.rows, image.columns, first, columns.stride, columns.n});
         const double share = double(n) / frame.n_rays;   // of the whole frame's count: unbiased, and no sector counts more for being empty
-        return {{&b.rays, 0, 1, n, columns.n}, {&b.targets, 0, 1, n, share * frame.n_returned, share * frame.n_known, {image.rows, columns.n, false}}};
+        return {{&b.rays, 0, 1, n, columns.n}, {&b.targets, 0, 1, n, share * frame.n_returned, share * frame.n_known, {image.rows, columns.n, false}}, {image.columns, first, columns.stride, columns.n}};
     }
     const std::uint32_t stride = b.config.batch == "columns" ? 1u : stride_over_rays(frame, b.config);
     const std::uint32_t first = static_cast<std::uint32_t>(random.next() % stride);
     const RayBatch rays = frame.batch(first, stride);
-    return {rays, {&frame.targets, first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride, stride == 1 ? frame.image : ImageShape{}}};
+    return {rays, {&frame.targets, first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride, stride == 1 ? frame.image : ImageShape{}}, {}};
 }
 
 }  // namespace relidar

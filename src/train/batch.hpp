@@ -15,10 +15,19 @@ namespace relidar {
 struct Config;
 struct FrameData;
 
+/// Columns of a frame, whole, copied into a batch of their own: column k is first + k stride, wrapping around.
+struct ColumnWindow {
+    std::uint32_t columns = 0;     ///< of the frame; 0 = the batch points into the frame's own rays
+    std::uint32_t first = 0;
+    std::uint32_t stride = 1;
+    std::uint32_t n_columns = 0;
+};
+
 /// Rays of one iteration and what they measured.
 struct SampledBatch {
     RayBatch rays;
     TargetBatch targets;
+    ColumnWindow window{};
 };
 
 /// Samples about train.rays_per_iteration rays of a frame: all of them (0), every n-th column, the first drawn from all of

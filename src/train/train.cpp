@@ -40,6 +40,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     const Scene initial = session.start ? scene_of(*session.start) : initialise_scene(sequence, split.train, start_options(config));
     result.initialise_s = seconds_since(begin);
 
+    if (config.train.refine_poses == "actors" && initial.instances.size() < 2 && session.note) session.note("train.refine_poses=actors: the scene has no actor, no pose is refined");
     TrainLoop loop(device, sequence, split, initial, config);
     if (session.start) {
         loop.restore(*session.start);
@@ -65,6 +66,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     result.interrupted = result.iterations < config.train.iterations;
     if (config.densify.prune_unseen && !result.interrupted) loop.prune_unseen();
     result.scene = loop.download();
+    result.poses = loop.refined_poses();
     if (config.train.sensor_drop && !result.interrupted) result.scene.sensor_drop = loop.estimate_sensor_drop(sequence);
     result.train_s = trained_s();
     result.times = loop.times();

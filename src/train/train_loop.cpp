@@ -69,7 +69,6 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       backward_(device, config.image, accel_->proxy(), trace_options(config), backward_options(config)),
       surfel_loss_(device, config.loss),
       adam_(device, scene_.size(), {.only_touched = config.train.only_touched}),
-      gradients_(std::in_place, device, scene_),
       rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
       kept_(device, largest_batch(), static_cast<std::uint32_t>(config.trace.keep_hits)),
       upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
@@ -77,7 +76,8 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.size(), config.train.seed),
       term_sums_(kLossTerms, 0.0) {
-    gradients_->zero_untouched = !config.train.only_touched;
+    if (config.train.refine_poses != "none") refiner_.emplace(device, sequence, initial, config.train, frames_);
+    make_gradients();
     for (FrameData& frame : frames_) frame.placed = place_instances(initial, sequence, sequence.frames[std::size_t(frame.position)].time_s);
     if (config.densify.strategy != DensifyStrategy::none || config.densify.prune_unseen)
         densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.size()), config.train.seed);
@@ -97,23 +97,36 @@ std::uint32_t TrainLoop::largest_batch() const {
     return largest;
 }
 
+void TrainLoop::make_gradients() {
+    gradients_.emplace(stream_.device(), scene_, refiner_ ? refiner_->wanted(largest_batch()) : WantedGradients{});
+    gradients_->zero_untouched = !config_.train.only_touched;
+}
+
+void TrainLoop::place(std::size_t frame_index, const ImageModel& model) {
+    FrameData& frame = frames_[frame_index];
+    if (refiner_) refiner_->place(stream_, frame_index, frame);
+    scene_.place(stream_, frame.placed);                          // Eq. 4-5
+    scene_.activate(stream_, model, frame.sensor_position_m);
+    accel_->update(stream_, scene_);
+}
+
 void TrainLoop::iterate(int step) {
     if (pending_.size() == kTermSlots) collect_terms();
     const std::size_t frame_index = sampler_.next();
     const FrameData& frame = frames_[frame_index];
-    const auto [rays, targets] = batches_.sample(stream_, frame, sampler_.random());
     const ImageModel model = with_degree(config_.image, (step - 1) / std::max(1, config_.train.sh_degree_interval));
     forward_.set_sh_degree(model.sh_degree);
     backward_.set_sh_degree(model.sh_degree);
 
-    scene_.place(stream_, frame.placed);                                                                                 // Eq. 4-5
-    scene_.activate(stream_, model, frame.sensor_position_m);
-    accel_->update(stream_, scene_);
+    place(frame_index, model);
+    const SampledBatch batch = batches_.sample(stream_, frame, sampler_.random());
+    const auto& [rays, targets, window] = batch;
     forward_.run(stream_, scene_, *accel_, rays, rendered_, &kept_);                                                       // Eq. 2-4
     const TermRow terms(terms_, static_cast<std::uint32_t>(pending_.size()));
     loss_.run(stream_, targets, rendered_, upstream_, terms);                                                              // Eq. 10
     chamfer_.run(stream_, rays, targets, rendered_, upstream_, terms);                                                     // Eq. 11
     backward_.run(stream_, scene_, *accel_, {rays, &rendered_, &upstream_, &kept_}, frame.sensor_position_m, *gradients_); // Eq. 9
+    if (refiner_) refiner_->step(stream_, frame_index, frame, batch, *gradients_, step);
     surfel_loss_.run(stream_, scene_, {&gradients_->surfels, config_.train.only_touched ? &gradients_->touched : nullptr}, terms);
     if (densifier_) densifier_->observe(stream_, scene_, {&gradients_->surfels, &gradients_->touched, static_cast<std::uint32_t>(frame_index), rays.n_rays == frame.n_rays});
     const LearningRates rates = rates_at(config_.train, extent_m_, step);
@@ -130,12 +143,11 @@ void TrainLoop::change_surfels(const Change& change) {
     Device& device = stream_.device();
     stream_.finish();
     const std::uint64_t before = device.allocated_bytes();
-    const bool zero_untouched = gradients_->zero_untouched;
     accel_.reset();
     gradients_.reset();
     const double others_bytes = double(before - device.allocated_bytes()) / std::max(scene_.size(), 1u);
     densified_.add(change(others_bytes));
-    gradients_.emplace(device, scene_).zero_untouched = zero_untouched;
+    make_gradients();
     accel_.emplace(device, scene_, accel_options(config_));
 }
 
@@ -146,9 +158,7 @@ void TrainLoop::prune_unseen() {
     for (std::size_t i = 0; i < frames_.size(); ++i) {
         const FrameData& frame = frames_[i];
         const RayBatch rays = frame.batch(0, 1);
-        scene_.place(stream_, frame.placed);
-        scene_.activate(stream_, model, frame.sensor_position_m);
-        accel_->update(stream_, scene_);
+        place(i, model);
         forward_.run(stream_, scene_, *accel_, rays, rendered_, &kept_);
         loss_.run(stream_, {&frame.targets, 0, 1, frame.n_rays, frame.n_returned, frame.n_known, frame.image}, rendered_, upstream_, terms_);
         backward_.run(stream_, scene_, *accel_, {rays, &rendered_, &upstream_, &kept_}, frame.sensor_position_m, *gradients_);
@@ -198,6 +208,7 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
     visit_state(StateReader(checkpoint));
     if (!sampler_.is_sound(frames_.size()) || term_sums_.size() != kLossTerms)
         throw DataError(fmt::format("resuming from iteration {}: the order of frames or the sums of losses are not those of {} frames and {} terms", checkpoint.iteration, frames_.size(), kLossTerms));
+    if (refiner_ && !refiner_->take_over()) throw DataError(fmt::format("resuming from iteration {}: the corrections of poses are not those of this log", checkpoint.iteration));
 }
 
 void TrainLoop::check_room() {
@@ -214,19 +225,18 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
     constexpr float kSolid = 0.9f;           // a ray must meet this much of a surface
     const ImageModel model = with_degree(config_.image, (config_.train.iterations - 1) / std::max(1, config_.train.sh_degree_interval));
     DropCounts counts(sequence);
-    for (const FrameData& frame : frames_) {
+    for (std::size_t k = 0; k < frames_.size(); ++k) {
+        const FrameData& frame = frames_[k];
         const Scan& scan = sequence.frames[std::size_t(frame.position)].scan;
         const std::uint32_t stride = std::max(1u, frame.n_rays / kRays), first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
         const RayBatch rays = frame.batch(first, stride);
-        scene_.place(stream_, frame.placed);
-        scene_.activate(stream_, model, frame.sensor_position_m);
-        accel_->update(stream_, scene_);
+        place(k, model);
         forward_.run(stream_, scene_, *accel_, rays, rendered_);
         stream_.finish();
         const Rendering r = to_rendering(rendered_.download(), rays.n_rays);
-        for (std::uint32_t k = 0; k < rays.n_rays; ++k) {
-            const std::size_t i = first + std::size_t(k) * stride;
-            if (r.weight[k] > kSolid && r.hit_logit[k] > r.drop_logit[k]) counts.add(scan.rays.channel[i], scan.rays.direction[i], !(scan.range_m[i] > 0.0f));
+        for (std::uint32_t j = 0; j < rays.n_rays; ++j) {
+            const std::size_t i = first + std::size_t(j) * stride;
+            if (r.weight[j] > kSolid && r.hit_logit[j] > r.drop_logit[j]) counts.add(scan.rays.channel[i], scan.rays.direction[i], !(scan.range_m[i] > 0.0f));
         }
     }
     return counts.shrunk();

@@ -15,6 +15,7 @@
 #include "core/random.hpp"
 #include "train/batch.hpp"
 #include "train/frame_data.hpp"
+#include "train/pose_refiner.hpp"
 
 namespace relidar {
 
@@ -62,6 +63,8 @@ public:
     void prune_unseen();
     /// Sensor-level ray-drop, from rays for which the scene as it is now expects a return. Blocks.
     DropTable estimate_sensor_drop(const Sequence& sequence);
+    /// Poses as they are now, where they are refined.
+    std::optional<RefinedPoses> refined_poses() const { return refiner_ ? std::optional(refiner_->poses()) : std::nullopt; }
     /// The scene as it is now. Blocks.
     Scene download();
     const KernelTimes& times() const { return stream_.times(); }
@@ -88,6 +91,7 @@ private:
     BackwardPass backward_;
     SurfelLoss surfel_loss_;
     Adam adam_;
+    std::optional<PoseRefiner> refiner_;   ///< where the config wants one
     std::optional<Gradients> gradients_;
     std::optional<Densifier> densifier_;   ///< where the config wants one
     DensifyReport densified_;              ///< since the last log line
@@ -111,6 +115,7 @@ private:
         visit("term_sums", term_sums_);
         visit("n_summed", n_summed_);
         sampler_.visit_state(visit);
+        if (refiner_) refiner_->visit_state(visit);
         if (!densifier_) return;
         visit("densify/extents_m", densifier_->extents_m());
         SurfelStatistics& s = densifier_->statistics();
@@ -121,6 +126,10 @@ private:
     }
 
     std::uint32_t largest_batch() const;
+    /// Gradients for the scene's present size.
+    void make_gradients();
+    /// Records where everything is in a frame, and the surfels as they look from there.
+    void place(std::size_t frame_index, const ImageModel& model);
     /// Waits for the device and adds up the losses of the iterations pending.
     void collect_terms();
     /// Hits of the pending iterations against the room for their records; makes more. @throws DeviceError where a deterministic step did not fit

@@ -170,7 +170,9 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
 
 /// What is saved is what is restored: a loop with other values takes all of them over, bit by bit.
 TEST_F(Resume, RestoresEveryArrayBitByBit) {
-    const Config config = small_config();
+    Config config = small_config();
+    config.train.refine_poses = "sensor,actors";
+    config.init.actor_min_points = 10;
     Config other = config;
     other.train.seed = 99;
     const Scene initial = initialise_scene(street, split.train, config.init);
@@ -182,8 +184,10 @@ TEST_F(Resume, RestoresEveryArrayBitByBit) {
     fresh.restore(saved);
     fresh.save(again);
     ASSERT_EQ(saved.arrays.size(), again.arrays.size());
+    const auto same = [](const Pose& a, const Pose& b) { return a.rotation == b.rotation && a.translation == b.translation; };
+    EXPECT_TRUE(std::ranges::equal(trained.refined_poses()->world_from_sensor.pose, fresh.refined_poses()->world_from_sensor.pose, same));
     for (const NamedArray& array : saved.arrays) EXPECT_TRUE(array.bytes == again.array(array.name).bytes) << array.name;
-    for (const char* name : {"moment1/mean", "moment2/sh", "term_sums"}) {
+    for (const char* name : {"moment1/mean", "moment2/sh", "term_sums", "poses/sensor/correction", "poses/actor 0/correction"}) {
         const std::vector<float> values = saved.array(name).as_float();
         EXPECT_TRUE(std::any_of(values.begin(), values.end(), [](float v) { return v != 0.0f; })) << name << " is saved as zeros";
     }

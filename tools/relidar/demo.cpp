@@ -122,7 +122,8 @@ void run_demo(const Options& options, const std::string& command_line) {
     remove_run_files(run_folder.path());
     TrainResult result = train_logged(device, sequence, split, config, run_folder.path(), options.quiet);
     end_progress_line();
-    const Run run{run_folder.path(), config, std::move(sequence), split, std::move(result.scene), {}};
+    Run run{run_folder.path(), config, std::move(sequence), split, std::move(result.scene), {}};
+    take_poses(run, result);
     save_run(run);
     stop_if_interrupted();
     finish(device, run, street, make_report(run, result, device, command_line), out, options.quiet);

@@ -183,6 +183,7 @@ void run_train(const Options& given, const std::string& command_line) {
     end_progress_line();
     start.reset();
     run.scene = std::move(result.scene);
+    take_poses(run, result);
     save_run(run);
     finish(device, run, result, options, command_line);
 }

@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <string>
 
+#include <relidar/run.hpp>
 #include <relidar/train.hpp>
 
 namespace relidar::cli {
@@ -14,6 +15,9 @@ namespace relidar::cli {
 /// @param session its stop and note are filled in here
 TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const std::filesystem::path& folder, bool quiet,
                          TrainSession session = {});
+
+/// The poses that training corrected become the run's.
+void take_poses(Run& run, TrainResult& result);
 
 /// "iteration 1200/30000  4.20 it/s  eta 1:54:00  loss 0.0123 (depth 0.01 intensity 0.002 drop 0.0003)"
 std::string progress_text(const TrainProgress& progress);

@@ -1,0 +1,26 @@
+// SPDX-License-Identifier: Apache-2.0
+// Moves the rays of a frame with the corrections of the sensor's poses: about the position c of the sensor when the ray was fired,
+//   origin' = c + exp([w]x) (origin - c) + v,   direction' = exp([w]x) direction
+// One thread a ray. Input: rays, places, knots. Output: moved.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../common/kernel.glsl"
+#include "../shared/train.h"
+#include "knots.glsl"
+RELIDAR_PARAMS(MoveRaysParams);
+
+/// exp([w]x) p, small angles too
+vec3 turned(vec3 w, vec3 p) {
+    float angle = length(w), half_sine = angle > 1e-4 ? sin(0.5 * angle) / angle : 0.5;
+    float sine = angle > 1e-4 ? sin(angle) / angle : 1.0;
+    vec3 q = cross(w, p);
+    return p + sine * q + 2.0 * half_sine * half_sine * cross(w, q);
+}
+
+void main() {
+    uint i = thread_index();
+    if (i >= params.n_rays) return;
+    PoseKnot knot = knot_at(params.knots, params.places.at[i]);
+    RayEntry ray = params.rays.at[i];
+    params.moved.at[i] = RayEntry(knot.position + turned(knot.rotation, ray.origin - knot.position) + knot.translation, normalize(turned(knot.rotation, ray.direction)));
+}

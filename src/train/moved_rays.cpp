@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of train/move_rays and train/knot_gradients.
+#include "train/moved_rays.hpp"
+
+#include <algorithm>
+
+#include "core/assert.hpp"
+#include "gpu/stream.hpp"
+
+namespace relidar {
+namespace {
+
+/// Where each ray of a frame was fired in the track of the sensor; `first` becomes the first pose that takes part, `n` how many do.
+std::vector<shared::RayPlace> places_of(const Sequence& sequence, const Frame& frame, std::size_t& first, std::uint32_t& n) {
+    std::vector<TrackPlace> places;
+    for (const float offset_s : frame.scan.rays.time_offset_s) places.push_back(sequence.world_from_sensor.place(frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0)));
+    const auto [low, high] = std::minmax_element(places.begin(), places.end(), [](const TrackPlace& a, const TrackPlace& b) { return a.left < b.left; });
+    first = low->left;
+    n = static_cast<std::uint32_t>(std::min(high->left + 2, sequence.world_from_sensor.pose.size()) - first);
+    std::vector<shared::RayPlace> result;
+    for (const TrackPlace& p : places) result.push_back({static_cast<std::uint32_t>(p.left - first), static_cast<float>(p.s)});
+    return result;
+}
+
+}  // namespace
+
+std::vector<MovedRays::Source> MovedRays::make_sources(Device& device, const Sequence& sequence, std::vector<FrameData>& frames) {
+    std::vector<Source> sources;
+    for (FrameData& frame : frames) {
+        Source& source = sources.emplace_back();
+        const std::vector<shared::RayPlace> places = places_of(sequence, sequence.frames[std::size_t(frame.position)], source.first_knot, source.n_knots);
+        source.places = Array<shared::RayPlace>(device, std::span<const shared::RayPlace>(places), "places of rays");
+        source.rays = std::move(frame.rays);
+        frame.rays = Array<DeviceRay>(device, frame.n_rays, "moved rays");
+    }
+    return sources;
+}
+
+MovedRays::MovedRays(Device& device, const Sequence& sequence, std::vector<FrameData>& frames)
+    : sources_(make_sources(device, sequence, frames)),
+      most_knots_(std::max_element(sources_.begin(), sources_.end(), [](const Source& a, const Source& b) { return a.n_knots < b.n_knots; })->n_knots),
+      knots_(device, most_knots_, "sensor poses"),
+      rows_(device, std::size_t(kLanes) * 6 * most_knots_, "pose gradients of lanes"),
+      sums_(device, std::size_t(6) * most_knots_, "pose gradients"),
+      move_(device, "train/move_rays"),
+      gradients_(device, "train/knot_gradients"),
+      sum_(device, kLanes, 6 * most_knots_) {}
+
+void MovedRays::move(Stream& stream, const TrackCorrection& sensor, std::size_t frame_index, FrameData& frame) {
+    const Source& source = sources_[frame_index];
+    std::vector<shared::PoseKnot> knots;
+    for (std::size_t k = source.first_knot; k < source.first_knot + source.n_knots; ++k) {
+        const Twist c = sensor.at(k);
+        knots.push_back({glm::vec3(sensor.uncorrected().pose[k].translation), glm::vec3(c[0], c[1], c[2]), glm::vec3(c[3], c[4], c[5])});
+    }
+    stream.impl().write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
+    run(stream, move_, frame.n_rays, {source.rays.address(), source.places.address(), knots_.address(), frame.rays.address(), frame.n_rays});
+}
+
+std::vector<PoseGradient> MovedRays::gradients(Stream& stream, std::size_t frame_index, const SampledBatch& batch, const Array<float>& d_rays) {
+    const Source& source = sources_[frame_index];
+    RELIDAR_ASSERT_LE(std::size_t(6) * batch.rays.n_rays, d_rays.size());
+    stream.fill(sums_);
+    run(stream, gradients_, kLanes * most_knots_,
+        {batch.rays.rays->address(), source.places.address(), knots_.address(), d_rays.address(), rows_.address(), batch.rays.n_rays, batch.rays.first, batch.rays.stride,
+         batch.window.columns, batch.window.first, batch.window.stride, batch.window.n_columns, most_knots_, kLanes});
+    sum_.add(stream, rows_.address(), kLanes, sums_.address());
+    stream.finish();
+    const std::vector<float> sums = sums_.download();
+    std::vector<PoseGradient> result(source.n_knots);
+    for (std::size_t k = 0; k < result.size(); ++k) {
+        result[k].pose = source.first_knot + k;
+        std::copy_n(sums.begin() + std::ptrdiff_t(6 * k), 6, result[k].gradient.begin());
+    }
+    return result;
+}
+
+}  // namespace relidar

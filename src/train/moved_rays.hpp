@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+// Rays of the training frames where the corrected poses of the sensor have them, and gradients of rays as gradients of those poses.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include <relidar/backward.hpp>
+#include <relidar/sequence.hpp>
+
+#include "gpu/kernel.hpp"
+#include "gpu/sum_rows.hpp"
+#include "shared/train.h"
+#include "train/batch.hpp"
+#include "train/frame_data.hpp"
+#include "train/track_correction.hpp"
+
+namespace relidar {
+
+/// Gradient of one pose of the sensor's track.
+struct PoseGradient {
+    std::size_t pose = 0;
+    Twist gradient{};
+};
+
+class MovedRays {
+public:
+    /// Takes the frames' rays as those of the uncorrected poses. 32 bytes a ray on the device.
+    MovedRays(Device& device, const Sequence& sequence, std::vector<FrameData>& frames);
+    /// Records frame.rays anew. @param frame_index of the constructor's frames
+    void move(Stream& stream, const TrackCorrection& sensor, std::size_t frame_index, FrameData& frame);
+    /// Gradients of the poses between which the batch's rays were fired, from dL/d(ray) of a backward pass; the frame was moved
+    /// last. The direction from which spherical harmonics are seen is taken as fixed. Blocks.
+    std::vector<PoseGradient> gradients(Stream& stream, std::size_t frame_index, const SampledBatch& batch, const Array<float>& d_rays);
+
+private:
+    static constexpr std::uint32_t kLanes = 1024;
+
+    struct Source {
+        Array<DeviceRay> rays;               ///< of the uncorrected poses
+        Array<shared::RayPlace> places;      ///< counted from first_knot
+        std::size_t first_knot = 0;          ///< in the sensor's track
+        std::uint32_t n_knots = 0;
+    };
+    std::vector<Source> sources_;
+    std::uint32_t most_knots_;
+    Array<shared::PoseKnot> knots_;          ///< [most_knots] of the frame moved last
+    Array<float> rows_, sums_;
+    Kernel<shared::MoveRaysParams> move_;
+    Kernel<shared::KnotGradientsParams> gradients_;
+    SumRows sum_;
+
+    static std::vector<Source> make_sources(Device& device, const Sequence& sequence, std::vector<FrameData>& frames);
+};
+
+}  // namespace relidar

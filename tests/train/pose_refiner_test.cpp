@@ -1,0 +1,256 @@
+// SPDX-License-Identifier: Apache-2.0
+// Pose refinement: moved rays against world_ray of the corrected track, gradients of the poses against central differences through it,
+// Adam on a track, and the synthetic street with poses that are wrong by 5 cm and 0.3 degrees.
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <random>
+
+#include <relidar/dataset.hpp>
+#include <relidar/error.hpp>
+#include <relidar/train.hpp>
+
+#include "../support/device.hpp"
+#include "train/moved_rays.hpp"
+#include "train/pose_refiner.hpp"
+
+namespace relidar {
+namespace {
+
+class Poses : public test::DeviceTest {};
+
+constexpr double kDegree = kPi / 180.0;
+
+Sequence street_of(int n_frames, int rows, int columns, bool moving_cars = false) {
+    SyntheticOptions options;
+    options.n_frames = n_frames, options.rows = rows, options.columns = columns, options.moving_cars = moving_cars;
+    return make_synthetic_street(options);
+}
+
+/// A twist whose translation and rotation vector have these standard deviations in total.
+Twist random_twist(std::mt19937_64& random, double sigma_m, double sigma_rad) {
+    std::normal_distribution<double> normal(0.0, 1.0 / std::sqrt(3.0));
+    Twist twist;
+    for (std::size_t i = 0; i < 6; ++i) twist[i] = (i < 3 ? sigma_m : sigma_rad) * normal(random);
+    return twist;
+}
+
+PoseTrack perturbed(PoseTrack track, double sigma_m, double sigma_rad, std::uint64_t seed) {
+    std::mt19937_64 random(seed);
+    for (Pose& pose : track.pose) pose = moved(pose, random_twist(random, sigma_m, sigma_rad));
+    return track;
+}
+
+/// A correction of every pose, as training would leave it: each pose is stepped once towards minus its sign.
+TrackCorrection random_correction(const PoseTrack& track, std::mt19937_64& random) {
+    TrackCorrection correction(track);
+    for (int i = 0; i < 3; ++i) {
+        for (std::size_t k = 0; k < track.pose.size(); ++k) correction.add_gradient(k, 1.0, random_twist(random, 1.0, 1.0));
+        correction.step({.rate_m = 0.05, .rate_rad = 0.005});
+    }
+    return correction;
+}
+
+double dot(const glm::dvec3& a, const std::vector<float>& b, std::size_t first) { return a.x * b[first] + a.y * b[first + 1] + a.z * b[first + 2]; }
+
+TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
+    for (const bool rolling : {true, false}) {
+        Sequence street = street_of(5, 8, 64);
+        street.rolling_shutter = rolling;
+        std::vector<FrameData> frames = upload_frames(device(), street, {0, 1, 3}, {});
+        MovedRays rays(device(), street, frames);
+        std::mt19937_64 random(7);
+        const TrackCorrection correction = random_correction(street.world_from_sensor, random);
+        const PoseTrack corrected = correction.corrected();
+        Stream stream(device());
+        for (std::size_t f = 0; f < frames.size(); ++f) {
+            rays.move(stream, correction, f, frames[f]);
+            stream.finish();
+            const std::vector<DeviceRay> moved = frames[f].rays.download();
+            const Frame& frame = street.frames[std::size_t(frames[f].position)];
+            double farthest = 0.0, base = 0.0;
+            for (std::size_t i = 0; i < moved.size(); ++i) {
+                const WorldRay expected = world_ray(corrected, frame.time_s, frame.scan.rays, i, rolling), uncorrected = world_ray(street.world_from_sensor, frame.time_s, frame.scan.rays, i, rolling);
+                farthest = std::max({farthest, glm::length(expected.origin_m - glm::dvec3(moved[i].origin)), glm::length(expected.direction - glm::dvec3(moved[i].direction))});
+                base = std::max(base, glm::length(expected.origin_m - uncorrected.origin_m));
+            }
+            EXPECT_GT(base, 0.02) << "the correction moves something";
+            EXPECT_LT(farthest, 5e-5) << "frame " << f << (rolling ? ", rolling shutter" : "");
+        }
+    }
+}
+
+/// L = sum a . origin' + b . direction' over the batch, differentiated through the corrected track in double.
+TEST_F(Poses, GradientsAreThoseOfDifferences) {
+    const Sequence street = street_of(5, 8, 64);
+    std::vector<FrameData> frames = upload_frames(device(), street, {1, 2, 4}, {});
+    MovedRays rays(device(), street, frames);
+    std::mt19937_64 random(9);
+    std::normal_distribution<float> normal;
+    TrackCorrection correction = random_correction(street.world_from_sensor, random);
+    Stream stream(device());
+    Random draw(5);
+    for (const auto& [batch_kind, f] : {std::pair{"rays", 0u}, {"columns", 1u}, {"columns", 2u}}) {
+        Config config;
+        config.train.batch = batch_kind, config.train.rays_per_iteration = 130;
+        BatchSampler sampler(device(), config, frames);
+        rays.move(stream, correction, f, frames[f]);
+        const SampledBatch batch = sampler.sample(stream, frames[f], draw);
+        std::vector<float> upstream(6 * std::size_t(batch.rays.n_rays));
+        for (float& x : upstream) x = normal(random);
+        const Array<float> d_rays(device(), std::span<const float>(upstream), "ray gradients");
+        const std::vector<PoseGradient> actual = rays.gradients(stream, f, batch, d_rays);
+        const std::vector<DeviceRay> batch_rays = batch.rays.rays->download();
+        const std::vector<DeviceRay> all = frames[f].rays.download();
+        const Frame& frame = street.frames[std::size_t(frames[f].position)];
+        std::vector<std::size_t> ids;   // by where the batch's rays lie among the frame's
+        for (std::uint32_t k = 0; k < batch.rays.n_rays; ++k) {
+            const DeviceRay& ray = batch_rays[batch.rays.first + std::size_t(k) * batch.rays.stride];
+            ids.push_back(std::size_t(std::find_if(all.begin(), all.end(), [&](const DeviceRay& r) { return r.direction == ray.direction && r.origin == ray.origin; }) - all.begin()));
+        }
+        const auto loss = [&](const PoseTrack& track) {
+            double sum = 0.0;
+            for (std::size_t k = 0; k < ids.size(); ++k) {
+                const WorldRay w = world_ray(track, frame.time_s, frame.scan.rays, ids[k], true);
+                sum += dot(w.origin_m, upstream, 6 * k) + dot(w.direction, upstream, 6 * k + 3);
+            }
+            return sum;
+        };
+        for (const PoseGradient& g : actual) {
+            double worst = 0.0, size = 0.0;
+            for (std::size_t i = 0; i < 6; ++i) {
+                const auto at = [&](double h) {
+                    PoseTrack track = correction.corrected();
+                    Twist twist{};
+                    twist[i] = h;
+                    track.pose[g.pose] = moved(track.pose[g.pose], twist);
+                    return loss(track);
+                };
+                const double expected = (at(1e-4) - at(-1e-4)) / 2e-4;
+                worst = std::max(worst, std::abs(expected - g.gradient[i]));
+                size = std::max(size, std::abs(expected));
+            }
+            if (size == 0.0) EXPECT_EQ(worst, 0.0);
+            else EXPECT_LT(worst, 0.02 * size) << batch_kind << ", pose " << g.pose;
+        }
+        EXPECT_GE(actual.size(), 2u);
+    }
+}
+
+/// A quadratic bowl around known corrections, seen through interpolation at two times a frame.
+TEST(TrackCorrectionOf, AQuadraticBowl) {
+    PoseTrack track;
+    std::mt19937_64 random(3);
+    std::vector<Twist> wanted;
+    for (int k = 0; k < 8; ++k) {
+        track.time_s.push_back(0.1 * k);
+        track.pose.push_back(moved({}, random_twist(random, 10.0, 1.0)));
+        wanted.push_back(random_twist(random, 0.05, 0.005));
+    }
+    TrackCorrection correction(track);
+    for (int i = 0; i < 2000; ++i) {
+        for (std::size_t k = 0; k < 8; ++k) {
+            if (k == 5) continue;   // held out
+            Twist g;
+            for (std::size_t j = 0; j < 6; ++j) g[j] = correction.at(k)[j] - wanted[k][j];
+            correction.add_gradient(k, 1.0, g);
+        }
+        correction.step({.rate_m = 5e-3 / (1 + 0.05 * i), .rate_rad = 5e-4 / (1 + 0.05 * i)});
+    }
+    for (std::size_t k = 0; k < 8; ++k)
+        for (std::size_t j = 0; j < 6; ++j) EXPECT_NEAR(correction.at(k)[j], k == 5 ? 0.5 * (wanted[4][j] + wanted[6][j]) : wanted[k][j], j < 3 ? 1e-3 : 1e-4) << k;
+    TrackCorrection strict(track);
+    for (int i = 0; i < 200; ++i) {
+        strict.add_gradient(2, 1.0, {1e-3, 0, 0, 0, 0, 0});
+        strict.step({.rate_m = 1e-3, .rate_rad = 1e-3, .prior_per_m2 = 0.05});
+    }
+    EXPECT_NEAR(strict.at(2)[0], -0.01, 1e-3) << "where the prior's pull is the loss's";
+}
+
+/// Rotation (rad) and translation (m) from one pose to another, in the world's axes.
+Twist difference(const Pose& from, const Pose& to) {
+    glm::dquat q = to.rotation * glm::conjugate(from.rotation);
+    if (q.w < 0.0) q = -q;
+    const glm::dvec3 w = 2.0 * glm::dvec3(q.x, q.y, q.z), v = to.translation - from.translation;
+    return {v.x, v.y, v.z, w.x, w.y, w.z};
+}
+
+struct PoseError {
+    double median_m, median_deg;
+};
+
+/// Median over the poses, after their common rigid motion is taken out (least squares, linear in the small rotation).
+PoseError error_of(const PoseTrack& track, const PoseTrack& exact, const std::vector<int>& positions) {
+    std::vector<Twist> e;
+    glm::dvec3 centre(0.0), v(0.0), w(0.0);
+    const auto n = double(positions.size());
+    for (const int k : positions) {
+        e.push_back(difference(exact.pose[std::size_t(k)], track.pose[std::size_t(k)]));
+        centre += exact.pose[std::size_t(k)].translation / n;
+        v += glm::dvec3(e.back()[0], e.back()[1], e.back()[2]) / n;
+        w += glm::dvec3(e.back()[3], e.back()[4], e.back()[5]) / n;
+    }
+    std::vector<double> metres, degrees;
+    for (std::size_t i = 0; i < e.size(); ++i) {
+        const glm::dvec3 carried = v + glm::cross(w, exact.pose[std::size_t(positions[i])].translation - centre);
+        metres.push_back(glm::length(glm::dvec3(e[i][0], e[i][1], e[i][2]) - carried));
+        degrees.push_back(glm::length(glm::dvec3(e[i][3], e[i][4], e[i][5]) - w) / kDegree);
+    }
+    const auto median = [](std::vector<double>& x) { return std::nth_element(x.begin(), x.begin() + std::ptrdiff_t(x.size() / 2), x.end()), x[x.size() / 2]; };
+    return {median(metres), median(degrees)};
+}
+
+Config refining(const std::string& what, int iterations) {
+    Config config = make_preset("quick");
+    config.init.voxel_m = 0.2;
+    config.train.iterations = iterations;
+    config.train.rays_per_iteration = 0;
+    config.train.sensor_drop = false;
+    config.train.refine_poses = what;
+    for (const char* setting : {"pose_rate_m", "pose_rate_rad", "mean_rate", "only_touched", "mean_rate_final", "rotation_rate"}) {
+        const std::string name = std::string("RELIDAR_POSE_") + setting;
+        if (const char* value = std::getenv(name.c_str())) set_key(config, std::string("train.") + setting, value);
+    }
+    return config;
+}
+
+TEST_F(Poses, OfTheSensorComeBack) {
+    const int iterations = std::getenv("RELIDAR_POSE_ITERATIONS") ? std::atoi(std::getenv("RELIDAR_POSE_ITERATIONS")) : 150;
+    Sequence street = street_of(11, 32, 256);
+    const PoseTrack exact = street.world_from_sensor;
+    street.world_from_sensor = perturbed(exact, 0.05, 0.3 * kDegree, 1);
+    const Split split = split_frames(street, 0);
+    const PoseTrack start = street.world_from_sensor;
+    TrainResult result;
+    for (int round = 0; round < (std::getenv("RELIDAR_POSE_ROUNDS") ? std::atoi(std::getenv("RELIDAR_POSE_ROUNDS")) : 1); ++round) {
+    result = train(device(), street, split, refining("sensor", iterations), [](const TrainProgress&) { return true; });
+    const PoseError a = error_of(result.poses->world_from_sensor, exact, split.train);
+    std::printf("round %.4f m, %.3f deg, loss %g\n", a.median_m, a.median_deg, result.log.back().loss);
+    street.world_from_sensor = result.poses->world_from_sensor;
+    }
+    street.world_from_sensor = start;
+    for (std::size_t k = 0; k < exact.pose.size(); ++k) { const Twist e = difference(exact.pose[k], result.poses->world_from_sensor.pose[k]); const glm::dvec3 p = exact.pose[k].translation; std::printf("pose %2zu at %6.2f %6.2f %6.2f: %7.4f %7.4f %7.4f m, %7.3f %7.3f %7.3f deg\n", k, p.x, p.y, p.z, e[0], e[1], e[2], e[3]/kDegree, e[4]/kDegree, e[5]/kDegree); }
+    ASSERT_TRUE(result.poses);
+    const PoseError before = error_of(street.world_from_sensor, exact, split.train), after = error_of(result.poses->world_from_sensor, exact, split.train);
+    std::printf("sensor: %.4f m, %.3f deg before, %.4f m, %.3f deg after %d steps\n", before.median_m, before.median_deg, after.median_m, after.median_deg, iterations);
+    EXPECT_LT(after.median_m, 0.5 * before.median_m);
+    EXPECT_LT(after.median_deg, 0.5 * before.median_deg);
+}
+
+TEST_F(Poses, AreKeptWhereNoneIsRefined) {
+    const Sequence street = street_of(4, 8, 64, true);
+    EXPECT_FALSE(train(device(), street, split_frames(street, 0), refining("none", 2), [](const TrainProgress&) { return true; }).poses);
+    Config config;
+    EXPECT_THROW(set_key(config, "train.refine_poses", "sensors"), UsageError);
+    std::vector<std::string> notes;
+    TrainSession session;
+    session.note = [&](const std::string& note) { notes.push_back(note); };
+    config = refining("actors", 2);
+    config.init.actors = ActorMode::background;
+    train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; }, session);
+    ASSERT_EQ(notes.size(), 1u);
+    EXPECT_NE(notes[0].find("no actor"), std::string::npos) << notes[0];
+}
+
+}  // namespace
+}  // namespace relidar
