@@ -41,10 +41,8 @@ MovedRays::MovedRays(Device& device, const Sequence& sequence, std::vector<Frame
       most_knots_(std::max_element(sources_.begin(), sources_.end(), [](const Source& a, const Source& b) { return a.n_knots < b.n_knots; })->n_knots),
       knots_(device, most_knots_, "sensor poses"),
       rows_(device, std::size_t(kLanes) * 6 * most_knots_, "pose gradients of lanes"),
-      sums_(device, std::size_t(6) * most_knots_, "pose gradients"),
       move_(device, "train/move_rays"),
-      gradients_(device, "train/knot_gradients"),
-      sum_(device, kLanes, 6 * most_knots_) {}
+      gradients_(device, "train/knot_gradients") {}
 
 void MovedRays::move(Stream& stream, const TrackCorrection& sensor, std::size_t frame_index, FrameData& frame) {
     const Source& source = sources_[frame_index];
@@ -60,17 +58,16 @@ void MovedRays::move(Stream& stream, const TrackCorrection& sensor, std::size_t 
 std::vector<PoseGradient> MovedRays::gradients(Stream& stream, std::size_t frame_index, const SampledBatch& batch, const Array<float>& d_rays) {
     const Source& source = sources_[frame_index];
     RELIDAR_ASSERT_LE(std::size_t(6) * batch.rays.n_rays, d_rays.size());
-    stream.fill(sums_);
     run(stream, gradients_, kLanes * most_knots_,
         {batch.rays.rays->address(), source.places.address(), knots_.address(), d_rays.address(), rows_.address(), batch.rays.n_rays, batch.rays.first, batch.rays.stride,
          batch.window.columns, batch.window.first, batch.window.stride, batch.window.n_columns, most_knots_, kLanes});
-    sum_.add(stream, rows_.address(), kLanes, sums_.address());
     stream.finish();
-    const std::vector<float> sums = sums_.download();
+    const std::vector<float> rows = rows_.download();   // a few kB: summed here, always in the same order
     std::vector<PoseGradient> result(source.n_knots);
     for (std::size_t k = 0; k < result.size(); ++k) {
         result[k].pose = source.first_knot + k;
-        std::copy_n(sums.begin() + std::ptrdiff_t(6 * k), 6, result[k].gradient.begin());
+        for (std::size_t lane = 0; lane < kLanes; ++lane)
+            for (std::size_t j = 0; j < 6; ++j) result[k].gradient[j] += rows[6 * (lane * most_knots_ + k) + j];
     }
     return result;
 }

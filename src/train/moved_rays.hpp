@@ -10,7 +10,7 @@
 #include <relidar/sequence.hpp>
 
 #include "gpu/kernel.hpp"
-#include "gpu/sum_rows.hpp"
+#include "gpu/kernel.hpp"
 #include "shared/train.h"
 #include "train/batch.hpp"
 #include "train/frame_data.hpp"
@@ -46,10 +46,9 @@ private:
     std::vector<Source> sources_;
     std::uint32_t most_knots_;
     Array<shared::PoseKnot> knots_;          ///< [most_knots] of the frame moved last
-    Array<float> rows_, sums_;
+    Array<float> rows_;
     Kernel<shared::MoveRaysParams> move_;
     Kernel<shared::KnotGradientsParams> gradients_;
-    SumRows sum_;
 
     static std::vector<Source> make_sources(Device& device, const Sequence& sequence, std::vector<FrameData>& frames);
 };
