@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include <relidar/backward.hpp>
+#include <relidar/gpu.hpp>
 #include <relidar/sequence.hpp>
 
 #include "gpu/kernel.hpp"

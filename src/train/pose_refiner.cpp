@@ -4,7 +4,11 @@
 
 #include <algorithm>
 
+#include <relidar/backward.hpp>
 #include <relidar/optimizer.hpp>
+#include <relidar/train.hpp>
+
+#include "train/moved_rays.hpp"
 
 namespace relidar {
 namespace {
@@ -34,7 +38,7 @@ PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& 
     : config_(config), layout_(layout_of(layout)), poses_(without_scans(sequence)) {
     if (wants(config, "sensor")) {
         sensor_.emplace(sequence.world_from_sensor);
-        rays_.emplace(device, sequence, frames);
+        rays_ = std::make_unique<MovedRays>(device, sequence, frames);
     }
     if (!wants(config, "actors")) return;
     for (std::size_t i = 0; i < layout_.instances.size(); ++i) {
@@ -42,6 +46,10 @@ PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& 
         if (box != sequence.boxes.end()) actors_.push_back({i, std::size_t(box - sequence.boxes.begin()), TrackCorrection(box->world_from_box)});
     }
 }
+
+PoseRefiner::~PoseRefiner() = default;
+
+RefinedPoses PoseRefiner::poses() const { return {poses_.world_from_sensor, poses_.boxes}; }
 
 WantedGradients PoseRefiner::wanted(std::uint32_t largest_batch) const { return {sensor_ ? largest_batch : 0u, !actors_.empty()}; }
 

@@ -2,25 +2,30 @@
 // Corrections of the sensor's poses and of the actors' boxes, found together with the scene (train.refine_poses).
 #pragma once
 
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
-#include <relidar/backward.hpp>
-#include <relidar/config.hpp>
-#include <relidar/train.hpp>
+#include <relidar/scene.hpp>
 
-#include "train/batch.hpp"
-#include "train/frame_data.hpp"
-#include "train/moved_rays.hpp"
 #include "train/track_correction.hpp"
 
 namespace relidar {
+
+class MovedRays;
+struct FrameData;
+struct Gradients;
+struct RefinedPoses;
+struct SampledBatch;
+struct TrainConfig;
+struct WantedGradients;
 
 class PoseRefiner {
 public:
     /// @param layout of the scene: the tracks of its instances are those corrected
     PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config, std::vector<FrameData>& frames);
+    ~PoseRefiner();
 
     /// What step() needs of a backward pass.
     WantedGradients wanted(std::uint32_t largest_batch) const;
@@ -29,7 +34,7 @@ public:
     /// One step of the poses that this batch has seen. Waits for the device, which no other training does.
     /// @param step counts from 1; nothing happens up to train.pose_from
     void step(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch, const Gradients& gradients, int step);
-    RefinedPoses poses() const { return {poses_.world_from_sensor, poses_.boxes}; }
+    RefinedPoses poses() const;
 
     template <class Visitor>
     void visit_state(Visitor&& visit) {
@@ -50,7 +55,7 @@ private:
     Scene layout_;
     Sequence poses_;   ///< the log without its scans, as corrected so far
     std::optional<TrackCorrection> sensor_;
-    std::optional<MovedRays> rays_;
+    std::unique_ptr<MovedRays> rays_;
     std::vector<Actor> actors_;
 
     void update_poses();
