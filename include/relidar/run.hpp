@@ -26,8 +26,8 @@ struct Run {
     Sequence sequence;
     Split split;
     Scene scene;
-    std::vector<RunEdit> edits;   ///< oldest first; empty for a run as it was trained
-    std::string refined_poses;    ///< which poses training has corrected, as train.refine_poses says it; empty: none, they are the log's
+    std::vector<RunEdit> edits{};   ///< oldest first; empty for a run as it was trained
+    std::string refined_poses{};    ///< which poses training has corrected, as train.refine_poses says it; empty: none, they are the log's
 };
 
 /// Writes config.toml, scene.json and model.safetensors, each atomically. The folder is made where missing.
