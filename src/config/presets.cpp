@@ -56,7 +56,7 @@ Config standard() {
     config.loss.opacity = 0.1f;                        // what D no longer does: close the holes
     config.train.iterations = 3000;
     config.train.sh_degree_interval = 500;
-    config.train.mean_rate = 1e-6;                     // points are right to 2 cm already; 1e-5 did as well over 250 steps (README), longer runs are not compared
+    config.train.mean_rate = 1e-6;                     // points are right to 2 cm already; 1e-5 gains 2 % of the RMSE and a tenth of the error in moving boxes over 1800 steps (README)
     config.train.mean_rate_final = 1e-7;
     config.train.rotation_rate = 3e-4;
     config.train.scale_rate = 1e-2;
