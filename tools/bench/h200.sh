@@ -85,7 +85,7 @@ done <<<"$kPeer"
 
 for file in "$largest_B" "$largest_A"; do
     [[ -n $file ]] || continue
-    printf '\n%-22s %10s %10s %8s   (%s; a copy moves %s bytes/s)\n' kernel 'median ms' 'floor ms' ratio "$(basename "$file" .json)" "$(number "$file" copy_bytes_per_s)"
+    printf '\n%-22s %10s %10s %8s   (%s; a copy moves %s GB/s)\n' kernel 'median ms' 'floor ms' ratio "$(basename "$file" .json)" "$(awk -v rate="$(number "$file" copy_bytes_per_s)" 'BEGIN {printf "%.1f", rate / 1e9}')"
     kernels "$file"
 done
 
