@@ -48,7 +48,7 @@ void drop_unused_models(Scene& scene) {
         const bool used = m == 0 || std::any_of(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.model == m; });
         if (!used) continue;
         moved_to[m] = static_cast<std::uint32_t>(models.size());
-        models.push_back({model.name, static_cast<std::uint32_t>(surfels.size()), model.count});
+        models.push_back({model.name, static_cast<std::uint32_t>(surfels.size()), model.count, model.half_size_m});
         surfels.append(scene.surfels.slice(model.first, model.count));
     }
     for (Instance& instance : scene.instances) instance.model = moved_to[instance.model];
@@ -163,7 +163,7 @@ DrivingScene insert_track(DrivingScene driving, const DrivingScene& other, const
     DrivingScene source = other;
     BoxTrack box = box_of(source, track);
     if (is_taken(driving, box.id)) box.id = free_id(driving, track + "-insert");
-    driving.scene.models.push_back({model.name, static_cast<std::uint32_t>(driving.scene.surfels.size()), model.count});
+    driving.scene.models.push_back({model.name, static_cast<std::uint32_t>(driving.scene.surfels.size()), model.count, model.half_size_m});
     driving.scene.surfels.append(other.scene.surfels.slice(model.first, model.count));
     add_instance(driving, static_cast<std::uint32_t>(driving.scene.models.size() - 1), std::move(box), start);
     return driving;

@@ -20,7 +20,8 @@ Scene own_models(Scene scene) {
             continue;
         }
         instance.model = static_cast<std::uint32_t>(scene.models.size());
-        scene.models.push_back({model.name, static_cast<std::uint32_t>(scene.surfels.size()), model.count});
+        scene.models.push_back(model);   // with its box
+        scene.models.back().first = static_cast<std::uint32_t>(scene.surfels.size());
         scene.surfels.append(scene.surfels.slice(model.first, model.count));
         owned.push_back(true);
     }
