@@ -29,7 +29,7 @@ DrivingScene example() {
     d.scene.surfels = numbered(3, 0.0f);
     d.scene.surfels.append(numbered(2, 100.0f));
     d.scene.surfels.append(numbered(4, 200.0f));
-    d.scene.models = {{"background", 0, 3}, {"van", 3, 2}, {"car", 5, 4}};
+    d.scene.models = {{"background", 0, 3, {}}, {"van", 3, 2, {2.6f, 1.1f, 1.1f}}, {"car", 5, 4, {2.1f, 1.1f, 0.85f}}};
     d.scene.instances = {{0, ""}, {1, "van"}, {2, "car"}};
     d.scene.sensor_drop = {1, 1, {0.25f}};
     d.sequence.sensor.period_s = 0.1;
@@ -138,6 +138,18 @@ TEST(Edit, InsertedActorsBringTheirModelAndAFreeName) {
     EXPECT_EQ(model_of(d, 2), std::make_pair(777.0f, 2u));
     EXPECT_EQ(model_of(d, 3), std::make_pair(200.0f, 4u));
     EXPECT_EQ(box(d, "van-insert-1").size_m, glm::dvec3(5, 2, 2));
+}
+
+TEST(Edit, ModelsKeepTheirBox) {
+    const DrivingScene kept = remove_track(example(), "van"), inserted = insert_track(remove_track(example(), "car"), example(), "car", {});
+    for (const DrivingScene* d : {&kept, &inserted}) {
+        const Scene own = own_models(d->scene);
+        for (const Scene* scene : {&d->scene, &own})
+            EXPECT_EQ(scene->models[scene->instances.back().model].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f));
+    }
+    Scene twice = example().scene;
+    twice.instances.push_back({2, "car-copy-1"});
+    EXPECT_EQ(own_models(twice).models[3].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f)) << "a model of its own for the second placement";
 }
 
 TEST(Edit, KeepsOneSide) {
