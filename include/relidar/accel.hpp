@@ -11,8 +11,8 @@
 
 namespace relidar {
 
-/// What stands for a surfel in the driver's tree. Both propose the same hits; `boxes` are faster on lavapipe, `triangles` on ray-tracing
-/// hardware. The software tree is always over boxes.
+/// What stands for a surfel in the driver's tree. Both propose the same hits; `boxes` are faster on lavapipe, `triangles` (two a surfel, an
+/// icosahedron a 3D Gaussian) on ray-tracing hardware. The software tree is always over boxes.
 enum class Proxy { automatic, triangles, boxes };
 
 struct AccelOptions {
@@ -30,6 +30,7 @@ struct AccelOptions {
 struct AccelAddresses {
     std::uint64_t tlas = 0;                                                       ///< ray query
     std::uint64_t nodes = 0, order = 0, roots = 0, top_nodes = 0, top_order = 0;   ///< software
+    std::uint64_t reach = 0;                                                      ///< ray query over icosahedra: how far behind a hit one may end
 };
 
 /// Proxy that suits a device where none is chosen.

@@ -63,7 +63,7 @@ public:
     void operator()(const std::string& name, const Array<T>& array) { (*this)(name, array.download()); }
     template <class T>
     void operator()(const std::string& name, const FirstOf<T>& first) { (*this)(name, first.array.download(first.n)); }
-    /// Five arrays, name/mean [n,3] to name/sh [n,3,16].
+    /// Five arrays, name/mean [n,3] to name/sh [n,3,16], and name/log_scale_w [n] of 3D Gaussians.
     void operator()(const std::string& name, const SurfelArrays& surfels);
 
 private:
@@ -103,7 +103,7 @@ public:
 private:
     const Checkpoint& checkpoint_;
 
-    /// An array that must have this type and shape; one of this type and any length; five arrays of n rows; all bytes of one.
+    /// An array that must have this type and shape; one of this type and any length; arrays of n surfels; all bytes of one.
     const NamedArray& find(const std::string& name, const char* dtype, const std::vector<std::size_t>& shape) const;
     const NamedArray& find_rows(const std::string& name, const char* dtype) const;
     Surfels surfels_of(const std::string& name, std::size_t n) const;

@@ -14,7 +14,7 @@ namespace relidar {
 struct LearningRates {
     double mean = 1.6e-4;          ///< metres; the schedule multiplies by the extent
     double rotation = 1e-3;
-    double log_scale = 5e-3;
+    double log_scale = 5e-3;       ///< the third of 3D Gaussians too
     double opacity_logit = 0.05;
     double sh = 2.5e-3;            ///< DC coefficient of each channel
     double sh_rest_factor = 0.05;  ///< of the other coefficients
@@ -32,7 +32,7 @@ double exponential_schedule(double start, double end, int step, int n_steps);
 
 class Adam {
 public:
-    Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options);
+    Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, Primitive primitive = Primitive::surfel);
     ~Adam();
     /// Records one step. @param step counts from 1 @param touched [n] @param sh_degree active degree: higher coefficients are left alone
     void step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients, const Array<std::uint32_t>& touched,

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scene of 2D Gaussians (surfels): a background and one set per actor, each set a model, placed by instances (Eq. 1, 4, 5).
+// A scene of 2D Gaussians (surfels): a background and one set per actor, each set a model, placed by instances (Eq. 1, 4, 5). Or of 3D
+// Gaussians, with a third scale; what is said of surfels holds for them too.
 #pragma once
 
 #include <cstdint>
@@ -18,6 +19,9 @@ inline constexpr int kShCoefficients = 16;   ///< real SH basis of degree 3
 inline constexpr int kShChannels = 3;        ///< intensity, hit logit, drop logit
 inline constexpr int kShFloats = kShChannels * kShCoefficients;
 
+/// What a scene is made of: surfels, or 3D Gaussians (docs/method.md section 2).
+enum class Primitive { surfel, gaussian };
+
 /// Surfels as they are stored and optimised (structure of arrays). All frames are the model's own.
 struct Surfels {
     std::vector<glm::vec3> mean;          ///< [n,3] metres
@@ -25,10 +29,13 @@ struct Surfels {
     std::vector<glm::vec2> log_scale;     ///< [n,2] ln metres, standard deviations along a_u, a_v
     std::vector<float> opacity_logit;     ///< [n]
     std::vector<float> sh;                ///< [n,3,16] channel-major: value = 0.5 + basis(direction) . coefficients
+    std::vector<float> log_scale_w;       ///< [n] ln metres along the normal of 3D Gaussians; empty: surfels
 
     std::size_t size() const { return mean.size(); }
-    void resize(std::size_t n);
-    /// Appends the surfels of another set.
+    Primitive primitive() const { return log_scale_w.empty() ? Primitive::surfel : Primitive::gaussian; }
+    void resize(std::size_t n) { resize(n, primitive()); }
+    void resize(std::size_t n, Primitive primitive);
+    /// Appends the surfels of another set; an empty set takes its primitive. @throws DataError where the primitives differ
     void append(const Surfels& other);
     /// Reorders: surfel i of the result is surfel order[i] of this set.
     Surfels permuted(const std::vector<std::uint32_t>& order) const;
@@ -37,6 +44,9 @@ struct Surfels {
     /// @throws DataError where the arrays disagree in length
     void check_shapes() const;
 };
+
+/// Makes 3D Gaussians of surfels: the standard deviation along the normal is `thickness` times the geometric mean of the two in the plane.
+void make_gaussians(Surfels& surfels, double thickness);
 
 /// A contiguous range of a scene's surfels with a frame of its own.
 struct Model {
@@ -82,6 +92,7 @@ struct ImageModel {
     int sh_degree = 3;                       ///< active SH degree, 0..3
     ShDirection sh_direction = ShDirection::ray;
     bool single_drop_logit = false;          ///< hit logits are 0 and have no gradient: M6 is a sigmoid of the drop logit (ablation)
+    Primitive primitive = Primitive::surfel; ///< what the scene is made of (ablation)
 };
 
 /// What becomes of boxes that move: models of their own; nothing (their points and rays are left out); or background like the rest.
@@ -99,6 +110,7 @@ struct InitialiseOptions {
     double drop_logit = 0.0;
     double max_scale_m = 0.5;          ///< initial standard deviations are clamped to this
     double scale_factor = 1.0;         ///< times the mean distance to the 3 nearest neighbours
+    double thickness = 1.0;            ///< 3D Gaussians: along the normal over in the plane; 1 = spheres, as 3D Gaussian splatting starts
     bool remove_unlabelled_movers = false;   ///< leave out points that other training frames see through (not in the paper)
     double actor_min_step_m = 0.01;    ///< boxes moving more than this a frame hold actors: their points are left out
     double actor_margin_m = 0.2;       ///< boxes are grown by this when points are left out
@@ -160,10 +172,13 @@ Scene layout_of(const Scene& scene);
 /// Parameters, gradients or moments of all surfels on a device, one array a group in the layout of Surfels.
 struct SurfelArrays {
     Array<float> mean, rotation, log_scale, opacity_logit, sh;
-    std::uint32_t n = 0;   ///< surfels; the arrays may hold more
+    Array<float> log_scale_w;   ///< of 3D Gaussians; not allocated for surfels
+    std::uint32_t n = 0;        ///< surfels; the arrays may hold more
+    Primitive primitive = Primitive::surfel;
 
     SurfelArrays() = default;
-    SurfelArrays(Device& device, std::uint32_t n, const std::string& what);
+    SurfelArrays(Device& device, std::uint32_t n, const std::string& what, Primitive primitive = Primitive::surfel);
+    /// @throws DataError where arrays or primitive disagree
     void upload(const Surfels& surfels);
     Surfels download() const;
     /// Surfels there is room for in every group.
@@ -194,7 +209,8 @@ public:
     /// The same as part of a stream, without a wait; instances may be absent. The acceleration structure follows with its next update or move.
     void place(Stream& stream, const std::vector<InstancePose>& placed);
     const std::vector<InstancePose>& poses() const;
-    /// Records the activation kernel: records from parameters (M1, M2), channels too with ShDirection::surfel.
+    /// Records the activation kernel: records from parameters (M1, M2, M9), channels too with ShDirection::surfel.
+    /// @throws UsageError where the model is of another primitive than the scene
     /// @param view_origin_m [3] world. A model placed twice sees it from its first instance (see own_models).
     void activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m);
     /// Records the chain rule back from record gradients to parameters.
@@ -214,6 +230,7 @@ public:
     float alpha_min() const;                  ///< the records were activated for: where a surfel ends
     std::uint64_t instances_address() const;  ///< of the instance table
     std::uint32_t size() const;               ///< surfels
+    Primitive primitive() const;
     std::uint32_t first_gradient_row(std::size_t instance) const;   ///< of the record gradients of an instance's surfels
     std::uint32_t gradient_rows() const;      ///< of record gradients: surfels, then those of every further placement of a model
 

@@ -19,21 +19,25 @@ float magnitude(Floats array, uint first, uint n) {
     return sum;
 }
 
-bool is_surfel(uint i, vec4 q, vec2 scale) {
+bool is_gaussian() { return uint64_t(params.surfels.log_scale_w) != 0ul; }
+
+/// @param scale  the third is a 3D Gaussian's; 1 for surfels
+bool is_surfel(uint i, vec4 q, vec3 scale) {
     SurfelPointers s = params.surfels;
     float sum = magnitude(s.mean, 3 * i, 3u) + magnitude(s.opacity_logit, i, 1u) + magnitude(s.sh, RELIDAR_SH_FLOATS * i, RELIDAR_SH_FLOATS);
     float q_length2 = dot(q, q);
-    return !isnan(sum) && !isinf(sum) && q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(scale, vec2(1e-6))) && all(lessThan(scale, vec2(1e6)));
+    return !isnan(sum) && !isinf(sum) && q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(scale, vec3(1e-6))) && all(lessThan(scale, vec3(1e6)));
 }
 
 /// Whether two random points of the surfel both lie outside the model's box.
-bool is_outside(uint i, vec4 q, vec2 scale) {
+bool is_outside(uint i, vec4 q, vec3 scale) {
     if (!(params.half_size.x > 0.0)) return false;
     vec3 mean = vec3(params.surfels.mean.at[3 * i], params.surfels.mean.at[3 * i + 1], params.surfels.mean.at[3 * i + 2]);
     mat3 r = rotation_matrix(q);
     for (uint draw = 0u; draw < 2u; ++draw) {
-        vec2 z = scale * random_normal2(params.key, i, draw);
+        vec2 z = scale.xy * random_normal2(params.key, i, draw);
         vec3 p = mean + z.x * r[0] + z.y * r[1];
+        if (is_gaussian()) p += scale.z * random_normal2(params.key, i, 4u + draw).x * r[2];   // 2 and 3 are spawn's
         if (!any(greaterThan(abs(p), params.half_size))) return false;
     }
     return true;
@@ -54,7 +58,7 @@ uint grow_by_gradient(uint i, float max_scale) {
 }
 
 /// Counter of why a surfel is dropped, or of those kept.
-uint verdict(uint i, vec4 q, vec2 scale, float opacity, float max_scale) {
+uint verdict(uint i, vec4 q, vec3 scale, float opacity, float max_scale) {
     if (!is_surfel(i, q, scale)) return RELIDAR_DENSIFY_INVALID;
     if (opacity < params.min_opacity) return RELIDAR_DENSIFY_FAINT;
     if (max_scale > params.max_scale) return RELIDAR_DENSIFY_LARGE;
@@ -67,9 +71,10 @@ void main() {
     if (thread >= params.n_surfels) return;
     uint i = params.first_surfel + thread;
     vec4 q = vec4(params.surfels.rotation.at[4 * i], params.surfels.rotation.at[4 * i + 1], params.surfels.rotation.at[4 * i + 2], params.surfels.rotation.at[4 * i + 3]);
-    vec2 scale = exp(vec2(params.surfels.log_scale.at[2 * i], params.surfels.log_scale.at[2 * i + 1]));
+    vec3 scale = exp(vec3(params.surfels.log_scale.at[2 * i], params.surfels.log_scale.at[2 * i + 1], is_gaussian() ? params.surfels.log_scale_w.at[i] : 0.0));
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[i]));
     float max_scale = max(scale.x, scale.y);
+    if (is_gaussian()) max_scale = max(max_scale, scale.z);
     uint action = params.growth == RELIDAR_DENSIFY_BY_GRADIENT ? grow_by_gradient(i, max_scale) : RELIDAR_DENSIFY_KEEP;
     if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;   // its halves are judged, as if the split came first
     uint why = verdict(i, q, scale, opacity, max_scale);

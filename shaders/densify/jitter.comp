@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exploration of the Monte Carlo strategy: means move at random in their surfel's plane, by scales of the surfel, and only those of
+// Exploration of the Monte Carlo strategy: means move at random in their surfel's plane (3D Gaussians: along all axes), by scales of the surfel, and only those of
 // faint surfels, which have nothing to lose (gate of "3D Gaussian Splatting as Markov Chain Monte Carlo": sigmoid(-100 (s - 0.005))).
 // One thread a surfel. In place: surfels.mean.
 // @differs the paper's noise is the covariance (m^2) times a number that only suits the length unit of its scenes; here it is in scales.
@@ -21,5 +21,6 @@ void main() {
     mat3 r = rotation_matrix(q);
     vec2 z = params.amount * gate * random_normal2(params.key, i, 0u);
     vec3 offset = z.x * exp(s.log_scale.at[2 * i]) * r[0] + z.y * exp(s.log_scale.at[2 * i + 1]) * r[1];
+    if (uint64_t(s.log_scale_w) != 0ul) offset += params.amount * gate * random_normal2(params.key, i, 1u).x * exp(s.log_scale_w.at[i]) * r[2];
     for (uint k = 0u; k < 3u; ++k) s.mean.at[3 * i + k] += offset[k];
 }

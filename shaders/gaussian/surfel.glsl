@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// The one ray-surfel function of the program (M1, M2) and its derivative (M8). Every pass, forward and backward, every backend
-// sorts and blends the t computed here, from the original ray: `precise` keeps it the same number in every kernel.
+// Where a ray meets a surfel (M1, M2), and the derivative of that (M8). `precise` keeps t the same number in every kernel. Kernels call
+// intersect() of primitive.glsl.
 #ifndef RELIDAR_INCLUDED_GAUSSIAN_SURFEL_GLSL
 #define RELIDAR_INCLUDED_GAUSSIAN_SURFEL_GLSL
 
-/// Where a ray meets a surfel's plane, in the frame of the record.
+/// Where a ray meets a primitive, in the frame of the record.
 struct SurfelHit {
-    float t;       // m along the ray
-    float u, v;    // in standard deviations
-    float alpha;   // sigma G, not clamped
+    float t;         // m along the ray
+    float u, v, w;   // in standard deviations; w is a 3D Gaussian's, 0 on a surfel's plane
+    float alpha;     // sigma G, not clamped
 };
 
 float exact_dot(vec3 a, vec3 b) {
@@ -18,7 +18,7 @@ float exact_dot(vec3 a, vec3 b) {
 
 /// @param origin, direction  ray in the model frame, m
 /// @return false where the ray lies in the plane (n . d = 0) or anything is not finite
-bool intersect(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {
+bool intersect_surfel(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {
     precise vec3 to_mean = s.mean - origin;
     precise float facing = exact_dot(s.normal, direction);
     precise float t = exact_dot(s.normal, to_mean) / facing;
@@ -26,6 +26,7 @@ bool intersect(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {
     hit.t = t;
     hit.u = exact_dot(s.axis_u, p);
     hit.v = exact_dot(s.axis_v, p);
+    hit.w = 0.0;
     hit.alpha = s.opacity * exp(-0.5 * (hit.u * hit.u + hit.v * hit.v));
     return facing != 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
@@ -43,7 +44,7 @@ struct SurfelHitGradient {
 
 /// @param d_t      dL/dt at fixed u, v
 /// @param d_alpha  dL/d(sigma G); 0 where alpha was clamped
-SurfelHitGradient intersect_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit, float d_t, float d_alpha) {
+SurfelHitGradient intersect_surfel_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit, float d_t, float d_alpha) {
     SurfelHitGradient g;
     vec3 p = hit.t * direction - (s.mean - origin);
     float d_u = -d_alpha * hit.alpha * hit.u;

@@ -11,6 +11,13 @@
 #include "../common/reduce.glsl"
 RELIDAR_PARAMS(SurfelLossParams);
 
+float scale_term(Floats log_scale, Floats d_log_scale, uint at, bool write) {
+    float relative = exp(log_scale.at[at]) / params.largest_scale;
+    if (!(relative > 1.0)) return 0.0;
+    if (write) d_log_scale.at[at] += params.box_weight * relative;
+    return relative - 1.0;
+}
+
 /// sum over x, y, z of max(0, |mean| / half size - 1), and the same for standard deviations. @return the term
 float box_term(uint i, bool write) {
     float term = 0.0;
@@ -20,12 +27,8 @@ float box_term(uint i, bool write) {
         term += outside;
         if (write) params.d_surfels.mean.at[3u * i + axis] += params.box_weight * sign(mean) / params.half_size[axis];
     }
-    for (uint axis = 0u; axis < 2u; ++axis) {
-        float relative = exp(params.surfels.log_scale.at[2u * i + axis]) / params.largest_scale;
-        if (!(relative > 1.0)) continue;
-        term += relative - 1.0;
-        if (write) params.d_surfels.log_scale.at[2u * i + axis] += params.box_weight * relative;
-    }
+    for (uint axis = 0u; axis < 2u; ++axis) term += scale_term(params.surfels.log_scale, params.d_surfels.log_scale, 2u * i + axis, write);
+    if (uint64_t(params.surfels.log_scale_w) != 0ul) term += scale_term(params.surfels.log_scale_w, params.d_surfels.log_scale_w, i, write);
     return params.box_weight * term;
 }
 

@@ -39,6 +39,7 @@ void main() {
     s.axis_u = r[0] * exp(-log_scale.at[2 * surfel]);
     s.axis_v = r[1] * exp(-log_scale.at[2 * surfel + 1]);
     s.normal = r[2];
+    if (uint64_t(params.surfels.log_scale_w) != 0ul) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);   // 3D Gaussians
     s.opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     s.intensity = 0.0;
     s.hit_logit = 0.0;
@@ -51,8 +52,8 @@ void main() {
         s.hit_logit = channel(surfel, 1u, basis, n);
         s.drop_logit = channel(surfel, 2u, basis, n);
     }
-    vec2 inverse_scale = vec2(length(s.axis_u), length(s.axis_v));   // scales outside 1e-6 m .. 1e6 m are no surfels
-    bool finite = q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(inverse_scale, vec2(1e-6))) && all(lessThan(inverse_scale, vec2(1e6))) && finite3(s.mean) && finite3(s.axis_u) && finite3(s.axis_v) && finite3(s.normal) && finite_sh(surfel, n);
+    vec3 inverse_scale = vec3(length(s.axis_u), length(s.axis_v), length(s.normal));   // scales outside 1e-6 m .. 1e6 m are no surfels
+    bool finite = q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(inverse_scale, vec3(1e-6))) && all(lessThan(inverse_scale, vec3(1e6))) && finite3(s.mean) && finite3(s.axis_u) && finite3(s.axis_v) && finite3(s.normal) && finite_sh(surfel, n);
     if (!finite || !(s.opacity > params.alpha_min)) {
         bool placed = finite3(s.mean);
         s = SurfelRecord(placed ? s.mean : vec3(0.0), 0.0, vec3(1.0, 0.0, 0.0), 0.0, vec3(0.0, 1.0, 0.0), 0.0, vec3(0.0, 0.0, 1.0), 0.0);

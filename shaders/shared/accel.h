@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Proxy geometry of surfels (M3): a rectangle of half sizes k s_u, k s_v with k = sqrt(2 ln(255 sigma)), as two triangles or
-// as its axis-aligned box.
+// Proxy geometry (M3), k = sqrt(2 ln(sigma / alpha_min)). Of a surfel: a rectangle of half sizes k s_u, k s_v, as two triangles. Of a 3D
+// Gaussian: the icosahedron around the ellipsoid of half axes k s_u, k s_v, k s_w. Or the axis-aligned box of either.
 #ifndef RELIDAR_INCLUDED_SHARED_ACCEL_H
 #define RELIDAR_INCLUDED_SHARED_ACCEL_H
 #include "scene.h"
@@ -9,8 +9,9 @@ RELIDAR_SHARED_BEGIN
 
 struct ProxyParams {
     Records records;     // input [n_surfels of the scene]
-    Floats vertices;     // output [n,4,3] m: four corners (proxy = triangles), or
+    Floats vertices;     // output m: four corners [n,4,3] of a surfel, twelve [n,12,3] of a 3D Gaussian (proxy = triangles), or
     Floats boxes;        // output [n,6] m: min, max (proxy = boxes)
+    Uints reach;         // maximum [1], bits of a float, m: no point of a 3D Gaussian's icosahedron is farther from a hit in it (proxy = triangles)
     float alpha_min;     // the proxy ends where sigma G = alpha_min
     float margin_m;      // grown by this, so that rounding in a traversal loses no hit
     float margin_scale;  // and by this factor

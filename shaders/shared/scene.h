@@ -18,7 +18,7 @@ struct SurfelRecord {
     float intensity;   // channel values where SH are evaluated once a surfel
     vec3 axis_v;       // a_v / s_v, 1/m
     float hit_logit;
-    vec3 normal;       // unit
+    vec3 normal;       // unit; of 3D Gaussians a_w / s_w, 1/m
     float drop_logit;
 };
 RELIDAR_POINTER(Records, SurfelRecord);
@@ -41,6 +41,7 @@ struct SurfelPointers {
     Floats log_scale;       // [n,2]
     Floats opacity_logit;   // [n]
     Floats sh;              // [n,3,16]
+    Floats log_scale_w;     // [n] of 3D Gaussians, else address 0
 };
 
 /// Records of all surfels from their parameters (scene/activate.comp).

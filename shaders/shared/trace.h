@@ -51,6 +51,7 @@ RELIDAR_POINTER(RayGradients, RayGradient);
 /// What every tracing kernel needs. Ray k of the batch is entry first_ray + k * ray_stride of `rays`.
 struct TraceScene {
     uint64_t tlas;          // acceleration structure address (ray query)
+    Floats proxy_reach;     // input [1] m: how far behind a hit its icosahedron may end (ray query, 3D Gaussians), else address 0
     BvhPointers bvh;        // the tree (software traversal)
     Rays rays;              // input
     Records records;        // input

@@ -5,7 +5,7 @@
 #extension GL_EXT_ray_query : enable
 #include "../common/kernel.glsl"
 #include "../shared/trace.h"
-#include "../gaussian/surfel.glsl"
+#include "../gaussian/primitive.glsl"
 #include "../gaussian/sh.glsl"
 #include "traversal.glsl"
 #include "shading.glsl"

@@ -1,9 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // Backend: ray query on a two-level acceleration structure. All geometry is non-opaque, so each candidate is offered; once the
 // buffer is closed the ray is shortened to its last hit, or the search would visit everything behind it.
+// A surfel's triangles are crossed at the hit itself, and a box is entered before and left behind it. An icosahedron is a surface that
+// encloses the hit: it is crossed before and behind. The far crossing lies behind the hit, so behind the start, wherever the near one is,
+// and at most `reach` behind it. So the ray is shortened to `reach` behind the last hit, and what it crosses there is not lost, though it
+// may begin before the start or hold the sensor. A hit that is offered at both crossings is known the second time.
 #ifndef RELIDAR_INCLUDED_TRAVERSAL_RAY_QUERY_GLSL
 #define RELIDAR_INCLUDED_TRAVERSAL_RAY_QUERY_GLSL
-layout(constant_id = 2) const uint BOXES = 0u;   // 0: two triangles a surfel, 1: one axis-aligned box
+layout(constant_id = 2) const uint BOXES = 0u;   // 0: triangles, two a surfel, twenty a 3D Gaussian; 1: one axis-aligned box
 
 void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
     reset_hits(budget);
@@ -11,11 +15,12 @@ void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
     rayQueryEXT query;
     rayQueryInitializeEXT(query, accelerationStructureEXT(scene.tlas), gl_RayFlagsNoOpaqueEXT, 0xffu,
                           ray.origin + start * ray.direction, 0.0, ray.direction, 1e30);
+    float reach = BOXES == 0u && GAUSSIANS != 0u ? scene.proxy_reach.at[0] : 0.0;
     float end = 1e30;   // where the query has been told to stop
     while (rayQueryProceedEXT(query)) {
         uint instance = uint(rayQueryGetIntersectionInstanceCustomIndexEXT(query, false));
         uint primitive = uint(rayQueryGetIntersectionPrimitiveIndexEXT(query, false));
-        offer(scene, ray, after, instance, BOXES != 0u ? primitive : primitive / 2u);
+        offer(scene, ray, after, instance, BOXES != 0u ? primitive : primitive / (GAUSSIANS != 0u ? 20u : 2u));
         if (!hits_closed) continue;
         float bound = hit_t[n_hits - 1u] - start;
         bound += 1e-4 + 1e-5 * hit_t[n_hits - 1u];
@@ -24,7 +29,7 @@ void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
                 rayQueryGenerateIntersectionEXT(query, bound);
                 end = bound;
             }
-        } else if (rayQueryGetIntersectionTEXT(query, false) > bound) {
+        } else if (rayQueryGetIntersectionTEXT(query, false) > bound + reach) {
             rayQueryConfirmIntersectionEXT(query);
         }
     }

@@ -69,9 +69,9 @@ void Accel::check_growth() {
 }
 
 AccelAddresses Accel::addresses() const {
-    if (impl_->hardware) return {impl_->hardware->tlas_address(), 0, 0, 0, 0, 0};
+    if (impl_->hardware) return {impl_->hardware->tlas_address(), 0, 0, 0, 0, 0, impl_->hardware->reach_address()};
     const shared::BvhPointers p = impl_->software->pointers();
-    return {0, p.nodes.value, p.order.value, p.roots.value, p.top_nodes.value, p.top_order.value};
+    return {0, p.nodes.value, p.order.value, p.roots.value, p.top_nodes.value, p.top_order.value, 0};
 }
 
 Proxy Accel::proxy() const { return impl_->proxy; }

@@ -119,7 +119,7 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       n_instances(static_cast<std::uint32_t>(scene.layout().instances.size())),
       bound(node_bound(n, n_models)),
       device(&d),
-      proxies(d, "accel/proxies", {{2u, 2u}}),
+      proxies(d, "accel/proxies", {{2u, 2u}, {9u, scene.primitive() == Primitive::gaussian ? 1u : 0u}}),
       bounds_kernel(d, "accel/bvh_bounds", {kShares}),
       keys_kernel(d, "accel/bvh_keys"),
       sort(d, n, 2),
@@ -168,7 +168,7 @@ shared::BvhBinary Bvh::Impl::binary() const { return {at(kChildrenAt), at(kBoxes
 SortSet Bvh::Impl::sort_set(int set) const { return set == 0 ? SortSet{at(kKeysAt), at(kValuesAt)} : SortSet{at(kCostsAt), at(kCostsAt + 8)}; }
 
 void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
-    run(stream, proxies, n, {scene.records().address(), 0, boxes.address(), scene.alpha_min(), options.margin_m, options.margin_scale, n});
+    run(stream, proxies, n, {scene.records().address(), 0, boxes.address(), 0, scene.alpha_min(), options.margin_m, options.margin_scale, n});
 }
 
 SortSet Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {

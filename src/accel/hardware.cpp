@@ -65,12 +65,23 @@ struct BuildInput {
     }
 };
 
-/// Vertex indices of two triangles a surfel: corners 0 1 2 and 2 3 0.
-std::vector<std::uint32_t> triangle_indices(std::uint32_t n) {
+/// Triangles over the corners that accel/proxies writes.
+struct Mesh {
+    std::uint32_t n_corners;
+    std::vector<std::uint32_t> corners;   ///< [triangles,3]
+
+    std::uint32_t n_triangles() const { return static_cast<std::uint32_t>(corners.size() / 3); }
+};
+
+const Mesh kRectangle{4, {0, 1, 2, 2, 3, 0}};
+const Mesh kIcosahedron{12, {0, 1, 8, 0, 1, 10, 0, 4, 5, 0, 4, 8, 0, 5, 10, 1, 6, 7, 1, 6, 8, 1, 7, 10, 2, 3, 9, 2, 3, 11, 2, 4, 5, 2, 4, 9, 2, 5, 11, 3, 6, 7, 3, 6, 9, 3, 7, 11, 4, 8, 9, 5, 10, 11, 6, 8, 9, 7, 10, 11}};
+
+/// Vertex indices of n meshes one behind the other.
+std::vector<std::uint32_t> triangle_indices(const Mesh& mesh, std::uint32_t n) {
     std::vector<std::uint32_t> indices;
-    indices.reserve(6 * std::size_t(n));
+    indices.reserve(mesh.corners.size() * n);
     for (std::uint32_t i = 0; i < n; ++i)
-        for (const std::uint32_t corner : {0u, 1u, 2u, 2u, 3u, 0u}) indices.push_back(4 * i + corner);
+        for (const std::uint32_t corner : mesh.corners) indices.push_back(mesh.n_corners * i + corner);
     return indices;
 }
 
@@ -78,8 +89,10 @@ std::vector<std::uint32_t> triangle_indices(std::uint32_t n) {
 
 struct HardwareAccel::Impl {
     Proxy proxy;
+    const Mesh& mesh;
     Kernel<shared::ProxyParams> proxies;
-    Array<float> geometry;            ///< vertices [n,4,3] or boxes [n,6]
+    Array<float> geometry;            ///< vertices [n,corners,3] or boxes [n,6]
+    Array<std::uint32_t> reach;       ///< [1] of icosahedra
     Array<std::uint32_t> indices;     ///< of the largest model; shared by all, each with its own first vertex
     std::vector<std::unique_ptr<Structure>> blas;   ///< one a model, null where it has no surfels
     std::vector<BuildInput> blas_input;
@@ -88,8 +101,10 @@ struct HardwareAccel::Impl {
     Buffer scratch;
     std::uint64_t scratch_address = 0;
 
-    Impl(Device& device, Proxy p)
-        : proxy(p), proxies(device, "accel/proxies", {{2u, proxy == Proxy::boxes ? 1u : 0u}}) {}
+    Impl(Device& device, Proxy p, bool gaussians)
+        : proxy(p), mesh(gaussians ? kIcosahedron : kRectangle), proxies(device, "accel/proxies", {{2u, proxy == Proxy::boxes ? 1u : 0u}, {9u, gaussians ? 1u : 0u}}) {
+        if (gaussians && proxy == Proxy::triangles) reach = Array<std::uint32_t>(device, 1, "reach of proxies");
+    }
 
     void describe_model(const Model& model);
     std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
@@ -107,9 +122,9 @@ void HardwareAccel::Impl::describe_model(const Model& model) {
         t = {};
         t.sType = VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_TRIANGLES_DATA_KHR;
         t.vertexFormat = VK_FORMAT_R32G32B32_SFLOAT;
-        t.vertexData.deviceAddress = geometry.address() + 48ull * model.first;
+        t.vertexData.deviceAddress = geometry.address() + 12ull * mesh.n_corners * model.first;
         t.vertexStride = 12;
-        t.maxVertex = 4 * std::max(model.count, 1u) - 1;
+        t.maxVertex = mesh.n_corners * std::max(model.count, 1u) - 1;
         t.indexType = VK_INDEX_TYPE_UINT32;
         t.indexData.deviceAddress = indices.address();
     }
@@ -138,19 +153,19 @@ std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const D
     return rows.empty() ? 0 : stream.store(rows.data(), rows.size() * sizeof(rows[0]));
 }
 
-HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy) : impl_(std::make_unique<Impl>(device, proxy)) {
+HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy) : impl_(std::make_unique<Impl>(device, proxy, scene.primitive() == Primitive::gaussian)) {
     Impl& a = *impl_;
     const Scene& layout = scene.layout();
     std::uint32_t largest = 0;
     for (const Model& model : layout.models) largest = std::max(largest, model.count);
-    a.geometry = Array<float>(device, std::size_t(scene.size()) * (a.proxy == Proxy::boxes ? 6 : 12), "proxies");
-    if (a.proxy == Proxy::triangles) a.indices = Array<std::uint32_t>(device, std::span<const std::uint32_t>(triangle_indices(largest)), "proxy indices");
+    a.geometry = Array<float>(device, std::size_t(scene.size()) * (a.proxy == Proxy::boxes ? 6 : 3 * a.mesh.n_corners), "proxies");
+    if (a.proxy == Proxy::triangles) a.indices = Array<std::uint32_t>(device, std::span<const std::uint32_t>(triangle_indices(a.mesh, largest)), "proxy indices");
 
     VkDeviceSize scratch_bytes = 256;
     a.blas_input.reserve(layout.models.size());
     for (const Model& model : layout.models) {
         a.describe_model(model);
-        const std::uint32_t n = model.count * (a.proxy == Proxy::boxes ? 1u : 2u);
+        const std::uint32_t n = model.count * (a.proxy == Proxy::boxes ? 1u : a.mesh.n_triangles());
         if (n == 0) {
             a.blas.push_back(nullptr);
             continue;
@@ -177,8 +192,9 @@ HardwareAccel::~HardwareAccel() = default;
 void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const AccelOptions& options, bool refit) {
     Impl& a = *impl_;
     Stream::Impl& s = stream.impl();
+    if (a.reach.size()) stream.fill(a.reach);
     run(stream, a.proxies, scene.size(),
-        {scene.records().address(), a.geometry.address(), a.geometry.address(), scene.alpha_min(), options.margin_m, options.margin_scale, scene.size()});
+        {scene.records().address(), a.geometry.address(), a.geometry.address(), a.reach.address(), scene.alpha_min(), options.margin_m, options.margin_scale, scene.size()});
     for (std::size_t i = 0; i < a.blas.size(); ++i) {
         if (!a.blas[i]) continue;
         s.begin_timing(refit ? "accel/refit" : "accel/build");
@@ -198,6 +214,8 @@ void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
 }
 
 std::uint64_t HardwareAccel::tlas_address() const { return impl_->tlas->address; }
+
+std::uint64_t HardwareAccel::reach_address() const { return impl_->reach.address(); }
 
 std::uint64_t HardwareAccel::memory_bytes() const {
     std::uint64_t bytes = impl_->geometry.buffer().size_bytes() + impl_->indices.buffer().size_bytes() + impl_->scratch.size_bytes() + impl_->tlas->storage->size_bytes();

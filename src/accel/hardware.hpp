@@ -22,6 +22,8 @@ public:
     void move(Stream& stream, const DeviceScene& scene);
 
     std::uint64_t tlas_address() const;
+    /// Of how far behind a hit an icosahedron may end (shared::TraceScene); 0 where there is none.
+    std::uint64_t reach_address() const;
     std::uint64_t memory_bytes() const;
 
 private:

@@ -5,7 +5,7 @@
 namespace relidar {
 
 Gradients::Gradients(Device& device, const DeviceScene& scene, const WantedGradients& wanted)
-    : surfels(device, scene.size(), "gradient"),
+    : surfels(device, scene.size(), "gradient", scene.primitive()),
       records(device, 16 * std::size_t(scene.gradient_rows()), "record gradient"),
       touched(device, scene.size(), "touched surfels") {
     if (wanted.n_rays) rays = Array<float>(device, 6 * std::size_t(wanted.n_rays), "ray gradient");

@@ -14,7 +14,7 @@ HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits
     : device_(device),
       hits_per_ray_(hits_per_ray),
       head_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
-      gather_(device, accumulating_variant(device, "backward/gather@"), {{3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}, {8u, model.single_drop_logit ? 1u : 0u}}),
+      gather_(device, accumulating_variant(device, "backward/gather@"), {{3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}, {8u, model.single_drop_logit ? 1u : 0u}, {9u, model.primitive == Primitive::gaussian ? 1u : 0u}}),
       heads_kernel_(device, accumulating_variant(device, "backward/gather_heads@"), {{3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}}),
       most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch"),
       prefix_sum_(device) {}

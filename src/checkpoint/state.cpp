@@ -27,12 +27,16 @@ std::span<float> floats(std::vector<V>& values) {
     return {reinterpret_cast<float*>(values.data()), values.size() * sizeof(V) / sizeof(float)};
 }
 
-std::vector<Group> groups(Surfels& s) {
-    return {{"mean", {3}, floats(s.mean)},
+constexpr const char* kThird = "log_scale_w";   ///< there for 3D Gaussians alone
+
+std::vector<Group> groups(Surfels& s, Primitive primitive) {
+    std::vector<Group> all{{"mean", {3}, floats(s.mean)},
             {"rotation", {4}, floats(s.rotation)},
             {"log_scale", {2}, floats(s.log_scale)},
             {"opacity_logit", {}, floats(s.opacity_logit)},
             {"sh", {kShChannels, kShCoefficients}, floats(s.sh)}};
+    if (primitive == Primitive::gaussian) all.push_back({kThird, {}, floats(s.log_scale_w)});
+    return all;
 }
 
 std::vector<std::size_t> with_rows(std::size_t n, const std::vector<std::size_t>& row_shape) {
@@ -75,7 +79,7 @@ void StateWriter::put(const std::string& name, const char* dtype, std::vector<st
 
 void StateWriter::operator()(const std::string& name, const SurfelArrays& surfels) {
     Surfels host = surfels.download();
-    for (const Group& group : groups(host)) put(name + "/" + group.name, "f4", with_rows(host.size(), group.row_shape), group.values.data());
+    for (const Group& group : groups(host, surfels.primitive)) put(name + "/" + group.name, "f4", with_rows(host.size(), group.row_shape), group.values.data());
 }
 
 const NamedArray& StateReader::find(const std::string& name, const char* dtype, const std::vector<std::size_t>& shape) const {
@@ -95,9 +99,11 @@ Surfels StateReader::surfels(const std::string& name) const {
 
 Surfels StateReader::surfels_of(const std::string& name, std::size_t n) const {
     Surfels host;
-    for (const Group& group : groups(host)) find(name + "/" + group.name, "f4", with_rows(n, group.row_shape));   // before anything is allocated
-    host.resize(n);
-    for (const Group& group : groups(host)) copy(checkpoint_.array(name + "/" + group.name), group.values.data());
+    const bool has_third = std::ranges::any_of(checkpoint_.arrays, [&](const NamedArray& a) { return a.name == name + "/" + kThird; });
+    const Primitive primitive = has_third ? Primitive::gaussian : Primitive::surfel;
+    for (const Group& group : groups(host, primitive)) find(name + "/" + group.name, "f4", with_rows(n, group.row_shape));   // before anything is allocated
+    host.resize(n, primitive);
+    for (const Group& group : groups(host, primitive)) copy(checkpoint_.array(name + "/" + group.name), group.values.data());
     return host;
 }
 

@@ -64,6 +64,7 @@ void visit_scene(C& c, Visitor&& f) {
     f("init.drop_logit", c.init.drop_logit, between(-20, 20), "drop logit of new surfels");
     f("init.max_scale_m", c.init.max_scale_m, above(0), "largest standard deviation of a new surfel, metres");
     f("init.scale_factor", c.init.scale_factor, above(0), "standard deviation of a new surfel over the mean distance to its 3 nearest neighbours");
+    f("init.thickness", c.init.thickness, between(1e-3, 10), "image.primitive=gaussian: standard deviation of a new Gaussian along its normal over that in the plane; 1: spheres");
     f("init.actor_min_step_m", c.init.actor_min_step_m, at_least(0), "boxes that move more than this a frame are actors: their points are left out, metres");
     f("init.actor_margin_m", c.init.actor_margin_m, at_least(0), "boxes are grown by this when points are left out, metres");
     f("init.actors", c.init.actors, one_of({"models", "masked", "background"}), "moving boxes become models of their own, are masked out, or belong to the background (see init.remove_unlabelled_movers)");
@@ -82,6 +83,7 @@ void visit_scene(C& c, Visitor&& f) {
     f("image.sh_degree", c.image.sh_degree, between(0, 3), "degree of the spherical harmonics");
     f("image.sh_direction", c.image.sh_direction, one_of({"ray", "surfel"}), "spherical harmonics are evaluated per hit along the ray, or once a surfel along sensor to mean");
     f("image.single_drop_logit", c.image.single_drop_logit, anything(), "ray-drop is the sigmoid of one blended logit, hit logits stay 0; false: the softmax of two (paper)");
+    f("image.primitive", c.image.primitive, one_of({"surfel", "gaussian"}), "what the scene is made of: 2D Gaussians (paper), or 3D Gaussians, in ray query over triangles with icosahedra as proxies");
 }
 
 template <class C, class Visitor>

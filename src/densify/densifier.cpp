@@ -25,7 +25,7 @@ constexpr float kUnbounded = std::numeric_limits<float>::infinity();
 double logit(double p) { return std::log(p / (1.0 - p)); }
 
 shared::SurfelPointers pointers(const SurfelArrays& arrays) {
-    return {arrays.mean.address(), arrays.rotation.address(), arrays.log_scale.address(), arrays.opacity_logit.address(), arrays.sh.address()};
+    return {arrays.mean.address(), arrays.rotation.address(), arrays.log_scale.address(), arrays.opacity_logit.address(), arrays.sh.address(), arrays.log_scale_w.address()};
 }
 
 double extent_of(const Scene& scene, std::size_t model) {
@@ -64,7 +64,7 @@ struct Densifier::Impl {
 
     Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames, std::uint64_t random_seed)
         : device(d), options(o), min_opacity(std::max(float(o.min_opacity), alpha_min)), seed(random_seed),
-          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames),
+          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames, scene.surfels.primitive()),
           counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
           observe(d, "densify/observe"), classify(d, "densify/classify"), spawn(d, "densify/spawn"),
           reset_opacity(d, "densify/reset_opacity"), jitter(d, "densify/jitter") {
@@ -110,7 +110,7 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
 /// @return the largest size tried, at most `wanted`, for which there is memory; the arrays then have room for it
 std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted, double others_bytes, std::string& why) {
     const std::uint32_t before = scene.size();
-    const double bytes = double(arrays.bytes_per_surfel()) + 4.0 * (3.0 * (10 + kShFloats) + 16.0);   // with parameters, records and moments
+    const double bytes = double(arrays.bytes_per_surfel()) + 4.0 * (3.0 * arrays.floats_per_surfel() + 16.0);   // with parameters, records and moments
     const auto fits = [&](std::uint32_t target, double capacity) {
         const std::uint32_t now = arrays.capacity();
         const bool grows = capacity > now;

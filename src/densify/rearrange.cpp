@@ -10,8 +10,9 @@
 
 namespace relidar {
 
-Rearrangement::Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames)
+Rearrangement::Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames, Primitive primitive)
     : device_(device), prefix_sum_(device), allot_(device, "densify/allot"), move_(device, "densify/move") {
+    spare_.primitive = primitive;
     statistics.n_words = std::max(1u, (n_frames + 31) / 32);
     reserve(n_surfels);
     Stream stream(device);
@@ -37,7 +38,7 @@ std::uint32_t Rearrangement::capacity() const {
     return std::min(spare_.capacity(), static_cast<std::uint32_t>(std::min(n, n_frames)));
 }
 
-std::size_t Rearrangement::bytes_per_surfel() const { return 4 * (std::size_t(10 + kShFloats) + 6 + 2 * statistics.n_words); }
+std::size_t Rearrangement::bytes_per_surfel() const { return 4 * (floats_per_surfel() + 6 + 2 * statistics.n_words); }
 
 void Rearrangement::allot(Stream& stream, const GrowthPlan& plan, std::uint32_t before) {
     RELIDAR_ASSERT_LE(std::max(before, plan.size()), capacity());
@@ -59,6 +60,7 @@ void Rearrangement::move(Stream& stream, SurfelArrays& set, bool fresh, std::uin
     move_rows(stream, set.log_scale, spare_.log_scale, 2, fresh);
     move_rows(stream, set.opacity_logit, spare_.opacity_logit, 1, fresh);
     move_rows(stream, set.sh, spare_.sh, kShFloats, fresh);
+    if (set.primitive == Primitive::gaussian) move_rows(stream, set.log_scale_w, spare_.log_scale_w, 1, fresh);
     set.n = after;
 }
 

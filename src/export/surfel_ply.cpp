@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Surfels as PLY in the layout that tools for 3D Gaussian splatting read, and back. What those tools know stays where they look
-// for it, with their activations; the LiDAR channels follow as further properties, so that a file cropped or cleaned in such a
+// for it, with their activations (3D Gaussians are theirs whole, a surfel is a flat one); the LiDAR channels follow as further properties, so that a file cropped or cleaned in such a
 // tool comes back as a scene. The reader trusts no number of the header before the size of the file confirms it.
 #include <relidar/export.hpp>
 
@@ -36,7 +36,7 @@ struct Property {
     bool read = true;
 };
 
-std::vector<Property> properties() {
+std::vector<Property> properties(Primitive primitive) {
     std::vector<Property> list{{"x", Property::mean, 0}, {"y", Property::mean, 1}, {"z", Property::mean, 2},
                                {"nx", Property::normal, 0, false}, {"ny", Property::normal, 1, false}, {"nz", Property::normal, 2, false}};
     for (int c = 0; c < kColours; ++c) list.push_back({fmt::format("f_dc_{}", c), Property::sh, 0, c == 0});
@@ -44,7 +44,7 @@ std::vector<Property> properties() {
     list.push_back({"opacity", Property::opacity});
     list.push_back({"scale_0", Property::scale, 0});
     list.push_back({"scale_1", Property::scale, 1});
-    list.push_back({"scale_2", Property::thickness, 0, false});
+    list.push_back({"scale_2", Property::thickness, 0, primitive == Primitive::gaussian});
     for (int k = 0; k < 4; ++k) list.push_back({fmt::format("rot_{}", k), Property::rotation, k});
     for (int k = 0; k < kShCoefficients; ++k) list.push_back({fmt::format("hit_{}", k), Property::sh, kShCoefficients + k});
     for (int k = 0; k < kShCoefficients; ++k) list.push_back({fmt::format("drop_{}", k), Property::sh, 2 * kShCoefficients + k});
@@ -67,7 +67,7 @@ float value_of(const Property& p, const Surfels& s, std::size_t i, std::size_t m
         case Property::sh: return s.sh[i * kShFloats + std::size_t(p.index)];
         case Property::opacity: return s.opacity_logit[i];
         case Property::scale: return s.log_scale[i][p.index];
-        case Property::thickness: return kFlat;
+        case Property::thickness: return s.log_scale_w.empty() ? kFlat : s.log_scale_w[i];
         case Property::rotation: return s.rotation[i][p.index];
         case Property::model: return float(model);
     }
@@ -82,8 +82,8 @@ void set_value(const Property& p, Surfels& s, std::size_t i, std::uint32_t& mode
         case Property::scale: s.log_scale[i][p.index] = value; break;
         case Property::rotation: s.rotation[i][p.index] = value; break;
         case Property::model: model = static_cast<std::uint32_t>(value); break;
-        case Property::normal:
-        case Property::thickness: break;
+        case Property::thickness: s.log_scale_w[i] = value; break;
+        case Property::normal: break;
     }
 }
 
@@ -155,9 +155,9 @@ struct Columns {
     std::vector<std::size_t> offset;
 };
 
-Columns find_columns(const Layout& layout) {
+Columns find_columns(const Layout& layout, Primitive primitive) {
     Columns columns;
-    for (const Property& p : properties()) {
+    for (const Property& p : properties(primitive)) {
         if (!p.read) continue;
         const auto it = std::find_if(layout.fields.begin(), layout.fields.end(), [&](const Layout::Field& f) { return f.name == p.name; });
         if (it == layout.fields.end()) throw DataError(fmt::format("property {}: missing, expected it as `relidar export` writes it", p.name));
@@ -192,18 +192,18 @@ Scene grouped(const Surfels& surfels, const std::vector<std::uint32_t>& model, c
     return scene;
 }
 
-Scene parse(const std::vector<std::byte>& file, const Scene& scene_layout) {
+Scene parse(const std::vector<std::byte>& file, const Scene& scene_layout, Primitive primitive) {
     const std::string start(reinterpret_cast<const char*>(file.data()), std::min(file.size(), kMaxHeader));
     const std::size_t end = start.find(kEndOfHeader);
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
     if (end == std::string::npos) throw DataError(fmt::format("found no end_header in the first {} bytes, expected it", start.size()));
     const Layout layout = parse_header(start.substr(0, end));
     const std::size_t data = end + std::strlen(kEndOfHeader), n_bytes = file.size() - data;
-    const Columns columns = find_columns(layout);
+    const Columns columns = find_columns(layout, primitive);
     if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
         throw DataError(fmt::format("found {} bytes of data, expected {} vertices of {} bytes", n_bytes, layout.count, layout.stride));
     Surfels surfels;
-    surfels.resize(layout.count);
+    surfels.resize(layout.count, primitive);
     std::vector<std::uint32_t> model(layout.count);
     for (std::size_t i = 0; i < layout.count; ++i)
         for (std::size_t k = 0; k < columns.property.size(); ++k) {
@@ -215,7 +215,8 @@ Scene parse(const std::vector<std::byte>& file, const Scene& scene_layout) {
 }
 
 std::string header_of(const Scene& scene, const std::vector<Property>& list) {
-    std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar surfels: metres, frame of each model; scale_2 only makes them flat\n";
+    std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";
+    text += scene.surfels.primitive() == Primitive::gaussian ? "3D Gaussians: metres, frame of each model\n" : "surfels: metres, frame of each model; scale_2 only makes them flat\n";
     text += fmt::format("element vertex {}\n", scene.surfels.size());
     for (const Property& p : list) text += fmt::format("property float {}\n", p.name);
     return text + (kEndOfHeader + 1);
@@ -237,7 +238,7 @@ void write_surfel_ply(const std::filesystem::path& path, const Scene& scene) {
     write_atomically(path, [&](const std::filesystem::path& temporary) {
         scene.surfels.check_shapes();
         check_models(scene);
-        const std::vector<Property> list = properties();
+        const std::vector<Property> list = properties(scene.surfels.primitive());
         export_detail::OutputFile file(temporary);
         file.write(header_of(scene, list));
         std::vector<float> record(list.size());
@@ -250,10 +251,10 @@ void write_surfel_ply(const std::filesystem::path& path, const Scene& scene) {
     });
 }
 
-Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout) {
+Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, Primitive primitive) {
     const std::vector<std::byte> file = export_detail::read_file(path);
     try {
-        return parse(file, layout);
+        return parse(file, layout, primitive);
     } catch (const DataError& error) {
         throw DataError(fmt::format("reading PLY '{}': {}", path.string(), error.what()));
     }

@@ -14,7 +14,7 @@ namespace relidar {
 namespace {
 
 shared::SurfelPointers pointers(const SurfelArrays& a) {
-    return {a.mean.address(), a.rotation.address(), a.log_scale.address(), a.opacity_logit.address(), a.sh.address()};
+    return {a.mean.address(), a.rotation.address(), a.log_scale.address(), a.opacity_logit.address(), a.sh.address(), a.log_scale_w.address()};
 }
 
 bool has_box(const Model& m) { return m.half_size_m.x > 0.0f && m.half_size_m.y > 0.0f && m.half_size_m.z > 0.0f; }

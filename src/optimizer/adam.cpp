@@ -22,8 +22,8 @@ struct Adam::Impl {
     Kernel<shared::AdamParams> kernel;
 };
 
-Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options)
-    : impl_(new Impl{options, {device, n_surfels, "first moment"}, {device, n_surfels, "second moment"}, {device, "optimizer/adam"}}) {
+Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, Primitive primitive)
+    : impl_(new Impl{options, {device, n_surfels, "first moment", primitive}, {device, n_surfels, "second moment", primitive}, {device, "optimizer/adam"}}) {
     Stream stream(device);
     impl_->moment1.fill_zero(stream);
     impl_->moment2.fill_zero(stream);
@@ -51,6 +51,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
     update(p.mean, g.mean, m.mean, v.mean, rates.mean, 1.0, 3, 3, 3);
     update(p.rotation, g.rotation, m.rotation, v.rotation, rates.rotation, 1.0, 4, 4, 4);
     update(p.log_scale, g.log_scale, m.log_scale, v.log_scale, rates.log_scale, 1.0, 2, 2, 2);
+    if (p.primitive == Primitive::gaussian) update(p.log_scale_w, g.log_scale_w, m.log_scale_w, v.log_scale_w, rates.log_scale, 1.0, 1, 1, 1);
     update(p.opacity_logit, g.opacity_logit, m.opacity_logit, v.opacity_logit, rates.opacity_logit, 1.0, 1, 1, 1);
     update(p.sh, g.sh, m.sh, v.sh, rates.sh * rates.sh_rest_factor, 1.0 / std::max(rates.sh_rest_factor, 1e-12), kShFloats, kShCoefficients, active);
 }

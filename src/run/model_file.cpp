@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// model.safetensors: the parameters of all surfels as five arrays of the whole scene, and which range of them is which model
+// model.safetensors: the parameters of all surfels as five arrays of the whole scene (and a sixth, log_scale_w, of 3D Gaussians), and which range of them is which model
 // placed by which instance, as JSON in the metadata. Everything is checked on the way in: a run may have been edited.
 #include <relidar/run.hpp>
 
@@ -42,9 +42,13 @@ std::span<float> floats(std::vector<V>& values) {
     return {reinterpret_cast<float*>(values.data()), values.size() * sizeof(V) / sizeof(float)};
 }
 
-std::array<Group, 5> groups(Surfels& s) {
-    return {Group{"mean", {3}, floats(s.mean)}, Group{"rotation", {4}, floats(s.rotation)}, Group{"log_scale", {2}, floats(s.log_scale)},
+constexpr const char* kThird = "log_scale_w";
+
+std::vector<Group> groups(Surfels& s, Primitive primitive) {
+    std::vector<Group> all{Group{"mean", {3}, floats(s.mean)}, Group{"rotation", {4}, floats(s.rotation)}, Group{"log_scale", {2}, floats(s.log_scale)},
             Group{"opacity_logit", {}, floats(s.opacity_logit)}, Group{"sh", {kShChannels, kShCoefficients}, floats(s.sh)}};
+    if (primitive == Primitive::gaussian) all.push_back({kThird, {}, floats(s.log_scale_w)});
+    return all;
 }
 
 void check_finite(const Group& group, const std::string& file) {
@@ -141,7 +145,7 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
     Surfels surfels = scene.surfels;
     const std::size_t n = surfels.size();
     std::vector<NamedArray> arrays;
-    for (const Group& group : groups(surfels)) {
+    for (const Group& group : groups(surfels, surfels.primitive())) {
         check_finite(group, path.string());
         std::vector<std::size_t> shape{n};
         shape.insert(shape.end(), group.row_shape.begin(), group.row_shape.end());
@@ -163,14 +167,16 @@ Scene load_model(const std::filesystem::path& path) {
     if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
         throw DataError(fmt::format("{}: array mean: found shape [{}], expected [n, 3]", file, fmt::join(mean.shape, ", ")));
     Surfels none;
-    for (const Group& group : groups(none)) {   // row counts first: nothing is allocated for a file that lies
+    const bool has_third = std::ranges::any_of(arrays, [](const NamedArray& a) { return a.name == kThird; });
+    const Primitive primitive = has_third ? Primitive::gaussian : Primitive::surfel;
+    for (const Group& group : groups(none, primitive)) {   // row counts first: nothing is allocated for a file that lies
         const NamedArray& array = find_array(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])
             throw DataError(fmt::format("{}: array {}: found shape [{}], expected {} rows as in mean", file, group.name, fmt::join(array.shape, ", "), mean.shape[0]));
     }
     Scene scene;
-    scene.surfels.resize(mean.shape[0]);
-    for (const Group& group : groups(scene.surfels)) read_group(group, find_array(arrays, group.name, file), mean.shape[0], file);
+    scene.surfels.resize(mean.shape[0], primitive);
+    for (const Group& group : groups(scene.surfels, primitive)) read_group(group, find_array(arrays, group.name, file), mean.shape[0], file);
     read_layout_json(metadata.at("layout"), file + ": metadata layout", scene);
     read_sensor_drop(arrays, scene, file);
     return scene;

@@ -65,6 +65,11 @@ Run load_run(const fs::path& folder) {
     if (run.scene.surfels.size() != scene.n_surfels) {
         throw DataError(fmt::format("{}: counts.surfels: found {}, but {} holds {}", scene_path.string(), scene.n_surfels, kModelFile, run.scene.surfels.size()));
     }
+    if (run.scene.surfels.size() > 0 && run.scene.surfels.primitive() != run.config.image.primitive) {
+        const bool is_gaussian = run.scene.surfels.primitive() == Primitive::gaussian;
+        throw DataError(fmt::format("{}: image.primitive: found {}, but {} holds {}", (folder / kConfigFile).string(), is_gaussian ? "surfel" : "gaussian", kModelFile,
+                                    is_gaussian ? "3D Gaussians" : "surfels"));
+    }
     return run;
 }
 

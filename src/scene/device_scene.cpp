@@ -17,25 +17,31 @@ namespace relidar {
 static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry) == 60);
 static_assert(RELIDAR_SH_COEFFICIENTS == kShCoefficients && RELIDAR_SH_FLOATS == kShFloats);
 
-SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& what)
+SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& what, Primitive kind)
     : mean(device, 3 * std::size_t(count), what + " mean"),
       rotation(device, 4 * std::size_t(count), what + " rotation"),
       log_scale(device, 2 * std::size_t(count), what + " log_scale"),
       opacity_logit(device, count, what + " opacity"),
       sh(device, kShFloats * std::size_t(count), what + " sh"),
-      n(count) {}
+      n(count),
+      primitive(kind) {
+    if (kind == Primitive::gaussian) log_scale_w = Array<float>(device, count, what + " log_scale_w");
+}
 
 void SurfelArrays::upload(const Surfels& s) {
     s.check_shapes();
+    if (s.size() > 0 && s.primitive() != primitive) throw DataError("uploading surfels: found another primitive than the arrays are for, expected the same");
     mean.upload({&s.mean.data()->x, 3 * s.size()});
     rotation.upload({&s.rotation.data()->x, 4 * s.size()});
     log_scale.upload({&s.log_scale.data()->x, 2 * s.size()});
     opacity_logit.upload(s.opacity_logit);
     sh.upload(s.sh);
+    if (primitive == Primitive::gaussian) log_scale_w.upload(s.log_scale_w);
 }
 
 std::uint32_t SurfelArrays::capacity() const {
-    return static_cast<std::uint32_t>(std::min({mean.size() / 3, rotation.size() / 4, log_scale.size() / 2, opacity_logit.size(), sh.size() / kShFloats}));
+    const std::size_t of_all = std::min({mean.size() / 3, rotation.size() / 4, log_scale.size() / 2, opacity_logit.size(), sh.size() / kShFloats});
+    return static_cast<std::uint32_t>(primitive == Primitive::gaussian ? std::min(of_all, log_scale_w.size()) : of_all);
 }
 
 void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::string& what) {
@@ -44,28 +50,38 @@ void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::strin
     log_scale.reserve(device, 2 * std::size_t(count), what + " log_scale");
     opacity_logit.reserve(device, count, what + " opacity");
     sh.reserve(device, kShFloats * std::size_t(count), what + " sh");
+    if (primitive == Primitive::gaussian) log_scale_w.reserve(device, count, what + " log_scale_w");
 }
 
 Surfels SurfelArrays::download() const {
     Surfels s;
-    s.resize(n);
+    s.resize(n, primitive);
     if (n == 0) return s;
     mean.buffer().download(s.mean.data(), s.mean.size() * sizeof(glm::vec3));
     rotation.buffer().download(s.rotation.data(), s.rotation.size() * sizeof(glm::vec4));
     log_scale.buffer().download(s.log_scale.data(), s.log_scale.size() * sizeof(glm::vec2));
     s.opacity_logit = opacity_logit.download(n);
     s.sh = sh.download(kShFloats * std::size_t(n));
+    if (primitive == Primitive::gaussian) s.log_scale_w = log_scale_w.download(n);
     return s;
 }
 
 void SurfelArrays::fill_zero(Stream& stream) {
     for (Array<float>* array : {&mean, &rotation, &log_scale, &opacity_logit, &sh}) stream.fill(*array);
+    if (primitive == Primitive::gaussian) stream.fill(log_scale_w);
 }
 
 namespace {
 
 shared::SurfelPointers pointers(const SurfelArrays& arrays) {
-    return {arrays.mean.address(), arrays.rotation.address(), arrays.log_scale.address(), arrays.opacity_logit.address(), arrays.sh.address()};
+    return {arrays.mean.address(), arrays.rotation.address(), arrays.log_scale.address(), arrays.opacity_logit.address(), arrays.sh.address(), arrays.log_scale_w.address()};
+}
+
+void check_primitive(Primitive found, const ImageModel& model) {
+    if (found == model.primitive) return;
+    const bool is_gaussian = found == Primitive::gaussian;
+    throw UsageError(fmt::format("image.primitive={}: the scene is made of {}, expected {}: a scene keeps the primitive it was trained with", is_gaussian ? "surfel" : "gaussian",
+                                 is_gaussian ? "3D Gaussians" : "surfels", is_gaussian ? "image.primitive=gaussian" : "image.primitive=surfel"));
 }
 
 void check_layout(const Scene& scene) {
@@ -118,7 +134,7 @@ struct DeviceScene::Impl {
         : layout(layout_of(scene)),
           rows(scene, static_cast<std::uint32_t>(scene.surfels.size())),
           more_rows(device, rows.more, "rows of further placements"),
-          parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel"),
+          parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel", scene.surfels.primitive()),
           records(device, 16 * scene.surfels.size(), "surfel records"),
           instances(device, scene.instances.size(), "instance table"),
           activate(device, "scene/activate"),
@@ -167,6 +183,7 @@ void DeviceScene::place(Stream& stream, const std::vector<InstancePose>& placed)
 }
 
 void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m) {
+    if (size() > 0) check_primitive(primitive(), model);
     impl_->alpha_min = model.alpha_min;
     for (std::size_t i = 0; i < impl_->layout.models.size(); ++i) {
         const Model& range = impl_->layout.models[i];
@@ -210,6 +227,7 @@ const SurfelArrays& DeviceScene::parameters() const { return impl_->parameters; 
 const Array<float>& DeviceScene::records() const { return impl_->records; }
 std::uint64_t DeviceScene::instances_address() const { return impl_->instances.address(); }
 float DeviceScene::alpha_min() const { return impl_->alpha_min; }
+Primitive DeviceScene::primitive() const { return impl_->parameters.primitive; }
 std::uint32_t DeviceScene::size() const { return impl_->parameters.n; }
 std::uint32_t DeviceScene::first_gradient_row(std::size_t instance) const { return impl_->rows.first[instance]; }
 std::uint32_t DeviceScene::gradient_rows() const { return impl_->rows.n; }

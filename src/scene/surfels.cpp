@@ -3,6 +3,7 @@
 #include <relidar/scene.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -11,12 +12,13 @@
 
 namespace relidar {
 
-void Surfels::resize(std::size_t n) {
+void Surfels::resize(std::size_t n, Primitive primitive) {
     mean.resize(n);
     rotation.resize(n);
     log_scale.resize(n);
     opacity_logit.resize(n);
     sh.resize(n * kShFloats);
+    log_scale_w.resize(primitive == Primitive::gaussian ? n : 0);
 }
 
 void Surfels::check_shapes() const {
@@ -24,25 +26,30 @@ void Surfels::check_shapes() const {
     if (rotation.size() != n || log_scale.size() != n || opacity_logit.size() != n || sh.size() != n * kShFloats)
         throw DataError(fmt::format("reading surfels: mean has {} rows, rotation {}, log_scale {}, opacity_logit {}, sh {} values, expected equal rows and {} sh values a row",
                                     n, rotation.size(), log_scale.size(), opacity_logit.size(), sh.size(), kShFloats));
+    if (!log_scale_w.empty() && log_scale_w.size() != n) throw DataError(fmt::format("reading 3D Gaussians: mean has {} rows, log_scale_w {}, expected equal rows", n, log_scale_w.size()));
 }
 
 void Surfels::append(const Surfels& other) {
+    if (size() > 0 && other.size() > 0 && primitive() != other.primitive())
+        throw DataError(fmt::format("joining {} surfels and {}: found 3D Gaussians beside surfels, expected one primitive (image.primitive)", size(), other.size()));
     mean.insert(mean.end(), other.mean.begin(), other.mean.end());
     rotation.insert(rotation.end(), other.rotation.begin(), other.rotation.end());
     log_scale.insert(log_scale.end(), other.log_scale.begin(), other.log_scale.end());
     opacity_logit.insert(opacity_logit.end(), other.opacity_logit.begin(), other.opacity_logit.end());
     sh.insert(sh.end(), other.sh.begin(), other.sh.end());
+    log_scale_w.insert(log_scale_w.end(), other.log_scale_w.begin(), other.log_scale_w.end());
 }
 
 Surfels Surfels::permuted(const std::vector<std::uint32_t>& order) const {
     Surfels result;
-    result.resize(order.size());
+    result.resize(order.size(), primitive());
     for (std::size_t i = 0; i < order.size(); ++i) {
         const std::size_t from = order[i];
         result.mean[i] = mean[from];
         result.rotation[i] = rotation[from];
         result.log_scale[i] = log_scale[from];
         result.opacity_logit[i] = opacity_logit[from];
+        if (!log_scale_w.empty()) result.log_scale_w[i] = log_scale_w[from];
         std::copy_n(sh.begin() + static_cast<std::ptrdiff_t>(from * kShFloats), kShFloats, result.sh.begin() + static_cast<std::ptrdiff_t>(i * kShFloats));
     }
     return result;
@@ -52,6 +59,11 @@ Surfels Surfels::slice(std::size_t first, std::size_t count) const {
     std::vector<std::uint32_t> order(count);
     std::iota(order.begin(), order.end(), static_cast<std::uint32_t>(first));
     return permuted(order);
+}
+
+void make_gaussians(Surfels& surfels, double thickness) {
+    surfels.log_scale_w.clear();
+    for (const glm::vec2& s : surfels.log_scale) surfels.log_scale_w.push_back(0.5f * (s.x + s.y) + static_cast<float>(std::log(thickness)));
 }
 
 Scene layout_of(const Scene& scene) { return {{}, scene.models, scene.instances, scene.sensor_drop}; }

@@ -28,6 +28,13 @@ InitialiseOptions start_options(const Config& config) {
     return options;
 }
 
+/// What training starts from.
+Scene start_scene(const Sequence& sequence, const Split& split, const Config& config) {
+    Scene scene = initialise_scene(sequence, split.train, start_options(config));
+    if (config.image.primitive == Primitive::gaussian) make_gaussians(scene.surfels, config.init.thickness);
+    return scene;
+}
+
 bool logs_at(int step, const TrainConfig& config) { return step == 1 || step % std::max(1, config.log_every) == 0 || step == config.iterations; }
 
 }  // namespace
@@ -37,7 +44,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     if (session.start) check_resumable(*session.start, sequence, split, config);
     TrainResult result;
     const Clock::time_point begin = Clock::now();
-    const Scene initial = session.start ? scene_of(*session.start) : initialise_scene(sequence, split.train, start_options(config));
+    const Scene initial = session.start ? scene_of(*session.start) : start_scene(sequence, split, config);
     result.initialise_s = seconds_since(begin);
 
     if (config.train.refine_poses == "actors" && initial.instances.size() < 2 && session.note) session.note("train.refine_poses=actors: the scene has no actor, no pose is refined");

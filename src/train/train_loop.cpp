@@ -68,7 +68,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       chamfer_(device, config.loss, largest_batch()),
       backward_(device, config.image, accel_->proxy(), trace_options(config), backward_options(config)),
       surfel_loss_(device, config.loss),
-      adam_(device, scene_.size(), {.only_touched = config.train.only_touched}),
+      adam_(device, scene_.size(), {.only_touched = config.train.only_touched}, scene_.primitive()),
       rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
       kept_(device, largest_batch(), static_cast<std::uint32_t>(config.trace.keep_hits)),
       upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),

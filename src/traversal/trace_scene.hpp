@@ -19,7 +19,7 @@ inline std::size_t trace_threads(const RayBatch& batch) {
 
 inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model, std::uint64_t pass_cap_address) {
     const AccelAddresses a = accel.addresses();
-    return {a.tlas, {a.nodes, a.order, a.roots, a.top_nodes, a.top_order}, batch.rays->address(), scene.records().address(), scene.instances_address(),
+    return {a.tlas, a.reach, {a.nodes, a.order, a.roots, a.top_nodes, a.top_order}, batch.rays->address(), scene.records().address(), scene.instances_address(),
             scene.parameters().sh.address(), pass_cap_address, 0,
             model.near_m, model.alpha_min, model.alpha_max, model.transmittance_min, static_cast<std::uint32_t>(scene.layout().instances.size()),
             static_cast<std::uint32_t>(model.sh_degree), batch.n_rays, batch.first, batch.stride, batch.columns};
@@ -39,7 +39,8 @@ inline bool walks_together(const Device& device, const TraceOptions& options) {
 /// Specialisation constants of the tracing kernels (shaders/traversal).
 inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, const TraceOptions& options, const ImageModel& model) {
     return {{1u, static_cast<std::uint32_t>(options.chunk)}, {2u, proxy == Proxy::boxes ? 1u : 0u}, {3u, model.sh_direction == ShDirection::surfel ? 1u : 0u},
-            {4u, walks_together(device, options) ? 1u : 0u}, {8u, model.single_drop_logit ? 1u : 0u}};
+            {4u, walks_together(device, options) ? 1u : 0u}, {8u, model.single_drop_logit ? 1u : 0u},
+            {9u, model.primitive == Primitive::gaussian ? 1u : 0u}};
 }
 
 }  // namespace relidar

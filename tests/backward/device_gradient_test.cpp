@@ -21,6 +21,7 @@ void add_surfel_rows(GradientTable& table, const std::vector<reference::Surfel>&
         table.add_row("mean", lanes(expected[i].mean, 3), lanes(actual.mean[i], 3));
         table.add_row("rotation", lanes(expected[i].rotation, 4), lanes(actual.rotation[i], 4));
         table.add_row("log_scale", lanes(expected[i].log_scale, 2), lanes(actual.log_scale[i], 2));
+        if (expected[i].log_scale_w) table.add_row("log_scale_w", {*expected[i].log_scale_w}, {actual.log_scale_w[i]});
         table.add_row("opacity_logit", {expected[i].opacity_logit}, {actual.opacity_logit[i]});
         const char* names[] = {"sh intensity", "sh hit", "sh drop"};
         for (int c = 0; c < kShChannels; ++c)
@@ -47,6 +48,7 @@ protected:
     void expect_agreement(const ImageModel& image, const test::RandomSceneOptions& options, Proxy proxy, int chunk, const std::string& title, bool brute_force = false, double tolerance = test::kKernelGradient) {
         reference::Settings settings;
         settings.image = image;
+        settings.image.primitive = options.primitive;
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         const std::vector<PixelGradient> upstream = random_upstream(scene.rays.size(), options.seed);
@@ -105,6 +107,17 @@ TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
     expect_agreement({.sh_direction = ShDirection::ray}, options, Proxy::boxes, 2, "brute force, opaque, chunk 2", true, tolerance);
 }
 
+TEST_F(DeviceGradient, Gaussians) {
+    test::RandomSceneOptions options;
+    options.primitive = Primitive::gaussian;
+    options.seed = 36, options.rays = 30, options.background_surfels = 24, options.actor_surfels = 8;   // each is met by more rays than a surfel
+    // Points 10 m away are rounded to 1e-6 m: 3e-5 standard deviations of the thinnest, 0.03 m, in every gradient of alpha.
+    const double tolerance = 3.0 * test::kKernelGradient;
+    expect_agreement({.sh_direction = ShDirection::ray}, options, Proxy::triangles, 4, "3D Gaussians, icosahedra, SH along the ray, 3 instances, chunk 4", false, tolerance);
+    options.seed = 37, options.actor_instances = 1;
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, Proxy::boxes, 16, "3D Gaussians, boxes, SH along sensor -> mean, 2 instances, chunk 16", false, tolerance);
+}
+
 /// The ablation of the paper: hit logits are 0 whatever the scene holds, and nothing moves them. The first two scenes again.
 TEST_F(DeviceGradient, SingleDropLogit) {
     test::RandomSceneOptions options;
@@ -117,10 +130,15 @@ TEST_F(DeviceGradient, SingleDropLogit) {
 }
 
 /// Direct differences of the device: blunt (single precision), but nothing of the chain is shared with the reference.
-TEST_F(DeviceGradient, EndToEndDifferences) {
+class DeviceDifferences : public test::DeviceTest, public testing::WithParamInterface<Primitive> {};
+INSTANTIATE_TEST_SUITE_P(Primitives, DeviceDifferences, testing::Values(Primitive::surfel, Primitive::gaussian));
+
+TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
     reference::Settings settings;
+    settings.image.primitive = GetParam();
     test::RandomSceneOptions options;
     options.seed = 35;
+    options.primitive = GetParam();
     const test::RandomScene scene = test::make_random_scene(options, settings);
     Passes passes(device(), settings.image, scene, random_upstream(scene.rays.size(), 3), Proxy::boxes, {.chunk = 16});
     passes.run();
@@ -142,6 +160,7 @@ TEST_F(DeviceGradient, EndToEndDifferences) {
     const double scale = glm::length(d.mean[strongest]);
     for (int k = 0; k < 3; ++k) near_enough(d.mean[strongest][k], difference([&](Surfels& s, float h) { s.mean[strongest][k] += h; }, 5e-4f), scale);
     for (int k = 0; k < 2; ++k) near_enough(d.log_scale[strongest][k], difference([&](Surfels& s, float h) { s.log_scale[strongest][k] += h; }, 2e-3f), scale);
+    if (GetParam() == Primitive::gaussian) near_enough(d.log_scale_w[strongest], difference([&](Surfels& s, float h) { s.log_scale_w[strongest] += h; }, 2e-3f), scale);
     near_enough(d.opacity_logit[strongest], difference([&](Surfels& s, float h) { s.opacity_logit[strongest] += h; }, 5e-3f), scale);
 }
 

@@ -16,7 +16,7 @@ using test::Passes;
 
 std::vector<float> all_gradients(const Gradients& g) {
     std::vector<float> all;
-    for (const Array<float>* array : {&g.records, &g.surfels.mean, &g.surfels.rotation, &g.surfels.log_scale, &g.surfels.opacity_logit, &g.surfels.sh, &g.rays, &g.poses, &g.sensor})
+    for (const Array<float>* array : {&g.records, &g.surfels.mean, &g.surfels.rotation, &g.surfels.log_scale, &g.surfels.opacity_logit, &g.surfels.log_scale_w, &g.surfels.sh, &g.rays, &g.poses, &g.sensor})
         for (const float x : array->download()) all.push_back(x);
     return all;
 }
@@ -27,6 +27,7 @@ protected:
     test::RandomScene crowded(const reference::Settings& settings) {
         test::RandomSceneOptions options;
         options.seed = 51, options.rays = 20, options.background_surfels = 20, options.actor_surfels = 6;
+        options.primitive = settings.image.primitive;
         test::RandomScene scene = test::make_random_scene(options, settings);
         const std::vector<reference::Ray> once = scene.rays;
         for (int i = 1; i < 100; ++i) scene.rays.insert(scene.rays.end(), once.begin(), once.end());
@@ -35,9 +36,11 @@ protected:
 };
 
 TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
-    for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
+    using enum ShDirection;
+    for (const auto& [direction, primitive] : {std::pair{ray, Primitive::surfel}, {surfel, Primitive::surfel}, {surfel, Primitive::gaussian}}) {
         reference::Settings settings;
         settings.image.sh_direction = direction;
+        settings.image.primitive = primitive;
         const test::RandomScene scene = crowded(settings);
         const std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 5);
         Passes passes(device(), settings.image, scene, upstream, Proxy::boxes, {.chunk = 16}, {.reduction = Reduction::gather});

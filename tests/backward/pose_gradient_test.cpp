@@ -24,6 +24,7 @@ struct Problem {
 
     Problem(ShDirection direction, const test::RandomSceneOptions& options) {
         settings.image.sh_direction = direction;
+        settings.image.primitive = options.primitive;
         scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         upstream = test::random_upstream(scene.rays.size(), options.seed);
@@ -104,6 +105,12 @@ TEST_F(PoseGradient, ModelPlacedThriceShAlongRay) {
     test::RandomSceneOptions options;
     options.seed = 41, options.rays = 60, options.actor_instances = 3;
     expect_agreement(ShDirection::ray, options, "poses, SH along the ray, one model placed three times");
+}
+
+TEST_F(PoseGradient, GaussiansPlacedTwice) {
+    test::RandomSceneOptions options;
+    options.seed = 46, options.rays = 60, options.primitive = Primitive::gaussian;
+    expect_agreement(ShDirection::ray, options, "poses, 3D Gaussians, one model placed twice");
 }
 
 TEST_F(PoseGradient, ShAlongSurfelSeesTheViewOriginMove) {

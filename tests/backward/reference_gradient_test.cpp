@@ -68,6 +68,7 @@ void check_surfels(Problem& p, const Gradients& gradients, GradientTable& table)
         add("mean", &s.mean.x, &d.mean.x, 3);
         add("rotation", &s.rotation.x, &d.rotation.x, 4);
         add("log_scale", &s.log_scale.x, &d.log_scale.x, 2);
+        if (s.log_scale_w) add("log_scale_w", &*s.log_scale_w, &*d.log_scale_w, 1);
         add("opacity_logit", &s.opacity_logit, &d.opacity_logit, 1, test::kLogitStep);
         const char* channels[] = {"sh intensity", "sh hit", "sh drop"};
         for (int c = 0; c < kShChannels; ++c)
@@ -136,6 +137,21 @@ TEST(ReferenceGradient, SingleDropLogit) {
     options.seed = 5;
     expect_differences_agree(ShDirection::ray, options, 4, "one drop logit, SH along the ray, chunk 4", true);
     expect_differences_agree(ShDirection::surfel, options, 4, "one drop logit, SH along sensor -> mean, chunk 4", true);
+}
+
+TEST(ReferenceGradient, GaussiansShAlongRay) {
+    test::RandomSceneOptions options;
+    options.seed = 6;
+    options.primitive = Primitive::gaussian;
+    expect_differences_agree(ShDirection::ray, options, 4, "3D Gaussians, SH along the ray, 3 instances, chunk 4");
+}
+
+TEST(ReferenceGradient, GaussiansOpaqueShAlongSurfel) {
+    test::RandomSceneOptions options;
+    options.seed = 7;
+    options.primitive = Primitive::gaussian;
+    options.opacity_low = 0.5, options.opacity_high = 0.98;
+    expect_differences_agree(ShDirection::surfel, options, 2, "3D Gaussians, opaque, SH along sensor -> mean, chunk 2");
 }
 
 /// How many blended hits are clamped at alpha_max, and how many rays end by the T_min rule.

@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <filesystem>
 
+#include <relidar/error.hpp>
 #include <relidar/export.hpp>
 #include <relidar/forward.hpp>
 
@@ -47,11 +48,14 @@ Expected render_reference(const test::RandomScene& scene, const reference::Setti
 }
 
 TEST_F(Forward, AgreesWithDoubleReference) {
-    for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
+    using enum ShDirection;
+    for (const auto& [direction, primitive] : {std::pair{ray, Primitive::surfel}, {surfel, Primitive::surfel}, {surfel, Primitive::gaussian}}) {
         reference::Settings settings;
         settings.image.sh_direction = direction;
+        settings.image.primitive = primitive;
         test::RandomSceneOptions options;
         options.seed = 21;
+        options.primitive = primitive;
         options.actor_instances = direction == ShDirection::ray ? 2 : 1;   // SH a surfel are those its first instance sees
         options.background_surfels = 24, options.actor_surfels = 20;
         options.rays = 300;
@@ -122,6 +126,47 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
     }
 }
 
+/// 3D Gaussians that get thinner render what surfels do; thick ones do not. Normals face the rays within 50 degrees.
+TEST_F(Forward, ThinGaussiansApproachSurfels) {
+    test::RandomSceneOptions options;
+    options.seed = 23, options.rays = 200;
+    const test::RandomScene random = test::make_random_scene(options, {});
+    const test::SceneAndPoses placed = test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
+    const WorldRays rays = test::to_world_rays(random.rays);
+    const auto rendered = [&](const Scene& scene) {
+        ImageModel model;
+        model.primitive = scene.surfels.primitive();
+        Renderer renderer(device(), scene, model);
+        renderer.set_poses(placed.world_from_instance);
+        return renderer.trace(rays, glm::vec3(0.0f));
+    };
+    const Rendering flat = rendered(placed.scene);
+    const std::vector<double> depth(flat.depth.begin(), flat.depth.end()), weight(flat.weight.begin(), flat.weight.end());
+    std::vector<double> error;
+    for (const double thickness : {1.0, 0.1, 1e-3, 1e-5}) {   // the last: 1.5e-6 m and more
+        Scene thin = placed.scene;
+        make_gaussians(thin.surfels, thickness);
+        const Rendering r = rendered(thin);
+        error.push_back(std::max(nmse(r.depth, depth), nmse(r.weight, weight)));
+        std::printf("thickness %g: error %.2e\n", thickness, error.back());
+    }
+    EXPECT_GT(error[0], 1e3 * test::kKernelNmse);
+    EXPECT_LT(error[1], 0.1 * error[0]);
+    EXPECT_LT(error[2], test::kKernelNmse);
+    EXPECT_LT(error[3], test::kKernelNmse);
+}
+
+TEST_F(Forward, SceneOfAnotherPrimitiveIsRefused) {
+    Scene scene = make_background_scene(test::to_surfels(test::make_random_scene({}, {}).world.surfels));
+    ImageModel gaussians;
+    gaussians.primitive = Primitive::gaussian;
+    const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
+    EXPECT_THROW(Renderer(device(), scene, gaussians).trace(ray, glm::vec3(0.0f)), UsageError);
+    make_gaussians(scene.surfels, 1.0);
+    EXPECT_THROW(Renderer(device(), scene, {}).trace(ray, glm::vec3(0.0f)), UsageError);
+    EXPECT_NO_THROW(Renderer(device(), scene, gaussians).trace(ray, glm::vec3(0.0f)));
+}
+
 /// A faint floater before a wall does not give its name to the wall; alone, it is what the ray meets.
 TEST_F(Forward, LabelIsThatOfTheSurfaceNotOfAFloater) {
     Surfels surfels;
@@ -153,31 +198,40 @@ TEST_F(Forward, EmptySceneIsBackground) {
     EXPECT_EQ(r.depth[0], 0.0f);
 }
 
+/// Copies of some surfels of a set, each made unusable in its own way.
+Surfels poisoned_copies(const Surfels& good, float bad) {
+    const bool is_gaussian = good.primitive() == Primitive::gaussian;
+    Surfels extra = test::take(good, is_gaussian ? std::vector<std::uint32_t>{0, 1, 2, 3, 4, 5} : std::vector<std::uint32_t>{0, 1, 2, 3, 4});
+    extra.mean[0].x = bad, extra.rotation[1].y = bad, extra.log_scale[2].x = bad, extra.opacity_logit[3] = -std::abs(bad);
+    extra.sh[4 * kShFloats] = std::isfinite(bad) ? std::nanf("") : bad;
+    if (is_gaussian) extra.log_scale_w[5] = bad;
+    if (std::isnan(bad)) extra.rotation[1] = glm::vec4(0.0f);
+    return extra;
+}
+
+void expect_unharmed(Device& device, const Surfels& good, const WorldRays& rays) {
+    Surfels poisoned = good;
+    for (const float bad : {std::nanf(""), HUGE_VALF, -HUGE_VALF, 1e38f}) poisoned.append(poisoned_copies(good, bad));
+    for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
+        ImageModel model;
+        model.sh_direction = direction;
+        model.primitive = good.primitive();
+        const Rendering expected = Renderer(device, make_background_scene(good), model).trace(rays, glm::vec3(0.0f));
+        const Rendering actual = Renderer(device, make_background_scene(poisoned), model).trace(rays, glm::vec3(0.0f));
+        EXPECT_EQ(actual.hits, expected.hits);
+        EXPECT_EQ(actual.depth, expected.depth);
+        EXPECT_EQ(actual.intensity, expected.intensity);
+    }
+}
+
 TEST_F(Forward, PoisonedSurfelsNeverReachTheImage) {
     test::RandomSceneOptions options;
     options.seed = 4;
     reference::Settings settings;
     const test::RandomScene scene = test::make_random_scene(options, settings);
-    const Surfels good = test::to_surfels(scene.world.surfels);
-    Surfels poisoned = good;
-    const float nan = std::nanf(""), inf = HUGE_VALF;
-    for (const float bad : {nan, inf, -inf, 1e38f}) {
-        Surfels extra = test::take(good, {0, 1, 2, 3, 4});
-        extra.mean[0].x = bad, extra.rotation[1].y = bad, extra.log_scale[2].x = bad, extra.opacity_logit[3] = -std::abs(bad);
-        extra.sh[4 * kShFloats] = std::isfinite(bad) ? nan : bad;
-        if (std::isnan(bad)) extra.rotation[1] = glm::vec4(0.0f);
-        poisoned.append(extra);
-    }
-    const WorldRays rays = test::to_world_rays(scene.rays);
-    for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
-        ImageModel model;
-        model.sh_direction = direction;
-        const Rendering expected = Renderer(device(), make_background_scene(good), model).trace(rays, glm::vec3(0.0f));
-        const Rendering actual = Renderer(device(), make_background_scene(poisoned), model).trace(rays, glm::vec3(0.0f));
-        EXPECT_EQ(actual.hits, expected.hits);
-        EXPECT_EQ(actual.depth, expected.depth);
-        EXPECT_EQ(actual.intensity, expected.intensity);
-    }
+    Surfels good = test::to_surfels(scene.world.surfels), thick = good;
+    make_gaussians(thick, 0.5);
+    for (const Surfels& sound : {good, thick}) expect_unharmed(device(), sound, test::to_world_rays(scene.rays));
 }
 
 std::filesystem::path shared_folder() {

@@ -9,6 +9,7 @@
 #endif
 
 #include <algorithm>
+#include <cstddef>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
@@ -49,7 +50,7 @@ void check(RTCDevice device, const char* what) {
 
 bool all_finite(const FloatRecord& r) {
     const float* values = &r.mean.x;
-    static_assert(sizeof(FloatRecord) == 13 * sizeof(float));
+    static_assert(offsetof(FloatRecord, primitive) == 13 * sizeof(float));
     return std::all_of(values, values + 13, [](float x) { return std::isfinite(x); });
 }
 

@@ -55,12 +55,9 @@ ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, co
     const LocalRay<double> local = to_model(pose, ray);
     ShadedHit s{};
     s.hit = hit;
-    const glm::dvec3 normal = a.rotation[2];
-    s.t = glm::dot(normal, a.mean - local.origin) / glm::dot(normal, local.direction);   // M1
-    const glm::dvec3 p = local.origin + s.t * local.direction;
-    s.u = glm::dot(a.rotation[0], p - a.mean) / a.scale.x;
-    s.v = glm::dot(a.rotation[1], p - a.mean) / a.scale.y;
-    s.gauss = std::exp(-0.5 * (s.u * s.u + s.v * s.v));                                  // M2
+    const PlaneHit<double> met = meet(make_record(surfel), local);   // M1, M2 or M9
+    s.t = met.t, s.u = met.u, s.v = met.v, s.w = met.w;
+    s.gauss = std::exp(-0.5 * (s.u * s.u + s.v * s.v + s.w * s.w));
     const double alpha_max = double(settings.image.alpha_max);
     s.alpha_clamped = a.opacity * s.gauss > alpha_max;
     s.alpha = s.alpha_clamped ? alpha_max : a.opacity * s.gauss;

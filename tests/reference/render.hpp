@@ -38,7 +38,7 @@ struct PixelGradient {
 /// One hit with everything blending needs.
 struct ShadedHit {
     Hit hit;
-    double t, u, v;
+    double t, u, v, w;         ///< w of a 3D Gaussian, else 0
     double gauss;              ///< G
     double alpha;              ///< min(alpha_max, sigma G)
     bool alpha_clamped;        ///< sigma G > alpha_max: no gradient through alpha

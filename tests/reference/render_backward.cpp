@@ -69,7 +69,29 @@ void value_backward(const Surfel& surfel, const Settings& settings, const LocalR
     }
 }
 
-/// Opacity and geometry (M8): alpha = sigma exp(-(u^2 + v^2)/2), p = t d - q with q = mean - origin, t = n.q / n.d.
+/// Opacity and geometry of a 3D Gaussian (M9) by its precision matrix M = R diag(1 / s^2) R^T: with q = mean - origin
+///   t = d.Mq / d.Md,  p = t d - q,  alpha = sigma exp(-p.Mp / 2),  d.Mp = 0
+void gaussian_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s, const HitGradient& g, Surfel& d_surfel,
+                       LocalGradient& d_local) {
+    const Activated a = activate(surfel);
+    d_surfel.opacity_logit += g.alpha * s.gauss * a.opacity * (1.0 - a.opacity);
+    const glm::dvec3 scale(a.scale, *a.scale_w), inverse2 = 1.0 / (scale * scale), d = ray.direction, q = a.mean - ray.origin;
+    const glm::dmat3 diagonal(glm::dvec3(inverse2.x, 0, 0), glm::dvec3(0, inverse2.y, 0), glm::dvec3(0, 0, inverse2.z));
+    const glm::dmat3 precision = a.rotation * diagonal * glm::transpose(a.rotation);
+    const glm::dvec3 p = s.t * d - q;
+    const double d_r2 = -0.5 * g.alpha * a.opacity * s.gauss, e = g.t / glm::dot(d, precision * d);
+    const glm::dvec3 d_q = precision * (e * d - 2.0 * d_r2 * p);
+    d_surfel.mean += d_q;
+    d_local.origin -= d_q;
+    d_local.direction += precision * (2.0 * d_r2 * s.t * p + e * (q - 2.0 * s.t * d));
+    const glm::dmat3 d_precision = d_r2 * glm::outerProduct(p, p) - 0.5 * e * (glm::outerProduct(d, p) + glm::outerProduct(p, d));
+    d_surfel.rotation += rotation_matrix_vjp(surfel.rotation, 2.0 * d_precision * a.rotation * diagonal);
+    const auto d_log_scale = [&](int k) { return -2.0 * inverse2[k] * glm::dot(a.rotation[k], d_precision * a.rotation[k]); };
+    d_surfel.log_scale += glm::dvec2(d_log_scale(0), d_log_scale(1));
+    *d_surfel.log_scale_w += d_log_scale(2);
+}
+
+/// Opacity and geometry of a surfel (M8): alpha = sigma exp(-(u^2 + v^2)/2), p = t d - q with q = mean - origin, t = n.q / n.d.
 void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s, const HitGradient& g, Surfel& d_surfel,
                        LocalGradient& d_local) {
     const Activated a = activate(surfel);
@@ -107,7 +129,10 @@ void pose_backward(const Pose& pose, const Ray& ray, const glm::dvec3& view_orig
 }  // namespace
 
 Gradients::Gradients(const World& world) : surfels(world.surfels.size()), instances(world.instances.size()) {
-    for (Surfel& s : surfels) s.rotation = glm::dvec4(0.0);   // Surfel's default is the identity rotation
+    for (std::size_t i = 0; i < surfels.size(); ++i) {
+        surfels[i].rotation = glm::dvec4(0.0);   // Surfel's default is the identity rotation
+        if (world.surfels[i].log_scale_w) surfels[i].log_scale_w = 0.0;
+    }
 }
 
 RayGradient backward(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray, int chunk,
@@ -127,7 +152,7 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
         glm::dvec3 d_value = d_hits[i].value;
         if (settings.image.single_drop_logit) d_value[1] = 0.0;
         value_backward(surfel, settings, local, view, d_value, d_surfel, d_local);
-        geometry_backward(surfel, local, s, d_hits[i], d_surfel, d_local);
+        (surfel.log_scale_w ? gaussian_backward : geometry_backward)(surfel, local, s, d_hits[i], d_surfel, d_local);
         pose_backward(pose, ray, settings.view_origin, d_local, gradients.instances[s.hit.instance], d_ray, gradients.view_origin);
     }
     return d_ray;

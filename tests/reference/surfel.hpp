@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // One surfel in double precision, written from docs/method.md alone: activations (section 2), the real spherical
-// harmonics of degree 3, the ray-surfel intersection (M1) and its opacity (M2), each with its derivative. Part of the oracle:
+// harmonics of degree 3, the ray-surfel intersection (M1) and its opacity (M2) or the same of a 3D Gaussian (M9). Part of the oracle:
 // nothing here may include shaders/ or src/. `float_hit` is the same formula in single precision, the form a shader uses,
 // so that hit ids of any traversal can be compared exactly.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <optional>
@@ -21,16 +22,18 @@ struct Surfel {
     glm::dvec3 mean{0.0};                    ///< metres
     glm::dvec4 rotation{1.0, 0.0, 0.0, 0.0}; ///< quaternion, components in the order w, x, y, z, unnormalised
     glm::dvec2 log_scale{0.0};               ///< ln metres
+    std::optional<double> log_scale_w;       ///< ln metres along the normal: there for a 3D Gaussian
     double opacity_logit = 0.0;
     std::array<double, kShFloats> sh{};      ///< [3,16] channel-major: intensity, hit logit, drop logit
 };
 
-/// Activated values: mean, R (columns a_u, a_v, normal), (s_u, s_v) metres, sigma.
+/// Activated values: mean, R (columns a_u, a_v, normal), (s_u, s_v) metres, sigma, s_w where there is one.
 struct Activated {
     glm::dvec3 mean;
     glm::dmat3 rotation;
     glm::dvec2 scale;
     double opacity;
+    std::optional<double> scale_w;
 };
 Activated activate(const Surfel& surfel);
 
@@ -55,7 +58,8 @@ struct Record {
     Real sigma;
     glm::vec<3, Real> axis_u;   ///< a_u / s_u
     glm::vec<3, Real> axis_v;   ///< a_v / s_v
-    glm::vec<3, Real> normal;
+    glm::vec<3, Real> normal;   ///< of a 3D Gaussian a_w / s_w
+    Primitive primitive = Primitive::surfel;
 };
 using FloatRecord = Record<float>;
 using DoubleRecord = Record<double>;
@@ -88,29 +92,51 @@ LocalRay<float> to_model(const FloatRows& model_from_world, const glm::vec3& ori
 template <typename Real>
 struct PlaneHit {
     Real t;
-    Real u, v;    ///< standard deviations from the mean along a_u, a_v
-    Real alpha;   ///< sigma * G, not yet clamped to alpha_max
+    Real u, v, w;   ///< standard deviations from the mean along a_u, a_v, and for a 3D Gaussian a_w
+    Real alpha;     ///< sigma * G, not yet clamped to alpha_max
 };
 
-/// M1 and M2: where and how strongly a ray meets a surfel; nothing where it does not. The one formula of every provider:
-///   hit if denom != 0, t finite, t > near, sigma * exp(-r2 / 2) >= alpha_min, record finite, sigma > alpha_min
+/// M1 and M2: the ray and the surfel's plane. @return t not finite where they are parallel
 template <typename Real>
-std::optional<PlaneHit<Real>> surfel_hit(const Record<Real>& s, const LocalRay<Real>& ray, const ImageModel& model) {
+PlaneHit<Real> meet_surfel(const Record<Real>& s, const LocalRay<Real>& ray) {
     const glm::vec<3, Real> to_mean = s.mean - ray.origin;
-    const Real denom = glm::dot(s.normal, ray.direction);
-    if (denom == Real(0)) return std::nullopt;
-    const Real t = glm::dot(s.normal, to_mean) / denom;
-    if (!std::isfinite(t) || !(t > Real(model.near_m))) return std::nullopt;
+    const Real t = glm::dot(s.normal, to_mean) / glm::dot(s.normal, ray.direction);
     const glm::vec<3, Real> p = t * ray.direction - to_mean;
     const Real u = glm::dot(s.axis_u, p);
     const Real v = glm::dot(s.axis_v, p);
-    const Real r2 = u * u + v * v;
-    const Real alpha = s.sigma * std::exp(Real(-0.5) * r2);
-    if (!(alpha >= Real(model.alpha_min))) return std::nullopt;   // also where r2 is NaN
+    return {t, u, v, Real(0), s.sigma * std::exp(Real(-0.5) * (u * u + v * v))};
+}
+
+/// M9: the point of largest density, and what rounding leaves of the way to it.
+template <typename Real>
+PlaneHit<Real> meet_gaussian(const Record<Real>& s, const LocalRay<Real>& ray) {
+    using Vector = glm::vec<3, Real>;
+    const auto whitened = [&](const Vector& x) { return Vector(glm::dot(s.axis_u, x), glm::dot(s.axis_v, x), glm::dot(s.normal, x)); };
+    const Vector to_mean = s.mean - ray.origin, b = whitened(ray.direction);
+    const Real length2 = glm::dot(b, b), t = glm::dot(whitened(to_mean), b) / length2;
+    const Vector q = whitened(t * ray.direction - to_mean);
+    const Real forgiven = Real(5e-5), off = glm::dot(q, b) / length2;
+    const Vector r = q - std::min(std::max(off, -forgiven), forgiven) * b;
+    return {t, r.x, r.y, r.z, s.sigma * std::exp(Real(-0.5) * glm::dot(r, r))};
+}
+
+/// Where and how strongly a ray meets a primitive, whatever the cuts.
+template <typename Real>
+PlaneHit<Real> meet(const Record<Real>& s, const LocalRay<Real>& ray) {
+    return s.primitive == Primitive::gaussian ? meet_gaussian(s, ray) : meet_surfel(s, ray);
+}
+
+/// M1 and M2, or M9: where and how strongly a ray meets a surfel; nothing where it does not. The one formula of every provider:
+///   hit if t is finite (it is not along a surfel's plane), t > near, sigma * exp(-r2 / 2) >= alpha_min, record finite, sigma > alpha_min
+template <typename Real>
+std::optional<PlaneHit<Real>> surfel_hit(const Record<Real>& s, const LocalRay<Real>& ray, const ImageModel& model) {
+    const PlaneHit<Real> hit = meet(s, ray);
+    if (!std::isfinite(hit.t) || !(hit.t > Real(model.near_m))) return std::nullopt;
+    if (!(hit.alpha >= Real(model.alpha_min))) return std::nullopt;   // also where it is NaN
     const auto finite = [](const glm::vec<3, Real>& x) { return std::isfinite(x.x) && std::isfinite(x.y) && std::isfinite(x.z); };
     if (!finite(s.mean) || !finite(s.axis_u) || !finite(s.axis_v) || !finite(s.normal)) return std::nullopt;
     if (!std::isfinite(s.sigma) || !(s.sigma > Real(model.alpha_min))) return std::nullopt;
-    return PlaneHit<Real>{t, u, v, alpha};
+    return hit;
 }
 
 std::optional<PlaneHit<float>> float_hit(const FloatRecord& record, const LocalRay<float>& ray, const ImageModel& model);

@@ -117,10 +117,10 @@ private:
 /// Boxes of all surfels, in their models' frames.
 std::vector<Box> surfel_boxes(Device& device, const DeviceScene& scene) {
     Stream stream(device);
-    const Kernel<shared::ProxyParams> proxies(device, "accel/proxies", {{2u, 1u}});
+    const Kernel<shared::ProxyParams> proxies(device, "accel/proxies", {{2u, 1u}, {9u, scene.primitive() == Primitive::gaussian ? 1u : 0u}});
     const Array<float> boxes(device, 6 * std::size_t(scene.size()), "boxes");
     const AccelOptions margin;
-    run(stream, proxies, scene.size(), {scene.records().address(), boxes.address(), boxes.address(), scene.alpha_min(), margin.margin_m, margin.margin_scale, scene.size()});
+    run(stream, proxies, scene.size(), {scene.records().address(), boxes.address(), boxes.address(), 0, scene.alpha_min(), margin.margin_m, margin.margin_scale, scene.size()});
     stream.finish();
     const std::vector<float> values = boxes.download();
     std::vector<Box> result;

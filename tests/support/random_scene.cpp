@@ -39,6 +39,7 @@ reference::Surfel random_surfel(Random& random, const glm::dvec3& low, const glm
     s.log_scale = {size + stretch, size - stretch};
     const double opacity = uniform(random, options.opacity_low, options.opacity_high);
     s.opacity_logit = std::log(opacity / (1.0 - opacity));
+    if (options.primitive == Primitive::gaussian) s.log_scale_w = size + uniform(random, std::log(0.2), std::log(1.5));
     for (int k = 0; k < kShFloats; ++k) s.sh[k] = (k % kShCoefficients == 0 ? 0.8 : 0.15) * normal(random);
     return s;
 }
@@ -47,11 +48,10 @@ reference::Surfel random_surfel(Random& random, const glm::dvec3& low, const glm
 bool surfel_is_smooth(const reference::Surfel& surfel, const reference::Ray& ray, const reference::LocalRay<double>& local,
                       const reference::Settings& settings, const Margins& m) {
     const reference::DoubleRecord r = reference::make_record(surfel);
-    const double facing = glm::dot(r.normal, local.direction) / glm::length(ray.direction);
-    const double t = glm::dot(r.normal, r.mean - local.origin) / glm::dot(r.normal, local.direction);
-    const glm::dvec3 p = local.origin + t * local.direction - r.mean;
-    const double log_gauss = -0.5 * (std::pow(glm::dot(r.axis_u, p), 2) + std::pow(glm::dot(r.axis_v, p), 2));
-    const double log_alpha = std::log(r.sigma) + log_gauss;
+    const bool is_flat = r.primitive == Primitive::surfel;
+    const double facing = is_flat ? glm::dot(r.normal, local.direction) / glm::length(ray.direction) : 1.0;
+    const reference::PlaneHit<double> met = reference::meet(r, local);
+    const double t = met.t, log_alpha = std::log(r.sigma) - 0.5 * (met.u * met.u + met.v * met.v + met.w * met.w);
     if (std::abs(log_alpha - std::log(double(settings.image.alpha_min))) < m.log_alpha) return false;
     if (std::abs(log_alpha - std::log(double(settings.image.alpha_max))) < m.log_clamp) return false;
     if (log_alpha < std::log(double(settings.image.alpha_min))) return true;   // skipped: the rest cannot matter
@@ -83,6 +83,7 @@ RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
     for (int i = 0; i < options.actor_surfels; ++i) surfels.push_back(random_surfel(random, {-1, -0.5, -0.5}, {1, 0.5, 0.5}, options));
     for (int i = 0; i < options.wide_surfels; ++i) {
         surfels[std::size_t(i)].log_scale = glm::dvec2(std::log(4.0));
+        if (options.primitive == Primitive::gaussian) surfels[std::size_t(i)].log_scale_w = std::log(0.5);
         surfels[std::size_t(i)].mean = {3.0 + 2.0 * i, 0.0, 0.0};
         surfels[std::size_t(i)].opacity_logit = std::log(0.997 / 0.003);
     }

@@ -19,6 +19,7 @@ struct RandomSceneOptions {
     int wide_surfels = 0;          ///< of the background: at 3, 5, ... m, 4 m wide, opacity 0.997, so that alpha clamps
     int rays = 24;
     double opacity_low = 0.05, opacity_high = 0.6;
+    Primitive primitive = Primitive::surfel;
 };
 
 /// What must hold between every ray and every surfel, and along every ray.

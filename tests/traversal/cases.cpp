@@ -194,6 +194,44 @@ TraversalCase street_case(const Surfels& street, const RayTable& rays, double ra
     return c;
 }
 
+TraversalCase as_gaussians(TraversalCase c, std::uint64_t seed) {
+    Random random(seed);
+    constexpr float kNan = std::numeric_limits<float>::quiet_NaN(), kInfinity = std::numeric_limits<float>::infinity();
+    const float unusable[] = {kNan, -kInfinity, -800.0f};   // the last: 1 / s overflows
+    for (std::size_t i = 0; i < c.surfels.mean.size(); ++i) {
+        const auto thickness = static_cast<float>(uniform(random, std::log(0.03), std::log(0.5)));
+        c.surfels.log_scale_w.push_back(i % 20 == 19 ? unusable[i / 20 % 3] : thickness);
+    }
+    c.name += " as 3D Gaussians";
+    return c;
+}
+
+TraversalCase crowded_case(std::uint64_t seed, int n_gaussians, int n_rays) {
+    Random random(seed);
+    std::vector<Surfel> surfels;
+    for (int i = 0; i < n_gaussians; ++i) {
+        Surfel s = random_surfel(random, 4.0);
+        s.log_scale += std::log(6.0);
+        s.log_scale_w = uniform(random, std::log(0.2), std::log(3.0));
+        if (i % 4 == 0) s.log_scale_w = uniform(random, std::log(1e-5), std::log(1e-3));
+        if (i % 8 == 1) s.log_scale = glm::dvec2(uniform(random, std::log(1e-3), std::log(1e-2)));
+        surfels.push_back(s);
+    }
+    TraversalCase c{"crowded 3D Gaussians", to_surfels(surfels), {}, {}};
+    c.instances = {{0, std::uint32_t(n_gaussians), {}}, {0, std::uint32_t(n_gaussians / 2), {glm::angleAxis(0.8, unit_vector(random)), {0.5, -0.3, 0.2}}}};
+    for (int i = 0; i < n_rays; ++i) add_ray(c, uniform_point(random, 5.0), unit_vector(random));
+    return c;
+}
+
+std::vector<TraversalCase> gaussian_cases(std::uint64_t seed, int n_rays) {
+    std::vector<TraversalCase> cases;
+    for (const TraversalCase& c : {empty_case(), single_case(), equal_depth_case(), long_list_case(), degenerate_case(), outline_case(seed, n_rays), grazing_case(seed + 1, n_rays),
+                                   random_case(seed + 2, 400, n_rays)})
+        cases.push_back(as_gaussians(c, seed + 3));
+    cases.push_back(crowded_case(seed + 4, 120, n_rays));
+    return cases;
+}
+
 std::vector<TraversalCase> conformance_cases(std::uint64_t seed, int n_rays) {
     return {empty_case(),           single_case(),     equal_depth_case(),
             long_list_case(),       degenerate_case(), outline_case(seed, n_rays),

@@ -43,7 +43,15 @@ TraversalCase random_case(std::uint64_t seed, int n_surfels, int n_rays);
 /// Surfels of the benchmark street within `radius_m` of the sensor, and every `stride`-th of its rays.
 TraversalCase street_case(const Surfels& street, const RayTable& rays, double radius_m, int stride);
 
-/// All but street_case, at sizes that take seconds on a slow device.
+/// The same surfels as 3D Gaussians, 0.03 to 0.5 m thick; in one of twenty the thickness is not usable.
+TraversalCase as_gaussians(TraversalCase c, std::uint64_t seed);
+/// 3D Gaussians larger than the distances between them: rays begin inside of many, and proxies begin before one chunk and end behind the
+/// next. With them needles and discs, 1 to 1000 and more between their axes.
+TraversalCase crowded_case(std::uint64_t seed, int n_gaussians, int n_rays);
+/// 3D Gaussians, at sizes that take seconds on a slow device.
+std::vector<TraversalCase> gaussian_cases(std::uint64_t seed, int n_rays);
+
+/// All surfels but street_case, at sizes that take seconds on a slow device.
 std::vector<TraversalCase> conformance_cases(std::uint64_t seed, int n_rays);
 
 }  // namespace relidar::test

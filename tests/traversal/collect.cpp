@@ -8,7 +8,7 @@
 namespace relidar::test {
 
 shared::TraceScene to_trace_scene(const DeviceScene& scene, const ImageModel& model, const AccelAddresses& a) {
-    return {a.tlas, {a.nodes, a.order, a.roots, a.top_nodes, a.top_order}, 0, scene.records().address(), scene.instances_address(), scene.parameters().sh.address(), 0, 0,
+    return {a.tlas, a.reach, {a.nodes, a.order, a.roots, a.top_nodes, a.top_order}, 0, scene.records().address(), scene.instances_address(), scene.parameters().sh.address(), 0, 0,
             model.near_m, model.alpha_min, model.alpha_max, model.transmittance_min, static_cast<std::uint32_t>(scene.layout().instances.size()),
             static_cast<std::uint32_t>(model.sh_degree), 0, 0, 1, 0};
 }

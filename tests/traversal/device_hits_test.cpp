@@ -15,8 +15,11 @@ class DeviceHits : public test::DeviceHits {
 protected:
     CollectedHits collect(const TraversalCase& c, const AccelOptions& accel, const TraceOptions& trace) {
         const test::SceneAndPoses placed = test::to_scene(c.surfels, c.instances);
-        return test::in_world(collect_hits(device(), {&placed.scene, placed.world_from_instance, {}, accel, trace}, c.rays, kMaxHits), placed);
+        ImageModel model;
+        model.primitive = c.surfels.primitive();
+        return test::in_world(collect_hits(device(), {&placed.scene, placed.world_from_instance, model, accel, trace}, c.rays, kMaxHits), placed);
     }
+    void expect_conformance(const std::vector<TraversalCase>& cases);
 };
 
 struct Setting {
@@ -32,8 +35,8 @@ std::vector<Setting> providers(const Device& device, int chunk) {
     return {{"triangles", {.proxy = Proxy::triangles}, {.chunk = chunk}}, {"boxes", {.proxy = Proxy::boxes}, {.chunk = chunk}}, brute};
 }
 
-TEST_F(DeviceHits, ConformanceCases) {
-    for (const TraversalCase& c : test::conformance_cases(11, 1000)) {
+void DeviceHits::expect_conformance(const std::vector<TraversalCase>& cases) {
+    for (const TraversalCase& c : cases) {
         const reference::BruteForce brute(test::to_world(c), {}, reference::Precision::float_record);
         for (const int chunk : {1, 5, 32})
             for (const Setting& s : providers(device(), chunk)) {
@@ -43,8 +46,14 @@ TEST_F(DeviceHits, ConformanceCases) {
     }
 }
 
-TEST_F(DeviceHits, ChunkSizeDoesNotMatter) {
-    const TraversalCase c = test::random_case(5, 400, 2000);
+TEST_F(DeviceHits, ConformanceCases) { expect_conformance(test::conformance_cases(11, 1000)); }
+TEST_F(DeviceHits, ConformanceCasesOfGaussians) { expect_conformance(test::gaussian_cases(13, 500)); }
+
+class ChunkSize : public DeviceHits, public testing::WithParamInterface<Primitive> {};
+INSTANTIATE_TEST_SUITE_P(Primitives, ChunkSize, testing::Values(Primitive::surfel, Primitive::gaussian));
+
+TEST_P(ChunkSize, DoesNotMatter) {
+    const TraversalCase c = GetParam() == Primitive::gaussian ? test::crowded_case(6, 100, 500) : test::random_case(5, 400, 2000);
     const CollectedHits expected = collect(c, {}, {.chunk = 64});
     for (const int chunk : {1, 2, 5, 8, 24, 32})
         for (const Setting& s : providers(device(), chunk)) {

@@ -30,16 +30,15 @@ void add_error(HitDifferences& d, const std::string& message) {
 bool on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray, const reference::Hit& hit) {
     const reference::DoubleRecord r = reference::make_record(world.surfels[hit.surfel]);
     const auto local = reference::to_model(world.instances[hit.instance].world_from_model, ray);
-    const double facing = glm::dot(r.normal, local.direction);
-    const double t = glm::dot(r.normal, r.mean - local.origin) / facing;
-    const glm::dvec3 p = local.origin + t * local.direction - r.mean;
-    const glm::dvec2 uv(glm::dot(r.axis_u, p), glm::dot(r.axis_v, p));
-    const glm::dvec2 slope(glm::dot(r.axis_u, local.direction), glm::dot(r.axis_v, local.direction));
-    const double size_m = glm::length(ray.origin) + glm::length(r.mean) + glm::length(r.mean - local.origin) + std::abs(t);
-    const double t_error = 4e-7 * size_m / std::abs(facing);
-    const double log_alpha = std::log(r.sigma) - 0.5 * glm::dot(uv, uv);
-    const double uv_error = glm::length(slope) * t_error + 4e-7 * size_m * (glm::length(r.axis_u) + glm::length(r.axis_v));
-    const bool at_cut = !(std::abs(log_alpha - std::log(double(model.alpha_min))) > 1e-5 + glm::length(uv) * uv_error);   // NaN: yes
+    const reference::PlaneHit<double> met = reference::meet(r, local);
+    const glm::dvec3 uvw(met.u, met.v, met.w), along(glm::dot(r.axis_u, local.direction), glm::dot(r.axis_v, local.direction), glm::dot(r.normal, local.direction));
+    const double t = met.t, size_m = glm::length(ray.origin) + glm::length(r.mean) + glm::length(r.mean - local.origin) + std::abs(t);
+    const double of_axes = 4e-7 * size_m * (glm::length(r.axis_u) + glm::length(r.axis_v) + glm::length(r.normal));   // of a point, in standard deviations
+    const bool is_flat = r.primitive == Primitive::surfel;
+    const double t_error = is_flat ? 4e-7 * size_m / std::abs(along.z) : of_axes / glm::length(along);
+    const double log_alpha = std::log(r.sigma) - 0.5 * glm::dot(uvw, uvw);
+    const double uvw_error = of_axes + (is_flat ? glm::length(glm::dvec2(along)) * t_error : 0.0);   // density does not change along a ray where it is largest
+    const bool at_cut = !(std::abs(log_alpha - std::log(double(model.alpha_min))) > 1e-5 + (glm::length(uvw) + (is_flat ? 0.0 : uvw_error)) * uvw_error);   // NaN: yes
     const bool at_near = !(std::abs(t - double(model.near_m)) > t_error);
     return at_cut || at_near;
 }

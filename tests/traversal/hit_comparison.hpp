@@ -28,7 +28,7 @@ void compare_hits(const reference::World& world, const ImageModel& model, const 
                   const std::vector<reference::Hit>& expected, const std::vector<reference::Hit>& actual, HitDifferences& differences);
 
 /// Whether single precision can decide either way about a surfel: |ln(alpha / alpha_min)| or |t - near| within the rounding of the
-/// plane hit, which grows as 1 / |n . d|.
+/// plane hit, which grows as 1 / |n . d|; of a 3D Gaussian, within that of a point in standard deviations.
 bool on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray, const reference::Hit& hit);
 
 }  // namespace relidar::test

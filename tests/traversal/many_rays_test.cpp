@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Many random rays over instances, ties and surfels that must never be hit, through a build, refits and a rebuild: the device's providers
-// give the very hits of its brute force, and Embree's. 10^4 rays a state; RELIDAR_MANY_RAYS=1000000 asks for more.
+// give the very hits of its brute force, and the host's (Embree's for surfels). 10^4 rays a state; RELIDAR_MANY_RAYS=1000000 asks for more.
 #include <cstdio>
 #include <cstdlib>
 #include <limits>
@@ -41,10 +41,11 @@ void disturb(Surfels& s, std::mt19937& random) {
         s.mean[i] += 0.3f * glm::vec3(normal(random), normal(random), normal(random));
         s.rotation[i] += 0.2f * glm::vec4(normal(random), normal(random), normal(random), normal(random));
         s.log_scale[i] += 0.2f * glm::vec2(normal(random), normal(random));
+        if (s.primitive() == Primitive::gaussian) s.log_scale_w[i] += 0.2f * normal(random);
     }
 }
 
-class ManyRays : public test::DeviceHits {
+class ManyRays : public test::DeviceHits, public testing::WithParamInterface<Primitive> {
 protected:
     TraversalCase case_ = test::random_case(20261120, 900, many());
     test::SceneAndPoses placed_;
@@ -52,7 +53,9 @@ protected:
 
     void SetUp() override {
         DeviceHits::SetUp();
+        if (GetParam() == Primitive::gaussian) case_ = test::as_gaussians(test::random_case(20261123, 450, many()), 3);
         spoil(case_.surfels);
+        model_.primitive = GetParam();
         placed_ = test::to_scene(case_.surfels, case_.instances);
     }
 
@@ -70,14 +73,18 @@ protected:
             for (std::size_t i = 0; i < case_.rays.size(); ++i) n_different += test::hits_of(found, i) != test::hits_of(brute, i);
             EXPECT_EQ(n_different, 0u) << state << (walk == Walk::lane ? ", lane" : ", subgroup") << ": rays whose hits differ from brute force";
         }
-        const reference::EmbreeFilter embree(test::to_world(case_), {});
-        const test::HitDifferences d = compare(case_, embree, brute);
-        std::printf("%s\n", d.summary(state + ", against Embree").c_str());
+        std::unique_ptr<reference::HitProvider> host;   // Embree knows rectangles alone
+        if (GetParam() == Primitive::gaussian) host = std::make_unique<reference::BruteForce>(test::to_world(case_), model_, reference::Precision::float_record);
+        else host = std::make_unique<reference::EmbreeFilter>(test::to_world(case_), model_);
+        const test::HitDifferences d = compare(case_, *host, brute);
+        std::printf("%s\n", d.summary(state + ", against the host").c_str());
         expect_equal(case_, d, state);
     }
 };
 
-TEST_F(ManyRays, AgreeAfterBuildRefitAndRebuild) {
+INSTANTIATE_TEST_SUITE_P(Primitives, ManyRays, testing::Values(Primitive::surfel, Primitive::gaussian));
+
+TEST_P(ManyRays, AgreeAfterBuildRefitAndRebuild) {
     Stream stream(device());
     DeviceScene scene(device(), placed_.scene);
     scene.set_poses(placed_.world_from_instance);

@@ -16,20 +16,23 @@ protected:
         Stream stream(device());
         DeviceScene scene(device(), placed.scene);
         scene.set_poses(placed.world_from_instance);
-        const ImageModel model;
+        ImageModel model;
+        model.primitive = c.surfels.primitive();
         scene.activate(stream, model, glm::vec3(0.0f));
         stream.finish();
         const test::HostBvh bvh(device(), scene);
         const shared::BvhPointers p = bvh.pointers();
         const AccelAddresses addresses{0, p.nodes.value, p.order.value, p.roots.value, p.top_nodes.value, p.top_order.value};
         const shared::TraceScene trace = test::to_trace_scene(scene, model, addresses);
-        return test::in_world(test::collect(device(), "traversal/collect_hits@software_bvh", {{1u, chunk}, {4u, packet}}, trace, c.rays, test::kMaxHits), placed);
+        return test::in_world(test::collect(device(), "traversal/collect_hits@software_bvh", {{1u, chunk}, {4u, packet}, {9u, c.surfels.primitive() == Primitive::gaussian ? 1u : 0u}}, trace, c.rays, test::kMaxHits), placed);
     }
 };
 
 TEST_F(SoftwareWalk, ConformanceCases) {
     if (device().traversal() != Traversal::software) GTEST_SKIP() << "the software traversal's own";
-    for (const TraversalCase& c : test::conformance_cases(21, 1000)) {
+    std::vector<TraversalCase> cases = test::conformance_cases(21, 1000);
+    cases.push_back(test::crowded_case(22, 120, 500));
+    for (const TraversalCase& c : cases) {
         const reference::BruteForce brute(test::to_world(c), {}, reference::Precision::float_record);
         for (const std::uint32_t chunk : {1u, 5u, 16u, 64u})
             for (const std::uint32_t packet : {0u, 1u})

@@ -68,7 +68,7 @@ struct TrainingState {
 
     TrainingState(Device& device, const BenchCase& bench, const DeviceScene& scene, Proxy proxy, const std::vector<DeviceTarget>& wanted)
         : gradients(device, scene),
-          adam(device, static_cast<std::uint32_t>(bench.scene.surfels.size()), {.only_touched = bench.config.train.only_touched}),
+          adam(device, static_cast<std::uint32_t>(bench.scene.surfels.size()), {.only_touched = bench.config.train.only_touched}, scene.primitive()),
           allocated_with_moments(device.allocated_bytes()),
           loss(device, bench.config.loss),
           backward(device, bench.config.image, proxy, trace_options(bench.config), backward_options(bench.config)),

@@ -134,6 +134,7 @@ RunSummary summarise(const Run& run) {
     summary.preset = run.config.preset;
     summary.iterations = run.config.train.iterations;
     summary.n_surfels = run.scene.surfels.size();
+    summary.is_gaussian = run.scene.surfels.primitive() == Primitive::gaussian;
     summary.n_instances = run.scene.instances.size();
     summary.edits = run.edits;
     for (BoxSummary& box : summary.log.boxes) {
@@ -156,7 +157,7 @@ RunSummary summarise(const Run& run) {
 std::string to_text(const LogSummary& log) { return text_of(log, false); }
 
 std::string to_text(const RunSummary& run) {
-    std::string text = line("surfels", fmt::format("{}", run.n_surfels));
+    std::string text = line("surfels", fmt::format("{}{}", run.n_surfels, run.is_gaussian ? " 3D Gaussians" : ""));
     for (const auto& [name, count] : run.models) text += line("  model", fmt::format("{}: {} surfels", name, count));
     text += line("instances", fmt::format("{}, the background is 0", run.n_instances));
     for (const RunEdit& e : run.edits) text += line("  edit", fmt::format("{} (of {})", e.edit, e.run));
@@ -170,7 +171,7 @@ std::string to_text(const RunSummary& run) {
 std::string to_json(const LogSummary& log) { return dumped(json_of(log)); }
 
 std::string to_json(const RunSummary& run) {
-    Json json = {{"preset", run.preset}, {"iterations", run.iterations}, {"surfels", run.n_surfels}, {"models", Json::array()},
+    Json json = {{"preset", run.preset}, {"iterations", run.iterations}, {"surfels", run.n_surfels}, {"primitive", run.is_gaussian ? "gaussian" : "surfel"}, {"models", Json::array()},
                  {"train_frames", run.n_train}, {"test_frames", run.test_frames}, {"files", Json::object()}, {"log", json_of(run.log)}};
     for (const auto& [name, count] : run.models) json["models"].push_back({{"name", name}, {"surfels", count}});
     json["instances"] = run.n_instances;

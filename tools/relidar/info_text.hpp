@@ -48,6 +48,7 @@ struct RunSummary {
     std::string preset;
     int iterations = 0;
     std::size_t n_surfels = 0;
+    bool is_gaussian = false;                                        ///< they are 3D Gaussians
     std::vector<std::pair<std::string, std::size_t>> models;         ///< name, surfels
     std::size_t n_instances = 0;
     std::vector<RunEdit> edits;

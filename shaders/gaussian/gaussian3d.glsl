@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+// Where a ray meets a 3D Gaussian (M9): at the point of largest density along it, the nearest to the mean in the frame whose unit is the
+// standard deviation, the rows A = (a_u / s_u, a_v / s_v, a_w / s_w) of the record. With a = A (mean - o), b = A d:
+//   t = a.b / b.b,  q = A (o + t d - mean),  G = exp(-|q|^2 / 2)
+// and its derivative. As for surfels, q is computed from t as it was rounded: the point at t lies in the ellipsoid of alpha >= alpha_min and
+// so in every proxy of it, which is why no traversal loses it. What rounding leaves of q along b, where density does not change, is taken
+// out for at most kForgiven_m along the ray, half of the proxies' margin: without it the rounding of 50 m, some 3e-6 m, would be noise in
+// the opacity of Gaussians thinner than 1e-4 m.
+#ifndef RELIDAR_INCLUDED_GAUSSIAN_GAUSSIAN3D_GLSL
+#define RELIDAR_INCLUDED_GAUSSIAN_GAUSSIAN3D_GLSL
+
+const float kForgiven_m = 5e-5;
+
+/// A vector in standard deviations.
+vec3 whitened(SurfelRecord s, vec3 v) { return vec3(exact_dot(s.axis_u, v), exact_dot(s.axis_v, v), exact_dot(s.normal, v)); }
+
+/// @param origin, direction  ray in the model frame, m; direction of unit length
+/// @return false where anything is not finite
+bool intersect_gaussian(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {
+    precise vec3 to_mean = s.mean - origin;
+    vec3 b = whitened(s, direction);
+    float length2 = exact_dot(b, b);
+    precise float t = exact_dot(whitened(s, to_mean), b) / length2;
+    precise vec3 p = t * direction - to_mean;
+    vec3 q = whitened(s, p);
+    precise float off = clamp(exact_dot(q, b) / length2, -kForgiven_m, kForgiven_m);
+    precise vec3 at_rest = q - off * b;
+    hit.t = t;
+    hit.u = at_rest.x;
+    hit.v = at_rest.y;
+    hit.w = at_rest.z;
+    hit.alpha = s.opacity * exp(-0.5 * exact_dot(at_rest, at_rest));
+    return length2 > 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
+}
+
+/// With q = A p, p = o + t d - mean at right angles to b: |q|^2 does not change with t, so
+///   dL/dq = -dL/dalpha alpha q as if t stood still, and dt = (b . da + (q - t b) . db) / b.b with a = -q + t b.
+/// @param d_t      dL/dt at fixed alpha
+/// @param d_alpha  dL/d(sigma G); 0 where alpha was clamped
+SurfelHitGradient intersect_gaussian_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit, float d_t, float d_alpha) {
+    SurfelHitGradient g;
+    vec3 q = vec3(hit.u, hit.v, hit.w);
+    vec3 p = hit.t * direction - (s.mean - origin);
+    vec3 b = whitened(s, direction);
+    float e = d_t / dot(b, b);
+    vec3 d_point = -d_alpha * hit.alpha * q - e * b;   // dL/d(A (o - mean))
+    vec3 d_mean = -(d_point.x * s.axis_u + d_point.y * s.axis_v + d_point.z * s.normal);
+    g.d_mean = d_mean;
+    g.d_axis_u = d_point.x * p - e * q.x * direction;
+    g.d_axis_v = d_point.y * p - e * q.y * direction;
+    g.d_normal = d_point.z * p - e * q.z * direction;
+    g.d_opacity = d_alpha * hit.alpha / s.opacity;
+    g.d_origin = -d_mean;
+    g.d_direction = -hit.t * d_mean - e * (q.x * s.axis_u + q.y * s.axis_v + q.z * s.normal);
+    return g;
+}
+#endif
