@@ -33,8 +33,8 @@ bool intersect_gaussian(SurfelRecord s, vec3 origin, vec3 direction, out SurfelH
     return length2 > 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
 
-/// With q = A p, p = o + t d - mean at right angles to b: |q|^2 does not change with t, so
-///   dL/dq = -dL/dalpha alpha q as if t stood still, and dt = (b . da + (q - t b) . db) / b.b with a = -q + t b.
+/// q is at right angles to b, so |q|^2 does not change with t:
+///   dalpha = -alpha q . dq as if t stood still,  dt = (b . da - (q + t b) . db) / b.b
 /// @param d_t      dL/dt at fixed alpha
 /// @param d_alpha  dL/d(sigma G); 0 where alpha was clamped
 SurfelHitGradient intersect_gaussian_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit, float d_t, float d_alpha) {

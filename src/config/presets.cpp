@@ -48,6 +48,7 @@ Config standard() {
     config.init.drop_logit = -0.5;
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
+    config.init.thickness = 0.05;                      // 3D Gaussians, street of `demo`, 150 steps: median range error 9.3 mm as with surfels; 0.2: 10.7 mm, spheres: 44 mm
     config.init.actor_classes = "Car,Van,Truck,Tram,Cyclist";   // a cyclist as a rigid body beats a hole in the scan
     config.image.sh_direction = ShDirection::surfel;   // 48 coefficients a surfel and frame instead of a hit
     config.image.transmittance_min = 1e-3f;

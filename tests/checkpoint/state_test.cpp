@@ -77,5 +77,23 @@ TEST_F(DeviceState, SurfelsAndArraysComeBack) {
     EXPECT_NE(data_error([&] { read.surfels("parameters"); }).find("array parameters/rotation: missing"), std::string::npos);
 }
 
+TEST_F(DeviceState, GaussiansComeBackAndNothingElseInTheirPlace) {
+    constexpr std::uint32_t n = 5;
+    Surfels gaussians = example_surfels(n);
+    make_gaussians(gaussians, 0.3);
+    SurfelArrays arrays(device(), n, "state", Primitive::gaussian), back(device(), n, "state read back", Primitive::gaussian), of_surfels(device(), n, "surfels");
+    arrays.upload(gaussians);
+    Checkpoint checkpoint;
+    StateWriter{checkpoint}("parameters", arrays);
+    const StateReader read(checkpoint);
+    read("parameters", back);
+    EXPECT_EQ(back.download().log_scale_w, gaussians.log_scale_w);
+    EXPECT_EQ(read.surfels("parameters").log_scale_w, gaussians.log_scale_w);
+    data_error([&] { read("parameters", of_surfels); });
+    checkpoint.arrays.pop_back();
+    EXPECT_EQ(read.surfels("parameters").primitive(), Primitive::surfel);
+    data_error([&] { read("parameters", back); });
+}
+
 }  // namespace
 }  // namespace relidar

@@ -36,7 +36,7 @@ struct Case {
     Surfels moment1, moment2;
 
     Case(Device& device, Scene initial, const DensifyOptions& o, bool with_poison = false)
-        : scene(std::move(initial)), device_scene(device, scene), adam(device, std::uint32_t(scene.surfels.size()), {}), options(o),
+        : scene(std::move(initial)), device_scene(device, scene), adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive()), options(o),
           densifier(device, scene, options, kAlphaMin, kFrames, kSeed), stream(device) {
         if (with_poison) test::poison(scene.surfels);
         device_scene.parameters().upload(scene.surfels);
@@ -125,19 +125,22 @@ void expect_values(const Case& c, const Row& row, const Surfels& now, std::size_
     EXPECT_TRUE(same_bits(&now.sh[i * kShFloats], &was.sh[row.source * kShFloats], kShFloats));
     EXPECT_EQ(now.rotation[i], was.rotation[row.source]);
     if (row.fate == Fate::split) {
-        s.mean = reference::point_of(s, reference::random_normal2(key, std::uint32_t(i), 2));
+        s.mean = reference::point_of(s, reference::random_normal2(key, std::uint32_t(i), 2), reference::random_normal2(key, std::uint32_t(i), 3).x);
         s.scale /= 1.6;
+        if (s.scale_w) *s.scale_w /= 1.6;
     } else if (row.fate == Fate::share) {
         const reference::SharedSurfel shared = reference::share(s.opacity, int(row.n));
         s.opacity = std::max(shared.opacity, std::max(c.options.min_opacity, double(kAlphaMin)));
         s.scale *= shared.scale_factor;
+        if (s.scale_w) *s.scale_w *= shared.scale_factor;
     } else {
         EXPECT_EQ(now.mean[i], was.mean[row.source]);
         EXPECT_EQ(now.log_scale[i], was.log_scale[row.source]);
         EXPECT_EQ(now.opacity_logit[i], was.opacity_logit[row.source]);
     }
     const reference::DensifiedSurfel actual = test::densified(now, i);
-    EXPECT_LT(glm::length(actual.mean - s.mean), 2e-5 * (glm::length(s.mean) + s.scale.x + s.scale.y));
+    EXPECT_LT(glm::length(actual.mean - s.mean), 2e-5 * (glm::length(s.mean) + s.scale.x + s.scale.y + s.scale_w.value_or(0.0)));
+    EXPECT_NEAR(actual.scale_w.value_or(1.0) / s.scale_w.value_or(1.0), 1.0, 2e-4);
     EXPECT_LT(glm::length(actual.scale / s.scale - 1.0), 2e-4);
     EXPECT_NEAR(actual.opacity / s.opacity, 1.0, 1e-4);
 }
@@ -155,6 +158,7 @@ void expect_state(Case& c, const std::vector<Row>& rows) {
         ASSERT_EQ(m1.mean[i], fresh ? glm::vec3(0.0f) : c.moment1.mean[from]);
         ASSERT_EQ(m2.rotation[i], fresh ? glm::vec4(0.0f) : c.moment2.rotation[from]);
         ASSERT_EQ(m1.log_scale[i], fresh ? glm::vec2(0.0f) : c.moment1.log_scale[from]);
+        if (m1.primitive() == Primitive::gaussian) ASSERT_EQ(m1.log_scale_w[i], fresh ? 0.0f : c.moment1.log_scale_w[from]);
         ASSERT_EQ(m2.sh[i * kShFloats + 16], fresh ? 0.0f : c.moment2.sh[from * kShFloats + 16]);
         ASSERT_EQ(sums[i], 0.0f);
         ASSERT_EQ(seen[i], 0u);
@@ -219,6 +223,22 @@ TEST_F(Densify, AdaptiveAgreesWithTheReference) {
         if (step > 3000) EXPECT_GT(r.large, 10u);
         else EXPECT_EQ(r.large, 0u);
     }
+}
+
+/// The third scale is the largest of some, and takes part in every decision.
+TEST_F(Densify, GaussiansAgreeWithTheReference) {
+    Scene scene = test::random_model_scene({500, 300}, 21);
+    make_gaussians(scene.surfels, 1.5);
+    for (std::size_t i = 0; i < scene.surfels.size(); i += 3) scene.surfels.log_scale_w[i] -= 2.0f;
+    DensifyOptions options = adaptive();
+    options.clone_extent_share = 3e-3;
+    options.max_extent_share = 0.004;
+    Case c(device(), scene, options, true);
+    const DensifyReport r = expect_reference(c, 3100);
+    for (const std::uint32_t n : {r.invalid, r.faint, r.large, r.outside, r.clones, r.splits}) EXPECT_GT(n, 5u) << "a case that is not tested";
+    options.strategy = DensifyStrategy::mcmc;
+    Case shared(device(), scene, options, true);
+    EXPECT_GT(expect_reference(shared, 600).added, 50u);
 }
 
 TEST_F(Densify, PruneOnlyAddsNothing) {

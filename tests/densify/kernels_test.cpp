@@ -55,7 +55,7 @@ struct Trained {
     Adam adam;
     Densifier densifier;
     Trained(Device& device, Scene initial, const DensifyOptions& options)
-        : scene(std::move(initial)), device_scene(device, scene), adam(device, std::uint32_t(scene.surfels.size()), {}), densifier(device, scene, options, 1.0f / 255.0f, 3, 9) {}
+        : scene(std::move(initial)), device_scene(device, scene), adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive()), densifier(device, scene, options, 1.0f / 255.0f, 3, 9) {}
 };
 
 TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
@@ -85,11 +85,16 @@ TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
     EXPECT_EQ(after.log_scale, tags.log_scale);
 }
 
-TEST_F(DensifyKernels, JitterMovesFaintSurfelsInTheirPlane) {
+class Jitter : public DensifyKernels, public testing::WithParamInterface<Primitive> {};
+INSTANTIATE_TEST_SUITE_P(Primitives, Jitter, testing::Values(Primitive::surfel, Primitive::gaussian));
+
+TEST_P(Jitter, MovesFaintSurfelsInTheirPlaneAndGaussiansAlongAllAxes) {
     DensifyOptions options;
     options.strategy = DensifyStrategy::mcmc;
     options.noise = 0.4;
-    Trained t(device(), test::random_model_scene({300}, 5), options);
+    Scene scene = test::random_model_scene({300}, 5);
+    if (GetParam() == Primitive::gaussian) make_gaussians(scene.surfels, 0.7);
+    Trained t(device(), scene, options);
     const Surfels before = t.scene.surfels;
     Stream stream(device());
     t.densifier.after_step(stream, t.device_scene, t.adam, 17, 0.5);
@@ -100,7 +105,7 @@ TEST_F(DensifyKernels, JitterMovesFaintSurfelsInTheirPlane) {
     for (std::uint32_t i = 0; i < before.size(); ++i) {
         const reference::DensifiedSurfel s = test::densified(before, i);
         const double gate = 1.0 / (1.0 + std::exp(100.0 * (s.opacity - 0.005)));
-        const glm::dvec3 expected = reference::point_of(s, 0.2 * gate * reference::random_normal2(key, i, 0));
+        const glm::dvec3 expected = reference::point_of(s, 0.2 * gate * reference::random_normal2(key, i, 0), 0.2 * gate * reference::random_normal2(key, i, 1).x);
         EXPECT_LT(glm::length(glm::dvec3(after.mean[i]) - expected), 1e-5 * (1.0 + glm::length(expected)));
         moved += glm::length(expected - s.mean) > 0.02 * std::min(s.scale.x, s.scale.y);
     }

@@ -55,6 +55,7 @@ void expect_equal(const Scene& a, const Scene& b) {
     expect_bits(a.surfels.log_scale, b.surfels.log_scale, "log_scale");
     expect_bits(a.surfels.opacity_logit, b.surfels.opacity_logit, "opacity_logit");
     expect_bits(a.surfels.sh, b.surfels.sh, "sh");
+    expect_bits(a.surfels.log_scale_w, b.surfels.log_scale_w, "log_scale_w");
     ASSERT_EQ(a.models.size(), b.models.size());
     for (std::size_t k = 0; k < a.models.size(); ++k) {
         EXPECT_EQ(a.models[k].name, b.models[k].name);
@@ -91,6 +92,21 @@ TEST_F(SurfelPly, ComesBackBitEqual) {
     write_surfel_ply(folder / "b.ply", empty);
     expect_equal(read_surfel_ply(folder / "b.ply", empty), empty);
     EXPECT_EQ(files().size(), 2u);
+}
+
+/// As splatting stores them: three scales.
+TEST_F(SurfelPly, GaussiansHaveTheirThirdScale) {
+    Scene scene = some_scene();
+    for (std::size_t i = 0; i < 7; ++i) scene.surfels.log_scale_w.push_back(-0.1f - float(i) / 7.0f);
+    write_surfel_ply(folder / "a.ply", scene);
+    expect_equal(read_surfel_ply(folder / "a.ply", layout_of(scene), Primitive::gaussian), scene);
+    EXPECT_TRUE(read_surfel_ply(folder / "a.ply", layout_of(scene)).surfels.log_scale_w.empty());
+    Parts file(contents(folder / "a.ply"));
+    for (std::size_t i = 0; i < 7; ++i) EXPECT_EQ(file.value(i, 57), scene.surfels.log_scale_w[i]);
+    file.replace("property float scale_2\n", "property float thick_2\n");
+    put(folder / "b.ply", file.header + file.data);
+    const std::string message = data_error([&] { (void)read_surfel_ply(folder / "b.ply", scene, Primitive::gaussian); });
+    EXPECT_NE(message.find("property scale_2: missing"), std::string::npos) << message;
 }
 
 TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {

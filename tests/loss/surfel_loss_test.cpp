@@ -34,17 +34,20 @@ Scene random_scene() {
     return scene;
 }
 
+/// All rows of surfels, then touched rows of 3D Gaussians.
 TEST_F(SurfelLossTest, AgreesWithReference) {
-    const Scene scene = random_scene();
+    Scene scene = random_scene();
     LossWeights weights;
     weights.box = 0.3f, weights.opacity_entropy = 0.7f;
     const std::size_t n = scene.surfels.size();
     for (const bool all : {true, false}) {
+        if (!all) make_gaussians(scene.surfels, 3.0);
+        const bool is_gaussian = !all;
         std::vector<std::uint32_t> touched(n);
         for (std::size_t i = 0; i < n; ++i) touched[i] = i % 3 != 0;
         Stream stream(device());
         DeviceScene on_device(device(), scene);
-        SurfelArrays d(device(), static_cast<std::uint32_t>(n), "gradient");
+        SurfelArrays d(device(), static_cast<std::uint32_t>(n), "gradient", scene.surfels.primitive());
         d.fill_zero(stream);
         stream.fill(d.mean, 0x3e800000u);   // 0.25
         const Array<std::uint32_t> rows(device(), std::span<const std::uint32_t>(touched), "touched");
@@ -63,13 +66,15 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
             if (i >= kBackground) {
                 const glm::dvec3 h = scene.models[i < kBackground + kActor ? 1 : 2].half_size_m;
                 const Surfels& s = scene.surfels;
-                const reference::BoxedSurfel surfel{{s.mean[i].x, s.mean[i].y, s.mean[i].z}, {s.log_scale[i].x, s.log_scale[i].y}};
+                reference::BoxedSurfel surfel{{s.mean[i].x, s.mean[i].y, s.mean[i].z}, {s.log_scale[i].x, s.log_scale[i].y}};
+                if (is_gaussian) surfel.log_scale_w = s.log_scale_w[i];
                 box += reference::box_loss(surfel, {{h.x, h.y, h.z}, 0.2 * glm::length(h)}, 0.3 / (2 * kActor), write ? expected : ignored);
             }
             double slope = 0.0;
             entropy += reference::opacity_entropy(scene.surfels.opacity_logit[i], slope);
             table.add_row("mean", {expected.mean[0], expected.mean[1], expected.mean[2]}, {found.mean[i].x, found.mean[i].y, found.mean[i].z});
             table.add_row("log_scale", {expected.log_scale[0], expected.log_scale[1]}, {found.log_scale[i].x, found.log_scale[i].y});
+            if (is_gaussian) table.add_row("log_scale_w", {expected.log_scale_w.value_or(0.0)}, {found.log_scale_w[i]});
             table.add_row("opacity", {write ? 0.7 / double(n) * slope : 0.0}, {found.opacity_logit[i]});
         }
         EXPECT_NEAR(terms.download()[5], 0.3 * box / (2 * kActor), 1e-5 * box);

@@ -15,16 +15,17 @@ namespace {
 
 class AdamTest : public test::DeviceTest {};
 
-Surfels random_surfels(std::uint32_t n, std::uint64_t seed) {
+Surfels random_surfels(std::uint32_t n, std::uint64_t seed, Primitive primitive) {
     std::mt19937_64 random(seed);
     std::normal_distribution<float> normal;
     Surfels s;
-    s.resize(n);
+    s.resize(n, primitive);
     for (auto& x : s.mean) x = {normal(random), normal(random), normal(random)};
     for (auto& x : s.rotation) x = {normal(random), normal(random), normal(random), normal(random)};
     for (auto& x : s.log_scale) x = {normal(random), normal(random)};
     for (auto& x : s.opacity_logit) x = normal(random);
     for (auto& x : s.sh) x = normal(random);
+    for (auto& x : s.log_scale_w) x = normal(random);
     return s;
 }
 
@@ -42,17 +43,18 @@ TEST_F(AdamTest, AgreesWithAdamInDouble) {
     const std::uint32_t n = 133;
     const LearningRates rates{1e-3, 2e-3, 3e-3, 4e-2, 5e-3, 0.05};
     for (const bool only_touched : {false, true}) {
-        Adam adam(device(), n, {.only_touched = only_touched});
+        const Primitive primitive = only_touched ? Primitive::gaussian : Primitive::surfel;
+        Adam adam(device(), n, {.only_touched = only_touched}, primitive);
         Stream stream(device());
-        SurfelArrays parameters(device(), n, "parameters"), gradients(device(), n, "gradients");
-        const Surfels start = random_surfels(n, 1);
+        SurfelArrays parameters(device(), n, "parameters", primitive), gradients(device(), n, "gradients", primitive);
+        const Surfels start = random_surfels(n, 1, primitive);
         parameters.upload(start);
         std::vector<std::uint32_t> touched(n);
         for (std::uint32_t i = 0; i < n; ++i) touched[i] = i % 3 != 0;
         const Array<std::uint32_t> on_device(device(), std::span<const std::uint32_t>(touched), "touched");
         std::vector<Surfels> g;
         for (int t = 1; t <= 3; ++t) {
-            g.push_back(random_surfels(n, 10 + std::uint64_t(t)));
+            g.push_back(random_surfels(n, 10 + std::uint64_t(t), primitive));
             gradients.upload(g.back());
             adam.step(stream, parameters, gradients, on_device, rates, t, 2);
             stream.finish();
@@ -68,6 +70,7 @@ TEST_F(AdamTest, AgreesWithAdamInDouble) {
             for (int k = 0; k < 3; ++k) expect(start.mean[i][k], actual.mean[i][k], rates.mean, [&](const Surfels& s) { return s.mean[i][k]; });
             for (int k = 0; k < 4; ++k) expect(start.rotation[i][k], actual.rotation[i][k], rates.rotation, [&](const Surfels& s) { return s.rotation[i][k]; });
             for (int k = 0; k < 2; ++k) expect(start.log_scale[i][k], actual.log_scale[i][k], rates.log_scale, [&](const Surfels& s) { return s.log_scale[i][k]; });
+            if (primitive == Primitive::gaussian) expect(start.log_scale_w[i], actual.log_scale_w[i], rates.log_scale, [&](const Surfels& s) { return s.log_scale_w[i]; });
             expect(start.opacity_logit[i], actual.opacity_logit[i], rates.opacity_logit, [&](const Surfels& s) { return s.opacity_logit[i]; });
             for (std::size_t k = 0; k < kShFloats; ++k) {
                 const std::size_t within = k % kShCoefficients, slot = i * kShFloats + k;

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include <glm/glm.hpp>
@@ -16,6 +17,7 @@ struct DensifiedSurfel {
     glm::dvec2 scale{1.0};
     double opacity = 0.0;
     bool finite = true;
+    std::optional<double> scale_w{};           ///< of a 3D Gaussian
 };
 
 enum class Fate { invalid, faint, large, outside, unseen, keep, clone, split, share };
@@ -37,8 +39,8 @@ Fate fate_of(const DensifiedSurfel& surfel, double mean_gradient, bool seen, con
 /// The two normal deviates of PCG4D and Box-Muller.
 glm::dvec2 random_normal2(std::uint32_t key, std::uint32_t item, std::uint32_t draw);
 
-/// A point of a surfel, in units of its scales.
-glm::dvec3 point_of(const DensifiedSurfel& surfel, const glm::dvec2& z);
+/// A point of a surfel, in units of its scales; z_w counts for a 3D Gaussian alone.
+glm::dvec3 point_of(const DensifiedSurfel& surfel, const glm::dvec2& z, double z_w);
 
 /// Who gets copies 0 ... n_new - 1, each looked up alone: copy j goes to the first surfel with cumulative weight c (its own included),
 /// c n_new + phase >= (j + 1) W. @return copies of each

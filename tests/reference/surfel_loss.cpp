@@ -13,11 +13,14 @@ double box_loss(const BoxedSurfel& surfel, const Box& box, double scale, BoxedSu
             loss += std::abs(surfel.mean[a]) / box.half_size_m[a] - 1.0;
             d.mean[a] += scale * (surfel.mean[a] > 0.0 ? 1.0 : -1.0) / box.half_size_m[a];
         }
-    for (std::size_t a = 0; a < 2; ++a)
-        if (std::exp(surfel.log_scale[a]) > box.largest_scale_m) {
-            loss += std::exp(surfel.log_scale[a]) / box.largest_scale_m - 1.0;
-            d.log_scale[a] += scale * std::exp(surfel.log_scale[a]) / box.largest_scale_m;
-        }
+    const auto add_scale = [&](double log_scale) {
+        const double relative = std::exp(log_scale) / box.largest_scale_m;
+        if (relative <= 1.0) return 0.0;
+        loss += relative - 1.0;
+        return scale * relative;
+    };
+    for (std::size_t a = 0; a < 2; ++a) d.log_scale[a] += add_scale(surfel.log_scale[a]);
+    if (surfel.log_scale_w) d.log_scale_w = d.log_scale_w.value_or(0.0) + add_scale(*surfel.log_scale_w);
     return loss;
 }
 

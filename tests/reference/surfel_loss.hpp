@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <optional>
 
 namespace relidar::reference {
 
@@ -16,9 +17,10 @@ struct Box {
 struct BoxedSurfel {
     std::array<double, 3> mean{};        ///< box frame, metres
     std::array<double, 2> log_scale{};
+    std::optional<double> log_scale_w{};   ///< of a 3D Gaussian
 };
 
-/// sum_xyz max(0, |mean| / half - 1) + sum_uv max(0, scale / largest - 1); adds scale * derivative
+/// sum_xyz max(0, |mean| / half - 1) + sum over scales max(0, scale / largest - 1); adds scale * derivative
 double box_loss(const BoxedSurfel& surfel, const Box& box, double scale, BoxedSurfel& d);
 
 /// Entropy of sigmoid(logit). @param derivative receives d(entropy)/d(logit)

@@ -69,6 +69,20 @@ TEST_F(ModelFile, HasTheDocumentedArrays) {
     }
 }
 
+TEST_F(ModelFile, GaussiansHaveASixthArray) {
+    make_gaussians(scene.surfels, 0.3);
+    save_model(path, scene);
+    arrays = read_safetensors(path, &metadata);
+    EXPECT_EQ(array("log_scale_w").shape, std::vector<std::size_t>{4});
+    EXPECT_EQ(load_model(path).surfels.log_scale_w, scene.surfels.log_scale_w);
+    array("log_scale_w").shape = {2, 2};
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array log_scale_w"), std::string::npos);
+    arrays.pop_back();
+    write_safetensors(path, arrays, metadata);
+    EXPECT_EQ(load_model(path).surfels.primitive(), Primitive::surfel);
+}
+
 TEST_F(ModelFile, SensorDropRoundTripsAndIsChecked) {
     EXPECT_TRUE(load_model(path).sensor_drop.empty());
     scene.sensor_drop = {2, 3, {0.0f, 0.25f, 1.0f, 1.0f / 3.0f, 0.5f, 0.75f}};

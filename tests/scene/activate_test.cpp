@@ -13,7 +13,9 @@
 namespace relidar {
 namespace {
 
-class Activate : public test::DeviceTest {};
+/// In both primitives.
+class Activate : public test::DeviceTest, public testing::WithParamInterface<Primitive> {};
+INSTANTIATE_TEST_SUITE_P(Primitives, Activate, testing::Values(Primitive::surfel, Primitive::gaussian));
 
 /// The 16 floats of a record in double, as shaders/shared/scene.h orders them.
 std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view_origin) {
@@ -23,16 +25,18 @@ std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view
             r.axis_v.x, r.axis_v.y, r.axis_v.z, c.y, r.normal.x, r.normal.y, r.normal.z, c.z};
 }
 
-std::vector<reference::Surfel> some_surfels() {
+std::vector<reference::Surfel> some_surfels(Primitive primitive) {
     test::RandomSceneOptions options;
     options.seed = 8;
+    options.primitive = primitive;
     return test::make_random_scene(options, {}).world.surfels;
 }
 
-TEST_F(Activate, RecordsAgreeWithReference) {
-    const std::vector<reference::Surfel> surfels = some_surfels();
+TEST_P(Activate, RecordsAgreeWithReference) {
+    const std::vector<reference::Surfel> surfels = some_surfels(GetParam());
     const glm::vec3 view(0.3f, -0.2f, 0.1f);
     ImageModel model;
+    model.primitive = GetParam();
     model.sh_direction = ShDirection::surfel;
     Stream stream(device());
     DeviceScene scene(device(), make_background_scene(test::to_surfels(surfels)));
@@ -45,8 +49,8 @@ TEST_F(Activate, RecordsAgreeWithReference) {
     }
 }
 
-TEST_F(Activate, VjpAgreesWithDifferencesOfReference) {
-    std::vector<reference::Surfel> surfels = some_surfels();
+TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
+    std::vector<reference::Surfel> surfels = some_surfels(GetParam());
     const glm::vec3 view(0.3f, -0.2f, 0.1f);
     glm::dvec3 seen_from(view);
     std::mt19937_64 random(3);
@@ -59,7 +63,7 @@ TEST_F(Activate, VjpAgreesWithDifferencesOfReference) {
     Stream stream(device());
     const auto n = static_cast<std::uint32_t>(surfels.size());
     DeviceScene scene(device(), make_background_scene(test::to_surfels(surfels)));
-    SurfelArrays d_surfels(device(), n, "gradient");
+    SurfelArrays d_surfels(device(), n, "gradient", GetParam());
     Array<std::uint32_t> touched(device(), n, "touched");
     Array<float> d_view(device(), 3 * surfels.size(), "view gradient");
     const Array<float> upstream(device(), std::span<const float>(d_records), "record gradient");
@@ -68,6 +72,7 @@ TEST_F(Activate, VjpAgreesWithDifferencesOfReference) {
     const Surfels actual = d_surfels.download();
     EXPECT_EQ(touched.download()[1], 0u);
     EXPECT_EQ(glm::length(actual.mean[1]), 0.0f);
+    if (GetParam() == Primitive::gaussian) EXPECT_EQ(actual.log_scale_w[1], 0.0f);
 
     const std::vector<float> views = d_view.download();
     test::GradientTable table;
@@ -82,6 +87,7 @@ TEST_F(Activate, VjpAgreesWithDifferencesOfReference) {
         table.add_row("mean", test::central_differences(&surfels[i].mean.x, 3, terms), row(&actual.mean[i].x, 3));
         table.add_row("rotation", test::central_differences(&surfels[i].rotation.x, 4, terms), row(&actual.rotation[i].x, 4));
         table.add_row("log_scale", test::central_differences(&surfels[i].log_scale.x, 2, terms), row(&actual.log_scale[i].x, 2));
+        if (surfels[i].log_scale_w) table.add_row("log_scale_w", test::central_differences(&*surfels[i].log_scale_w, 1, terms), row(&actual.log_scale_w[i], 1));
         table.add_row("opacity_logit", test::central_differences(&surfels[i].opacity_logit, 1, terms), row(&actual.opacity_logit[i], 1));
         table.add_row("sh", test::central_differences(surfels[i].sh.data(), kShFloats, terms, test::kLogitStep), row(actual.sh.data() + i * kShFloats, kShFloats));
     }

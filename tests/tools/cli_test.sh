@@ -313,6 +313,26 @@ surfels_as_ply() {
     absent x
 }
 
+gaussians() {
+    local few=(--preset quick --set init.actor_min_points=10 --set train.iterations=4 --set dataset.test_every=5)
+    good train street --out thick "${few[@]}" --set image.primitive=gaussian --set densify.strategy=adaptive --set densify.from=2 --set densify.every=2
+    good info thick
+    says "^surfels +[0-9]+ 3D Gaussians$"
+    good render thick --out thick_scans --frames 5:6
+    exists thick_scans/frame_000005.npz
+    good export thick --out ply/thick.ply
+    good import ply/thick.ply --run thick --out thick_again
+    check "the imported model of 3D Gaussians differs" cmp thick/model.safetensors thick_again/model.safetensors
+    good edit thick --out thick_actors --keep actors
+    good bench --run thick --repeat 1 --quiet
+    bad 2 "image.primitive=surfel: the scene is made of 3D Gaussians" render thick --out x --frames 5:6 --set image.primitive=surfel
+    bad 3 "found 3D Gaussians beside surfels, expected one primitive" edit thick --out x --insert "run#0@$(start_of run 0)"
+    cp run/model.safetensors thick_again/
+    sed 's/"surfels": [0-9]*/"surfels": '"$("$relidar" info run | sed -n 's/^surfels *//p')/" -i thick_again/scene.json
+    bad 3 "thick_again/config.toml: image.primitive: found gaussian, but model.safetensors holds surfels" info thick_again
+    absent x
+}
+
 damaged_runs() {
     rm -rf hurt && cp -r run hurt && head -c 3000 run/scene.json >hurt/scene.json
     bad 3 "hurt/scene.json: not valid JSON" render hurt --out x
@@ -423,6 +443,7 @@ if "$relidar" devices >out 2>err; then
     evaluation
     baseline_beside_a_run
     surfels_as_ply
+    gaussians
     damaged_runs
     interruption
     resuming

@@ -17,6 +17,8 @@ namespace relidar {
 namespace {
 
 class Train : public test::DeviceTest {};
+class TrainEither : public Train, public testing::WithParamInterface<Primitive> {};
+INSTANTIATE_TEST_SUITE_P(Primitives, TrainEither, testing::Values(Primitive::surfel, Primitive::gaussian));
 
 SyntheticOptions small_street() { return {.n_frames = 11, .rows = 16, .columns = 256}; }
 
@@ -36,15 +38,17 @@ double held_out_error(Device& device, const Scene& scene, const Config& config, 
     return evaluate(scan.image, real_image(config, frame.scan)).at("strict/depth_mae_m");
 }
 
-TEST_F(Train, LearnsTheStreet) {
+TEST_P(TrainEither, LearnsTheStreet) {
     const Sequence street = make_synthetic_street(small_street());
     const Split split = split_frames(street, 10);
     Config config = small_config();
+    config.image.primitive = GetParam();
     const TrainResult result = train(device(), street, split, config, [](const TrainProgress&) { return true; });
     ASSERT_GE(result.log.size(), 6u);
     EXPECT_LT(result.log.back().loss, 0.7 * result.log.front().loss);
     EXPECT_EQ(result.log.back().iteration, 60);
     EXPECT_FALSE(result.interrupted);
+    EXPECT_EQ(result.scene.surfels.primitive(), GetParam());
     config.train.iterations = 1;
     config.train.mean_rate = config.train.rotation_rate = config.train.scale_rate = config.train.opacity_rate = config.train.sh_rate = 1e-12;
     const TrainResult untrained = train(device(), street, split, config, [](const TrainProgress&) { return true; });
