@@ -25,6 +25,15 @@ Surfels one_surfel(float opacity) {
     return s;
 }
 
+/// The same outline along x by the second and third scale of a 3D Gaussian, 2 m long along the rays.
+Surfels one_gaussian(float opacity) {
+    Surfels s = one_surfel(opacity);
+    s.rotation[0] = {1.0f, 0.0f, 0.0f, 0.0f};
+    s.log_scale[0] = {std::log(2.0f), std::log(0.25f)};
+    s.log_scale_w = {std::log(0.5f)};
+    return s;
+}
+
 /// Parallel rays along x at k (cos, sin) times the half axes of the ellipse sigma G = alpha_min, times `factor`.
 WorldRays rim_rays(float opacity, double factor, double alpha_min = 1.0 / 255.0) {
     const double k = std::sqrt(2.0 * std::log(opacity / alpha_min)) * factor;
@@ -46,6 +55,17 @@ TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
         }
     Renderer renderer(device(), make_background_scene(one_surfel(1.0f / 256.0f)), {});   // sigma under the cut has no proxy
     for (const std::uint32_t n : renderer.trace(rim_rays(0.5f, 0.1), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 0u);
+}
+
+TEST_F(Proxies, HoldEverythingOfGaussiansThatCanBeSeen) {
+    ImageModel model;
+    model.primitive = Primitive::gaussian;
+    for (const Proxy proxy : {Proxy::triangles, Proxy::boxes})
+        for (const float opacity : {0.005f, 0.1f, 0.999f}) {
+            Renderer renderer(device(), make_background_scene(one_gaussian(opacity)), model, {.proxy = proxy});
+            for (const std::uint32_t n : renderer.trace(rim_rays(opacity, 0.999), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 1u) << "opacity " << opacity;
+            for (const std::uint32_t n : renderer.trace(rim_rays(opacity, 1.001), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 0u) << "opacity " << opacity;
+        }
 }
 
 TEST_F(Proxies, FollowTheCutOfTheImageModel) {
