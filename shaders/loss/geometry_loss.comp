@@ -6,7 +6,7 @@
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
 #include "../common/kernel.glsl"
-#include "../shared/loss.h"
+#include "../shared/geometry_loss.h"
 #include "../common/atomic_add.glsl"
 #include "../common/reduce.glsl"
 RELIDAR_PARAMS(GeometryLossParams);

@@ -5,7 +5,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
-#include "../shared/loss.h"
+#include "../shared/geometry_loss.h"
 RELIDAR_PARAMS(GeometryLossParams);
 #include "range_image.glsl"
 

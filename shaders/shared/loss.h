@@ -120,27 +120,6 @@ struct ChamferParams {
     uint normalised_depth;
 };
 
-/// Distortion and normal consistency: loss/geometry_loss writes `d_tangents`, loss/normal_vjp reads them.
-struct GeometryLossParams {
-    Rays rays;                       // input
-    RenderedRays rendered;           // input [n_rays]
-    RenderedGeometries geometry;     // input [n_rays]
-    Targets targets;                 // input
-    Vec3s d_tangents;                // [n_rays,2] by the difference of the points right and left of a pixel, and below and above it
-    RayGradients upstream;           // accumulated [n_rays]
-    GeometryGradients d_geometry;    // output [n_rays]; point and range of normal_vjp
-    Floats terms;                    // accumulated
-    float distortion_weight;
-    float normal_weight;             // 0: the batch need not be an image
-    uint n_rays;
-    uint first_ray;
-    uint ray_stride;
-    uint rows;
-    uint columns;
-    uint circular;                   // 1: the first column follows the last one
-    uint normalised_depth;           // 1: range D / W, 0: D
-};
-
 /// Terms of a model's parameters themselves: actors that leave their box, opacities between 0 and 1.
 struct SurfelLossParams {
     SurfelPointers surfels;     // input

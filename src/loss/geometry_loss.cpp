@@ -8,7 +8,7 @@
 
 #include "core/assert.hpp"
 #include "gpu/stream.hpp"
-#include "shared/loss.h"
+#include "shared/geometry_loss.h"
 
 namespace relidar {
 
