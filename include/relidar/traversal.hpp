@@ -46,7 +46,7 @@ struct TraceOptions {
     int chunk = 16;               ///< hits sorted at a time, 1..64
     Walk walk = Walk::automatic;  ///< software traversal alone; automatic = what measures faster on the kind of device
     bool brute_force = false;     ///< test every surfel instead of using the acceleration structure (tests)
-    bool geometry = false;        ///< RayGeometry is rendered and differentiated too: forward and backward passes are given one
+    bool geometry = false;        ///< a RayGeometry is rendered and differentiated too, which ForwardPass::run and BackwardPass::run then must be given (training)
 };
 
 /// The first hits of each ray of a batch, as the forward pass blended them, so that the backward pass need not search them again.
