@@ -51,6 +51,7 @@ struct RenderedBatch {
     const Array<float>* rendered = nullptr;   ///< [n_rays, kRenderedFloats] of ForwardPass::run with the same scene
     const Array<float>* upstream = nullptr;   ///< [n_rays, kUpstreamFloats] of ImageLoss::run
     const KeptHits* kept = nullptr;           ///< of the same ForwardPass::run, or null
+    const RayGeometry* geometry = nullptr;    ///< of the same ForwardPass::run and of GeometryLoss::run, with TraceOptions::geometry
 };
 
 /// How the gradients of hits are summed.

@@ -41,7 +41,8 @@ public:
     /// Records the trace of a batch. The scene must be activated and accel updated before, in the same stream.
     /// @param rendered  [>= n_rays * kRenderedFloats] output
     /// @param kept      output, for the backward pass of the same batch; null where it shall cast the rays again
-    void run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered, KeptHits* kept = nullptr);
+    /// @param geometry  output, with TraceOptions::geometry
+    void run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered, KeptHits* kept = nullptr, RayGeometry* geometry = nullptr);
     /// Rays that reached the cap of passes since the last call (they end early, which is an error). Blocks.
     std::uint32_t take_pass_cap_count();
     void set_sh_degree(int degree);

@@ -15,6 +15,7 @@
 namespace relidar {
 
 struct RayBatch;
+struct RayGeometry;
 struct SurfelArrays;
 class DeviceScene;
 
@@ -54,13 +55,17 @@ struct LossWeights {
     float opacity = 0.0f;           ///< (1 - W)^2 on returned rays (not in the paper)
     bool normalised_depth = false;  ///< compare D / W instead of D (paper)
     float chamfer = 0.01f;          ///< squared distances both ways between simulated and measured points, m^2
+    float distortion = 0.0f;        ///< spread of each returned ray's hits, metres (not in the paper)
+    float normal = 0.0f;            ///< disagreement of surfel normals with the normals of the rendered range image (not in the paper)
     float box = 0.0f;               ///< actors' surfels outside their box, or larger than box_scale_share of it
     float box_scale_share = 0.2f;   ///< standard deviation an actor's surfel may have, over half the diagonal of its box
     float opacity_entropy = 0.0f;   ///< entropy of opacities: drives them to 0 or 1 (not in the paper)
+
+    bool uses_geometry() const { return distortion > 0.0f || normal > 0.0f; }
 };
 
-inline constexpr int kLossTerms = 8;
-inline constexpr std::array<const char*, kLossTerms> kLossTermNames{"depth", "intensity", "drop", "opacity", "ssim", "box", "entropy", "chamfer"};
+inline constexpr int kLossTerms = 10;
+inline constexpr std::array<const char*, kLossTerms> kLossTermNames{"depth", "intensity", "drop", "opacity", "ssim", "box", "entropy", "chamfer", "distortion", "normal"};
 
 /// Where the terms of a batch are added up: a row of an array that may hold those of several batches.
 struct TermRow {
@@ -109,6 +114,31 @@ public:
     void run(Stream& stream, const RayBatch& rays, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const TermRow& terms);
     /// Of the last batch, by ray: the nearest measured point of each simulated one and the reverse, ~0 where there is none. Blocks.
     std::array<std::vector<std::uint32_t>, 2> nearest() const;
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+/// Geometric losses of "2D Gaussian Splatting for Geometrically Accurate Radiance Fields" (2024), means over returned rays:
+///   distortion  sum over pairs of hits of a ray, each pair once, of w_i w_j |t_i - t_j|   (half of that paper's Eq. 13), metres
+///   normal      sum_i w_i (1 - n_i . N) = W - B . N   (its Eq. 14), n_i and N turned to face the sensor
+/// N is the normal of the plane through the points of the pixels beside, and those above and below, in the rendered range image
+/// (range D / W or D, normalised_depth). A pixel has one where all five returned and render a W above 0.5, where the inverse ranges
+/// r / r_left + r / r_right, and above and below, differ from 2 by less than 0.1 (a plane has 2), and where the two chords are not
+/// nearly parallel; others have no normal term. The derivative goes to B, W and, through N, to the ranges of the pixels beside and to
+/// their rays; which pixels have a normal is held fixed.
+class GeometryLoss {
+public:
+    /// @param n_rays  most rays of a batch
+    GeometryLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
+    ~GeometryLoss();
+    /// Records the loss of a batch, which must be an image where normal > 0; to follow ImageLoss::run.
+    /// @param rendered  [n_rays, kRenderedFloats] input
+    /// @param geometry  of the same ForwardPass::run; its gradient is output
+    /// @param upstream  [n_rays, kUpstreamFloats] accumulated
+    /// @param terms     accumulated
+    void run(Stream& stream, const RayBatch& rays, const TargetBatch& batch, const Array<float>& rendered, RayGeometry& geometry, Array<float>& upstream, const TermRow& terms);
 
 private:
     struct Impl;

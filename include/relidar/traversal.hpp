@@ -46,6 +46,7 @@ struct TraceOptions {
     int chunk = 16;               ///< hits sorted at a time, 1..64
     Walk walk = Walk::automatic;  ///< software traversal alone; automatic = what measures faster on the kind of device
     bool brute_force = false;     ///< test every surfel instead of using the acceleration structure (tests)
+    bool geometry = false;        ///< a RayGeometry is rendered and differentiated too, which ForwardPass::run and BackwardPass::run then must be given (training)
 };
 
 /// The first hits of each ray of a batch, as the forward pass blended them, so that the backward pass need not search them again.
@@ -55,6 +56,19 @@ struct KeptHits {
 
     /// @param n_rays  of the largest batch
     KeptHits(Device& device, std::size_t n_rays, std::uint32_t hits_per_ray) : hits(device, 2 * n_rays * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
+};
+
+inline constexpr int kGeometryFloats = 5;           ///< normal B [3], distortion, moment (shaders/shared/trace.h)
+inline constexpr int kGeometryGradientFloats = 8;   ///< d_normal [3], d_distortion, d_point [3], range
+
+/// What the geometric losses want of each ray of a batch beside its image, and what they give back.
+struct RayGeometry {
+    Array<float> rendered;   ///< [n_rays, kGeometryFloats] of the forward pass
+    Array<float> gradient;   ///< [n_rays, kGeometryGradientFloats] of GeometryLoss
+
+    /// @param n_rays  of the largest batch
+    RayGeometry(Device& device, std::size_t n_rays)
+        : rendered(device, n_rays * kGeometryFloats, "geometry of rays"), gradient(device, n_rays * kGeometryGradientFloats, "geometry gradients") {}
 };
 
 /// Rays as kernels read them.

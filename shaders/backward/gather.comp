@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sums the gradients of hits surfel by surfel, in the order of rays, without atomics: the same in every run. Hits come sorted by row; a
 // thread takes a block of 32 and adds the sum of each row that begins there; what belongs to a row begun earlier is left in `heads`.
-// Input: scene, upstream, hits, rows, slots, n_hits. Accumulated: d_records, d_sh. Output: heads. Maximum: most_hits.
+// Input: scene, upstream, rendered, d_geometry, hits, rows, slots, n_hits. Accumulated: d_records, d_sh. Output: heads. Maximum: most_hits.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -19,6 +19,10 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
     RayEntry entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
     entered_instance = kNoInstance;   // another ray
     ray_basis_instance = kNoInstance;
+    if (GEOMETRY != 0u) {
+        ray_geometry = params.d_geometry.at[h.ray];
+        ray_transmittance = params.rendered.at[h.ray].transmittance;
+    }
     HitGradient d = hit_gradient(scene, Ray(entry.origin, entry.direction), params.upstream.at[h.ray], h.instance, row - m.first_row + m.first_surfel, h.w, h.d_alpha);
     for (uint k = 0u; k < 16u; ++k) sums[k] += d.lanes[k];
     if (SH_PER_SURFEL == 0u)

@@ -4,6 +4,8 @@
 #ifndef RELIDAR_INCLUDED_BACKWARD_HIT_GRADIENT_GLSL
 #define RELIDAR_INCLUDED_BACKWARD_HIT_GRADIENT_GLSL
 
+#include "geometry.glsl"
+
 /// What a hit adds to the record gradient of its placed surfel, lane by lane, and to its ray in the model's frame.
 struct HitGradient {
     float lanes[16];
@@ -30,7 +32,10 @@ HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance
     vec3 origin = entered_origin, direction = entered_direction;
     SurfelHit hit;
     intersect(record, origin, direction, hit);
-    SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, g.depth * w, d_alpha);
+    float d_t = g.depth * w;
+    if (GEOMETRY != 0u) d_t += ray_geometry.distortion * distortion_by_t(w, min(hit.alpha, scene.alpha_max));
+    SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, d_t, d_alpha);
+    if (GEOMETRY != 0u) d.d_normal += w * facing_side(record.normal, direction) * model_vector(scene.instances.at[instance], ray_geometry.normal);
     vec3 d_channel = w * vec3(g.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : g.hit_logit, g.drop_logit);
     vec3 others = d_channel;   // of the channels, or how the SH direction turns (scene/activate_vjp, backward/pose_blocks)
     if (SH_PER_SURFEL == 0u) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Backward pass (Eq. 9; M7, M8): casts the same rays again, or takes the hits the forward pass kept, front to back, and adds the
 // gradient of every hit to its surfel's record gradient, or writes a record of the hit for backward/gather to do so. One thread a ray.
-// Input: scene, rendered, upstream, kept, first_hit. Accumulated: d_records, d_sh (where SH are evaluated a hit).
+// Input: scene, rendered, upstream, kept, geometry, d_geometry, first_hit. Accumulated: d_records, d_sh (where SH are evaluated a hit).
 // Output: d_rays, hits, rows.
 // @differs Eq. 8 as printed lacks the factor 1 / (1 - alpha) on the sum; Eq. 9 has it and is right. The background needs no term
 // of its own: it is in the final value that Eq. 9 subtracts from.
@@ -15,6 +15,7 @@
 #include "../common/compensated.glsl"
 #include "../shared/backward.h"
 #include "hit_gradient.glsl"
+#include "blend.glsl"
 RELIDAR_PARAMS(BackwardParams);
 
 layout(constant_id = 6) const uint GATHER = 0u;   // 1: write a record of each hit, for backward/gather; 0: add its gradient with atomics
@@ -86,38 +87,6 @@ void add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHi
     d_ray_direction += world_vector(m, d.d_direction);
 }
 
-// One chunk as it was blended, so that what lies behind a hit is summed back to front instead of by subtracting two long sums: no
-// digits are lost where 1 / (1 - alpha) is large.
-float chunk_transmittance[CHUNK];
-float chunk_w[CHUNK];
-float chunk_shade[CHUNK];
-
-/// g . c of a hit in the buffer: what a unit of its weight is worth to the loss.
-float shade_of(TraceScene scene, Ray ray, RayGradient g, uint i) {
-    vec3 c = hit_channels(scene, ray, hit_instance[i], hit_surfel[i], scene.records.at[hit_surfel[i]]);
-    return g.depth * hit_t[i] + g.weight + g.intensity * c.x + g.hit_logit * c.y + g.drop_logit * c.z;
-}
-
-/// What is carried from chunk to chunk.
-struct BlendState {
-    float shift;
-    float transmittance;
-    float remaining;   // share of the loss of everything not blended yet, background included
-    float lost;        // what rounding took from it
-};
-
-/// Blends the hits in the buffer front to back, n of them, and takes their share of the loss from what remains.
-void blend_chunk(TraceScene scene, Ray ray, RayGradient g, uint n, inout BlendState state) {
-    for (uint i = 0u; i < n; ++i) {
-        float alpha = min(hit_alpha[i], scene.alpha_max);
-        chunk_transmittance[i] = state.transmittance;
-        chunk_w[i] = alpha * state.transmittance;
-        chunk_shade[i] = shade_of(scene, ray, g, i) - state.shift;
-        add_compensated(state.remaining, state.lost, -chunk_w[i] * chunk_shade[i]);
-        state.transmittance *= 1.0 - alpha;
-    }
-}
-
 /// Fills the hit buffer from what the forward pass kept, where that was all of the ray.
 void load_kept_hits(TraceScene scene, Ray ray, uint first, uint n) {
     reset_hits(0.0);
@@ -134,13 +103,21 @@ void load_kept_hits(TraceScene scene, Ray ray, uint first, uint n) {
     }
 }
 
+/// What the geometry of a ray adds: distortion is of second degree in the weights, so the shares of all hits are twice its value.
+void start_geometry(uint ray_index, inout BlendState state) {
+    RenderedGeometry q = params.geometry.at[ray_index];
+    state.moment = q.moment;
+    state.remaining += 2.0 * ray_geometry.distortion * q.distortion + dot(ray_geometry.normal, q.normal);
+}
+
 /// @return hits blended: final.n_hits, or fewer where the search does not find them again
 uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient g) {
     precise float remaining = g.depth * final.depth;
     remaining += g.weight * final.weight + g.intensity * final.intensity + g.hit_logit * final.hit_logit + g.drop_logit * final.drop_logit;
     // Eq. 9 does not change when the same number is taken from every value and from the background's, for all weights sum to 1.
     // With the nearest surface's worth as that number, small differences are no longer differences of large numbers.
-    BlendState state = BlendState(0.0, 1.0, remaining, 0.0);
+    BlendState state = BlendState(0.0, 1.0, remaining, 0.0, 0.0, 0.0, 0.0);
+    if (GEOMETRY != 0u) start_geometry(ray_index, state);
     uint blended = 0u;
     Key after = first_key(scene);
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && blended < final.n_hits; ++pass) {
@@ -148,7 +125,8 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
         else next_hits(scene, ray, after, remaining_budget(scene, state.transmittance));
         uint n = min(n_hits, final.n_hits - blended);
         if (pass == 0u) {
-            state.shift = shade_of(scene, ray, g, 0u);
+            state.first_t = hit_t[0];
+            state.shift = shade_of(scene, ray, g, 0u, state);
             add_compensated(state.remaining, state.lost, -state.shift * final.weight);
             add_compensated(state.remaining, state.lost, -state.shift * final.transmittance);
         }
@@ -174,6 +152,15 @@ void empty_slots(uint ray_index, uint first, uint n) {
     for (uint k = start + first; k < min(start + n, params.capacity); ++k) params.rows.at[k] = RELIDAR_NO_ROW(params.n_rows);
 }
 
+/// Makes ray_geometry that of this ray, whose own gradient starts with what its point has. @return whether a hit can have a gradient
+bool take_geometry(uint ray_index, RenderedRay final) {
+    ray_geometry = params.d_geometry.at[ray_index];
+    ray_transmittance = final.transmittance;
+    d_ray_origin = ray_geometry.point;
+    d_ray_direction = ray_geometry.range * ray_geometry.point;
+    return ray_geometry.distortion != 0.0 || ray_geometry.normal != vec3(0.0);
+}
+
 void main() {
     uint i = traced_ray(params.scene);
     if (i >= params.scene.n_rays) return;
@@ -184,6 +171,7 @@ void main() {
     RayGradient g = params.upstream.at[i];
     bool any_gradient = g.depth != 0.0 || g.weight != 0.0 || g.intensity != 0.0 || g.hit_logit != 0.0 || g.drop_logit != 0.0;
     RenderedRay final = params.rendered.at[i];
+    if (GEOMETRY != 0u) any_gradient = take_geometry(i, final) || any_gradient;
     uint blended = any_gradient ? backward(params.scene, Ray(entry.origin, entry.direction), i, final, g) : 0u;
     if (GATHER != 0u) empty_slots(i, blended, final.n_hits);
     if (uint64_t(params.d_rays) == 0ul) return;

@@ -1,15 +1,27 @@
 // SPDX-License-Identifier: Apache-2.0
 // Forward pass (Eq. 2-4; M4, M5): collects hits chunk by chunk, blends nearest first. One thread a ray.
-// Input: scene (rays, records, instances, sh, acceleration structure). Output: rendered, kept. Accumulated: scene.pass_cap_count.
+// Where the geometric losses want them, also the blended normal and the distortion (M9, M10).
+// Input: scene (rays, records, instances, sh, acceleration structure). Output: rendered, kept, geometry. Accumulated: scene.pass_cap_count.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../traversal/includes.glsl"
+#include "../traversal/facing_normal.glsl"
 #include "../common/compensated.glsl"
 RELIDAR_PARAMS(ForwardParams);
+
+/// Takes a hit into the geometry of its ray; `beyond` is its distance behind the first hit, of which no digits are lost in M9's sums.
+/// @param before  weight of the hits before it
+void add_geometry(TraceScene scene, Ray ray, uint i, float w, float before, float beyond, inout RenderedGeometry q) {
+    q.distortion += w * (beyond * before - q.moment);   // M9
+    q.moment += w * beyond;
+    q.normal += w * facing_normal(scene, ray, hit_instance[i], hit_surfel[i]);
+}
 
 RenderedRay render(TraceScene scene, Ray ray, uint ray_index) {
     RenderedRay r = RenderedRay(0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0u, RELIDAR_NO_INSTANCE);
     float lost[5] = float[](0.0, 0.0, 0.0, 0.0, 0.0);
+    RenderedGeometry geometry = RenderedGeometry(vec3(0.0), 0.0, 0.0);
+    float first_t = 0.0;
     ray_basis_instance = kNoInstance;
     Key after = first_key(scene);
     bool ended = false;
@@ -22,6 +34,10 @@ RenderedRay render(TraceScene scene, Ray ray, uint ray_index) {
             if (next < scene.transmittance_min) { ended = true; break; }
             float w = alpha * r.transmittance;
             vec3 c = hit_channels(scene, ray, hit_instance[i], hit_surfel[i], scene.records.at[hit_surfel[i]]);
+            if (GEOMETRY != 0u) {
+                if (r.n_hits == 0u) first_t = hit_t[i];
+                add_geometry(scene, ray, i, w, r.weight, hit_t[i] - first_t, geometry);
+            }
             add_compensated(r.depth, lost[0], w * hit_t[i]);
             add_compensated(r.weight, lost[1], w);
             add_compensated(r.intensity, lost[2], w * c.x);
@@ -39,6 +55,7 @@ RenderedRay render(TraceScene scene, Ray ray, uint ray_index) {
     }
     if (!ended) atomicAdd(scene.pass_cap_count.at[0], 1u);
     add_compensated(r.drop_logit, lost[4], r.transmittance);   // background: intensity 0, hit 0, drop 1
+    if (GEOMETRY != 0u) params.geometry.at[ray_index] = geometry;
     return r;
 }
 

@@ -29,6 +29,8 @@ struct BackwardParams {
     HitRecords hits;           // output [capacity] (gather)
     Uints rows;                // output [capacity] (gather)
     KeptHits kept;             // input [n_rays,n_kept] of the forward pass
+    RenderedGeometries geometry;     // input [n_rays], where the kernel is built for it
+    GeometryGradients d_geometry;    // input [n_rays], likewise
     uint n_kept;               // rays with more hits are cast again
     uint capacity;             // hits in slots beyond it are added with atomics
     uint n_rows;
@@ -47,6 +49,8 @@ struct GatherParams {
     Floats d_records;          // accumulated [n_rows,16]
     Floats d_sh;               // accumulated [n,3,16], where SH are evaluated a hit
     Uints most_hits;           // maximum [1] of n_hits
+    RenderedRays rendered;           // input [n_rays], where the kernel is built for geometry
+    GeometryGradients d_geometry;    // input [n_rays], likewise
     uint capacity;
     uint n_rows;
 };

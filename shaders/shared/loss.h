@@ -16,7 +16,9 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_TERM_BOX 5u
 #define RELIDAR_TERM_ENTROPY 6u
 #define RELIDAR_TERM_CHAMFER 7u
-#define RELIDAR_LOSS_TERMS 8
+#define RELIDAR_TERM_DISTORTION 8u
+#define RELIDAR_TERM_NORMAL 9u
+#define RELIDAR_LOSS_TERMS 10
 
 struct ImageLossParams {
     RenderedRays rendered;     // input [n_rays]

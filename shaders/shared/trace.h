@@ -48,6 +48,24 @@ struct RayGradient {
 };
 RELIDAR_POINTER(RayGradients, RayGradient);
 
+/// What a ray renders for the geometric losses, where they want it (M9, M10); n is a surfel's unit normal in the world on the side that
+/// faces the sensor, t_0 the distance of the ray's first hit.
+struct RenderedGeometry {
+    vec3 normal;        // B = sum w n
+    float distortion;   // sum over pairs of hits, each once, of w_i w_j |t_i - t_j|, m
+    float moment;       // sum w (t - t_0), m
+};
+RELIDAR_POINTER(RenderedGeometries, RenderedGeometry);
+
+/// What they give back: gradients of the above, and of the ray's point origin + range * direction where they take it to move with the ray.
+struct GeometryGradient {
+    vec3 normal;
+    float distortion;
+    vec3 point;
+    float range;        // m
+};
+RELIDAR_POINTER(GeometryGradients, GeometryGradient);
+
 /// What every tracing kernel needs. Ray k of the batch is entry first_ray + k * ray_stride of `rays`.
 struct TraceScene {
     uint64_t tlas;          // acceleration structure address (ray query)
@@ -82,6 +100,7 @@ struct ForwardParams {
     TraceScene scene;
     RenderedRays rendered;   // output [n_rays]
     KeptHits kept;           // output [n_rays,n_kept] the first hits of each ray
+    RenderedGeometries geometry;   // output [n_rays], where the kernel is built for it
     uint n_kept;
 };
 

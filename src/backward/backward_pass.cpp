@@ -31,6 +31,7 @@ bool sums_in_subgroups(const Device& device) { return device.info().subgroup_siz
 
 struct BackwardPass::Impl {
     ImageModel model;
+    bool with_geometry;
     Kernel<shared::BackwardParams> trace;
     PoseGradients poses;
     std::unique_ptr<HitGather> gather;   ///< null: atomics
@@ -45,9 +46,10 @@ struct BackwardPass::Impl {
 
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options, const BackwardOptions& backward)
         : model(m),
+          with_geometry(options.geometry),
           trace(device, accumulating_variant(device, "backward/trace" + traversal_variant(device, options)), constants(device, m, proxy, options, backward)),
           poses(device),
-          gather(gathers(backward.reduction, m.sh_direction) ? std::make_unique<HitGather>(device, m, backward.hits_per_ray) : nullptr),
+          gather(gathers(backward.reduction, m.sh_direction) ? std::make_unique<HitGather>(device, m, backward.hits_per_ray, options.geometry) : nullptr),
           pass_cap(device, 1, "pass cap count") {}
 };
 
@@ -83,6 +85,11 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
         RELIDAR_ASSERT_LE(2 * std::size_t(batch.rays.n_rays) * batch.kept->per_ray, batch.kept->hits.size());
         params.kept = batch.kept->hits.address();
         params.n_kept = batch.kept->per_ray;
+    }
+    if (impl_->with_geometry) {
+        RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays) * kGeometryGradientFloats, batch.geometry ? batch.geometry->gradient.size() : 0);
+        params.geometry = batch.geometry->rendered.address();
+        params.d_geometry = batch.geometry->gradient.address();
     }
     params.n_rows = scene.gradient_rows();
     params.with_turn = wants_poses ? 1u : 0u;

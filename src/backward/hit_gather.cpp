@@ -10,11 +10,11 @@
 
 namespace relidar {
 
-HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray)
+HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray, bool geometry)
     : device_(device),
       hits_per_ray_(hits_per_ray),
       head_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
-      gather_(device, accumulating_variant(device, "backward/gather@"), {{3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}, {8u, model.single_drop_logit ? 1u : 0u}, {9u, model.primitive == Primitive::gaussian ? 1u : 0u}}),
+      gather_(device, accumulating_variant(device, "backward/gather@"), {{3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}, {8u, model.single_drop_logit ? 1u : 0u}, {9u, model.primitive == Primitive::gaussian ? 1u : 0u}, {10u, geometry ? 1u : 0u}}),
       heads_kernel_(device, accumulating_variant(device, "backward/gather_heads@"), {{3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}}),
       most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch"),
       prefix_sum_(device) {}
@@ -56,7 +56,7 @@ void HitGather::run(Stream& stream, const shared::BackwardParams& params) {
     const auto set = [&](int i) { return SortSet{rows_[i].address(), slots_[i].address()}; };
     const SortSet sorted = sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)), n_hits_address());
     const shared::GatherParams gather{params.scene, params.upstream, hits_.address(), sorted.keys, sorted.order, n_hits_address(), heads_.address(),
-                                      params.d_records, params.d_sh, most_hits_.address(), sort_->capacity(), params.n_rows};
+                                      params.d_records, params.d_sh, most_hits_.address(), params.rendered, params.d_geometry, sort_->capacity(), params.n_rows};
     const std::uint32_t n_blocks = sort_->capacity() / RELIDAR_GATHER_BLOCK + 1;
     relidar::run(stream, gather_, n_blocks, gather);
     relidar::run(stream, heads_kernel_, n_blocks, gather);

@@ -95,6 +95,8 @@ void visit_training(C& c, Visitor&& f) {
     f("loss.opacity", c.loss.opacity, at_least(0), "weight of (1 - W)^2 on returned rays");
     f("loss.normalised_depth", c.loss.normalised_depth, anything(), "the range term compares D / W; false: D, as the paper does");
     f("loss.chamfer", c.loss.chamfer, at_least(0), "weight of the Chamfer distance between simulated and measured points, squared metres");
+    f("loss.distortion", c.loss.distortion, at_least(0), "weight of the spread of a ray's hits, the sum over pairs of w_i w_j |t_i - t_j| in metres, mean over returned rays; 0: paper");
+    f("loss.normal", c.loss.normal, at_least(0), "weight of surfel normals disagreeing with those of the rendered range image, mean over returned rays; needs batches that are images (train.batch); 0: paper");
     f("loss.box", c.loss.box, at_least(0), "weight of actors' surfels leaving their box; 0: paper");
     f("loss.box_scale_share", c.loss.box_scale_share, above(0), "standard deviation an actor's surfel may have, over half the diagonal of its box");
     f("loss.opacity_entropy", c.loss.opacity_entropy, at_least(0), "weight of the entropy of opacities");

@@ -17,7 +17,7 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
     shared::TraceScene traced = trace_scene(scene, accel, batch, model, pass_cap.address());
     traced.visits = visits.address();
     Stream stream(device);
-    run(stream, trace, trace_threads(batch), {traced, rendered.address(), 0, 0});
+    run(stream, trace, trace_threads(batch), {traced, rendered.address(), 0, 0, 0});
     stream.finish();
     const std::vector<std::uint32_t> sums = visits.download();
     return VisitCounts{double(sums[0]) / batch.n_rays, double(sums[1]) / batch.n_rays};

@@ -15,15 +15,18 @@
 namespace relidar {
 
 static_assert(sizeof(shared::RenderedRay) == kRenderedFloats * sizeof(float));
+static_assert(sizeof(shared::RenderedGeometry) == kGeometryFloats * sizeof(float));
 static_assert(sizeof(shared::RayEntry) == sizeof(DeviceRay));
 
 struct ForwardPass::Impl {
     ImageModel model;
+    bool with_geometry;
     Kernel<shared::ForwardParams> trace;
     Array<std::uint32_t> pass_cap;
 
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options)
         : model(m),
+          with_geometry(options.geometry),
           trace(device, "forward/trace" + traversal_variant(device, options), trace_constants(device, proxy, options, m)),
           pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count") {}
 };
@@ -36,13 +39,15 @@ ForwardPass::ForwardPass(Device& device, const ImageModel& model, Proxy proxy, c
 ForwardPass::~ForwardPass() = default;
 void ForwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 
-void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered, KeptHits* kept) {
+void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered, KeptHits* kept, RayGeometry* geometry) {
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kRenderedFloats, rendered.size());
     RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.rays->size());
     RELIDAR_ASSERT_LE(kept ? 2 * std::size_t(batch.n_rays) * kept->per_ray : 0, kept ? kept->hits.size() : 0);
     RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);   // whole rows
+    RELIDAR_ASSERT_LE(impl_->with_geometry ? std::size_t(batch.n_rays) * kGeometryFloats : 0, geometry ? geometry->rendered.size() : 0);
     relidar::run(stream, impl_->trace, trace_threads(batch),
-                 {trace_scene(scene, accel, batch, impl_->model, impl_->pass_cap.address()), rendered.address(), kept ? kept->hits.address() : 0, kept ? kept->per_ray : 0});
+                 {trace_scene(scene, accel, batch, impl_->model, impl_->pass_cap.address()), rendered.address(), kept ? kept->hits.address() : 0,
+                  geometry ? geometry->rendered.address() : 0, kept ? kept->per_ray : 0});
 }
 
 std::uint32_t ForwardPass::take_pass_cap_count() {

@@ -63,12 +63,12 @@ std::size_t largest_gathered(const std::vector<FrameData>& frames, const TrainCo
     return largest;
 }
 
-void check_images(const Config& config, const std::vector<FrameData>& frames) {
-    if (!(config.loss.intensity * config.loss.intensity_ssim > 0.0f)) return;
+/// @param setting  that compares neighbouring pixels
+void check_images(const char* setting, const Config& config, const std::vector<FrameData>& frames) {
     if (config.train.batch != "columns" && config.train.rays_per_iteration > 0)
-        throw UsageError("setting loss.intensity_ssim: found batches of single rays, expected train.batch=columns or train.rays_per_iteration=0");
+        throw UsageError(fmt::format("setting {}: found batches of single rays, expected train.batch=columns or train.rays_per_iteration=0", setting));
     for (const FrameData& frame : frames)
-        if (!frame.image.is_image()) throw UsageError("setting loss.intensity_ssim: found a sensor without image order, expected rows and columns, or 0");
+        if (!frame.image.is_image()) throw UsageError(fmt::format("setting {}: found a sensor without image order, expected rows and columns, or 0", setting));
 }
 
 }  // namespace
@@ -78,7 +78,8 @@ BatchSampler::BatchSampler(Device& device, const Config& config, const std::vect
                      {device, largest_gathered(frames, config.train), "batch rays"},
                      {device, largest_gathered(frames, config.train), "batch targets"},
                      {device, "train/gather_columns"}}) {
-    check_images(config, frames);
+    if (config.loss.intensity * config.loss.intensity_ssim > 0.0f) check_images("loss.intensity_ssim", config, frames);
+    if (config.loss.normal > 0.0f) check_images("loss.normal", config, frames);
 }
 BatchSampler::~BatchSampler() = default;
 

@@ -47,6 +47,12 @@ ImageModel with_degree(ImageModel model, int degree) {
     return model;
 }
 
+TraceOptions training_options(const Config& config) {
+    TraceOptions options = trace_options(config);
+    options.geometry = config.loss.uses_geometry();
+    return options;
+}
+
 Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
     Unknown masks{config.init, {}, config.train.sensor_drop ? observed_drops(sequence, split.train) : DropTable{}};
     for (const Instance& instance : scene.instances)
@@ -62,11 +68,11 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       stream_(device, true),
       scene_(device, initial),
       accel_(std::in_place, device, scene_, accel_options(config)),
-      forward_(device, config.image, accel_->proxy(), trace_options(config)),
+      forward_(device, config.image, accel_->proxy(), training_options(config)),
       batches_(device, config, frames_),
       loss_(device, config.loss, largest_batch()),
       chamfer_(device, config.loss, largest_batch()),
-      backward_(device, config.image, accel_->proxy(), trace_options(config), backward_options(config)),
+      backward_(device, config.image, accel_->proxy(), training_options(config), backward_options(config)),
       surfel_loss_(device, config.loss),
       adam_(device, scene_.size(), {.only_touched = config.train.only_touched}, scene_.primitive()),
       rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
@@ -76,6 +82,10 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.size(), config.train.seed),
       term_sums_(kLossTerms, 0.0) {
+    if (config.loss.uses_geometry()) {
+        geometry_.emplace(device, largest_batch());
+        geometry_loss_.emplace(device, config.loss, largest_batch());
+    }
     if (config.train.refine_poses != "none") refiner_.emplace(device, sequence, initial, config.train, frames_);
     make_gradients();
     for (FrameData& frame : frames_) frame.placed = place_instances(initial, sequence, sequence.frames[std::size_t(frame.position)].time_s);
@@ -110,6 +120,13 @@ void TrainLoop::place(std::size_t frame_index, const ImageModel& model) {
     accel_->update(stream_, scene_);
 }
 
+void TrainLoop::render_and_compare(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms) {
+    RayGeometry* geometry = geometry_ ? &*geometry_ : nullptr;
+    forward_.run(stream_, scene_, *accel_, rays, rendered_, &kept_, geometry);                                             // Eq. 2-4
+    loss_.run(stream_, targets, rendered_, upstream_, terms);                                                              // Eq. 10
+    if (geometry) geometry_loss_->run(stream_, rays, targets, rendered_, *geometry, upstream_, terms);
+}
+
 void TrainLoop::iterate(int step) {
     if (pending_.size() == kTermSlots) collect_terms();
     const std::size_t frame_index = sampler_.next();
@@ -121,11 +138,10 @@ void TrainLoop::iterate(int step) {
     place(frame_index, model);
     const SampledBatch batch = batches_.sample(stream_, frame, sampler_.random());
     const auto& [rays, targets, window] = batch;
-    forward_.run(stream_, scene_, *accel_, rays, rendered_, &kept_);                                                       // Eq. 2-4
     const TermRow terms(terms_, static_cast<std::uint32_t>(pending_.size()));
-    loss_.run(stream_, targets, rendered_, upstream_, terms);                                                              // Eq. 10
+    render_and_compare(rays, targets, terms);
     chamfer_.run(stream_, rays, targets, rendered_, upstream_, terms);                                                     // Eq. 11
-    backward_.run(stream_, scene_, *accel_, {rays, &rendered_, &upstream_, &kept_}, frame.sensor_position_m, *gradients_); // Eq. 9
+    backward_.run(stream_, scene_, *accel_, rendered(rays), frame.sensor_position_m, *gradients_);                         // Eq. 9
     if (refiner_) refiner_->step(stream_, frame_index, frame, batch, *gradients_, step);
     surfel_loss_.run(stream_, scene_, {&gradients_->surfels, config_.train.only_touched ? &gradients_->touched : nullptr}, terms);
     if (densifier_) densifier_->observe(stream_, scene_, {&gradients_->surfels, &gradients_->touched, static_cast<std::uint32_t>(frame_index), rays.n_rays == frame.n_rays});
@@ -159,9 +175,8 @@ void TrainLoop::prune_unseen() {
         const FrameData& frame = frames_[i];
         const RayBatch rays = frame.batch(0, 1);
         place(i, model);
-        forward_.run(stream_, scene_, *accel_, rays, rendered_, &kept_);
-        loss_.run(stream_, {&frame.targets, 0, 1, frame.n_rays, frame.n_returned, frame.n_known, frame.image}, rendered_, upstream_, terms_);
-        backward_.run(stream_, scene_, *accel_, {rays, &rendered_, &upstream_, &kept_}, frame.sensor_position_m, *gradients_);
+        render_and_compare(rays, {&frame.targets, 0, 1, frame.n_rays, frame.n_returned, frame.n_known, frame.image}, terms_);
+        backward_.run(stream_, scene_, *accel_, rendered(rays), frame.sensor_position_m, *gradients_);
         densifier_->observe(stream_, scene_, {&gradients_->surfels, &gradients_->touched, static_cast<std::uint32_t>(i), true});
         stream_.submit();
     }
@@ -231,7 +246,7 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
         const std::uint32_t stride = std::max(1u, frame.n_rays / kRays), first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
         const RayBatch rays = frame.batch(first, stride);
         place(k, model);
-        forward_.run(stream_, scene_, *accel_, rays, rendered_);
+        forward_.run(stream_, scene_, *accel_, rays, rendered_, nullptr, geometry_ ? &*geometry_ : nullptr);
         stream_.finish();
         const Rendering r = to_rendering(rendered_.download(), rays.n_rays);
         for (std::uint32_t j = 0; j < rays.n_rays; ++j) {

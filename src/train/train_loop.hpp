@@ -97,6 +97,8 @@ private:
     DensifyReport densified_;              ///< since the last log line
     Array<float> rendered_;
     KeptHits kept_;
+    std::optional<RayGeometry> geometry_;          ///< where a loss wants it, as the next
+    std::optional<GeometryLoss> geometry_loss_;
     Array<float> upstream_, terms_;
     double extent_m_;
     FrameSampler sampler_;
@@ -128,6 +130,9 @@ private:
     std::uint32_t largest_batch() const;
     /// Gradients for the scene's present size.
     void make_gradients();
+    /// Records the image of a batch and its losses, but for Chamfer's.
+    void render_and_compare(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
+    RenderedBatch rendered(const RayBatch& rays) const { return {rays, &rendered_, &upstream_, &kept_, geometry_ ? &*geometry_ : nullptr}; }
     /// Records where everything is in a frame, and the surfels as they look from there.
     void place(std::size_t frame_index, const ImageModel& model);
     /// Waits for the device and adds up the losses of the iterations pending.

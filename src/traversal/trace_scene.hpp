@@ -40,7 +40,7 @@ inline bool walks_together(const Device& device, const TraceOptions& options) {
 inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, const TraceOptions& options, const ImageModel& model) {
     return {{1u, static_cast<std::uint32_t>(options.chunk)}, {2u, proxy == Proxy::boxes ? 1u : 0u}, {3u, model.sh_direction == ShDirection::surfel ? 1u : 0u},
             {4u, walks_together(device, options) ? 1u : 0u}, {8u, model.single_drop_logit ? 1u : 0u},
-            {9u, model.primitive == Primitive::gaussian ? 1u : 0u}};
+            {9u, model.primitive == Primitive::gaussian ? 1u : 0u}, {10u, options.geometry ? 1u : 0u}};
 }
 
 }  // namespace relidar

@@ -13,6 +13,7 @@ namespace {
 using reference::PixelGradient;
 using test::GradientTable;
 using test::lanes;
+using test::Outputs;
 using test::Passes;
 using test::random_upstream;
 
@@ -43,31 +44,40 @@ constexpr Way kWays[] = {{"atomics", {.reduction = Reduction::atomics, .subgroup
                           {"gather, some kept hits", {.reduction = Reduction::gather}, 5},
                           {"gather without room for all", {.reduction = Reduction::gather, .subgroup_sums = true, .hits_per_ray = 2}}};
 
+/// How a scene is rendered, what of it has a gradient, and how well that must agree.
+struct How {
+    Proxy proxy = Proxy::boxes;
+    int chunk = 16;
+    bool brute_force = false;
+    double tolerance = test::kKernelGradient;
+    Outputs outputs = Outputs::image;
+};
+
 class DeviceGradient : public test::DeviceTest {
 protected:
-    void expect_agreement(const ImageModel& image, const test::RandomSceneOptions& options, Proxy proxy, int chunk, const std::string& title, bool brute_force = false, double tolerance = test::kKernelGradient) {
+    void expect_agreement(const ImageModel& image, const test::RandomSceneOptions& options, const How& how, const std::string& title) {
         reference::Settings settings;
         settings.image = image;
         settings.image.primitive = options.primitive;
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
-        const std::vector<PixelGradient> upstream = random_upstream(scene.rays.size(), options.seed);
+        const std::vector<PixelGradient> upstream = random_upstream(scene.rays.size(), options.seed, how.outputs);
         const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
         reference::Gradients expected(scene.world);
         std::vector<reference::RayGradient> d_rays;
-        for (std::size_t i = 0; i < scene.rays.size(); ++i) d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], chunk, upstream[i], expected));
+        for (std::size_t i = 0; i < scene.rays.size(); ++i) d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], how.chunk, upstream[i], expected));
 
-        for (const Way& way : std::span(kWays).first(brute_force ? 2 : std::size(kWays))) {   // other ways of finding hits change nothing there
-            Passes passes(device(), settings.image, scene, upstream, proxy, {.chunk = chunk, .brute_force = brute_force}, way.options);
+        for (const Way& way : std::span(kWays).first(how.brute_force ? 2 : std::size(kWays))) {   // other ways of finding hits change nothing there
+            Passes passes(device(), settings.image, scene, upstream, how.proxy, {.chunk = how.chunk, .brute_force = how.brute_force, .geometry = how.outputs != Outputs::image}, way.options);
             if (way.kept) passes.kept = std::make_unique<KeptHits>(device(), scene.rays.size(), way.kept);
             passes.run();
             const GatheredHits hits = passes.backward.take_gathered_hits();
             EXPECT_EQ(hits.most > hits.capacity, way.options.hits_per_ray == 2) << title;
-            expect_rows(image, expected, d_rays, passes.gradients, title + ", " + way.name, tolerance);
+            expect_rows(image, expected, d_rays, passes.gradients, title + ", " + way.name, how);
         }
     }
 
-    void expect_rows(const ImageModel& image, const reference::Gradients& expected, const std::vector<reference::RayGradient>& d_rays, const Gradients& actual, const std::string& title, double tolerance) {
+    void expect_rows(const ImageModel& image, const reference::Gradients& expected, const std::vector<reference::RayGradient>& d_rays, const Gradients& actual, const std::string& title, const How& how) {
         GradientTable table;
         add_surfel_rows(table, expected.surfels, actual.surfels.download());
         const std::vector<float> rays = actual.rays.download();
@@ -77,23 +87,24 @@ protected:
         }
         table.print(title + " on " + device().info().name);
         for (const auto& [name, group] : table.groups()) {
-            EXPECT_LE(group.worst_error(), tolerance) << name << ", " << title;
+            EXPECT_LE(group.worst_error(), how.tolerance) << name << ", " << title;
             EXPECT_EQ(group.missing_rows(), 0u) << name << ", " << title;
-            EXPECT_EQ(group.nonzero_rows() == 0u, name == "sh hit" && image.single_drop_logit) << name << ", " << title;
+            const bool constant = (name == "sh hit" && image.single_drop_logit) || (name.starts_with("sh ") && (how.outputs == Outputs::normal || how.outputs == Outputs::distortion));
+            EXPECT_EQ(group.nonzero_rows() == 0u, constant) << name << ", " << title;
         }
     }
 };
 
 TEST_F(DeviceGradient, ShAlongRayWithInstances) {
-    expect_agreement({.sh_direction = ShDirection::ray}, {.seed = 31, .rays = 60}, Proxy::triangles, 4, "triangles, SH along the ray, 3 instances, chunk 4");
+    expect_agreement({.sh_direction = ShDirection::ray}, {.seed = 31, .rays = 60}, {Proxy::triangles, 4}, "triangles, SH along the ray, 3 instances, chunk 4");
 }
 
 TEST_F(DeviceGradient, ShAlongSurfelWithInstance) {
-    expect_agreement({.sh_direction = ShDirection::surfel}, {.seed = 32, .actor_instances = 1, .rays = 60}, Proxy::boxes, 16, "boxes, SH along sensor -> mean, 2 instances, chunk 16");
+    expect_agreement({.sh_direction = ShDirection::surfel}, {.seed = 32, .actor_instances = 1, .rays = 60}, {}, "boxes, SH along sensor -> mean, 2 instances, chunk 16");
 }
 
 TEST_F(DeviceGradient, ViewOriginAndLongLists) {
-    expect_agreement({.sh_direction = ShDirection::surfel}, {.seed = 33, .background_surfels = 80, .actor_surfels = 0, .actor_instances = 0, .rays = 40, .opacity_low = 0.02, .opacity_high = 0.2}, Proxy::boxes, 16, "transparent, long lists, chunk 16");
+    expect_agreement({.sh_direction = ShDirection::surfel}, {.seed = 33, .background_surfels = 80, .actor_surfels = 0, .actor_instances = 0, .rays = 40, .opacity_low = 0.02, .opacity_high = 0.2}, {}, "transparent, long lists, chunk 16");
 }
 
 TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
@@ -103,8 +114,8 @@ TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
     // An opacity near 0.99 is rounded to 6e-8, which is 6e-6 of 1 - alpha; Eq. 9 divides by that, and the transmittance behind such a
     // wall carries it on to rows that are themselves small. Single precision holds no fourth digit there.
     const double tolerance = 10.0 * test::kKernelGradient;
-    expect_agreement({.sh_direction = ShDirection::ray}, options, Proxy::boxes, 16, "brute force, opaque, chunk 16", true, tolerance);
-    expect_agreement({.sh_direction = ShDirection::ray}, options, Proxy::boxes, 2, "brute force, opaque, chunk 2", true, tolerance);
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.brute_force = true, .tolerance = tolerance}, "brute force, opaque, chunk 16");
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.chunk = 2, .brute_force = true, .tolerance = tolerance}, "brute force, opaque, chunk 2");
 }
 
 TEST_F(DeviceGradient, Gaussians) {
@@ -123,10 +134,25 @@ TEST_F(DeviceGradient, SingleDropLogit) {
     test::RandomSceneOptions options;
     options.seed = 31;
     options.rays = 60;
-    expect_agreement({.sh_direction = ShDirection::ray, .single_drop_logit = true}, options, Proxy::triangles, 4, "one drop logit, SH along the ray");
+    expect_agreement({.sh_direction = ShDirection::ray, .single_drop_logit = true}, options, {Proxy::triangles, 4}, "one drop logit, SH along the ray");
     options.seed = 32;
     options.actor_instances = 1;
-    expect_agreement({.sh_direction = ShDirection::surfel, .single_drop_logit = true}, options, Proxy::boxes, 16, "one drop logit, SH along sensor -> mean");
+    expect_agreement({.sh_direction = ShDirection::surfel, .single_drop_logit = true}, options, {}, "one drop logit, SH along sensor -> mean");
+}
+
+/// Blended normal and distortion (M9, M10), each alone and with the image, short chunks and long lists.
+TEST_F(DeviceGradient, Geometry) {
+    test::RandomSceneOptions options;
+    options.rays = 60, options.seed = 72;
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .chunk = 4, .outputs = Outputs::all}, "image and geometry, SH along the ray, chunk 4");
+    options.actor_instances = 1, options.seed = 62;
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.chunk = 5, .outputs = Outputs::normal}, "blended normal alone");
+    options.seed = 63;
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.chunk = 5, .outputs = Outputs::distortion}, "distortion alone");
+    options.seed = 73, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0, options.actor_surfels = 0, options.opacity_low = 0.02, options.opacity_high = 0.2;
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.chunk = 5, .outputs = Outputs::all}, "image and geometry, transparent, long lists");
+    options.seed = 37, options.background_surfels = 40, options.opacity_low = 0.5, options.opacity_high = 0.98, options.wide_surfels = 2;
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.chunk = 2, .brute_force = true, .tolerance = 10.0 * test::kKernelGradient, .outputs = Outputs::all}, "image and geometry, opaque with clamps");
 }
 
 /// Direct differences of the device: blunt (single precision), but nothing of the chain is shared with the reference.

@@ -2,7 +2,6 @@
 // A random scene with a forward and a backward pass on the device, and random gradients of what its rays render.
 #pragma once
 
-#include <random>
 #include <vector>
 
 #include <relidar/backward.hpp>
@@ -11,6 +10,7 @@
 
 #include "../support/device.hpp"
 #include "../support/gradient_check.hpp"
+#include "../support/pixel_gradients.hpp"
 #include "../support/placed.hpp"
 #include "../support/random_scene.hpp"
 
@@ -28,7 +28,8 @@ struct Passes {
     BackwardPass backward;
     Array<DeviceRay> rays;
     Array<float> rendered, upstream;
-    std::unique_ptr<KeptHits> kept;   ///< null: cast again
+    std::unique_ptr<KeptHits> kept;           ///< null: cast again
+    std::unique_ptr<RayGeometry> geometry;    ///< where trace.geometry
     Gradients gradients;
     glm::vec3 view_origin;
 
@@ -39,28 +40,31 @@ struct Passes {
           rendered(d, s.rays.size() * kRenderedFloats, "rendered"), upstream(d, s.rays.size() * kUpstreamFloats, "upstream"),
           gradients(d, scene, {.n_rays = static_cast<std::uint32_t>(s.rays.size()), .poses = true}), view_origin(s.view_origin) {
         scene.set_poses(placed.world_from_instance);
+        if (trace.geometry) geometry = std::make_unique<RayGeometry>(d, s.rays.size());
         std::vector<DeviceRay> r;
-        std::vector<float> u;
+        std::vector<float> u, q;
         for (std::size_t i = 0; i < s.rays.size(); ++i) {
             r.push_back({glm::vec3(s.rays[i].origin), glm::vec3(s.rays[i].direction)});
             for (const double x : {g[i].depth, g[i].weight, g[i].intensity, g[i].hit_logit, g[i].drop_logit}) u.push_back(static_cast<float>(x));
+            for (const double x : {g[i].normal.x, g[i].normal.y, g[i].normal.z, g[i].distortion, 0.0, 0.0, 0.0, 0.0}) q.push_back(static_cast<float>(x));
         }
         rays.upload(r);
         upstream.upload(u);
+        if (geometry) geometry->gradient.upload(q);
     }
 
     RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size())}; }
     void run_forward() {
         scene.activate(stream, model, view_origin);
         accel.update(stream, scene);
-        forward.run(stream, scene, accel, batch(), rendered, kept.get());
+        forward.run(stream, scene, accel, batch(), rendered, kept.get(), geometry.get());
     }
     void run() {
         run_forward();
-        backward.run(stream, scene, accel, {batch(), &rendered, &upstream, kept.get()}, view_origin, gradients);
+        backward.run(stream, scene, accel, {batch(), &rendered, &upstream, kept.get(), geometry.get()}, view_origin, gradients);
         stream.finish();
     }
-    /// sum over rays of upstream . rendered, in double
+    /// sum over rays of upstream . rendered, in double, geometry left out
     double loss() {
         run_forward();
         stream.finish();
@@ -71,17 +75,6 @@ struct Passes {
         return sum;
     }
 };
-
-inline std::vector<reference::PixelGradient> random_upstream(std::size_t n, std::uint64_t seed) {
-    std::mt19937_64 random(seed);
-    std::normal_distribution<float> normal;
-    std::vector<reference::PixelGradient> g;
-    for (std::size_t i = 0; i < n; ++i) {
-        const float depth = 0.3f * normal(random);
-        g.push_back({depth, normal(random), normal(random), normal(random), normal(random)});
-    }
-    return g;
-}
 
 template <class Vector>
 std::vector<double> lanes(const Vector& v, int n) {

@@ -35,8 +35,7 @@ struct Problem {
         std::vector<double> result;
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const reference::Pixel p = render(scene.world, brute, s, rays[i], 16);
-            const PixelGradient& g = upstream[i];
-            result.push_back(g.depth * p.depth + g.weight * p.weight + g.intensity * p.intensity + g.hit_logit * p.hit_logit + g.drop_logit * p.drop_logit);
+            result.push_back(inner_product(upstream[i], p));
         }
         return result;
     }

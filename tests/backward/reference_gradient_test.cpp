@@ -4,9 +4,8 @@
 // Also its own consistency: radial part of the rotation, chunking, clamps.
 #include <gtest/gtest.h>
 
-#include <random>
-
 #include "../support/gradient_check.hpp"
+#include "../support/pixel_gradients.hpp"
 #include "../support/random_scene.hpp"
 
 namespace relidar {
@@ -22,21 +21,18 @@ struct Problem {
     std::vector<PixelGradient> upstream;
     int chunk = 16;
 
-    Problem(ShDirection direction, const test::RandomSceneOptions& options, int chunk_size, bool single_drop_logit = false) : chunk(chunk_size) {
+    Problem(ShDirection direction, const test::RandomSceneOptions& options, int chunk_size, bool single_drop_logit = false, test::Outputs outputs = test::Outputs::all)
+        : chunk(chunk_size) {
         settings.image.sh_direction = direction;
         settings.image.single_drop_logit = single_drop_logit;
         scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
-        std::mt19937_64 random(options.seed + 1);
-        std::normal_distribution<double> normal;
-        for (std::size_t i = 0; i < scene.rays.size(); ++i)
-            upstream.push_back({0.3 * normal(random), normal(random), normal(random), normal(random), normal(random)});
+        upstream = test::random_upstream(scene.rays.size(), options.seed + 1, outputs);
     }
 
     double term(const BruteForce& brute, std::size_t i) const {
         const Pixel p = render(scene.world, brute, settings, scene.rays[i], chunk);
-        const PixelGradient& g = upstream[i];
-        return g.depth * p.depth + g.weight * p.weight + g.intensity * p.intensity + g.hit_logit * p.hit_logit + g.drop_logit * p.drop_logit;
+        return inner_product(upstream[i], p);
     }
     BruteForce brute() const { return {scene.world, settings.image, Precision::double_record}; }
     std::vector<double> terms() const {
@@ -104,8 +100,8 @@ std::size_t most_hits(const Problem& p) {
     return most;
 }
 
-void expect_differences_agree(ShDirection direction, const test::RandomSceneOptions& options, int chunk, const char* title, bool single_drop_logit = false) {
-    Problem problem(direction, options, chunk, single_drop_logit);
+void expect_differences_agree(ShDirection direction, const test::RandomSceneOptions& options, int chunk, const char* title, bool single_drop_logit = false, test::Outputs outputs = test::Outputs::all) {
+    Problem problem(direction, options, chunk, single_drop_logit, outputs);
     EXPECT_GT(most_hits(problem), std::size_t(chunk)) << "the scene should need more than one chunk";
     std::vector<RayGradient> d_rays;
     const Gradients gradients = problem.gradients(d_rays);
@@ -116,7 +112,8 @@ void expect_differences_agree(ShDirection direction, const test::RandomSceneOpti
     for (const auto& [name, group] : table.groups()) {
         EXPECT_LE(group.worst_error(), test::kReferenceGradient) << name << ", seed " << options.seed;
         EXPECT_EQ(group.missing_rows(), 0u) << name;
-        const bool constant = (name == "view origin" && direction != ShDirection::surfel) || (name == "sh hit" && single_drop_logit);
+        const bool values = outputs == test::Outputs::all;   // geometry alone does not depend on the channels
+        const bool constant = (name == "view origin" && !(direction == ShDirection::surfel && values)) || (name == "sh hit" && single_drop_logit) || (name.starts_with("sh ") && !values);
         EXPECT_EQ(group.nonzero_rows() == 0u, constant) << name;
     }
 }
@@ -130,6 +127,15 @@ TEST(ReferenceGradient, EveryParameterShAlongSurfel) {
     test::RandomSceneOptions options;
     options.seed = 2;
     expect_differences_agree(ShDirection::surfel, options, 4, "SH along sensor -> mean, 3 instances, chunk 4");
+}
+
+/// Each output of the geometric losses alone (M9, M10); all other tests have them beside the image.
+TEST(ReferenceGradient, GeometryAlone) {
+    test::RandomSceneOptions options;
+    options.seed = 6;
+    options.background_surfels = 24, options.actor_surfels = 8, options.rays = 12;
+    expect_differences_agree(ShDirection::ray, options, 4, "blended normal alone", false, test::Outputs::normal);
+    expect_differences_agree(ShDirection::surfel, options, 4, "distortion alone", false, test::Outputs::distortion);
 }
 
 TEST(ReferenceGradient, SingleDropLogit) {

@@ -158,7 +158,7 @@ TEST(Config, PaperIsThePaper) {
     EXPECT_EQ(c.loss.intensity, 0.1f);
     EXPECT_EQ(c.loss.intensity_ssim, 0.0f);
     EXPECT_EQ(c.loss.chamfer, 0.01f);
-    EXPECT_EQ(c.loss.box + c.loss.opacity + c.loss.opacity_entropy, 0.0f);
+    EXPECT_EQ(c.loss.box + c.loss.opacity + c.loss.opacity_entropy + c.loss.distortion + c.loss.normal, 0.0f);
     EXPECT_FALSE(c.loss.normalised_depth);
     EXPECT_EQ(c.image.sh_direction, ShDirection::ray);
     EXPECT_EQ(c.render.range, "expected");

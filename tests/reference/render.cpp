@@ -28,6 +28,9 @@ public:
             pixel_.median_depth = s.t;
             pixel_.instance = s.hit.instance;
         }
+        for (const auto& [weight, t] : blended_) pixel_.distortion += w * weight * std::abs(s.t - t);   // M9, pair by pair
+        blended_.emplace_back(w, s.t);
+        pixel_.normal += w * s.normal;
         pixel_.transmittance = next;
         pixel_.hits += 1;
         return true;
@@ -44,9 +47,15 @@ private:
     double transmittance_min_;
     double drop_sum_ = 0.0;
     Pixel pixel_;
+    std::vector<std::pair<double, double>> blended_;   // w, t
 };
 
 }  // namespace
+
+double inner_product(const PixelGradient& g, const Pixel& p) {
+    return g.depth * p.depth + g.weight * p.weight + g.intensity * p.intensity + g.hit_logit * p.hit_logit + g.drop_logit * p.drop_logit +
+           glm::dot(g.normal, p.normal) + g.distortion * p.distortion;
+}
 
 ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, const Hit& hit) {
     const Surfel& surfel = world.surfels[hit.surfel];
@@ -58,6 +67,9 @@ ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, co
     const PlaneHit<double> met = meet(make_record(surfel), local);   // M1, M2 or M9
     s.t = met.t, s.u = met.u, s.v = met.v, s.w = met.w;
     s.gauss = std::exp(-0.5 * (s.u * s.u + s.v * s.v + s.w * s.w));
+    const glm::dvec3 normal = a.rotation[2];
+    s.side = glm::dot(normal, local.direction) > 0.0 ? -1.0 : 1.0;
+    s.normal = s.side * (glm::mat3_cast(pose.rotation) * normal);
     const double alpha_max = double(settings.image.alpha_max);
     s.alpha_clamped = a.opacity * s.gauss > alpha_max;
     s.alpha = s.alpha_clamped ? alpha_max : a.opacity * s.gauss;

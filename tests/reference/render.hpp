@@ -28,12 +28,18 @@ struct Pixel {
     double median_depth = 0.0;    ///< t of the surfel that takes T from above 0.5 to 0.5 or less; 0 where none does
     std::uint32_t hits = 0;       ///< blended surfels
     std::int64_t instance = -1;   ///< of the surfel of median_depth; where there is none, of the nearest blended one; -1 without
+    glm::dvec3 normal{0.0};       ///< sum w n, n the surfel's unit normal in the world on the side that faces the sensor (M10)
+    double distortion = 0.0;      ///< sum over pairs, each once, of w_i w_j |t_i - t_j|, metres (M9)
 };
 
 /// dL/d(Pixel) for the outputs a loss can use.
 struct PixelGradient {
     double depth = 0.0, weight = 0.0, intensity = 0.0, hit_logit = 0.0, drop_logit = 0.0;
+    glm::dvec3 normal{0.0};
+    double distortion = 0.0;
 };
+/// sum of gradient times output, over all outputs: a loss with that gradient.
+double inner_product(const PixelGradient& g, const Pixel& p);
 
 /// One hit with everything blending needs.
 struct ShadedHit {
@@ -45,6 +51,8 @@ struct ShadedHit {
     glm::dvec3 value;          ///< channels; intensity clamped at >= 0
     double raw_intensity;      ///< before the clamp
     bool intensity_clamped;    ///< raw intensity < 0: no gradient through it
+    double side;               ///< -1 where the surfel's own normal points along the ray, else 1
+    glm::dvec3 normal;         ///< world, facing the sensor
 };
 ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, const Hit& hit);
 

@@ -11,12 +11,34 @@ struct HitGradient {
     double alpha = 0.0;
     double t = 0.0;   // direct part g_D w; what flows through u, v is added with the geometry
     glm::dvec3 value{0.0};
+    glm::dvec3 normal{0.0};   // world
 };
 
 /// Gradients of a hit's geometry in the model's frame.
 struct LocalGradient {
     glm::dvec3 origin{0.0}, direction{0.0}, view{0.0};
 };
+
+/// Distortion and blended normal (M9, M10) pair by pair: dL/dw_i is what a unit of weight is worth, and alpha_i makes w_i from T_i while
+/// it takes the same share of every weight behind.
+void add_geometry(const std::vector<ShadedHit>& hits, const PixelGradient& g, std::vector<HitGradient>& result) {
+    std::vector<double> transmittance, w, d_w(hits.size(), 0.0);
+    for (const ShadedHit& s : hits) {
+        transmittance.push_back(w.empty() ? 1.0 : transmittance.back() * (1.0 - hits[w.size() - 1].alpha));
+        w.push_back(s.alpha * transmittance.back());
+    }
+    for (std::size_t i = 0; i < hits.size(); ++i) {
+        d_w[i] += glm::dot(g.normal, hits[i].normal);
+        for (std::size_t j = 0; j < hits.size(); ++j) {
+            d_w[i] += g.distortion * w[j] * std::abs(hits[i].t - hits[j].t);
+            result[i].t += g.distortion * w[i] * w[j] * (hits[i].t > hits[j].t ? 1.0 : hits[i].t < hits[j].t ? -1.0 : 0.0);
+        }
+    }
+    for (std::size_t i = 0; i < hits.size(); ++i) {
+        result[i].alpha += transmittance[i] * d_w[i];
+        for (std::size_t k = i + 1; k < hits.size(); ++k) result[i].alpha -= w[k] * d_w[k] / (1.0 - hits[i].alpha);
+    }
+}
 
 /// M7, front to back: needs the final pixel, the running sums and T before each hit.
 std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits, const Pixel& pixel, const PixelGradient& g) {
@@ -37,11 +59,14 @@ std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits, const
                           g.intensity * slope(s.value[0], pixel.intensity, sum.intensity) +
                           g.hit_logit * slope(s.value[1], pixel.hit_logit, sum.hit_logit) +
                           g.drop_logit * slope(s.value[2], pixel.drop_logit, sum.drop_logit);
-        if (s.alpha_clamped) result[i].alpha = 0.0;
+        result[i].normal = g.normal * w;
         result[i].t = g.depth * w;
         result[i].value = w * glm::dvec3(s.intensity_clamped ? 0.0 : g.intensity, g.hit_logit, g.drop_logit);
         transmittance *= 1.0 - s.alpha;
     }
+    add_geometry(hits, g, result);
+    for (std::size_t i = 0; i < hits.size(); ++i)
+        if (hits[i].alpha_clamped) result[i].alpha = 0.0;
     return result;
 }
 
@@ -92,8 +117,9 @@ void gaussian_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
 }
 
 /// Opacity and geometry of a surfel (M8): alpha = sigma exp(-(u^2 + v^2)/2), p = t d - q with q = mean - origin, t = n.q / n.d.
-void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s, const HitGradient& g, Surfel& d_surfel,
-                       LocalGradient& d_local) {
+/// @param d_normal  dL/d(normal), model frame, beside what flows through t
+void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s, const HitGradient& g, const glm::dvec3& d_normal,
+                       Surfel& d_surfel, LocalGradient& d_local) {
     const Activated a = activate(surfel);
     d_surfel.opacity_logit += g.alpha * s.gauss * a.opacity * (1.0 - a.opacity);
     const double d_u = -g.alpha * a.opacity * s.gauss * s.u;
@@ -109,7 +135,7 @@ void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
     d_surfel.mean += d_q;
     d_local.origin -= d_q;
     d_local.direction += s.t * d_p - normal * (d_t * s.t / facing);
-    const glm::dmat3 d_rotation(p * (d_u / a.scale.x), p * (d_v / a.scale.y), -p * (d_t / facing));   // dt/dn = (mean - hit) / (n.d)
+    const glm::dmat3 d_rotation(p * (d_u / a.scale.x), p * (d_v / a.scale.y), d_normal - p * (d_t / facing));   // dt/dn = (mean - hit) / (n.d)
     d_surfel.rotation += rotation_matrix_vjp(surfel.rotation, d_rotation);
 }
 
@@ -152,7 +178,13 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
         glm::dvec3 d_value = d_hits[i].value;
         if (settings.image.single_drop_logit) d_value[1] = 0.0;
         value_backward(surfel, settings, local, view, d_value, d_surfel, d_local);
-        (surfel.log_scale_w ? gaussian_backward : geometry_backward)(surfel, local, s, d_hits[i], d_surfel, d_local);
+        if (surfel.log_scale_w) {
+            gaussian_backward(surfel, local, s, d_hits[i], d_surfel, d_local);
+        } else {
+            const glm::dvec3 d_normal = s.side * (glm::transpose(glm::mat3_cast(pose.rotation)) * d_hits[i].normal);
+            geometry_backward(surfel, local, s, d_hits[i], d_normal, d_surfel, d_local);
+            gradients.instances[s.hit.instance].rotation += glm::cross(s.normal, d_hits[i].normal);   // n turns with the model
+        }
         pose_backward(pose, ray, settings.view_origin, d_local, gradients.instances[s.hit.instance], d_ray, gradients.view_origin);
     }
     return d_ray;

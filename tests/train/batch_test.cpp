@@ -123,14 +123,20 @@ TEST_F(Batch, EveryNthRayOfAListIsNoImageAndTheWholeFrameIs) {
     }
 }
 
-TEST_F(Batch, SimilarityNeedsImages) {
-    Config config = config_for("rays", 40);
-    config.loss.intensity_ssim = 0.15f;
+TEST_F(Batch, SimilarityAndNormalsNeedImages) {
     const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true), cloud = numbered_frame(device(), 1, 50, false);
-    EXPECT_THAT(error_message<UsageError>([&] { BatchSampler(device(), config, image); }), ::testing::HasSubstr("train.batch=columns"));
-    config.train.batch = "columns";
-    BatchSampler(device(), config, image);
-    EXPECT_THAT(error_message<UsageError>([&] { BatchSampler(device(), config, cloud); }), ::testing::HasSubstr("without image order"));
+    for (const std::string setting : {"loss.intensity_ssim", "loss.normal"}) {
+        Config config = config_for("rays", 40);
+        set_key(config, setting, "0.15");
+        const std::string found = "setting " + setting + ": found ";
+        EXPECT_EQ(error_message<UsageError>([&] { BatchSampler(device(), config, image); }), found + "batches of single rays, expected train.batch=columns or train.rays_per_iteration=0");
+        config.train.batch = "columns";
+        BatchSampler(device(), config, image);
+        EXPECT_EQ(error_message<UsageError>([&] { BatchSampler(device(), config, cloud); }), found + "a sensor without image order, expected rows and columns, or 0");
+    }
+    Config config = config_for("rays", 40);
+    config.loss.distortion = 0.15f;   // a ray's own
+    BatchSampler(device(), config, cloud);
 }
 
 }  // namespace

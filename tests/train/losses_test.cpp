@@ -21,7 +21,8 @@ TEST_F(Losses, EveryTermIsLogged) {
         config.init.max_scale_m = 2.0;
         config.loss.intensity_ssim = batch == "columns" ? 0.15f : 0.0f;
         config.loss.chamfer = config.loss.opacity_entropy = 0.01f;
-        config.loss.box = 0.01f;
+        config.loss.normal = batch == "columns" ? 0.05f : 0.0f;
+        config.loss.distortion = config.loss.box = 0.01f;
         config.loss.box_scale_share = 0.01f;   // so that some surfel is too large
         config.train.batch = batch;
         config.train.iterations = 3;
@@ -30,7 +31,7 @@ TEST_F(Losses, EveryTermIsLogged) {
         ASSERT_GT(result.scene.models.size(), 1u) << "an actor";
         for (std::size_t k = 0; k < kLossTerms; ++k) {
             const double term = result.log.back().terms[k];
-            const bool off = std::string(kLossTermNames[k]) == "ssim" && batch == "rays";
+            const bool off = batch == "rays" && (std::string(kLossTermNames[k]) == "ssim" || std::string(kLossTermNames[k]) == "normal");
             EXPECT_TRUE(std::isfinite(term) && (term > 0.0) != off) << kLossTermNames[k] << " " << term << ", " << batch;
         }
     }

@@ -1,0 +1,32 @@
+// SPDX-License-Identifier: Apache-2.0
+// The rendered range image and its neighbours, for kernels over GeometryLossParams. Include after RELIDAR_PARAMS.
+#ifndef RELIDAR_INCLUDED_LOSS_RANGE_IMAGE_GLSL
+#define RELIDAR_INCLUDED_LOSS_RANGE_IMAGE_GLSL
+
+const uint kNoPixel = 0xffffffffu;
+const float kLeastWeight = 0.5;   // W of a surface: less is the range of hardly anything
+
+RayEntry ray_of(uint i) { return params.rays.at[params.first_ray + i * params.ray_stride]; }
+
+/// Whether ray i is known to have returned.
+bool returned(uint i) {
+    RayTarget t = params.targets.at[params.first_ray + i * params.ray_stride];
+    return t.weight > 0.0 && t.range_m > 0.0;
+}
+
+float image_range(uint i) {
+    RenderedRay r = params.rendered.at[i];
+    return params.normalised_depth != 0u ? r.depth / r.weight : r.depth;
+}
+
+/// Whether pixel i, which returned, renders a surface too.
+bool is_surface(uint i) { return returned(i) && params.rendered.at[i].weight > kLeastWeight && image_range(i) > 0.0; }
+
+/// Pixel one row or column from pixel i, or kNoPixel outside the image. Columns wrap around where it is a whole turn.
+uint pixel_at(uint i, int row_offset, int column_offset) {
+    int columns = int(params.columns);
+    int row = int(i / params.columns) + row_offset, column = int(i % params.columns) + column_offset;
+    if (params.circular != 0u) column = (column + columns) % columns;
+    return row >= 0 && row < int(params.rows) && column >= 0 && column < columns ? uint(row * columns + column) : kNoPixel;
+}
+#endif

@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of loss/geometry_loss and loss/normal_vjp (docs/method.md M9, M10).
+#include <relidar/loss.hpp>
+
+#include <algorithm>
+
+#include <relidar/traversal.hpp>
+
+#include "core/assert.hpp"
+#include "gpu/stream.hpp"
+#include "shared/geometry_loss.h"
+
+namespace relidar {
+
+static_assert(sizeof(shared::GeometryGradient) == kGeometryGradientFloats * sizeof(float));
+
+struct GeometryLoss::Impl {
+    LossWeights weights;
+    Array<glm::vec3> d_tangents;
+    Kernel<shared::GeometryLossParams> loss, normal_vjp;
+};
+
+GeometryLoss::GeometryLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays)
+    : impl_(new Impl{weights,
+                     {device, weights.normal > 0.0f ? 2 * std::size_t(n_rays) : 0, "tangent gradients"},
+                     {device, accumulating_variant(device, "loss/geometry_loss@")},
+                     {device, "loss/normal_vjp"}}) {}
+GeometryLoss::~GeometryLoss() = default;
+
+void GeometryLoss::run(Stream& stream, const RayBatch& rays, const TargetBatch& batch, const Array<float>& rendered, RayGeometry& geometry, Array<float>& upstream, const TermRow& terms) {
+    const LossWeights& w = impl_->weights;
+    const bool with_normals = w.normal > 0.0f;
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kGeometryGradientFloats, geometry.gradient.size());
+    RELIDAR_ASSERT_LE(with_normals ? 2 * std::size_t(batch.n_rays) : 0, impl_->d_tangents.size());
+    RELIDAR_ASSERT_LE(with_normals ? 1u : 0u, batch.image.rows);
+    const float per_return = static_cast<float>(1.0 / std::max(batch.n_returned, 1.0));
+    const shared::GeometryLossParams params{rays.rays->address(), rendered.address(), geometry.rendered.address(), batch.targets->address(), impl_->d_tangents.address(),
+                                            upstream.address(), geometry.gradient.address(), terms.address(), w.distortion * per_return, w.normal * per_return,
+                                            batch.n_rays, batch.first, batch.stride, batch.image.rows, batch.image.columns, batch.image.circular ? 1u : 0u,
+                                            w.normalised_depth ? 1u : 0u};
+    relidar::run(stream, impl_->loss, batch.n_rays, params);
+    if (with_normals) relidar::run(stream, impl_->normal_vjp, batch.n_rays, params);
+}
+
+}  // namespace relidar

@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+// Blended normals and distortion of forward/trace (M9, M10) against the double reference, which sums distortion pair by pair: random
+// scenes with instances, chunk sizes, rays of many hits. The image is the same, bit for bit, whether they are wanted or not.
+#include <relidar/forward.hpp>
+
+#include "../support/device.hpp"
+#include "../support/placed.hpp"
+#include "../support/random_scene.hpp"
+#include "../support/tolerances.hpp"
+
+namespace relidar {
+namespace {
+
+class Geometry : public test::DeviceTest {
+protected:
+    /// Renders a scene's rays. @param geometry  if given, receives [n, kGeometryFloats]
+    std::vector<float> trace(const test::RandomScene& random, const ImageModel& model, int chunk, std::vector<float>* geometry) {
+        const test::SceneAndPoses placed = test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
+        Stream stream(device());
+        DeviceScene scene(device(), placed.scene);
+        scene.set_poses(placed.world_from_instance);
+        Accel accel(device(), scene, {});
+        ForwardPass forward(device(), model, accel.proxy(), {.chunk = chunk, .geometry = geometry != nullptr});
+        const std::vector<DeviceRay> rays = to_device_rays(test::to_world_rays(random.rays));
+        const Array<DeviceRay> device_rays(device(), std::span<const DeviceRay>(rays), "rays");
+        Array<float> rendered(device(), rays.size() * kRenderedFloats, "rendered");
+        RayGeometry wanted(device(), rays.size() + 1);   // a guard behind
+        wanted.rendered.upload(std::vector<float>(wanted.rendered.size(), -7.0f));
+        scene.activate(stream, model, glm::vec3(random.view_origin));
+        accel.update(stream, scene);
+        forward.run(stream, scene, accel, {&device_rays, 0, 1, std::uint32_t(rays.size())}, rendered, nullptr, geometry ? &wanted : nullptr);
+        stream.finish();
+        if (geometry) {
+            *geometry = wanted.rendered.download();
+            for (int k = 0; k < kGeometryFloats; ++k, geometry->pop_back()) EXPECT_EQ(geometry->back(), -7.0f) << "wrote past the end";
+        }
+        return rendered.download();
+    }
+};
+
+TEST_F(Geometry, AgreesWithDoubleReference) {
+    test::RandomSceneOptions few, many;
+    few.seed = 24, few.rays = 200;
+    many.seed = 25, many.rays = 60, many.background_surfels = 120, many.actor_surfels = 0, many.actor_instances = 0, many.opacity_low = 0.02, many.opacity_high = 0.2;
+    for (const test::RandomSceneOptions& options : {few, many}) {
+        const reference::Settings settings;
+        const test::RandomScene scene = test::make_random_scene(options, settings);
+        const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
+        std::vector<float> found;
+        const std::vector<float> image = trace(scene, settings.image, 5, &found);
+        double most = 0.0;
+        for (std::size_t i = 0; i < scene.rays.size(); ++i) {
+            const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
+            const float* q = &found[i * kGeometryFloats];
+            EXPECT_LE(glm::length(glm::dvec3(q[0], q[1], q[2]) - p.normal), 1e-5) << "ray " << i;
+            EXPECT_NEAR(q[3], p.distortion, 1e-5 * p.distortion + 1e-7) << "ray " << i;
+            most = std::max(most, p.distortion);
+        }
+        EXPECT_GT(most, 0.2) << "the scene has no ray with a spread";
+        EXPECT_EQ(trace(scene, settings.image, 5, nullptr), image) << "the image does not depend on it";
+        std::vector<float> again;
+        trace(scene, settings.image, 64, &again);
+        EXPECT_EQ(again, found) << "nor on the chunk";
+    }
+}
+
+}  // namespace
+}  // namespace relidar
