@@ -102,6 +102,7 @@ struct WorldReturn {
     glm::dvec3 point_m;
     glm::dvec3 direction;
     double time_s;
+    float intensity;   ///< of the surface, see surface_intensity()
 };
 /// @param ray  index of a returned ray of the frame
 WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray);
@@ -110,6 +111,22 @@ WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size
 /// Boxes are interpolated in time; they are absent before their first and after their last observation, half a step
 /// between observations allowed, for the rays of the turn in which they were labelled.
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m);
+
+/// Intensity of what a ray returned from, the response of its laser taken off: (measured - offset) / gain. The measured value where
+/// the sensor has no such laser.
+float surface_intensity(const SpinningSensor& sensor, const Scan& scan, std::size_t ray);
+
+/// How well lasers agree on the places that several of them have seen, root mean square of the intensity.
+struct IntensityCalibration {
+    std::size_t returns = 0;    ///< on such places
+    double rms_before = 0.0;    ///< about the mean of the place
+    double rms_after = 0.0;     ///< about what gain and offset of each laser make of the brightness of the place
+};
+/// Finds gain and offset of each laser of the sensor (Beam) from returns of the given frames that fall into the same 0.1 m of the world, by
+/// alternating least squares; the mean laser has gain 1 and offset 0, and so has one that shares no place. Lasers of one sensor differ by more
+/// than surfaces do: without it the scene averages them. (Not in the paper.)
+/// @param positions  of the frames to look at, in Sequence::frames
+IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions);
 
 /// Frames for training and for testing. Every `test_every`-th position is held out, the first one excepted
 /// (frames 10, 20, ... of 0:50 with test_every = 10).

@@ -28,6 +28,14 @@ float chosen_range(const Rendering& r, std::size_t i, const std::string& which) 
 
 float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
 
+/// What a laser reports of a surface, see Beam.
+float measured_intensity(const SensorChoice& sensor, std::size_t ray, float intensity) {
+    const std::size_t channel = sensor.rays.channel[ray];
+    if (channel >= sensor.beams.size()) return intensity;
+    const Beam& beam = sensor.beams[channel];
+    return std::clamp(static_cast<float>(beam.intensity_gain * double(intensity) + beam.intensity_offset), 0.0f, 1.0f);
+}
+
 Sequence without_scans(const Sequence& sequence, const Config& config) {
     Sequence result;
     result.sensor = sequence.sensor;
@@ -84,13 +92,13 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     scan.image.columns = sensor.rays.columns;
     scan.image.origin = sensor.rays.origin;
     scan.image.direction = sensor.rays.direction;
-    scan.image.intensity = r.intensity;
     scan.median_range_m = r.median_depth;
     scan.weight = r.weight;
     scan.time_offset_s = sensor.rays.time_offset_s;
     scan.channel = sensor.rays.channel;
     for (std::size_t i = 0; i < r.size(); ++i) {
         scan.image.range_m.push_back(chosen_range(r, i, s.config.render.range));
+        scan.image.intensity.push_back(measured_intensity(sensor, i, r.intensity[i]));
         scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
         const float never_seen = sensor.is_own ? s.layout.sensor_drop.at(sensor.rays.channel[i], sensor.rays.direction[i]) : 0.0f;
         scan.image.drop_prob.push_back(1.0f - (1.0f - drop_probability(r, i)) * (1.0f - never_seen));

@@ -53,7 +53,7 @@ std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame, 
         if (!(scan.range_m[ray] > 0.0f)) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
         if (std::any_of(separate.begin(), separate.end(), [&](const BoxTrack& box) { return is_in(box, w, options); })) continue;
-        samples.push_back({glm::vec3(w.point_m), scan.intensity[ray], glm::vec3(w.direction)});
+        samples.push_back({glm::vec3(w.point_m), w.intensity, glm::vec3(w.direction)});
     }
     return samples;
 }
