@@ -64,7 +64,8 @@ struct TrainSession {
     std::function<void(const std::string&)> note;    ///< one line about a failure that training survives: a full disk under a checkpoint
 };
 
-/// Estimates what the log does not say and training does not find, as the settings ask: responses of the lasers (sensor.calibrate_intensity).
+/// Estimates what the log does not say and training does not find, as the settings ask: offsets and responses of the lasers
+/// (sensor.calibrate_range, sensor.calibrate_intensity).
 /// From training frames alone; the same for the same log and settings. @return a line a person reads for each estimate
 std::vector<std::string> prepare_log(Sequence& sequence, const Split& split, const Config& config);
 

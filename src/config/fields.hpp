@@ -50,6 +50,7 @@ void visit_sensor(C& c, Visitor&& f) {
     f("sensor.grid_method", c.sensor.grid_method, one_of({"project", "cast"}), "grid images: simulate the native scan and bin its points, or cast rays through the cell centres");
     f("sensor.rolling_shutter", c.sensor.rolling_shutter, anything(), "rays start where the sensor was when they were fired");
     f("sensor.calibrate_intensity", c.sensor.calibrate_intensity, anything(), "find gain and offset of each laser's intensity from the training scans: surfaces have one brightness, lasers differ");
+    f("sensor.calibrate_range", c.sensor.calibrate_range, anything(), "find what each laser adds to its ranges from the training scans: centimetres, that differ between lasers");
 }
 
 template <class C, class Visitor>

@@ -41,10 +41,10 @@ Json to_json(const SpinningSensor& sensor) {
                  {"min_range_m", sensor.min_range_m},
                  {"max_range_m", sensor.max_range_m},
                  {"divergence_rad", sensor.divergence_rad},
-                 {"beam_fields", {"elevation_rad", "azimuth_offset_rad", "origin_offset_m", "origin_up_m", "origin_left_m", "intensity_gain", "intensity_offset"}},
+                 {"beam_fields", {"elevation_rad", "azimuth_offset_rad", "origin_offset_m", "origin_up_m", "origin_left_m", "intensity_gain", "intensity_offset", "range_offset_m"}},
                  {"beams", Json::array()}};
     for (const Beam& b : sensor.beams)
-        json["beams"].push_back({b.elevation_rad, b.azimuth_offset_rad, b.origin_offset_m, b.origin_up_m, b.origin_left_m, b.intensity_gain, b.intensity_offset});
+        json["beams"].push_back({b.elevation_rad, b.azimuth_offset_rad, b.origin_offset_m, b.origin_up_m, b.origin_left_m, b.intensity_gain, b.intensity_offset, b.range_offset_m});
     return json;
 }
 
@@ -96,8 +96,8 @@ SpinningSensor read_sensor(const JsonField& field) {
             sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4]});
             continue;
         }
-        const auto v = beam.numbers<7>();
-        sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4], v[5], v[6]});
+        const auto v = beam.numbers<8>();
+        sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]});
     }
     if (sensor.beams.empty()) beams.fail("found no beam", "expected at least one");
     return sensor;

@@ -11,6 +11,7 @@
 
 #include <relidar/error.hpp>
 
+#include "core/parallel.hpp"
 #include "core/random.hpp"
 #include "scene/point_surfels.hpp"
 #include "scene/visibility.hpp"

@@ -133,11 +133,11 @@ double fit_responses(const std::vector<Observation>& seen, const std::vector<dou
 
 }  // namespace
 
-IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions) {
+LaserCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions) {
     for (Beam& beam : sequence.sensor.beams) beam.intensity_gain = 1.0, beam.intensity_offset = 0.0;
     std::size_t n_places = 0;
     const std::vector<Observation> seen = shared_places(sequence, positions, n_places);
-    IntensityCalibration result{seen.size(), 0.0, 0.0};
+    LaserCalibration result{seen.size(), 0.0, 0.0};
     if (seen.empty()) return result;
     std::vector<Response> responses(sequence.sensor.beams.size());
     for (int round = 0; round < kRounds; ++round) {

@@ -8,10 +8,16 @@ namespace relidar {
 
 std::vector<std::string> prepare_log(Sequence& sequence, const Split& split, const Config& config) {
     std::vector<std::string> lines;
-    if (config.sensor.calibrate_intensity && sequence.sensor.beams.size() > 1) {
-        const IntensityCalibration found = calibrate_intensity(sequence, split.train);
-        lines.push_back(fmt::format("lasers  {} compared on {:.1f} million returns of shared places: intensity differs by {:.3f} rms, {:.3f} with a gain and offset each",
-                                    sequence.sensor.beams.size(), double(found.returns) * 1e-6, found.rms_before, found.rms_after));
+    const std::size_t n = sequence.sensor.beams.size();
+    if (config.sensor.calibrate_range && n > 1) {
+        const LaserCalibration found = calibrate_ranges(sequence, split.train);
+        lines.push_back(fmt::format("ranges  of {} lasers compared on {:.1f} million returns: {:.1f} mm rms off their planes, {:.1f} mm with an offset each", n,
+                                    double(found.returns) * 1e-6, found.rms_before * 1e3, found.rms_after * 1e3));
+    }
+    if (config.sensor.calibrate_intensity && n > 1) {
+        const LaserCalibration found = calibrate_intensity(sequence, split.train);
+        lines.push_back(fmt::format("intensities of {} lasers compared on {:.1f} million returns: {:.3f} rms apart, {:.3f} with a gain and offset each", n,
+                                    double(found.returns) * 1e-6, found.rms_before, found.rms_after));
     }
     return lines;
 }

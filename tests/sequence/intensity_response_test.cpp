@@ -63,7 +63,7 @@ std::vector<Beam> unequal_beams() {
 TEST(IntensityResponse, ComesBackFromSharedPlaces) {
     const std::vector<Beam> truth = unequal_beams();
     Sequence sequence = drive(truth, 0.01);
-    const IntensityCalibration found = calibrate_intensity(sequence, kAll);
+    const LaserCalibration found = calibrate_intensity(sequence, kAll);
     ASSERT_GT(found.returns, 2000u);
     EXPECT_GT(found.rms_before, 3.0 * found.rms_after);
     // Up to the common scale and shift, which no data tell: what two lasers report of the same surface is compared.
@@ -104,7 +104,7 @@ TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
 
 TEST(IntensityResponse, NothingSharedLeavesTheSensorAlone) {
     Sequence sequence = drive(unequal_beams(), 0.0);
-    const IntensityCalibration found = calibrate_intensity(sequence, {});
+    const LaserCalibration found = calibrate_intensity(sequence, {});
     EXPECT_EQ(found.returns, 0u);
     for (const Beam& beam : sequence.sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
 }
