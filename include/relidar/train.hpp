@@ -65,7 +65,7 @@ struct TrainSession {
 };
 
 /// Estimates what the log does not say and training does not find, as the settings ask: offsets and responses of the lasers
-/// (sensor.calibrate_range, sensor.calibrate_intensity).
+/// (sensor.calibrate_range, sensor.calibrate_intensity), tracks of what moves without a label (init.discover_actors).
 /// From training frames alone; the same for the same log and settings. @return a line a person reads for each estimate
 std::vector<std::string> prepare_log(Sequence& sequence, const Split& split, const Config& config);
 

@@ -66,6 +66,7 @@ void visit_scene(C& c, Visitor&& f) {
     f("init.drop_logit", c.init.drop_logit, between(-20, 20), "drop logit of new surfels");
     f("init.max_scale_m", c.init.max_scale_m, above(0), "largest standard deviation of a new surfel, metres");
     f("init.scale_factor", c.init.scale_factor, above(0), "standard deviation of a new surfel over the mean distance to its 3 nearest neighbours");
+    f("init.discover_actors", c.init.discover_actors, anything(), "what moves without a label becomes an actor with a track of its own, found from returns that other frames see through");
     f("init.actor_min_step_m", c.init.actor_min_step_m, at_least(0), "boxes that move more than this a frame are actors: their points are left out, metres");
     f("init.actor_margin_m", c.init.actor_margin_m, at_least(0), "boxes are grown by this when points are left out, metres");
     f("init.actors", c.init.actors, one_of({"models", "masked", "background"}), "moving boxes become models of their own, are masked out, or belong to the background (see init.remove_unlabelled_movers)");

@@ -45,6 +45,7 @@ Config standard() {
     config.init.normal_neighbours = 24;                // 6 points of 2 cm noise tilt a normal by some 0.1 rad
     config.init.smooth = true;
     config.init.remove_unlabelled_movers = true;       // boxes cover the front camera's view only
+    config.init.discover_actors = true;                // ... and so do what else moves: people beside it, the car behind
     config.init.opacity = 0.8;
     config.init.hit_logit = 1.5;                       // a surface starts at 12 % drops instead of 27 %: about what sensors have
     config.init.drop_logit = -0.5;

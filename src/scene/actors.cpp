@@ -78,6 +78,7 @@ bool lists(const std::string& list, const std::string& word) {
 
 bool is_wanted(const BoxTrack& box, const InitialiseOptions& options) {
     if (options.actors != ActorMode::models) return false;
+    if (options.discover_actors && box.category == kDiscoveredCategory) return true;
     return options.actor_tracks.empty() ? lists(options.actor_classes, box.category) : lists(options.actor_tracks, box.id);
 }
 

@@ -99,13 +99,12 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
     return means;
 }
 
-/// Leaves out samples that at least two frames see through, and a quarter as many as see them.
+/// Leaves out samples that other frames see through.
 std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Sequence& sequence, const std::vector<int>& train) {
     const Visibility visibility(sequence, train);
     std::vector<char> keep(samples.size());
     for_each_block(samples.size(), [&](std::size_t i) {
-        const Visibility::Votes v = visibility.votes(samples[i].position);
-        keep[i] = v.seen_through < 2 || 4 * v.seen_through < v.seen;
+        keep[i] = !visibility.votes(samples[i].position).is_mover();
     });
     std::vector<Sample> kept;
     for (std::size_t i = 0; i < samples.size(); ++i)

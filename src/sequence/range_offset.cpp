@@ -19,8 +19,8 @@ constexpr std::size_t kMostReturns = 6000000;
 constexpr int kMinReturns = 20;             // of a cell that may be a plane
 constexpr double kMaxThickness_m = 0.05;    // standard deviation across a plane, and at least along it
 constexpr double kMaxResidual_m = 0.15;     // what lies farther off its cell's plane belongs to something else
-constexpr double kPriorReturns = 200.0;     // a laser starts as if so many of its returns, met squarely, had shown no offset
-constexpr int kRounds = 8;
+constexpr double kPriorReturns = 20.0;      // a laser starts as if so many of its returns, met squarely, had shown no offset
+constexpr int kRounds = 30;                // planes that few lasers share follow them only slowly
 
 /// One return in the world, by its laser's own word.
 struct Observation {

@@ -28,8 +28,8 @@ double cast(const glm::dvec3& o, const glm::dvec3& d) {
 /// A drive along the street; each laser adds its offset, and 5 mm of a deterministic noise.
 Sequence drive(bool held_out_is_garbage = false) {
     Sequence sequence;
-    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) sequence.sensor.beams.push_back({.elevation_rad = 0.05 - 0.05 * double(b)});
-    sequence.sensor.columns = 720;
+    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) sequence.sensor.beams.push_back({.elevation_rad = -0.03 - 0.04 * double(b)});
+    sequence.sensor.columns = 1440;
     sequence.rolling_shutter = false;
     std::uint64_t k = 0;
     for (int f = 0; f < 10; ++f) {
