@@ -125,8 +125,9 @@ struct InstancePose {
 inline constexpr const char* kDiscoveredCategory = "Discovered";
 
 /// Tracks of what moves without a label: returns of training frames, within 40 m and outside labelled boxes, that other training frames see
-/// through are grouped, linked from frame to frame and registered onto each other as rigid bodies that stay upright. Only what is seen in
-/// at least 6 frames and comes 0.6 m far becomes a track. x is the direction of motion; ids are mover-0, mover-1, ...
+/// through are grouped, linked from frame to frame and placed as rigid upright boxes, of which the end near the sensor is sure and the size what
+/// they showed when they showed most. Only what is seen in at least 6 frames and comes 0.6 m far becomes a track. x is the direction of motion;
+/// ids are mover-0, mover-1, ...
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options);
 
 /// Boxes whose points and rays are not the background's: those that move, and the tracks asked for; none with ActorMode::background.
