@@ -112,6 +112,7 @@ struct InitialiseOptions {
     double scale_factor = 1.0;         ///< times the mean distance to the 3 nearest neighbours
     double thickness = 1.0;            ///< 3D Gaussians: along the normal over in the plane; 1 = spheres, as 3D Gaussian splatting starts
     bool remove_unlabelled_movers = false;   ///< leave out points that other training frames see through (not in the paper)
+    bool discover_actors = false;      ///< what moves without a label gets a track of its own (see discover_tracks(); not in the paper)
     double actor_min_step_m = 0.01;    ///< boxes moving more than this a frame hold actors: their points are left out
     double actor_margin_m = 0.2;       ///< boxes are grown by this when points are left out
     ActorMode actors = ActorMode::models;
@@ -131,6 +132,15 @@ struct InstancePose {
     bool present = true;
     double time_s = 0.0;   ///< place_instances: the moment at which its track was asked
 };
+
+/// Category of tracks that discover_tracks() made.
+inline constexpr const char* kDiscoveredCategory = "Discovered";
+
+/// Tracks of what moves without a label: returns of training frames, within 40 m and outside labelled boxes, that other training frames see
+/// through are grouped, linked from frame to frame and placed as rigid upright boxes, of which the end near the sensor is sure and the size what
+/// they showed when they showed most. Only what is seen in at least 6 frames and comes 0.6 m far becomes a track. x is the direction of motion;
+/// ids are mover-0, mover-1, ...
+std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options);
 
 /// Boxes whose points and rays are not the background's: those that move, and the tracks asked for; none with ActorMode::background.
 /// @throws DataError for a box without a size or with a pose that is not finite, UsageError for an unknown track

@@ -38,6 +38,9 @@ struct Beam {
     double origin_offset_m = 0.0;  ///< along the head direction
     double origin_up_m = 0.0;      ///< at right angles to the beam, in its vertical plane
     double origin_left_m = 0.0;    ///< to the left of the beam
+    double intensity_gain = 1.0;   ///< measured intensity = gain * intensity of the surface + offset, cut to 0..1
+    double intensity_offset = 0.0;
+    double range_offset_m = 0.0;   ///< measured range = range of the surface + this
 };
 
 /// A spinning LiDAR: its beams, the number of azimuth steps a turn, and the turn itself.

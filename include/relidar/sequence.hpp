@@ -97,11 +97,12 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
 /// @param point_m [3] metres, sensor frame @param time_s reference time of the turn @return time_s itself without a rolling shutter
 double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s);
 
-/// The end point of a returned ray in the world, and when it was seen.
+/// The end point of a returned ray in the world, range offset and intensity response of its laser taken off, and when it was seen.
 struct WorldReturn {
     glm::dvec3 point_m;
     glm::dvec3 direction;
     double time_s;
+    float intensity;   ///< of the surface, see surface_intensity()
 };
 /// @param ray  index of a returned ray of the frame
 WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray);
@@ -110,6 +111,28 @@ WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size
 /// Boxes are interpolated in time; they are absent before their first and after their last observation, half a step
 /// between observations allowed, for the rays of the turn in which they were labelled.
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m);
+
+/// Intensity of what a ray returned from, the response of its laser taken off: (measured - offset) / gain. The measured value where
+/// the sensor has no such laser.
+float surface_intensity(const SpinningSensor& sensor, const Scan& scan, std::size_t ray);
+
+/// Range of what a ray returned from, the offset of its laser taken off, metres; 0 where the ray was dropped.
+float surface_range(const SpinningSensor& sensor, const Scan& scan, std::size_t ray);
+
+/// How well lasers agree on what several of them have seen.
+struct LaserCalibration {
+    std::size_t returns = 0;    ///< that were compared
+    double rms_before = 0.0;    ///< of intensities about the mean of their place, or of points about their plane, metres
+    double rms_after = 0.0;     ///< with a response, or an offset, for each laser
+};
+/// Finds gain and offset of each laser's intensity (Beam) from returns of the given frames that fall into the same 0.1 m of the world, by
+/// alternating least squares; the mean laser has gain 1 and offset 0, and so has one that shares no place. Lasers of one sensor differ by more
+/// than surfaces do: without it the scene averages them. (Not in the paper.)
+/// @param positions  of the frames to look at, in Sequence::frames
+LaserCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions);
+/// Finds what each laser adds to its ranges (Beam) from returns on the same planes, cells of 0.3 m, by alternating least squares from the
+/// nominal ranges; offsets of all lasers average 0. Datasets keep offsets of centimetres between lasers. (Not in the paper.)
+LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions);
 
 /// Frames for training and for testing. Every `test_every`-th position is held out, the first one excepted
 /// (frames 10, 20, ... of 0:50 with test_every = 10).

@@ -64,7 +64,12 @@ struct TrainSession {
     std::function<void(const std::string&)> note;    ///< one line about a failure that training survives: a full disk under a checkpoint
 };
 
-/// Trains a scene on the training frames of a log.
+/// Estimates what the log does not say and training does not find, as the settings ask: offsets and responses of the lasers
+/// (sensor.calibrate_range, sensor.calibrate_intensity), tracks of what moves without a label (init.discover_actors).
+/// From training frames alone; the same for the same log and settings. @return a line a person reads for each estimate
+std::vector<std::string> prepare_log(Sequence& sequence, const Split& split, const Config& config);
+
+/// Trains a scene on the training frames of a log, prepared by prepare_log().
 /// @throws UsageError where the session's start does not fit (check_resumable); DataError where there is nothing to train on, where a loss is not
 /// finite, naming iteration, frame and term, or a parameter, naming array and row; DeviceError on the device's failures. Checkpoints
 /// already written stay

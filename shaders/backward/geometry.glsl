@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivatives of what the geometric losses want of a ray (docs/method.md M9, M10), hit by hit. With T the transmittance before a hit,
+// Derivatives of what the geometric losses want of a ray (docs/method.md M10, M11), hit by hit. With T the transmittance before a hit,
 // T' that behind it and T_N that of the whole ray, the weight before a hit is 1 - T, its own T - T' and all of the ray 1 - T_N.
 #ifndef RELIDAR_INCLUDED_BACKWARD_GEOMETRY_GLSL
 #define RELIDAR_INCLUDED_BACKWARD_GEOMETRY_GLSL

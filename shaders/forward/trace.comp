@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Forward pass (Eq. 2-4; M4, M5): collects hits chunk by chunk, blends nearest first. One thread a ray.
-// Where the geometric losses want them, also the blended normal and the distortion (M9, M10).
+// Where the geometric losses want them, also the blended normal and the distortion (M10, M11).
 // Input: scene (rays, records, instances, sh, acceleration structure). Output: rendered, kept, geometry. Accumulated: scene.pass_cap_count.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -9,10 +9,10 @@
 #include "../common/compensated.glsl"
 RELIDAR_PARAMS(ForwardParams);
 
-/// Takes a hit into the geometry of its ray; `beyond` is its distance behind the first hit, of which no digits are lost in M9's sums.
+/// Takes a hit into the geometry of its ray; `beyond` is its distance behind the first hit, of which no digits are lost in M10's sums.
 /// @param before  weight of the hits before it
 void add_geometry(TraceScene scene, Ray ray, uint i, float w, float before, float beyond, inout RenderedGeometry q) {
-    q.distortion += w * (beyond * before - q.moment);   // M9
+    q.distortion += w * (beyond * before - q.moment);   // M10
     q.moment += w * beyond;
     q.normal += w * facing_normal(scene, ray, hit_instance[i], hit_surfel[i]);
 }

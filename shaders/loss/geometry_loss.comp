@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Geometric losses of 2D Gaussian splatting on returned rays (docs/method.md M9, M10): distortion along the ray, and W - B . N, the
+// Geometric losses of 2D Gaussian splatting on returned rays (docs/method.md M10, M11): distortion along the ray, and W - B . N, the
 // disagreement of the blended surfel normals B with the normal N of the rendered range image. One thread a ray.
 // Input: rays, rendered, geometry, targets. Output: d_geometry (less its point), d_tangents. Accumulated: upstream, terms.
 #version 460

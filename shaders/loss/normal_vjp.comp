@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of normal consistency (M10) through N: each pixel gathers, from the neighbours whose tangents end at its point
+// Derivative of normal consistency (M11) through N: each pixel gathers, from the neighbours whose tangents end at its point
 // origin + r direction, dL/d(point); then r = D / W or D. One thread a pixel.
 // Input: rays, rendered, targets, d_tangents. Accumulated: upstream. Output: d_geometry (point, range).
 #version 460

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The geometric losses (docs/method.md M9, M10). Weights, rays and targets as in loss.h.
+// The geometric losses (docs/method.md M10, M11). Weights, rays and targets as in loss.h.
 #ifndef RELIDAR_INCLUDED_SHARED_GEOMETRY_LOSS_H
 #define RELIDAR_INCLUDED_SHARED_GEOMETRY_LOSS_H
 #include "loss.h"

@@ -48,7 +48,7 @@ struct RayGradient {
 };
 RELIDAR_POINTER(RayGradients, RayGradient);
 
-/// What a ray renders for the geometric losses, where they want it (M9, M10); n is a surfel's unit normal in the world on the side that
+/// What a ray renders for the geometric losses, where they want it (M10, M11); n is a surfel's unit normal in the world on the side that
 /// faces the sensor, t_0 the distance of the ray's first hit.
 struct RenderedGeometry {
     vec3 normal;        // B = sum w n

@@ -49,6 +49,8 @@ void visit_sensor(C& c, Visitor&& f) {
     f("sensor.grid", c.sensor.grid, one_of({"native", "kitti360"}), "image that is rendered and scored: the sensor's own, or the KITTI-360 grid (66 x 1030)");
     f("sensor.grid_method", c.sensor.grid_method, one_of({"project", "cast"}), "grid images: simulate the native scan and bin its points, or cast rays through the cell centres");
     f("sensor.rolling_shutter", c.sensor.rolling_shutter, anything(), "rays start where the sensor was when they were fired");
+    f("sensor.calibrate_intensity", c.sensor.calibrate_intensity, anything(), "find gain and offset of each laser's intensity from the training scans: surfaces have one brightness, lasers differ");
+    f("sensor.calibrate_range", c.sensor.calibrate_range, anything(), "find what each laser adds to its ranges from the training scans: centimetres, that differ between lasers");
 }
 
 template <class C, class Visitor>
@@ -65,6 +67,7 @@ void visit_scene(C& c, Visitor&& f) {
     f("init.max_scale_m", c.init.max_scale_m, above(0), "largest standard deviation of a new surfel, metres");
     f("init.scale_factor", c.init.scale_factor, above(0), "standard deviation of a new surfel over the mean distance to its 3 nearest neighbours");
     f("init.thickness", c.init.thickness, between(1e-3, 10), "image.primitive=gaussian: standard deviation of a new Gaussian along its normal over that in the plane; 1: spheres");
+    f("init.discover_actors", c.init.discover_actors, anything(), "what moves without a label becomes an actor with a track of its own, found from returns that other frames see through");
     f("init.actor_min_step_m", c.init.actor_min_step_m, at_least(0), "boxes that move more than this a frame are actors: their points are left out, metres");
     f("init.actor_margin_m", c.init.actor_margin_m, at_least(0), "boxes are grown by this when points are left out, metres");
     f("init.actors", c.init.actors, one_of({"models", "masked", "background"}), "moving boxes become models of their own, are masked out, or belong to the background (see init.remove_unlabelled_movers)");

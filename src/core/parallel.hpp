@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cstddef>
 #include <exception>
 #include <thread>
 #include <vector>
@@ -33,6 +34,16 @@ void run_parallel(int n, const Task& task) {
     for (const std::exception_ptr& f : failure) {
         if (f) std::rethrow_exception(f);
     }
+}
+
+/// task(i) for every i < n, on all cores in blocks.
+template <class Task>
+void for_each_block(std::size_t n, const Task& task) {
+    constexpr std::size_t kBlock = 4096;
+    run_parallel(static_cast<int>((n + kBlock - 1) / kBlock), [&](int block) {
+        const std::size_t end = std::min(n, (std::size_t(block) + 1) * kBlock);
+        for (std::size_t i = std::size_t(block) * kBlock; i < end; ++i) task(i);
+    });
 }
 
 }  // namespace relidar

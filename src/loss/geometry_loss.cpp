@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of loss/geometry_loss and loss/normal_vjp (docs/method.md M9, M10).
+// Binding of loss/geometry_loss and loss/normal_vjp (docs/method.md M10, M11).
 #include <relidar/loss.hpp>
 
 #include <algorithm>

@@ -110,7 +110,8 @@ Scan neighbour_points(const Sequence& sequence, int position, const std::vector<
         const Frame& frame = sequence.frames.at(std::size_t(neighbour));
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-            const WorldReturn w = world_return(sequence, frame, ray);
+            WorldReturn w = world_return(sequence, frame, ray);
+            w.point_m += double(frame.scan.range_m[ray] - surface_range(sequence.sensor, frame.scan, ray)) * w.direction;   // as it was measured
             glm::dvec3 world_m = w.point_m;
             if (const BoxTrack* box = box_of(moving, w.point_m, w.time_s)) {
                 const double then_s = time_s + (w.time_s - frame.time_s);   // about the same part of the turn

@@ -17,8 +17,8 @@ namespace {
 constexpr float kMinWeight = 0.05f;   ///< a simulated ray that met less than this has no point to bin
 
 SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequence& sequence) {
-    if (config.sensor.grid_method == "cast") return {make_rays(grid), std::nullopt, false};
-    if (config.sensor.grid_method == "project") return {make_rays(sequence.sensor), grid, true};
+    if (config.sensor.grid_method == "cast") return {make_rays(grid), std::nullopt, false, {}};
+    if (config.sensor.grid_method == "project") return {make_rays(sequence.sensor), grid, true, sequence.sensor.beams};
     throw UsageError(fmt::format("choosing the sensor: found sensor.grid_method = \"{}\", expected project or cast", config.sensor.grid_method));
 }
 
@@ -35,14 +35,15 @@ void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, 
 }  // namespace
 
 SensorChoice configured_sensor(const Config& config, const Sequence& sequence) {
-    if (config.sensor.grid == "native") return {make_rays(sequence.sensor), std::nullopt, true};
+    if (config.sensor.grid == "native") return {make_rays(sequence.sensor), std::nullopt, true, sequence.sensor.beams};
     return grid_choice(find_grid(config.sensor.grid), config, sequence);
 }
 
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence) {
-    if (name_or_file == "native") return {make_rays(sequence.sensor), std::nullopt, true};
+    if (name_or_file == "native") return {make_rays(sequence.sensor), std::nullopt, true, sequence.sensor.beams};
     if (name_or_file == kitti360_grid().name) return grid_choice(kitti360_grid(), config, sequence);
-    return {make_rays(find_sensor(name_or_file)), std::nullopt, false};
+    const SpinningSensor sensor = find_sensor(name_or_file);
+    return {make_rays(sensor), std::nullopt, false, sensor.beams};
 }
 
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {

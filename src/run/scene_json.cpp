@@ -41,10 +41,10 @@ Json to_json(const SpinningSensor& sensor) {
                  {"min_range_m", sensor.min_range_m},
                  {"max_range_m", sensor.max_range_m},
                  {"divergence_rad", sensor.divergence_rad},
-                 {"beam_fields", {"elevation_rad", "azimuth_offset_rad", "origin_offset_m", "origin_up_m", "origin_left_m"}},
+                 {"beam_fields", {"elevation_rad", "azimuth_offset_rad", "origin_offset_m", "origin_up_m", "origin_left_m", "intensity_gain", "intensity_offset", "range_offset_m"}},
                  {"beams", Json::array()}};
     for (const Beam& b : sensor.beams)
-        json["beams"].push_back({b.elevation_rad, b.azimuth_offset_rad, b.origin_offset_m, b.origin_up_m, b.origin_left_m});
+        json["beams"].push_back({b.elevation_rad, b.azimuth_offset_rad, b.origin_offset_m, b.origin_up_m, b.origin_left_m, b.intensity_gain, b.intensity_offset, b.range_offset_m});
     return json;
 }
 
@@ -90,8 +90,14 @@ SpinningSensor read_sensor(const JsonField& field) {
     sensor.divergence_rad = field.at("divergence_rad").number(0.0, 10.0);
     const JsonField beams = field.at("beams");
     for (std::size_t i = 0; i < beams.size(); ++i) {
-        const auto v = beams.at(i).numbers<5>();
-        sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4]});
+        const JsonField beam = beams.at(i);
+        if (beam.size() == 5) {   // as written before lasers had a response
+            const auto v = beam.numbers<5>();
+            sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4]});
+            continue;
+        }
+        const auto v = beam.numbers<8>();
+        sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]});
     }
     if (sensor.beams.empty()) beams.fail("found no beam", "expected at least one");
     return sensor;

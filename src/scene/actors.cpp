@@ -36,7 +36,7 @@ std::vector<Sample> box_samples(const Sequence& sequence, const std::vector<int>
             const Pose box_from_world = inverse(box.world_from_box.at(w.time_s));
             const glm::dvec3 local = box_from_world * w.point_m;
             if (local.z < -0.5 * box.size_m.z + kGround_m) continue;
-            samples.push_back({glm::vec3(local), frame.scan.intensity[ray], glm::vec3(box_from_world.rotation * w.direction)});
+            samples.push_back({glm::vec3(local), w.intensity, glm::vec3(box_from_world.rotation * w.direction)});
         }
     }
     return samples;
@@ -78,6 +78,7 @@ bool lists(const std::string& list, const std::string& word) {
 
 bool is_wanted(const BoxTrack& box, const InitialiseOptions& options) {
     if (options.actors != ActorMode::models) return false;
+    if (options.discover_actors && box.category == kDiscoveredCategory) return true;
     return options.actor_tracks.empty() ? lists(options.actor_classes, box.category) : lists(options.actor_tracks, box.id);
 }
 

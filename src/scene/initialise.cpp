@@ -11,6 +11,7 @@
 
 #include <relidar/error.hpp>
 
+#include "core/parallel.hpp"
 #include "core/random.hpp"
 #include "scene/point_surfels.hpp"
 #include "scene/visibility.hpp"
@@ -53,7 +54,7 @@ std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame, 
         if (!(scan.range_m[ray] > 0.0f)) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
         if (std::any_of(separate.begin(), separate.end(), [&](const BoxTrack& box) { return is_in(box, w, options); })) continue;
-        samples.push_back({glm::vec3(w.point_m), scan.intensity[ray], glm::vec3(w.direction)});
+        samples.push_back({glm::vec3(w.point_m), w.intensity, glm::vec3(w.direction)});
     }
     return samples;
 }
@@ -98,13 +99,12 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
     return means;
 }
 
-/// Leaves out samples that at least two frames see through, and a quarter as many as see them.
+/// Leaves out samples that other frames see through.
 std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Sequence& sequence, const std::vector<int>& train) {
     const Visibility visibility(sequence, train);
     std::vector<char> keep(samples.size());
     for_each_block(samples.size(), [&](std::size_t i) {
-        const Visibility::Votes v = visibility.votes(samples[i].position);
-        keep[i] = v.seen_through < 2 || 4 * v.seen_through < v.seen;
+        keep[i] = !visibility.votes(samples[i].position).is_mover();
     });
     std::vector<Sample> kept;
     for (std::size_t i = 0; i < samples.size(); ++i)

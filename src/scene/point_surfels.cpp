@@ -8,6 +8,7 @@
 #include <Eigen/Eigenvalues>
 #include <nanoflann.hpp>
 
+#include "core/parallel.hpp"
 #include "core/random.hpp"
 
 namespace relidar {

@@ -140,7 +140,7 @@ TEST_F(DeviceGradient, SingleDropLogit) {
     expect_agreement({.sh_direction = ShDirection::surfel, .single_drop_logit = true}, options, {}, "one drop logit, SH along sensor -> mean");
 }
 
-/// Blended normal and distortion (M9, M10), each alone and with the image, short chunks and long lists.
+/// Blended normal and distortion (M10, M11), each alone and with the image, short chunks and long lists.
 TEST_F(DeviceGradient, Geometry) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 72;

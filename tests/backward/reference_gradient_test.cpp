@@ -129,7 +129,7 @@ TEST(ReferenceGradient, EveryParameterShAlongSurfel) {
     expect_differences_agree(ShDirection::surfel, options, 4, "SH along sensor -> mean, 3 instances, chunk 4");
 }
 
-/// Each output of the geometric losses alone (M9, M10); all other tests have them beside the image.
+/// Each output of the geometric losses alone (M10, M11); all other tests have them beside the image.
 TEST(ReferenceGradient, GeometryAlone) {
     test::RandomSceneOptions options;
     options.seed = 6;

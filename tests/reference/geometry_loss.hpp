@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Normals of a rendered range image and the disagreement of blended surfel normals with them (docs/method.md M10), in double.
+// Normals of a rendered range image and the disagreement of blended surfel normals with them (docs/method.md M11), in double.
 #pragma once
 
 #include <optional>

@@ -28,7 +28,7 @@ public:
             pixel_.median_depth = s.t;
             pixel_.instance = s.hit.instance;
         }
-        for (const auto& [weight, t] : blended_) pixel_.distortion += w * weight * std::abs(s.t - t);   // M9, pair by pair
+        for (const auto& [weight, t] : blended_) pixel_.distortion += w * weight * std::abs(s.t - t);   // M10, pair by pair
         blended_.emplace_back(w, s.t);
         pixel_.normal += w * s.normal;
         pixel_.transmittance = next;

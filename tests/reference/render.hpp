@@ -28,8 +28,8 @@ struct Pixel {
     double median_depth = 0.0;    ///< t of the surfel that takes T from above 0.5 to 0.5 or less; 0 where none does
     std::uint32_t hits = 0;       ///< blended surfels
     std::int64_t instance = -1;   ///< of the surfel of median_depth; where there is none, of the nearest blended one; -1 without
-    glm::dvec3 normal{0.0};       ///< sum w n, n the surfel's unit normal in the world on the side that faces the sensor (M10)
-    double distortion = 0.0;      ///< sum over pairs, each once, of w_i w_j |t_i - t_j|, metres (M9)
+    glm::dvec3 normal{0.0};       ///< sum w n, n the surfel's unit normal in the world on the side that faces the sensor (M11)
+    double distortion = 0.0;      ///< sum over pairs, each once, of w_i w_j |t_i - t_j|, metres (M10)
 };
 
 /// dL/d(Pixel) for the outputs a loss can use.

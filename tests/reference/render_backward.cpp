@@ -19,7 +19,7 @@ struct LocalGradient {
     glm::dvec3 origin{0.0}, direction{0.0}, view{0.0};
 };
 
-/// Distortion and blended normal (M9, M10) pair by pair: dL/dw_i is what a unit of weight is worth, and alpha_i makes w_i from T_i while
+/// Distortion and blended normal (M10, M11) pair by pair: dL/dw_i is what a unit of weight is worth, and alpha_i makes w_i from T_i while
 /// it takes the same share of every weight behind.
 void add_geometry(const std::vector<ShadedHit>& hits, const PixelGradient& g, std::vector<HitGradient>& result) {
     std::vector<double> transmittance, w, d_w(hits.size(), 0.0);

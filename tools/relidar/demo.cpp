@@ -112,6 +112,7 @@ void run_demo(const Options& options, const std::string& command_line) {
     save_synthetic(street, out / "street");
     Sequence sequence = load_dataset(config);
     const Split split = split_frames(sequence, config.dataset.test_every);
+    prepare_log(sequence, split, config);
     if (!options.quiet) {
         print(fmt::format("{}: {} frames of {} x {} rays, {} held out; training {} iterations on {}\n", sequence.name, sequence.frames.size(), street.rows, street.columns,
                           split.test.size(), config.train.iterations, device.info().name));

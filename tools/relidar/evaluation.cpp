@@ -18,7 +18,7 @@ namespace relidar::cli {
 namespace {
 
 SensorChoice sensor_of(const Config& config, const Sequence& sequence, const Frame& frame) {
-    if (config.sensor.grid == "native") return {frame.scan.rays, std::nullopt, true};
+    if (config.sensor.grid == "native") return {frame.scan.rays, std::nullopt, true, sequence.sensor.beams};
     return configured_sensor(config, sequence);
 }
 

@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which returns moved, and which of a frame belong together.
+#include "scene/mover_clusters.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <unordered_map>
+#include <utility>
+
+#include "core/parallel.hpp"
+#include "scene/visibility.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kMaxRange_m = 40.0;     // farther out a person is a return or two
+constexpr double kCell_m = 0.2;          // visibility is asked once a cell of the world
+constexpr double kSquare_m = 0.3;        // returns of one thing, seen from above, lie in squares of the ground
+constexpr int kReach = 2;                // of which the next is at most so many away: 0.6 to 0.9 m
+constexpr double kMinPoints = 12;         // that moved
+constexpr double kMaxLength_m = 14.0;
+
+constexpr int kSeldomSeen = 3;           // frames: what rests is seen by more, unless it is far or hidden
+constexpr double kMovedShare = 0.15;      // of the returns of a group
+
+/// What the frames say of a cell. Where few frames look, as at the end of a log, nothing sees through a part of what moves: that part is taken
+/// in with the rest.
+enum class Motion : char { rests, seldom_seen, moved };
+
+/// A return of a frame.
+struct Return {
+    glm::vec3 point_m;
+    double time_s;
+    std::uint32_t cell;
+    Motion motion = Motion::rests;
+};
+
+std::uint64_t cell_key(const glm::dvec3& p, double edge) {
+    const glm::i64vec3 c = glm::i64vec3(glm::floor(p / edge)) + (std::int64_t(1) << 20);
+    return std::uint64_t(c.x & 0x1fffff) << 42 | std::uint64_t(c.y & 0x1fffff) << 21 | std::uint64_t(c.z & 0x1fffff);
+}
+
+std::vector<Return> returns_of(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& labelled, const InitialiseOptions& options) {
+    std::vector<Return> result;
+    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+        if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kMaxRange_m)) continue;
+        const WorldReturn w = world_return(sequence, frame, ray);
+        const bool is_known = std::any_of(labelled.begin(), labelled.end(), [&](const BoxTrack& box) { return box.present(w.time_s) && box.holds(w.point_m, w.time_s, options.actor_margin_m); });
+        if (!is_known) result.push_back({glm::vec3(w.point_m), w.time_s, 0, Motion::rests});
+    }
+    return result;
+}
+
+/// Cells of the world that the returns lie in, numbered, and the mean of the returns of each.
+std::vector<glm::vec3> number_cells(std::vector<std::vector<Return>>& frames) {
+    struct Mean {
+        glm::dvec3 sum{0.0};
+        int n = 0;
+    };
+    std::unordered_map<std::uint64_t, std::uint32_t> number;
+    std::vector<Mean> means;
+    for (std::vector<Return>& frame : frames)
+        for (Return& r : frame) {
+            r.cell = number.try_emplace(cell_key(glm::dvec3(r.point_m), kCell_m), static_cast<std::uint32_t>(number.size())).first->second;
+            if (r.cell == means.size()) means.emplace_back();
+            means[r.cell].sum += glm::dvec3(r.point_m);
+            ++means[r.cell].n;
+        }
+    std::vector<glm::vec3> points;
+    for (const Mean& m : means) points.push_back(glm::vec3(m.sum / double(m.n)));
+    return points;
+}
+
+/// Groups of returns whose squares of the ground are near each other; those seldom seen only beside one that moved.
+std::vector<MoverCluster> group(const std::vector<Return>& returns) {
+    std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;
+    const auto square_of = [](const glm::dvec3& p) { return cell_key({p.x, p.y, 0.0}, kSquare_m); };
+    for (std::uint32_t i = 0; i < returns.size(); ++i) squares[square_of(glm::dvec3(returns[i].point_m))].push_back(i);
+    std::vector<char> taken(returns.size(), 0);
+    std::vector<MoverCluster> clusters;
+    for (std::uint32_t start = 0; start < returns.size(); ++start) {
+        if (taken[start] || returns[start].motion != Motion::moved) continue;
+        MoverCluster cluster;
+        glm::dvec3 low(1e30), high(-1e30);
+        double n_moved = 0.0;
+        std::vector<std::uint32_t> open{start};
+        taken[start] = 1;
+        while (!open.empty()) {
+            const Return& here = returns[open.back()];
+            const glm::dvec3 p(here.point_m);
+            const bool moved = here.motion == Motion::moved;
+            cluster.time_s += here.time_s;
+            n_moved += moved;
+            open.pop_back();
+            cluster.points_m.push_back(p);
+            cluster.centre_m += p;
+            low = glm::min(low, p), high = glm::max(high, p);
+            if (!moved) continue;   // a group grows from what moved alone, by what is near that
+            for (int dx = -kReach; dx <= kReach; ++dx)
+                for (int dy = -kReach; dy <= kReach; ++dy) {
+                    const auto near = squares.find(square_of(p + kSquare_m * glm::dvec3(dx, dy, 0.0)));
+                    if (near == squares.end()) continue;
+                    for (const std::uint32_t j : near->second)
+                        if (!std::exchange(taken[j], 1)) open.push_back(j);
+                    near->second.clear();   // all of them are taken
+                }
+        }
+        const double n = double(cluster.points_m.size());
+        cluster.time_s /= n;
+        cluster.centre_m /= n;
+        if (n_moved >= kMinPoints && n_moved >= kMovedShare * n && glm::length(glm::dvec2(high - low)) < kMaxLength_m) clusters.push_back(std::move(cluster));
+    }
+    return clusters;
+}
+
+}  // namespace
+
+std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions, const InitialiseOptions& options) {
+    const std::vector<BoxTrack> labelled = separate_boxes(sequence, options);
+    std::vector<std::vector<Return>> frames(positions.size());
+    run_parallel(static_cast<int>(positions.size()), [&](int i) { frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])], labelled, options); });
+    const std::vector<glm::vec3> cells = number_cells(frames);
+    const Visibility visibility(sequence, positions);
+    std::vector<Motion> motion(cells.size());
+    for_each_block(cells.size(), [&](std::size_t i) {
+        const Visibility::Votes votes = visibility.votes(cells[i]);
+        motion[i] = votes.is_mover() ? Motion::moved : votes.seen <= kSeldomSeen ? Motion::seldom_seen : Motion::rests;
+    });
+    std::vector<std::vector<MoverCluster>> clusters(frames.size());
+    run_parallel(static_cast<int>(frames.size()), [&](int i) {
+        std::vector<Return>& frame = frames[std::size_t(i)];
+        for (Return& r : frame) r.motion = motion[r.cell];
+        std::erase_if(frame, [](const Return& r) { return r.motion == Motion::rests; });
+        clusters[std::size_t(i)] = group(frame);
+    });
+    return clusters;
+}
+
+}  // namespace relidar

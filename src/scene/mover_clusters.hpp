@@ -1,0 +1,21 @@
+// SPDX-License-Identifier: Apache-2.0
+// Groups of returns, frame by frame, that lie where other frames see through: what moved. Private to scene.
+#pragma once
+
+#include <vector>
+
+#include <relidar/scene.hpp>
+
+namespace relidar {
+
+/// One group in one frame.
+struct MoverCluster {
+    double time_s = 0.0;                 ///< mean time at which its returns were seen
+    glm::dvec3 centre_m{0.0};            ///< world, mean of its returns
+    std::vector<glm::dvec3> points_m;    ///< world
+};
+
+/// @param positions  frames that are looked at, ascending @return [positions] clusters of each
+std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions, const InitialiseOptions& options);
+
+}  // namespace relidar

@@ -1,0 +1,162 @@
+// SPDX-License-Identifier: Apache-2.0
+// Range offsets of the lasers of one sensor: what each adds to every range, from planes that several lasers have seen.
+#include <algorithm>
+#include <cmath>
+#include <unordered_map>
+
+#include <Eigen/Eigenvalues>
+
+#include <relidar/sequence.hpp>
+
+#include "core/parallel.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kCell_m = 0.3;             // large enough for a plane to be told from noise, small enough for a street to be flat in
+constexpr double kMaxRange_m = 40.0;        // farther out a cell has too few returns
+constexpr std::size_t kMostReturns = 6000000;
+constexpr int kMinReturns = 20;             // of a cell that may be a plane
+constexpr double kMaxThickness_m = 0.05;    // standard deviation across a plane, and at least along it
+constexpr double kMaxResidual_m = 0.15;     // what lies farther off its cell's plane belongs to something else
+constexpr double kPriorReturns = 20.0;      // a laser starts as if so many of its returns, met squarely, had shown no offset
+constexpr int kRounds = 30;                // planes that few lasers share follow them only slowly
+
+/// One return in the world, by its laser's own word.
+struct Observation {
+    glm::vec3 point_m;       ///< from the world's origin, which is in the middle of the log
+    glm::vec3 direction;
+    std::uint32_t cell;
+    std::uint32_t beam;
+};
+
+std::uint64_t cell_of(const glm::dvec3& p) {
+    const glm::i64vec3 c = glm::i64vec3(glm::floor(p / kCell_m)) + (std::int64_t(1) << 20);
+    return std::uint64_t(c.x & 0x1fffff) << 42 | std::uint64_t(c.y & 0x1fffff) << 21 | std::uint64_t(c.z & 0x1fffff);
+}
+
+std::vector<Observation> returns_of(const Sequence& sequence, const Frame& frame) {
+    std::vector<Observation> result;
+    const Scan& scan = frame.scan;
+    for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
+        if (!(scan.range_m[ray] > 0.0f && scan.range_m[ray] < kMaxRange_m) || scan.rays.channel[ray] >= sequence.sensor.beams.size()) continue;
+        const WorldReturn w = world_return(sequence, frame, ray);
+        result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), 0, scan.rays.channel[ray]});
+    }
+    return result;
+}
+
+/// Returns of the frames, and how many cells they fall into. A cell keeps its returns while they move by centimetres.
+std::vector<Observation> gather(const Sequence& sequence, const std::vector<int>& positions, std::size_t& n_cells) {
+    std::size_t rays = 0;
+    for (const int position : positions) rays += sequence.frames[std::size_t(position)].scan.range_m.size();
+    const std::size_t stride = rays / kMostReturns + 1;
+    std::vector<std::vector<Observation>> frames((positions.size() + stride - 1) / stride);
+    run_parallel(static_cast<int>(frames.size()), [&](int i) { frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i) * stride])]); });
+    std::unordered_map<std::uint64_t, std::uint32_t> number;
+    std::vector<Observation> all;
+    for (std::vector<Observation>& frame : frames) {
+        for (Observation& o : frame) o.cell = number.try_emplace(cell_of(glm::dvec3(o.point_m)), static_cast<std::uint32_t>(number.size())).first->second;
+        all.insert(all.end(), frame.begin(), frame.end());
+        frame = {};
+    }
+    n_cells = number.size();
+    return all;
+}
+
+glm::dvec3 moved(const Observation& o, const std::vector<double>& offset_m) { return glm::dvec3(o.point_m) - offset_m[o.beam] * glm::dvec3(o.direction); }
+
+/// A cell's plane.
+struct Plane {
+    glm::dvec3 point{0.0};
+    glm::dvec3 normal{0.0};   ///< zero where the cell is no plane
+};
+
+std::vector<Plane> planes_of(const std::vector<Observation>& seen, const std::vector<double>& offset_m, std::size_t n_cells) {
+    struct Sums {
+        glm::dvec3 p{0.0}, squares{0.0}, mixed{0.0};   // about the cell's first point; mixed: yz, zx, xy
+        glm::dvec3 about{0.0};
+        int n = 0;
+    };
+    std::vector<Sums> sums(n_cells);
+    for (const Observation& o : seen) {
+        Sums& s = sums[o.cell];
+        const glm::dvec3 at = moved(o, offset_m);
+        if (s.n++ == 0) s.about = at;
+        const glm::dvec3 p = at - s.about;
+        s.p += p;
+        s.squares += p * p;
+        s.mixed += glm::dvec3(p.y * p.z, p.z * p.x, p.x * p.y);
+    }
+    std::vector<Plane> planes(n_cells);
+    for_each_block(n_cells, [&](std::size_t i) {
+        const Sums& s = sums[i];
+        if (s.n < kMinReturns) return;
+        const glm::dvec3 m = s.p / double(s.n), d = s.squares / double(s.n) - m * m, x = s.mixed / double(s.n) - glm::dvec3(m.y * m.z, m.z * m.x, m.x * m.y);
+        Eigen::Matrix3d covariance;
+        covariance << d.x, x.z, x.y, x.z, d.y, x.x, x.y, x.x, d.z;
+        const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(covariance);
+        const Eigen::Vector3d values = solver.eigenvalues();
+        if (values[0] > kMaxThickness_m * kMaxThickness_m || values[1] < kMaxThickness_m * kMaxThickness_m) return;
+        const Eigen::Vector3d normal = solver.eigenvectors().col(0);
+        planes[i] = {s.about + m, {normal.x(), normal.y(), normal.z()}};
+    });
+    return planes;
+}
+
+/// Sums of one laser's returns: residuals across their planes, by how squarely they were met.
+struct OffsetFit {
+    double weight = kPriorReturns;
+    double sum = 0.0;
+};
+
+/// One step of every laser's offset towards the planes. @return count and mean square of the residuals that come in
+std::pair<std::size_t, double> fit_offsets(const std::vector<Observation>& seen, const std::vector<Plane>& planes, std::vector<double>& offset_m) {
+    std::vector<OffsetFit> fits(offset_m.size());
+    std::size_t n = 0;
+    double squares = 0.0;
+    for (const Observation& o : seen) {
+        const Plane& plane = planes[o.cell];
+        const double facing = glm::dot(plane.normal, glm::dvec3(o.direction)), residual = glm::dot(plane.normal, moved(o, offset_m) - plane.point);
+        if (facing == 0.0 || std::abs(residual) > kMaxResidual_m) continue;
+        ++n;
+        squares += residual * residual;
+        fits[o.beam].weight += facing * facing;
+        fits[o.beam].sum += facing * (residual + offset_m[o.beam] * facing);   // of the whole offset, so that the prior holds it, not the step
+    }
+    double mean = 0.0, weight = 0.0;
+    for (std::size_t b = 0; b < fits.size(); ++b) {
+        offset_m[b] = fits[b].sum / fits[b].weight;
+        mean += fits[b].weight * offset_m[b];
+        weight += fits[b].weight;
+    }
+    for (double& offset : offset_m) offset -= mean / weight;   // all ranges longer by the same: hardly to be told from another scene
+    return {n, n > 0 ? squares / double(n) : 0.0};
+}
+
+}  // namespace
+
+LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions) {
+    for (Beam& beam : sequence.sensor.beams) beam.range_offset_m = 0.0;
+    std::size_t n_cells = 0;
+    const std::vector<Observation> seen = gather(sequence, positions, n_cells);
+    LaserCalibration result;
+    if (seen.empty()) return result;
+    std::vector<double> offset_m(sequence.sensor.beams.size(), 0.0);
+    for (int round = 0; round < kRounds; ++round) {
+        const auto [n, mean_square] = fit_offsets(seen, planes_of(seen, offset_m, n_cells), offset_m);
+        result.returns = n;
+        result.rms_after = std::sqrt(mean_square);
+        if (round == 0) result.rms_before = result.rms_after;
+    }
+    for (std::size_t b = 0; b < offset_m.size(); ++b) sequence.sensor.beams[b].range_offset_m = offset_m[b];
+    return result;
+}
+
+float surface_range(const SpinningSensor& sensor, const Scan& scan, std::size_t ray) {
+    const std::size_t channel = scan.rays.channel[ray];
+    if (!(scan.range_m[ray] > 0.0f) || channel >= sensor.beams.size()) return scan.range_m[ray];
+    return static_cast<float>(std::max(double(scan.range_m[ray]) - sensor.beams[channel].range_offset_m, 1e-3));
+}
+
+}  // namespace relidar
