@@ -124,9 +124,9 @@ TEST_F(DeviceGradient, Gaussians) {
     options.seed = 36, options.rays = 30, options.background_surfels = 24, options.actor_surfels = 8;   // each is met by more rays than a surfel
     // Points 10 m away are rounded to 1e-6 m: 3e-5 standard deviations of the thinnest, 0.03 m, in every gradient of alpha.
     const double tolerance = 3.0 * test::kKernelGradient;
-    expect_agreement({.sh_direction = ShDirection::ray}, options, Proxy::triangles, 4, "3D Gaussians, icosahedra, SH along the ray, 3 instances, chunk 4", false, tolerance);
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .chunk = 4, .tolerance = tolerance}, "3D Gaussians, icosahedra, SH along the ray, 3 instances, chunk 4");
     options.seed = 37, options.actor_instances = 1;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, Proxy::boxes, 16, "3D Gaussians, boxes, SH along sensor -> mean, 2 instances, chunk 16", false, tolerance);
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.tolerance = tolerance}, "3D Gaussians, boxes, SH along sensor -> mean, 2 instances, chunk 16");
 }
 
 /// The ablation of the paper: hit logits are 0 whatever the scene holds, and nothing moves them. The first two scenes again.

@@ -72,7 +72,9 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
     const Surfels actual = d_surfels.download();
     EXPECT_EQ(touched.download()[1], 0u);
     EXPECT_EQ(glm::length(actual.mean[1]), 0.0f);
-    if (GetParam() == Primitive::gaussian) EXPECT_EQ(actual.log_scale_w[1], 0.0f);
+    if (GetParam() == Primitive::gaussian) {
+        EXPECT_EQ(actual.log_scale_w[1], 0.0f);
+    }
 
     const std::vector<float> views = d_view.download();
     test::GradientTable table;
