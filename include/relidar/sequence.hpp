@@ -81,6 +81,10 @@ struct Sequence {
     bool rolling_shutter = true;          ///< rays were fired at their own times (scans are not motion-compensated)
 };
 
+/// Gives the sensor other poses at the same times. Boxes go along: they were labelled on the scans, so each stays where it was as seen
+/// from the sensor at its label's time.
+void set_sensor_poses(Sequence& sequence, PoseTrack world_from_sensor);
+
 /// A ray in the world at the moment it was fired.
 struct WorldRay {
     glm::dvec3 origin_m;

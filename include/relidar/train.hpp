@@ -33,8 +33,10 @@ struct TrainProgress {
     DensifyReport densified;                       ///< sums over the densifications since the last line; `before` and `after` are of the last one
 };
 
-/// Poses as training corrected them (train.refine_poses). Held-out frames have no rays of their own in it: their poses are corrected by what
-/// the neighbouring turns see that were fired between, or, without a rolling shutter, by the corrections before and after interpolated.
+/// Poses as training corrected them (train.refine_poses). Registration (train.pose_register) places a held-out scan by its own points on the
+/// planes of the training scans; nothing else of training looks at it. What gradients then add at a held-out pose comes from what the
+/// neighbouring turns see that were fired between, or, without a rolling shutter, from the corrections before and after, interpolated.
+/// Where the sensor was registered, all boxes went along; gradients leave them where refine_poses names no actors.
 struct RefinedPoses {
     PoseTrack world_from_sensor;
     std::vector<BoxTrack> boxes;
@@ -61,7 +63,7 @@ struct TrainSession {
     std::filesystem::path checkpoints;               ///< folder they go to, as train.checkpoint_* say and where training stops early; empty: none
     const Checkpoint* start = nullptr;               ///< continue from here; null: from the beginning
     std::function<bool()> stop;                      ///< asked after every iteration; true stops training
-    std::function<void(const std::string&)> note;    ///< one line about a failure that training survives: a full disk under a checkpoint
+    std::function<void(const std::string&)> note;    ///< one line about what the log does not say: a full disk under a checkpoint, how far scans were moved
 };
 
 /// Trains a scene on the training frames of a log.

@@ -12,6 +12,7 @@
 #include <relidar/run.hpp>
 
 #include "core/random.hpp"
+#include "train/registered_log.hpp"
 
 namespace relidar {
 namespace {
@@ -164,6 +165,7 @@ void write_result(StateWriter& write, const TrainResult& result, double train_s)
         for (std::size_t k = 0; k < kDensifyCounts.size(); ++k) log.densified[k].push_back(p.densified.*kDensifyCounts[k].second);
     }
     log.visit_state(write);
+    if (result.poses) write_start_poses(write, *result.poses);
     write("initialise_s", result.initialise_s);
     write("train_s", train_s);
 }

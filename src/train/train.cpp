@@ -11,6 +11,7 @@
 #include <relidar/error.hpp>
 
 #include "train/checkpoint_keeper.hpp"
+#include "train/registered_log.hpp"
 #include "train/resume.hpp"
 #include "train/train_loop.hpp"
 
@@ -37,11 +38,14 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     if (session.start) check_resumable(*session.start, sequence, split, config);
     TrainResult result;
     const Clock::time_point begin = Clock::now();
-    const Scene initial = session.start ? scene_of(*session.start) : initialise_scene(sequence, split.train, start_options(config));
+    const std::optional<Sequence> registered = registered_log(sequence, split, config, session);
+    const Sequence& log = registered ? *registered : sequence;
+    if (registered) result.poses = {log.world_from_sensor, log.boxes};
+    const Scene initial = session.start ? scene_of(*session.start) : initialise_scene(log, split.train, start_options(config));
     result.initialise_s = seconds_since(begin);
 
     if (config.train.refine_poses == "actors" && initial.instances.size() < 2 && session.note) session.note("train.refine_poses=actors: the scene has no actor, no pose is refined");
-    TrainLoop loop(device, sequence, split, initial, config);
+    TrainLoop loop(device, log, split, initial, config);
     if (session.start) {
         loop.restore(*session.start);
         read_result(*session.start, config, result);
@@ -67,7 +71,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     if (config.densify.prune_unseen && !result.interrupted) loop.prune_unseen();
     result.scene = loop.download();
     result.poses = loop.refined_poses();
-    if (config.train.sensor_drop && !result.interrupted) result.scene.sensor_drop = loop.estimate_sensor_drop(sequence);
+    if (config.train.sensor_drop && !result.interrupted) result.scene.sensor_drop = loop.estimate_sensor_drop(log);
     result.train_s = trained_s();
     result.times = loop.times();
     result.peak_device_bytes = device.peak_bytes();
