@@ -10,12 +10,15 @@
 
 #include <relidar/checkpoint.hpp>
 #include <relidar/dataset.hpp>
+#include <relidar/error.hpp>
 #include <relidar/render.hpp>
 #include <relidar/train.hpp>
 
 #include "../export/temporary_folder.hpp"
+#include "../registration/street_poses.hpp"
 #include "../support/device.hpp"
 #include "../support/file_size_limit.hpp"
+#include "train/registered_log.hpp"
 #include "train/train_loop.hpp"
 
 namespace relidar {
@@ -165,6 +168,42 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
         EXPECT_EQ(changed > 2, strategy != DensifyStrategy::none) << "before and after the stop";
         EXPECT_EQ(first.scene.surfels.size() != first.log.front().n_surfels, strategy != DensifyStrategy::none) << "before the stop";
         fs::remove_all(folder);
+    }
+}
+
+/// Poses that registration found are in the checkpoint: a resumed training starts from them, not from the log's, and registers nothing anew.
+TEST_F(Resume, RegisteredPosesComeFromTheCheckpoint) {
+    set_sensor_poses(street, test::perturbed(street.world_from_sensor, 0.05, 0.005, 1));
+    Config config = small_config();
+    config.train.deterministic = true;
+    config.train.refine_poses = "sensor";
+    config.train.iterations = 12;
+    const auto is_registration = [](const std::string& note) { return note.find("scans registered") != std::string::npos; };
+    const TrainResult whole = run(config);
+    EXPECT_EQ(std::ranges::count_if(notes, is_registration), 1);
+    const TrainResult first = run(config, nullptr, 16);   // asked before each of 10 rounds, then after each iteration
+    EXPECT_TRUE(first.interrupted);
+    EXPECT_EQ(first.iterations, 6);
+    notes.clear();
+    const std::optional<Checkpoint> checkpoint = newest();
+    ASSERT_TRUE(checkpoint);
+    const TrainResult resumed = run(config, &*checkpoint);
+    EXPECT_EQ(std::ranges::count_if(notes, is_registration), 0);
+    expect_equal_bits(resumed.scene, whole.scene);
+    for (std::size_t k = 0; k < street.frames.size(); ++k) {
+        EXPECT_EQ(resumed.poses->world_from_sensor.pose[k].translation, whole.poses->world_from_sensor.pose[k].translation);
+        EXPECT_NE(resumed.poses->world_from_sensor.pose[k].translation, street.world_from_sensor.pose[k].translation);
+    }
+    for (std::size_t b = 0; b < street.boxes.size(); ++b) EXPECT_EQ(resumed.poses->boxes[b].world_from_box.pose[3].translation, whole.poses->boxes[b].world_from_box.pose[3].translation);
+
+    Sequence other = street;
+    other.boxes.pop_back();
+    EXPECT_THROW(read_start_poses(*checkpoint, other), DataError);
+    try {
+        run(config, nullptr, 3);
+        FAIL() << "expected registration to be interrupted";
+    } catch (const Error& error) {
+        EXPECT_EQ(error.code(), ExitCode::interrupted) << error.what();
     }
 }
 
