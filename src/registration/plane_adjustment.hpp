@@ -29,14 +29,13 @@ public:
     PlaneMap planes(const RegisterRound& round) const;
     const PoseTrack& track() const { return track_; }
 
-    /// Poses that must not be trusted: of all frames' points too few, or too small a share, lie on planes, or the correction is larger than
-    /// it may be. They take the corrections of the others instead. @param candidates [poses] that have points of their own
+    /// Poses of candidates whose own points do not place them (is_placed); they, and poses that are no candidates, take the corrections of
+    /// the nearest others, interpolated. @param candidates [poses] those that have points of their own
     std::vector<std::size_t> replace_lost(const PlaneMap& map, const std::vector<bool>& candidates, double scale_m, double largest_m);
     /// One step of a pose alone: its own points towards planes that stay, all else where it is.
     void place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& own, double scale_m);
     /// Whether enough of a frame's points lie on planes, and the correction of its pose is not larger than it may be.
     bool is_placed(const PlaneMap& map, std::size_t pose, std::span<const ThinPoint> own, double scale_m, double largest_m) const;
-    /// The correction of a pose becomes what it was before.
     void set_pose(std::size_t pose, const Pose& value) { track_.pose[pose] = value; }
 
 private:

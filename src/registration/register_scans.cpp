@@ -14,7 +14,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kThin_m = 0.5;                 // 5 to 10 thousand points of a 64-beam scan
+constexpr double kThin_m = 0.5;                 // 12 thousand points of a 64-beam scan
 constexpr RegisterRound kLast{0.5, 0.05};       // cells and kernel of the last rounds
 constexpr int kLevels = 5, kStepsALevel = 3;    // of held-out scans
 

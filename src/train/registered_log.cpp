@@ -2,6 +2,7 @@
 #include "train/registered_log.hpp"
 
 #include <algorithm>
+#include <iterator>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -60,7 +61,8 @@ std::optional<Sequence> registered_log(const Sequence& sequence, const Split& sp
         log.boxes = std::move(poses.boxes);
         return log;
     }
-    const RegisterOptions options{config.train.pose_largest_m, separate_boxes(log, config.init), config.init.actor_margin_m, session.stop};
+    RegisterOptions options{config.train.pose_largest_m, {}, config.init.actor_margin_m, session.stop};
+    std::ranges::copy_if(log.boxes, std::back_inserter(options.movers), [&](const BoxTrack& box) { return box.mean_step_m() > config.init.actor_min_step_m; });
     register_sensor(log, split, options, session);
     return log;
 }

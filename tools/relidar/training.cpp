@@ -64,7 +64,7 @@ private:
 TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const fs::path& folder, bool quiet, TrainSession session) {
     LogFile log(folder / "log.jsonl", session.start ? resumed_log(*session.start, config) : std::vector<TrainProgress>{});
     Progress progress(quiet);
-    if (!session.start) progress.show("initialising the scene");
+    if (!session.start) progress.show(config.train.pose_register && config.train.refine_poses.find("sensor") != std::string::npos ? "registering scans, initialising the scene" : "initialising the scene");
     session.stop = interrupted;
     session.note = note;
     const TrainResult result = train(device, sequence, split, config,
