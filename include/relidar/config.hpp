@@ -58,9 +58,13 @@ struct TrainConfig {
     int gather_hits = 64;            ///< hit records a ray there is room for where gradients are gathered
     bool sensor_drop = false;        ///< learn what the sensor itself never sees apart from the scene (stands in for the paper's U-Net)
     std::string refine_poses = "none";   ///< "none", "sensor", "actors", "sensor,actors": poses that are optimised with the scene
+    bool pose_register = true;           ///< refined poses start from a registration of the scans, before the scene is initialised
+    double pose_largest_m = 1.0;         ///< corrections beyond it are not believed
     int pose_from = 0;                   ///< poses stay as they are up to this iteration
-    double pose_rate_m = 2e-3;           ///< at the start; poses' rates end at a tenth
-    double pose_rate_rad = 2e-4;
+    double pose_rate_m = 2e-4;           ///< of the sensor's poses, at the start; poses' rates end at a tenth
+    double pose_rate_rad = 2e-5;
+    double box_rate_m = 2e-3;            ///< of the boxes' poses, which no registration has brought near
+    double box_rate_rad = 2e-4;
     double pose_prior_per_m2 = 0.01;     ///< weights of |translation|^2 and |rotation|^2 of every correction in the loss
     double pose_prior_per_rad2 = 0.1;
     int log_every = 50;

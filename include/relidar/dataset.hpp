@@ -20,7 +20,7 @@ struct FrameRange {
 /// What to read of a log.
 struct DatasetOptions {
     FrameRange frames;
-    std::filesystem::path poses_file;   ///< 12 numbers a line, world_from_sensor of frame i on line i; empty = the dataset's own
+    std::filesystem::path poses_file;   ///< 12 numbers a line, world_from_sensor of frame i on line i, in the dataset's world; empty = the dataset's own
     bool allow_missing_scans = false;   ///< leave frames without a scan out; false: a missing scan is an error
     bool rolling_shutter = true;        ///< false: take all rays of a turn as fired at its reference time
     double max_range_m = 80.0;          ///< returns beyond are treated as dropped

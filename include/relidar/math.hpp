@@ -3,6 +3,8 @@
 // origin. Transforms read right to left: `world_from_sensor * point_sensor`.
 #pragma once
 
+#include <array>
+
 #include <glm/glm.hpp>
 #include <glm/gtc/quaternion.hpp>
 
@@ -32,6 +34,28 @@ inline Pose inverse(const Pose& pose) {
 /// @param s  [0, 1] gives a..b; values outside extrapolate at constant velocity.
 inline Pose interpolate(const Pose& a, const Pose& b, double s) {
     return {glm::normalize(glm::slerp(a.rotation, b.rotation, s)), a.translation + s * (b.translation - a.translation)};
+}
+
+/// Small motion of a pose: translation v in metres of the world, rotation vector w in radians, in the world's axes about the pose's own
+/// origin; or the derivative by them.
+using Twist = std::array<double, 6>;
+
+/// (exp([w]x) R, T + v)
+inline Pose moved(const Pose& pose, const Twist& twist) {
+    const glm::dvec3 v(twist[0], twist[1], twist[2]), w(twist[3], twist[4], twist[5]);
+    const double angle = glm::length(w);
+    if (angle == 0.0) return {pose.rotation, pose.translation + v};
+    return {glm::normalize(glm::angleAxis(angle, w / angle) * pose.rotation), pose.translation + v};
+}
+
+/// The twist that moves one pose to another, its rotation at most pi.
+inline Twist twist_between(const Pose& from, const Pose& to) {
+    glm::dquat q = to.rotation * glm::conjugate(from.rotation);
+    if (q.w < 0.0) q = -q;
+    const glm::dvec3 sine(q.x, q.y, q.z), v = to.translation - from.translation;
+    const double length = glm::length(sine);
+    const glm::dvec3 w = length > 0.0 ? 2.0 * glm::atan(length, q.w) / length * sine : glm::dvec3(0.0);
+    return {v.x, v.y, v.z, w.x, w.y, w.z};
 }
 
 /// 4x4 matrix of a pose (GLM, column-major).

@@ -133,9 +133,6 @@ struct InstancePose {
     double time_s = 0.0;   ///< place_instances: the moment at which its track was asked
 };
 
-/// Category of tracks that discover_tracks() made.
-inline constexpr const char* kDiscoveredCategory = "Discovered";
-
 /// Tracks of what moves without a label: returns of training frames, within 40 m and outside labelled boxes, that other training frames see
 /// through are grouped, linked from frame to frame and placed as rigid upright boxes, of which the end near the sensor is sure and the size what
 /// they showed when they showed most. Only what is seen in at least 6 frames and comes 0.6 m far becomes a track. x is the direction of motion;

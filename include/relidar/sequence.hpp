@@ -49,10 +49,13 @@ struct Frame {
     Scan scan;
 };
 
+/// Category of boxes that no dataset labelled (discover_tracks() in scene.hpp).
+inline constexpr const char* kDiscoveredCategory = "Discovered";
+
 /// One tracked box. The box frame has x along the length, y along the width, z up, origin at the centre.
 struct BoxTrack {
     std::string id;              ///< unique in the sequence
-    std::string category;        ///< the dataset's own class name
+    std::string category;        ///< the dataset's own class name, or kDiscoveredCategory
     glm::dvec3 size_m{0.0};      ///< length, width, height
     PoseTrack world_from_box;    ///< at the times of the frames in which the box was labelled
 
@@ -80,6 +83,10 @@ struct Sequence {
     std::string conventions;              ///< one line a human reads: frames, units, time reference
     bool rolling_shutter = true;          ///< rays were fired at their own times (scans are not motion-compensated)
 };
+
+/// Gives the sensor other poses at the same times. Boxes go along: they were labelled on the scans, so each stays where it was as seen
+/// from the sensor at its label's time.
+void set_sensor_poses(Sequence& sequence, PoseTrack world_from_sensor);
 
 /// A ray in the world at the moment it was fired.
 struct WorldRay {

@@ -33,8 +33,10 @@ struct TrainProgress {
     DensifyReport densified;                       ///< sums over the densifications since the last line; `before` and `after` are of the last one
 };
 
-/// Poses as training corrected them (train.refine_poses). Held-out frames have no rays of their own in it: their poses are corrected by what
-/// the neighbouring turns see that were fired between, or, without a rolling shutter, by the corrections before and after interpolated.
+/// Poses as training corrected them (train.refine_poses). prepare_log() has registered them before: it places a held-out scan by its own points on the
+/// planes of the training scans; nothing else of training looks at it. What gradients then add at a held-out pose comes from what the
+/// neighbouring turns see that were fired between, or, without a rolling shutter, from the corrections before and after, interpolated.
+/// Where the sensor was registered, all boxes went along; gradients leave them where refine_poses names no actors.
 struct RefinedPoses {
     PoseTrack world_from_sensor;
     std::vector<BoxTrack> boxes;
@@ -61,13 +63,21 @@ struct TrainSession {
     std::filesystem::path checkpoints;               ///< folder they go to, as train.checkpoint_* say and where training stops early; empty: none
     const Checkpoint* start = nullptr;               ///< continue from here; null: from the beginning
     std::function<bool()> stop;                      ///< asked after every iteration; true stops training
-    std::function<void(const std::string&)> note;    ///< one line about a failure that training survives: a full disk under a checkpoint
+    std::function<void(const std::string&)> note;    ///< one line about what the log does not say: a full disk under a checkpoint, how far scans were moved
 };
 
-/// Estimates what the log does not say and training does not find, as the settings ask: offsets and responses of the lasers
-/// (sensor.calibrate_range, sensor.calibrate_intensity), tracks of what moves without a label (init.discover_actors).
-/// From training frames alone; the same for the same log and settings. @return a line a person reads for each estimate
-std::vector<std::string> prepare_log(Sequence& sequence, const Split& split, const Config& config);
+/// How a log is prepared.
+struct PrepareSession {
+    std::function<void(const std::string&)> tell;   ///< one line about each estimate, as soon as it is made
+    std::function<bool()> stop;                     ///< asked now and then; true ends it
+};
+
+/// Estimates what the log does not say and training needs from the start, in this order, as the settings ask: poses of the sensor
+/// (train.refine_poses with train.pose_register), offsets and responses of its lasers (sensor.calibrate_range, sensor.calibrate_intensity),
+/// tracks of what moves without a label (init.discover_actors). From training frames alone, but for the poses of held-out ones; the same for
+/// the same log and settings, so that a resumed training prepares its log anew.
+/// @throws Error with exit code 130 where stopped; DataError as register_scans
+void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session = {});
 
 /// Trains a scene on the training frames of a log, prepared by prepare_log().
 /// @throws UsageError where the session's start does not fit (check_resumable); DataError where there is nothing to train on, where a loss is not

@@ -121,9 +121,13 @@ void visit_training(C& c, Visitor&& f) {
     f("train.gather_hits", c.train.gather_hits, between(1, 4096), "room for so many hit records a ray where gradients are summed in a fixed order");
     f("train.sensor_drop", c.train.sensor_drop, anything(), "learn what the sensor itself never sees (its own vehicle) apart from the scene");
     f("train.refine_poses", c.train.refine_poses, one_of({"none", "sensor", "actors", "sensor,actors"}), "poses that are corrected together with the scene: of the sensor, of the actors' boxes");
+    f("train.pose_register", c.train.pose_register, anything(), "where the sensor's poses are refined, they start from a registration of the scans, before the scene is initialised");
+    f("train.pose_largest_m", c.train.pose_largest_m, between(0.05, 100.0), "largest correction that registration looks for, metres; a scan that would need more is placed as its neighbours are");
     f("train.pose_from", c.train.pose_from, between(0, kMaxCount), "poses stay as they are up to this step");
-    f("train.pose_rate_m", c.train.pose_rate_m, at_least(0), "learning rate of the poses' translations at the start, metres; a tenth at the end");
-    f("train.pose_rate_rad", c.train.pose_rate_rad, at_least(0), "learning rate of the poses' rotations at the start, radians; a tenth at the end");
+    f("train.pose_rate_m", c.train.pose_rate_m, at_least(0), "learning rate of the sensor's translations at the start, metres; a tenth at the end; without train.pose_register 2e-3 and more follow centimetres");
+    f("train.pose_rate_rad", c.train.pose_rate_rad, at_least(0), "learning rate of the sensor's rotations at the start, radians; a tenth at the end");
+    f("train.box_rate_m", c.train.box_rate_m, at_least(0), "learning rate of the boxes' translations at the start, metres; a tenth at the end");
+    f("train.box_rate_rad", c.train.box_rate_rad, at_least(0), "learning rate of the boxes' rotations at the start, radians; a tenth at the end");
     f("train.pose_prior_per_m2", c.train.pose_prior_per_m2, at_least(0), "weight of the squared translation of a correction, per square metre");
     f("train.pose_prior_per_rad2", c.train.pose_prior_per_rad2, at_least(0), "weight of the squared rotation of a correction, per square radian");
     f("train.log_every", c.train.log_every, between(1, kMaxCount), "steps between two lines of the log");

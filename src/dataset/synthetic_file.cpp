@@ -10,6 +10,7 @@
 
 #include <relidar/error.hpp>
 #include "core/files.hpp"
+#include "dataset/kitti_files.hpp"
 
 namespace relidar {
 namespace {
@@ -27,6 +28,16 @@ void read_value(const toml::table& table, const char* key, const char* type, con
     if (!found)
         throw DataError(fmt::format("{} line {}: {} has the wrong type or size, expected {}", file, node->source().begin.line, key, type));
     value = *found;
+}
+
+/// Poses of a file in the street's world instead of the exact ones from which the scans were cast, to see what wrong poses do.
+void take_poses(Sequence& sequence, const fs::path& poses_file) {
+    std::vector<int> frames;
+    for (const Frame& frame : sequence.frames) frames.push_back(frame.index);
+    PoseTrack track{sequence.world_from_sensor.time_s, kitti::read_pose_file(poses_file, frames)};
+    for (Pose& pose : track.pose) pose.translation -= sequence.world_offset_m;
+    set_sensor_poses(sequence, std::move(track));
+    sequence.conventions += "; but poses from " + poses_file.string();
 }
 
 SyntheticOptions read_options(const fs::path& path) {
@@ -60,10 +71,6 @@ SyntheticOptions read_options(const fs::path& path) {
 
 Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     const fs::path file = folder / "street.toml";
-    if (!options.poses_file.empty()) {
-        throw UsageError(
-            fmt::format("poses file {}: a synthetic log has exact poses, expected no poses file", options.poses_file.string()));
-    }
     const SyntheticOptions street = read_synthetic(folder);
     const int end = options.frames.end < 0 ? street.n_frames : std::min(options.frames.end, street.n_frames);
     if (street.n_frames > 0 && options.frames.begin >= end) {
@@ -78,6 +85,7 @@ Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
         throw DataError(fmt::format("{}: {}", file.string(), error.what()));
     }
     sequence.source = folder.string();
+    if (!options.poses_file.empty()) take_poses(sequence, options.poses_file);
     sequence.sensor.max_range_m = std::min(sequence.sensor.max_range_m, options.max_range_m);
     for (Frame& frame : sequence.frames) {
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {

@@ -85,6 +85,15 @@ double BoxTrack::mean_step_m() const {
     return glm::length(end - start) / double(half) / double(poses.size() - half);
 }
 
+void set_sensor_poses(Sequence& sequence, PoseTrack world_from_sensor) {
+    for (BoxTrack& box : sequence.boxes)
+        for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
+            const double t_s = box.world_from_box.time_s[k];
+            box.world_from_box.pose[k] = world_from_sensor.at(t_s) * (inverse(sequence.world_from_sensor.at(t_s)) * box.world_from_box.pose[k]);
+        }
+    sequence.world_from_sensor = std::move(world_from_sensor);
+}
+
 WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter) {
     const double t_s = rolling_shutter ? time_s + static_cast<double>(rays.time_offset_s[ray]) : time_s;
     const Pose pose = world_from_sensor.at(t_s);

@@ -27,9 +27,9 @@ Sequence without_scans(const Sequence& sequence) {
 
 bool wants(const TrainConfig& config, const char* word) { return config.refine_poses.find(word) != std::string::npos; }
 
-PoseStep step_at(const TrainConfig& c, int step) {
+PoseStep step_at(const TrainConfig& c, double rate_m, double rate_rad, int step) {
     const double decay = exponential_schedule(1.0, kFinalShare, step, c.iterations);
-    return {c.pose_rate_m * decay, c.pose_rate_rad * decay, c.pose_prior_per_m2, c.pose_prior_per_rad2};
+    return {rate_m * decay, rate_rad * decay, c.pose_prior_per_m2, c.pose_prior_per_rad2};
 }
 
 }  // namespace
@@ -62,10 +62,9 @@ void PoseRefiner::place(Stream& stream, std::size_t frame_index, FrameData& fram
 
 void PoseRefiner::step(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch, const Gradients& gradients, int step) {
     if (step <= config_.pose_from) return;
-    const PoseStep rates = step_at(config_, step);
     if (rays_) {
         for (const PoseGradient& g : rays_->gradients(stream, frame_index, batch, gradients.rays)) sensor_->add_gradient(g.pose, 1.0, g.gradient);
-        sensor_->step(rates);
+        sensor_->step(step_at(config_, config_.pose_rate_m, config_.pose_rate_rad, step));
         sensor_->remove_common_motion();
     }
     if (!actors_.empty()) {
@@ -76,7 +75,7 @@ void PoseRefiner::step(Stream& stream, std::size_t frame_index, const FrameData&
             Twist gradient;
             std::copy_n(of_instances.begin() + std::ptrdiff_t(6 * actor.instance), 6, gradient.begin());
             if (placed.present) actor.correction.add_gradient(placed.time_s, gradient);
-            actor.correction.step(rates);
+            actor.correction.step(step_at(config_, config_.box_rate_m, config_.box_rate_rad, step));
         }
     }
     update_poses();

@@ -15,13 +15,6 @@ glm::dvec3 vector(const Twist& twist, std::size_t first) { return {twist[first],
 
 }  // namespace
 
-Pose moved(const Pose& pose, const Twist& correction) {
-    const glm::dvec3 w = vector(correction, 3);
-    const double angle = glm::length(w);
-    if (angle == 0.0) return {pose.rotation, pose.translation + vector(correction, 0)};
-    return {glm::normalize(glm::angleAxis(angle, w / angle) * pose.rotation), pose.translation + vector(correction, 0)};
-}
-
 TrackCorrection::TrackCorrection(PoseTrack track)
     : track_(std::move(track)), values_(6 * track_.pose.size(), 0.0), moment1_(values_), moment2_(values_), n_steps_(track_.pose.size(), 0), gradient_(values_), visited_(track_.pose.size(), false) {}
 

@@ -4,19 +4,12 @@
 // moves, to first order, with (1 - s) of the correction before it and s of that after it.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <vector>
 
 #include <relidar/sequence.hpp>
 
 namespace relidar {
-
-/// Translation in metres, rotation vector in radians, or the derivative by them.
-using Twist = std::array<double, 6>;
-
-/// (exp([w]x) R, T + v)
-Pose moved(const Pose& pose, const Twist& correction);
 
 /// How one step is taken.
 struct PoseStep {

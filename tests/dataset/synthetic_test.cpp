@@ -119,6 +119,33 @@ TEST(Synthetic, LogAgreesWithTheCastUpToNoiseAndDrops) {
     }
 }
 
+TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
+    const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_poses";
+    save_synthetic(small(), folder);
+    const Sequence exact = load_sequence(folder.string(), {});
+    const fs::path file = folder / "poses.txt";
+    {
+        std::ofstream out(file);
+        out.precision(17);
+        for (const Pose& pose : exact.world_from_sensor.pose) {   // the same places, but 0.5 m further left in the street's world
+            const glm::dmat4 m = to_matrix(pose);
+            const glm::dvec3 t = pose.translation + exact.world_offset_m + glm::dvec3(0.0, 0.5, 0.0);
+            for (int r = 0; r < 3; ++r) out << m[0][r] << ' ' << m[1][r] << ' ' << m[2][r] << ' ' << t[r] << (r == 2 ? '\n' : ' ');
+        }
+    }
+    DatasetOptions options;
+    options.poses_file = file;
+    const Sequence moved = load_sequence(folder.string(), options);
+    const auto expect_moved = [](const PoseTrack& from, const PoseTrack& to) {
+        ASSERT_EQ(from.pose.size(), to.pose.size());
+        for (std::size_t k = 0; k < from.pose.size(); ++k) EXPECT_LT(glm::length(to.pose[k].translation - from.pose[k].translation - glm::dvec3(0.0, 0.5, 0.0)), 1e-9);
+    };
+    expect_moved(exact.world_from_sensor, moved.world_from_sensor);
+    for (std::size_t b = 0; b < exact.boxes.size(); ++b) expect_moved(exact.boxes[b].world_from_box, moved.boxes[b].world_from_box);
+    EXPECT_EQ(exact.frames[2].scan.range_m, moved.frames[2].scan.range_m) << "scans are what the sensor saw from the exact poses";
+    fs::remove_all(folder);
+}
+
 TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
     SyntheticOptions with = small(), without = small();
     with.range_noise_m = without.range_noise_m = 0.0;

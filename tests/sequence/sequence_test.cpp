@@ -33,6 +33,24 @@ TEST(PoseTrack, InterpolatesAndContinuesAtTheEnds) {
     EXPECT_NEAR(one.at(7.0).translation.z, 3.0, 1e-12);
 }
 
+TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
+    const auto turned = [](double angle, const glm::dvec3& t) { return Pose{glm::angleAxis(angle, glm::normalize(glm::dvec3(1, 2, 3))), t}; };
+    Sequence log;
+    log.world_from_sensor = {{0.0, 1.0}, {turned(0.1, {0, 0, 0}), turned(0.3, {8, 1, 0})}};
+    log.boxes.push_back({"0", "Car", {4, 2, 1.5}, {{0.25, 1.0}, {turned(0.7, {10, 3, 0}), turned(0.9, {15, 3, 1})}}});
+    const Sequence before = log;
+    const PoseTrack track{{0.0, 1.0}, {turned(0.2, {0.3, -0.2, 0.1}), turned(0.25, {8.1, 1.4, 0.2})}};
+    set_sensor_poses(log, track);
+    EXPECT_EQ(log.world_from_sensor.pose[1].translation, track.pose[1].translation);
+    for (std::size_t k = 0; k < 2; ++k) {
+        const double t_s = before.boxes[0].world_from_box.time_s[k];
+        const Pose seen = inverse(before.world_from_sensor.at(t_s)) * before.boxes[0].world_from_box.pose[k], sees = inverse(log.world_from_sensor.at(t_s)) * log.boxes[0].world_from_box.pose[k];
+        EXPECT_LT(glm::length(seen.translation - sees.translation), 1e-12);
+        EXPECT_NEAR(std::abs(glm::dot(seen.rotation, sees.rotation)), 1.0, 1e-12);
+        EXPECT_GT(glm::length(before.boxes[0].world_from_box.pose[k].translation - log.boxes[0].world_from_box.pose[k].translation), 0.1);
+    }
+}
+
 TEST(WorldRay, UsesThePoseAtTheRaysOwnTime) {
     const PoseTrack track{{0.0, 1.0}, {turned(0.0, {0, 0, 0}), turned(0.0, {10, 0, 0})}};
     RayTable rays;

@@ -17,6 +17,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"sensor", {}},
         {"sequence", {"sensor"}},
         {"dataset", {"sequence", "sensor"}},
+        {"registration", {"sequence", "sensor"}},
         {"scene", {"sequence", "sensor", "gpu"}},
         {"edit", {"scene", "sequence", "sensor"}},
         {"accel", {"scene", "gpu"}},
@@ -35,7 +36,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"render", {"config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
         {"train",
          {"config", "run", "backward", "forward", "traversal", "densify", "checkpoint", "accel", "optimizer", "loss", "metrics", "refine", "dataset",
-          "scene", "sequence", "sensor", "gpu"}},
+          "registration", "scene", "sequence", "sensor", "gpu"}},
     };
     return table;
 }

@@ -10,10 +10,12 @@
 
 #include <relidar/checkpoint.hpp>
 #include <relidar/dataset.hpp>
+#include <relidar/error.hpp>
 #include <relidar/render.hpp>
 #include <relidar/train.hpp>
 
 #include "../export/temporary_folder.hpp"
+#include "../registration/street_poses.hpp"
 #include "../support/device.hpp"
 #include "../support/file_size_limit.hpp"
 #include "train/train_loop.hpp"
@@ -167,6 +169,41 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
         EXPECT_EQ(changed > 2, strategy != DensifyStrategy::none) << "before and after the stop";
         EXPECT_EQ(first.scene.surfels.size() != first.log.front().n_surfels, strategy != DensifyStrategy::none) << "before the stop";
         fs::remove_all(folder);
+    }
+}
+
+/// What was estimated from the log is estimated again, to the same bits: a training with it resumes like any other.
+TEST_F(Resume, PreparedLogsAreTheSameAgain) {
+    set_sensor_poses(street, test::perturbed(street.world_from_sensor, 0.05, 0.005, 1));
+    const Sequence given = street;
+    Config config = small_config();
+    config.train.deterministic = true;
+    config.train.refine_poses = "sensor";
+    config.train.iterations = 12;
+    const auto prepare = [&] {
+        street = given;
+        prepare_log(street, split, config);
+    };
+    prepare();
+    EXPECT_NE(street.world_from_sensor.pose[3].translation, given.world_from_sensor.pose[3].translation);
+    EXPECT_NE(street.sensor.beams[3].range_offset_m, 0.0);
+    const TrainResult whole = run(config);
+    const TrainResult first = run(config, nullptr, 6);
+    EXPECT_TRUE(first.interrupted);
+    const std::optional<Checkpoint> checkpoint = newest();
+    ASSERT_TRUE(checkpoint);
+    prepare();
+    const TrainResult resumed = run(config, &*checkpoint);
+    expect_equal_bits(resumed.scene, whole.scene);
+    for (std::size_t k = 0; k < street.frames.size(); ++k) EXPECT_EQ(resumed.poses->world_from_sensor.pose[k].translation, whole.poses->world_from_sensor.pose[k].translation);
+
+    street = given;
+    EXPECT_THROW(run(config, &*checkpoint), DataError) << "a log that was not prepared is another log";
+    try {
+        prepare_log(street, split, config, {{}, [] { return true; }});
+        FAIL() << "expected registration to be interrupted";
+    } catch (const Error& error) {
+        EXPECT_EQ(error.code(), ExitCode::interrupted) << error.what();
     }
 }
 

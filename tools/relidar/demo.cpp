@@ -112,7 +112,6 @@ void run_demo(const Options& options, const std::string& command_line) {
     save_synthetic(street, out / "street");
     Sequence sequence = load_dataset(config);
     const Split split = split_frames(sequence, config.dataset.test_every);
-    prepare_log(sequence, split, config);
     if (!options.quiet) {
         print(fmt::format("{}: {} frames of {} x {} rays, {} held out; training {} iterations on {}\n", sequence.name, sequence.frames.size(), street.rows, street.columns,
                           split.test.size(), config.train.iterations, device.info().name));
@@ -121,6 +120,7 @@ void run_demo(const Options& options, const std::string& command_line) {
 
     catch_interrupts();
     remove_run_files(run_folder.path());
+    prepare_log_shown(sequence, split, config, options.quiet);
     TrainResult result = train_logged(device, sequence, split, config, run_folder.path(), options.quiet);
     end_progress_line();
     Run run{run_folder.path(), config, std::move(sequence), split, std::move(result.scene), {}};

@@ -101,10 +101,9 @@ std::optional<Checkpoint> find_start(const Options& options) {
     return std::nullopt;
 }
 
-void announce(const Sequence& sequence, const Split& split, const Device& device, const std::vector<std::string>& prepared, const Checkpoint* start) {
+void announce(const Sequence& sequence, const Split& split, const Device& device, const Checkpoint* start) {
     print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name, sequence.frames.size(), split.train.size(), split.test.size(),
                       device.info().name, device.traversal() == Traversal::software ? "software traversal" : "ray query"));
-    for (const std::string& line : prepared) print(line + "\n");
     if (start) print(fmt::format("resume  from iteration {}\n", start->iteration));
     std::fflush(stdout);
 }
@@ -172,11 +171,11 @@ void run_train(const Options& given, const std::string& command_line) {
     Device device(device_options(options.device));
     Sequence sequence = load_dataset(config);
     const Split split = split_frames(sequence, config.dataset.test_every);
-    const std::vector<std::string> prepared = prepare_log(sequence, split, config);
-    if (start) check_resumable(*start, sequence, split, config);
-    if (!options.quiet) announce(sequence, split, device, prepared, start ? &*start : nullptr);
+    if (!options.quiet) announce(sequence, split, device, start ? &*start : nullptr);
 
     catch_interrupts();
+    prepare_log_shown(sequence, split, config, options.quiet);
+    if (start) check_resumable(*start, sequence, split, config);
     remove_run_files(folder.path());
     if (!start) remove_checkpoints(checkpoint_folder(folder.path()));
     write_text(folder.path() / kConfigFile, to_toml(config));   // what a killed run is resumed from

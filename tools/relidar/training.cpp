@@ -61,6 +61,15 @@ private:
 
 }  // namespace
 
+void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet) {
+    const auto tell = [&](const std::string& line) {
+        if (quiet) return;
+        print(line + "\n");
+        std::fflush(stdout);
+    };
+    prepare_log(sequence, split, config, {tell, interrupted});
+}
+
 TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const fs::path& folder, bool quiet, TrainSession session) {
     LogFile log(folder / "log.jsonl", session.start ? resumed_log(*session.start, config) : std::vector<TrainProgress>{});
     Progress progress(quiet);

@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+// Registration of scans: where the sensor was, from the scans alone, so that no wall is drawn twice (docs/method.md section 6).
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include <relidar/sequence.hpp>
+
+namespace relidar {
+
+struct RegisterOptions {
+    double largest_m = 1.0;         ///< a pose whose correction is larger counts as lost; also how far apart points may be at first
+    std::vector<BoxTrack> movers;   ///< their points are not the street's
+    double mover_margin_m = 0.2;    ///< boxes are grown by this
+    std::function<bool()> stop;     ///< asked before every round; true ends registration with nothing changed
+};
+
+/// One round: planes are fitted to the cells of a grid, then all poses take one step towards them.
+struct RegisterRound {
+    double cell_m = 0.0;
+    double scale_m = 0.0;      ///< at this distance from its plane a point counts a quarter
+    std::size_t planes = 0;    ///< that two scans or more lie on
+    double residual_m = 0.0;   ///< weighted root mean square distance of points from their planes, before the step
+    double step_m = 0.0;       ///< longest translation of the step
+};
+
+struct Registration {
+    PoseTrack world_from_sensor;        ///< corrected; the log's own where stopped
+    std::vector<RegisterRound> rounds;
+    std::vector<std::size_t> lost;      ///< frames that their own scan did not place, by position: corrected as their neighbours are
+    bool stopped = false;
+};
+
+/// Corrects the poses of the sensor so that all scans lie on common planes:
+///   min over all poses and planes (n, d) of  sum over points p of rho(n . p - d),  rho(r) = r^2 / (1 + r^2 / s^2),
+/// each point moving with the poses between which it was fired. The mean correction is zero, as what all poses have in common cannot be seen.
+/// Held-out scans shape no plane and move no other pose than their own, which is found last, on the planes of the training scans.
+/// Deterministic, whatever the number of threads. One training scan is left where it is.
+/// @throws DataError where no two training scans see a common surface
+Registration register_scans(const Sequence& sequence, const Split& split, const RegisterOptions& options);
+
+}  // namespace relidar

@@ -1,0 +1,182 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "registration/plane_adjustment.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <Eigen/Cholesky>
+
+#include "core/parallel.hpp"
+#include "registration/pose_equations.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kChunks = 64;                 // sums are added up in this many parts, whatever the number of threads
+constexpr int kShrinking = 8, kLast = 2;    // rounds
+constexpr double kShift = 0.37;             // of a cell from round to round
+constexpr double kPrior = 1e-4;             // of the mean stiffness of poses, towards no correction: decides only what no point sees
+constexpr std::size_t kFewestPlaced = 30;
+constexpr double kFewestShare = 0.05;       // of its points: streets 0.3 to 0.7, ranges at random 0.003
+
+/// task(begin, end, chunk) over [0, n) in kChunks parts.
+template <class Task>
+void in_chunks(std::size_t n, const Task& task) {
+    const std::size_t size = n / kChunks + 1;
+    run_parallel(kChunks, [&](int c) { task(std::min(n, std::size_t(c) * size), std::min(n, (std::size_t(c) + 1) * size), std::size_t(c)); });
+}
+
+std::vector<PlacedPoint> place_all(const PoseTrack& track, const std::vector<ThinPoint>& points) {
+    std::vector<PlacedPoint> placed(points.size());
+    in_chunks(points.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
+        for (std::size_t i = begin; i < end; ++i) placed[i] = place(track, points[i]);
+    });
+    return placed;
+}
+
+Twist twist_of(const Eigen::VectorXd& step, std::size_t pose) {
+    Twist twist;
+    for (std::size_t i = 0; i < 6; ++i) twist[i] = step[Eigen::Index(6 * pose + i)];
+    return twist;
+}
+
+Eigen::VectorXd corrections(const PoseTrack& from, const PoseTrack& to) {
+    Eigen::VectorXd result(6 * Eigen::Index(from.pose.size()));
+    for (std::size_t k = 0; k < from.pose.size(); ++k) {
+        const Twist twist = twist_between(from.pose[k], to.pose[k]);
+        for (std::size_t i = 0; i < 6; ++i) result[Eigen::Index(6 * k + i)] = twist[i];
+    }
+    return result;
+}
+
+/// The planes of all cells that points of two frames or more lie in.
+std::vector<std::optional<Plane>> fit_planes(const PlaneCells& cells, const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed, const RegisterRound& round) {
+    std::vector<std::optional<Plane>> planes(cells.size());
+    in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
+        for (std::size_t c = begin; c < end; ++c) {
+            const std::span<const std::uint32_t> members = cells.members(c);
+            if (points[members.front()].frame != points[members.back()].frame) planes[c] = fit_plane(placed, members, round.cell_m, round.scale_m);
+        }
+    });
+    return planes;
+}
+
+RegisterRound between(const RegisterRound& first, const RegisterRound& last, double t) {
+    return {first.cell_m * std::pow(last.cell_m / first.cell_m, t), first.scale_m * std::pow(last.scale_m / first.scale_m, t)};
+}
+
+}  // namespace
+
+const Plane* PlaneMap::at(const glm::dvec3& point_m) const {
+    const std::optional<std::size_t> cell = cells.find(point_m);
+    return cell && planes[*cell] ? &*planes[*cell] : nullptr;
+}
+
+PlaneAdjustment::PlaneAdjustment(const PoseTrack& start, std::vector<ThinPoint> points, std::vector<bool> gauge) : start_(start), track_(start), points_(std::move(points)), gauge_(std::move(gauge)) {}
+
+std::vector<RegisterRound> PlaneAdjustment::run(const RegisterRound& first, const RegisterRound& last, const std::function<bool()>& stop) {
+    std::vector<RegisterRound> rounds;
+    for (int i = 0; i < kShrinking + kLast && !(stop && stop()); ++i) rounds.push_back(step(between(first, last, std::min(1.0, i / double(kShrinking - 1))), kShift * i));
+    return rounds;
+}
+
+PlaneMap PlaneAdjustment::planes(const RegisterRound& round) const {
+    const std::vector<PlacedPoint> placed = place_all(track_, points_);
+    PlaneMap map{PlaneCells(placed, round.cell_m, 0.0), {}};
+    map.planes = fit_planes(map.cells, points_, placed, round);
+    return map;
+}
+
+RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
+    const std::vector<PlacedPoint> placed = place_all(track_, points_);
+    const PlaneCells cells(placed, round.cell_m, shift);
+    const std::vector<std::optional<Plane>> planes = fit_planes(cells, points_, placed, round);
+    std::vector<PoseEquations> parts(kChunks, PoseEquations(track_.pose.size()));
+    in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t chunk) {
+        for (std::size_t c = begin; c < end; ++c)
+            if (planes[c]) parts[chunk].add_cell(points_, placed, cells.members(c), *planes[c], round.scale_m);
+    });
+    for (std::size_t c = 1; c < kChunks; ++c) parts[0].add(std::move(parts[c]));
+    const PoseTrack before = track_;
+    const Eigen::VectorXd step = parts[0].solve(corrections(start_, track_), kPrior);
+    for (std::size_t k = 0; k < track_.pose.size(); ++k) track_.pose[k] = moved(track_.pose[k], twist_of(step, k));
+    remove_common_motion();
+    round.planes = parts[0].n_planes();
+    round.residual_m = parts[0].residual_m();
+    for (std::size_t k = 0; k < track_.pose.size(); ++k) round.step_m = std::max(round.step_m, glm::length(track_.pose[k].translation - before.pose[k].translation));
+    return round;
+}
+
+void PlaneAdjustment::remove_common_motion() {
+    const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
+    for (int i = 0; i < 3; ++i) {   // a mean of rotation vectors is not quite one of rotations
+        glm::dvec3 centre(0.0), v(0.0), w(0.0);
+        for (std::size_t k = 0; k < track_.pose.size(); ++k) {
+            if (!gauge_[k]) continue;
+            const Twist c = twist_between(start_.pose[k], track_.pose[k]);
+            centre += start_.pose[k].translation / n;
+            v += glm::dvec3(c[0], c[1], c[2]) / n;
+            w += glm::dvec3(c[3], c[4], c[5]) / n;
+        }
+        const glm::dquat turn = moved(Pose{}, {0, 0, 0, -w.x, -w.y, -w.z}).rotation;
+        for (Pose& pose : track_.pose) pose = {glm::normalize(turn * pose.rotation), centre + turn * (pose.translation - v - centre)};
+    }
+}
+
+void PlaneAdjustment::interpolate_corrections(const std::vector<bool>& is_known) {
+    const Eigen::VectorXd known = corrections(start_, track_);
+    const std::size_t n = is_known.size();
+    for (std::size_t k = 0; k < n; ++k) {
+        if (is_known[k]) continue;
+        std::size_t before = k, after = k;
+        while (before > 0 && !is_known[before]) --before;
+        while (after + 1 < n && !is_known[after]) ++after;
+        if (!is_known[before]) before = after;
+        if (!is_known[after]) after = before;
+        if (!is_known[before]) continue;   // none at all
+        const double span = start_.time_s[after] - start_.time_s[before], s = span > 0.0 ? (start_.time_s[k] - start_.time_s[before]) / span : 0.0;
+        Twist twist = twist_of(known, before);
+        for (std::size_t i = 0; i < 6; ++i) twist[i] += s * (twist_of(known, after)[i] - twist[i]);
+        track_.pose[k] = moved(start_.pose[k], twist);
+    }
+}
+
+bool PlaneAdjustment::is_placed(const PlaneMap& map, std::size_t pose, std::span<const ThinPoint> own, double scale_m, double largest_m) const {
+    std::size_t n_placed = 0;
+    for (const ThinPoint& point : own) {
+        const PlacedPoint placed = place(track_, point);
+        const Plane* plane = map.at(placed.point_m);
+        n_placed += plane && row_of(placed, *plane, scale_m).weight > 0.25;
+    }
+    const double correction_m = glm::length(track_.pose[pose].translation - start_.pose[pose].translation);
+    return correction_m <= largest_m && n_placed >= kFewestPlaced && double(n_placed) >= kFewestShare * double(own.size());
+}
+
+std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map, const std::vector<bool>& candidates, double scale_m, double largest_m) {
+    std::vector<std::size_t> lost;
+    std::vector<bool> is_known = candidates;
+    std::size_t begin = 0;
+    for (std::size_t k = 0; k < is_known.size(); ++k) {
+        std::size_t end = begin;
+        while (end < points_.size() && points_[end].frame == k) ++end;
+        if (candidates[k] && !is_placed(map, k, std::span(points_).subspan(begin, end - begin), scale_m, largest_m)) {
+            lost.push_back(k);
+            is_known[k] = false;
+        }
+        begin = end;
+    }
+    interpolate_corrections(is_known);
+    return lost;
+}
+
+void PlaneAdjustment::place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& own, double scale_m) {
+    PoseEquations equations(track_.pose.size());
+    for (const ThinPoint& point : own) {
+        const PlacedPoint placed = place(track_, point);
+        if (const Plane* plane = map.at(placed.point_m)) equations.add_point(point, row_of(placed, *plane, scale_m));
+    }
+    const Matrix6 stiffness = equations.diagonal(pose) + kPrior * equations.diagonal(pose).trace() * Matrix6::Identity();
+    if (stiffness.trace() > 0.0) track_.pose[pose] = moved(track_.pose[pose], twist_of(-stiffness.llt().solve(equations.gradient(pose)), 0));
+}
+
+}  // namespace relidar

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+// Gauss-Newton equations of all poses of a track, planes eliminated. A point at fraction s between poses l and l + 1 moves by
+//   dp = sum over k of a_k (v_k + w_k x (p - o)),  a = (1 - s, s),  o where the sensor was,
+// so its residual n . (p - point) - b . (offset, tilts) has the row a_k j, j = (n, (p - o) x n). The Schur complement of the three unknowns
+// of a plane with couplings C and stiffness B is
+//   H = sum w J J^T - C B^-1 C^T,  g = sum w r J,
+// exactly, because weighted principal axes make B diagonal and the planes' own gradient zero.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "registration/plane_cells.hpp"
+
+namespace relidar {
+
+using Vector6 = Eigen::Matrix<double, 6, 1>;
+using Matrix6 = Eigen::Matrix<double, 6, 6>;
+
+/// What a residual of a point is made of.
+struct Row {
+    double residual_m, weight;
+    Vector6 j;
+};
+Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m);
+
+/// Sums over some cells. Added up in their order they are the same on any number of threads.
+class PoseEquations {
+public:
+    explicit PoseEquations(std::size_t n_poses);
+
+    void add_point(const ThinPoint& point, const Row& row);
+    /// Points of a cell on its plane.
+    void add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed, std::span<const std::uint32_t> members, const Plane& plane, double scale_m);
+    void add(PoseEquations&& other);
+
+    /// Step of all poses, [n_poses,6], by conjugate gradients with blocks of 6 x 6 as preconditioner.
+    /// @param prior added to the diagonal, as a share of its mean; pulls `correction` to zero
+    Eigen::VectorXd solve(const Eigen::VectorXd& correction, double prior) const;
+
+    std::size_t n_planes() const { return n_planes_; }
+    double residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
+    const Matrix6& diagonal(std::size_t pose) const { return diagonal_[pose]; }
+    Vector6 gradient(std::size_t pose) const { return gradient_.segment<6>(6 * Eigen::Index(pose)); }
+
+private:
+    /// B^-1/2 C of one plane and one pose.
+    struct Coupling {
+        std::uint32_t pose;
+        Eigen::Matrix<float, 6, 3> c;
+    };
+    std::vector<Matrix6> diagonal_, next_;   ///< blocks (k, k) and (k, k + 1) of sum w J J^T
+    Eigen::VectorXd gradient_;
+    std::vector<Coupling> couplings_;
+    std::vector<std::size_t> plane_end_;     ///< [planes] into couplings_
+    std::size_t n_planes_ = 0;
+    double cost_ = 0.0, weight_ = 0.0;
+
+    Eigen::VectorXd times(const Eigen::VectorXd& x) const;
+};
+
+}  // namespace relidar

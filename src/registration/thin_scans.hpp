@@ -1,0 +1,32 @@
+// SPDX-License-Identifier: Apache-2.0
+// The points that registration looks at: a few thousand a scan, evenly over the surfaces, none of a moving box.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include <relidar/registration.hpp>
+
+namespace relidar {
+
+/// A return and between which poses of the track it was fired.
+struct ThinPoint {
+    glm::vec3 point_m;    ///< sensor frame at its firing
+    float s = 0.0f;       ///< share of pose left + 1
+    std::uint32_t left = 0;
+    std::uint32_t frame = 0;   ///< position in the sequence
+};
+
+/// Where a point lies, and the sensor when it was fired.
+struct PlacedPoint {
+    glm::dvec3 point_m, sensor_m;
+};
+PlacedPoint place(const PoseTrack& track, const ThinPoint& point);
+
+/// At most one point a cell of edge cell_m in each scan's sensor frame. @return by position in `positions`, in the order of the scan
+std::vector<std::vector<ThinPoint>> thin_scans(const Sequence& sequence, const std::vector<int>& positions, const RegisterOptions& options, double cell_m);
+
+/// The cell of a grid that holds a point, as one number. Neighbours beyond 2^20 cells from the origin share numbers.
+std::uint64_t cell_key(const glm::dvec3& point_m, double cell_m);
+
+}  // namespace relidar
