@@ -68,7 +68,7 @@ struct PointCloud {
     std::vector<float> intensity;        ///< [n]
     std::vector<std::uint16_t> channel;  ///< [n] or empty
     std::vector<float> time_offset_s;    ///< [n] or empty
-    std::vector<std::int32_t> instance;  ///< [n] whose surface, index into Scene::instances, or empty
+    std::vector<std::int32_t> instance = {};   ///< [n] whose surface, index into Scene::instances, or empty
 };
 /// Point cloud files; fields that are empty are left out. @throws DataError where lengths differ, as for write_atomically
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud);         ///< binary little-endian

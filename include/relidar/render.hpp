@@ -33,7 +33,7 @@ struct SensorChoice {
     RayTable rays;
     std::optional<RangeGrid> grid;   ///< bin the simulated points into this grid afterwards
     bool is_own = false;             ///< the log's own sensor: its sensor-level ray-drop applies
-    std::vector<Beam> beams;         ///< of the rays' channels, for what their lasers add to ranges and make of intensities; none: they measure what is there
+    std::vector<Beam> beams = {};    ///< of the rays' channels, for what their lasers add to ranges and make of intensities; none: they measure what is there
 };
 
 /// What config.sensor says: the log's own sensor, or the grid by projection or by casting.

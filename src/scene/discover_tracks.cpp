@@ -23,6 +23,7 @@ constexpr std::size_t kMinObservations = 6;
 constexpr double kMinPath_m = 0.6;
 constexpr double kMinStraightness = 0.5;    // of the path: noise walks to and fro
 constexpr double kSmooth_s = 0.45;          // a track is a parabola over so long to either side
+constexpr double kTop_s = 1.0;              // the road rises little while this passes
 constexpr double kMargin_m = 0.1;           // of the box around its points
 constexpr double kFragment_m = 0.5;         // around a box, where another track may be a part of the same thing
 constexpr double kGround_m = 0.15;          // the lowest part of a box counts as ground (actors.cpp)
@@ -187,6 +188,19 @@ std::vector<double> centres_along(const Track& track, const std::vector<glm::dve
     return centres;
 }
 
+/// Heights of the top: of a thing far away the beams miss some, so an observation takes the highest of those within a second.
+std::vector<double> tops(const Track& track, const std::vector<double>& times) {
+    std::vector<double> own, result;
+    for (const Observation& o : track.seen) own.push_back(extent_along(o.cluster, {0.0, 0.0, 1.0}).high);
+    for (const double t : times) {
+        double top = -1e30;
+        for (std::size_t j = 0; j < times.size(); ++j)
+            if (std::abs(times[j] - t) < kTop_s) top = std::max(top, own[j]);
+        result.push_back(top);
+    }
+    return result;
+}
+
 /// Directions of motion, on the ground; of something nearly at rest, that of its whole path.
 std::vector<double> headings(const std::vector<double>& times, const std::vector<glm::dvec3>& path) {
     const glm::dvec3 whole = path.back() - path.front();
@@ -199,7 +213,7 @@ std::vector<double> headings(const std::vector<double>& times, const std::vector
     return result;
 }
 
-/// Centres of a box that is seen from one side, along its motion. The heights are those of the tops.
+/// Centres of a box that is seen from one side, along its motion, at the height of its top.
 std::vector<Placement> placements(const Track& track, const std::vector<double>& times) {
     std::vector<glm::dvec3> path;
     for (const Observation& o : track.seen) path.push_back(o.cluster.centre_m);
@@ -211,8 +225,8 @@ std::vector<Placement> placements(const Track& track, const std::vector<double>&
             along.push_back({std::cos(angle), std::sin(angle), 0.0});
             across.push_back({-std::sin(angle), std::cos(angle), 0.0});
         }
-        const std::vector<double> x = centres_along(track, along), y = centres_along(track, across);
-        for (std::size_t k = 0; k < path.size(); ++k) path[k] = x[k] * along[k] + y[k] * across[k] + glm::dvec3(0.0, 0.0, extent_along(track.seen[k].cluster, {0.0, 0.0, 1.0}).high);
+        const std::vector<double> x = centres_along(track, along), y = centres_along(track, across), top = tops(track, times);
+        for (std::size_t k = 0; k < path.size(); ++k) path[k] = x[k] * along[k] + y[k] * across[k] + glm::dvec3(0.0, 0.0, top[k]);
     }
     std::vector<Placement> placed;
     for (std::size_t k = 0; k < path.size(); ++k) placed.push_back({path[k], yaw[k]});

@@ -28,6 +28,8 @@ struct Problem {
         scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         upstream = test::random_upstream(scene.rays.size(), options.seed + 1, outputs);
+        if (options.primitive == Primitive::gaussian)
+            for (PixelGradient& g : upstream) g.normal = glm::dvec3(0.0);   // it has none
     }
 
     double term(const BruteForce& brute, std::size_t i) const {

@@ -158,7 +158,9 @@ void expect_state(Case& c, const std::vector<Row>& rows) {
         ASSERT_EQ(m1.mean[i], fresh ? glm::vec3(0.0f) : c.moment1.mean[from]);
         ASSERT_EQ(m2.rotation[i], fresh ? glm::vec4(0.0f) : c.moment2.rotation[from]);
         ASSERT_EQ(m1.log_scale[i], fresh ? glm::vec2(0.0f) : c.moment1.log_scale[from]);
-        if (m1.primitive() == Primitive::gaussian) ASSERT_EQ(m1.log_scale_w[i], fresh ? 0.0f : c.moment1.log_scale_w[from]);
+        if (m1.primitive() == Primitive::gaussian) {
+            ASSERT_EQ(m1.log_scale_w[i], fresh ? 0.0f : c.moment1.log_scale_w[from]);
+        }
         ASSERT_EQ(m2.sh[i * kShFloats + 16], fresh ? 0.0f : c.moment2.sh[from * kShFloats + 16]);
         ASSERT_EQ(sums[i], 0.0f);
         ASSERT_EQ(seen[i], 0u);

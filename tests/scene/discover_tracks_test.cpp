@@ -55,7 +55,11 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
         ASSERT_GE(place.size(), 6u);
         glm::dvec3 mean(0.0);
         for (const glm::dvec3& p : place) mean += p / double(place.size());
-        for (const glm::dvec3& p : place) EXPECT_LT(glm::distance(p, mean), 0.25) << "box " << truth.id;
+        std::vector<double> off;
+        for (const glm::dvec3& p : place) off.push_back(glm::distance(p, mean));
+        std::sort(off.begin(), off.end());
+        EXPECT_LT(off[off.size() / 2], 0.15) << "box " << truth.id;
+        EXPECT_LT(off.back(), 0.4) << "box " << truth.id << ": at the ends of the log few frames tell what moved";
         EXPECT_LT(track->size_m.x, truth.size_m.x + 0.8);
         EXPECT_LT(track->size_m.y, truth.size_m.y + 0.8);
     }
