@@ -20,6 +20,8 @@ namespace relidar {
 
 namespace {
 
+constexpr double kGoneShare = 1.0;   // thin things that rest are seen through by some frames, too
+
 /// Running means of the samples of one voxel.
 struct Voxel {
     glm::dvec3 position{0.0};
@@ -104,7 +106,7 @@ std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Seq
     const Visibility visibility(sequence, train);
     std::vector<char> keep(samples.size());
     for_each_block(samples.size(), [&](std::size_t i) {
-        keep[i] = !visibility.votes(samples[i].position).is_mover();
+        keep[i] = !visibility.votes(samples[i].position).is_seen_through(kGoneShare);
     });
     std::vector<Sample> kept;
     for (std::size_t i = 0; i < samples.size(); ++i)

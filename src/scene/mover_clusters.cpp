@@ -20,6 +20,7 @@ constexpr int kReach = 2;                // of which the next is at most so many
 constexpr double kMinPoints = 12;         // that moved
 constexpr double kMaxLength_m = 14.0;
 
+constexpr double kSeenThroughShare = 0.25;   // of the frames that see a cell: what drives ahead hides where it was
 constexpr int kSeldomSeen = 3;           // frames: what rests is seen by more, unless it is far or hidden
 constexpr double kMovedShare = 0.15;      // of the returns of a group
 
@@ -124,7 +125,7 @@ std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& seque
     std::vector<Motion> motion(cells.size());
     for_each_block(cells.size(), [&](std::size_t i) {
         const Visibility::Votes votes = visibility.votes(cells[i]);
-        motion[i] = votes.is_mover() ? Motion::moved : votes.seen <= kSeldomSeen ? Motion::seldom_seen : Motion::rests;
+        motion[i] = votes.is_seen_through(kSeenThroughShare) ? Motion::moved : votes.seen <= kSeldomSeen ? Motion::seldom_seen : Motion::rests;
     });
     std::vector<std::vector<MoverCluster>> clusters(frames.size());
     run_parallel(static_cast<int>(frames.size()), [&](int i) {

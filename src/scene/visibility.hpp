@@ -17,8 +17,8 @@ public:
     struct Votes {
         int seen = 0;
         int seen_through = 0;
-        /// Seen through by at least two frames, and a quarter as many as see it.
-        bool is_mover() const { return seen_through >= 2 && 4 * seen_through >= seen; }
+        /// Seen through by at least two frames, and by this share of those that see it.
+        bool is_seen_through(double share) const { return seen_through >= 2 && double(seen_through) >= share * double(seen); }
     };
     /// @param point_m [3] world
     Votes votes(const glm::vec3& point_m) const;

@@ -117,6 +117,44 @@ Sequence cross_sequence() {
     return sequence;
 }
 
+/// What a laser adds to ranges and makes of intensities is the sensor's: its own scans have it, those of another sensor do not.
+TEST_F(Render, LasersMeasureInTheirOwnWay) {
+    Surfels wall;
+    wall.resize(1);
+    wall.mean[0] = {10.0f, 0.0f, 0.0f};
+    wall.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
+    wall.log_scale[0] = glm::vec2(std::log(5.0f));
+    wall.opacity_logit[0] = 6.0f;
+    std::fill(wall.sh.begin(), wall.sh.end(), 0.0f);   // intensity 0.5
+    wall.sh[kShCoefficients] = 20.0f;
+    Sequence sequence = cross_sequence();
+    sequence.sensor.beams = {{.elevation_rad = 0.1}, {.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
+    sequence.sensor.beams[1] = {.intensity_gain = 1.4, .intensity_offset = -0.1, .range_offset_m = 0.07};
+    sequence.sensor.beams[2] = {.elevation_rad = -0.1, .intensity_gain = 3.0};
+    Config config;
+    config.render.range = "normalised";
+    ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
+    const SensorChoice own = configured_sensor(config, sequence);
+    std::size_t ahead = 0;
+    for (std::size_t i = 0; i < 4; ++i)
+        if (own.rays.direction[i].x > 0.9f) ahead = i;
+    const RenderedScan scan = renderer.render(own, 0.0);
+    SensorChoice ideal = own;
+    ideal.beams.clear();
+    const RenderedScan surface = renderer.render(ideal, 0.0);
+    ASSERT_NEAR(surface.image.range_m[4 + ahead], 10.0, 1e-4);
+    const float brightness = surface.image.intensity[4 + ahead];
+    ASSERT_GT(brightness, 0.4f);
+    EXPECT_EQ(scan.image.range_m[ahead], surface.image.range_m[ahead]);
+    EXPECT_EQ(scan.image.intensity[ahead], surface.image.intensity[ahead]);
+    EXPECT_NEAR(scan.image.range_m[4 + ahead], 10.07, 1e-4);
+    EXPECT_NEAR(scan.median_range_m[4 + ahead], 10.07, 1e-4);
+    EXPECT_NEAR(scan.image.intensity[4 + ahead], 1.4 * brightness - 0.1, 1e-5);
+    EXPECT_EQ(scan.image.intensity[8 + ahead], 1.0f) << "cut at what a sensor reports";
+    const std::size_t behind = (ahead + 2) % 4;
+    EXPECT_EQ(scan.image.range_m[4 + behind], 0.0f) << "nothing stays nothing";
+}
+
 /// A wall behind the sensor's right, and a plate placed ahead and, turned to face the sensor too, behind; its brightness depends on
 /// the direction it is seen from.
 Scene two_placements(Sequence& sequence) {

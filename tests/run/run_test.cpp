@@ -83,6 +83,9 @@ TEST_F(RunFolder, SensorRoundTripsExactly) {
         EXPECT_EQ(a.beams[i].azimuth_offset_rad, b.beams[i].azimuth_offset_rad);
         EXPECT_EQ(a.beams[i].origin_up_m, b.beams[i].origin_up_m);
         EXPECT_EQ(a.beams[i].origin_left_m, b.beams[i].origin_left_m);
+        EXPECT_EQ(a.beams[i].intensity_gain, b.beams[i].intensity_gain);
+        EXPECT_EQ(a.beams[i].intensity_offset, b.beams[i].intensity_offset);
+        EXPECT_EQ(a.beams[i].range_offset_m, b.beams[i].range_offset_m);
     }
 }
 
