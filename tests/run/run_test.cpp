@@ -136,6 +136,7 @@ TEST_F(RunFolder, WrongKindsAreRefused) {
     EXPECT_NE(replaced("/counts/surfels", 3).find("counts.surfels: found 3, but model.safetensors holds 5"), std::string::npos);
     EXPECT_NE(replaced("/boxes/0/time_s", {1.0}).find("boxes[0].world_from_box: found 2 poses, expected 1"), std::string::npos);
     EXPECT_NE(replaced("/sensor/columns", 0).find("sensor.columns: found 0, expected an integer in 1.."), std::string::npos);
+    EXPECT_NE(replaced("/sensor/beams/1", {0.0, 0.0, 0.0, 0.0, 0.0, 1.0}).find("sensor.beams[1]: found 6 numbers, expected 8"), std::string::npos);
     EXPECT_NE(replaced("/sensor/beams/1", "x").find("sensor.beams[1]: found \"x\", expected an array"), std::string::npos);
     EXPECT_NE(replaced("/boxes/0/size_m/1", 0.0).find("boxes[0].size_m: found 4.2 x 0 x 1.5 m, expected all above 0"), std::string::npos);
     EXPECT_NE(replaced("/edits/1", 3).find("edits[1]: found 3, expected an object"), std::string::npos);
