@@ -20,7 +20,7 @@ namespace relidar {
 
 namespace {
 
-constexpr double kGoneShare = 1.0;   // thin things that rest are seen through by some frames, too
+constexpr double kGoneShare = 0.25;   // of the frames that see a place: with 1, what stood for a while stays as a ghost (RMSE 2.28 instead of 2.12 m on KITTI 0005)
 
 /// Running means of the samples of one voxel.
 struct Voxel {
