@@ -76,7 +76,7 @@ struct PrepareSession {
 /// (train.refine_poses with train.pose_register), offsets and responses of its lasers (sensor.calibrate_range, sensor.calibrate_intensity),
 /// tracks of what moves without a label (init.discover_actors). From training frames alone, but for the poses of held-out ones; the same for
 /// the same log and settings, so that a resumed training prepares its log anew.
-/// @throws Error with exit code 130 where stopped; DataError as register_scans
+/// A log whose scans see nothing in common keeps its poses. @throws Error with exit code 130 where stopped
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session = {});
 
 /// Trains a scene on the training frames of a log, prepared by prepare_log().

@@ -25,7 +25,13 @@ std::string corrections_text(const PoseTrack& from, const PoseTrack& to) {
 void register_sensor(Sequence& sequence, const Split& split, const Config& config, const PrepareSession& session) {
     RegisterOptions options{config.train.pose_largest_m, {}, config.init.actor_margin_m, session.stop};
     std::ranges::copy_if(sequence.boxes, std::back_inserter(options.movers), [&](const BoxTrack& box) { return box.mean_step_m() > config.init.actor_min_step_m; });
-    const Registration found = register_scans(sequence, split, options);
+    Registration found;
+    try {
+        found = register_scans(sequence, split, options);
+    } catch (const DataError& error) {   // nothing to go by is no reason not to train
+        session.tell(fmt::format("{}; the log's own poses are used", error.what()));
+        return;
+    }
     if (found.stopped) throw Error(ExitCode::interrupted, "interrupted while scans were registered: nothing is trained yet");
     if (found.rounds.empty()) return;
     session.tell(fmt::format("scans registered: {:.3f} m from common planes at first, {:.3f} m now; {}", found.rounds.front().residual_m, found.rounds.back().residual_m,
