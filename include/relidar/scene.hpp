@@ -135,8 +135,8 @@ struct InstancePose {
 
 /// Tracks of what moves without a label: returns of training frames, within 40 m and outside labelled boxes, that other training frames see
 /// through are grouped, linked from frame to frame and placed as rigid upright boxes, of which the end near the sensor is sure and the size what
-/// they showed when they showed most. Only what is seen in at least 6 frames and comes 0.6 m far becomes a track. x is the direction of motion;
-/// ids are mover-0, mover-1, ...
+/// they showed when they showed most. Only what is seen in at least 6 frames and comes 0.6 m far becomes a track, parts of the sensor's own
+/// vehicle excepted. x is the direction of motion; ids are mover-0, mover-1, ...
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options);
 
 /// Boxes whose points and rays are not the background's: those that move, and the tracks asked for; none with ActorMode::background.

@@ -22,6 +22,7 @@ constexpr double kMaxRatio = 8.0;            // of the numbers of returns of one
 constexpr std::size_t kMinObservations = 6;
 constexpr double kMinPath_m = 0.6;
 constexpr double kMinStraightness = 0.5;    // of the path: noise walks to and fro
+constexpr double kOwnVehicle_m = 4.0, kRides_m = 0.3;
 constexpr double kSmooth_s = 0.45;          // a track is a parabola over so long to either side
 constexpr double kTop_s = 1.0;              // the road rises little while this passes
 constexpr double kMargin_m = 0.1;           // of the box around its points
@@ -127,6 +128,14 @@ bool moves(const Track& track) {
     for (std::size_t i = 1; i < path.size(); ++i) length += glm::distance(path[i - 1], path[i]);
     const double net = glm::distance(path.front(), path.back());
     return net > kMinPath_m && net > kMinStraightness * length;
+}
+
+/// Whether it stays where it is as seen from the sensor, close by: a part of the vehicle that carries the sensor.
+bool rides_along(const Track& track, const PoseTrack& world_from_sensor) {
+    std::vector<glm::dvec3> places;
+    for (const Observation& o : track.seen) places.push_back(inverse(world_from_sensor.at(o.cluster.time_s)) * o.cluster.centre_m);
+    const auto is_near = [&](const glm::dvec3& p) { return glm::distance(p, places[places.size() / 2]) < kRides_m; };
+    return glm::length(places[places.size() / 2]) < kOwnVehicle_m && std::count_if(places.begin(), places.end(), is_near) > std::ptrdiff_t(places.size() * 3 / 4);
 }
 
 /// A frame of the ground: position and heading.
@@ -292,7 +301,7 @@ std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vecto
     std::vector<double> times;
     for (const int position : train_positions) times.push_back(sequence.frames[std::size_t(position)].time_s);
     std::vector<Track> tracks = link(find_mover_clusters(sequence, train_positions, options), times, sequence.world_from_sensor);
-    std::erase_if(tracks, [](const Track& track) { return !moves(track); });
+    std::erase_if(tracks, [&](const Track& track) { return !moves(track) || rides_along(track, sequence.world_from_sensor); });
     std::vector<BoxTrack> boxes(tracks.size());
     run_parallel(static_cast<int>(tracks.size()), [&](int i) { boxes[std::size_t(i)] = box_of(tracks[std::size_t(i)]); });
     boxes = without_parts(std::move(boxes));

@@ -71,6 +71,17 @@ TEST(DiscoverTracks, LeavesLabelledAndRestingThingsAlone) {
     EXPECT_TRUE(discover_tracks(street.log, street.split.train, {}).empty());
 }
 
+/// A roof rack: returns that every scan has at the same place of its own.
+TEST(DiscoverTracks, LeavesItsOwnVehicleAlone) {
+    Street street = street_without_labels();
+    for (Frame& frame : street.log.frames)
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
+            const glm::vec3& d = frame.scan.rays.direction[i];
+            if (d.x < -0.6f && d.y > 0.2f && d.y < 0.5f && d.z > -0.35f && d.z < -0.15f) frame.scan.range_m[i] = 1.3f;
+        }
+    EXPECT_EQ(discover_tracks(street.log, street.split.train, {}).size(), street.truth.size());
+}
+
 TEST(DiscoverTracks, LooksAtTrainingFramesOnly) {
     Street street = street_without_labels();
     const std::vector<BoxTrack> before = discover_tracks(street.log, street.split.train, {});
