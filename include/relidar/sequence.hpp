@@ -131,6 +131,7 @@ struct LaserCalibration {
     std::size_t returns = 0;    ///< that were compared
     double rms_before = 0.0;    ///< of intensities about the mean of their place, or of points about their plane, metres
     double rms_after = 0.0;     ///< with a response, or an offset, for each laser
+    bool adopted = false;       ///< whether the sensor has them now
 };
 /// Finds gain and offset of each laser's intensity (Beam) from returns of the given frames that fall into the same 0.1 m of the world, by
 /// alternating least squares; the mean laser has gain 1 and offset 0, and so has one that shares no place. Lasers of one sensor differ by more
@@ -138,7 +139,7 @@ struct LaserCalibration {
 /// @param positions  of the frames to look at, in Sequence::frames
 LaserCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions);
 /// Finds what each laser adds to its ranges (Beam) from returns on the same planes, cells of 0.3 m, by alternating least squares from the
-/// nominal ranges; offsets of all lasers average 0. Datasets keep offsets of centimetres between lasers. (Not in the paper.)
+/// nominal ranges; offsets of all lasers average 0, and are 0 where they make the planes less than 3 % thinner. Datasets keep offsets of centimetres between lasers. (Not in the paper.)
 LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions);
 
 /// Frames for training and for testing. Every `test_every`-th position is held out, the first one excepted

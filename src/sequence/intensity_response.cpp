@@ -137,7 +137,7 @@ LaserCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>&
     for (Beam& beam : sequence.sensor.beams) beam.intensity_gain = 1.0, beam.intensity_offset = 0.0;
     std::size_t n_places = 0;
     const std::vector<Observation> seen = shared_places(sequence, positions, n_places);
-    LaserCalibration result{seen.size(), 0.0, 0.0};
+    LaserCalibration result{seen.size(), 0.0, 0.0, !seen.empty()};
     if (seen.empty()) return result;
     std::vector<Response> responses(sequence.sensor.beams.size());
     for (int round = 0; round < kRounds; ++round) {

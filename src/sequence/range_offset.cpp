@@ -20,6 +20,7 @@ constexpr int kMinReturns = 20;             // of a cell that may be a plane
 constexpr double kMaxThickness_m = 0.05;    // standard deviation across a plane, and at least along it
 constexpr double kMaxResidual_m = 0.15;     // what lies farther off its cell's plane belongs to something else
 constexpr double kPriorReturns = 20.0;      // a laser starts as if so many of its returns, met squarely, had shown no offset
+constexpr double kLeastGain = 0.97;         // lasers whose planes do not get this much thinner have no offsets: what was found is noise
 constexpr int kRounds = 30;                // planes that few lasers share follow them only slowly
 
 /// One return in the world, by its laser's own word.
@@ -149,6 +150,8 @@ LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& po
         result.rms_after = std::sqrt(mean_square);
         if (round == 0) result.rms_before = result.rms_after;
     }
+    if (result.rms_after > kLeastGain * result.rms_before) return result;
+    result.adopted = true;
     for (std::size_t b = 0; b < offset_m.size(); ++b) sequence.sensor.beams[b].range_offset_m = offset_m[b];
     return result;
 }

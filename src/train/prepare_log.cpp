@@ -49,8 +49,8 @@ void calibrate_lasers(Sequence& sequence, const Split& split, const SensorConfig
     if (n < 2) return;
     if (config.calibrate_range) {
         const LaserCalibration found = calibrate_ranges(sequence, split.train);
-        session.tell(fmt::format("ranges of {} lasers compared on {:.1f} million returns: {:.1f} mm from common planes, {:.1f} mm with an offset each", n, double(found.returns) * 1e-6,
-                                 found.rms_before * 1e3, found.rms_after * 1e3));
+        session.tell(fmt::format("ranges of {} lasers compared on {:.1f} million returns: {:.1f} mm from common planes, {:.1f} mm with an offset each{}", n, double(found.returns) * 1e-6,
+                                 found.rms_before * 1e3, found.rms_after * 1e3, found.adopted ? "" : ": none is taken"));
     }
     if (config.calibrate_intensity) {
         const LaserCalibration found = calibrate_intensity(sequence, split.train);

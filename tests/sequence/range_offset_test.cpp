@@ -81,6 +81,15 @@ TEST(RangeOffset, ReturnsComeFromWhereTheSurfaceIs) {
     }
 }
 
+TEST(RangeOffset, EqualLasersHaveNone) {
+    Sequence sequence = drive();
+    for (Frame& frame : sequence.frames)
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
+            if (frame.scan.range_m[i] > 0.0f) frame.scan.range_m[i] -= float(kOffsets_m[frame.scan.rays.channel[i]]);
+    EXPECT_GT(calibrate_ranges(sequence, kTrain).returns, 20000u);
+    for (const Beam& beam : sequence.sensor.beams) EXPECT_EQ(beam.range_offset_m, 0.0);
+}
+
 TEST(RangeOffset, NothingToCompareLeavesTheSensorAlone) {
     Sequence sequence = drive();
     EXPECT_EQ(calibrate_ranges(sequence, {}).returns, 0u);
