@@ -43,6 +43,9 @@ struct Beam {
     double range_offset_m = 0.0;   ///< measured range = range of the surface + this
 };
 
+/// The laser of a channel; one that measures what is there where there is no such laser.
+const Beam& laser_of(const std::vector<Beam>& beams, std::size_t channel);
+
 /// A spinning LiDAR: its beams, the number of azimuth steps a turn, and the turn itself.
 struct SpinningSensor {
     std::string name;

@@ -7,6 +7,7 @@
 #include <span>
 #include <vector>
 
+#include "core/cell_key.hpp"
 #include "registration/thin_scans.hpp"
 
 namespace relidar {

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <unordered_set>
 
+#include "core/cell_key.hpp"
 #include "core/parallel.hpp"
 
 namespace relidar {
@@ -33,12 +34,6 @@ std::vector<ThinPoint> thin(const Sequence& sequence, int position, const Regist
 }
 
 }  // namespace
-
-std::uint64_t cell_key(const glm::dvec3& point_m, double cell_m) {
-    std::uint64_t key = 0;
-    for (int axis = 0; axis < 3; ++axis) key = key << 21 | (std::uint64_t(std::int64_t(std::floor(point_m[axis] / cell_m))) & 0x1FFFFFu);
-    return key;
-}
 
 PlacedPoint place(const PoseTrack& track, const ThinPoint& point) {
     const Pose pose = track.pose.size() == 1 ? track.pose.front() : interpolate(track.pose[point.left], track.pose[point.left + 1], double(point.s));

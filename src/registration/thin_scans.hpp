@@ -26,7 +26,4 @@ PlacedPoint place(const PoseTrack& track, const ThinPoint& point);
 /// At most one point a cell of edge cell_m in each scan's sensor frame. @return by position in `positions`, in the order of the scan
 std::vector<std::vector<ThinPoint>> thin_scans(const Sequence& sequence, const std::vector<int>& positions, const RegisterOptions& options, double cell_m);
 
-/// The cell of a grid that holds a point, as one number. Neighbours beyond 2^20 cells from the origin share numbers.
-std::uint64_t cell_key(const glm::dvec3& point_m, double cell_m);
-
 }  // namespace relidar

@@ -28,13 +28,6 @@ float chosen_range(const Rendering& r, std::size_t i, const std::string& which) 
 
 float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
 
-/// The laser of a ray; one that measures what is there where the sensor has none.
-const Beam& laser_of(const SensorChoice& sensor, std::size_t ray) {
-    static const Beam ideal;
-    const std::size_t channel = sensor.rays.channel[ray];
-    return channel < sensor.beams.size() ? sensor.beams[channel] : ideal;
-}
-
 float measured_range(const Beam& beam, float range_m) { return range_m > 0.0f ? std::max(range_m + static_cast<float>(beam.range_offset_m), 0.0f) : range_m; }
 
 float measured_intensity(const Beam& beam, float intensity) {
@@ -101,7 +94,7 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     scan.time_offset_s = sensor.rays.time_offset_s;
     scan.channel = sensor.rays.channel;
     for (std::size_t i = 0; i < r.size(); ++i) {
-        const Beam& laser = laser_of(sensor, i);
+        const Beam& laser = laser_of(sensor.beams, sensor.rays.channel[i]);
         scan.image.range_m.push_back(measured_range(laser, chosen_range(r, i, s.config.render.range)));
         scan.median_range_m.push_back(measured_range(laser, r.median_depth[i]));
         scan.image.intensity.push_back(measured_intensity(laser, r.intensity[i]));

@@ -7,6 +7,7 @@
 #include <unordered_map>
 #include <utility>
 
+#include "core/cell_key.hpp"
 #include "core/parallel.hpp"
 #include "scene/visibility.hpp"
 
@@ -17,9 +18,8 @@ constexpr double kMaxRange_m = 40.0;     // farther out a person is a return or 
 constexpr double kCell_m = 0.2;          // visibility is asked once a cell of the world
 constexpr double kSquare_m = 0.3;        // returns of one thing, seen from above, lie in squares of the ground
 constexpr int kReach = 2;                // of which the next is at most so many away: 0.6 to 0.9 m
-constexpr double kMinPoints = 12;         // that moved
+constexpr double kMinPoints = 12;        // that moved
 constexpr double kMaxLength_m = 14.0;
-
 constexpr double kSeenThroughShare = 0.25;   // of the frames that see a cell: what drives ahead hides where it was
 constexpr int kSeldomSeen = 3;           // frames: what rests is seen by more, unless it is far or hidden
 constexpr double kMovedShare = 0.15;      // of the returns of a group
@@ -35,11 +35,6 @@ struct Return {
     std::uint32_t cell;
     Motion motion = Motion::rests;
 };
-
-std::uint64_t cell_key(const glm::dvec3& p, double edge) {
-    const glm::i64vec3 c = glm::i64vec3(glm::floor(p / edge)) + (std::int64_t(1) << 20);
-    return std::uint64_t(c.x & 0x1fffff) << 42 | std::uint64_t(c.y & 0x1fffff) << 21 | std::uint64_t(c.z & 0x1fffff);
-}
 
 std::vector<Return> returns_of(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& labelled, const InitialiseOptions& options) {
     std::vector<Return> result;

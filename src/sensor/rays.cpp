@@ -52,6 +52,11 @@ double wrapped(double azimuth_rad) {
 
 }  // namespace
 
+const Beam& laser_of(const std::vector<Beam>& beams, std::size_t channel) {
+    static const Beam ideal;
+    return channel < beams.size() ? beams[channel] : ideal;
+}
+
 BeamRay beam_ray(const Beam& beam, double head_azimuth_rad) {
     const double azimuth = head_azimuth_rad + beam.azimuth_offset_rad;
     const double c = std::cos(azimuth), s = std::sin(azimuth);

@@ -6,8 +6,8 @@
 
 #include <relidar/sequence.hpp>
 
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "core/cell_key.hpp"
+#include "sequence/laser_returns.hpp"
 
 namespace relidar {
 namespace {
@@ -26,12 +26,6 @@ struct Observation {
     float intensity;
 };
 
-/// A 0.1 m cell of the world.
-std::uint64_t cell_of(const glm::dvec3& p) {
-    const glm::i64vec3 c = glm::i64vec3(glm::floor(p / kCell_m)) + (std::int64_t(1) << 20);
-    return std::uint64_t(c.x & 0x1fffff) << 42 | std::uint64_t(c.y & 0x1fffff) << 21 | std::uint64_t(c.z & 0x1fffff);
-}
-
 /// Returns of one frame; `place` is still to be numbered.
 struct FrameReturns {
     std::vector<std::uint64_t> cell;
@@ -42,8 +36,8 @@ FrameReturns returns_of(const Sequence& sequence, const Frame& frame) {
     FrameReturns result;
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
-        if (!(scan.range_m[ray] > 0.0f && scan.range_m[ray] < kMaxRange_m) || scan.rays.channel[ray] >= sequence.sensor.beams.size()) continue;
-        result.cell.push_back(cell_of(world_return(sequence, frame, ray).point_m));
+        if (!is_of_laser(sequence, scan, ray, kMaxRange_m)) continue;
+        result.cell.push_back(cell_key(world_return(sequence, frame, ray).point_m, kCell_m));
         result.seen.push_back({0, scan.rays.channel[ray], scan.intensity[ray]});
     }
     return result;
@@ -51,11 +45,7 @@ FrameReturns returns_of(const Sequence& sequence, const Frame& frame) {
 
 /// Returns of places that at least two lasers have seen, places numbered from 0.
 std::vector<Observation> shared_places(const Sequence& sequence, const std::vector<int>& positions, std::size_t& n_places) {
-    std::size_t returns = 0;
-    for (const int position : positions) returns += sequence.frames[std::size_t(position)].scan.range_m.size();
-    const std::size_t stride = returns / kMostReturns + 1;
-    std::vector<FrameReturns> frames((positions.size() + stride - 1) / stride);
-    run_parallel(static_cast<int>(frames.size()), [&](int i) { frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i) * stride])]); });
+    std::vector<FrameReturns> frames = read_frames(sequence, positions, kMostReturns, [&](const Frame& frame) { return returns_of(sequence, frame); });
 
     constexpr std::uint32_t kSeveral = 0xffffffffu;
     std::unordered_map<std::uint64_t, std::uint32_t> number;
@@ -153,9 +143,7 @@ LaserCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>&
 }
 
 float surface_intensity(const SpinningSensor& sensor, const Scan& scan, std::size_t ray) {
-    const std::size_t channel = scan.rays.channel[ray];
-    if (channel >= sensor.beams.size()) return scan.intensity[ray];
-    const Beam& beam = sensor.beams[channel];
+    const Beam& beam = laser_of(sensor.beams, scan.rays.channel[ray]);
     return static_cast<float>((double(scan.intensity[ray]) - beam.intensity_offset) / beam.intensity_gain);
 }
 

@@ -8,7 +8,9 @@
 
 #include <relidar/sequence.hpp>
 
+#include "core/cell_key.hpp"
 #include "core/parallel.hpp"
+#include "sequence/laser_returns.hpp"
 
 namespace relidar {
 namespace {
@@ -31,16 +33,11 @@ struct Observation {
     std::uint32_t beam;
 };
 
-std::uint64_t cell_of(const glm::dvec3& p) {
-    const glm::i64vec3 c = glm::i64vec3(glm::floor(p / kCell_m)) + (std::int64_t(1) << 20);
-    return std::uint64_t(c.x & 0x1fffff) << 42 | std::uint64_t(c.y & 0x1fffff) << 21 | std::uint64_t(c.z & 0x1fffff);
-}
-
 std::vector<Observation> returns_of(const Sequence& sequence, const Frame& frame) {
     std::vector<Observation> result;
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
-        if (!(scan.range_m[ray] > 0.0f && scan.range_m[ray] < kMaxRange_m) || scan.rays.channel[ray] >= sequence.sensor.beams.size()) continue;
+        if (!is_of_laser(sequence, scan, ray, kMaxRange_m)) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
         result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), 0, scan.rays.channel[ray]});
     }
@@ -49,15 +46,11 @@ std::vector<Observation> returns_of(const Sequence& sequence, const Frame& frame
 
 /// Returns of the frames, and how many cells they fall into. A cell keeps its returns while they move by centimetres.
 std::vector<Observation> gather(const Sequence& sequence, const std::vector<int>& positions, std::size_t& n_cells) {
-    std::size_t rays = 0;
-    for (const int position : positions) rays += sequence.frames[std::size_t(position)].scan.range_m.size();
-    const std::size_t stride = rays / kMostReturns + 1;
-    std::vector<std::vector<Observation>> frames((positions.size() + stride - 1) / stride);
-    run_parallel(static_cast<int>(frames.size()), [&](int i) { frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i) * stride])]); });
+    std::vector<std::vector<Observation>> frames = read_frames(sequence, positions, kMostReturns, [&](const Frame& frame) { return returns_of(sequence, frame); });
     std::unordered_map<std::uint64_t, std::uint32_t> number;
     std::vector<Observation> all;
     for (std::vector<Observation>& frame : frames) {
-        for (Observation& o : frame) o.cell = number.try_emplace(cell_of(glm::dvec3(o.point_m)), static_cast<std::uint32_t>(number.size())).first->second;
+        for (Observation& o : frame) o.cell = number.try_emplace(cell_key(glm::dvec3(o.point_m), kCell_m), static_cast<std::uint32_t>(number.size())).first->second;
         all.insert(all.end(), frame.begin(), frame.end());
         frame = {};
     }
@@ -157,9 +150,8 @@ LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& po
 }
 
 float surface_range(const SpinningSensor& sensor, const Scan& scan, std::size_t ray) {
-    const std::size_t channel = scan.rays.channel[ray];
-    if (!(scan.range_m[ray] > 0.0f) || channel >= sensor.beams.size()) return scan.range_m[ray];
-    return static_cast<float>(std::max(double(scan.range_m[ray]) - sensor.beams[channel].range_offset_m, 1e-3));
+    if (!(scan.range_m[ray] > 0.0f)) return scan.range_m[ray];
+    return static_cast<float>(std::max(double(scan.range_m[ray]) - laser_of(sensor.beams, scan.rays.channel[ray]).range_offset_m, 1e-3));
 }
 
 }  // namespace relidar

@@ -73,7 +73,8 @@ TEST(ProjectScan, RealAndSimulatedPointsAreBinnedAlike) {
     }
 }
 
-TEST_F(Render, WallIsWhereItStands) {
+/// A wall 10 m ahead that returns; intensity 0.5.
+Surfels wall_ahead() {
     Surfels wall;
     wall.resize(1);
     wall.mean[0] = {10.0f, 0.0f, 0.0f};
@@ -82,6 +83,11 @@ TEST_F(Render, WallIsWhereItStands) {
     wall.opacity_logit[0] = 6.0f;
     std::fill(wall.sh.begin(), wall.sh.end(), 0.0f);
     wall.sh[kShCoefficients] = 20.0f;   // hit logit
+    return wall;
+}
+
+TEST_F(Render, WallIsWhereItStands) {
+    const Surfels wall = wall_ahead();
     Sequence sequence;
     sequence.sensor.beams = {{0.0}};
     sequence.sensor.columns = 8;
@@ -119,14 +125,7 @@ Sequence cross_sequence() {
 
 /// What a laser adds to ranges and makes of intensities is the sensor's: its own scans have it, those of another sensor do not.
 TEST_F(Render, LasersMeasureInTheirOwnWay) {
-    Surfels wall;
-    wall.resize(1);
-    wall.mean[0] = {10.0f, 0.0f, 0.0f};
-    wall.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
-    wall.log_scale[0] = glm::vec2(std::log(5.0f));
-    wall.opacity_logit[0] = 6.0f;
-    std::fill(wall.sh.begin(), wall.sh.end(), 0.0f);   // intensity 0.5
-    wall.sh[kShCoefficients] = 20.0f;
+    const Surfels wall = wall_ahead();
     Sequence sequence = cross_sequence();
     sequence.sensor.beams = {{.elevation_rad = 0.1}, {.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
     sequence.sensor.beams[1] = {.intensity_gain = 1.4, .intensity_offset = -0.1, .range_offset_m = 0.07};
