@@ -41,11 +41,25 @@ Traversal best_traversal(const DeviceInfo& info);
 /// Every Vulkan device, in the loader's order. @throws DeviceError where no Vulkan loader or driver is installed
 std::vector<DeviceInfo> list_devices();
 
+/// What the driver's compiler made of one kernel with one set of specialisation constants.
+struct PipelineStatistics {
+    std::string kernel;                     ///< of the build: "stage/stem" or "stage/stem@variant"
+    std::string constants;                  ///< "CHUNK=64 TOGETHER=0", in the order of their ids
+    int workgroup_size = 0;                 ///< threads
+    int subgroup_size = 0;                  ///< lanes the driver compiled for, 0 = unknown
+    double compile_ms = 0.0;
+    std::string failure;                    ///< the driver's answer where it made no pipeline, else empty
+    std::map<std::string, double> values;   ///< by the driver's own names; empty where it has no VK_KHR_pipeline_executable_properties
+};
+
 struct DeviceOptions {
     int index = -1;                              ///< of list_devices; -1 = the first GPU, one with ray query before others, else a CPU device
     Traversal traversal = Traversal::automatic;
     bool validation = false;                     ///< Khronos validation layer; also RELIDAR_VALIDATION=1
     std::uint64_t memory_limit_bytes = 0;        ///< device-local memory it may hold, 0 = all there is; also RELIDAR_MEMORY_LIMIT_MIB=n
+    /// Compile every kernel that is made, each distinct pipeline once, keep what the driver says of it (Device::pipelines), and run none:
+    /// what is opened so is for looking at, and may be a driver without hardware.
+    bool compile_only = false;
 };
 
 /// An open device. Everything made from it must be destroyed first.
@@ -65,6 +79,8 @@ public:
     std::uint64_t peak_bytes() const;
     /// Validation messages of severity warning or error seen so far (0 without validation).
     std::size_t validation_messages() const;
+    /// What was compiled so far, in that order, where the device was opened to compile only.
+    const std::vector<PipelineStatistics>& pipelines() const;
 
     struct Impl;
     Impl& impl() const { return *impl_; }

@@ -86,6 +86,11 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
 TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config, const ProgressCallback& progress,
                   const TrainSession& session = {});
 
+/// Makes every pipeline that training and rendering use on a device: those of each preset, and of each setting that changes a kernel, one at a
+/// time. For a device opened to compile only (DeviceOptions::compile_only), whose pipelines() then are what its driver says of them.
+/// @param progress  called with each preset or setting before it is compiled
+void compile_pipelines(Device& device, const std::function<void(const std::string&)>& progress = {});
+
 /// Whether a training may continue with this log and these settings. train.iterations may be raised: the learning rates continue where
 /// the longer schedule stands at that iteration. train.log_every, train.checkpoint_*, render.* and trace.* are free.
 /// @throws UsageError naming the setting, DataError naming the part of the log that differs

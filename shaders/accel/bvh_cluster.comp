@@ -17,7 +17,6 @@
 #extension GL_KHR_shader_subgroup_vote : require
 #extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
-layout(constant_id = 2) const uint GROUPS = 4u;   // subgroups of a workgroup, at most
 RELIDAR_PARAMS(BvhClusterParams);
 
 const uint KEPT = 16u, ROOM = 2u * KEPT, RADIUS = 8u;
@@ -26,10 +25,9 @@ struct Cluster {
     uint root;    // node or leaf
     uint spare;   // position of its subtree that numbers no node yet
 };
-shared Cluster clusters[GROUPS * ROOM];
-shared uint nearest[GROUPS * ROOM];
-shared ivec4 tasks[GROUPS];   // of a subgroup: first position, last of the left range, last position; whether it is a whole model
-uint base;                    // of this subgroup's clusters
+shared Cluster clusters[ROOM];
+shared uint nearest[ROOM];
+shared ivec4 task;   // first position, last of the left range, last position; model that is whole with it, or -1
 
 /// All that the subgroup has written to shared memory becomes visible to it.
 void synchronise() {
@@ -62,7 +60,7 @@ uint load_clusters(int from, int to, uint n) {
         uint k = start + gl_SubgroupInvocationID;
         uint root = k < n_range ? roots.at[from + k] : RELIDAR_BVH_NO_NODE;
         uint end = subgroupMin(root == RELIDAR_BVH_NO_NODE ? k : n_range);
-        if (k < end) clusters[base + n + k] = load_cluster(root);
+        if (k < end) clusters[n + k] = load_cluster(root);
         if (end < start + gl_SubgroupSize) return n + min(end, n_range);
     }
     return n + n_range;
@@ -70,11 +68,11 @@ uint load_clusters(int from, int to, uint n) {
 
 /// The one of a cluster's neighbours with which it has the smallest box; of equal pairs the first, so that one pair is mutual.
 uint nearest_to(uint i, uint n) {
-    Box own = clusters[base + i].box;
+    Box own = clusters[i].box;
     float least = BOX_HUGE;
     uint found = i;
     for (uint j = i - min(i, RADIUS); j < min(i + RADIUS + 1u, n); ++j) {
-        float area = half_area(joined(own, clusters[base + j].box));
+        float area = half_area(joined(own, clusters[j].box));
         if (j == i || !(area < least)) continue;
         least = area;
         found = j;
@@ -95,19 +93,19 @@ Cluster merged(Cluster a, Cluster b) {
 
 /// Merges once. @return clusters left
 uint merge_mutual(uint n) {
-    for (uint i = gl_SubgroupInvocationID; i < n; i += gl_SubgroupSize) nearest[base + i] = nearest_to(i, n);
+    for (uint i = gl_SubgroupInvocationID; i < n; i += gl_SubgroupSize) nearest[i] = nearest_to(i, n);
     synchronise();
     uint n_kept = 0u;
     for (uint start = 0u; start < n; start += gl_SubgroupSize) {
         uint i = start + gl_SubgroupInvocationID;
-        uint j = i < n ? nearest[base + i] : 0u;
-        bool mutual = i < n && nearest[base + j] == i, kept = i < n && !(mutual && j < i);
+        uint j = i < n ? nearest[i] : 0u;
+        bool mutual = i < n && nearest[j] == i, kept = i < n && !(mutual && j < i);
         Cluster c;
-        if (kept) c = clusters[base + i];
-        if (kept && mutual) c = merged(c, clusters[base + j]);
+        if (kept) c = clusters[i];
+        if (kept && mutual) c = merged(c, clusters[j]);
         synchronise();
         uvec2 lanes = subgroupBallot(kept).xy, before = lanes & gl_SubgroupLtMask.xy;
-        if (kept) clusters[base + n_kept + uint(bitCount(before.x) + bitCount(before.y))] = c;   // at or before i: read already
+        if (kept) clusters[n_kept + uint(bitCount(before.x) + bitCount(before.y))] = c;   // at or before i: read already
         n_kept += uint(bitCount(lanes.x) + bitCount(lanes.y));
     }
     memoryBarrierBuffer();   // nodes are read by merges above
@@ -115,19 +113,19 @@ uint merge_mutual(uint n) {
     return n_kept;
 }
 
-/// The subgroup joins two ranges.
-void join_ranges(ivec4 task) {
+/// The subgroup joins the two ranges of its task.
+void join_ranges() {
     uint n = load_clusters(task.x, task.y, 0u);
     n = load_clusters(task.y + 1, task.z, n);
     synchronise();
     bool whole = task.w >= 0;
     while (n > (whole ? 1u : KEPT)) n = merge_mutual(n);
     if (whole) {
-        if (gl_SubgroupInvocationID == 0u) params.roots.at[task.w] = clusters[base].root;
+        if (gl_SubgroupInvocationID == 0u) params.roots.at[task.w] = clusters[0].root;
         return;
     }
     SharedUints roots = SharedUints(uint64_t(params.clusters));
-    for (uint k = gl_SubgroupInvocationID; k < n; k += gl_SubgroupSize) roots.at[task.x + k] = clusters[base + k].root;
+    for (uint k = gl_SubgroupInvocationID; k < n; k += gl_SubgroupSize) roots.at[task.x + k] = clusters[k].root;
     if (n < KEPT && gl_SubgroupInvocationID == 0u) roots.at[task.x + n] = RELIDAR_BVH_NO_NODE;
 }
 
@@ -144,7 +142,6 @@ bool meet_neighbour(inout int from, inout int to, out int split, int first, int 
 
 void main() {
     uint position = thread_index();
-    base = gl_SubgroupID * ROOM;
     bool climbing = position < params.n_surfels;
     int model = climbing ? int(find_model(params.models, params.n_models, position)) : 0;
     int first = int(params.models.at[model].x), last = first + int(params.models.at[model].y) - 1;
@@ -162,9 +159,9 @@ void main() {
         while (subgroupAny(waiting)) {
             uint first_lane = subgroupMin(waiting ? gl_SubgroupInvocationID : 0xffffffffu);
             bool next = gl_SubgroupInvocationID == first_lane;
-            if (next) tasks[gl_SubgroupID] = ivec4(from, split, to, whole ? model : -1);
+            if (next) task = ivec4(from, split, to, whole ? model : -1);
             synchronise();
-            join_ranges(tasks[gl_SubgroupID]);
+            join_ranges();
             synchronise();
             if (next) waiting = false;
         }

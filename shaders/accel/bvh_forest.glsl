@@ -17,9 +17,11 @@ Box load_box(Floats boxes, uint i) {
     return Box(vec3(boxes.at[6 * i], boxes.at[6 * i + 1], boxes.at[6 * i + 2]), vec3(boxes.at[6 * i + 3], boxes.at[6 * i + 4], boxes.at[6 * i + 5]));
 }
 
-// Values that one workgroup writes and another of the same launch reads, behind an atomic counter.
+// Values that one subgroup writes and another of the same launch reads, behind a barrier or an atomic counter. On cards whose subgroups have
+// caches of their own only a coherent access sees them; the plain pointers of shared/ are not.
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedFloats { float at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
+layout(buffer_reference, scalar, buffer_reference_align = 8) coherent buffer SharedUvec2s { uvec2 at[]; };
 
 Box load_shared_box(Floats boxes, uint i) {
     SharedFloats b = SharedFloats(uint64_t(boxes));

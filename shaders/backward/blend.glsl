@@ -4,9 +4,9 @@
 // 1 / (1 - alpha) is large.
 #ifndef RELIDAR_INCLUDED_BACKWARD_BLEND_GLSL
 #define RELIDAR_INCLUDED_BACKWARD_BLEND_GLSL
-float chunk_transmittance[CHUNK];
-float chunk_w[CHUNK];
-float chunk_shade[CHUNK];
+float chunk_transmittance[SLOTS];
+float chunk_w[SLOTS];
+float chunk_shade[SLOTS];
 
 /// What is carried from chunk to chunk.
 struct BlendState {

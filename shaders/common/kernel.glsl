@@ -7,8 +7,10 @@ layout(local_size_x_id = 0) in;
 /// Index of this thread. Launches of more workgroups than a device takes in one dimension are folded into two (src/gpu/stream.cpp).
 uint thread_index() { return gl_GlobalInvocationID.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x + gl_GlobalInvocationID.x; }
 
-#define RELIDAR_PARAMS(Type)                                                                                   \
-    layout(buffer_reference, scalar, buffer_reference_align = 8) buffer ParamsBlock { Type value; };  \
-    layout(push_constant, scalar) uniform Push { ParamsBlock block; } push
-#define params push.block.value
+// Read once, at the start: a copy in a block that nobody writes, so that no store of the kernel can change it and a compiler may keep it in
+// scalar registers.
+#define RELIDAR_PARAMS(Type)                                                                                     \
+    layout(buffer_reference, scalar, buffer_reference_align = 16) readonly buffer ParamsBlock { Type value; }; \
+    layout(push_constant, scalar) uniform Push { ParamsBlock block; } push;                                     \
+    Type params = push.block.value
 #endif

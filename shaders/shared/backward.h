@@ -25,7 +25,7 @@ struct BackwardParams {
     Floats d_records;          // accumulated [n_rows,16], rows as InstanceEntry counts them
     Floats d_sh;               // accumulated [n,3,16], where SH are evaluated a hit
     Floats d_rays;             // output [n_rays,6] d_origin, d_direction, or address 0
-    Uints first_hit;           // input [n_rays + 1] slot of each ray's first hit (gather)
+    Uints first_hit;           // input [n_rays] slot of each ray's first hit (gather)
     HitRecords hits;           // output [capacity] (gather)
     Uints rows;                // output [capacity] (gather)
     KeptHits kept;             // input [n_rays,n_kept] of the forward pass

@@ -16,7 +16,8 @@ using glm::vec3;
 using glm::vec4;
 using uint = std::uint32_t;
 using std::uint64_t;
-/// Device address of an array of T; nothing but 8 bytes on the host.
+/// Device address of an array of T; nothing but 8 bytes on the host. Arrays begin at multiples of 16 bytes, so that kernels load a record in
+/// pieces of 16 bytes. A part of one that begins elsewhere (a row of counters) is indexed at run time, or by atomics, and nothing else.
 template <class T>
 struct Address {
     std::uint64_t value = 0;
@@ -32,7 +33,7 @@ struct Address {
 #define RELIDAR_SHARED_BEGIN
 #define RELIDAR_SHARED_END
 #define RELIDAR_POINTER(name, type) \
-    layout(buffer_reference, scalar, buffer_reference_align = 4) buffer name { type at[]; }
+    layout(buffer_reference, scalar, buffer_reference_align = 16) buffer name { type at[]; }
 #endif
 
 RELIDAR_SHARED_BEGIN

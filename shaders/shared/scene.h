@@ -31,6 +31,7 @@ struct InstanceEntry {
     uint first_surfel;    // of the model, in the scene's surfel arrays
     uint n_surfels;
     uint first_row;       // of its record gradients: a model's first placement has those of its surfels, others follow after all surfels
+    uint unused;          // 64 bytes: a row is loaded in pieces of 16
 };
 RELIDAR_POINTER(Instances, InstanceEntry);
 

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Backend: a two-level tree of wide nodes with quantised boxes (shared/bvh.h), walked with a stack, near children first. The top tree
-// holds instances; an instance's entry moves the ray into its model's frame until the stack is down to where it was entered.
+// holds instances; an instance's entry moves the ray into its model's frame until an entry of the top tree is met again.
 // Two ways, by specialisation: each ray on its own, or the rays of a subgroup together, which open a node if any of them needs it and
 // test its surfels all at once. Together, every ray still keeps its own stack and its own distances, and takes the union of what its
-// subgroup wants: a ray that has lost its neighbours, by any divergence, goes on alone with nothing missing.
+// subgroup wants. Rays take the same entry at a time, that of the first of them, and one whose stack has come to differ waits for its turn:
+// so nothing is missing however a driver lets lanes part and meet, and what is loaded has the same address in all lanes, as a broadcast
+// tells the compiler, which then loads it once.
 //
 // No hit is lost:
 // - The slab test uses the very ray that intersect() uses (entered_origin, entered_direction). t is the ray's parameter, the same in the
@@ -27,13 +29,14 @@ layout(constant_id = 5) const uint COUNT_VISITS = 0u;
 // At most 7 entries stay behind a level: enough for 9 levels of full nodes, 8^9 surfels. A tree as deep and as wide as to need more makes
 // the ray end early, and be counted as an error.
 const uint kStackSize = 64u;
-const uint kInstanceEntry = 0x80000000u;   // entries of instances; others are nodes
+const uint kInstanceEntry = 0x80000000u;   // entries of instances
+const uint kTopEntry = 0x40000000u;        // nodes of the top tree; others are nodes of the instance that was entered last
 const float kNever = 1e30;
 const float kSlack = 5e-7;                 // 8 roundings of 2^-24
 const float kLeastSlope = 1e-12;
 
-uint stack_entry[kStackSize];
-float stack_t[kStackSize];     // where this ray enters it, kNever where it does not
+uint stack_entry[SLOTS];       // one more than is used (SLOTS)
+float stack_t[SLOTS];          // where this ray enters it, kNever where it does not
 uint stack_size;
 bool stack_full;
 
@@ -87,7 +90,8 @@ void push_entry(uint entry, float t) {
 }
 
 /// Puts the inner slots that are to be opened on the stack, the nearest on top. Together: in the order of the subgroup's first ray.
-void push_children(BvhNode node, uint inner, uint opened, uint met, float t[RELIDAR_BVH_WIDTH]) {
+/// @param first  entry of the first inner slot
+void push_children(uint first, uint inner, uint opened, uint met, float t[RELIDAR_BVH_WIDTH]) {
     float key[RELIDAR_BVH_WIDTH];
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] = TOGETHER != 0u ? subgroupBroadcastFirst(t[slot]) : t[slot];
     for (uint left = inner & opened; left != 0u;) {
@@ -100,7 +104,7 @@ void push_children(BvhNode node, uint inner, uint opened, uint met, float t[RELI
                 own = t[slot];
             }
         left &= ~(1u << farthest);
-        push_entry(node.first_child + bitCount(inner & ((1u << farthest) - 1u)), (met & (1u << farthest)) != 0u ? own : kNever);
+        push_entry(first + bitCount(inner & ((1u << farthest) - 1u)), (met & (1u << farthest)) != 0u ? own : kNever);
     }
 }
 
@@ -122,52 +126,67 @@ uint take_lowest(inout uint entries) {
     return lowest;
 }
 
+/// Moves the boxes' ray to the frame of an instance's model, or of the world.
+void enter_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
+    if (instance != RELIDAR_BVH_NO_NODE) enter_instance(scene, ray, instance);
+    bool in_model = instance != RELIDAR_BVH_NO_NODE;
+    set_box_ray(walked, in_model ? entered_origin : ray.origin, in_model ? entered_direction : ray.direction);
+}
+
+/// Opens a node: leaves are offered, inner slots go on the stack.
+/// @param tree  instance whose model the node belongs to; none: the top tree @return surfels tested
+uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, inout BoxRay walked) {
+    bool in_model = tree != RELIDAR_BVH_NO_NODE;
+    BvhNodes nodes = in_model ? scene.bvh.nodes : scene.bvh.top_nodes;
+    BvhNode node = nodes.at[index];
+    float t[RELIDAR_BVH_WIDTH];
+    uint met = meet_boxes(node, walked, t);
+    uint opened = TOGETHER != 0u ? subgroupOr(met) : met;
+    uint entries = leaf_entries(node, opened);
+    push_children(node.first_child | (in_model ? 0u : kTopEntry), node.exponents >> 24u, opened, met, t);
+    if (!in_model) {
+        while (entries != 0u) push_entry(kInstanceEntry | scene.bvh.top_order.at[node.first_leaf + take_lowest(entries)], walked.start);
+        return 0u;
+    }
+    uint n_tested = uint(bitCount(entries)), first_surfel = TOGETHER != 0u ? subgroupBroadcastFirst(entered_first_surfel) : entered_first_surfel;
+    while (entries != 0u) offer_surfel(scene, after, tree, first_surfel + scene.bvh.order.at[node.first_leaf + take_lowest(entries)]);
+    if (hits_closed) walked.end = hit_t[n_hits - 1u] + (1e-4 + 1e-5 * hit_t[n_hits - 1u]);
+    return n_tested;
+}
+
 void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
     reset_hits(budget);
     BoxRay walked;
     walked.start = search_start(after);
     walked.end = kNever;
     uint instance = RELIDAR_BVH_NO_NODE;   // whose model is being walked; none: the top tree
-    uint outside = 0u;                     // stack entries of the top tree
     uint n_nodes = 0u, n_tested = 0u;
-    set_box_ray(walked, ray.origin, ray.direction);
+    enter_tree(scene, ray, instance, walked);
     stack_size = 0u;
     stack_full = false;
-    push_entry(0u, walked.start);
+    push_entry(kTopEntry, walked.start);
     while (stack_size > 0u) {
+        uint entry = stack_entry[stack_size - 1u], tree = instance;
+        if (TOGETHER != 0u) {
+            uint own_entry = entry;
+            entry = subgroupBroadcastFirst(entry);
+            tree = subgroupBroadcastFirst(tree);
+            if (own_entry != entry || instance != tree) continue;   // not its turn
+        }
         --stack_size;
-        uint entry = stack_entry[stack_size];
         bool wanted = stack_t[stack_size] <= walked.end;
         if (!(TOGETHER != 0u ? subgroupAny(wanted) : wanted)) continue;
-        if (stack_size < outside) {
-            outside = 0u;
-            instance = RELIDAR_BVH_NO_NODE;
-            set_box_ray(walked, ray.origin, ray.direction);
-        }
         if ((entry & kInstanceEntry) != 0u) {
-            instance = entry & ~kInstanceEntry;
-            outside = stack_size;
-            enter_instance(scene, ray, instance);
-            set_box_ray(walked, entered_origin, entered_direction);
-            entry = scene.bvh.roots.at[instance];
+            tree = entry & ~kInstanceEntry;
+            entry = scene.bvh.roots.at[tree];
             if (entry == RELIDAR_BVH_NO_NODE) continue;
+        } else if ((entry & kTopEntry) != 0u) {
+            tree = RELIDAR_BVH_NO_NODE;
         }
-        bool in_model = instance != RELIDAR_BVH_NO_NODE;
-        BvhNodes nodes = in_model ? scene.bvh.nodes : scene.bvh.top_nodes;
-        BvhNode node = nodes.at[entry];
+        if (tree != instance) enter_tree(scene, ray, tree, walked);
+        instance = tree;
         ++n_nodes;
-        float t[RELIDAR_BVH_WIDTH];
-        uint met = meet_boxes(node, walked, t);
-        uint opened = TOGETHER != 0u ? subgroupOr(met) : met;
-        uint entries = leaf_entries(node, opened);
-        push_children(node, node.exponents >> 24u, opened, met, t);
-        if (!in_model) {
-            while (entries != 0u) push_entry(kInstanceEntry | scene.bvh.top_order.at[node.first_leaf + take_lowest(entries)], walked.start);
-            continue;
-        }
-        n_tested += bitCount(entries);
-        while (entries != 0u) offer(scene, ray, after, instance, scene.bvh.order.at[node.first_leaf + take_lowest(entries)]);
-        if (hits_closed) walked.end = hit_t[n_hits - 1u] + (1e-4 + 1e-5 * hit_t[n_hits - 1u]);
+        n_tested += open_node(scene, ray, after, tree, entry & ~kTopEntry, walked);
     }
     if (stack_full) atomicAdd(scene.pass_cap_count.at[0], 1u);
     if (COUNT_VISITS != 0u) {

@@ -17,11 +17,15 @@ struct Ray {
     vec3 direction;   // world, unit
 };
 
-// The buffer: sorted hits, nearest first.
-float hit_t[CHUNK];
-float hit_alpha[CHUNK];    // sigma G, not clamped
-uint hit_instance[CHUNK];
-uint hit_surfel[CHUNK];
+// Slots of every array of this shader that is indexed at run time, whatever the chunk. Compilers turn small ones into a ladder of selects
+// over registers, which then spill: Mesa's AMD compiler all up to 256 bytes, Intel's all up to 16 elements. A larger one is memory.
+const uint SLOTS = 65u;
+
+// The buffer: sorted hits, nearest first, CHUNK of them at most.
+float hit_t[SLOTS];
+float hit_alpha[SLOTS];    // sigma G, not clamped
+uint hit_instance[SLOTS];
+uint hit_surfel[SLOTS];
 uint n_hits;
 bool hits_closed;          // nothing beyond the last hit can matter any more in this pass: the ray may end there
 float hits_optical_depth;  // sum of -log(1 - alpha) over the buffer
@@ -116,10 +120,8 @@ void insert(Key key, float alpha, float alpha_max) {
     cut_by_transmittance(alpha_max);
 }
 
-/// Takes a candidate proposed by a backend: a surfel of the instance, counted from its first.
-void offer(TraceScene scene, Ray ray, Key after, uint instance, uint local_surfel) {
-    enter_instance(scene, ray, instance);
-    uint surfel = entered_first_surfel + local_surfel;
+/// Takes a candidate proposed by a backend: a surfel of the instance that was entered last, counted in the scene.
+void offer_surfel(TraceScene scene, Key after, uint instance, uint surfel) {
     SurfelHit hit;
     if (!intersect(scene.records.at[surfel], entered_origin, entered_direction, hit)) return;
     if (!(hit.alpha >= scene.alpha_min)) return;
@@ -127,6 +129,12 @@ void offer(TraceScene scene, Ray ray, Key after, uint instance, uint local_surfe
     if (!before(after, key)) return;
     if (hits_closed && !before(key, hit_key(n_hits - 1u))) return;
     insert(key, hit.alpha, scene.alpha_max);
+}
+
+/// The same of any instance, counted from its first surfel.
+void offer(TraceScene scene, Ray ray, Key after, uint instance, uint local_surfel) {
+    enter_instance(scene, ray, instance);
+    offer_surfel(scene, after, instance, entered_first_surfel + local_surfel);
 }
 
 void reset_hits(float budget) {

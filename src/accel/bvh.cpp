@@ -24,6 +24,9 @@ namespace {
 constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
 constexpr Constant kShares{0u, kWorkgroup};   // kernels that share memory
 
+/// Arrays of the scratch hold so many entries, of 4 bytes or more, so that each begins at a multiple of 16 bytes.
+std::uint32_t padded(std::uint32_t n) { return (n + 3) / 4 * 4; }
+
 std::uint32_t tiles_of(std::uint32_t n) { return (n + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE; }
 
 /// Threads of a subgroup. @throws DeviceError where the device lacks what the kernels need of them
@@ -65,7 +68,7 @@ std::uint32_t top_nodes(std::uint32_t n) {
 
 }  // namespace
 
-/// The scratch, in bytes times the number of surfels. Keys, boxes and costs are needed no more when the collapse begins; it puts its own there.
+/// The scratch, in bytes times the number of surfels, padded. Keys, boxes and costs are needed no more when the collapse begins; it puts its own there.
 constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 8, kValuesAt = 12, kDemandsAt = 16, kKeysAt = 20, kBoxesAt = 28, kCostsAt = 52, kSparesAt = 80, kOtherEndsAt = 84,
                         kClustersAt = 88;
 constexpr std::uint32_t kOffsetsAt = kKeysAt, kPlacesAt = kBoxesAt, kSlotsAt = kBoxesAt + 4;
@@ -123,7 +126,7 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       bounds_kernel(d, "accel/bvh_bounds", {kShares}),
       keys_kernel(d, "accel/bvh_keys"),
       sort(d, n, 2),
-      cluster(d, "accel/bvh_cluster", {{0u, subgroup_size(d)}, {2u, subgroup_size(d) / 8}}),
+      cluster(d, "accel/bvh_cluster", {{0u, subgroup_size(d)}}),
       wide_mark(d, "accel/bvh_wide_mark"),
       wide_mark_rest(d, "accel/bvh_wide_mark", {kShares, {2u, 1u}}),
       wide_count(d, "accel/bvh_wide_count", {kShares}),
@@ -137,7 +140,7 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       model_of(d, std::span<const std::uint32_t>(model_of_instances(scene)), "models of the instances"),
       boxes(d, 6 * std::size_t(n), "surfel boxes"),
       bounds(d, 6 * std::size_t(n_models), "model bounds"),
-      scratch(d, std::max({92 * std::size_t(n), kSlotsAt * std::size_t(n) + 32 * std::size_t(bound), std::size_t(4)}), "acceleration structure scratch"),
+      scratch(d, std::max({92 * std::size_t(padded(n)), kSlotsAt * std::size_t(padded(n)) + 32 * std::size_t(bound), std::size_t(4)}), "acceleration structure scratch"),
       queue(d, bound, "collapse queue"),
       level_sizes(d, levels() + 1, "collapse levels"),
       tiles(d, tiles_of(n), "collapse sums"),
@@ -153,7 +156,7 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       top_boxes(d, 6 * (std::size_t(n_instances) + top_nodes(n_instances)), "instance boxes"),
       top_keys(d, std::bit_ceil(std::max(n_instances, 1u)), "instance keys") {}
 
-std::uint64_t Bvh::Impl::at(std::uint32_t bytes_a_surfel) const { return scratch.address() + bytes_a_surfel * std::uint64_t(n); }
+std::uint64_t Bvh::Impl::at(std::uint32_t bytes_a_surfel) const { return scratch.address() + bytes_a_surfel * std::uint64_t(padded(n)); }
 
 /// Launches of bvh_wide_mark that are as wide as the level may be; a full tree of this bound is not deeper than 4 levels less.
 std::uint32_t Bvh::Impl::levels() const {

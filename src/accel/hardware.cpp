@@ -25,6 +25,7 @@ struct Structure {
 
     Structure(Device& owner, VkAccelerationStructureTypeKHR type, VkDeviceSize size, const std::string& what) : device(&owner.impl()) {
         storage = std::make_unique<Buffer>(owner, size, what);
+        if (device->compile_only) return;
         VkAccelerationStructureCreateInfoKHR info{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_CREATE_INFO_KHR};
         info.buffer = storage->impl().handle;
         info.size = size;
@@ -34,7 +35,7 @@ struct Structure {
         query.accelerationStructure = handle;
         address = vkGetAccelerationStructureDeviceAddressKHR(device->device, &query);
     }
-    ~Structure() { vkDestroyAccelerationStructureKHR(device->device, handle, nullptr); }
+    ~Structure() { if (handle) vkDestroyAccelerationStructureKHR(device->device, handle, nullptr); }
     Structure(const Structure&) = delete;
     Structure& operator=(const Structure&) = delete;
 };

@@ -17,6 +17,7 @@ HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits
       gather_(device, accumulating_variant(device, "backward/gather@"), {{3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}, {8u, model.single_drop_logit ? 1u : 0u}, {9u, model.primitive == Primitive::gaussian ? 1u : 0u}, {10u, geometry ? 1u : 0u}}),
       heads_kernel_(device, accumulating_variant(device, "backward/gather_heads@"), {{3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}}),
       most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch"),
+      n_hits_(device, 1, "hits of a batch"),
       prefix_sum_(device) {}
 
 void HitGather::reserve(std::uint64_t n_hits) {
@@ -35,14 +36,14 @@ void HitGather::reserve(std::uint64_t n_hits) {
 
 void HitGather::assign_slots(Stream& stream, const RenderedBatch& batch) {
     n_rays_ = batch.rays.n_rays;
-    if (std::size_t(n_rays_) + 1 > first_hit_.size()) {
+    if (n_rays_ > first_hit_.size()) {
         stream.finish();
-        first_hit_ = Array<std::uint32_t>(device_, std::size_t(n_rays_) + 1, "slots of rays");
+        first_hit_ = Array<std::uint32_t>(device_, n_rays_, "slots of rays");
         prefix_sum_.reserve(device_, n_rays_);
         reserve(std::uint64_t(n_rays_) * hits_per_ray_);
     }
     const StridedCounts hits{batch.rendered->address(), offsetof(shared::RenderedRay, n_hits) / 4, sizeof(shared::RenderedRay) / 4};
-    prefix_sum_.run(stream, hits, first_hit_.address(), n_rays_, n_hits_address());
+    prefix_sum_.run(stream, hits, first_hit_.address(), n_rays_, n_hits_.address());
 }
 
 void HitGather::fill(shared::BackwardParams& params) const {
@@ -54,8 +55,8 @@ void HitGather::fill(shared::BackwardParams& params) const {
 
 void HitGather::run(Stream& stream, const shared::BackwardParams& params) {
     const auto set = [&](int i) { return SortSet{rows_[i].address(), slots_[i].address()}; };
-    const SortSet sorted = sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)), n_hits_address());
-    const shared::GatherParams gather{params.scene, params.upstream, hits_.address(), sorted.keys, sorted.order, n_hits_address(), heads_.address(),
+    const SortSet sorted = sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)), n_hits_.address());
+    const shared::GatherParams gather{params.scene, params.upstream, hits_.address(), sorted.keys, sorted.order, n_hits_.address(), heads_.address(),
                                       params.d_records, params.d_sh, most_hits_.address(), params.rendered, params.d_geometry, sort_->capacity(), params.n_rows};
     const std::uint32_t n_blocks = sort_->capacity() / RELIDAR_GATHER_BLOCK + 1;
     relidar::run(stream, gather_, n_blocks, gather);

@@ -32,7 +32,7 @@ private:
     Device& device_;
     std::uint32_t hits_per_ray_, head_floats_;
     Kernel<shared::GatherParams> gather_, heads_kernel_;
-    Array<std::uint32_t> most_hits_, first_hit_;
+    Array<std::uint32_t> most_hits_, n_hits_, first_hit_;
     Array<shared::HitRecord> hits_;
     Array<float> heads_;
     Array<std::uint32_t> rows_[2], slots_[2];   ///< sort keys, and where the hits lie
@@ -40,7 +40,6 @@ private:
     std::unique_ptr<RadixSort> sort_;           ///< by row
     std::uint32_t n_rays_ = 0;                  ///< of the present batch
 
-    std::uint64_t n_hits_address() const { return first_hit_.address() + sizeof(std::uint32_t) * n_rays_; }
 };
 
 }  // namespace relidar

@@ -56,6 +56,7 @@ void check_budget(const Device::Impl& device, std::size_t size, const std::strin
 }  // namespace
 
 Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, bool host_visible, const std::string& what) : device(&owner), n_bytes(size) {
+    if (owner.compile_only) return;   // a driver without hardware has no memory
     if (!host_visible) check_budget(owner, size, what);
     VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
     info.size = size;
@@ -104,6 +105,7 @@ std::uint64_t Buffer::address() const { return impl_ ? impl_->address : 0; }
 std::size_t Buffer::size_bytes() const { return impl_ ? impl_->n_bytes : 0; }
 
 void Buffer::upload(const void* data, std::size_t n_bytes, std::size_t offset_bytes) {
+    if (impl_->device->compile_only) return;
     Impl staging(*impl_->device, std::min(n_bytes, kStagingBytes), true, "staging");
     for (std::size_t done = 0; done < n_bytes; done += kStagingBytes) {
         const std::size_t n = std::min(kStagingBytes, n_bytes - done);
@@ -112,9 +114,15 @@ void Buffer::upload(const void* data, std::size_t n_bytes, std::size_t offset_by
     }
 }
 
-void Buffer::copy_from(const Buffer& source, std::size_t n_bytes) { copy_now(*impl_->device, source.impl_->handle, impl_->handle, {0, 0, n_bytes}); }
+void Buffer::copy_from(const Buffer& source, std::size_t n_bytes) {
+    if (!impl_->device->compile_only) copy_now(*impl_->device, source.impl_->handle, impl_->handle, {0, 0, n_bytes});
+}
 
 void Buffer::download(void* data, std::size_t n_bytes, std::size_t offset_bytes) const {
+    if (impl_->device->compile_only) {
+        std::memset(data, 0, n_bytes);
+        return;
+    }
     Impl staging(*impl_->device, std::min(n_bytes, kStagingBytes), true, "staging");
     for (std::size_t done = 0; done < n_bytes; done += kStagingBytes) {
         const std::size_t n = std::min(kStagingBytes, n_bytes - done);

@@ -173,6 +173,7 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     impl_->traversal = options.traversal == Traversal::automatic ? best_traversal(impl_->info) : options.traversal;
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = memory_limit(options);
+    impl_->compile_only = options.compile_only;
     impl_->open();
 }
 
@@ -182,6 +183,7 @@ Traversal Device::traversal() const { return impl_->traversal; }
 std::uint64_t Device::allocated_bytes() const { return impl_->allocated; }
 std::uint64_t Device::peak_bytes() const { return impl_->peak; }
 std::size_t Device::validation_messages() const { return impl_->instance->n_messages; }
+const std::vector<PipelineStatistics>& Device::pipelines() const { return impl_->pipelines; }
 
 void Device::Impl::open() {
     std::uint32_t n = 0;
@@ -221,6 +223,14 @@ void Device::Impl::open() {
         extensions.push_back(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME);
         *tail = &atomics;
     }
+    VkPhysicalDevicePipelineExecutablePropertiesFeaturesKHR executables{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PIPELINE_EXECUTABLE_PROPERTIES_FEATURES_KHR};
+    executables.pipelineExecutableInfo = VK_TRUE;
+    pipeline_statistics = compile_only && gpu::has_extension(physical, VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
+    if (pipeline_statistics) {
+        extensions.push_back(VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
+        executables.pNext = v12.pNext;
+        v12.pNext = &executables;
+    }
     VkDeviceCreateInfo device_info{VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO, &features};
     device_info.queueCreateInfoCount = 1;
     device_info.pQueueCreateInfos = &queue_info;
@@ -254,7 +264,7 @@ void Device::Impl::make_pipeline_layout() {
 
 Device::Impl::~Impl() {
     if (!device) return;
-    vkDeviceWaitIdle(device);
+    if (!compile_only) vkDeviceWaitIdle(device);
     if (pipeline_layout) vkDestroyPipelineLayout(device, pipeline_layout, nullptr);
     vkDestroyDevice(device, nullptr);
 }

@@ -32,6 +32,8 @@ struct Instance {
     std::vector<VkPhysicalDevice> physical_devices() const;
 };
 
+bool has_extension(VkPhysicalDevice physical, const char* name);
+
 /// What relidar can do on a physical device, with every missing piece named.
 DeviceInfo describe(VkPhysicalDevice physical, int index);
 
@@ -54,6 +56,9 @@ struct Device::Impl {
     std::uint32_t scratch_alignment = 256;
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;   ///< shared by all kernels: one 8-byte push constant
     std::uint64_t memory_limit_bytes = 0;   ///< 0 = none
+    bool compile_only = false;
+    bool pipeline_statistics = false;       ///< VK_KHR_pipeline_executable_properties is enabled
+    std::vector<PipelineStatistics> pipelines;   ///< where compile_only
     std::atomic<std::uint64_t> allocated{0};
     std::atomic<std::uint64_t> peak{0};
 

@@ -19,6 +19,10 @@ std::vector<VkExtensionProperties> extensions_of(VkPhysicalDevice physical) {
     return extensions;
 }
 
+bool offers(const std::vector<VkExtensionProperties>& extensions, const char* name) {
+    return std::any_of(extensions.begin(), extensions.end(), [&](const VkExtensionProperties& e) { return std::strcmp(e.extensionName, name) == 0; });
+}
+
 /// Collects names of what is missing, in words for a message.
 struct Missing {
     std::string text;
@@ -62,11 +66,11 @@ std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgr
 
 }  // namespace
 
+bool has_extension(VkPhysicalDevice physical, const char* name) { return offers(extensions_of(physical), name); }
+
 DeviceInfo describe(VkPhysicalDevice physical, int index) {
     const std::vector<VkExtensionProperties> extensions = extensions_of(physical);
-    const auto has = [&](const char* name) {
-        return std::any_of(extensions.begin(), extensions.end(), [&](const VkExtensionProperties& e) { return std::strcmp(e.extensionName, name) == 0; });
-    };
+    const auto has = [&](const char* name) { return offers(extensions, name); };
     VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES};
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES, &driver};
     VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &sizes};

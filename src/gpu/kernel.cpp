@@ -3,11 +3,13 @@
 #include "gpu/kernel.hpp"
 
 #include <algorithm>
+#include <chrono>
 
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
 
+#include "gpu/pipeline_statistics.hpp"
 #include "gpu/stream.hpp"
 
 namespace relidar {
@@ -20,6 +22,40 @@ std::span<const std::uint32_t> find_words(std::string_view name) {
     throw Error(ExitCode::bug, fmt::format("making kernel {}: it is not embedded in this build, expected a line in src/CMakeLists.txt", name));
 }
 
+VkResult make_pipeline(Device::Impl& device, std::span<const std::uint32_t> words, const std::vector<Constant>& constants, VkPipeline& pipeline) {
+    VkShaderModuleCreateInfo module_info{VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
+    module_info.codeSize = words.size_bytes();
+    module_info.pCode = words.data();
+    VkShaderModule module = VK_NULL_HANDLE;
+    gpu::check(vkCreateShaderModule(device.device, &module_info, nullptr, &module), "vkCreateShaderModule");
+    std::vector<VkSpecializationMapEntry> map;
+    for (std::size_t i = 0; i < constants.size(); ++i)
+        map.push_back({constants[i].id, static_cast<std::uint32_t>(i * sizeof(Constant) + offsetof(Constant, value)), sizeof(std::uint32_t)});
+    const VkSpecializationInfo specialisation{static_cast<std::uint32_t>(map.size()), map.data(), constants.size() * sizeof(Constant), constants.data()};
+    VkComputePipelineCreateInfo info{VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO};
+    info.flags = device.pipeline_statistics ? VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR : 0;
+    info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
+    info.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
+    info.stage.module = module;
+    info.stage.pName = "main";
+    info.stage.pSpecializationInfo = &specialisation;
+    info.layout = device.pipeline_layout;
+    const VkResult result = vkCreateComputePipelines(device.device, VK_NULL_HANDLE, 1, &info, nullptr, &pipeline);
+    vkDestroyShaderModule(device.device, module, nullptr);
+    return result;
+}
+
+std::string constants_text(std::span<const std::uint32_t> words, std::vector<Constant> constants) {
+    std::sort(constants.begin(), constants.end(), [](const Constant& a, const Constant& b) { return a.id < b.id; });
+    const std::map<std::uint32_t, std::string> names = gpu::constant_names(words);
+    std::string text;
+    for (const Constant& c : constants) {
+        const auto name = names.find(c.id);
+        if (c.id != 0 && name != names.end()) text += fmt::format("{}{}={}", text.empty() ? "" : " ", name->second, c.value);   // 0: the workgroup's size
+    }
+    return text;
+}
+
 }  // namespace
 
 KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants) : impl_(std::make_unique<Impl>()) {
@@ -27,31 +63,33 @@ KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<C
     impl_->device = &device;
     impl_->name = std::string(name.substr(0, name.find('@')));
     const std::span<const std::uint32_t> words = find_words(name);
-    VkShaderModuleCreateInfo module_info{VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
-    module_info.codeSize = words.size_bytes();
-    module_info.pCode = words.data();
-    VkShaderModule module = VK_NULL_HANDLE;
-    gpu::check(vkCreateShaderModule(device.device, &module_info, nullptr, &module), "vkCreateShaderModule");
-
     std::vector<Constant> all(constants);
     const auto size = std::find_if(all.begin(), all.end(), [](const Constant& c) { return c.id == 0u; });
     impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
     if (size == all.end()) all.push_back({0u, device.workgroup_size});
-    std::vector<VkSpecializationMapEntry> map;
-    for (std::size_t i = 0; i < all.size(); ++i)
-        map.push_back({all[i].id, static_cast<std::uint32_t>(i * sizeof(Constant) + offsetof(Constant, value)), sizeof(std::uint32_t)});
-    const VkSpecializationInfo specialisation{static_cast<std::uint32_t>(map.size()), map.data(), all.size() * sizeof(Constant), all.data()};
-    VkComputePipelineCreateInfo info{VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO};
-    info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
-    info.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
-    info.stage.module = module;
-    info.stage.pName = "main";
-    info.stage.pSpecializationInfo = &specialisation;
-    info.layout = device.pipeline_layout;
-    const VkResult result = vkCreateComputePipelines(device.device, VK_NULL_HANDLE, 1, &info, nullptr, &impl_->pipeline);
-    vkDestroyShaderModule(device.device, module, nullptr);
+    if (device.compile_only) {
+        compile_only(name, words, all);
+        return;
+    }
+    const VkResult result = make_pipeline(device, words, all, impl_->pipeline);
     if (result != VK_SUCCESS)
         throw DeviceError(fmt::format("making kernel {} on {}: the driver answered {}, expected VK_SUCCESS", name, device.info.name, gpu::result_name(result)));
+}
+
+void KernelBase::compile_only(std::string_view name, std::span<const std::uint32_t> words, const std::vector<Constant>& constants) {
+    Device::Impl& device = *impl_->device;
+    PipelineStatistics s;
+    s.kernel = name;
+    s.constants = constants_text(words, constants);
+    s.workgroup_size = static_cast<int>(impl_->workgroup_size);
+    const auto same = [&](const PipelineStatistics& known) { return known.kernel == s.kernel && known.constants == s.constants && known.workgroup_size == s.workgroup_size; };
+    if (std::any_of(device.pipelines.begin(), device.pipelines.end(), same)) return;
+    const auto start = std::chrono::steady_clock::now();
+    const VkResult result = make_pipeline(device, words, constants, impl_->pipeline);
+    s.compile_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+    if (result != VK_SUCCESS) s.failure = gpu::result_name(result);
+    else if (device.pipeline_statistics) gpu::read_statistics(device.device, impl_->pipeline, s);
+    device.pipelines.push_back(s);
 }
 
 KernelBase::Impl::~Impl() {

@@ -39,6 +39,9 @@ public:
 
 private:
     std::unique_ptr<Impl> impl_;
+
+    /// Makes the pipeline where it is a new one, and notes what the driver says of it.
+    void compile_only(std::string_view name, std::span<const std::uint32_t> words, const std::vector<Constant>& constants);
 };
 
 /// A pipeline with the type of its parameter struct.

@@ -14,7 +14,7 @@
 
 namespace relidar {
 
-static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry) == 60);
+static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry) == 64);
 static_assert(RELIDAR_SH_COEFFICIENTS == kShCoefficients && RELIDAR_SH_FLOATS == kShFloats);
 
 SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& what, Primitive kind)
@@ -149,7 +149,7 @@ struct DeviceScene::Impl {
         for (std::size_t i = 0; i < placed.size(); ++i) {
             const glm::mat4 m(to_matrix(inverse(placed[i].world_from_model)));
             const Model& model = layout.models[layout.instances[i].model];
-            entries.push_back({{m[0].x, m[1].x, m[2].x, m[3].x}, {m[0].y, m[1].y, m[2].y, m[3].y}, {m[0].z, m[1].z, m[2].z, m[3].z}, model.first, placed[i].present ? model.count : 0u, rows.first[i]});
+            entries.push_back({{m[0].x, m[1].x, m[2].x, m[3].x}, {m[0].y, m[1].y, m[2].y, m[3].y}, {m[0].z, m[1].z, m[2].z, m[3].z}, model.first, placed[i].present ? model.count : 0u, rows.first[i], 0});
         }
         return entries;
     }

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+// Every pipeline of the program, made by what makes them in a training and in rendering: a look at what a driver's compiler says of them
+// needs neither a log nor a card.
+#include <relidar/train.hpp>
+
+#include <relidar/config.hpp>
+#include <relidar/dataset.hpp>
+#include <relidar/forward.hpp>
+
+#include "gpu/radix_sort.hpp"
+#include "train/train_loop.hpp"
+
+namespace relidar {
+namespace {
+
+/// A setting that changes a kernel or its constants.
+struct Setting {
+    const char* key;
+    const char* value;
+};
+
+// What is tried on top of `base`, one at a time. A new specialisation constant is a line here.
+constexpr Setting kSettings[] = {
+    {"image.sh_direction", "ray"}, {"image.sh_direction", "surfel"}, {"image.primitive", "gaussian"}, {"image.single_drop_logit", "true"},
+    {"loss.distortion", "0.1"}, {"loss.chamfer", "0.01"}, {"loss.box", "0.1"}, {"train.deterministic", "true"}, {"train.refine_poses", "sensor,actors"},
+    {"trace.walk", "lane"}, {"trace.walk", "subgroup"}, {"trace.proxy", "triangles"}, {"trace.proxy", "boxes"},
+    {"trace.chunk", "16"}, {"trace.chunk", "64"}, {"densify.strategy", "adaptive"}, {"densify.strategy", "mcmc"}};
+
+Scene smallest_scene(const Sequence& street, Primitive primitive) {
+    Scene scene;
+    scene.surfels.resize(2, primitive);
+    scene.models = {{"background", 0, 1}, {"actor", 1, 1}};
+    scene.instances = {{0, {}}, {1, street.boxes.empty() ? std::string() : street.boxes.front().id}};
+    return scene;
+}
+
+void compile(Device& device, const Sequence& street, const Config& config) {
+    const Scene scene = smallest_scene(street, config.image.primitive);
+    Split split;
+    split.train = {0, 1};
+    const TrainLoop loop(device, street, split, scene, config);
+    const Renderer renderer(device, scene, config.image, accel_options(config), trace_options(config));
+}
+
+}  // namespace
+
+void compile_pipelines(Device& device, const std::function<void(const std::string&)>& progress) {
+    const Sequence street = make_synthetic_street({.n_frames = 2, .rows = 2, .columns = 16});
+    const auto tell = [&](const std::string& what) { if (progress) progress(what); };
+    for (const char* preset : {"paper", "released", "default", "quick"}) {
+        tell(preset);
+        compile(device, street, make_preset(preset));
+    }
+    for (const Setting& setting : kSettings) {
+        tell(std::string(setting.key) + "=" + setting.value);
+        Config config = make_preset("default");
+        set_key(config, setting.key, setting.value);
+        compile(device, street, config);
+    }
+    tell("sums of hits in a fixed order");
+    const RadixSort by_row(device, 1, 1);   // made by BackwardPass at its first batch
+}
+
+}  // namespace relidar

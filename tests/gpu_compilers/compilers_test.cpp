@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the compilers of real cards make of the program's kernels, without a card: Mesa's AMD driver compiles for the family that
+// RADV_FORCE_FAMILY names and runs nothing (docs/gpu.md). One ctest entry a family. Skipped where that driver is not installed.
+#include <cstdlib>
+#include <set>
+#include <string>
+#include <vector>
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+
+#include <relidar/error.hpp>
+#include <relidar/gpu.hpp>
+#include <relidar/train.hpp>
+
+#include "gpu/kernel.hpp"
+
+namespace relidar {
+namespace {
+
+std::string family() {
+    const char* text = std::getenv("RADV_FORCE_FAMILY");
+    return text ? text : "";
+}
+
+/// Waves that a kernel must leave room for. Exceptions: GCN (vega) has 64 registers a lane at four waves, RDNA2 128 and RDNA3 192, and what
+/// traces needs 84 to 128; the sums of hits with harmonics along the ray hold 64 of them in registers, or they would be read and written a hit.
+int least_waves(const PipelineStatistics& p) {
+    const bool gcn = family().starts_with("vega");
+    const bool sums_harmonics = p.kernel.starts_with("backward/gather@") && p.constants.find("SH_PER_SURFEL=0") != std::string::npos;
+    return (gcn ? 2 : 4) - (sums_harmonics ? 1 : 0);
+}
+
+/// Waves of 64 lanes that a SIMD holds at a time. On RDNA the driver counts halves of 32 lanes.
+double waves_of_64(const PipelineStatistics& p) {
+    const double waves = p.values.at("Subgroups per SIMD");
+    return family().starts_with("vega") ? waves : waves / 2.0;
+}
+
+class GpuCompilers : public ::testing::Test {
+protected:
+    static std::vector<PipelineStatistics> pipelines_;
+    static std::set<std::string> suffixes_;   ///< of the variants that the devices opened would choose
+
+    static void compile(Traversal traversal) {
+        Device device({.traversal = traversal, .compile_only = true});
+        compile_pipelines(device);
+        pipelines_.insert(pipelines_.end(), device.pipelines().begin(), device.pipelines().end());
+        suffixes_.insert(traversal == Traversal::software ? "@software_bvh" : "@ray_query");
+        suffixes_.insert(device.info().float_atomics ? "_atomics" : "_swap");
+    }
+
+    static void SetUpTestSuite() {
+        std::vector<DeviceInfo> devices;
+        try {
+            devices = list_devices();
+        } catch (const DeviceError&) {
+            return;   // no such driver
+        }
+        if (devices.empty() || devices[0].name.find("Null hardware") == std::string::npos) return;
+        compile(Traversal::software);
+        if (devices[0].ray_query) compile(Traversal::ray_query);
+    }
+
+    void SetUp() override {
+        if (!pipelines_.empty()) return;
+        const char* required = std::getenv("RELIDAR_REQUIRE_GPU");
+        if (required && std::string(required) == "1") FAIL() << "RELIDAR_REQUIRE_GPU=1, but Mesa's AMD driver (radeon_icd) is not installed";
+        GTEST_SKIP() << "Mesa's AMD driver (radeon_icd) is not installed";
+    }
+
+    static std::string name(const PipelineStatistics& p) { return fmt::format("{} [{}], {} threads", p.kernel, p.constants, p.workgroup_size); }
+};
+
+std::vector<PipelineStatistics> GpuCompilers::pipelines_;
+std::set<std::string> GpuCompilers::suffixes_;
+
+TEST_F(GpuCompilers, EveryKernelOfTheBuildIsCompiled) {
+    std::set<std::string> compiled;
+    for (const PipelineStatistics& p : pipelines_) compiled.insert(p.kernel);
+    for (const EmbeddedKernel& kernel : embedded_kernels()) {
+        const std::string text(kernel.name);
+        if (text.starts_with("traversal/collect_hits") || text.find("@brute_force") != std::string::npos) continue;   // of the tests
+        const bool other = (text.find("@software_bvh") != std::string::npos && !suffixes_.count("@software_bvh")) || (text.find("@ray_query") != std::string::npos && !suffixes_.count("@ray_query")) ||
+                           (text.ends_with("_atomics") && !suffixes_.count("_atomics")) || (text.ends_with("_swap") && !suffixes_.count("_swap"));
+        if (!other) EXPECT_TRUE(compiled.count(text)) << text << " is made by nothing that compile_pipelines() makes";
+    }
+}
+
+TEST_F(GpuCompilers, EveryPipelineCompiles) {
+    for (const PipelineStatistics& p : pipelines_) {
+        EXPECT_EQ(p.failure, "") << name(p);
+        EXPECT_FALSE(p.values.empty()) << name(p);
+    }
+}
+
+TEST_F(GpuCompilers, NoKernelSpillsRegisters) {
+    for (const PipelineStatistics& p : pipelines_) EXPECT_EQ(p.values.at("Spilled VGPRs"), 0.0) << name(p);
+}
+
+TEST_F(GpuCompilers, WavesHideLatency) {
+    for (const PipelineStatistics& p : pipelines_) EXPECT_GE(waves_of_64(p), least_waves(p)) << name(p) << ": " << p.values.at("VGPRs") << " registers";
+}
+
+TEST_F(GpuCompilers, SharedMemoryFitsTheSmallestDevices) {
+    for (const PipelineStatistics& p : pipelines_) {
+        // Mesa keeps the stack of a ray query in shared memory: 64 B a lane that are not the kernel's.
+        const double of_query = p.kernel.find("@ray_query") != std::string::npos ? 64.0 * p.workgroup_size : 0.0;
+        EXPECT_LE(p.values.at("LDS size") - of_query, 32768.0) << name(p);
+    }
+}
+
+}  // namespace
+}  // namespace relidar

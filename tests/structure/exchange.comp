@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+// What exchange_test.cpp must find, and must not: threads of a workgroup hand values on through a buffer.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../shaders/shared/lang.h"
+#include "../../shaders/common/kernel.glsl"
+struct ExchangeParams {
+    Uints keys;      // in place
+    Uints source;    // read alone
+    Uints result;    // written alone
+};
+RELIDAR_PARAMS(ExchangeParams);
+layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
+
+#ifdef COHERENT
+#define KEYS SharedUints(params.keys)
+#else
+#define KEYS params.keys
+#endif
+
+void main() {
+    uint i = gl_LocalInvocationIndex;
+    KEYS.at[i] = params.source.at[i];
+    memoryBarrierBuffer();
+    barrier();
+    params.result.at[i] = KEYS.at[i ^ 1u];
+}

@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+// No kernel exchanges values between its threads by accesses that a card may answer from a subgroup's own cache.
+#include "spirv_exchange.hpp"
+
+#include <gmock/gmock.h>
+
+#include "exchange_incoherent.h"
+#include "exchange_coherent.h"
+#include "gpu/kernel.hpp"
+
+namespace relidar::structure {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::IsEmpty;
+using ::testing::Matcher;
+using ::testing::UnorderedElementsAreArray;
+
+TEST(Exchange, AccessesThatACacheMayAnswerAreFound) { EXPECT_THAT(incoherent_exchanges(exchange_incoherent), ElementsAre("keys")); }
+TEST(Exchange, CoherentOnesAreRight) { EXPECT_THAT(incoherent_exchanges(exchange_coherent), IsEmpty()); }
+
+/// Kernels with barriers for something else, in which each thread updates its own elements.
+struct OwnElements {
+    const char* kernel;
+    std::vector<std::string> members;
+};
+const OwnElements kOwnElements[] = {
+    {"accel/bvh_wide_scan", {"tiles"}}, {"loss/geometry_loss", {"upstream"}}, {"loss/surfel_loss", {"d_surfels.mean", "d_surfels.opacity_logit"}}};
+
+TEST(Exchange, NoKernelDoesSo) {
+    for (const EmbeddedKernel& kernel : embedded_kernels()) {
+        std::vector<std::string> own;
+        for (const OwnElements& allowed : kOwnElements)
+            if (kernel.name.substr(0, kernel.name.find('@')) == allowed.kernel) own = allowed.members;
+        EXPECT_THAT(incoherent_exchanges(kernel.words), own.empty() ? Matcher<std::vector<std::string>>(IsEmpty()) : Matcher<std::vector<std::string>>(UnorderedElementsAreArray(own)))
+            << kernel.name << ": an exchange needs coherent accesses (accel/bvh_forest.glsl); own elements a line in kOwnElements";
+    }
+}
+
+}  // namespace
+}  // namespace relidar::structure

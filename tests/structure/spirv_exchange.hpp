@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+// Arrays through which threads of one launch exchange values. On cards whose compute units have caches of their own, what one subgroup
+// stores in a buffer another sees only by coherent accesses on both sides, whatever barriers stand between. This reads a compiled
+// kernel and names the members of its parameters that it loads and stores, has a barrier for, and does not access coherently.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <set>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "spirv_layout.hpp"
+
+namespace relidar::structure {
+
+namespace spirv_detail {
+
+/// What is known of the result of an instruction: the member of the parameters it comes from, and whether it is reached coherently.
+struct Origin {
+    std::string member;   ///< "keys", "wide.order"; empty: none
+    bool in_array = false;   ///< the array itself, not the pointer to it
+    bool coherent = false;
+};
+
+struct Accesses {
+    bool loaded = false;
+    bool stored = false;
+    bool coherent = true;   ///< all of them
+};
+
+class ExchangeReader {
+public:
+    /// @return members loaded and stored with a barrier in the kernel, not all coherently
+    std::vector<std::string> read(std::span<const std::uint32_t> words) {
+        for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16) {
+            if (words[at] >> 16 == 0) throw std::runtime_error("reading SPIR-V: an instruction of no words");
+            visit(words[at] & 0xffffu, words.subspan(at + 1, (words[at] >> 16) - 1));
+        }
+        std::vector<std::string> result;
+        for (const auto& [member, a] : accesses_)
+            if (barrier_ && a.loaded && a.stored && !a.coherent) result.push_back(member);
+        return result;
+    }
+
+private:
+    enum Code : std::uint32_t { Name = 5, MemberName = 6, TypePointer = 32, Constant = 43, Load = 61, Store = 62, AccessChain = 65, MemberDecorate = 72,
+                                ConvertUToPtr = 120, ConvertPtrToU = 117, Bitcast = 124, ControlBarrier = 224, MemoryBarrier = 225 };
+    static constexpr std::uint32_t kCoherent = 23, kPhysicalStorage = 5349;
+
+    std::map<std::uint32_t, std::string> names_;
+    std::map<std::uint32_t, std::map<std::uint32_t, std::string>> member_names_;
+    std::set<std::uint32_t> coherent_structs_;
+    std::map<std::uint32_t, std::pair<std::uint32_t, std::uint32_t>> pointers_;   ///< type -> storage class, pointee
+    std::map<std::uint32_t, std::uint32_t> constants_;
+    std::map<std::uint32_t, std::uint32_t> type_of_;
+    std::map<std::uint32_t, std::vector<std::uint32_t>> struct_members_;
+    std::map<std::uint32_t, Origin> origins_;
+    std::map<std::string, Accesses> accesses_;
+    bool barrier_ = false;
+
+    bool points_to_coherent(std::uint32_t type) const {
+        const auto p = pointers_.find(type);
+        return p != pointers_.end() && p->second.first == kPhysicalStorage && coherent_structs_.count(p->second.second);
+    }
+
+    void chain(std::span<const std::uint32_t> o) {
+        Origin from = origins_[o[2]];
+        if (names_[o[2]] == "params") {
+            std::uint32_t type = pointers_[type_of_[o[2]]].second;
+            for (std::size_t k = 3; k < o.size(); ++k) {
+                const std::uint32_t index = constants_[o[k]];
+                from.member += (from.member.empty() ? "" : ".") + member_names_[type][index];
+                type = struct_members_[type].size() > index ? struct_members_[type][index] : 0;
+            }
+        } else if (!from.member.empty()) {
+            from.in_array = true;
+        }
+        origins_[o[1]] = from;
+    }
+
+    void access(std::uint32_t pointer, bool store) {
+        const Origin& from = origins_[pointer];
+        if (!from.in_array) return;
+        Accesses& a = accesses_[from.member];
+        (store ? a.stored : a.loaded) = true;
+        a.coherent = a.coherent && from.coherent;
+    }
+
+    void visit(std::uint32_t code, std::span<const std::uint32_t> o) {
+        switch (code) {
+            case Name: names_[o[0]] = read_string(o.subspan(1)); break;
+            case MemberName: member_names_[o[0]][o[1]] = read_string(o.subspan(2)); break;
+            case MemberDecorate: if (o[2] == kCoherent) coherent_structs_.insert(o[0]); break;
+            case OpTypeStruct: struct_members_[o[0]].assign(o.begin() + 1, o.end()); break;
+            case TypePointer: pointers_[o[0]] = {o[1], o[2]}; break;
+            case Constant: constants_[o[1]] = o[2]; break;
+            case 59: type_of_[o[1]] = o[0]; break;   // OpVariable
+            case AccessChain: chain(o); break;
+            case Load:
+                access(o[2], false);
+                origins_[o[1]] = origins_[o[2]];
+                origins_[o[1]].in_array = false;
+                origins_[o[1]].coherent = points_to_coherent(o[0]);
+                break;
+            case ConvertUToPtr: case ConvertPtrToU: case Bitcast:
+                origins_[o[1]] = origins_[o[2]];
+                origins_[o[1]].coherent = points_to_coherent(o[0]);
+                break;
+            case Store: access(o[0], true); break;
+            case ControlBarrier: case MemoryBarrier: barrier_ = true; break;
+            default: break;
+        }
+    }
+};
+
+}  // namespace spirv_detail
+
+/// Members of the parameters through which a kernel exchanges values between its threads without coherent accesses.
+inline std::vector<std::string> incoherent_exchanges(std::span<const std::uint32_t> words) { return spirv_detail::ExchangeReader().read(words); }
+
+}  // namespace relidar::structure
