@@ -55,6 +55,7 @@ struct TrainConfig {
     double extent_m = 0.0;           ///< 0 = from the scene
     bool only_touched = false;       ///< Adam leaves surfels without a gradient in this batch alone
     bool deterministic = false;      ///< bit-equal parameters from run to run on one device
+    std::string gradient_sums = "automatic";   ///< "automatic", "atomics", "gather"; gather where deterministic
     int gather_hits = 64;            ///< hit records a ray there is room for where gradients are gathered
     bool sensor_drop = false;        ///< learn what the sensor itself never sees apart from the scene (stands in for the paper's U-Net)
     std::string refine_poses = "none";   ///< "none", "sensor", "actors", "sensor,actors": poses that are optimised with the scene

@@ -18,10 +18,11 @@ namespace {
 
 constexpr std::uint32_t kMostHitsPerRay = 4096;
 
-/// Where SH are evaluated a hit there are 64 atomics a hit, and one record beats them; with 16 they are about equal, and need no memory
-/// (docs/platform.md).
-bool gathers(Reduction reduction, ShDirection direction) {
-    return reduction == Reduction::gather || (reduction == Reduction::automatic && direction == ShDirection::ray);
+/// Where SH are evaluated a hit there are 64 atomics a hit, and one record beats them; with 16 they are about equal, and need no memory. A
+/// device without float atomics has compare-and-swap loops instead, which wait for each other where many rays meet one surfel.
+bool gathers(const Device& device, Reduction reduction, ShDirection direction) {
+    if (reduction != Reduction::automatic) return reduction == Reduction::gather;
+    return direction == ShDirection::ray || !device.info().float_atomics;
 }
 
 /// Pays where neighbouring rays fill a subgroup, not on the 8 lanes of a CPU: docs/platform.md.
@@ -39,7 +40,7 @@ struct BackwardPass::Impl {
 
     static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options, const BackwardOptions& backward) {
         std::vector<Constant> all = trace_constants(device, proxy, options, m);
-        all.push_back({6u, gathers(backward.reduction, m.sh_direction) ? 1u : 0u});
+        all.push_back({6u, gathers(device, backward.reduction, m.sh_direction) ? 1u : 0u});
         all.push_back({7u, backward.subgroup_sums.value_or(sums_in_subgroups(device)) ? 1u : 0u});
         return all;
     }
@@ -49,7 +50,7 @@ struct BackwardPass::Impl {
           with_geometry(options.geometry),
           trace(device, accumulating_variant(device, "backward/trace" + traversal_variant(device, options)), constants(device, m, proxy, options, backward)),
           poses(device),
-          gather(gathers(backward.reduction, m.sh_direction) ? std::make_unique<HitGather>(device, m, backward.hits_per_ray, options.geometry) : nullptr),
+          gather(gathers(device, backward.reduction, m.sh_direction) ? std::make_unique<HitGather>(device, m, backward.hits_per_ray, options.geometry) : nullptr),
           pass_cap(device, 1, "pass cap count") {}
 };
 

@@ -165,7 +165,8 @@ TraceOptions trace_options(const Config& config) {
 
 BackwardOptions backward_options(const Config& config) {
     BackwardOptions options;
-    if (config.train.deterministic) options.reduction = Reduction::gather;
+    if (config.train.gradient_sums == "atomics") options.reduction = Reduction::atomics;
+    if (config.train.gradient_sums == "gather" || config.train.deterministic) options.reduction = Reduction::gather;
     options.hits_per_ray = static_cast<std::uint32_t>(config.train.gather_hits);
     return options;
 }

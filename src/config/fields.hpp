@@ -118,6 +118,7 @@ void visit_training(C& c, Visitor&& f) {
     f("train.extent_m", c.train.extent_m, at_least(0), "extent of the scene, metres; 0: measured");
     f("train.only_touched", c.train.only_touched, anything(), "surfels without a gradient in a step keep their values and moments");
     f("train.deterministic", c.train.deterministic, anything(), "gradients are summed in a fixed order: bit-equal parameters from run to run on one device");
+    f("train.gradient_sums", c.train.gradient_sums, one_of({"automatic", "atomics", "gather"}), "gradients of a surfel's hits are added by float atomics, or gathered from records of all hits; automatic: gathered where harmonics are evaluated per hit and on devices without float atomics");
     f("train.gather_hits", c.train.gather_hits, between(1, 4096), "room for so many hit records a ray where gradients are summed in a fixed order");
     f("train.sensor_drop", c.train.sensor_drop, anything(), "learn what the sensor itself never sees (its own vehicle) apart from the scene");
     f("train.refine_poses", c.train.refine_poses, one_of({"none", "sensor", "actors", "sensor,actors"}), "poses that are corrected together with the scene: of the sensor, of the actors' boxes");
