@@ -1,38 +1,76 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# The whole program against the paper's own tracer on one GPU, in under 8 minutes: the peer's milliseconds beside ours, then every
-# kernel of the two largest waymo cases beside its floor. Runs from a source tree or from inside the bundle (tools/dev/bundle), and needs nothing but bash and awk.
+# Everything that a first card has to answer, in one call of under 9 minutes: do the suites of traversal, accel, forward and backward pass
+# there, how fast is every kernel beside the paper's own tracer and beside its floor, do the other suites pass, and does a training end well.
+# Runs from a source tree or from inside the bundle (tools/dev/bundle --tests), and needs nothing but bash and awk.
 #
-#   tools/bench/h200.sh [--out DIR] [--repeat N] [--surfels-max N] [relidar options, such as --device 0]
+#   tools/bench/h200.sh [--out DIR] [--minutes N] [--repeat N] [--surfels-max N] [relidar options, such as --device 0]
 #
-# RELIDAR=FILE chooses the program. DIR keeps the JSON of every case. The peer's numbers are its own, from an NVIDIA H200: on another
-# device the columns of ratios say nothing.
+# A step that fails or takes too long is named and the next one begins; a summary comes last, and the exit code is 1 where a step failed.
+# RELIDAR=FILE chooses the program, RELIDAR_TESTS=DIR the folder of the suites. DIR keeps the logs and the JSON of every case. The peer's
+# numbers are its own, from an NVIDIA H200: on another device the columns of ratios say nothing.
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
-out="" repeat=15 surfels_max=1000000 options=()
+out="" minutes=8.8 repeat=15 surfels_max=1000000 options=()
 while [[ $# -gt 0 ]]; do
     case $1 in
         --out) out=$2; shift 2 ;;
+        --minutes) minutes=$2; shift 2 ;;
         --repeat) repeat=$2; shift 2 ;;
         --surfels-max) surfels_max=$2; shift 2 ;;
         *) options+=("$1"); shift ;;
     esac
 done
 fail() { printf 'h200: %s\n' "$*" >&2; exit 1; }
+deadline=$(awk -v minutes="$minutes" 'BEGIN {printf "%d", minutes * 60}')
 
-find_program() {
+# First of some paths that there is; nothing where there is none.
+first_of() {
     local candidate
-    for candidate in "${RELIDAR:-}" "$here/../../bin/relidar" "$here/../../build/release/tools/relidar/relidar" "$(command -v relidar || true)"; do
-        [[ -n $candidate && -x $candidate ]] && { printf '%s\n' "$candidate"; return; }
+    for candidate; do
+        [[ -z $candidate || ! -e $candidate ]] || { printf '%s\n' "$candidate"; return; }
     done
-    fail "no program: looked for \$RELIDAR, bin/relidar of a bundle and build/release; build it or unpack the bundle"
 }
-relidar=$(find_program)
+relidar=$(first_of "${RELIDAR:-}" "$here/../../bin/relidar" "$here/../../build/release/tools/relidar/relidar" "$(command -v relidar || true)")
+[[ -n $relidar ]] || fail "no program: looked for \$RELIDAR, bin/relidar of a bundle and build/release; build it or unpack the bundle"
+tests=$(first_of "${RELIDAR_TESTS:-}" "$here/../../tests/bin" "$here/../../build/ci/tests")
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
-[[ -n $out ]] || out=$scratch/json
+[[ -n $out ]] || out=$scratch/out
 mkdir -p "$out"
+
+summary=() failed=0
+# step <name> <most seconds> <command...>: its output goes to a log, its end to the summary. Returns the command's exit code.
+step() {
+    local name=$1 limit=$2 rc=0 start=$SECONDS left=$((deadline - SECONDS)) result=ok
+    shift 2
+    [[ $limit -le $left ]] || limit=$left
+    if [[ $limit -lt 5 ]]; then
+        summary+=("$(printf '%-24s not run: no time left' "$name")")
+        return 1
+    fi
+    timeout "$limit" "$@" >"$out/$name.log" 2>&1 || rc=$?
+    if [[ $rc -eq 124 ]]; then result="stopped after its $limit s"
+    elif [[ $rc -ne 0 ]]; then result="FAILED, exit code $rc: $(grep -E 'FAILED|Failure|error|relidar:|expected' "$out/$name.log" | head -n 1 | cut -c 1-160)"; fi
+    [[ $rc -eq 0 ]] || failed=1
+    summary+=("$(printf '%-24s %4d s  %s' "$name" $((SECONDS - start)) "$result")")
+    printf '%s\n' "${summary[-1]}" >&2
+    return "$rc"
+}
+
+# Suites that use the device, with each traversal that it has. Arguments: most seconds of one, names.
+suites() {
+    local limit=$1 suite traversal
+    shift
+    [[ -n $tests ]] || { summary+=("suites: not run, no tests beside the program (tools/dev/bundle --tests, or build preset ci)"); return 0; }
+    for suite; do
+        for traversal in "${traversals[@]}"; do
+            [[ -x $tests/${suite}_test ]] || continue
+            RELIDAR_REQUIRE_GPU=1 RELIDAR_TEST_TRAVERSAL=$traversal step "${suite}_$traversal" "$limit" "$tests/${suite}_test" --gtest_brief=1 || true
+        done
+    done
+}
 
 # Median of a kernel or phase in a bench JSON (one key a line); 0 where it did not run. Arguments: file, pattern of names, summed.
 median() {
@@ -65,7 +103,11 @@ kernels() {
          }' "$1"
 }
 
-"$relidar" devices
+"$relidar" devices | tee "$out/devices.txt"
+traversals=(software)
+if "$relidar" devices --json | grep -q '"ray_query": true'; then traversals+=(ray_query); fi
+suites 60 traversal accel forward backward
+
 if command -v nvidia-smi >/dev/null; then nvidia-smi -L; fi
 printf '\nmilliseconds, median of %s; peer / ours; iteration = one training step on all rays\n' "$repeat"
 printf '%-5s %9s %-6s | %14s %9s | %15s | %15s | %15s | %13s | %6s\n' scene surfels rays build refit forward backward iteration "memory MiB" hits
@@ -73,7 +115,7 @@ largest_A="" largest_B=""
 while read -r scene surfels rays build forward backward iteration memory; do
     [[ -n $scene && $surfels -le $surfels_max ]] || continue
     file=$out/${scene}_${surfels}_${rays}.json
-    "$relidar" bench --scene "$scene" --surfels "$surfels" --rays "$rays" --chunk "${CHUNK:-64}" --sh surfel --repeat "$repeat" --json "$file" --quiet "${options[@]}" \
+    step "bench_${scene}_${surfels}_$rays" 60 "$relidar" bench --scene "$scene" --surfels "$surfels" --rays "$rays" --chunk "${CHUNK:-64}" --sh surfel --repeat "$repeat" --json "$file" --quiet "${options[@]}" \
         || { printf '%-5s %9s %-6s | failed\n' "$scene" "$surfels" "$rays"; continue; }
     if [[ $rays == waymo && $scene == A ]]; then largest_A=$file; fi
     if [[ $rays == waymo && $scene == B ]]; then largest_B=$file; fi
@@ -92,4 +134,25 @@ done
 # The whole training program at KITTI size: wall clock of real steps, scaled to the paper's 30 000.
 file=$out/B_400000_kitti.json
 [[ ! -e $file ]] || awk -v wall="$(median "$file" iteration_wall)" 'BEGIN {printf "\n30 000 iterations at KITTI size (B 400k, 66 x 1030, wall clock of an iteration %.2f ms): %.1f minutes; the peer 30 to 50; aim 3\n", wall, wall * 30000 / 60000}'
-printf '\nwall time %d s\n' "$SECONDS"
+
+# What chunk and walk are best here: forward and backward of the two largest cases.
+printf '\n%-30s %12s %12s   (ms)\n' 'chunk, walk' 'forward' 'backward'
+for scene in B A; do
+    for chunk in 16 32 64; do
+        for walk in lane subgroup; do
+            file=$out/${scene}_chunk${chunk}_$walk.json
+            step "bench_${scene}_chunk${chunk}_$walk" 40 "$relidar" bench --scene "$scene" --surfels "$surfels_max" --rays waymo --chunk "$chunk" --walk "$walk" --traversal software --sh surfel \
+                --repeat 7 --json "$file" --quiet "${options[@]}" || continue
+            printf '%-30s %12s %12s\n' "$scene $surfels_max, $chunk, $walk" "$(median "$file" forward/trace)" "$(median "$file" backward/trace)"
+        done
+    done
+done
+
+suites 60 gpu scene loss optimizer densify train render
+step demo 150 "$relidar" demo --out "$out/demo" "${options[@]}" && tail -n 30 "$out/demo.log" || true
+rm -rf "$out/demo"   # the scans and pictures; its table is in the log
+
+printf '\nsummary\n'
+printf '%s\n' "${summary[@]}" | tee "$out/summary.txt"
+printf 'wall time %d s\n' "$SECONDS"
+exit "$failed"
