@@ -106,7 +106,7 @@ kernels() {
 "$relidar" devices | tee "$out/devices.txt"
 traversals=(software)
 if "$relidar" devices --json | grep -q '"ray_query": true'; then traversals+=(ray_query); fi
-suites 60 traversal accel forward backward
+suites 40 traversal accel forward backward
 
 if command -v nvidia-smi >/dev/null; then nvidia-smi -L; fi
 printf '\nmilliseconds, median of %s; peer / ours; iteration = one training step on all rays\n' "$repeat"
@@ -148,7 +148,7 @@ for scene in B A; do
     done
 done
 
-suites 60 gpu scene loss optimizer densify train render
+suites 40 gpu scene loss optimizer densify train render
 step demo 150 "$relidar" demo --out "$out/demo" "${options[@]}" && tail -n 30 "$out/demo.log" || true
 rm -rf "$out/demo"   # the scans and pictures; its table is in the log
 
