@@ -60,7 +60,7 @@ public:
     const DeviceInfo& info() const;
     /// How this device's rays find surfels: ray_query or software, never automatic.
     Traversal traversal() const;
-    /// Device memory held now / at most since the device was opened, bytes.
+    /// Device memory held by arrays now / at most since the device was opened, bytes.
     std::uint64_t allocated_bytes() const;
     std::uint64_t peak_bytes() const;
     /// Validation messages of severity warning or error seen so far (0 without validation).
@@ -166,6 +166,27 @@ public:
     Impl& impl() const { return *impl_; }
 
 private:
+    std::unique_ptr<Impl> impl_;
+};
+
+/// A copy of device values that arrives with a later submission.
+class Readback {
+public:
+    /// @param n_bytes at most in one copy @param what name used in messages @throws DeviceError where memory is exhausted
+    Readback(Device& device, std::size_t n_bytes, const std::string& what);
+    ~Readback();
+    Readback(Readback&&) noexcept;
+    Readback& operator=(Readback&&) noexcept;
+
+    /// Records a copy of n_bytes into cached host memory. The next submit() of the stream sends it.
+    void record(Stream& stream, const Buffer& from, std::size_t n_bytes, std::size_t offset_bytes = 0);
+    /// A copy was recorded that wait() has not been called for.
+    bool pending() const;
+    /// Blocks until the recorded copy is done. @return the bytes, valid until the next record()
+    const void* wait(Stream& stream);
+
+private:
+    struct Impl;
     std::unique_ptr<Impl> impl_;
 };
 

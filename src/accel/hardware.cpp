@@ -132,7 +132,7 @@ void HardwareAccel::Impl::describe_model(const Model& model) {
     input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR | VK_BUILD_ACCELERATION_STRUCTURE_ALLOW_UPDATE_BIT_KHR;
 }
 
-/// Writes the instances of models that have surfels into the stream's parameter ring. @return their device address
+/// Writes the instances of models that have surfels into memory of the stream. @return their device address
 std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
     const Scene& layout = scene.layout();
     std::vector<VkAccelerationStructureInstanceKHR> rows;
@@ -150,7 +150,7 @@ std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const D
         row.accelerationStructureReference = model->address;
     }
     tlas_input.range.primitiveCount = static_cast<std::uint32_t>(rows.size());
-    return rows.empty() ? 0 : stream.store(rows.data(), rows.size() * sizeof(rows[0]));
+    return rows.empty() ? 0 : stream.store(rows.data(), rows.size() * sizeof(rows[0])).address;
 }
 
 HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy) : impl_(std::make_unique<Impl>(device, proxy, scene.primitive() == Primitive::gaussian)) {

@@ -12,6 +12,9 @@
 
 #include <relidar/error.hpp>
 
+#include "gpu/memory.hpp"
+#include "gpu/transfers.hpp"
+
 namespace relidar::gpu {
 
 void check(VkResult result, const char* call) {
@@ -228,19 +231,25 @@ void Device::Impl::open() {
     device_info.ppEnabledExtensionNames = extensions.data();
     gpu::check(vkCreateDevice(physical, &device_info, nullptr, &device), "vkCreateDevice");
     vkGetDeviceQueue(device, queue_family, 0, &queue);
-    vkGetPhysicalDeviceMemoryProperties(physical, &memory);
 
     read_limits();
     make_pipeline_layout();
+    memory = std::make_unique<gpu::MemoryPools>(physical, device);
+    transfers = std::make_unique<gpu::Transfers>(*this);
 }
 
 void Device::Impl::read_limits() {
     VkPhysicalDeviceAccelerationStructurePropertiesKHR accel_properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_PROPERTIES_KHR};
-    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &accel_properties};
+    VkPhysicalDeviceMaintenance4Properties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_4_PROPERTIES, &accel_properties};
+    VkPhysicalDeviceMaintenance3Properties allocations{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_3_PROPERTIES, &sizes};
+    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &allocations};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
     vkGetPhysicalDeviceProperties2(physical, &properties);
     timestamp_period_ns = properties.properties.limits.timestampPeriod;
     workgroup_size = std::max(32u, subgroup.subgroupSize);
+    largest_buffer = {info.memory_bytes, "its memory"};
+    if (sizes.maxBufferSize < largest_buffer.n_bytes) largest_buffer = {sizes.maxBufferSize, "maxBufferSize"};
+    if (allocations.maxMemoryAllocationSize < largest_buffer.n_bytes) largest_buffer = {allocations.maxMemoryAllocationSize, "maxMemoryAllocationSize"};
     if (traversal == Traversal::ray_query) scratch_alignment = std::max(1u, accel_properties.minAccelerationStructureScratchOffsetAlignment);
 }
 
@@ -252,17 +261,20 @@ void Device::Impl::make_pipeline_layout() {
     gpu::check(vkCreatePipelineLayout(device, &layout, nullptr, &pipeline_layout), "vkCreatePipelineLayout");
 }
 
+Device::Impl::Impl() = default;
+
 Device::Impl::~Impl() {
     if (!device) return;
     vkDeviceWaitIdle(device);
+    transfers.reset();
+    memory.reset();
     if (pipeline_layout) vkDestroyPipelineLayout(device, pipeline_layout, nullptr);
     vkDestroyDevice(device, nullptr);
 }
 
-std::uint32_t Device::Impl::memory_type(std::uint32_t allowed, VkMemoryPropertyFlags wanted) const {
-    for (std::uint32_t i = 0; i < memory.memoryTypeCount; ++i)
-        if ((allowed >> i & 1u) && (memory.memoryTypes[i].propertyFlags & wanted) == wanted) return i;
-    throw DeviceError(fmt::format("choosing memory on {}: found no memory type with property flags {:#x}, expected one", info.name, wanted));
+void Device::Impl::submit(const VkSubmitInfo& work, VkFence fence) {
+    const std::lock_guard lock(queue_mutex);
+    gpu::check(vkQueueSubmit(queue, 1, &work, fence), "vkQueueSubmit");
 }
 
 }  // namespace relidar

@@ -14,6 +14,9 @@
 
 namespace relidar::gpu {
 
+class MemoryPools;
+class Transfers;
+
 /// Throws DeviceError naming the call and the VkResult where `result` is a failure.
 void check(VkResult result, const char* call);
 std::string result_name(VkResult result);
@@ -48,20 +51,25 @@ struct Device::Impl {
     DeviceInfo info;
     std::vector<const char*> extensions;   ///< enabled
     Traversal traversal = Traversal::ray_query;
-    VkPhysicalDeviceMemoryProperties memory{};
     float timestamp_period_ns = 1.0f;
     std::uint32_t workgroup_size = 32;
     std::uint32_t scratch_alignment = 256;
+    struct { std::uint64_t n_bytes; const char* name; } largest_buffer{};   ///< that one array may have, and which limit that is
+    std::unique_ptr<gpu::MemoryPools> memory;
+    std::unique_ptr<gpu::Transfers> transfers;
+    std::mutex queue_mutex;
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;   ///< shared by all kernels: one 8-byte push constant
     std::uint64_t memory_limit_bytes = 0;   ///< 0 = none
-    std::atomic<std::uint64_t> allocated{0};
+    std::atomic<std::uint64_t> allocated{0};   ///< by arrays
     std::atomic<std::uint64_t> peak{0};
 
+    Impl();
     ~Impl();
     void open();
     void read_limits();
     void make_pipeline_layout();
-    std::uint32_t memory_type(std::uint32_t allowed, VkMemoryPropertyFlags wanted) const;
+    /// Hands work to the queue, which takes it from one thread at a time.
+    void submit(const VkSubmitInfo& work, VkFence fence = VK_NULL_HANDLE);
 };
 
 }  // namespace relidar
