@@ -13,6 +13,7 @@
 #include <relidar/error.hpp>
 
 #include "gpu/memory.hpp"
+#include "gpu/pipeline_cache.hpp"
 #include "gpu/transfers.hpp"
 
 namespace relidar::gpu {
@@ -234,6 +235,7 @@ void Device::Impl::open() {
 
     read_limits();
     make_pipeline_layout();
+    pipelines = std::make_unique<gpu::PipelineCache>(physical, device);
     memory = std::make_unique<gpu::MemoryPools>(physical, device);
     transfers = std::make_unique<gpu::Transfers>(*this);
 }
@@ -247,8 +249,8 @@ void Device::Impl::read_limits() {
     vkGetPhysicalDeviceProperties2(physical, &properties);
     timestamp_period_ns = properties.properties.limits.timestampPeriod;
     workgroup_size = std::max(32u, subgroup.subgroupSize);
-    largest_buffer = {info.memory_bytes, "its memory"};
-    if (sizes.maxBufferSize < largest_buffer.n_bytes) largest_buffer = {sizes.maxBufferSize, "maxBufferSize"};
+    largest_buffer = {sizes.maxBufferSize, "maxBufferSize"};
+    if (info.memory_bytes && info.memory_bytes < largest_buffer.n_bytes) largest_buffer = {info.memory_bytes, "its memory"};
     if (allocations.maxMemoryAllocationSize < largest_buffer.n_bytes) largest_buffer = {allocations.maxMemoryAllocationSize, "maxMemoryAllocationSize"};
     if (traversal == Traversal::ray_query) scratch_alignment = std::max(1u, accel_properties.minAccelerationStructureScratchOffsetAlignment);
 }
@@ -265,9 +267,9 @@ Device::Impl::Impl() = default;
 
 Device::Impl::~Impl() {
     if (!device) return;
-    vkDeviceWaitIdle(device);
     transfers.reset();
     memory.reset();
+    pipelines.reset();
     if (pipeline_layout) vkDestroyPipelineLayout(device, pipeline_layout, nullptr);
     vkDestroyDevice(device, nullptr);
 }

@@ -15,6 +15,7 @@
 namespace relidar::gpu {
 
 class MemoryPools;
+class PipelineCache;
 class Transfers;
 
 /// Throws DeviceError naming the call and the VkResult where `result` is a failure.
@@ -57,6 +58,7 @@ struct Device::Impl {
     struct { std::uint64_t n_bytes; const char* name; } largest_buffer{};   ///< that one array may have, and which limit that is
     std::unique_ptr<gpu::MemoryPools> memory;
     std::unique_ptr<gpu::Transfers> transfers;
+    std::unique_ptr<gpu::PipelineCache> pipelines;
     std::mutex queue_mutex;
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;   ///< shared by all kernels: one 8-byte push constant
     std::uint64_t memory_limit_bytes = 0;   ///< 0 = none

@@ -8,6 +8,7 @@
 
 #include <relidar/error.hpp>
 
+#include "gpu/pipeline_cache.hpp"
 #include "gpu/stream.hpp"
 
 namespace relidar {
@@ -48,7 +49,7 @@ KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<C
     info.stage.pName = "main";
     info.stage.pSpecializationInfo = &specialisation;
     info.layout = device.pipeline_layout;
-    const VkResult result = vkCreateComputePipelines(device.device, VK_NULL_HANDLE, 1, &info, nullptr, &impl_->pipeline);
+    const VkResult result = vkCreateComputePipelines(device.device, device.pipelines->handle(), 1, &info, nullptr, &impl_->pipeline);
     vkDestroyShaderModule(device.device, module, nullptr);
     if (result != VK_SUCCESS)
         throw DeviceError(fmt::format("making kernel {} on {}: the driver answered {}, expected VK_SUCCESS", name, device.info.name, gpu::result_name(result)));

@@ -63,7 +63,8 @@ MemoryPools::~MemoryPools() {
 
 /// Bytes of a block that several buffers share. Some heaps are small: 256 MiB where the host sees a window of the device's memory.
 std::uint64_t MemoryPools::shared_bytes(std::uint32_t type) const {
-    return std::min(kBlockBytes, properties_.memoryHeaps[properties_.memoryTypes[type].heapIndex].size / 16);
+    const std::uint64_t heap_bytes = properties_.memoryHeaps[properties_.memoryTypes[type].heapIndex].size;
+    return heap_bytes ? std::min(kBlockBytes, heap_bytes / 16) : kBlockBytes;   // drivers without hardware name no size
 }
 
 /// Types that serve, the best first. What the host writes into the device's memory must be a small part of it.

@@ -14,16 +14,16 @@ constexpr std::size_t kSmallest = std::size_t(64) << 10, kLargest = std::size_t(
 
 }  // namespace
 
-Transfers::Transfers(Device::Impl& device) : device_(device) {
+void Transfers::make_commands() {
     VkCommandPoolCreateInfo pool{VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
-    pool.queueFamilyIndex = device.queue_family;
-    check(vkCreateCommandPool(device.device, &pool, nullptr, &pool_), "vkCreateCommandPool");
+    pool.queueFamilyIndex = device_.queue_family;
+    check(vkCreateCommandPool(device_.device, &pool, nullptr, &pool_), "vkCreateCommandPool");
     VkCommandBufferAllocateInfo allocate{VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
     allocate.commandPool = pool_;
     allocate.commandBufferCount = 1;
-    check(vkAllocateCommandBuffers(device.device, &allocate, &commands_), "vkAllocateCommandBuffers");
+    check(vkAllocateCommandBuffers(device_.device, &allocate, &commands_), "vkAllocateCommandBuffers");
     const VkFenceCreateInfo fence{VK_STRUCTURE_TYPE_FENCE_CREATE_INFO};
-    check(vkCreateFence(device.device, &fence, nullptr, &done_), "vkCreateFence");
+    check(vkCreateFence(device_.device, &fence, nullptr, &done_), "vkCreateFence");
 }
 
 Transfers::~Transfers() {
@@ -67,6 +67,7 @@ void Transfers::copy(const Buffer::Impl& from, const Buffer::Impl& to, std::size
 
 /// What streams submitted before is seen without a barrier here: they leave one behind.
 void Transfers::copy_and_wait(VkBuffer from, VkBuffer to, const VkBufferCopy& region) {
+    if (!done_) make_commands();
     check(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");
     VkCommandBufferBeginInfo begin{VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;

@@ -12,7 +12,7 @@ namespace relidar::gpu {
 
 class Transfers {
 public:
-    explicit Transfers(Device::Impl& device);
+    explicit Transfers(Device::Impl& device) : device_(device) {}
     ~Transfers();
     Transfers(const Transfers&) = delete;
     Transfers& operator=(const Transfers&) = delete;
@@ -30,6 +30,7 @@ private:
     VkFence done_ = VK_NULL_HANDLE;
     std::unique_ptr<Buffer::Impl> upload_, download_;   ///< null until they are needed
 
+    void make_commands();
     Buffer::Impl& staging(std::unique_ptr<Buffer::Impl>& buffer, MemoryUse use, std::size_t n_bytes);
     void copy_and_wait(VkBuffer from, VkBuffer to, const VkBufferCopy& region);
 };
