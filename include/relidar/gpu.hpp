@@ -28,6 +28,7 @@ struct DeviceInfo {
     bool ray_query = false;            ///< hardware (or driver) ray queries with acceleration structures
     bool float_atomics = false;        ///< float atomic add on buffers; otherwise compare-and-swap
     int subgroup_size = 1;             ///< lanes that run together
+    bool known_subgroups = false;      ///< kernels can be made to run in subgroups of that size, all lanes there
     bool timestamps = false;           ///< compute timestamps
     std::string why_not_ray_query;     ///< missing extensions and features, empty where ray_query
     bool software = false;             ///< relidar's own tree can be built and walked

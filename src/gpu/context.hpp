@@ -12,6 +12,8 @@
 
 #include <relidar/gpu.hpp>
 
+#include "gpu/spirv_modes.hpp"
+
 namespace relidar::gpu {
 
 class MemoryPools;
@@ -36,6 +38,21 @@ struct Instance {
     std::vector<VkPhysicalDevice> physical_devices() const;
 };
 
+/// What makes kernels right or safer on devices where it is not so anyway.
+struct OptionalFeatures {
+    bool subgroup_size = false;    ///< a kernel can ask for subgroups of DeviceInfo::subgroup_size lanes
+    bool full_subgroups = false;   ///< and that no lane is missing
+    bool subgroup_uniform_control_flow = false;
+    bool maximal_reconvergence = false;
+};
+OptionalFeatures optional_features(VkPhysicalDevice physical);
+
+/// Whether subgroups that kernels run in have DeviceInfo::subgroup_size lanes, all there.
+bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional);
+/// What software traversal lacks, in words; empty where nothing.
+std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup, const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                 const OptionalFeatures& optional);
+
 /// What relidar can do on a physical device, with every missing piece named.
 DeviceInfo describe(VkPhysicalDevice physical, int index);
 
@@ -51,6 +68,7 @@ struct Device::Impl {
     std::uint32_t queue_family = 0;
     DeviceInfo info;
     std::vector<const char*> extensions;   ///< enabled
+    gpu::OptionalFeatures optional;        ///< enabled
     Traversal traversal = Traversal::ray_query;
     float timestamp_period_ns = 1.0f;
     std::uint32_t workgroup_size = 32;
@@ -68,6 +86,8 @@ struct Device::Impl {
     Impl();
     ~Impl();
     void open();
+    void find_compute_queues();
+    void make_device();
     void read_limits();
     void make_pipeline_layout();
     /// Hands work to the queue, which takes it from one thread at a time.

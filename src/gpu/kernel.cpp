@@ -3,6 +3,7 @@
 #include "gpu/kernel.hpp"
 
 #include <algorithm>
+#include <array>
 
 #include <fmt/format.h>
 
@@ -21,15 +22,28 @@ std::span<const std::uint32_t> find_words(std::string_view name) {
     throw Error(ExitCode::bug, fmt::format("making kernel {}: it is not embedded in this build, expected a line in src/CMakeLists.txt", name));
 }
 
+/// Kernels whose lanes work together behind branches and in loops that they leave at different times.
+constexpr std::array<std::string_view, 2> kReconverging{"accel/bvh_cluster", "backward/trace"};
+
+/// The module as this device is to have it.
+std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_view name, std::string_view stem) {
+    const std::span<const std::uint32_t> words = find_words(name);
+    if (std::find(kReconverging.begin(), kReconverging.end(), stem) != kReconverging.end()) {
+        if (device.optional.maximal_reconvergence) return gpu::with_execution_mode(words, gpu::kMaximallyReconverges);
+        if (device.optional.subgroup_uniform_control_flow) return gpu::with_execution_mode(words, gpu::kSubgroupUniformControlFlow);
+    }
+    return {words.begin(), words.end()};
+}
+
 }  // namespace
 
-KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants) : impl_(std::make_unique<Impl>()) {
+KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups) : impl_(std::make_unique<Impl>()) {
     Device::Impl& device = owner.impl();
     impl_->device = &device;
     impl_->name = std::string(name.substr(0, name.find('@')));
-    const std::span<const std::uint32_t> words = find_words(name);
+    const std::vector<std::uint32_t> words = module_words(device, name, impl_->name);
     VkShaderModuleCreateInfo module_info{VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
-    module_info.codeSize = words.size_bytes();
+    module_info.codeSize = words.size() * sizeof(words[0]);
     module_info.pCode = words.data();
     VkShaderModule module = VK_NULL_HANDLE;
     gpu::check(vkCreateShaderModule(device.device, &module_info, nullptr, &module), "vkCreateShaderModule");
@@ -48,6 +62,10 @@ KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<C
     info.stage.module = module;
     info.stage.pName = "main";
     info.stage.pSpecializationInfo = &specialisation;
+    VkPipelineShaderStageRequiredSubgroupSizeCreateInfo lanes{VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_REQUIRED_SUBGROUP_SIZE_CREATE_INFO};
+    lanes.requiredSubgroupSize = static_cast<std::uint32_t>(device.info.subgroup_size);
+    if (subgroups == Subgroups::full && device.optional.subgroup_size) info.stage.pNext = &lanes;
+    if (subgroups == Subgroups::full && device.optional.full_subgroups) info.stage.flags = VK_PIPELINE_SHADER_STAGE_CREATE_REQUIRE_FULL_SUBGROUPS_BIT;
     info.layout = device.pipeline_layout;
     const VkResult result = vkCreateComputePipelines(device.device, device.pipelines->handle(), 1, &info, nullptr, &impl_->pipeline);
     vkDestroyShaderModule(device.device, module, nullptr);
