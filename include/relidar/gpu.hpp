@@ -138,7 +138,7 @@ struct KernelTimes {
     std::map<std::string, std::vector<double>> milliseconds;   ///< kernel name -> one entry a launch, at most the last 4096 (older ones are dropped)
 };
 
-/// Records kernels and submits them. Each launch sees the results of all earlier ones.
+/// Records kernels and submits them. Each launch sees the results of all earlier ones, but of the same Concurrent scope.
 class Stream {
 public:
     explicit Stream(Device& device, bool timing = false);
@@ -168,6 +168,19 @@ public:
 
 private:
     std::unique_ptr<Impl> impl_;
+};
+
+/// While it lives, what a stream records may run at the same time: no launch may read or write what another one of the scope writes.
+/// What is recorded afterwards sees the results of all of them.
+class Concurrent {
+public:
+    explicit Concurrent(Stream& stream);
+    ~Concurrent();
+    Concurrent(const Concurrent&) = delete;
+    Concurrent& operator=(const Concurrent&) = delete;
+
+private:
+    Stream& stream_;
 };
 
 /// A copy of device values that arrives with a later submission.

@@ -58,7 +58,17 @@ VkCommandBuffer Stream::Impl::commands() {
     return slot.commands;
 }
 
+void Stream::Impl::end_concurrent() {
+    if (--n_concurrent > 0 || !owes_barrier) return;
+    owes_barrier = false;
+    barrier();
+}
+
 void Stream::Impl::barrier() {
+    if (n_concurrent > 0) {
+        owes_barrier = true;
+        return;
+    }
     VkMemoryBarrier all{VK_STRUCTURE_TYPE_MEMORY_BARRIER};
     all.srcAccessMask = VK_ACCESS_MEMORY_WRITE_BIT;
     all.dstAccessMask = VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT;
@@ -178,8 +188,12 @@ void Stream::copy(const Buffer& from, const Buffer& to, std::size_t n_bytes) {
     impl_->end_timing();
 }
 
+Concurrent::Concurrent(Stream& stream) : stream_(stream) { ++stream.impl().n_concurrent; }
+Concurrent::~Concurrent() { stream_.impl().end_concurrent(); }
+
 std::uint64_t Stream::submit() {
     Impl& s = *impl_;
+    if (s.n_concurrent > 0) throw Error(ExitCode::bug, "submitting: found an open Concurrent scope, expected its end before");
     VkCommandBuffer commands = s.commands();
     gpu::check(vkEndCommandBuffer(commands), "vkEndCommandBuffer");
     const std::uint64_t ticket = s.last_ticket + 1;

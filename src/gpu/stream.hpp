@@ -42,6 +42,8 @@ struct Stream::Impl {
     std::array<Slot, kSlots> slots;
     std::size_t current = 0;
     bool recording = false;
+    int n_concurrent = 0;      ///< Concurrent scopes that are open
+    bool owes_barrier = false; ///< something was recorded in them
     bool timed = false;        ///< the launch being recorded is
     bool host_reads = false;   ///< the next barrier is for the host too
     VkSemaphore timeline = VK_NULL_HANDLE;
@@ -54,7 +56,9 @@ struct Stream::Impl {
 
     /// Command buffer being recorded, begun where needed.
     VkCommandBuffer commands();
+    /// What is recorded later sees what was recorded before. In a Concurrent scope one barrier is left for its end.
     void barrier();
+    void end_concurrent();
     void begin_timing(const std::string& name);
     void end_timing();
     /// Where host values lie until the submission is done.

@@ -2,6 +2,8 @@
 // What one submission can carry, and values that come back with it.
 #include <numeric>
 
+#include <stdlib.h>
+
 #include <relidar/error.hpp>
 
 #include "../support/device.hpp"
@@ -85,6 +87,41 @@ TEST_F(StreamTest, ReadbacksOutOfOrderAreBugs) {
     EXPECT_THROW(readback.wait(stream), Error) << "not submitted";
     stream.submit();
     EXPECT_NE(readback.wait(stream), nullptr);
+}
+
+/// The validation layer's own tracking of hazards is the judge: it sees fills and copies.
+TEST_F(StreamTest, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
+    if (const char* wanted = ::getenv("RELIDAR_VALIDATION"); !wanted || std::string(wanted) != "1") GTEST_SKIP() << "no validation layer asked for";
+    ::setenv("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT", 1);
+    Device watched({.index = device().info().index});
+    ::unsetenv("VK_LAYER_ENABLES");
+    const Array<std::uint32_t> a(watched, 100, "a"), b(watched, 100, "b"), c(watched, 100, "c");
+    Stream stream(watched, true);
+    {
+        const Concurrent scope(stream);
+        stream.fill(a, 1u);
+        {
+            const Concurrent inner(stream);
+            stream.fill(b, 2u);
+        }
+        stream.fill(c, 3u);
+    }
+    stream.copy(a.buffer(), b.buffer(), 400);
+    stream.fill(a, 4u);
+    stream.finish();
+    EXPECT_EQ(watched.validation_messages(), 0u) << "every launch but those of the scope waits";
+    EXPECT_EQ(b.download(), Words(100, 1u));
+    EXPECT_EQ(c.download(), Words(100, 3u));
+    EXPECT_EQ(watched.validation_messages(), 0u);
+    EXPECT_EQ(stream.times().milliseconds.at("fill").size(), device().info().timestamps ? 4u : 0u);
+    {
+        const Concurrent scope(stream);
+        stream.fill(a, 5u);
+        stream.fill(a, 6u);   // planted: twice the same array
+        EXPECT_THROW(stream.submit(), Error) << "in an open scope";
+    }
+    stream.finish();
+    EXPECT_GT(watched.validation_messages(), 0u) << "no barrier inside the scope";
 }
 
 }  // namespace
