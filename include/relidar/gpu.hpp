@@ -28,6 +28,7 @@ struct DeviceInfo {
     bool ray_query = false;            ///< hardware (or driver) ray queries with acceleration structures
     bool float_atomics = false;        ///< float atomic add on buffers; otherwise compare-and-swap
     int subgroup_size = 1;             ///< lanes that run together
+    bool known_subgroups = false;      ///< kernels can be made to run in subgroups of that size, all lanes there
     bool timestamps = false;           ///< compute timestamps
     std::string why_not_ray_query;     ///< missing extensions and features, empty where ray_query
     bool software = false;             ///< relidar's own tree can be built and walked
@@ -74,7 +75,7 @@ public:
     const DeviceInfo& info() const;
     /// How this device's rays find surfels: ray_query or software, never automatic.
     Traversal traversal() const;
-    /// Device memory held now / at most since the device was opened, bytes.
+    /// Device memory held by arrays now / at most since the device was opened, bytes.
     std::uint64_t allocated_bytes() const;
     std::uint64_t peak_bytes() const;
     /// Validation messages of severity warning or error seen so far (0 without validation).
@@ -153,7 +154,7 @@ struct KernelTimes {
     std::map<std::string, std::vector<double>> milliseconds;   ///< kernel name -> one entry a launch, at most the last 4096 (older ones are dropped)
 };
 
-/// Records kernels and submits them. Each launch sees the results of all earlier ones.
+/// Records kernels and submits them. Each launch sees the results of all earlier ones, but of the same Concurrent scope.
 class Stream {
 public:
     explicit Stream(Device& device, bool timing = false);
@@ -182,6 +183,40 @@ public:
     Impl& impl() const { return *impl_; }
 
 private:
+    std::unique_ptr<Impl> impl_;
+};
+
+/// While it lives, what a stream records may run at the same time: no launch may read or write what another one of the scope writes.
+/// What is recorded afterwards sees the results of all of them.
+class Concurrent {
+public:
+    explicit Concurrent(Stream& stream);
+    ~Concurrent();
+    Concurrent(const Concurrent&) = delete;
+    Concurrent& operator=(const Concurrent&) = delete;
+
+private:
+    Stream& stream_;
+};
+
+/// A copy of device values that arrives with a later submission.
+class Readback {
+public:
+    /// @param n_bytes at most in one copy @param what name used in messages @throws DeviceError where memory is exhausted
+    Readback(Device& device, std::size_t n_bytes, const std::string& what);
+    ~Readback();
+    Readback(Readback&&) noexcept;
+    Readback& operator=(Readback&&) noexcept;
+
+    /// Records a copy of n_bytes into cached host memory. The next submit() of the stream sends it.
+    void record(Stream& stream, const Buffer& from, std::size_t n_bytes, std::size_t offset_bytes = 0);
+    /// A copy was recorded that wait() has not been called for.
+    bool pending() const;
+    /// Blocks until the recorded copy is done. @return the bytes, valid until the next record()
+    const void* wait(Stream& stream);
+
+private:
+    struct Impl;
     std::unique_ptr<Impl> impl_;
 };
 

@@ -56,15 +56,24 @@ struct BuildInput {
         return result;
     }
 
-    void record(Stream::Impl& stream, const Structure& target, bool update, std::uint64_t scratch) {
+    void prepare(const Structure& target, bool update, std::uint64_t scratch) {
         info.mode = update ? VK_BUILD_ACCELERATION_STRUCTURE_MODE_UPDATE_KHR : VK_BUILD_ACCELERATION_STRUCTURE_MODE_BUILD_KHR;
         info.srcAccelerationStructure = update ? target.handle : VK_NULL_HANDLE;
         info.dstAccelerationStructure = target.handle;
         info.scratchData.deviceAddress = scratch;
-        const VkAccelerationStructureBuildRangeInfoKHR* ranges = &range;
-        vkCmdBuildAccelerationStructuresKHR(stream.commands(), 1, &info, &ranges);
     }
 };
+
+/// One command for all of them, so that they are built at the same time.
+void record_builds(Stream::Impl& stream, const std::vector<const BuildInput*>& inputs) {
+    std::vector<VkAccelerationStructureBuildGeometryInfoKHR> infos;
+    std::vector<const VkAccelerationStructureBuildRangeInfoKHR*> ranges;
+    for (const BuildInput* input : inputs) {
+        infos.push_back(input->info);
+        ranges.push_back(&input->range);
+    }
+    vkCmdBuildAccelerationStructuresKHR(stream.commands(), static_cast<std::uint32_t>(infos.size()), infos.data(), ranges.data());
+}
 
 /// Triangles over the corners that accel/proxies writes.
 struct Mesh {
@@ -97,6 +106,7 @@ struct HardwareAccel::Impl {
     Array<std::uint32_t> indices;     ///< of the largest model; shared by all, each with its own first vertex
     std::vector<std::unique_ptr<Structure>> blas;   ///< one a model, null where it has no surfels
     std::vector<BuildInput> blas_input;
+    std::vector<std::uint64_t> blas_scratch;        ///< offset of each: they are built at the same time
     std::unique_ptr<Structure> tlas;
     BuildInput tlas_input;
     Buffer scratch;
@@ -133,7 +143,7 @@ void HardwareAccel::Impl::describe_model(const Model& model) {
     input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR | VK_BUILD_ACCELERATION_STRUCTURE_ALLOW_UPDATE_BIT_KHR;
 }
 
-/// Writes the instances of models that have surfels into the stream's parameter ring. @return their device address
+/// Writes the instances of models that have surfels into memory of the stream. @return their device address
 std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
     const Scene& layout = scene.layout();
     std::vector<VkAccelerationStructureInstanceKHR> rows;
@@ -151,7 +161,7 @@ std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const D
         row.accelerationStructureReference = model->address;
     }
     tlas_input.range.primitiveCount = static_cast<std::uint32_t>(rows.size());
-    return rows.empty() ? 0 : stream.store(rows.data(), rows.size() * sizeof(rows[0]));
+    return rows.empty() ? 0 : stream.store(rows.data(), rows.size() * sizeof(rows[0])).address;
 }
 
 HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy) : impl_(std::make_unique<Impl>(device, proxy, scene.primitive() == Primitive::gaussian)) {
@@ -162,18 +172,20 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
     a.geometry = Array<float>(device, std::size_t(scene.size()) * (a.proxy == Proxy::boxes ? 6 : 3 * a.mesh.n_corners), "proxies");
     if (a.proxy == Proxy::triangles) a.indices = Array<std::uint32_t>(device, std::span<const std::uint32_t>(triangle_indices(a.mesh, largest)), "proxy indices");
 
-    VkDeviceSize scratch_bytes = 256;
+    const std::uint64_t alignment = device.impl().scratch_alignment;
+    VkDeviceSize scratch_bytes = 0;
     a.blas_input.reserve(layout.models.size());
     for (const Model& model : layout.models) {
         a.describe_model(model);
         const std::uint32_t n = model.count * (a.proxy == Proxy::boxes ? 1u : a.mesh.n_triangles());
+        a.blas_scratch.push_back(scratch_bytes);
         if (n == 0) {
             a.blas.push_back(nullptr);
             continue;
         }
         const VkAccelerationStructureBuildSizesInfoKHR sizes = a.blas_input.back().sizes(device.impl(), n);
         a.blas.push_back(std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR, sizes.accelerationStructureSize, "bottom level of " + model.name));
-        scratch_bytes = std::max({scratch_bytes, sizes.buildScratchSize, sizes.updateScratchSize});
+        scratch_bytes += (std::max(sizes.buildScratchSize, sizes.updateScratchSize) + alignment - 1) / alignment * alignment;
     }
 
     a.tlas_input.geometry.geometryType = VK_GEOMETRY_TYPE_INSTANCES_KHR;
@@ -183,7 +195,6 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
     const VkAccelerationStructureBuildSizesInfoKHR sizes = a.tlas_input.sizes(device.impl(), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
     a.tlas = std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR, sizes.accelerationStructureSize, "top level");
     scratch_bytes = std::max(scratch_bytes, sizes.buildScratchSize);
-    const std::uint64_t alignment = device.impl().scratch_alignment;
     a.scratch = Buffer(device, scratch_bytes + alignment, "acceleration structure scratch");
     a.scratch_address = (a.scratch.address() + alignment - 1) / alignment * alignment;
 }
@@ -196,10 +207,15 @@ void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const Accel
     if (a.reach.size()) stream.fill(a.reach);
     run(stream, a.proxies, scene.size(),
         {scene.records().address(), a.geometry.address(), a.geometry.address(), a.reach.address(), scene.alpha_min(), options.margin_m, options.margin_scale, scene.size()});
+    std::vector<const BuildInput*> inputs;
     for (std::size_t i = 0; i < a.blas.size(); ++i) {
         if (!a.blas[i]) continue;
+        a.blas_input[i].prepare(*a.blas[i], refit, a.scratch_address + a.blas_scratch[i]);
+        inputs.push_back(&a.blas_input[i]);
+    }
+    if (!inputs.empty()) {
         s.begin_timing(refit ? "accel/refit" : "accel/build");
-        a.blas_input[i].record(s, *a.blas[i], refit, a.scratch_address);
+        record_builds(s, inputs);
         s.end_timing();
     }
     move(stream, scene);
@@ -210,7 +226,8 @@ void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
     Stream::Impl& s = stream.impl();
     s.begin_timing("accel/top_level");
     a.tlas_input.geometry.geometry.instances.data.deviceAddress = a.write_instances(s, scene);
-    a.tlas_input.record(s, *a.tlas, false, a.scratch_address);
+    a.tlas_input.prepare(*a.tlas, false, a.scratch_address);
+    record_builds(s, {&a.tlas_input});
     s.end_timing();
 }
 

@@ -98,8 +98,11 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
         impl_->gather->assign_slots(stream, batch);
         impl_->gather->fill(params);
     }
-    stream.fill(gradients.records);
-    if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);
+    {
+        const Concurrent zeros(stream);
+        stream.fill(gradients.records);
+        if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);
+    }
     relidar::run(stream, impl_->trace, trace_threads(batch.rays), params);
     if (impl_->gather) impl_->gather->run(stream, params);
     scene.activate_vjp(stream, model, view_origin_m,

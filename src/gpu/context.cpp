@@ -12,6 +12,10 @@
 
 #include <relidar/error.hpp>
 
+#include "gpu/memory.hpp"
+#include "gpu/pipeline_cache.hpp"
+#include "gpu/transfers.hpp"
+
 namespace relidar::gpu {
 
 void check(VkResult result, const char* call) {
@@ -183,14 +187,29 @@ Traversal Device::traversal() const { return impl_->traversal; }
 std::uint64_t Device::allocated_bytes() const { return impl_->allocated; }
 std::uint64_t Device::peak_bytes() const { return impl_->peak; }
 std::size_t Device::validation_messages() const { return impl_->instance->n_messages; }
-const std::vector<PipelineStatistics>& Device::pipelines() const { return impl_->pipelines; }
+const std::vector<PipelineStatistics>& Device::pipelines() const { return impl_->compiled; }
 
 void Device::Impl::open() {
+    find_compute_queues();
+    make_device();
+    vkGetDeviceQueue(device, queue_family, 0, &queue);
+    read_limits();
+    make_pipeline_layout();
+    if (compile_only) return;   // what a driver without hardware lacks
+    pipelines = std::make_unique<gpu::PipelineCache>(physical, device);
+    memory = std::make_unique<gpu::MemoryPools>(physical, device);
+    transfers = std::make_unique<gpu::Transfers>(*this);
+}
+
+void Device::Impl::find_compute_queues() {
     std::uint32_t n = 0;
     vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, nullptr);
     std::vector<VkQueueFamilyProperties> families(n);
     vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, families.data());
     while (queue_family < n && !(families[queue_family].queueFlags & VK_QUEUE_COMPUTE_BIT)) ++queue_family;
+}
+
+void Device::Impl::make_device() {
     const float priority = 1.0f;
     VkDeviceQueueCreateInfo queue_info{VK_STRUCTURE_TYPE_DEVICE_QUEUE_CREATE_INFO};
     queue_info.queueFamilyIndex = queue_family;
@@ -199,10 +218,12 @@ void Device::Impl::open() {
 
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
     accel.accelerationStructure = VK_TRUE;
-    VkPhysicalDeviceRayQueryFeaturesKHR query{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_RAY_QUERY_FEATURES_KHR, &accel};
+    VkPhysicalDeviceRayQueryFeaturesKHR query{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_RAY_QUERY_FEATURES_KHR};
     query.rayQuery = VK_TRUE;
     VkPhysicalDeviceShaderAtomicFloatFeaturesEXT atomics{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_ATOMIC_FLOAT_FEATURES_EXT};
     atomics.shaderBufferFloat32AtomicAdd = VK_TRUE;
+    VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
+    uniform.shaderSubgroupUniformControlFlow = VK_TRUE;
     VkPhysicalDeviceVulkan13Features v13{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES};
     v13.maintenance4 = VK_TRUE;
     VkPhysicalDeviceVulkan12Features v12{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, &v13};
@@ -213,44 +234,51 @@ void Device::Impl::open() {
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
     features.features.shaderInt64 = VK_TRUE;
 
+    optional = gpu::optional_features(physical);
+    v13.subgroupSizeControl = optional.subgroup_size;
+    v13.computeFullSubgroups = optional.full_subgroups;
     void** tail = &v13.pNext;
+    const auto enable = [&](const char* extension, auto& feature) {
+        extensions.push_back(extension);
+        *tail = &feature;
+        tail = &feature.pNext;
+    };
     if (traversal == Traversal::ray_query) {
-        extensions.insert(extensions.end(), {VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, VK_KHR_RAY_QUERY_EXTENSION_NAME, VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME});
-        *tail = &query;
-        tail = &accel.pNext;
-    }
-    if (info.float_atomics) {
-        extensions.push_back(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME);
-        *tail = &atomics;
+        extensions.push_back(VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME);
+        enable(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, accel);
+        enable(VK_KHR_RAY_QUERY_EXTENSION_NAME, query);
     }
     VkPhysicalDevicePipelineExecutablePropertiesFeaturesKHR executables{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PIPELINE_EXECUTABLE_PROPERTIES_FEATURES_KHR};
     executables.pipelineExecutableInfo = VK_TRUE;
     pipeline_statistics = compile_only && gpu::has_extension(physical, VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
-    if (pipeline_statistics) {
-        extensions.push_back(VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
-        executables.pNext = v12.pNext;
-        v12.pNext = &executables;
-    }
+    if (pipeline_statistics) enable(VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME, executables);
+    if (info.float_atomics) enable(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME, atomics);
+    if (optional.subgroup_uniform_control_flow) enable(VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME, uniform);
+#ifdef VK_KHR_shader_maximal_reconvergence
+    VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
+    maximal.shaderMaximalReconvergence = VK_TRUE;
+    if (optional.maximal_reconvergence) enable(VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME, maximal);
+#endif
     VkDeviceCreateInfo device_info{VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO, &features};
     device_info.queueCreateInfoCount = 1;
     device_info.pQueueCreateInfos = &queue_info;
     device_info.enabledExtensionCount = static_cast<std::uint32_t>(extensions.size());
     device_info.ppEnabledExtensionNames = extensions.data();
     gpu::check(vkCreateDevice(physical, &device_info, nullptr, &device), "vkCreateDevice");
-    vkGetDeviceQueue(device, queue_family, 0, &queue);
-    vkGetPhysicalDeviceMemoryProperties(physical, &memory);
-
-    read_limits();
-    make_pipeline_layout();
 }
 
 void Device::Impl::read_limits() {
     VkPhysicalDeviceAccelerationStructurePropertiesKHR accel_properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_PROPERTIES_KHR};
-    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &accel_properties};
+    VkPhysicalDeviceMaintenance4Properties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_4_PROPERTIES, &accel_properties};
+    VkPhysicalDeviceMaintenance3Properties allocations{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_3_PROPERTIES, &sizes};
+    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &allocations};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
     vkGetPhysicalDeviceProperties2(physical, &properties);
     timestamp_period_ns = properties.properties.limits.timestampPeriod;
     workgroup_size = std::max(32u, subgroup.subgroupSize);
+    largest_buffer = {sizes.maxBufferSize, "maxBufferSize"};
+    if (info.memory_bytes && info.memory_bytes < largest_buffer.n_bytes) largest_buffer = {info.memory_bytes, "its memory"};
+    if (allocations.maxMemoryAllocationSize < largest_buffer.n_bytes) largest_buffer = {allocations.maxMemoryAllocationSize, "maxMemoryAllocationSize"};
     if (traversal == Traversal::ray_query) scratch_alignment = std::max(1u, accel_properties.minAccelerationStructureScratchOffsetAlignment);
 }
 
@@ -262,17 +290,20 @@ void Device::Impl::make_pipeline_layout() {
     gpu::check(vkCreatePipelineLayout(device, &layout, nullptr, &pipeline_layout), "vkCreatePipelineLayout");
 }
 
+Device::Impl::Impl() = default;
+
 Device::Impl::~Impl() {
     if (!device) return;
-    if (!compile_only) vkDeviceWaitIdle(device);
+    transfers.reset();
+    memory.reset();
+    pipelines.reset();
     if (pipeline_layout) vkDestroyPipelineLayout(device, pipeline_layout, nullptr);
     vkDestroyDevice(device, nullptr);
 }
 
-std::uint32_t Device::Impl::memory_type(std::uint32_t allowed, VkMemoryPropertyFlags wanted) const {
-    for (std::uint32_t i = 0; i < memory.memoryTypeCount; ++i)
-        if ((allowed >> i & 1u) && (memory.memoryTypes[i].propertyFlags & wanted) == wanted) return i;
-    throw DeviceError(fmt::format("choosing memory on {}: found no memory type with property flags {:#x}, expected one", info.name, wanted));
+void Device::Impl::submit(const VkSubmitInfo& work, VkFence fence) {
+    const std::lock_guard lock(queue_mutex);
+    gpu::check(vkQueueSubmit(queue, 1, &work, fence), "vkQueueSubmit");
 }
 
 }  // namespace relidar

@@ -12,7 +12,13 @@
 
 #include <relidar/gpu.hpp>
 
+#include "gpu/spirv_modes.hpp"
+
 namespace relidar::gpu {
+
+class MemoryPools;
+class PipelineCache;
+class Transfers;
 
 /// Throws DeviceError naming the call and the VkResult where `result` is a failure.
 void check(VkResult result, const char* call);
@@ -33,6 +39,20 @@ struct Instance {
 };
 
 bool has_extension(VkPhysicalDevice physical, const char* name);
+/// What makes kernels right or safer on devices where it is not so anyway.
+struct OptionalFeatures {
+    bool subgroup_size = false;    ///< a kernel can ask for subgroups of DeviceInfo::subgroup_size lanes
+    bool full_subgroups = false;   ///< and that no lane is missing
+    bool subgroup_uniform_control_flow = false;
+    bool maximal_reconvergence = false;
+};
+OptionalFeatures optional_features(VkPhysicalDevice physical);
+
+/// Whether subgroups that kernels run in have DeviceInfo::subgroup_size lanes, all there.
+bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional);
+/// What software traversal lacks, in words; empty where nothing.
+std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup, const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                 const OptionalFeatures& optional);
 
 /// What relidar can do on a physical device, with every missing piece named.
 DeviceInfo describe(VkPhysicalDevice physical, int index);
@@ -49,24 +69,33 @@ struct Device::Impl {
     std::uint32_t queue_family = 0;
     DeviceInfo info;
     std::vector<const char*> extensions;   ///< enabled
+    gpu::OptionalFeatures optional;        ///< enabled
     Traversal traversal = Traversal::ray_query;
-    VkPhysicalDeviceMemoryProperties memory{};
     float timestamp_period_ns = 1.0f;
     std::uint32_t workgroup_size = 32;
     std::uint32_t scratch_alignment = 256;
+    struct { std::uint64_t n_bytes; const char* name; } largest_buffer{};   ///< that one array may have, and which limit that is
+    std::unique_ptr<gpu::MemoryPools> memory;
+    std::unique_ptr<gpu::Transfers> transfers;
+    std::unique_ptr<gpu::PipelineCache> pipelines;
+    std::mutex queue_mutex;
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;   ///< shared by all kernels: one 8-byte push constant
     std::uint64_t memory_limit_bytes = 0;   ///< 0 = none
     bool compile_only = false;
     bool pipeline_statistics = false;       ///< VK_KHR_pipeline_executable_properties is enabled
-    std::vector<PipelineStatistics> pipelines;   ///< where compile_only
-    std::atomic<std::uint64_t> allocated{0};
+    std::vector<PipelineStatistics> compiled;   ///< where compile_only
+    std::atomic<std::uint64_t> allocated{0};   ///< by arrays
     std::atomic<std::uint64_t> peak{0};
 
+    Impl();
     ~Impl();
     void open();
+    void find_compute_queues();
+    void make_device();
     void read_limits();
     void make_pipeline_layout();
-    std::uint32_t memory_type(std::uint32_t allowed, VkMemoryPropertyFlags wanted) const;
+    /// Hands work to the queue, which takes it from one thread at a time.
+    void submit(const VkSubmitInfo& work, VkFence fence = VK_NULL_HANDLE);
 };
 
 }  // namespace relidar

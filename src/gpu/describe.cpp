@@ -19,10 +19,6 @@ std::vector<VkExtensionProperties> extensions_of(VkPhysicalDevice physical) {
     return extensions;
 }
 
-bool offers(const std::vector<VkExtensionProperties>& extensions, const char* name) {
-    return std::any_of(extensions.begin(), extensions.end(), [&](const VkExtensionProperties& e) { return std::strcmp(e.extensionName, name) == 0; });
-}
-
 /// Collects names of what is missing, in words for a message.
 struct Missing {
     std::string text;
@@ -54,23 +50,56 @@ std::string version_text(std::uint32_t v) { return fmt::format("{}.{}.{}", VK_AP
 
 constexpr VkSubgroupFeatureFlags kSubgroupOperations = VK_SUBGROUP_FEATURE_BASIC_BIT | VK_SUBGROUP_FEATURE_ARITHMETIC_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT;
 
-std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup, const VkPhysicalDeviceSubgroupSizeControlProperties& sizes) {
+bool has_extension(const std::vector<VkExtensionProperties>& extensions, const char* name) {
+    return std::any_of(extensions.begin(), extensions.end(), [&](const VkExtensionProperties& e) { return std::strcmp(e.extensionName, name) == 0; });
+}
+
+}  // namespace
+
+OptionalFeatures optional_features(VkPhysicalDevice physical) {
+    VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
+    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
+    vkGetPhysicalDeviceProperties2(physical, &properties);
+    VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
+    VkPhysicalDeviceSubgroupSizeControlFeatures control{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &uniform};
+    VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &control};
+    OptionalFeatures optional;
+    const std::vector<VkExtensionProperties> extensions = extensions_of(physical);
+#ifdef VK_KHR_shader_maximal_reconvergence
+    VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
+    uniform.pNext = &maximal;
+#endif
+    vkGetPhysicalDeviceFeatures2(physical, &features);
+    optional.subgroup_size = control.subgroupSizeControl && (sizes.requiredSubgroupSizeStages & VK_SHADER_STAGE_COMPUTE_BIT);
+    optional.full_subgroups = control.computeFullSubgroups;
+    optional.subgroup_uniform_control_flow = has_extension(extensions, VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME) && uniform.shaderSubgroupUniformControlFlow;
+#ifdef VK_KHR_shader_maximal_reconvergence
+    optional.maximal_reconvergence = has_extension(extensions, VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME) && maximal.shaderMaximalReconvergence;
+#endif
+    return optional;
+}
+
+bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional) {
+    return sizes.minSubgroupSize == sizes.maxSubgroupSize || (optional.subgroup_size && optional.full_subgroups);
+}
+
+std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup, const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                 const OptionalFeatures& optional) {
     const auto operations = [&](VkSubgroupFeatureFlags wanted) { return (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & wanted) == wanted; };
     Missing groups;
     groups.need(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
     groups.need(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
     groups.need(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
     groups.need(sizes.minSubgroupSize >= 8 && sizes.maxSubgroupSize <= 64, "subgroups of 8 to 64 lanes");
+    groups.need(known_subgroups(sizes, optional), "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
 
-}  // namespace
-
-bool has_extension(VkPhysicalDevice physical, const char* name) { return offers(extensions_of(physical), name); }
+bool has_extension(VkPhysicalDevice physical, const char* name) { return has_extension(extensions_of(physical), name); }
 
 DeviceInfo describe(VkPhysicalDevice physical, int index) {
     const std::vector<VkExtensionProperties> extensions = extensions_of(physical);
-    const auto has = [&](const char* name) { return offers(extensions, name); };
+    const auto has = [&](const char* name) { return has_extension(extensions, name); };
     VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES};
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES, &driver};
     VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &sizes};
@@ -85,6 +114,7 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
     const bool is_13 = properties.properties.apiVersion >= VK_API_VERSION_1_3;
     if (is_13) vkGetPhysicalDeviceFeatures2(physical, &features);
+    const OptionalFeatures optional = is_13 ? optional_features(physical) : OptionalFeatures();
 
     DeviceInfo info;
     info.index = index;
@@ -119,7 +149,8 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     info.why_not_ray_query = rays.text;
     info.ray_query = rays.text.empty() && base.text.empty();
 
-    info.why_not_software = missing_for_software(subgroup, sizes);
+    info.known_subgroups = known_subgroups(sizes, optional);
+    info.why_not_software = missing_for_software(subgroup, sizes, optional);
     info.software = info.why_not_software.empty() && base.text.empty();
     return info;
 }

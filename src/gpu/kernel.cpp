@@ -4,12 +4,14 @@
 
 #include <algorithm>
 #include <chrono>
+#include <array>
 
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
 
 #include "gpu/pipeline_statistics.hpp"
+#include "gpu/pipeline_cache.hpp"
 #include "gpu/stream.hpp"
 
 namespace relidar {
@@ -22,7 +24,20 @@ std::span<const std::uint32_t> find_words(std::string_view name) {
     throw Error(ExitCode::bug, fmt::format("making kernel {}: it is not embedded in this build, expected a line in src/CMakeLists.txt", name));
 }
 
-VkResult make_pipeline(Device::Impl& device, std::span<const std::uint32_t> words, const std::vector<Constant>& constants, VkPipeline& pipeline) {
+/// Kernels whose lanes work together behind branches and in loops that they leave at different times.
+constexpr std::array<std::string_view, 2> kReconverging{"accel/bvh_cluster", "backward/trace"};
+
+/// The module as this device is to have it.
+std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_view name, std::string_view stem) {
+    const std::span<const std::uint32_t> words = find_words(name);
+    if (std::find(kReconverging.begin(), kReconverging.end(), stem) != kReconverging.end()) {
+        if (device.optional.maximal_reconvergence) return gpu::with_execution_mode(words, gpu::kMaximallyReconverges);
+        if (device.optional.subgroup_uniform_control_flow) return gpu::with_execution_mode(words, gpu::kSubgroupUniformControlFlow);
+    }
+    return {words.begin(), words.end()};
+}
+
+VkResult make_pipeline(Device::Impl& device, std::span<const std::uint32_t> words, const std::vector<Constant>& constants, Subgroups subgroups, VkPipeline& pipeline) {
     VkShaderModuleCreateInfo module_info{VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
     module_info.codeSize = words.size_bytes();
     module_info.pCode = words.data();
@@ -39,8 +54,13 @@ VkResult make_pipeline(Device::Impl& device, std::span<const std::uint32_t> word
     info.stage.module = module;
     info.stage.pName = "main";
     info.stage.pSpecializationInfo = &specialisation;
+    VkPipelineShaderStageRequiredSubgroupSizeCreateInfo lanes{VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_REQUIRED_SUBGROUP_SIZE_CREATE_INFO};
+    lanes.requiredSubgroupSize = static_cast<std::uint32_t>(device.info.subgroup_size);
+    if (subgroups == Subgroups::full && device.optional.subgroup_size) info.stage.pNext = &lanes;
+    if (subgroups == Subgroups::full && device.optional.full_subgroups) info.stage.flags = VK_PIPELINE_SHADER_STAGE_CREATE_REQUIRE_FULL_SUBGROUPS_BIT;
     info.layout = device.pipeline_layout;
-    const VkResult result = vkCreateComputePipelines(device.device, VK_NULL_HANDLE, 1, &info, nullptr, &pipeline);
+    const VkPipelineCache cache = device.pipelines ? device.pipelines->handle() : VK_NULL_HANDLE;
+    const VkResult result = vkCreateComputePipelines(device.device, cache, 1, &info, nullptr, &pipeline);
     vkDestroyShaderModule(device.device, module, nullptr);
     return result;
 }
@@ -58,38 +78,38 @@ std::string constants_text(std::span<const std::uint32_t> words, std::vector<Con
 
 }  // namespace
 
-KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants) : impl_(std::make_unique<Impl>()) {
+KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups) : impl_(std::make_unique<Impl>()) {
     Device::Impl& device = owner.impl();
     impl_->device = &device;
     impl_->name = std::string(name.substr(0, name.find('@')));
-    const std::span<const std::uint32_t> words = find_words(name);
+    const std::vector<std::uint32_t> words = module_words(device, name, impl_->name);
     std::vector<Constant> all(constants);
     const auto size = std::find_if(all.begin(), all.end(), [](const Constant& c) { return c.id == 0u; });
     impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
     if (size == all.end()) all.push_back({0u, device.workgroup_size});
     if (device.compile_only) {
-        compile_only(name, words, all);
+        compile_only(name, words, all, subgroups);
         return;
     }
-    const VkResult result = make_pipeline(device, words, all, impl_->pipeline);
+    const VkResult result = make_pipeline(device, words, all, subgroups, impl_->pipeline);
     if (result != VK_SUCCESS)
         throw DeviceError(fmt::format("making kernel {} on {}: the driver answered {}, expected VK_SUCCESS", name, device.info.name, gpu::result_name(result)));
 }
 
-void KernelBase::compile_only(std::string_view name, std::span<const std::uint32_t> words, const std::vector<Constant>& constants) {
+void KernelBase::compile_only(std::string_view name, std::span<const std::uint32_t> words, const std::vector<Constant>& constants, Subgroups subgroups) {
     Device::Impl& device = *impl_->device;
     PipelineStatistics s;
     s.kernel = name;
     s.constants = constants_text(words, constants);
     s.workgroup_size = static_cast<int>(impl_->workgroup_size);
     const auto same = [&](const PipelineStatistics& known) { return known.kernel == s.kernel && known.constants == s.constants && known.workgroup_size == s.workgroup_size; };
-    if (std::any_of(device.pipelines.begin(), device.pipelines.end(), same)) return;
+    if (std::any_of(device.compiled.begin(), device.compiled.end(), same)) return;
     const auto start = std::chrono::steady_clock::now();
-    const VkResult result = make_pipeline(device, words, constants, impl_->pipeline);
+    const VkResult result = make_pipeline(device, words, constants, subgroups, impl_->pipeline);
     s.compile_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
     if (result != VK_SUCCESS) s.failure = gpu::result_name(result);
     else if (device.pipeline_statistics) gpu::read_statistics(device.device, impl_->pipeline, s);
-    device.pipelines.push_back(s);
+    device.compiled.push_back(s);
 }
 
 KernelBase::Impl::~Impl() {

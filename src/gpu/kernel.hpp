@@ -25,11 +25,15 @@ struct Constant {
     std::uint32_t value;
 };
 
+/// What a kernel expects of its subgroups. `full`: exactly DeviceInfo::subgroup_size lanes, all there, as kernels need that number their
+/// threads by subgroups (common/workgroup_scan.glsl); some compilers choose a smaller size kernel by kernel.
+enum class Subgroups { any, full };
+
 /// A pipeline, compiled once. Constant 0 is the workgroup size: the device's, unless the constants name one.
 class KernelBase {
 public:
     /// @param name of an embedded kernel @throws DeviceError where the driver rejects it
-    KernelBase(Device& device, std::string_view name, const std::vector<Constant>& constants = {});
+    KernelBase(Device& device, std::string_view name, const std::vector<Constant>& constants = {}, Subgroups subgroups = Subgroups::any);
     ~KernelBase();
     KernelBase(const KernelBase&) = delete;
     KernelBase& operator=(const KernelBase&) = delete;
@@ -41,7 +45,7 @@ private:
     std::unique_ptr<Impl> impl_;
 
     /// Makes the pipeline where it is a new one, and notes what the driver says of it.
-    void compile_only(std::string_view name, std::span<const std::uint32_t> words, const std::vector<Constant>& constants);
+    void compile_only(std::string_view name, std::span<const std::uint32_t> words, const std::vector<Constant>& constants, Subgroups subgroups);
 };
 
 /// A pipeline with the type of its parameter struct.

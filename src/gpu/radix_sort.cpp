@@ -25,13 +25,15 @@ static_assert(RELIDAR_SORT_DIGITS == 1u << RELIDAR_SORT_BITS && RELIDAR_SORT_BIT
 
 RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_words)
     : capacity_(capacity),
-      count_(device, "gpu/radix_count", {kWorkgroup, {1u, key_words}}),
-      scan_(device, "gpu/radix_scan", {kWorkgroup}),
-      scatter_(device, "gpu/radix_scatter", {kWorkgroup, {1u, key_words}}),
+      count_(device, "gpu/radix_count", {kWorkgroup, {1u, key_words}}, Subgroups::full),
+      scan_(device, "gpu/radix_scan", {kWorkgroup}, Subgroups::full),
+      scatter_(device, "gpu/radix_scatter", {kWorkgroup, {1u, key_words}}, Subgroups::full),
       counts_(device, RELIDAR_SORT_DIGITS * tiles_of(capacity), "sort counts"),
       totals_(device, RELIDAR_SORT_DIGITS, "sort totals") {
     if (const int lanes = device.info().subgroup_size; lanes < 8 || lanes > 64)
         throw DeviceError(fmt::format("making a sort on {}: found subgroups of {} lanes, expected 8 to 64", device.info().name, lanes));
+    if (!device.info().known_subgroups)
+        throw DeviceError(fmt::format("making a sort on {}: found subgroups of varying size, expected subgroupSizeControl and computeFullSubgroups", device.info().name));
 }
 
 SortSet RadixSort::run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits, std::uint64_t n_keys) const {

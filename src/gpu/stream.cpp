@@ -13,7 +13,6 @@ namespace relidar {
 
 Stream::Impl::Impl(Device& d, bool with_timing) : owner(&d), device(&d.impl()), timing(with_timing && d.info().timestamps) {
     if (device->compile_only) return;
-    params = std::make_unique<Buffer::Impl>(*device, kSlots * kParamBytes, true, "kernel parameters");
     VkSemaphoreTypeCreateInfo type{VK_STRUCTURE_TYPE_SEMAPHORE_TYPE_CREATE_INFO};
     type.semaphoreType = VK_SEMAPHORE_TYPE_TIMELINE;
     VkSemaphoreCreateInfo semaphore{VK_STRUCTURE_TYPE_SEMAPHORE_CREATE_INFO, &type};
@@ -35,7 +34,9 @@ Stream::Impl::Impl(Device& d, bool with_timing) : owner(&d), device(&d.impl()), 
 }
 
 Stream::Impl::~Impl() {
-    if (!device->compile_only) vkDeviceWaitIdle(device->device);
+    if (device->compile_only) return;
+    const std::unique_lock lock(device->queue_mutex);
+    vkDeviceWaitIdle(device->device);
     for (Slot& slot : slots) {
         if (slot.queries) vkDestroyQueryPool(device->device, slot.queries, nullptr);
         if (slot.pool) vkDestroyCommandPool(device->device, slot.pool, nullptr);
@@ -48,7 +49,8 @@ VkCommandBuffer Stream::Impl::commands() {
     if (recording) return slot.commands;
     wait(slot.ticket);
     collect_times(slot);
-    slot.param_bytes = 0;
+    slot.block = slot.block_bytes = 0;
+    slot.kept.clear();
     gpu::check(vkResetCommandPool(device->device, slot.pool, 0), "vkResetCommandPool");
     if (timing) vkResetQueryPool(device->device, slot.queries, 0, 2 * kMaxLaunches);
     VkCommandBufferBeginInfo begin{VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
@@ -58,54 +60,86 @@ VkCommandBuffer Stream::Impl::commands() {
     return slot.commands;
 }
 
+void Stream::Impl::end_concurrent() {
+    if (--n_concurrent > 0 || !owes_barrier) return;
+    owes_barrier = false;
+    barrier();
+}
+
 void Stream::Impl::barrier() {
+    if (n_concurrent > 0) {
+        owes_barrier = true;
+        return;
+    }
     VkMemoryBarrier all{VK_STRUCTURE_TYPE_MEMORY_BARRIER};
     all.srcAccessMask = VK_ACCESS_MEMORY_WRITE_BIT;
     all.dstAccessMask = VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT;
-    vkCmdPipelineBarrier(commands(), VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 1, &all, 0, nullptr, 0, nullptr);
+    VkPipelineStageFlags later = VK_PIPELINE_STAGE_ALL_COMMANDS_BIT;
+    if (host_reads) {
+        all.dstAccessMask |= VK_ACCESS_HOST_READ_BIT;
+        later |= VK_PIPELINE_STAGE_HOST_BIT;
+        host_reads = false;
+    }
+    vkCmdPipelineBarrier(commands(), VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, later, 0, 1, &all, 0, nullptr, 0, nullptr);
 }
 
 void Stream::Impl::begin_timing(const std::string& name) {
     last_kernel = name;
     VkCommandBuffer buffer = commands();
     Slot& slot = slots[current];
-    if (!timing || slot.launches.size() >= kMaxLaunches) return;
+    timed = timing && slot.launches.size() < kMaxLaunches;
+    if (!timed) return;
     slot.launches.push_back(name);
     vkCmdWriteTimestamp(buffer, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries, 2 * static_cast<std::uint32_t>(slot.launches.size() - 1));
 }
 
 void Stream::Impl::end_timing() {
     Slot& slot = slots[current];
-    if (timing && !slot.launches.empty() && slot.launches.back() == last_kernel)
+    if (timed)
         vkCmdWriteTimestamp(slot.commands, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries, 2 * static_cast<std::uint32_t>(slot.launches.size() - 1) + 1);
     barrier();
 }
 
-std::uint64_t Stream::Impl::store(const void* bytes, std::size_t n_bytes) {
+Stream::Impl::Stored Stream::Impl::store(const void* bytes, std::size_t n_bytes) {
+    constexpr std::size_t kAlignment = 64;
     commands();
     Slot& slot = slots[current];
-    const std::size_t aligned = (n_bytes + 63) / 64 * 64;
-    if (slot.param_bytes + aligned > kParamBytes)
-        throw Error(ExitCode::bug, fmt::format("recording {}: the parameters of one submission pass {} bytes, expected a submit() before", last_kernel, kParamBytes));
-    const std::size_t offset = current * kParamBytes + slot.param_bytes;
-    slot.param_bytes += aligned;
-    std::memcpy(params->mapped + offset, bytes, n_bytes);
-    return params->address + offset;
+    const std::size_t aligned = (n_bytes + kAlignment - 1) / kAlignment * kAlignment;
+    while (slot.block < slot.blocks.size() && slot.block_bytes + aligned > slot.blocks[slot.block]->n_bytes) {
+        ++slot.block;
+        slot.block_bytes = 0;
+    }
+    if (slot.block == slot.blocks.size())
+        slot.blocks.push_back(std::make_unique<Buffer::Impl>(*device, std::max(kBlockBytes, aligned), gpu::MemoryUse::parameters, "kernel parameters"));
+    const Buffer::Impl& block = *slot.blocks[slot.block];
+    const std::size_t offset = slot.block_bytes;
+    slot.block_bytes += aligned;
+    std::memcpy(block.mapped + offset, bytes, n_bytes);
+    return {block.handle, offset, block.address + offset};
 }
 
 void Stream::Impl::write(const Buffer& buffer, const void* bytes, std::size_t n_bytes) {
-    if (device->compile_only) return;
-    constexpr std::size_t kPiece = 65536;   // what one vkCmdUpdateBuffer takes
+    if (device->compile_only || n_bytes == 0) return;
     begin_timing("write");
-    for (std::size_t done = 0; done < n_bytes; done += kPiece)
-        vkCmdUpdateBuffer(commands(), buffer.impl().handle, done, std::min(kPiece, n_bytes - done), static_cast<const std::byte*>(bytes) + done);
+    const Stored from = store(bytes, n_bytes);
+    const VkBufferCopy region{from.offset, 0, n_bytes};
+    vkCmdCopyBuffer(commands(), from.buffer, buffer.impl().handle, 1, &region);
+    end_timing();
+}
+
+void Stream::Impl::read_back(const Buffer::Impl& from, const std::shared_ptr<const Buffer::Impl>& to, const VkBufferCopy& region) {
+    if (region.size == 0) return;
+    begin_timing("read back");
+    vkCmdCopyBuffer(commands(), from.handle, to->handle, 1, &region);
+    slots[current].kept.push_back(to);
+    host_reads = true;
     end_timing();
 }
 
 void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, const void* bytes, std::size_t n_bytes) {
     if (device->compile_only) throw Error(ExitCode::bug, fmt::format("launching {}: the device was opened to compile only, expected one that runs", kernel.impl().name));
     begin_timing(kernel.impl().name);
-    const std::uint64_t address = store(bytes, n_bytes);
+    const std::uint64_t address = store(bytes, n_bytes).address;
     VkCommandBuffer buffer = commands();
     vkCmdBindPipeline(buffer, VK_PIPELINE_BIND_POINT_COMPUTE, kernel.impl().pipeline);
     vkCmdPushConstants(buffer, device->pipeline_layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, 8, &address);
@@ -159,9 +193,13 @@ void Stream::copy(const Buffer& from, const Buffer& to, std::size_t n_bytes) {
     impl_->end_timing();
 }
 
+Concurrent::Concurrent(Stream& stream) : stream_(stream) { ++stream.impl().n_concurrent; }
+Concurrent::~Concurrent() { stream_.impl().end_concurrent(); }
+
 std::uint64_t Stream::submit() {
     Impl& s = *impl_;
     if (s.device->compile_only) return 0;
+    if (s.n_concurrent > 0) throw Error(ExitCode::bug, "submitting: found an open Concurrent scope, expected its end before");
     VkCommandBuffer commands = s.commands();
     gpu::check(vkEndCommandBuffer(commands), "vkEndCommandBuffer");
     const std::uint64_t ticket = s.last_ticket + 1;
@@ -173,7 +211,7 @@ std::uint64_t Stream::submit() {
     info.pCommandBuffers = &commands;
     info.signalSemaphoreCount = 1;
     info.pSignalSemaphores = &s.timeline;
-    gpu::check(vkQueueSubmit(s.device->queue, 1, &info, VK_NULL_HANDLE), "vkQueueSubmit");
+    s.device->submit(info);
     s.recording = false;
     s.last_ticket = s.slots[s.current].ticket = ticket;
     s.current = (s.current + 1) % Impl::kSlots;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recording and submission. run() is one call: parameters are copied into a ring of host-visible memory, the kernel gets their
+// Recording and submission. run() is one call: parameters are copied into memory that host and device see, the kernel gets their
 // address, and a full barrier follows. Submissions overlap with the host: a slot is reused only when the device is done with it.
 #pragma once
 
@@ -22,7 +22,7 @@ struct KernelBase::Impl {
 
 struct Stream::Impl {
     static constexpr std::size_t kSlots = 3;             ///< submissions in flight
-    static constexpr std::size_t kParamBytes = 1 << 16;  ///< parameter structs of one submission
+    static constexpr std::size_t kBlockBytes = 1 << 16;  ///< of host values, at least
     static constexpr std::uint32_t kMaxLaunches = 256;   ///< timed launches of one submission
 
     struct Slot {
@@ -30,17 +30,22 @@ struct Stream::Impl {
         VkCommandBuffer commands = VK_NULL_HANDLE;
         VkQueryPool queries = VK_NULL_HANDLE;
         std::vector<std::string> launches;   ///< names, in order of their timestamp pairs
-        std::size_t param_bytes = 0;
+        std::vector<std::unique_ptr<Buffer::Impl>> blocks;   ///< of host values: as many as a submission needed so far
+        std::size_t block = 0, block_bytes = 0;              ///< where the next one goes
+        std::vector<std::shared_ptr<const Buffer::Impl>> kept;   ///< until the submission is done
         std::uint64_t ticket = 0;            ///< 0 = never submitted
     };
 
     Device* owner = nullptr;
     Device::Impl* device = nullptr;
     bool timing = false;
-    std::unique_ptr<Buffer::Impl> params;
     std::array<Slot, kSlots> slots;
     std::size_t current = 0;
     bool recording = false;
+    int n_concurrent = 0;      ///< Concurrent scopes that are open
+    bool owes_barrier = false; ///< something was recorded in them
+    bool timed = false;        ///< the launch being recorded is
+    bool host_reads = false;   ///< the next barrier is for the host too
     VkSemaphore timeline = VK_NULL_HANDLE;
     std::uint64_t last_ticket = 0;
     std::string last_kernel = "none";
@@ -51,13 +56,23 @@ struct Stream::Impl {
 
     /// Command buffer being recorded, begun where needed.
     VkCommandBuffer commands();
+    /// What is recorded later sees what was recorded before. In a Concurrent scope one barrier is left for its end.
     void barrier();
+    void end_concurrent();
     void begin_timing(const std::string& name);
     void end_timing();
-    /// Copies a parameter struct into the ring. @return its device address
-    std::uint64_t store(const void* bytes, std::size_t n_bytes);
-    /// Records a small copy from host memory into a buffer.
+    /// Where host values lie until the submission is done.
+    struct Stored {
+        VkBuffer buffer;
+        std::size_t offset;
+        std::uint64_t address;
+    };
+    /// Keeps a copy of host values that kernels and copies of this submission read.
+    Stored store(const void* bytes, std::size_t n_bytes);
+    /// Records a copy from host memory into a buffer.
     void write(const Buffer& buffer, const void* bytes, std::size_t n_bytes);
+    /// Records a copy into memory that the host reads when the submission is done, and keeps that memory until then.
+    void read_back(const Buffer::Impl& from, const std::shared_ptr<const Buffer::Impl>& to, const VkBufferCopy& region);
     void launch(const KernelBase& kernel, std::uint32_t n_threads, const void* params, std::size_t n_bytes);
     void wait(std::uint64_t ticket);
     void collect_times(Slot& slot);

@@ -67,16 +67,34 @@ struct ChamferLoss::Impl {
           chamfer(device, accumulating_variant(device, "loss/chamfer@")),
           vjp(device, "loss/chamfer_vjp") {}
 
-    void bound(Stream& stream, const Cloud& cloud, const Levels& l) const {
+    void bound_tiles(Stream& stream, const Cloud& cloud, const Levels& l) const {
         RELIDAR_ASSERT_LE(std::size_t(l.tiles.x) * l.tiles.y, cloud.tile_low.size());
-        RELIDAR_ASSERT_LE(std::size_t(l.groups.x) * l.groups.y, cloud.group_low.size());
         relidar::run(stream, boxes, std::size_t(l.tiles.x) * l.tiles.y,
                      {cloud.points.address(), cloud.points.address(), cloud.tile_low.address(), cloud.tile_high.address(), l.points.x, l.points.y, l.tile.x, l.tile.y});
+    }
+    void bound_groups(Stream& stream, const Cloud& cloud, const Levels& l) const {
+        RELIDAR_ASSERT_LE(std::size_t(l.groups.x) * l.groups.y, cloud.group_low.size());
         relidar::run(stream, boxes, std::size_t(l.groups.x) * l.groups.y,
                      {cloud.tile_low.address(), cloud.tile_high.address(), cloud.group_low.address(), cloud.group_high.address(), l.tiles.x, l.tiles.y, l.tile.x, l.tile.y});
     }
     void search(Stream& stream, const Cloud& from, const Cloud& to, const Array<std::uint32_t>& found, const Levels& l) const {
         relidar::run(stream, nearest, n_rays, {from.points.address(), to.pointers(), found.address(), l.points.x, l.points.y, l.tile.x, l.tile.y});
+    }
+    /// Nearest points, both ways: neither cloud waits for the other.
+    void search(Stream& stream, const Levels& l) const {
+        {
+            const Concurrent both(stream);
+            bound_tiles(stream, simulated, l);
+            bound_tiles(stream, measured, l);
+        }
+        {
+            const Concurrent both(stream);
+            bound_groups(stream, simulated, l);
+            bound_groups(stream, measured, l);
+        }
+        const Concurrent both(stream);
+        search(stream, simulated, measured, nearest_measured, l);
+        search(stream, measured, simulated, nearest_simulated, l);
     }
 };
 
@@ -92,15 +110,15 @@ void ChamferLoss::run(Stream& stream, const RayBatch& rays, const TargetBatch& b
     c.n_rays = batch.n_rays;
     const Levels levels(batch);
     const std::uint32_t normalised = c.weights.normalised_depth ? 1u : 0u;
-    stream.fill(c.counts);
+    {
+        const Concurrent zeros(stream);
+        stream.fill(c.counts);
+        stream.fill(c.d_found);
+    }
     relidar::run(stream, c.points, batch.n_rays,
                  {rays.rays->address(), rendered.address(), batch.targets->address(), c.simulated.points.address(), c.measured.points.address(), c.counts.address(), batch.n_rays,
                   batch.first, batch.stride, normalised});
-    c.bound(stream, c.simulated, levels);
-    c.bound(stream, c.measured, levels);
-    c.search(stream, c.simulated, c.measured, c.nearest_measured, levels);
-    c.search(stream, c.measured, c.simulated, c.nearest_simulated, levels);
-    stream.fill(c.d_found);
+    c.search(stream, levels);
     const shared::ChamferParams chamfer{rays.rays->address(), rendered.address(), c.simulated.points.address(), c.measured.points.address(), c.nearest_measured.address(),
                                         c.nearest_simulated.address(), c.counts.address(), c.d_found.address(), upstream.address(), terms.address(), c.weights.chamfer,
                                         batch.n_rays, batch.first, batch.stride, normalised};

@@ -35,6 +35,7 @@ void SurfelLoss::run(Stream& stream, const DeviceScene& scene, const SurfelGradi
     double n_boxed = 0.0;
     for (const Model& m : scene.layout().models) n_boxed += has_box(m) ? m.count : 0u;
     const float box_weight = static_cast<float>(w.box / std::max(n_boxed, 1.0)), entropy_weight = static_cast<float>(w.opacity_entropy / std::max(double(scene.size()), 1.0));
+    const Concurrent models(stream);   // each has surfels of its own, and the terms are added atomically
     for (const Model& m : scene.layout().models) {
         const glm::vec3 half = has_box(m) ? m.half_size_m : glm::vec3(0.0f);
         if (!(w.opacity_entropy > 0.0f) && !(w.box > 0.0f && has_box(m))) continue;

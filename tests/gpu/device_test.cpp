@@ -133,6 +133,23 @@ TEST_F(Gpu, ExtensionsOfRayQueryAreEnabledForRayQueryAlone) {
     }
 }
 
+TEST_F(Gpu, SubgroupsOfVaryingSizeMustBeControlled) {
+    VkPhysicalDeviceSubgroupProperties subgroup{};
+    subgroup.supportedStages = VK_SHADER_STAGE_COMPUTE_BIT;
+    subgroup.supportedOperations = VK_SUBGROUP_FEATURE_VOTE_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT | VK_SUBGROUP_FEATURE_ARITHMETIC_BIT;
+    VkPhysicalDeviceSubgroupSizeControlProperties sizes{};
+    sizes.minSubgroupSize = 8;
+    sizes.maxSubgroupSize = 32;
+    gpu::OptionalFeatures optional;
+    EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, optional), "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
+    optional.subgroup_size = true;
+    EXPECT_FALSE(gpu::known_subgroups(sizes, optional)) << "some lanes may be missing";
+    optional.full_subgroups = true;
+    EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, optional), "");
+    sizes.maxSubgroupSize = 8;
+    EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, {}), "") << "one size";
+}
+
 TEST_F(Gpu, BestTraversalFollowsWhatADeviceHas) {
     DeviceInfo d;
     d.type = "discrete GPU";

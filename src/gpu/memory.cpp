@@ -1,0 +1,163 @@
+// SPDX-License-Identifier: Apache-2.0
+// Blocks of device memory, and first fit in each of them.
+#include "gpu/memory.hpp"
+
+#include <algorithm>
+#include <iterator>
+
+namespace relidar::gpu {
+
+namespace {
+
+constexpr std::uint64_t kAlignment = 256;   // what the strictest of our users wants: storage of acceleration structures, cache lines
+
+/// Properties to ask for, the best first.
+std::vector<VkMemoryPropertyFlags> wanted_properties(MemoryUse use) {
+    constexpr VkMemoryPropertyFlags kHost = VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
+    switch (use) {
+        case MemoryUse::device: return {VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT};
+        case MemoryUse::parameters: return {kHost | VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT, kHost};
+        case MemoryUse::upload: return {kHost};
+        case MemoryUse::readback: return {kHost | VK_MEMORY_PROPERTY_HOST_CACHED_BIT, kHost};
+    }
+    return {};
+}
+
+}  // namespace
+
+std::optional<std::uint64_t> FreeRanges::take(std::uint64_t n_bytes, std::uint64_t alignment) {
+    for (auto range = ranges_.begin(); range != ranges_.end(); ++range) {
+        const auto [begin, size] = *range;
+        const std::uint64_t offset = (begin + alignment - 1) / alignment * alignment, end = begin + size;
+        if (offset > end || end - offset < n_bytes) continue;
+        ranges_.erase(range);
+        if (offset > begin) ranges_[begin] = offset - begin;
+        if (offset + n_bytes < end) ranges_[offset + n_bytes] = end - offset - n_bytes;
+        return offset;
+    }
+    return std::nullopt;
+}
+
+void FreeRanges::give_back(std::uint64_t offset, std::uint64_t n_bytes) {
+    const auto next = ranges_.lower_bound(offset);
+    if (next != ranges_.end() && next->first == offset + n_bytes) {
+        n_bytes += next->second;
+        ranges_.erase(next);
+    }
+    const auto after = ranges_.lower_bound(offset);
+    if (after != ranges_.begin()) {
+        const auto before = std::prev(after);
+        if (before->first + before->second == offset) {
+            before->second += n_bytes;
+            return;
+        }
+    }
+    ranges_[offset] = n_bytes;
+}
+
+MemoryPools::MemoryPools(VkPhysicalDevice physical, VkDevice device) : device_(device) { vkGetPhysicalDeviceMemoryProperties(physical, &properties_); }
+
+MemoryPools::~MemoryPools() {
+    for (std::uint32_t type = 0; type < VK_MAX_MEMORY_TYPES; ++type) release_empty(type, 0);
+}
+
+/// Bytes of a block that several buffers share. Some heaps are small: 256 MiB where the host sees a window of the device's memory.
+std::uint64_t MemoryPools::shared_bytes(std::uint32_t type) const {
+    const std::uint64_t heap_bytes = properties_.memoryHeaps[properties_.memoryTypes[type].heapIndex].size;
+    return heap_bytes ? std::min(kBlockBytes, heap_bytes / 16) : kBlockBytes;   // drivers without hardware name no size
+}
+
+/// Types that serve, the best first. What the host writes into the device's memory must be a small part of it.
+std::vector<std::uint32_t> MemoryPools::types(const VkMemoryRequirements& needs, MemoryUse use) const {
+    std::vector<std::uint32_t> found;
+    for (const VkMemoryPropertyFlags wanted : wanted_properties(use))
+        for (std::uint32_t type = 0; type < properties_.memoryTypeCount; ++type) {
+            if (!(needs.memoryTypeBits >> type & 1u) || (properties_.memoryTypes[type].propertyFlags & wanted) != wanted) continue;
+            const bool scarce = use == MemoryUse::parameters && (wanted & VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT) && needs.size > shared_bytes(type);
+            if (!scarce) found.push_back(type);
+            break;
+        }
+    return found;
+}
+
+bool MemoryPools::take_of_type(const VkMemoryRequirements& needs, std::uint32_t type, MemoryPiece& piece) {
+    for (const std::unique_ptr<MemoryBlock>& block : blocks_[type])
+        if (const auto offset = block->free.take(needs.size, std::max(needs.alignment, kAlignment))) {
+            piece = {block.get(), *offset, needs.size};
+            return true;
+        }
+    return false;
+}
+
+VkResult MemoryPools::take(const VkMemoryRequirements& needs, MemoryUse use, MemoryPiece& piece) {
+    const std::lock_guard lock(mutex_);
+    VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;   // no type of memory serves
+    for (const std::uint32_t type : types(needs, use)) {
+        result = take_of_type(needs, type, piece) ? VK_SUCCESS : grow(needs, type, piece);
+        if (result != VK_SUCCESS) continue;
+        if (use != MemoryUse::device) result = map(*piece.block);
+        if (result == VK_SUCCESS) break;
+        piece.block->free.give_back(piece.offset, piece.n_bytes);
+    }
+    return result;
+}
+
+VkResult MemoryPools::grow(const VkMemoryRequirements& needs, std::uint32_t type, MemoryPiece& piece) {
+    const std::uint64_t shared = shared_bytes(type);
+    VkResult result = VK_SUCCESS;
+    for (const std::uint64_t n_bytes : {needs.size > shared / 2 ? needs.size : shared, needs.size}) {   // the second time with nothing to spare
+        result = add_block(type, n_bytes);
+        if (result == VK_SUCCESS && take_of_type(needs, type, piece)) return VK_SUCCESS;
+        release_empty(type, 0);
+    }
+    return result;
+}
+
+VkResult MemoryPools::add_block(std::uint32_t type, std::uint64_t n_bytes) {
+    VkMemoryAllocateFlagsInfo flags{VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_FLAGS_INFO};
+    flags.flags = VK_MEMORY_ALLOCATE_DEVICE_ADDRESS_BIT;
+    VkMemoryAllocateInfo info{VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO, &flags};
+    info.allocationSize = n_bytes;
+    info.memoryTypeIndex = type;
+    auto block = std::make_unique<MemoryBlock>(MemoryBlock{VK_NULL_HANDLE, type, n_bytes, nullptr, FreeRanges(n_bytes)});
+    const VkResult result = vkAllocateMemory(device_, &info, nullptr, &block->memory);
+    if (result == VK_SUCCESS) blocks_[type].push_back(std::move(block));
+    return result;
+}
+
+VkResult MemoryPools::map(MemoryBlock& block) {
+    if (block.mapped) return VK_SUCCESS;
+    void* pointer = nullptr;
+    const VkResult result = vkMapMemory(device_, block.memory, 0, VK_WHOLE_SIZE, 0, &pointer);
+    block.mapped = static_cast<std::byte*>(pointer);
+    return result;
+}
+
+/// One shared block of a type stays when it is empty: arrays that come and go would make and free it each time.
+void MemoryPools::give_back(const MemoryPiece& piece) {
+    const std::lock_guard lock(mutex_);
+    piece.block->free.give_back(piece.offset, piece.n_bytes);
+    if (piece.block->free.all_free()) release_empty(piece.block->type, 1);
+}
+
+/// Frees empty blocks. @param n_kept shared ones that may stay
+void MemoryPools::release_empty(std::uint32_t type, std::size_t n_kept) {
+    std::erase_if(blocks_[type], [&](const std::unique_ptr<MemoryBlock>& block) {
+        if (!block->free.all_free()) return false;
+        if (n_kept > 0 && block->n_bytes == shared_bytes(type)) {
+            --n_kept;
+            return false;
+        }
+        vkFreeMemory(device_, block->memory, nullptr);
+        return true;
+    });
+}
+
+std::size_t MemoryPools::n_blocks() const {
+    const std::lock_guard lock(mutex_);
+    std::size_t n = 0;
+    for (const Blocks& blocks : blocks_) n += blocks.size();
+    return n;
+}
+
+}  // namespace relidar::gpu

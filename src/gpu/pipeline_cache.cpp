@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: Apache-2.0
+// The file: "RELIDAR1", size and hash of what follows, then what the driver gave.
+#include "gpu/pipeline_cache.hpp"
+
+#include <unistd.h>
+
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <cstdlib>
+#include <cstring>
+#include <fstream>
+#include <string_view>
+
+#include <fmt/format.h>
+
+namespace relidar::gpu {
+
+namespace {
+
+struct FileHeader {
+    std::array<char, 8> magic{'R', 'E', 'L', 'I', 'D', 'A', 'R', '1'};
+    std::uint64_t n_bytes = 0;
+    std::uint64_t hash = 0;
+};
+
+/// FNV-1a. Drivers check their own header alone, and may crash on what lies behind it.
+std::uint64_t hash_of(std::string_view bytes) {
+    std::uint64_t hash = 0xcbf29ce484222325u;
+    for (const char byte : bytes) hash = (hash ^ static_cast<unsigned char>(byte)) * 0x100000001b3u;
+    return hash;
+}
+
+FileHeader header_of(std::string_view bytes) {
+    FileHeader header;
+    header.n_bytes = bytes.size();
+    header.hash = hash_of(bytes);
+    return header;
+}
+
+std::filesystem::path folder() {
+    const auto value = [](const char* name) -> std::string {
+        const char* text = std::getenv(name);
+        return text ? text : "";
+    };
+    const std::string own = value("RELIDAR_PIPELINE_CACHE"), cache = value("XDG_CACHE_HOME"), home = value("HOME");
+    if (own == "0") return {};
+    if (!own.empty()) return own;
+    if (!cache.empty()) return std::filesystem::path(cache) / "relidar";
+    return home.empty() ? std::filesystem::path() : std::filesystem::path(home) / ".cache" / "relidar";
+}
+
+/// What the driver gave once, or nothing where the file is absent, cut, changed, or of another driver.
+std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceProperties& device) {
+    std::ifstream file(path, std::ios::binary);
+    FileHeader header;
+    if (!file.read(reinterpret_cast<char*>(&header), sizeof header)) return {};
+    std::error_code failed;
+    if (std::filesystem::file_size(path, failed) - sizeof header != header.n_bytes || failed) return {};
+    std::string bytes(header.n_bytes, '\0');
+    VkPipelineCacheHeaderVersionOne driver{};
+    if (bytes.size() < sizeof driver || !file.read(bytes.data(), static_cast<std::streamsize>(bytes.size()))) return {};
+    const FileHeader expected = header_of(bytes);
+    std::memcpy(&driver, bytes.data(), sizeof driver);
+    const bool same_driver = driver.headerVersion == VK_PIPELINE_CACHE_HEADER_VERSION_ONE && driver.vendorID == device.vendorID && driver.deviceID == device.deviceID &&
+                             std::memcmp(driver.pipelineCacheUUID, device.pipelineCacheUUID, VK_UUID_SIZE) == 0;
+    return header.magic == expected.magic && header.hash == expected.hash && same_driver ? bytes : std::string();
+}
+
+/// Whole or not at all: other processes may read or write the same file now. Failures are silent, since nothing is lost but time.
+void write_file(const std::filesystem::path& path, std::string_view bytes) {
+    std::error_code failed;
+    std::filesystem::create_directories(path.parent_path(), failed);
+    static std::atomic<unsigned> count{0};   // several devices of one process may close at once
+    const std::filesystem::path temporary = fmt::format("{}.{}-{}", path.string(), ::getpid(), count++);
+    const FileHeader header = header_of(bytes);
+    std::ofstream file(temporary, std::ios::binary);
+    file.write(reinterpret_cast<const char*>(&header), sizeof header);
+    file.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
+    file.close();
+    if (file) std::filesystem::rename(temporary, path, failed);
+    if (!file || failed) std::filesystem::remove(temporary, failed);
+}
+
+}  // namespace
+
+PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device) : device_(device) {
+    VkPhysicalDeviceProperties properties;
+    vkGetPhysicalDeviceProperties(physical, &properties);
+    std::string uuid;
+    for (const std::uint8_t byte : properties.pipelineCacheUUID) uuid += fmt::format("{:02x}", byte);
+    const std::filesystem::path in = folder();
+    if (!in.empty()) path_ = in / fmt::format("pipelines_{:04x}_{:04x}_{}", properties.vendorID, properties.deviceID, uuid);
+
+    const std::string bytes = path_.empty() ? std::string() : read_file(path_, properties);
+    read_bytes_ = bytes.size();
+    VkPipelineCacheCreateInfo info{VK_STRUCTURE_TYPE_PIPELINE_CACHE_CREATE_INFO};
+    info.initialDataSize = bytes.size();
+    info.pInitialData = bytes.data();
+    if (vkCreatePipelineCache(device, &info, nullptr, &handle_) == VK_SUCCESS) return;
+    handle_ = VK_NULL_HANDLE;   // pipelines are made without one
+    path_.clear();
+}
+
+void PipelineCache::save() const {
+    std::size_t n_bytes = 0;
+    if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_) return;
+    std::string bytes(n_bytes, '\0');
+    if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) == VK_SUCCESS) write_file(path_, std::string_view(bytes).substr(0, n_bytes));
+}
+
+PipelineCache::~PipelineCache() {
+    if (!path_.empty()) save();
+    vkDestroyPipelineCache(device_, handle_, nullptr);
+}
+
+}  // namespace relidar::gpu

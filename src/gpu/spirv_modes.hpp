@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+// Execution modes added to a SPIR-V module when it is loaded: whether a device has them is known only then, and glslang may not know
+// their GLSL extensions.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <string_view>
+#include <vector>
+
+namespace relidar::gpu {
+
+/// A mode without operands and the extension that defines it.
+struct ExecutionMode {
+    std::uint32_t mode;
+    std::string_view extension;
+};
+
+/// Lanes that a subgroup took apart at a branch come together behind it, where all of the subgroup went in.
+inline constexpr ExecutionMode kSubgroupUniformControlFlow{4421, "SPV_KHR_subgroup_uniform_control_flow"};
+/// The same of any set of lanes, in loops too.
+inline constexpr ExecutionMode kMaximallyReconverges{6023, "SPV_KHR_maximal_reconvergence"};
+
+/// The module with the mode on each of its entry points. @param words of a module that has at least one
+std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> words, const ExecutionMode& mode);
+
+}  // namespace relidar::gpu

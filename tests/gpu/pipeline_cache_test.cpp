@@ -1,0 +1,127 @@
+// SPDX-License-Identifier: Apache-2.0
+// The file of compiled pipelines: written when a device closes, found by the next one, ignored where it is damaged or of another
+// driver, and no error where it cannot be written.
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+
+#include <stdlib.h>
+
+#include "../support/device.hpp"
+#include "gpu/context.hpp"
+#include "gpu/pipeline_cache.hpp"
+#include "gpu/prefix_sum.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::string contents(const fs::path& path) {
+    std::ifstream file(path, std::ios::binary);
+    return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+}
+
+/// With the hash that its driver's bytes have now (FNV-1a, behind magic and size).
+std::string rehashed(std::string bytes) {
+    std::uint64_t hash = 0xcbf29ce484222325u;
+    for (std::size_t i = 24; i < bytes.size(); ++i) hash = (hash ^ static_cast<unsigned char>(bytes[i])) * 0x100000001b3u;
+    std::memcpy(bytes.data() + 16, &hash, 8);
+    return bytes;
+}
+
+void put(const fs::path& path, const std::string& bytes) { std::ofstream(path, std::ios::binary) << bytes; }
+
+class PipelineCacheFile : public test::DeviceTest {
+protected:
+    fs::path folder;
+
+    void SetUp() override {
+        DeviceTest::SetUp();
+        std::string pattern = (fs::temp_directory_path() / "relidar-cache-XXXXXX").string();
+        ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
+        folder = pattern;
+        for (const char* name : kVariables) before_.emplace_back(name, ::getenv(name) ? ::getenv(name) : "");
+        ::setenv("RELIDAR_PIPELINE_CACHE", (folder / "made" / "for it").c_str(), 1);
+    }
+    void TearDown() override {
+        for (const auto& [name, value] : before_) value.empty() ? ::unsetenv(name) : ::setenv(name, value.c_str(), 1);
+        fs::remove_all(folder);
+        DeviceTest::TearDown();
+    }
+
+    struct Opened {
+        fs::path path;
+        std::size_t read_bytes;
+    };
+    /// Opens a device, makes pipelines and closes it.
+    static Opened open() {
+        Device opened;
+        const PrefixSum prefix_sum(opened);
+        return {opened.impl().pipelines->path(), opened.impl().pipelines->read_bytes()};
+    }
+    static std::size_t files(const fs::path& in) { return static_cast<std::size_t>(std::distance(fs::directory_iterator(in), fs::directory_iterator())); }
+
+private:
+    static constexpr const char* kVariables[] = {"RELIDAR_PIPELINE_CACHE", "XDG_CACHE_HOME", "HOME"};
+    std::vector<std::pair<const char*, std::string>> before_;
+};
+
+TEST_F(PipelineCacheFile, IsFoundByTheNextDevice) {
+    const Opened first = open();
+    EXPECT_EQ(first.path.parent_path(), folder / "made" / "for it");
+    EXPECT_EQ(first.read_bytes, 0u);
+    ASSERT_TRUE(fs::is_regular_file(first.path));
+    const std::string bytes = contents(first.path);
+    const auto written = fs::last_write_time(first.path);
+    const Opened second = open();
+    EXPECT_EQ(second.path, first.path);
+    EXPECT_EQ(second.read_bytes + 24, bytes.size());
+    EXPECT_EQ(fs::last_write_time(first.path), written) << "nothing new, nothing written";
+    EXPECT_EQ(files(first.path.parent_path()), 1u) << "no temporary file stays";
+}
+
+TEST_F(PipelineCacheFile, DamagedAndForeignOnesAreIgnoredAndReplaced) {
+    const fs::path path = open().path;
+    const std::string good = contents(path);
+    const auto changed = [&](std::size_t at) {
+        std::string bytes = good;
+        bytes[at] = static_cast<char>(bytes[at] ^ 0x40);
+        return bytes;
+    };
+    ASSERT_EQ(rehashed(good), good);
+    constexpr std::size_t kVendor = 24 + 8, kUuid = 24 + 16;
+    for (const std::string& bad : {std::string(), std::string("garbage"), std::string(1000, '\xff'), good.substr(0, 20), good.substr(0, good.size() - 1), good + "x",
+                                   good.substr(24), changed(0), changed(8), changed(16), changed(24), rehashed(changed(kVendor)), rehashed(changed(kUuid)), changed(good.size() - 1)}) {
+        put(path, bad);
+        EXPECT_EQ(open().read_bytes, 0u) << bad.size() << " bytes";
+        EXPECT_EQ(contents(path).size(), good.size()) << "written anew";
+    }
+}
+
+TEST_F(PipelineCacheFile, UnwritableFoldersAreNoError) {
+    put(folder / "a file", "x");
+    ::setenv("RELIDAR_PIPELINE_CACHE", (folder / "a file").c_str(), 1);   // permissions would not stop root
+    EXPECT_EQ(open().read_bytes, 0u);
+    EXPECT_EQ(contents(folder / "a file"), "x");
+    ::setenv("RELIDAR_PIPELINE_CACHE", "/proc/relidar", 1);
+    EXPECT_EQ(open().read_bytes, 0u);
+}
+
+TEST_F(PipelineCacheFile, TheEnvironmentSaysWhere) {
+    ::setenv("RELIDAR_PIPELINE_CACHE", "0", 1);
+    EXPECT_TRUE(open().path.empty());
+    ::unsetenv("RELIDAR_PIPELINE_CACHE");
+    ::setenv("XDG_CACHE_HOME", (folder / "xdg").c_str(), 1);
+    ::setenv("HOME", (folder / "home").c_str(), 1);
+    EXPECT_EQ(open().path.parent_path(), folder / "xdg" / "relidar");
+    ::unsetenv("XDG_CACHE_HOME");
+    EXPECT_EQ(open().path.parent_path(), folder / "home" / ".cache" / "relidar");
+    EXPECT_EQ(files(folder / "home" / ".cache" / "relidar"), 1u);
+    ::unsetenv("HOME");
+    EXPECT_TRUE(open().path.empty());
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: Apache-2.0
+// What one submission can carry, and values that come back with it.
+#include <numeric>
+
+#include <stdlib.h>
+
+#include <relidar/error.hpp>
+
+#include "../support/device.hpp"
+#include "gpu/prefix_sum.hpp"
+#include "gpu/stream.hpp"
+
+namespace relidar {
+namespace {
+
+using Words = std::vector<std::uint32_t>;
+
+class StreamTest : public test::DeviceTest {};
+
+/// Each launch has its own parameters: launch i copies word i, as the sum of that one word (gpu/scan_write).
+TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
+    constexpr std::uint32_t kWords = 1 << 18, kLaunches = 5000, kSubmissions = 5;   // more than slots: memory is used again
+    const Array<std::uint32_t> words(device(), kWords, "words"), prefix(device(), 1, "prefix");
+    std::vector<Array<std::uint32_t>> sums;
+    PrefixSum prefix_sum(device());
+    Stream stream(device(), true);
+    for (std::uint32_t s = 0; s < kSubmissions; ++s) {
+        Words values(kWords);
+        std::iota(values.begin(), values.end(), 1000u * s);
+        stream.impl().write(words.buffer(), values.data(), 4 * kWords);
+        sums.emplace_back(device(), kLaunches, "sums");
+        for (std::uint32_t i = 0; i < kLaunches; ++i) prefix_sum.run(stream, {words.address(), i, 1}, prefix.address(), 1, sums.back().address() + 4 * i);
+        stream.submit();
+    }
+    stream.finish();
+    for (std::uint32_t s = 0; s < kSubmissions; ++s) {
+        Words expected(kLaunches);
+        std::iota(expected.begin(), expected.end(), 1000u * s);
+        EXPECT_EQ(sums[s].download(), expected) << "submission " << s;
+    }
+    EXPECT_EQ(words.download().back(), 1000u * (kSubmissions - 1) + kWords - 1);
+}
+
+TEST_F(StreamTest, ReadbacksArriveWithTheirSubmission) {
+    const Array<std::uint32_t> array(device(), 100, "test");
+    Stream stream(device(), true);
+    std::vector<Readback> readbacks;
+    for (std::uint32_t i = 0; i < 8; ++i) {
+        readbacks.emplace_back(device(), 400, "a test's values");
+        EXPECT_FALSE(readbacks.back().pending());
+        stream.fill(array, i);
+        readbacks.back().record(stream, array.buffer(), 396, 4);
+        stream.fill(array, 77u);   // after the copy
+        EXPECT_TRUE(readbacks.back().pending());
+        stream.submit();
+    }
+    for (std::uint32_t i = 8; i-- > 0;) {   // the last one first
+        const auto* values = static_cast<const std::uint32_t*>(readbacks[i].wait(stream));
+        EXPECT_EQ(Words(values, values + 99), Words(99, i));
+        EXPECT_FALSE(readbacks[i].pending());
+    }
+}
+
+TEST_F(StreamTest, ReadbacksAreUsedAgain) {
+    const Array<std::uint32_t> array(device(), 1, "test");
+    Stream stream(device());
+    Readback readback(device(), 4, "a test's value");
+    for (std::uint32_t i = 0; i < 10; ++i) {
+        EXPECT_EQ(readback.pending(), i > 0);
+        if (i > 0) {
+            EXPECT_EQ(*static_cast<const std::uint32_t*>(readback.wait(stream)), i - 1);
+        }
+        stream.fill(array, i);
+        readback.record(stream, array.buffer(), 4);
+        stream.submit();
+    }
+}
+
+TEST_F(StreamTest, ReadbacksOutOfOrderAreBugs) {
+    const Array<std::uint32_t> array(device(), 10, "test");
+    Stream stream(device());
+    Readback readback(device(), 20, "a test's values");
+    EXPECT_THROW(readback.wait(stream), Error) << "nothing recorded";
+    EXPECT_THROW(readback.record(stream, array.buffer(), 24), Error) << "more than it can hold";
+    EXPECT_THROW(readback.record(stream, array.buffer(), 20, 24), Error) << "more than there is";
+    readback.record(stream, array.buffer(), 20, 20);
+    EXPECT_THROW(readback.wait(stream), Error) << "not submitted";
+    stream.submit();
+    EXPECT_NE(readback.wait(stream), nullptr);
+}
+
+/// The validation layer's own tracking of hazards is the judge: it sees fills and copies.
+TEST_F(StreamTest, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
+    if (const char* wanted = ::getenv("RELIDAR_VALIDATION"); !wanted || std::string(wanted) != "1") GTEST_SKIP() << "no validation layer asked for";
+    ::setenv("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT", 1);
+    Device watched({.index = device().info().index});
+    ::unsetenv("VK_LAYER_ENABLES");
+    const Array<std::uint32_t> a(watched, 100, "a"), b(watched, 100, "b"), c(watched, 100, "c");
+    Stream stream(watched, true);
+    {
+        const Concurrent scope(stream);
+        stream.fill(a, 1u);
+        {
+            const Concurrent inner(stream);
+            stream.fill(b, 2u);
+        }
+        stream.fill(c, 3u);
+    }
+    stream.copy(a.buffer(), b.buffer(), 400);
+    stream.fill(a, 4u);
+    stream.finish();
+    EXPECT_EQ(watched.validation_messages(), 0u) << "every launch but those of the scope waits";
+    EXPECT_EQ(b.download(), Words(100, 1u));
+    EXPECT_EQ(c.download(), Words(100, 3u));
+    EXPECT_EQ(watched.validation_messages(), 0u);
+    EXPECT_EQ(stream.times().milliseconds.at("fill").size(), device().info().timestamps ? 4u : 0u);
+    {
+        const Concurrent scope(stream);
+        stream.fill(a, 5u);
+        stream.fill(a, 6u);   // planted: twice the same array
+        EXPECT_THROW(stream.submit(), Error) << "in an open scope";
+    }
+    stream.finish();
+    EXPECT_GT(watched.validation_messages(), 0u) << "no barrier inside the scope";
+}
+
+}  // namespace
+}  // namespace relidar
