@@ -21,7 +21,7 @@ struct AccelOptions {
     float margin_scale = 1.002f;
     float margin_m = 1e-4f;
     /// When a structure is built anew instead of refitted (besides when it is told to): after so many refits (0 = never), and, software
-    /// tree alone, at the next update after check_growth() has found its cost grown by this factor since the build.
+    /// tree alone, at the next update after check_growth() has seen its cost grown by this factor since the build.
     int rebuild_every = 1000;
     float rebuild_growth = 1.3f;
 };
@@ -46,9 +46,10 @@ public:
     /// Records the top level alone: instances have moved, no surfel has changed.
     void move(Stream& stream, const DeviceScene& scene);
 
-    /// Measures how much the software tree has grown since its build; the next update() rebuilds one that is outgrown. Blocking: for log
-    /// lines, not for iterations. What was recorded must have been submitted.
-    void check_growth();
+    /// Records a measurement of how much the software tree has grown since its build, and looks at the one recorded by the call before: the
+    /// next update() rebuilds a tree that is outgrown. Waits where that one, which must have been submitted, is not done: for
+    /// every so many iterations, not for each.
+    void check_growth(Stream& stream);
 
     AccelAddresses addresses() const;
     Proxy proxy() const;

@@ -84,6 +84,9 @@ public:
     void set_sh_degree(int degree);
     /// Blocks. Nothing with atomics.
     GatheredHits take_gathered_hits();
+    /// The same without a wait: [1] `most` on the device, growing until it is set to 0, and the capacity as it is now. Null and 0 with atomics.
+    const Array<std::uint32_t>* most_hits() const;
+    std::uint64_t hit_capacity() const;
     /// Makes room for so many hit records, at least. Waits for the stream.
     void reserve_hits(Stream& stream, std::uint64_t n_hits);
 

@@ -45,6 +45,8 @@ public:
     void run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered, KeptHits* kept = nullptr, RayGeometry* geometry = nullptr);
     /// Rays that reached the cap of passes since the last call (they end early, which is an error). Blocks.
     std::uint32_t take_pass_cap_count();
+    /// [1] The same on the device, counting until it is set to 0: to be read back without a wait.
+    const Array<std::uint32_t>& pass_cap_count() const;
     void set_sh_degree(int degree);
 
     struct Impl;

@@ -44,6 +44,8 @@ struct MoveRaysParams {
     uint n_rays;
 };
 
+#define RELIDAR_KNOT_WORKGROUP 256
+
 /// Gradients of rays as gradients of the knots' corrections. Ray k of the batch is entry first_ray + k * ray_stride of `moved`, and of
 /// `places` too unless it was gathered from a window of columns.
 struct KnotGradientsParams {
@@ -51,7 +53,7 @@ struct KnotGradientsParams {
     RayPlaces places;    // input, of the whole frame
     PoseKnots knots;     // input
     Floats d_rays;       // input [n_rays,6]
-    Floats rows;         // output [n_lanes,n_knots,6]: dL/d(translation), dL/d(rotation), each row over every n_lanes-th ray
+    Floats rows;         // output [n_rows,n_knots,6]: dL/d(translation), dL/d(rotation), sums over the rays of a workgroup
     uint n_rays;
     uint first_ray;
     uint ray_stride;
@@ -60,7 +62,7 @@ struct KnotGradientsParams {
     uint column_stride;
     uint n_columns;
     uint n_knots;
-    uint n_lanes;
+    uint n_rows;
 };
 
 RELIDAR_SHARED_END

@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // From gradients of rays to those of the sensor poses between which they were fired, by the weights of the interpolation:
 //   dL/dv = dL/d(origin),   dL/dw = (origin - c) x dL/d(origin) + direction x dL/d(direction),   c the corrected position of the sensor
-// One thread a lane and knot, which sums every n_lanes-th ray in order. Input: moved, places, knots, d_rays. Output: rows.
+// A workgroup a row and knot: thread k of n sums every n-th ray in order, then the workgroup adds up its threads, always in the same
+// order. Input: moved, places, knots, d_rays. Output: rows.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
 #include "../shared/train.h"
 #include "knots.glsl"
 RELIDAR_PARAMS(KnotGradientsParams);
+shared vec3 forces[RELIDAR_KNOT_WORKGROUP], torques[RELIDAR_KNOT_WORKGROUP];
 
 /// Where the batch's ray k is among the rays of the frame.
 uint frame_ray(uint k) {
@@ -17,11 +19,10 @@ uint frame_ray(uint k) {
 
 vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1u], a.at[i + 2u]); }
 
-void main() {
-    uint i = thread_index(), lane = i / params.n_knots, knot = i % params.n_knots;
-    if (lane >= params.n_lanes) return;
-    vec3 force = vec3(0.0), torque = vec3(0.0);
-    for (uint k = lane; k < params.n_rays; k += params.n_lanes) {
+/// Sums over the rays of one thread among n_threads.
+void sum_rays(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 torque) {
+    force = torque = vec3(0.0);
+    for (uint k = thread; k < params.n_rays; k += n_threads) {
         RayPlace place = params.places.at[frame_ray(k)];
         float share = knot == place.left ? 1.0 - place.s : knot == place.left + 1u ? place.s : 0.0;
         if (share == 0.0) continue;
@@ -31,8 +32,22 @@ void main() {
         force += share * d_origin;
         torque += share * (cross(ray.origin - here.position - here.translation, d_origin) + cross(ray.direction, load3(params.d_rays, 6u * k + 3u)));
     }
+}
+
+void main() {
+    uint group = gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x, local = gl_LocalInvocationID.x;
+    uint row = group / params.n_knots, knot = group % params.n_knots;
+    sum_rays(row * RELIDAR_KNOT_WORKGROUP + local, params.n_rows * RELIDAR_KNOT_WORKGROUP, knot, forces[local], torques[local]);
+    for (uint n = RELIDAR_KNOT_WORKGROUP / 2u; n > 0u; n /= 2u) {
+        barrier();
+        if (local < n) {
+            forces[local] += forces[local + n];
+            torques[local] += torques[local + n];
+        }
+    }
+    if (local != 0u || row >= params.n_rows) return;
     for (uint j = 0u; j < 3u; ++j) {
-        params.rows.at[6u * i + j] = force[j];
-        params.rows.at[6u * i + 3u + j] = torque[j];
+        params.rows.at[6u * group + j] = forces[0][j];
+        params.rows.at[6u * group + 3u + j] = torques[0][j];
     }
 }

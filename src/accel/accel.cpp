@@ -21,6 +21,7 @@ struct Accel::Impl {
     bool built = false;
     bool outgrown = false;          ///< seen by check_growth()
     int refits = 0;                 ///< since the last build
+    bool measured = false;          ///< a cost was recorded since the last build
     double cost_when_built = 0.0;   ///< 0 = not looked at since
     std::uint64_t n_updates = 0;
 
@@ -52,6 +53,7 @@ void Accel::update(Stream& stream, const DeviceScene& scene, bool rebuild) {
     a.built = true;
     a.outgrown = false;
     a.refits = 0;
+    a.measured = false;
     a.cost_when_built = 0.0;
 }
 
@@ -60,12 +62,15 @@ void Accel::move(Stream& stream, const DeviceScene& scene) {
     else impl_->software->move(stream, scene);
 }
 
-void Accel::check_growth() {
+void Accel::check_growth(Stream& stream) {
     Impl& a = *impl_;
     if (!a.software || !a.built) return;
-    const double cost = a.software->cost();
-    if (a.cost_when_built <= 0.0) a.cost_when_built = cost;
-    a.outgrown = cost > double(a.options.rebuild_growth) * a.cost_when_built;
+    if (const std::optional<double> cost = a.software->take_cost(stream); cost && a.measured) {
+        if (a.cost_when_built <= 0.0) a.cost_when_built = *cost;
+        a.outgrown = *cost > double(a.options.rebuild_growth) * a.cost_when_built;
+    }
+    a.software->record_cost(stream);
+    a.measured = true;
 }
 
 AccelAddresses Accel::addresses() const {

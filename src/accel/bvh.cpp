@@ -27,6 +27,7 @@ constexpr Constant kShares{0u, kWorkgroup};   // kernels that share memory
 /// Arrays of the scratch hold so many entries, of 4 bytes or more, so that each begins at a multiple of 16 bytes.
 std::uint32_t padded(std::uint32_t n) { return (n + 3) / 4 * 4; }
 
+std::uint32_t groups_of(std::uint32_t n_threads) { return (n_threads + kWorkgroup - 1) / kWorkgroup; }
 std::uint32_t tiles_of(std::uint32_t n) { return (n + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE; }
 
 /// Threads of a subgroup. @throws DeviceError where the device lacks what the kernels need of them
@@ -75,7 +76,6 @@ constexpr std::uint32_t kOffsetsAt = kKeysAt, kPlacesAt = kBoxesAt, kSlotsAt = k
 
 struct Bvh::Impl {
     std::uint32_t n, n_models, n_instances, bound;
-    Device* device;
     Kernel<shared::ProxyParams> proxies;
     Kernel<shared::BvhBoundsParams> bounds_kernel;
     Kernel<shared::BvhKeysParams> keys_kernel;
@@ -102,6 +102,8 @@ struct Bvh::Impl {
     Array<shared::BvhNode> top_node_array;
     Array<float> top_boxes;
     Array<glm::uvec2> top_keys;
+    Array<float> cost_sums;                 ///< of workgroups
+    Readback costs;
 
     Impl(Device& device, const DeviceScene& scene);
     shared::BvhBinary binary() const;
@@ -121,7 +123,6 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       n_models(static_cast<std::uint32_t>(scene.layout().models.size())),
       n_instances(static_cast<std::uint32_t>(scene.layout().instances.size())),
       bound(node_bound(n, n_models)),
-      device(&d),
       proxies(d, "accel/proxies", {{2u, 2u}, {9u, scene.primitive() == Primitive::gaussian ? 1u : 0u}}),
       bounds_kernel(d, "accel/bvh_bounds", {kShares}, Subgroups::full),
       keys_kernel(d, "accel/bvh_keys"),
@@ -154,7 +155,9 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       top_order(d, n_instances, "instances in leaf order"),
       top_node_array(d, top_nodes(n_instances), "top nodes"),
       top_boxes(d, 6 * (std::size_t(n_instances) + top_nodes(n_instances)), "instance boxes"),
-      top_keys(d, std::bit_ceil(std::max(n_instances, 1u)), "instance keys") {}
+      top_keys(d, std::bit_ceil(std::max(n_instances, 1u)), "instance keys"),
+      cost_sums(d, groups_of(bound), "cost sums"),
+      costs(d, groups_of(bound) * sizeof(float), "cost sums") {}
 
 std::uint64_t Bvh::Impl::at(std::uint32_t bytes_a_surfel) const { return scratch.address() + bytes_a_surfel * std::uint64_t(padded(n)); }
 
@@ -243,7 +246,7 @@ std::uint64_t Bvh::memory_bytes() const {
     std::uint64_t bytes = b.sort.memory_bytes();
     for (const Buffer* buffer : {&b.models.buffer(), &b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch, &b.queue.buffer(), &b.level_sizes.buffer(), &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(),
                                  &b.links.buffer(), &b.node_boxes.buffer(), &b.arrivals.buffer(), &b.count.buffer(), &b.roots.buffer(), &b.top_order.buffer(),
-                                 &b.top_node_array.buffer(), &b.top_boxes.buffer(), &b.top_keys.buffer()})
+                                 &b.top_node_array.buffer(), &b.top_boxes.buffer(), &b.top_keys.buffer(), &b.cost_sums.buffer()})
         bytes += buffer->size_bytes();
     return bytes;
 }
@@ -255,14 +258,17 @@ BvhOnHost Bvh::download() const {
     return host;
 }
 
-double Bvh::cost() {
+void Bvh::record_cost(Stream& stream) {
     Impl& b = *impl_;
-    Array<float> partial(*b.device, (b.bound + kWorkgroup - 1) / kWorkgroup, "cost sums");
-    Stream stream(*b.device);
-    run(stream, b.cost_kernel, b.bound, {b.wide(), b.boxes.address(), partial.address(), b.bound});
-    stream.finish();
-    const std::vector<float> sums = partial.download();
-    return std::accumulate(sums.begin(), sums.end(), 0.0);
+    run(stream, b.cost_kernel, b.bound, {b.wide(), b.boxes.address(), b.cost_sums.address(), b.bound});
+    b.costs.record(stream, b.cost_sums.buffer(), b.cost_sums.size() * sizeof(float));
+}
+
+std::optional<double> Bvh::take_cost(Stream& stream) {
+    Impl& b = *impl_;
+    if (!b.costs.pending()) return std::nullopt;
+    const float* sums = static_cast<const float*>(b.costs.wait(stream));
+    return std::accumulate(sums, sums + b.cost_sums.size(), 0.0);
 }
 
 }  // namespace relidar

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // The software acceleration structure (shared/bvh.h), built and refitted on the device. One forest holds the trees of all models, so the
 // number of launches does not depend on how many there are: sort along a space-filling curve, binary trees by agglomeration, collapse to
-// the cheapest eight children, boxes bottom up. The host waits for nothing and reads nothing but in cost() and download().
+// the cheapest eight children, boxes bottom up. The host waits for nothing and reads nothing but in take_cost() and download().
 // Memory: 24 B a surfel for boxes, 92 for scratch, 4 for the order, 30 for wide nodes (at most n / 4 and one a model).
 #pragma once
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include <relidar/accel.hpp>
@@ -44,8 +45,9 @@ public:
     shared::BvhPointers pointers() const;
     std::uint64_t memory_bytes() const;
     /// Surface-area cost of all trees as they are now, m^2: half areas of nodes, and of leaf slots times the tests of their surfels. Compare with the
-    /// value after the last build. Blocking; what was recorded must have been submitted.
-    double cost();
+    /// value after the last build. Recorded now, read when submitted: waits where it is not done; nothing where none was recorded since the last.
+    void record_cost(Stream& stream);
+    std::optional<double> take_cost(Stream& stream);
     /// Blocking; what was recorded must have been submitted.
     BvhOnHost download() const;
 

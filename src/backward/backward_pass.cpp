@@ -63,6 +63,8 @@ BackwardPass::BackwardPass(Device& device, const ImageModel& model, Proxy proxy,
 BackwardPass::~BackwardPass() = default;
 void BackwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 GatheredHits BackwardPass::take_gathered_hits() { return impl_->gather ? impl_->gather->take_use() : GatheredHits{}; }
+const Array<std::uint32_t>* BackwardPass::most_hits() const { return impl_->gather ? &impl_->gather->most_hits() : nullptr; }
+std::uint64_t BackwardPass::hit_capacity() const { return impl_->gather ? impl_->gather->capacity() : 0; }
 
 void BackwardPass::reserve_hits(Stream& stream, std::uint64_t n_hits) {
     if (!impl_->gather) return;

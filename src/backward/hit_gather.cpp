@@ -66,7 +66,7 @@ void HitGather::run(Stream& stream, const shared::BackwardParams& params) {
 GatheredHits HitGather::take_use() {
     const std::uint32_t most = most_hits_.download()[0];
     most_hits_.upload(std::vector<std::uint32_t>{0u});
-    return {most, sort_ ? sort_->capacity() : 0};
+    return {most, capacity()};
 }
 
 }  // namespace relidar

@@ -50,6 +50,8 @@ void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& acc
                   geometry ? geometry->rendered.address() : 0, kept ? kept->per_ray : 0});
 }
 
+const Array<std::uint32_t>& ForwardPass::pass_cap_count() const { return impl_->pass_cap; }
+
 std::uint32_t ForwardPass::take_pass_cap_count() {
     const std::uint32_t count = impl_->pass_cap.download()[0];
     if (count) impl_->pass_cap.upload(std::vector<std::uint32_t>{0u});

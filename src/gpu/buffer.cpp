@@ -57,6 +57,7 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, c
     VkBufferDeviceAddressInfo address_info{VK_STRUCTURE_TYPE_BUFFER_DEVICE_ADDRESS_INFO};
     address_info.buffer = handle;
     address = vkGetBufferDeviceAddress(owner.device, &address_info);
+    ++owner.n_buffers;
     if (use != gpu::MemoryUse::device) {
         mapped = memory.block->mapped + memory.offset;
         return;

@@ -86,6 +86,7 @@ struct Device::Impl {
     std::vector<PipelineStatistics> compiled;   ///< where compile_only
     std::atomic<std::uint64_t> allocated{0};   ///< by arrays
     std::atomic<std::uint64_t> peak{0};
+    std::atomic<std::uint64_t> n_buffers{0}, n_full_waits{0};   ///< made so far; waits of the host for all that was submitted
 
     Impl();
     ~Impl();

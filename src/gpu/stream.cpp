@@ -152,6 +152,7 @@ void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, con
 
 void Stream::Impl::wait(std::uint64_t ticket) {
     if (!ticket) return;
+    if (ticket == last_ticket) ++device->n_full_waits;
     VkSemaphoreWaitInfo info{VK_STRUCTURE_TYPE_SEMAPHORE_WAIT_INFO};
     info.semaphoreCount = 1;
     info.pSemaphores = &timeline;

@@ -83,6 +83,7 @@ void Transfers::copy_and_wait(VkBuffer from, VkBuffer to, const VkBufferCopy& re
     info.pCommandBuffers = &commands_;
     check(vkResetFences(device_.device, 1, &done_), "vkResetFences");
     device_.submit(info, done_);
+    ++device_.n_full_waits;
     check(vkWaitForFences(device_.device, 1, &done_, VK_TRUE, ~std::uint64_t(0)), "vkWaitForFences");
 }
 

@@ -40,9 +40,9 @@ MovedRays::MovedRays(Device& device, const Sequence& sequence, std::vector<Frame
     : sources_(make_sources(device, sequence, frames)),
       most_knots_(std::max_element(sources_.begin(), sources_.end(), [](const Source& a, const Source& b) { return a.n_knots < b.n_knots; })->n_knots),
       knots_(device, most_knots_, "sensor poses"),
-      rows_(device, std::size_t(kLanes) * 6 * most_knots_, "pose gradients of lanes"),
+      rows_(device, std::size_t(kRows) * 6 * most_knots_, "pose gradients"),
       move_(device, "train/move_rays"),
-      gradients_(device, "train/knot_gradients") {}
+      gradients_(device, "train/knot_gradients", {{0u, RELIDAR_KNOT_WORKGROUP}}) {}
 
 void MovedRays::move(Stream& stream, const TrackCorrection& sensor, std::size_t frame_index, FrameData& frame) {
     const Source& source = sources_[frame_index];
@@ -55,19 +55,20 @@ void MovedRays::move(Stream& stream, const TrackCorrection& sensor, std::size_t 
     run(stream, move_, frame.n_rays, {source.rays.address(), source.places.address(), knots_.address(), frame.rays.address(), frame.n_rays});
 }
 
-std::vector<PoseGradient> MovedRays::gradients(Stream& stream, std::size_t frame_index, const SampledBatch& batch, const Array<float>& d_rays) {
-    const Source& source = sources_[frame_index];
+void MovedRays::sum_gradients(Stream& stream, std::size_t frame_index, const SampledBatch& batch, const Array<float>& d_rays) {
     RELIDAR_ASSERT_LE(std::size_t(6) * batch.rays.n_rays, d_rays.size());
-    run(stream, gradients_, kLanes * most_knots_,
-        {batch.rays.rays->address(), source.places.address(), knots_.address(), d_rays.address(), rows_.address(), batch.rays.n_rays, batch.rays.first, batch.rays.stride,
-         batch.window.columns, batch.window.first, batch.window.stride, batch.window.n_columns, most_knots_, kLanes});
-    stream.finish();
-    const std::vector<float> rows = rows_.download();   // a few kB: summed here, always in the same order
+    run(stream, gradients_, std::size_t(RELIDAR_KNOT_WORKGROUP) * kRows * most_knots_,
+        {batch.rays.rays->address(), sources_[frame_index].places.address(), knots_.address(), d_rays.address(), rows_.address(), batch.rays.n_rays, batch.rays.first, batch.rays.stride,
+         batch.window.columns, batch.window.first, batch.window.stride, batch.window.n_columns, most_knots_, kRows});
+}
+
+std::vector<PoseGradient> MovedRays::gradients_in(std::span<const float> gradient_rows, std::size_t frame_index) const {
+    const Source& source = sources_[frame_index];
     std::vector<PoseGradient> result(source.n_knots);
     for (std::size_t k = 0; k < result.size(); ++k) {
         result[k].pose = source.first_knot + k;
-        for (std::size_t lane = 0; lane < kLanes; ++lane)
-            for (std::size_t j = 0; j < 6; ++j) result[k].gradient[j] += rows[6 * (lane * most_knots_ + k) + j];
+        for (std::size_t row = 0; row < kRows; ++row)
+            for (std::size_t j = 0; j < 6; ++j) result[k].gradient[j] += gradient_rows[6 * (row * most_knots_ + k) + j];
     }
     return result;
 }

@@ -10,7 +10,6 @@
 #include <relidar/sequence.hpp>
 
 #include "gpu/kernel.hpp"
-#include "gpu/kernel.hpp"
 #include "shared/train.h"
 #include "train/batch.hpp"
 #include "train/frame_data.hpp"
@@ -30,12 +29,16 @@ public:
     MovedRays(Device& device, const Sequence& sequence, std::vector<FrameData>& frames);
     /// Records frame.rays anew. @param frame_index of the constructor's frames
     void move(Stream& stream, const TrackCorrection& sensor, std::size_t frame_index, FrameData& frame);
-    /// Gradients of the poses between which the batch's rays were fired, from dL/d(ray) of a backward pass; the frame was moved
-    /// last. The direction from which spherical harmonics are seen is taken as fixed. Blocks.
-    std::vector<PoseGradient> gradients(Stream& stream, std::size_t frame_index, const SampledBatch& batch, const Array<float>& d_rays);
+    /// Records gradients of the poses between which the batch's rays were fired, from dL/d(ray) of a backward pass; the frame was moved
+    /// last. The direction from which spherical harmonics are seen is taken as fixed.
+    void sum_gradients(Stream& stream, std::size_t frame_index, const SampledBatch& batch, const Array<float>& d_rays);
+    /// [kRows, poses of a frame at most, 6] of the last sum_gradients().
+    const Array<float>& gradient_rows() const { return rows_; }
+    /// What they mean, of a frame.
+    std::vector<PoseGradient> gradients_in(std::span<const float> gradient_rows, std::size_t frame_index) const;
 
 private:
-    static constexpr std::uint32_t kLanes = 1024;
+    static constexpr std::uint32_t kRows = 16;   ///< workgroups a pose: together enough rays at a time for a GPU
 
     struct Source {
         Array<DeviceRay> rays;               ///< of the uncorrected poses

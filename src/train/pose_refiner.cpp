@@ -3,12 +3,14 @@
 #include "train/pose_refiner.hpp"
 
 #include <algorithm>
+#include <cstring>
 
 #include <relidar/backward.hpp>
 #include <relidar/optimizer.hpp>
 #include <relidar/train.hpp>
 
 #include "train/moved_rays.hpp"
+#include "train/readback_lag.hpp"
 
 namespace relidar {
 namespace {
@@ -25,6 +27,16 @@ Sequence without_scans(const Sequence& sequence) {
     return result;
 }
 
+/// Room for an array of the last kReadbackLag iterations.
+void make_room(std::vector<Readback>& readbacks, Device& device, std::size_t n_floats, const char* what) {
+    while (readbacks.size() < kReadbackLag) readbacks.emplace_back(device, n_floats * sizeof(float), what);
+}
+
+template <class T>
+void drop_first(std::vector<T>& values, std::size_t n) {
+    values.erase(values.begin(), values.begin() + std::ptrdiff_t(n));
+}
+
 bool wants(const TrainConfig& config, const char* word) { return config.refine_poses.find(word) != std::string::npos; }
 
 PoseStep step_at(const TrainConfig& c, double rate_m, double rate_rad, int step) {
@@ -35,16 +47,21 @@ PoseStep step_at(const TrainConfig& c, double rate_m, double rate_rad, int step)
 }  // namespace
 
 PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config, std::vector<FrameData>& frames)
-    : config_(config), layout_(layout_of(layout)), poses_(without_scans(sequence)) {
+    : config_(config), n_frames_(frames.size()), layout_(layout_of(layout)), poses_(without_scans(sequence)) {
     if (wants(config, "sensor")) {
         sensor_.emplace(sequence.world_from_sensor);
         rays_ = std::make_unique<MovedRays>(device, sequence, frames);
+        floats_of_rays_ = rays_->gradient_rows().size();
+        make_room(of_rays_, device, floats_of_rays_, "pose gradients of rays");
     }
     if (!wants(config, "actors")) return;
     for (std::size_t i = 0; i < layout_.instances.size(); ++i) {
         const auto box = std::find_if(sequence.boxes.begin(), sequence.boxes.end(), [&](const BoxTrack& b) { return b.id == layout_.instances[i].track; });
         if (box != sequence.boxes.end()) actors_.push_back({i, std::size_t(box - sequence.boxes.begin()), TrackCorrection(box->world_from_box)});
     }
+    if (actors_.empty()) return;
+    floats_of_instances_ = 6 * layout_.instances.size();
+    make_room(of_instances_, device, floats_of_instances_, "pose gradients of instances");
 }
 
 PoseRefiner::~PoseRefiner() = default;
@@ -60,24 +77,55 @@ void PoseRefiner::place(Stream& stream, std::size_t frame_index, FrameData& fram
     frame.sensor_position_m = glm::vec3(poses_.world_from_sensor.at(time_s).translation);
 }
 
-void PoseRefiner::step(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch, const Gradients& gradients, int step) {
+void PoseRefiner::record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch, const Gradients& gradients, int step) {
     if (step <= config_.pose_from) return;
+    const std::size_t slot = std::size_t(step) % kReadbackLag;
     if (rays_) {
-        for (const PoseGradient& g : rays_->gradients(stream, frame_index, batch, gradients.rays)) sensor_->add_gradient(g.pose, 1.0, g.gradient);
+        rays_->sum_gradients(stream, frame_index, batch, gradients.rays);
+        of_rays_[slot].record(stream, rays_->gradient_rows().buffer(), floats_of_rays_ * sizeof(float));
+    }
+    if (!actors_.empty()) of_instances_[slot].record(stream, gradients.poses.buffer(), floats_of_instances_ * sizeof(float));
+    coming_.step.push_back(std::uint64_t(step));
+    coming_.frame.push_back(frame_index);
+    for (const Actor& actor : actors_) coming_.actor_time_s.push_back(frame.placed[actor.instance].time_s);
+    coming_.gradient.resize(coming_.gradient.size() + floats_of_rays_ + floats_of_instances_);
+}
+
+std::span<float> PoseRefiner::fetch(Stream& stream, std::size_t i) {
+    const std::size_t n = floats_of_rays_ + floats_of_instances_, slot = coming_.step[i] % kReadbackLag;
+    const std::span<float> gradient(coming_.gradient.data() + i * n, n);
+    if (rays_ && of_rays_[slot].pending()) std::memcpy(gradient.data(), of_rays_[slot].wait(stream), floats_of_rays_ * sizeof(float));
+    if (!actors_.empty() && of_instances_[slot].pending()) std::memcpy(gradient.data() + floats_of_rays_, of_instances_[slot].wait(stream), floats_of_instances_ * sizeof(float));
+    return gradient;
+}
+
+void PoseRefiner::fetch(Stream& stream) {
+    for (std::size_t i = 0; i < coming_.step.size(); ++i) fetch(stream, i);
+}
+
+void PoseRefiner::take_oldest_step(Stream& stream) {
+    const std::span<const float> gradient = fetch(stream, 0);
+    const int step = static_cast<int>(coming_.step.front());
+    if (rays_) {
+        for (const PoseGradient& g : rays_->gradients_in(gradient.first(floats_of_rays_), coming_.frame.front())) sensor_->add_gradient(g.pose, 1.0, g.gradient);
         sensor_->step(step_at(config_, config_.pose_rate_m, config_.pose_rate_rad, step));
         sensor_->remove_common_motion();
     }
-    if (!actors_.empty()) {
-        stream.finish();
-        const std::vector<float> of_instances = gradients.poses.download();
-        for (Actor& actor : actors_) {
-            const InstancePose& placed = frame.placed[actor.instance];
-            Twist gradient;
-            std::copy_n(of_instances.begin() + std::ptrdiff_t(6 * actor.instance), 6, gradient.begin());
-            if (placed.present) actor.correction.add_gradient(placed.time_s, gradient);
-            actor.correction.step(step_at(config_, config_.box_rate_m, config_.box_rate_rad, step));
-        }
+    for (std::size_t k = 0; k < actors_.size(); ++k) {
+        Twist twist;
+        std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6, twist.begin());
+        actors_[k].correction.add_gradient(coming_.actor_time_s[k], twist);   // zeros where it was absent, which count as not seen
+        actors_[k].correction.step(step_at(config_, config_.box_rate_m, config_.box_rate_rad, step));
     }
+    drop_first(coming_.step, 1);
+    drop_first(coming_.frame, 1);
+    drop_first(coming_.actor_time_s, actors_.size());
+    drop_first(coming_.gradient, floats_of_rays_ + floats_of_instances_);
+}
+
+void PoseRefiner::take_steps(Stream& stream, int last) {
+    if (coming_.step.empty() || int(coming_.step.front()) > last) return;
+    while (!coming_.step.empty() && int(coming_.step.front()) <= last) take_oldest_step(stream);
     update_poses();
 }
 
@@ -87,7 +135,10 @@ void PoseRefiner::update_poses() {
 }
 
 bool PoseRefiner::take_over() {
-    const bool sound = (!sensor_ || sensor_->is_sound()) && std::all_of(actors_.begin(), actors_.end(), [](const Actor& a) { return a.correction.is_sound(); });
+    const std::size_t n = coming_.step.size();
+    const bool sound = (!sensor_ || sensor_->is_sound()) && std::all_of(actors_.begin(), actors_.end(), [](const Actor& a) { return a.correction.is_sound(); }) && n <= kReadbackLag &&
+                       coming_.frame.size() == n && coming_.actor_time_s.size() == n * actors_.size() && coming_.gradient.size() == n * (floats_of_rays_ + floats_of_instances_) &&
+                       std::all_of(coming_.frame.begin(), coming_.frame.end(), [this](std::uint64_t frame) { return frame < n_frames_; });
     if (sound) update_poses();
     return sound;
 }

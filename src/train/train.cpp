@@ -58,18 +58,25 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     const double trained_before_s = result.train_s;
     const auto trained_s = [&] { return trained_before_s + seconds_since(start); };
     bool stop = false;
+    const auto take_lines = [&] {
+        for (const LogLine& line : loop.take_lines()) {
+            result.log.push_back(progress_at(line.step, config, trained_s(), line.terms, line.n_surfels));
+            result.log.back().densified = line.densified;
+            stop = !progress(result.log.back()) || stop;
+        }
+    };
     while (result.iterations < config.train.iterations && !stop) {
         const int step = ++result.iterations;
-        loop.iterate(step);
-        if (logs_at(step, config.train)) {
-            const std::array<double, kLossTerms> terms = loop.take_terms();
-            result.log.push_back(progress_at(step, config, trained_s(), terms, loop.n_surfels()));
-            result.log.back().densified = loop.take_densified();
-            stop = !progress(result.log.back());
-        }
+        loop.iterate(step, logs_at(step, config.train));
+        take_lines();
         stop = stop || (session.stop && session.stop());
-        if (stop || checkpoints.due(step)) checkpoints.save(loop, result, trained_s());
+        if (!stop && !checkpoints.due(step)) continue;
+        loop.settle();
+        take_lines();   // they belong into the checkpoint
+        checkpoints.save(loop, result, trained_s());
     }
+    loop.finish();
+    take_lines();
     result.interrupted = result.iterations < config.train.iterations;
     if (config.densify.prune_unseen && !result.interrupted) loop.prune_unseen();
     result.scene = loop.download();

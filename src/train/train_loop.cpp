@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // One iteration: sample a frame, render its rays, compare, differentiate, step (docs/method.md sections 4-6). One submission an
-// iteration; losses are read back at log lines only.
+// iteration, and no wait: what the host must know of it comes a few iterations later (readback_lag.hpp).
 #include "train/train_loop.hpp"
 
 #include <algorithm>
@@ -13,6 +13,7 @@
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
 
+#include "train/readback_lag.hpp"
 #include "train/sensor_drop.hpp"
 
 namespace relidar {
@@ -35,6 +36,8 @@ bool FrameSampler::is_sound(std::size_t n) const {
 }
 
 namespace {
+
+constexpr int kGrowthEvery = 32;   // iterations between two looks at how the tree has grown
 
 LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
     const double decay = exponential_schedule(1.0, c.rate_decay, step, c.iterations);
@@ -78,10 +81,9 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
       kept_(device, largest_batch(), static_cast<std::uint32_t>(config.trace.keep_hits)),
       upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
-      terms_(device, std::vector<float>(kTermSlots * kLossTerms, 0.0f), "loss terms"),
+      reports_(device),
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
-      sampler_(frames_.size(), config.train.seed),
-      term_sums_(kLossTerms, 0.0) {
+      sampler_(frames_.size(), config.train.seed) {
     if (config.loss.uses_geometry()) {
         geometry_.emplace(device, largest_batch());
         geometry_loss_.emplace(device, config.loss, largest_batch());
@@ -127,8 +129,9 @@ void TrainLoop::render_and_compare(const RayBatch& rays, const TargetBatch& targ
     if (geometry) geometry_loss_->run(stream_, rays, targets, rendered_, *geometry, upstream_, terms);
 }
 
-void TrainLoop::iterate(int step) {
-    if (pending_.size() == kTermSlots) collect_terms();
+void TrainLoop::iterate(int step, bool ends_line) {
+    look_at_reports(step - kReadbackLag);
+    if (refiner_) refiner_->take_steps(stream_, step - kReadbackLag);
     const std::size_t frame_index = sampler_.next();
     const FrameData& frame = frames_[frame_index];
     const ImageModel model = with_degree(config_.image, (step - 1) / std::max(1, config_.train.sh_degree_interval));
@@ -138,19 +141,22 @@ void TrainLoop::iterate(int step) {
     place(frame_index, model);
     const SampledBatch batch = batches_.sample(stream_, frame, sampler_.random());
     const auto& [rays, targets, window] = batch;
-    const TermRow terms(terms_, static_cast<std::uint32_t>(pending_.size()));
+    const TermRow terms = reports_.row();
     render_and_compare(rays, targets, terms);
     chamfer_.run(stream_, rays, targets, rendered_, upstream_, terms);                                                     // Eq. 11
     backward_.run(stream_, scene_, *accel_, rendered(rays), frame.sensor_position_m, *gradients_);                         // Eq. 9
-    if (refiner_) refiner_->step(stream_, frame_index, frame, batch, *gradients_, step);
+    if (refiner_) refiner_->record(stream_, frame_index, frame, batch, *gradients_, step);
     surfel_loss_.run(stream_, scene_, {&gradients_->surfels, config_.train.only_touched ? &gradients_->touched : nullptr}, terms);
     if (densifier_) densifier_->observe(stream_, scene_, {&gradients_->surfels, &gradients_->touched, static_cast<std::uint32_t>(frame_index), rays.n_rays == frame.n_rays});
     const LearningRates rates = rates_at(config_.train, extent_m_, step);
     adam_.step(stream_, scene_.parameters(), gradients_->surfels, gradients_->touched, rates, step, model.sh_degree);
-    pending_.push_back({step, frame.index});
+    reports_.add(step, frame.index);
     if (densifier_ && densifier_->due(step)) change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene_, adam_, step, others_bytes); });
     if (densifier_) densifier_->after_step(stream_, scene_, adam_, step, rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
+    if (ends_line || reports_.is_full()) close_report(step, ends_line);
+    if (step % kGrowthEvery == 0) accel_->check_growth(stream_);
     submitted_ = stream_.submit();
+    last_step_ = step;
 }
 
 /// What is sized for the surfels of the scene goes before they change, and comes back for the new number of them.
@@ -168,14 +174,13 @@ void TrainLoop::change_surfels(const Change& change) {
 }
 
 void TrainLoop::prune_unseen() {
-    collect_terms();
     densifier_->forget(stream_);
     const ImageModel model = with_degree(config_.image, std::max(config_.train.iterations - 1, 0) / std::max(1, config_.train.sh_degree_interval));
     for (std::size_t i = 0; i < frames_.size(); ++i) {
         const FrameData& frame = frames_[i];
         const RayBatch rays = frame.batch(0, 1);
         place(i, model);
-        render_and_compare(rays, {&frame.targets, 0, 1, frame.n_rays, frame.n_returned, frame.n_known, frame.image}, terms_);
+        render_and_compare(rays, {&frame.targets, 0, 1, frame.n_rays, frame.n_returned, frame.n_known, frame.image}, reports_.row());
         backward_.run(stream_, scene_, *accel_, rendered(rays), frame.sensor_position_m, *gradients_);
         densifier_->observe(stream_, scene_, {&gradients_->surfels, &gradients_->touched, static_cast<std::uint32_t>(i), true});
         stream_.submit();
@@ -183,56 +188,54 @@ void TrainLoop::prune_unseen() {
     change_surfels([&](double) { return densifier_->prune_unseen(stream_, scene_, adam_); });
 }
 
-void TrainLoop::collect_terms() {
-    if (pending_.empty()) return;
-    stream_.finish();
-    const std::vector<float> terms = terms_.download();
-    for (std::size_t slot = 0; slot < pending_.size(); ++slot) {
-        for (std::size_t k = 0; k < kLossTerms; ++k) {
-            const float term = terms[slot * kLossTerms + k];
-            if (!std::isfinite(term))
-                throw DataError(fmt::format("training, iteration {}, frame {}: the {} loss is {}, expected a finite number", pending_[slot].step, pending_[slot].frame, kLossTermNames[k], term));
-            term_sums_[k] += term;
-        }
-    }
-    if (const std::uint32_t capped = forward_.take_pass_cap_count())
-        throw DeviceError(fmt::format("training, iterations {} to {}: {} rays reached the cap of passes or filled the traversal stack, expected every ray to end", pending_.front().step, pending_.back().step, capped));
-    check_room();
-    accel_->check_growth();
-    n_summed_ += pending_.size();
-    pending_.clear();
-    terms_.upload(std::vector<float>(kTermSlots * kLossTerms, 0.0f));
+void TrainLoop::close_report(int step, bool ends_line) {
+    const DeviceCounts counts{&forward_.pass_cap_count(), config_.train.deterministic ? backward_.most_hits() : nullptr, backward_.hit_capacity()};
+    reports_.close(stream_, counts, ends_line ? std::optional(LogLine{step, {}, n_surfels(), std::exchange(densified_, {})}) : std::nullopt);
 }
 
-std::array<double, kLossTerms> TrainLoop::take_terms() {
-    collect_terms();
-    std::array<double, kLossTerms> means{};
-    for (std::size_t k = 0; k < kLossTerms; ++k) means[k] = std::exchange(term_sums_[k], 0.0) / static_cast<double>(std::max<std::uint64_t>(n_summed_, 1));
-    n_summed_ = 0;
-    return means;
+void TrainLoop::look_at_reports(int last) {
+    while (const std::optional<IterationReports::Report> report = reports_.take(stream_, last)) {
+        if (report->pass_cap > 0)
+            throw DeviceError(fmt::format("training, iterations {} to {}: {} rays reached the cap of passes or filled the traversal stack, expected every ray to end", report->first_step, report->last_step, report->pass_cap));
+        check_room(*report);
+    }
+}
+
+void TrainLoop::check_room(const IterationReports::Report& report) {
+    if (report.most_hits > report.hit_capacity)
+        throw DeviceError(fmt::format("training, iterations {} to {}, in a fixed order: found {} hits in one of them, expected at most {}; train.gather_hits={} makes room",
+                                      report.first_step, report.last_step, report.most_hits, report.hit_capacity, report.most_hits / std::max(1u, config_.train.rays_per_iteration > 0 ? static_cast<std::uint32_t>(config_.train.rays_per_iteration) : largest_batch()) + 1));
+    if (report.most_hits <= backward_.hit_capacity() / 2) return;
+    close_report(last_step_, false);   // of iterations that had the room there is now
+    backward_.reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));   // before it is needed
+}
+
+void TrainLoop::settle() {
+    close_report(last_step_, false);
+    submitted_ = stream_.submit();
+    look_at_reports(last_step_);
+    if (refiner_) refiner_->fetch(stream_);
+    stream_.wait(submitted_);
+}
+
+void TrainLoop::finish() {
+    settle();
+    if (refiner_) refiner_->take_steps(stream_, last_step_);
 }
 
 void TrainLoop::save(Checkpoint& checkpoint) {
-    collect_terms();
+    settle();
     checkpoint.texts["layout"] = layout_to_json(scene_.layout());
     visit_state(StateWriter(checkpoint));
 }
 
 void TrainLoop::restore(const Checkpoint& checkpoint) {
-    collect_terms();   // of the steps this state replaces
+    settle();   // of the steps this state replaces
     visit_state(StateReader(checkpoint));
-    if (!sampler_.is_sound(frames_.size()) || term_sums_.size() != kLossTerms)
+    last_step_ = checkpoint.iteration;
+    if (!sampler_.is_sound(frames_.size()) || !reports_.is_sound())
         throw DataError(fmt::format("resuming from iteration {}: the order of frames or the sums of losses are not those of {} frames and {} terms", checkpoint.iteration, frames_.size(), kLossTerms));
     if (refiner_ && !refiner_->take_over()) throw DataError(fmt::format("resuming from iteration {}: the corrections of poses are not those of this log", checkpoint.iteration));
-}
-
-void TrainLoop::check_room() {
-    if (!config_.train.deterministic) return;
-    const GatheredHits hits = backward_.take_gathered_hits();
-    if (hits.most > hits.capacity)
-        throw DeviceError(fmt::format("training, iterations {} to {}, in a fixed order: found {} hits in one of them, expected at most {}; train.gather_hits={} makes room",
-                                      pending_.front().step, pending_.back().step, hits.most, hits.capacity, hits.most / std::max(1u, config_.train.rays_per_iteration > 0 ? static_cast<std::uint32_t>(config_.train.rays_per_iteration) : largest_batch()) + 1));
-    if (hits.most > hits.capacity / 2) backward_.reserve_hits(stream_, 2 * hits.most);   // before it is needed
 }
 
 DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {

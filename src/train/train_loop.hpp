@@ -15,6 +15,7 @@
 #include "core/random.hpp"
 #include "train/batch.hpp"
 #include "train/frame_data.hpp"
+#include "train/iteration_reports.hpp"
 #include "train/pose_refiner.hpp"
 
 namespace relidar {
@@ -48,17 +49,21 @@ public:
     TrainLoop(const TrainLoop&) = delete;
     TrainLoop& operator=(const TrainLoop&) = delete;
 
-    /// Records and submits one iteration. @param step counts from 1
-    void iterate(int step);
-    /// Mean loss terms over the iterations since the last call. Blocks.
-    /// @throws DataError naming iteration, frame and term where one is not finite (iterate() looks too, every kTermSlots steps)
-    std::array<double, kLossTerms> take_terms();
-    /// Puts everything that training has changed into a checkpoint. Blocks. @throws as take_terms
+    /// Records and submits one iteration. Waits for room in the stream alone, except where densification is due or a
+    /// batch has more rays or hits than any before.
+    /// @param step counts from 1 @param ends_line  a line of the log ends with it
+    /// @throws DataError naming iteration, frame and term where a loss was not finite: at most 64 + kReadbackLag iterations ago
+    void iterate(int step, bool ends_line = false);
+    /// Lines of the log that have come back from the device, kReadbackLag iterations late or after settle().
+    std::vector<LogLine> take_lines() { return reports_.take_lines(); }
+    /// Waits for what iterations have reported so far, and looks at it. @throws as iterate
+    void settle();
+    /// After the last iteration: settles, and takes the steps of poses still on their way.
+    void finish();
+    /// Puts everything that training has changed into a checkpoint. Settles. @throws as iterate
     void save(Checkpoint& checkpoint);
     /// Takes it back. The loop must have been made for the checkpoint's scene and log. @throws DataError for what does not fit
     void restore(const Checkpoint& checkpoint);
-    /// What densification has done since the last call.
-    DensifyReport take_densified() { return std::exchange(densified_, {}); }
     /// Removes surfels that get no gradient from any ray of any training frame (densify.prune_unseen). Blocks.
     void prune_unseen();
     /// Sensor-level ray-drop, from rays for which the scene as it is now expects a return. Blocks.
@@ -71,14 +76,6 @@ public:
     std::uint32_t n_surfels() const { return scene_.size(); }
 
 private:
-    static constexpr std::size_t kTermSlots = 64;   // iterations between two looks at their losses
-
-    /// An iteration whose losses are still on the device, in the slot of its place in pending_.
-    struct Pending {
-        int step;
-        int frame;   ///< the dataset's own number
-    };
-
     const Config& config_;
     std::vector<FrameData> frames_;
     Stream stream_;
@@ -99,13 +96,12 @@ private:
     KeptHits kept_;
     std::optional<RayGeometry> geometry_;          ///< where a loss wants it, as the next
     std::optional<GeometryLoss> geometry_loss_;
-    Array<float> upstream_, terms_;
+    Array<float> upstream_;
+    IterationReports reports_;
     double extent_m_;
     FrameSampler sampler_;
     std::uint64_t submitted_ = 0;     ///< ticket of the last iteration
-    std::vector<Pending> pending_;
-    std::vector<double> term_sums_;   ///< [kLossTerms] since the last take_terms()
-    std::uint64_t n_summed_ = 0;      ///< iterations in them
+    int last_step_ = 0;
 
     /// All state of the loop: what is not listed here is lost where training stops. A new kind of state is a line.
     template <class Visitor>
@@ -114,8 +110,7 @@ private:
         visit("moment1", adam_.moment1());
         visit("moment2", adam_.moment2());
         visit("extent_m", extent_m_);
-        visit("term_sums", term_sums_);
-        visit("n_summed", n_summed_);
+        reports_.visit_state(visit);
         sampler_.visit_state(visit);
         if (refiner_) refiner_->visit_state(visit);
         if (!densifier_) return;
@@ -135,10 +130,11 @@ private:
     RenderedBatch rendered(const RayBatch& rays) const { return {rays, &rendered_, &upstream_, &kept_, geometry_ ? &*geometry_ : nullptr}; }
     /// Records where everything is in a frame, and the surfels as they look from there.
     void place(std::size_t frame_index, const ImageModel& model);
-    /// Waits for the device and adds up the losses of the iterations pending.
-    void collect_terms();
-    /// Hits of the pending iterations against the room for their records; makes more. @throws DeviceError where a deterministic step did not fit
-    void check_room();
+    /// Looks at the reports of the iterations up to `last`.
+    void look_at_reports(int last);
+    void close_report(int step, bool ends_line);
+    /// Hits of a report's iterations against the room for their records; makes more. @throws DeviceError where a deterministic step did not fit
+    void check_room(const IterationReports::Report& report);
     template <class Change>
     void change_surfels(const Change& change);
 };

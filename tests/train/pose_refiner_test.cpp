@@ -99,7 +99,9 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
         std::vector<float> upstream(6 * std::size_t(batch.rays.n_rays));
         for (float& x : upstream) x = normal(random);
         const Array<float> d_rays(device(), std::span<const float>(upstream), "ray gradients");
-        const std::vector<PoseGradient> actual = rays.gradients(stream, f, batch, d_rays);
+        rays.sum_gradients(stream, f, batch, d_rays);
+        stream.finish();
+        const std::vector<PoseGradient> actual = rays.gradients_in(rays.gradient_rows().download(), f);
         const std::vector<DeviceRay> batch_rays = batch.rays.rays->download();
         const std::vector<DeviceRay> all = frames[f].rays.download();
         const Frame& frame = street.frames[std::size_t(frames[f].position)];

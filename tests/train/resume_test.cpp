@@ -178,7 +178,8 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     const Sequence given = street;
     Config config = small_config();
     config.train.deterministic = true;
-    config.train.refine_poses = "sensor";
+    config.train.refine_poses = "sensor,actors";
+    config.init.actor_min_points = 10;
     config.train.iterations = 12;
     const auto prepare = [&] {
         street = given;
@@ -196,6 +197,12 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     const TrainResult resumed = run(config, &*checkpoint);
     expect_equal_bits(resumed.scene, whole.scene);
     for (std::size_t k = 0; k < street.frames.size(); ++k) EXPECT_EQ(resumed.poses->world_from_sensor.pose[k].translation, whole.poses->world_from_sensor.pose[k].translation);
+    for (std::size_t b = 0; b < street.boxes.size(); ++b)
+        for (std::size_t k = 0; k < street.boxes[b].world_from_box.pose.size(); ++k) {
+            const glm::dvec3 end = whole.poses->boxes[b].world_from_box.pose[k].translation;
+            EXPECT_EQ(resumed.poses->boxes[b].world_from_box.pose[k].translation, end);
+            EXPECT_NE(end, street.boxes[b].world_from_box.pose[k].translation) << "it was refined";
+        }
 
     street = given;
     EXPECT_THROW(run(config, &*checkpoint), DataError) << "a log that was not prepared is another log";
@@ -318,7 +325,7 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
         loop.iterate(step);
         if (step == expected - 1) loop.save(checkpoint);
     }
-    const std::string message = data_error([&] { loop.take_terms(); });
+    const std::string message = data_error([&] { loop.settle(); });
     const std::string wanted = "training, iteration " + std::to_string(expected) + ", frame " + std::to_string(frame.index) + ": the intensity loss is ";
     ASSERT_GT(expected, 1);
     EXPECT_EQ(message.rfind(wanted, 0), 0u) << message << "\nexpected " << wanted;

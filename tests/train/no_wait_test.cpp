@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: Apache-2.0
+// An iteration is recorded and submitted, nothing else: the host neither waits until the device has nothing left to do nor allocates
+// device memory, and what it must know of an iteration it still learns, a bounded number of iterations later.
+#include <algorithm>
+#include <limits>
+
+#include <relidar/dataset.hpp>
+#include <relidar/train.hpp>
+
+#include "../export/temporary_folder.hpp"
+#include "../support/device.hpp"
+#include "gpu/context.hpp"
+#include "train/readback_lag.hpp"
+#include "train/train_loop.hpp"
+
+namespace relidar {
+namespace {
+
+class NoWait : public test::DeviceTest {
+protected:
+    Sequence street = make_synthetic_street({.n_frames = 6, .rows = 16, .columns = 128});
+    Split split = split_frames(street, 0);
+    Config config = make_preset("quick");
+
+    void SetUp() override {
+        test::DeviceTest::SetUp();
+        config.init.voxel_m = 0.6;
+        config.init.actor_min_points = 5;
+        config.train.iterations = 150;
+        config.train.rays_per_iteration = 500;
+        config.train.refine_poses = "sensor,actors";
+    }
+};
+
+TEST_F(NoWait, NorAllocationInAnIteration) {
+    for (const bool deterministic : {false, true}) {
+        config.train.deterministic = deterministic;
+        const Scene initial = initialise_scene(street, split.train, config.init);
+        ASSERT_GT(initial.instances.size(), 1u) << "actors are to be refined too";
+        TrainLoop loop(device(), street, split, initial, config);
+        const Device::Impl& d = device().impl();
+        const auto iterate = [&](int from, int to) {
+            for (int step = from; step <= to; ++step) loop.iterate(step, step % 7 == 0 && step < 75);
+        };
+        iterate(1, 12);   // every frame was seen: arrays have their sizes
+        const std::uint64_t buffers = d.n_buffers, waits = d.n_full_waits;
+        iterate(13, 150);   // over lines of the log, a report that is full, and looks at the tree
+        EXPECT_EQ(d.n_full_waits, waits);
+        EXPECT_EQ(d.n_buffers, buffers);
+        EXPECT_EQ(loop.take_lines().size(), 10u);
+        loop.finish();
+        EXPECT_GT(d.n_full_waits, waits) << "waits are counted";
+    }
+}
+
+TEST_F(NoWait, ButALossThatIsNoNumberEndsTrainingSoon) {
+    FrameSampler sampler(split.train.size(), config.train.seed);
+    int poisoned_step = 1;
+    while (sampler.next() != 3) ++poisoned_step, sampler.random().next();
+    Frame& frame = street.frames[std::size_t(split.train[3])];
+    std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(), std::numeric_limits<float>::quiet_NaN());
+    TrainLoop loop(device(), street, split, initialise_scene(street, split.train, config.init), config);
+    int step = 0;
+    const std::string message = error_message<DataError>([&] {
+        while (step < 150) loop.iterate(++step);
+    });
+    EXPECT_EQ(message.rfind("training, iteration " + std::to_string(poisoned_step) + ", frame " + std::to_string(frame.index) + ": the intensity loss is ", 0), 0u) << message;
+    EXPECT_LE(step, poisoned_step + 64 + kReadbackLag);
+}
+
+}  // namespace
+}  // namespace relidar
