@@ -19,7 +19,7 @@ float magnitude(Floats array, uint first, uint n) {
     return sum;
 }
 
-bool is_gaussian() { return uint64_t(params.surfels.log_scale_w) != 0ul; }
+bool is_gaussian() { return !is_null(params.surfels.log_scale_w); }
 
 /// @param scale  the third is a 3D Gaussian's; 1 for surfels
 bool is_surfel(uint i, vec4 q, vec3 scale) {

@@ -21,6 +21,6 @@ void main() {
     mat3 r = rotation_matrix(q);
     vec2 z = params.amount * gate * random_normal2(params.key, i, 0u);
     vec3 offset = z.x * exp(s.log_scale.at[2 * i]) * r[0] + z.y * exp(s.log_scale.at[2 * i + 1]) * r[1];
-    if (uint64_t(s.log_scale_w) != 0ul) offset += params.amount * gate * random_normal2(params.key, i, 1u).x * exp(s.log_scale_w.at[i]) * r[2];
+    if (!is_null(s.log_scale_w)) offset += params.amount * gate * random_normal2(params.key, i, 1u).x * exp(s.log_scale_w.at[i]) * r[2];
     for (uint k = 0u; k < 3u; ++k) s.mean.at[3 * i + k] += offset[k];
 }

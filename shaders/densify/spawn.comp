@@ -15,7 +15,7 @@
 #include "../gaussian/quaternion.glsl"
 RELIDAR_PARAMS(SpawnParams);
 
-bool is_gaussian() { return uint64_t(params.surfels.log_scale_w) != 0ul; }
+bool is_gaussian() { return !is_null(params.surfels.log_scale_w); }
 
 void add_to_scales(uint row, float amount) {
     for (uint k = 0u; k < 2u; ++k) params.surfels.log_scale.at[2 * row + k] += amount;

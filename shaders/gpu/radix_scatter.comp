@@ -74,6 +74,6 @@ void main() {
         uint digit = digit_of(i);
         uint to = digit_start[digit] + half_word(counters[counter + digit / 2u], digit) + rank[r];
         for (uint word = 0u; word < KEY_WORDS; ++word) params.sorted_keys.at[to * KEY_WORDS + word] = params.keys.at[i * KEY_WORDS + word];
-        params.sorted_order.at[to] = uint64_t(params.order) != 0ul ? params.order.at[i] : i;
+        params.sorted_order.at[to] = !is_null(params.order) ? params.order.at[i] : i;
     }
 }

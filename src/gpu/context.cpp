@@ -209,7 +209,6 @@ void Device::Impl::open() {
     v12.timelineSemaphore = VK_TRUE;
     v12.hostQueryReset = VK_TRUE;
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
-    features.features.shaderInt64 = VK_TRUE;
 
     void** tail = &v13.pNext;
     if (traversal == Traversal::ray_query) {

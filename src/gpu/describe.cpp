@@ -100,7 +100,6 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     base.need(v12.timelineSemaphore, "timelineSemaphore");
     base.need(v12.hostQueryReset, "hostQueryReset");
     base.need(v13.maintenance4, "maintenance4");
-    base.need(features.features.shaderInt64, "shaderInt64");
     base.need((subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
               "subgroup arithmetic and ballots in compute");
     base.need(subgroup.subgroupSize >= 4 && subgroup.subgroupSize <= 64, "subgroups of 4 to 64 lanes");

@@ -59,6 +59,12 @@ TEST(SpirvLayout, ReadsScalarOffsets) {
     EXPECT_THAT(layouts.at("Sample"), UnorderedElementsAre(Pair("direction", 0u), Pair("range_m", 12u), Pair("channel", 16u)));
 }
 
+TEST(SpirvLayout, ReadsCapabilities) {
+    const std::vector<std::uint32_t> words = compile(kShader);
+    if (words.empty()) GTEST_SKIP() << "no glslangValidator";
+    EXPECT_TRUE(read_spirv_capabilities(words).contains(kCapabilityInt64)) << "the shader has a uint64_t";
+}
+
 TEST(SpirvLayout, RefusesWhatIsNoModule) {
     EXPECT_THROW(read_spirv_layouts(std::vector<std::uint32_t>{}), std::runtime_error);
     EXPECT_THROW(read_spirv_layouts(std::vector<std::uint32_t>{1, 2, 3, 4, 5, 6}), std::runtime_error);
