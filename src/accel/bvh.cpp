@@ -123,7 +123,7 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       bounds_kernel(d, "accel/bvh_bounds", {kShares}),
       keys_kernel(d, "accel/bvh_keys"),
       sort(d, n, 2),
-      cluster(d, "accel/bvh_cluster", {{0u, subgroup_size(d)}, {2u, subgroup_size(d) / 8}}),
+      cluster(d, "accel/bvh_cluster", {{0u, subgroup_size(d)}, {2u, subgroup_size(d) / 4}}),
       wide_mark(d, "accel/bvh_wide_mark"),
       wide_mark_rest(d, "accel/bvh_wide_mark", {kShares, {2u, 1u}}),
       wide_count(d, "accel/bvh_wide_count", {kShares}),
