@@ -9,9 +9,9 @@ layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer Ato
 
 void atomic_add(Floats array, uint index, float amount) {
 #ifdef RELIDAR_FLOAT_ATOMICS
-    atomicAdd(AtomicFloats(array).at[index], amount);
+    atomicAdd(AtomicFloats(uvec2(array)).at[index], amount);
 #else
-    AtomicBits bits = AtomicBits(array);
+    AtomicBits bits = AtomicBits(uvec2(array));
     uint seen = bits.at[index];
     for (;;) {
         uint found = atomicCompSwap(bits.at[index], seen, floatBitsToUint(uintBitsToFloat(seen) + amount));

@@ -16,7 +16,7 @@ void add_fixed(Uints sums, uint entry, float x) {
     float steps = trunc(abs(x) * kFixedSteps), high = floor(steps / kFixedWord);   // each exact: a float has 24 digits
     uvec2 amount = uvec2(uint(steps - high * kFixedWord), uint(high));
     if (x < 0.0) amount = negated(amount);
-    FixedWords words = FixedWords(sums);
+    FixedWords words = FixedWords(uvec2(sums));
     uint before = atomicAdd(words.at[2u * entry], amount.x);
     atomicAdd(words.at[2u * entry + 1u], amount.y + uint(before + amount.x < before));
 }

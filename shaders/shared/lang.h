@@ -26,12 +26,14 @@ struct Address {
 #else
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_buffer_reference2 : require
-#extension GL_EXT_buffer_reference_uvec2 : require   // not every device has 64-bit integers: addresses are never numbers here
+#extension GL_EXT_buffer_reference_uvec2 : require
 #extension GL_EXT_control_flow_attributes : enable
 #define RELIDAR_SHARED_BEGIN
 #define RELIDAR_SHARED_END
 #define RELIDAR_POINTER(name, type) \
     layout(buffer_reference, scalar, buffer_reference_align = 4) buffer name { type at[]; }
+// Addresses are never numbers here: not every device has 64-bit integers. A pointer becomes one of another type through uvec2, as not
+// every compiler (SwiftShader's) casts pointers.
 /// Whether a pointer is address 0: how the host says that there is no such array.
 #define is_null(pointer) (uvec2(pointer) == uvec2(0u))
 #endif
