@@ -2,6 +2,7 @@
 // Run folders: what was saved comes back bit by bit; anything cut, missing or changed is refused by file and field.
 #include <relidar/run.hpp>
 
+#include <algorithm>
 #include <limits>
 
 #include <nlohmann/json.hpp>
