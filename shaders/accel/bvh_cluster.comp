@@ -49,12 +49,12 @@ Cluster load_cluster(uint root) {
         uint position = root & ~RELIDAR_BVH_LEAF;
         return Cluster(load_box(params.boxes, params.surfels.at[position]), root, position);
     }
-    return Cluster(load_shared_box(params.tree.boxes, root), root, SharedUints(uint64_t(params.tree.spares)).at[root]);
+    return Cluster(load_shared_box(params.tree.boxes, root), root, SharedUints(uvec2(params.tree.spares)).at[root]);
 }
 
 /// Appends the clusters of a range to `n`. @return how many there are then
 uint load_clusters(int from, int to, uint n) {
-    SharedUints roots = SharedUints(uint64_t(params.clusters));
+    SharedUints roots = SharedUints(uvec2(params.clusters));
     uint n_range = min(uint(to - from) + 1u, KEPT);
     for (uint start = 0u; start < n_range; start += gl_SubgroupSize) {
         uint k = start + gl_SubgroupInvocationID;
@@ -85,7 +85,7 @@ Cluster merged(Cluster a, Cluster b) {
     uint node = b.spare;
     Box box = joined(a.box, b.box);
     store_shared_box(params.tree.boxes, node, box);
-    SharedUints(uint64_t(params.tree.spares)).at[node] = a.spare;
+    SharedUints(uvec2(params.tree.spares)).at[node] = a.spare;
     params.tree.children.at[node] = uvec2(a.root, b.root);
     write_costs(params.tree, node, Subtree(a.root, half_area(a.box)), Subtree(b.root, half_area(b.box)), half_area(box));
     return Cluster(box, node, a.spare);
@@ -124,7 +124,7 @@ void join_ranges() {
         if (gl_SubgroupInvocationID == 0u) params.roots.at[task.w] = clusters[0].root;
         return;
     }
-    SharedUints roots = SharedUints(uint64_t(params.clusters));
+    SharedUints roots = SharedUints(uvec2(params.clusters));
     for (uint k = gl_SubgroupInvocationID; k < n; k += gl_SubgroupSize) roots.at[task.x + k] = clusters[k].root;
     if (n < KEPT && gl_SubgroupInvocationID == 0u) roots.at[task.x + n] = RELIDAR_BVH_NO_NODE;
 }
@@ -133,7 +133,7 @@ void join_ranges() {
 bool meet_neighbour(inout int from, inout int to, out int split, int first, int last) {
     bool leftward = common_prefix(from - 1, first, last) > common_prefix(to, first, last);
     split = leftward ? from - 1 : to;
-    uint other = atomicExchange(SharedUints(uint64_t(params.other_ends)).at[split], uint(leftward ? to : from));
+    uint other = atomicExchange(SharedUints(uvec2(params.other_ends)).at[split], uint(leftward ? to : from));
     if (other == RELIDAR_BVH_NO_NODE) return false;
     if (leftward) from = int(other);
     else to = int(other);
@@ -146,7 +146,7 @@ void main() {
     int model = climbing ? int(find_model(params.models, params.n_models, position)) : 0;
     int first = int(params.models.at[model].x), last = first + int(params.models.at[model].y) - 1;
     int from = int(position), to = from, split = from;
-    if (climbing) SharedUints(uint64_t(params.clusters)).at[position] = position | RELIDAR_BVH_LEAF;
+    if (climbing) SharedUints(uvec2(params.clusters)).at[position] = position | RELIDAR_BVH_LEAF;
     if (climbing && first == last) {
         params.roots.at[model] = position | RELIDAR_BVH_LEAF;
         climbing = false;

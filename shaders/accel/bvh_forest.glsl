@@ -24,11 +24,11 @@ layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer Sha
 layout(buffer_reference, scalar, buffer_reference_align = 8) coherent buffer SharedUvec2s { uvec2 at[]; };
 
 Box load_shared_box(Floats boxes, uint i) {
-    SharedFloats b = SharedFloats(uint64_t(boxes));
+    SharedFloats b = SharedFloats(uvec2(boxes));
     return Box(vec3(b.at[6 * i], b.at[6 * i + 1], b.at[6 * i + 2]), vec3(b.at[6 * i + 3], b.at[6 * i + 4], b.at[6 * i + 5]));
 }
 void store_shared_box(Floats boxes, uint i, Box value) {
-    SharedFloats b = SharedFloats(uint64_t(boxes));
+    SharedFloats b = SharedFloats(uvec2(boxes));
     for (uint c = 0u; c < 3u; ++c) {
         b.at[6 * i + c] = value.low[c];
         b.at[6 * i + 3 + c] = value.high[c];
@@ -39,7 +39,7 @@ void store_shared_box(Floats boxes, uint i, Box value) {
 /// @return whether it is the last of `expected`: then everything the others wrote is visible
 bool arrives_last(Uints arrivals, uint node, uint expected) {
     memoryBarrierBuffer();
-    uint before = atomicAdd(SharedUints(uint64_t(arrivals)).at[node], 1u);
+    uint before = atomicAdd(SharedUints(uvec2(arrivals)).at[node], 1u);
     memoryBarrierBuffer();
     return before + 1u == expected;
 }

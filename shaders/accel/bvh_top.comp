@@ -52,7 +52,7 @@ Box place_instances() {
             store_shared_box(params.boxes, i, b);
             if (present) centres = joined(centres, Box(0.5 * b.low + 0.5 * b.high, 0.5 * b.low + 0.5 * b.high));
         }
-        SharedUvec2s(params.keys).at[i] = uvec2(present ? 0u : ABSENT, i);
+        SharedUvec2s(uvec2(params.keys)).at[i] = uvec2(present ? 0u : ABSENT, i);
         if (present) atomicAdd(group_present, 1u);
     }
     return centres;
@@ -72,7 +72,7 @@ Box join_workgroup(Box b) {
 }
 
 void write_codes(Box bounds) {
-    SharedUvec2s keys = SharedUvec2s(params.keys);
+    SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
     for (uint i = scan_thread(); i < params.n_instances; i += RELIDAR_BVH_WORKGROUP) {
         if (keys.at[i].x == ABSENT) continue;
         Box b = load_shared_box(params.boxes, i);
@@ -85,7 +85,7 @@ bool follows(uvec2 a, uvec2 b) { return a.x != b.x ? a.x > b.x : a.y > b.y; }
 
 /// Bitonic sort of keys by code, then instance.
 void sort_keys() {
-    SharedUvec2s keys = SharedUvec2s(params.keys);
+    SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
     for (uint size = 2u; size <= params.n_padded; size *= 2u)
         for (uint reach = size / 2u; reach > 0u; reach /= 2u) {
             for (uint pair = scan_thread(); pair < params.n_padded / 2u; pair += RELIDAR_BVH_WORKGROUP) {
@@ -107,7 +107,7 @@ void write_node(uint node, uint first, uint n, uint first_below, bool lowest) {
         children[s] = empty_box();
         if (first + s >= n) continue;
         if (lowest) {
-            uint instance = SharedUvec2s(params.keys).at[first + s].y;
+            uint instance = SharedUvec2s(uvec2(params.keys)).at[first + s].y;
             params.bvh.top_order.at[first + s] = instance;
             children[s] = load_shared_box(params.boxes, instance);
             leaves[s / 4u] |= (s | 1u << 5) << (8u * (s % 4u));

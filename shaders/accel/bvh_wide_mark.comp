@@ -31,7 +31,7 @@ bool open_child(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
 uint level_end;   // in the queue: the next level starts there
 
 void mark(uint entry) {
-    uint node = SharedUints(uint64_t(params.queue)).at[entry];
+    uint node = SharedUints(uvec2(params.queue)).at[entry];
     if (node == RELIDAR_BVH_NO_NODE) return;   // a model without surfels
     uint slots[RELIDAR_BVH_WIDTH];
     uint n_slots = collect_slots(params.tree, node, slots);
@@ -46,9 +46,9 @@ void mark(uint entry) {
     }
     params.demands.at[node & ~RELIDAR_BVH_LEAF] = n_inner | n_surfels << 8;
     if (n_inner == 0u) return;
-    uint at = level_end + atomicAdd(SharedUints(uint64_t(params.level_sizes)).at[params.level + 1u], n_inner);
+    uint at = level_end + atomicAdd(SharedUints(uvec2(params.level_sizes)).at[params.level + 1u], n_inner);
     for (uint s = 0u; s < n_slots; ++s)
-        if (is_inner_slot(params.tree, slots[s]) && at < params.bound) SharedUints(uint64_t(params.queue)).at[at++] = slots[s];
+        if (is_inner_slot(params.tree, slots[s]) && at < params.bound) SharedUints(uvec2(params.queue)).at[at++] = slots[s];
 }
 
 /// This workgroup works through the level and all below it.
@@ -58,7 +58,7 @@ void mark_rest(uint begin) {
         memoryBarrierBuffer();
         barrier();
         begin = end;
-        end = level_end + SharedUints(uint64_t(params.level_sizes)).at[params.level + 1u];
+        end = level_end + SharedUints(uvec2(params.level_sizes)).at[params.level + 1u];
         barrier();
     }
 }

@@ -79,7 +79,7 @@ void add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHi
     if (recorded) {
         params.hits.at[b.slot] = HitRecord(ray_index, b.instance, b.w, d_alpha);
         params.rows.at[b.slot] = row;
-        if (uint64_t(params.d_rays) == 0ul) return;
+        if (is_null(params.d_rays)) return;
     }
     HitGradient d = hit_gradient(scene, ray, g, b.instance, b.surfel, b.w, d_alpha);
     if (!recorded) add_gradient(scene, row, b.surfel, d);
@@ -174,7 +174,7 @@ void main() {
     if (GEOMETRY != 0u) any_gradient = take_geometry(i, final) || any_gradient;
     uint blended = any_gradient ? backward(params.scene, Ray(entry.origin, entry.direction), i, final, g) : 0u;
     if (GATHER != 0u) empty_slots(i, blended, final.n_hits);
-    if (uint64_t(params.d_rays) == 0ul) return;
+    if (is_null(params.d_rays)) return;
     for (uint c = 0u; c < 3u; ++c) {
         params.d_rays.at[6u * i + c] = d_ray_origin[c];
         params.d_rays.at[6u * i + 3u + c] = d_ray_direction[c];

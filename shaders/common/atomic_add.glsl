@@ -4,19 +4,17 @@
 #ifndef RELIDAR_INCLUDED_COMMON_ATOMIC_ADD_GLSL
 #define RELIDAR_INCLUDED_COMMON_ATOMIC_ADD_GLSL
 
-layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer AtomicFloat { float value; };
-layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer AtomicBits { uint value; };
+layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer AtomicFloats { float at[]; };
+layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer AtomicBits { uint at[]; };
 
 void atomic_add(Floats array, uint index, float amount) {
-    uint64_t address = uint64_t(array) + uint64_t(index) * 4ul;
 #ifdef RELIDAR_FLOAT_ATOMICS
-    AtomicFloat target = AtomicFloat(address);
-    atomicAdd(target.value, amount);
+    atomicAdd(AtomicFloats(uvec2(array)).at[index], amount);
 #else
-    AtomicBits target = AtomicBits(address);
-    uint seen = target.value;
+    AtomicBits bits = AtomicBits(uvec2(array));
+    uint seen = bits.at[index];
     for (;;) {
-        uint found = atomicCompSwap(target.value, seen, floatBitsToUint(uintBitsToFloat(seen) + amount));
+        uint found = atomicCompSwap(bits.at[index], seen, floatBitsToUint(uintBitsToFloat(seen) + amount));
         if (found == seen) return;
         seen = found;
     }

@@ -4,21 +4,28 @@
 #ifndef RELIDAR_INCLUDED_COMMON_FIXED_POINT_GLSL
 #define RELIDAR_INCLUDED_COMMON_FIXED_POINT_GLSL
 
-layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer FixedWord { uint value; };
+layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer FixedWords { uint at[]; };
 
-const float kFixedSteps = 1048576.0;
+const float kFixedSteps = 1048576.0, kFixedWord = 4294967296.0;
 
-/// sums[entry] += x; an entry is two words. x is finite and below 1e12.
+/// Minus a number of two words (two's complement).
+uvec2 negated(uvec2 x) { return uvec2(~x.x + 1u, ~x.y + uint(x.x == 0u)); }
+
+/// sums[entry] += x; an entry is two words, the low one first. x is finite and below 1e12.
 void add_fixed(Uints sums, uint entry, float x) {
-    int64_t amount = int64_t(x * kFixedSteps);
-    uint low = uint(uint64_t(amount)), high = uint(uint64_t(amount) >> 32);
-    uint64_t address = uint64_t(sums) + uint64_t(entry) * 8ul;
-    FixedWord low_word = FixedWord(address), high_word = FixedWord(address + 4ul);
-    uint before = atomicAdd(low_word.value, low);
-    atomicAdd(high_word.value, high + (before + low < before ? 1u : 0u));
+    float steps = trunc(abs(x) * kFixedSteps), high = floor(steps / kFixedWord);   // each exact: a float has 24 digits
+    uvec2 amount = uvec2(uint(steps - high * kFixedWord), uint(high));
+    if (x < 0.0) amount = negated(amount);
+    FixedWords words = FixedWords(uvec2(sums));
+    uint before = atomicAdd(words.at[2u * entry], amount.x);
+    atomicAdd(words.at[2u * entry + 1u], amount.y + uint(before + amount.x < before));
 }
 
 float read_fixed(Uints sums, uint entry) {
-    return float(int64_t(uint64_t(sums.at[2u * entry]) | uint64_t(sums.at[2u * entry + 1u]) << 32)) / kFixedSteps;
+    uvec2 sum = uvec2(sums.at[2u * entry], sums.at[2u * entry + 1u]);
+    bool negative = (sum.y & 0x80000000u) != 0u;
+    if (negative) sum = negated(sum);   // else the low word would be rounded before it is subtracted
+    float steps = float(sum.y) * kFixedWord + float(sum.x);
+    return (negative ? -steps : steps) / kFixedSteps;
 }
 #endif

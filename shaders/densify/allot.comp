@@ -9,9 +9,26 @@
 #include "../shared/densify.h"
 RELIDAR_PARAMS(AllotParams);
 
+/// high * 2^32 + low over d, rounded down, digit by digit; high is below d, so that it fits.
+uint divided(uint high, uint low, uint d) {
+    uint quotient = 0u, rest = high;
+    for (int bit = 31; bit >= 0; --bit) {
+        bool carry = rest >= 0x80000000u;
+        rest = rest << 1 | (low >> bit & 1u);
+        if (!carry && rest < d) continue;
+        rest -= d;
+        quotient |= 1u << bit;
+    }
+    return quotient;
+}
+
+/// (weight * n_new + phase) / total_weight: the product has 64 bits.
 uint allotted_before(uint weight) {
     if (params.total_weight == 0u) return 0u;
-    return uint((uint64_t(weight) * uint64_t(params.n_new) + uint64_t(params.phase)) / uint64_t(params.total_weight));
+    uint high, low, carry;
+    umulExtended(weight, params.n_new, high, low);
+    low = uaddCarry(low, params.phase, carry);
+    return divided(high + carry, low, params.total_weight);
 }
 
 void main() {

@@ -19,12 +19,12 @@ float magnitude(Floats array, uint first, uint n) {
     return sum;
 }
 
-bool is_gaussian() { return uint64_t(params.surfels.log_scale_w) != 0ul; }
+bool is_gaussian() { return !is_null(params.surfels.log_scale_w); }
 
 /// @param scale  the third is a 3D Gaussian's; 1 for surfels
 bool is_surfel(uint i, vec4 q, vec3 scale) {
-    SurfelPointers s = params.surfels;
-    float sum = magnitude(s.mean, 3 * i, 3u) + magnitude(s.opacity_logit, i, 1u) + magnitude(s.sh, RELIDAR_SH_FLOATS * i, RELIDAR_SH_FLOATS);
+    float sum = magnitude(params.surfels.mean, 3 * i, 3u) + magnitude(params.surfels.opacity_logit, i, 1u);
+    sum += magnitude(params.surfels.sh, RELIDAR_SH_FLOATS * i, RELIDAR_SH_FLOATS);
     float q_length2 = dot(q, q);
     return !isnan(sum) && !isinf(sum) && q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(scale, vec3(1e-6))) && all(lessThan(scale, vec3(1e6)));
 }

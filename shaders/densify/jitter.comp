@@ -14,13 +14,13 @@ RELIDAR_PARAMS(JitterParams);
 void main() {
     uint i = thread_index();
     if (i >= params.n_surfels) return;
-    SurfelPointers s = params.surfels;
-    float opacity = 1.0 / (1.0 + exp(-s.opacity_logit.at[i]));
+    float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[i]));
     float gate = 1.0 / (1.0 + exp(100.0 * (opacity - 0.005)));
-    vec4 q = vec4(s.rotation.at[4 * i], s.rotation.at[4 * i + 1], s.rotation.at[4 * i + 2], s.rotation.at[4 * i + 3]);
+    vec4 q;
+    for (uint k = 0u; k < 4u; ++k) q[k] = params.surfels.rotation.at[4 * i + k];
     mat3 r = rotation_matrix(q);
     vec2 z = params.amount * gate * random_normal2(params.key, i, 0u);
-    vec3 offset = z.x * exp(s.log_scale.at[2 * i]) * r[0] + z.y * exp(s.log_scale.at[2 * i + 1]) * r[1];
-    if (uint64_t(s.log_scale_w) != 0ul) offset += params.amount * gate * random_normal2(params.key, i, 1u).x * exp(s.log_scale_w.at[i]) * r[2];
-    for (uint k = 0u; k < 3u; ++k) s.mean.at[3 * i + k] += offset[k];
+    vec3 offset = z.x * exp(params.surfels.log_scale.at[2 * i]) * r[0] + z.y * exp(params.surfels.log_scale.at[2 * i + 1]) * r[1];
+    if (!is_null(params.surfels.log_scale_w)) offset += params.amount * gate * random_normal2(params.key, i, 1u).x * exp(params.surfels.log_scale_w.at[i]) * r[2];
+    for (uint k = 0u; k < 3u; ++k) params.surfels.mean.at[3 * i + k] += offset[k];
 }

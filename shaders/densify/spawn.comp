@@ -15,7 +15,7 @@
 #include "../gaussian/quaternion.glsl"
 RELIDAR_PARAMS(SpawnParams);
 
-bool is_gaussian() { return uint64_t(params.surfels.log_scale_w) != 0ul; }
+bool is_gaussian() { return !is_null(params.surfels.log_scale_w); }
 
 void add_to_scales(uint row, float amount) {
     for (uint k = 0u; k < 2u; ++k) params.surfels.log_scale.at[2 * row + k] += amount;
@@ -23,13 +23,13 @@ void add_to_scales(uint row, float amount) {
 }
 
 void split(uint row) {
-    SurfelPointers s = params.surfels;
-    vec4 q = vec4(s.rotation.at[4 * row], s.rotation.at[4 * row + 1], s.rotation.at[4 * row + 2], s.rotation.at[4 * row + 3]);
+    vec4 q;
+    for (uint k = 0u; k < 4u; ++k) q[k] = params.surfels.rotation.at[4 * row + k];
     mat3 r = rotation_matrix(q);
     vec2 z = random_normal2(params.key, row, 2u);   // 0 and 1 are classify's
-    vec3 offset = z.x * exp(s.log_scale.at[2 * row]) * r[0] + z.y * exp(s.log_scale.at[2 * row + 1]) * r[1];
-    if (is_gaussian()) offset += random_normal2(params.key, row, 3u).x * exp(s.log_scale_w.at[row]) * r[2];
-    for (uint k = 0u; k < 3u; ++k) s.mean.at[3 * row + k] += offset[k];
+    vec3 offset = z.x * exp(params.surfels.log_scale.at[2 * row]) * r[0] + z.y * exp(params.surfels.log_scale.at[2 * row + 1]) * r[1];
+    if (is_gaussian()) offset += random_normal2(params.key, row, 3u).x * exp(params.surfels.log_scale_w.at[row]) * r[2];
+    for (uint k = 0u; k < 3u; ++k) params.surfels.mean.at[3 * row + k] += offset[k];
     add_to_scales(row, -log(1.6));
 }
 

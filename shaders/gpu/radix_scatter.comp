@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Radix sort, last of three kernels a pass: moves each key behind all smaller digits and the equal digits before it. A workgroup of
 // 256 threads a tile of 4096 keys; each subgroup owns a run of the tile and ranks it round by round with ballots, so that the order
-// of equal digits is kept. Input: n_keys, keys, order, counts, totals. Output: sorted_keys, sorted_order. Floor: key and order read
-// and written.
+// of equal digits is kept. Where there are more than 32 (of 4 lanes), two share their counters and take turns. Input: n_keys, keys,
+// order, counts, totals. Output: sorted_keys, sorted_order. Floor: key and order read and written.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
@@ -14,8 +14,13 @@ RELIDAR_PARAMS(RadixSortParams);
 
 const uint ROUNDS = RELIDAR_TILE_SIZE / RELIDAR_TILE_THREADS;
 const uint WORDS = RELIDAR_SORT_DIGITS / 2u;   // two 16-bit counts each: a tile has fewer than 65536 keys
-shared uint counters[32u * WORDS];             // keys of a digit in the run of a subgroup; then in the runs before
+const uint ROWS = 32u;                         // as many as 16 KiB hold
+shared uint counters[ROWS * WORDS];            // a row a subgroup, or two: keys of a digit in their run; then in the runs before
 shared uint digit_start[RELIDAR_SORT_DIGITS];  // where the keys of this tile start
+uint rank[ROUNDS];                             // of this lane's keys, one a round
+
+/// Subgroups of one row of counters, neighbours.
+uint n_sharing() { return (gl_NumSubgroups + ROWS - 1u) / ROWS; }
 
 uint half_word(uint word, uint digit) { return (word >> (16u * (digit & 1u))) & 0xffffu; }
 
@@ -31,11 +36,29 @@ uvec2 peers_of(bool valid, uint digit) {
     return peers;
 }
 
-/// Counts of the subgroups become those of the subgroups before.
-void sum_counters() {
+/// Ranks the subgroup's run among the keys of its row: keys of the same digit before each. Counts them.
+/// @param run first key of this lane  @param n keys in all  @param row of counters
+void rank_run(uint run, uint n, uint row) {
+    for (uint r = 0u; r < ROUNDS; ++r) {
+        uint i = run + r * gl_SubgroupSize;
+        bool valid = i < n;
+        uint digit = valid ? digit_of(i) : 0u;
+        uvec2 peers = peers_of(valid, digit), before = peers & gl_SubgroupLtMask.xy;
+        uint smaller = bitCount(before.x) + bitCount(before.y);
+        rank[r] = half_word(counters[row + digit / 2u], digit) + smaller;
+        subgroupMemoryBarrierShared();
+        subgroupBarrier();
+        if (valid && smaller == 0u) atomicAdd(counters[row + digit / 2u], (bitCount(peers.x) + bitCount(peers.y)) << (16u * (digit & 1u)));
+        subgroupMemoryBarrierShared();
+        subgroupBarrier();
+    }
+}
+
+/// Counts of the rows become those of the rows before.
+void sum_counters(uint n_rows) {
     if (scan_thread() >= WORDS) return;
     uint sum = 0u;
-    for (uint at = scan_thread(); at < gl_NumSubgroups * WORDS; at += WORDS) {
+    for (uint at = scan_thread(); at < n_rows * WORDS; at += WORDS) {
         uint word = counters[at];
         counters[at] = sum;
         sum += word;
@@ -45,35 +68,24 @@ void sum_counters() {
 void main() {
     uint tile = workgroup_index(), thread = scan_thread(), n = n_keys();
     if (tile >= n_tiles()) return;
-    uint counter = gl_SubgroupID * WORDS;
+    uint sharing = n_sharing(), n_rows = gl_NumSubgroups / sharing, row = gl_SubgroupID / sharing * WORDS;
     uint run = tile * RELIDAR_TILE_SIZE + gl_SubgroupID * gl_SubgroupSize * ROUNDS + gl_SubgroupInvocationID;
     uvec2 unused;
     digit_start[thread] = workgroup_exclusive_add(uvec2(params.totals.at[thread], 0u), unused).x + params.counts.at[thread * n_tiles() + tile];
-    for (uint i = thread; i < gl_NumSubgroups * WORDS; i += RELIDAR_TILE_THREADS) counters[i] = 0u;
+    for (uint i = thread; i < n_rows * WORDS; i += RELIDAR_TILE_THREADS) counters[i] = 0u;
     barrier();
-    uint rank[ROUNDS];
-    for (uint r = 0u; r < ROUNDS; ++r) {
-        uint i = run + r * gl_SubgroupSize;
-        bool valid = i < n;
-        uint digit = valid ? digit_of(i) : 0u;
-        uvec2 peers = peers_of(valid, digit), before = peers & gl_SubgroupLtMask.xy;
-        uint smaller = bitCount(before.x) + bitCount(before.y);
-        rank[r] = half_word(counters[counter + digit / 2u], digit) + smaller;
-        subgroupMemoryBarrierShared();
-        subgroupBarrier();
-        if (valid && smaller == 0u) atomicAdd(counters[counter + digit / 2u], (bitCount(peers.x) + bitCount(peers.y)) << (16u * (digit & 1u)));
-        subgroupMemoryBarrierShared();
-        subgroupBarrier();
+    for (uint turn = 0u; turn < sharing; ++turn) {
+        if (gl_SubgroupID % sharing == turn) rank_run(run, n, row);
+        barrier();
     }
-    barrier();
-    sum_counters();
+    sum_counters(n_rows);
     barrier();
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = run + r * gl_SubgroupSize;
         if (i >= n) continue;
         uint digit = digit_of(i);
-        uint to = digit_start[digit] + half_word(counters[counter + digit / 2u], digit) + rank[r];
+        uint to = digit_start[digit] + half_word(counters[row + digit / 2u], digit) + rank[r];
         for (uint word = 0u; word < KEY_WORDS; ++word) params.sorted_keys.at[to * KEY_WORDS + word] = params.keys.at[i * KEY_WORDS + word];
-        params.sorted_order.at[to] = uint64_t(params.order) != 0ul ? params.order.at[i] : i;
+        params.sorted_order.at[to] = !is_null(params.order) ? params.order.at[i] : i;
     }
 }

@@ -22,12 +22,12 @@ void main() {
         sum += subgroupAdd(count);
     }
     uvec2 in_tile;
-    uint start = uint64_t(params.tile_sums) != 0ul ? params.tile_sums.at[tile] : 0u;
+    uint start = !is_null(params.tile_sums) ? params.tile_sums.at[tile] : 0u;
     uint run_start = start + subgroups_before(uvec2(sum, 0u), in_tile).x;
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = run + r * gl_SubgroupSize;
         if (i < params.n) params.prefix.at[i] = run_start + before[r];
     }
     bool last = params.n - tile * RELIDAR_TILE_SIZE <= RELIDAR_TILE_SIZE;
-    if (last && scan_thread() == 0u && uint64_t(params.total) != 0ul) params.total.at[0] = start + in_tile.x;
+    if (last && scan_thread() == 0u && !is_null(params.total)) params.total.at[0] = start + in_tile.x;
 }

@@ -28,7 +28,7 @@ float box_term(uint i, bool write) {
         if (write) params.d_surfels.mean.at[3u * i + axis] += params.box_weight * sign(mean) / params.half_size[axis];
     }
     for (uint axis = 0u; axis < 2u; ++axis) term += scale_term(params.surfels.log_scale, params.d_surfels.log_scale, 2u * i + axis, write);
-    if (uint64_t(params.surfels.log_scale_w) != 0ul) term += scale_term(params.surfels.log_scale_w, params.d_surfels.log_scale_w, i, write);
+    if (!is_null(params.surfels.log_scale_w)) term += scale_term(params.surfels.log_scale_w, params.d_surfels.log_scale_w, i, write);
     return params.box_weight * term;
 }
 
@@ -43,7 +43,7 @@ float entropy_term(uint i, bool write) {
 void main() {
     uint k = thread_index(), i = params.first_surfel + k;
     bool is_surfel = k < params.n_surfels;
-    bool write = is_surfel && (uint64_t(params.touched) == 0ul || params.touched.at[i] != 0u);
+    bool write = is_surfel && (is_null(params.touched) || params.touched.at[i] != 0u);
     bool boxed = params.box_weight > 0.0 && params.half_size.x > 0.0;
     float box = is_surfel && boxed ? box_term(i, write) : 0.0;
     float entropy = is_surfel && params.entropy_weight > 0.0 ? entropy_term(i, write) : 0.0;

@@ -10,7 +10,7 @@ RELIDAR_PARAMS(AdamParams);
 void main() {
     uint row = thread_index();
     if (row >= params.n_rows) return;
-    if (uint64_t(params.touched) != 0ul && params.touched.at[row] == 0u) return;
+    if (!is_null(params.touched) && params.touched.at[row] == 0u) return;
     for (uint column = 0u; column < params.stride; ++column) {
         uint within = column % params.block;
         if (within >= params.n_active) continue;

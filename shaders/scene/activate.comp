@@ -39,7 +39,7 @@ void main() {
     s.axis_u = r[0] * exp(-log_scale.at[2 * surfel]);
     s.axis_v = r[1] * exp(-log_scale.at[2 * surfel + 1]);
     s.normal = r[2];
-    if (uint64_t(params.surfels.log_scale_w) != 0ul) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);   // 3D Gaussians
+    if (!is_null(params.surfels.log_scale_w)) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);   // 3D Gaussians
     s.opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     s.intensity = 0.0;
     s.hit_logit = 0.0;

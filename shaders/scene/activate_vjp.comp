@@ -32,7 +32,7 @@ vec3 channels_vjp(uint surfel, vec3 direction, vec3 d_channel) {
 vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1], a.at[i + 2]); }
 
 void store_view(uint surfel, vec3 g) {
-    if (uint64_t(params.d_view) == 0ul) return;
+    if (is_null(params.d_view)) return;
     for (uint k = 0u; k < 3u; ++k) params.d_view.at[3 * surfel + k] = g[k];
 }
 
@@ -47,7 +47,7 @@ bool load_row(uint i, out float row[16]) {
     return any_gradient;
 }
 
-bool is_gaussian() { return uint64_t(params.surfels.log_scale_w) != 0ul; }
+bool is_gaussian() { return !is_null(params.surfels.log_scale_w); }
 
 void store_zero(uint surfel) {
     for (uint k = 0u; k < 3u; ++k) params.d_surfels.mean.at[3 * surfel + k] = 0.0;

@@ -15,7 +15,6 @@ using glm::vec2;
 using glm::vec3;
 using glm::vec4;
 using uint = std::uint32_t;
-using std::uint64_t;
 /// Device address of an array of T; nothing but 8 bytes on the host. Arrays begin at multiples of 16 bytes, so that kernels load a record in
 /// pieces of 16 bytes. A part of one that begins elsewhere (a row of counters) is indexed at run time, or by atomics, and nothing else.
 template <class T>
@@ -28,12 +27,16 @@ struct Address {
 #else
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_buffer_reference2 : require
-#extension GL_EXT_shader_explicit_arithmetic_types_int64 : require
+#extension GL_EXT_buffer_reference_uvec2 : require
 #extension GL_EXT_control_flow_attributes : enable
 #define RELIDAR_SHARED_BEGIN
 #define RELIDAR_SHARED_END
 #define RELIDAR_POINTER(name, type) \
     layout(buffer_reference, scalar, buffer_reference_align = 16) buffer name { type at[]; }
+// Addresses are never numbers here: not every device has 64-bit integers. A pointer becomes one of another type through uvec2, as not
+// every compiler (SwiftShader's) casts pointers.
+/// Whether a pointer is address 0: how the host says that there is no such array.
+#define is_null(pointer) (uvec2(pointer) == uvec2(0u))
 #endif
 
 RELIDAR_SHARED_BEGIN

@@ -66,9 +66,11 @@ struct GeometryGradient {
 };
 RELIDAR_POINTER(GeometryGradients, GeometryGradient);
 
+RELIDAR_POINTER(TlasAddress, uint);   // nothing is read through it
+
 /// What every tracing kernel needs. Ray k of the batch is entry first_ray + k * ray_stride of `rays`.
 struct TraceScene {
-    uint64_t tlas;          // acceleration structure address (ray query)
+    TlasAddress tlas;       // acceleration structure (ray query)
     Floats proxy_reach;     // input [1] m: how far behind a hit its icosahedron may end (ray query, 3D Gaussians), else address 0
     BvhPointers bvh;        // the tree (software traversal)
     Rays rays;              // input

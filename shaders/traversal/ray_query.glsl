@@ -13,7 +13,7 @@ void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
     reset_hits(budget);
     float start = search_start(after);
     rayQueryEXT query;
-    rayQueryInitializeEXT(query, accelerationStructureEXT(scene.tlas), gl_RayFlagsNoOpaqueEXT, 0xffu,
+    rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT, 0xffu,
                           ray.origin + start * ray.direction, 0.0, ray.direction, 1e30);
     float reach = BOXES == 0u && GAUSSIANS != 0u ? scene.proxy_reach.at[0] : 0.0;
     float end = 1e30;   // where the query has been told to stop

@@ -13,6 +13,7 @@
 
 #include "config/field_text.hpp"
 #include "core/files.hpp"
+#include "core/number_text.hpp"
 #include <relidar/accel.hpp>
 #include <relidar/backward.hpp>
 #include <relidar/error.hpp>
@@ -70,7 +71,7 @@ void set_found(Config& config, const std::string& key, const Found& found) {
 Found found_in(const toml::node& node, const std::string& key) {
     if (const auto* text = node.as_string()) return {text->get(), Found::Quotes::yes};
     if (const auto* integer = node.as_integer()) return {fmt::format("{}", integer->get()), Found::Quotes::no};
-    if (const auto* number = node.as_floating_point()) return {fmt::format("{}", number->get()), Found::Quotes::no};
+    if (const auto* number = node.as_floating_point()) return {number_text(number->get()), Found::Quotes::no};
     if (const auto* boolean = node.as_boolean()) return {boolean->get() ? "true" : "false", Found::Quotes::no};
     std::ostringstream kind;
     kind << node.type();
@@ -99,9 +100,7 @@ std::string quoted(const std::string& text) {
 template <class T>
 std::string toml_value(const T& value, const Accepts& accepts) {
     const std::string text = to_text(value, accepts);
-    if constexpr (is_text<T>) return quoted(text);
-    const bool looks_integer = text.find_first_of(".e") == std::string::npos;
-    return std::is_floating_point_v<T> && looks_integer ? text + ".0" : text;
+    return is_text<T> ? quoted(text) : text;
 }
 
 }  // namespace

@@ -12,6 +12,7 @@
 #include <fmt/format.h>
 
 #include "config/fields.hpp"
+#include "core/number_text.hpp"
 
 namespace relidar::config_detail {
 
@@ -22,6 +23,7 @@ constexpr bool is_text = std::is_same_v<T, std::string> || std::is_enum_v<T>;
 template <class T>
 std::string to_text(const T& value, const Accepts& accepts) {
     if constexpr (std::is_enum_v<T>) return accepts.choices.at(static_cast<std::size_t>(value));
+    else if constexpr (std::is_floating_point_v<T>) return number_text(value);
     else return fmt::format("{}", value);
 }
 

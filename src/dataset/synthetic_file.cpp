@@ -10,6 +10,7 @@
 
 #include <relidar/error.hpp>
 #include "core/files.hpp"
+#include "core/number_text.hpp"
 #include "dataset/kitti_files.hpp"
 
 namespace relidar {
@@ -102,9 +103,9 @@ void save_synthetic(const SyntheticOptions& options, const fs::path& folder) {
     fs::create_directories(folder, failed);
     const fs::path file = folder / "street.toml";
     std::ofstream out(file);
-    out << fmt::format("seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {:#}\nspeed_mps = {:#}\nmoving_cars = {}\n",
-                       static_cast<std::int64_t>(options.seed), options.n_frames, options.rows, options.columns, options.range_noise_m,
-                       options.speed_mps, options.moving_cars);
+    out << fmt::format("seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {}\nspeed_mps = {}\nmoving_cars = {}\n",
+                       static_cast<std::int64_t>(options.seed), options.n_frames, options.rows, options.columns, number_text(options.range_noise_m),
+                       number_text(options.speed_mps), options.moving_cars);
     if (!out.flush()) throw DataError(fmt::format("{}: cannot be written", file.string()));
 }
 

@@ -232,7 +232,6 @@ void Device::Impl::make_device() {
     v12.timelineSemaphore = VK_TRUE;
     v12.hostQueryReset = VK_TRUE;
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
-    features.features.shaderInt64 = VK_TRUE;
 
     optional = gpu::optional_features(physical);
     v13.subgroupSizeControl = optional.subgroup_size;

@@ -90,7 +90,7 @@ std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgr
     groups.need(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
     groups.need(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
     groups.need(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
-    groups.need(sizes.minSubgroupSize >= 8 && sizes.maxSubgroupSize <= 64, "subgroups of 8 to 64 lanes");
+    groups.need(sizes.minSubgroupSize >= 4 && sizes.maxSubgroupSize <= 64, "subgroups of 4 to 64 lanes");
     groups.need(known_subgroups(sizes, optional), "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
@@ -134,7 +134,6 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     base.need(v12.timelineSemaphore, "timelineSemaphore");
     base.need(v12.hostQueryReset, "hostQueryReset");
     base.need(v13.maintenance4, "maintenance4");
-    base.need(features.features.shaderInt64, "shaderInt64");
     base.need((subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
               "subgroup arithmetic and ballots in compute");
     base.need(subgroup.subgroupSize >= 4 && subgroup.subgroupSize <= 64, "subgroups of 4 to 64 lanes");

@@ -14,7 +14,7 @@ namespace relidar {
 namespace {
 
 constexpr Constant kWorkgroup{0u, RELIDAR_TILE_THREADS};
-constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;   // 128 to 1024 subgroups, for 256 digits
+constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;   // 128 to 2048 subgroups, for 256 digits
 
 std::size_t tiles_of(std::uint32_t n) { return (std::size_t(n) + RELIDAR_TILE_SIZE - 1) / RELIDAR_TILE_SIZE; }
 
@@ -30,8 +30,8 @@ RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_w
       scatter_(device, "gpu/radix_scatter", {kWorkgroup, {1u, key_words}}, Subgroups::full),
       counts_(device, RELIDAR_SORT_DIGITS * tiles_of(capacity), "sort counts"),
       totals_(device, RELIDAR_SORT_DIGITS, "sort totals") {
-    if (const int lanes = device.info().subgroup_size; lanes < 8 || lanes > 64)
-        throw DeviceError(fmt::format("making a sort on {}: found subgroups of {} lanes, expected 8 to 64", device.info().name, lanes));
+    if (const int lanes = device.info().subgroup_size; lanes < 4 || lanes > 64)
+        throw DeviceError(fmt::format("making a sort on {}: found subgroups of {} lanes, expected 4 to 64", device.info().name, lanes));
     if (!device.info().known_subgroups)
         throw DeviceError(fmt::format("making a sort on {}: found subgroups of varying size, expected subgroupSizeControl and computeFullSubgroups", device.info().name));
 }

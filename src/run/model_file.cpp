@@ -7,6 +7,7 @@
 #include <array>
 #include <cmath>
 #include <span>
+#include <string_view>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
@@ -58,7 +59,7 @@ void check_finite(const Group& group, const std::string& file) {
     throw DataError(fmt::format("{}: array {}: row {} holds {}, expected finite numbers", file, group.name, row, *bad));
 }
 
-const NamedArray& find_array(const std::vector<NamedArray>& arrays, const std::string& name, const std::string& file) {
+const NamedArray& find_array(const std::vector<NamedArray>& arrays, std::string_view name, const std::string& file) {
     const auto it = std::find_if(arrays.begin(), arrays.end(), [&](const NamedArray& a) { return a.name == name; });
     if (it == arrays.end()) throw DataError(fmt::format("{}: array {}: missing, expected it", file, name));
     return *it;

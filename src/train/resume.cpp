@@ -5,12 +5,14 @@
 #include <algorithm>
 #include <cstring>
 #include <numeric>
+#include <optional>
 
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
 
+#include "core/files.hpp"
 #include "core/random.hpp"
 
 namespace relidar {
@@ -115,6 +117,12 @@ struct LogColumns {
     }
 };
 
+/// Earlier versions wrote 8 where this one writes 8.0.
+bool same_value(const std::string& a, const std::string& b) {
+    const std::optional<double> x = parse_number(a), y = parse_number(b);
+    return x && y ? *x == *y : a == b;
+}
+
 }  // namespace
 
 std::map<std::string, std::string> training_texts(const Sequence& sequence, const Split& split, const Config& config) {
@@ -131,7 +139,7 @@ void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, con
     for (const ConfigKey& key : config_keys(config)) {
         const std::string saved = found_in(checkpoint, kSetting + key.key);
         const bool is_free = std::find(kFree.begin(), kFree.end(), key.key) != kFree.end();
-        if (!is_free && saved != key.value) throw UsageError(differs("setting " + key.key, key.value, saved));
+        if (!is_free && !same_value(saved, key.value)) throw UsageError(differs("setting " + key.key, key.value, saved));
     }
     if (config.train.iterations < checkpoint.iteration)
         throw UsageError(fmt::format("resuming from iteration {}: setting train.iterations: found {}, expected at least as many", checkpoint.iteration, config.train.iterations));

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // accel/proxies and the acceleration structure (M3, Fig. 3): proxies hold all of sigma G >= alpha_min (rays at the rim are found), a
 // refit follows moved surfels, moving an instance builds no bottom level.
+#include <algorithm>
 #include <cmath>
 
 #include <relidar/forward.hpp>

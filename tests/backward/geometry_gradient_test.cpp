@@ -2,6 +2,7 @@
 // Distortion and normal consistency (M10, M11) from end to end: the forward pass, the losses and the backward pass on the device against
 // central differences of the double forward pass, for every parameter that they depend on, the rays, the poses of instances and that of
 // the sensor; each term alone and with the image losses. The normals of the range image move with the surfels and with the rays.
+#include <algorithm>
 #include <cmath>
 #include <numeric>
 #include <random>

@@ -21,22 +21,23 @@ namespace {
 
 class DensifyKernels : public test::DeviceTest {};
 
-TEST_F(DensifyKernels, AllotHandsOutAsTheReferenceDoes) {
+/// @param largest weight
+void expect_allotted(Device& device, std::uint32_t largest) {
     std::mt19937 random(4);
     const std::uint32_t n = 777;
     std::vector<std::uint32_t> weight(n), cumulative(n), action(n);
     for (std::uint32_t i = 0; i < n; ++i) {
         action[i] = random() % 4 == 0 ? RELIDAR_DENSIFY_DROP : RELIDAR_DENSIFY_SHARE;
-        weight[i] = action[i] == RELIDAR_DENSIFY_DROP ? 0 : 1 + random() % 255;
+        weight[i] = action[i] == RELIDAR_DENSIFY_DROP ? 0 : 1 + random() % largest;
     }
     std::exclusive_scan(weight.begin(), weight.end(), cumulative.begin(), 0u);
     const std::uint32_t total = cumulative.back() + weight.back();
-    const Kernel<shared::AllotParams> allot(device(), "densify/allot");
+    const Kernel<shared::AllotParams> allot(device, "densify/allot");
     for (const std::uint32_t n_new : {0u, 1u, 300u, 5000u}) {
         GrowthPlan plan{0, total, n_new, static_cast<std::uint32_t>(random() % total)};
-        const Array<std::uint32_t> w(device(), std::span<const std::uint32_t>(weight), "weight"), c(device(), std::span<const std::uint32_t>(cumulative), "cumulative");
-        const Array<std::uint32_t> a(device(), std::span<const std::uint32_t>(action), "action"), rows(device(), n, "rows");
-        Stream stream(device());
+        const Array<std::uint32_t> w(device, std::span<const std::uint32_t>(weight), "weight"), c(device, std::span<const std::uint32_t>(cumulative), "cumulative");
+        const Array<std::uint32_t> a(device, std::span<const std::uint32_t>(action), "action"), rows(device, n, "rows");
+        Stream stream(device);
         run(stream, allot, n, {w.address(), c.address(), a.address(), rows.address(), n, n_new, total, plan.phase});
         stream.finish();
         const std::vector<std::uint32_t> copies = reference::copies_of(weight, n_new, plan.phase), actual = rows.download(), fate = a.download();
@@ -46,6 +47,11 @@ TEST_F(DensifyKernels, AllotHandsOutAsTheReferenceDoes) {
             EXPECT_EQ(plan.allotted_before(cumulative[i] + weight[i]) - plan.allotted_before(cumulative[i]), copies[i]) << "what the host expects";
         }
     }
+}
+
+TEST_F(DensifyKernels, AllotHandsOutAsTheReferenceDoes) {
+    expect_allotted(device(), 255);
+    expect_allotted(device(), 10'000'000);   // their sum is close to 2^32, and times n_new has 64 bits
 }
 
 /// A densifier and what it works on, at its own times.

@@ -6,6 +6,7 @@
 #include <limits>
 #include <sstream>
 
+#include "../support/comma_locale.hpp"
 #include "temporary_folder.hpp"
 
 namespace relidar {
@@ -154,6 +155,13 @@ TEST_F(ReportFile, RefusesCurvesOfUnequalLength) {
 }
 
 TEST_F(ReportFile, EmptyReportIsAPage) { expect_well_formed(written(folder, {})); }
+
+TEST_F(ReportFile, IsTheSameInEveryLocale) {
+    write_report(folder / "before.html", some_report());
+    const test::CommaLocale comma;
+    write_report(folder / "after.html", some_report());
+    EXPECT_EQ(contents(folder / "after.html"), contents(folder / "before.html"));
+}
 
 }  // namespace
 }  // namespace relidar

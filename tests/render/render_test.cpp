@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Scans in a grid: binning simulated points as real ones are binned, choice of sensor, and rendering a wall at a known place.
+#include <algorithm>
 #include <cmath>
 
 #include <relidar/error.hpp>

@@ -3,6 +3,7 @@
 // models that do not cover the surfels.
 #include <relidar/run.hpp>
 
+#include <algorithm>
 #include <limits>
 
 #include <relidar/export.hpp>

@@ -2,11 +2,13 @@
 // Run folders: what was saved comes back bit by bit; anything cut, missing or changed is refused by file and field.
 #include <relidar/run.hpp>
 
+#include <algorithm>
 #include <limits>
 
 #include <nlohmann/json.hpp>
 
 #include "../export/temporary_folder.hpp"
+#include "../support/comma_locale.hpp"
 #include "example_run.hpp"
 
 namespace relidar {
@@ -38,6 +40,14 @@ protected:
 void expect_equal(const Pose& a, const Pose& b) {
     EXPECT_EQ(a.translation, b.translation);
     for (int k = 0; k < 4; ++k) EXPECT_EQ(a.rotation[k], b.rotation[k]);
+}
+
+TEST_F(RunFolder, IsTheSameInEveryLocale) {
+    const auto files = [&] { return contents(run.folder / "config.toml") + contents(run.folder / "scene.json") + contents(run.folder / "model.safetensors"); };
+    const std::string before = files();
+    const test::CommaLocale comma;
+    save_run(load_run(run.folder));
+    EXPECT_EQ(files(), before);
 }
 
 TEST_F(RunFolder, RoundTripsExactly) {

@@ -2,6 +2,7 @@
 // Range grid: rays and projection are inverse to each other (Eq. 6-7); the nearest point wins a pixel.
 #include <relidar/sensor.hpp>
 
+#include <algorithm>
 #include <cmath>
 
 #include <gtest/gtest.h>

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host and shaders see the same bytes: every struct of shaders/shared, in every kernel that uses it.
+// Host and shaders see the same bytes: every struct of shaders/shared, in every kernel that uses it. And no kernel needs what not every
+// device has.
 #include <cstddef>
 #include <map>
 #include <set>
@@ -36,6 +37,12 @@ TEST(SharedLayout, KernelsSeeWhatTheHostWrites) {
         }
     }
     EXPECT_THAT(unseen, testing::IsEmpty()) << "structs of shaders/shared that no kernel uses";
+}
+
+TEST(Kernels, HaveNo64BitIntegers) {
+    ASSERT_FALSE(embedded_kernels().empty());
+    for (const EmbeddedKernel& kernel : embedded_kernels())
+        EXPECT_FALSE(read_spirv_capabilities(kernel.words).contains(kCapabilityInt64)) << kernel.name << ": see is_null() in shaders/shared/lang.h";
 }
 
 }  // namespace

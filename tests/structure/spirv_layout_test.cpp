@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "spirv_layout.hpp"
 
+#include <algorithm>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -57,6 +58,12 @@ TEST(SpirvLayout, ReadsScalarOffsets) {
     EXPECT_THAT(layouts.at("Params"), UnorderedElementsAre(Pair("samples", 0u), Pair("address", 8u), Pair("n", 16u), Pair("origin", 20u), Pair("gain", 32u)));
     ASSERT_TRUE(layouts.contains("Sample"));
     EXPECT_THAT(layouts.at("Sample"), UnorderedElementsAre(Pair("direction", 0u), Pair("range_m", 12u), Pair("channel", 16u)));
+}
+
+TEST(SpirvLayout, ReadsCapabilities) {
+    const std::vector<std::uint32_t> words = compile(kShader);
+    if (words.empty()) GTEST_SKIP() << "no glslangValidator";
+    EXPECT_TRUE(read_spirv_capabilities(words).contains(kCapabilityInt64)) << "the shader has a uint64_t";
 }
 
 TEST(SpirvLayout, RefusesWhatIsNoModule) {

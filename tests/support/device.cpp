@@ -12,11 +12,6 @@ namespace relidar::test {
 
 namespace {
 
-std::string& failure() {
-    static std::string text;
-    return text;
-}
-
 Traversal wanted_traversal() {
     const char* text = std::getenv("RELIDAR_TEST_TRAVERSAL");
     const std::string name = text ? text : "";
@@ -26,19 +21,35 @@ Traversal wanted_traversal() {
     return Traversal::automatic;
 }
 
+/// Opened by the first test that asks, closed after the last one, while main() still runs: when a program exits, its static objects may
+/// go after those of the validation layer, which then no longer knows the device.
+class ProcessDevice : public testing::Environment {
+public:
+    Device* find() {
+        if (!device_ && failure_.empty()) open();
+        return device_.get();
+    }
+    const std::string& failure() const { return failure_; }
+    void TearDown() override { device_.reset(); }
+
+private:
+    void open() {
+        try {
+            device_ = std::make_unique<Device>(DeviceOptions{.traversal = wanted_traversal()});
+        } catch (const Error& error) {
+            failure_ = error.what();
+        }
+    }
+
+    std::unique_ptr<Device> device_;
+    std::string failure_;
+};
+
+ProcessDevice* const process_device = static_cast<ProcessDevice*>(testing::AddGlobalTestEnvironment(new ProcessDevice));
+
 }  // namespace
 
-Device* find_device() {
-    static const std::unique_ptr<Device> device = [] {
-        try {
-            return std::make_unique<Device>(DeviceOptions{.traversal = wanted_traversal()});
-        } catch (const Error& error) {
-            failure() = error.what();
-            return std::unique_ptr<Device>();
-        }
-    }();
-    return device.get();
-}
+Device* find_device() { return process_device->find(); }
 
 void DeviceTest::SetUp() {
     device_ = find_device();
@@ -47,8 +58,8 @@ void DeviceTest::SetUp() {
         return;
     }
     const char* required = std::getenv("RELIDAR_REQUIRE_GPU");
-    if (required && std::string(required) == "1") FAIL() << "RELIDAR_REQUIRE_GPU=1, but " << failure();
-    GTEST_SKIP() << failure();
+    if (required && std::string(required) == "1") FAIL() << "RELIDAR_REQUIRE_GPU=1, but " << process_device->failure();
+    GTEST_SKIP() << process_device->failure();
 }
 
 void DeviceTest::TearDown() {
