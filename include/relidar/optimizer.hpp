@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 
 #include <relidar/gpu.hpp>
 #include <relidar/scene.hpp>
@@ -25,6 +26,7 @@ struct AdamOptions {
     double beta2 = 0.999;
     double epsilon = 1e-15;
     bool only_touched = false;   ///< surfels without a gradient in this batch keep values and moments
+    std::optional<bool> thread_per_float = std::nullopt;   ///< instead of one thread a surfel and group; not given: on GPUs
 };
 
 /// Exponential interpolation from `start` at step 0 to `end` at step n_steps.

@@ -14,6 +14,8 @@ namespace relidar {
 namespace {
 
 class AdamTest : public test::DeviceTest {};
+class AdamThreads : public test::DeviceTest, public testing::WithParamInterface<bool> {};
+INSTANTIATE_TEST_SUITE_P(PerRowAndPerFloat, AdamThreads, testing::Bool());
 
 Surfels random_surfels(std::uint32_t n, std::uint64_t seed, Primitive primitive) {
     std::mt19937_64 random(seed);
@@ -39,12 +41,13 @@ struct Scalar {
     }
 };
 
-TEST_F(AdamTest, AgreesWithAdamInDouble) {
+/// With one thread a row and one a float.
+TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     const std::uint32_t n = 133;
     const LearningRates rates{1e-3, 2e-3, 3e-3, 4e-2, 5e-3, 0.05};
     for (const bool only_touched : {false, true}) {
         const Primitive primitive = only_touched ? Primitive::gaussian : Primitive::surfel;
-        Adam adam(device(), n, {.only_touched = only_touched}, primitive);
+        Adam adam(device(), n, {.only_touched = only_touched, .thread_per_float = GetParam()}, primitive);
         Stream stream(device());
         SurfelArrays parameters(device(), n, "parameters", primitive), gradients(device(), n, "gradients", primitive);
         const Surfels start = random_surfels(n, 1, primitive);
