@@ -53,7 +53,7 @@ Adam::~Adam() = default;
 SurfelArrays& Adam::moment1() { return impl_->moment1; }
 SurfelArrays& Adam::moment2() { return impl_->moment2; }
 
-void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t>& touched, const LearningRates& rates, int step, int sh_degree) {
+void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t>* touched, const LearningRates& rates, int step, int sh_degree) {
     Impl& a = *impl_;
     RELIDAR_ASSERT_LE(p.n, a.moment1.n);
     RELIDAR_ASSERT_LE(p.n, g.n);
@@ -62,9 +62,9 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
     const auto update = [&](Array<float>& value, const Array<float>& gradient, Array<float>& m, Array<float>& v, double rate, double first_scale, std::uint32_t stride,
                             std::uint32_t block, std::uint32_t active) {
         run(stream, a.kernel, std::size_t(p.n) * (a.per_float ? stride : 1u),
-            {value.address(), gradient.address(), m.address(), v.address(), a.options.only_touched ? touched.address() : 0, static_cast<float>(rate),
+            {value.address(), gradient.address(), m.address(), v.address(), touched ? touched->address() : 0, static_cast<float>(rate),
              static_cast<float>(a.options.beta1), static_cast<float>(a.options.beta2), static_cast<float>(a.options.epsilon), correction1, correction2,
-             static_cast<float>(first_scale), p.n, stride, block, active});
+             static_cast<float>(first_scale), p.n, stride, block, active, a.options.only_touched ? 1u : 0u});
     };
     SurfelArrays &m = a.moment1, &v = a.moment2;
     const std::uint32_t active = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
