@@ -62,6 +62,7 @@ struct LossWeights {
     float opacity_entropy = 0.0f;   ///< entropy of opacities: drives them to 0 or 1 (not in the paper)
 
     bool uses_geometry() const { return distortion > 0.0f || normal > 0.0f; }
+    bool uses_surfels() const { return box > 0.0f || opacity_entropy > 0.0f; }
 };
 
 inline constexpr int kLossTerms = 10;

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 
 #include <relidar/gpu.hpp>
 #include <relidar/scene.hpp>
@@ -24,7 +25,8 @@ struct AdamOptions {
     double beta1 = 0.9;
     double beta2 = 0.999;
     double epsilon = 1e-15;
-    bool only_touched = false;   ///< surfels without a gradient in this batch keep values and moments
+    bool only_touched = false;   ///< surfels without a gradient in this batch keep values and moments; false: their moments decay, and move them
+    std::optional<bool> thread_per_float = std::nullopt;   ///< instead of one thread a surfel and group; not given: on GPUs
 };
 
 /// Exponential interpolation from `start` at step 0 to `end` at step n_steps.
@@ -34,8 +36,9 @@ class Adam {
 public:
     Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, Primitive primitive = Primitive::surfel);
     ~Adam();
-    /// Records one step. @param step counts from 1 @param touched [n] @param sh_degree active degree: higher coefficients are left alone
-    void step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients, const Array<std::uint32_t>& touched,
+    /// Records one step. @param step counts from 1 @param touched [n] 1 where a surfel has a gradient, others are not read; null: all have
+    /// @param sh_degree active degree: higher coefficients are left alone
+    void step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients, const Array<std::uint32_t>* touched,
               const LearningRates& rates, int step, int sh_degree);
     SurfelArrays& moment1();
     SurfelArrays& moment2();

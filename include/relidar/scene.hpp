@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -208,7 +209,9 @@ struct ActivationGradients {
 /// A scene on a device: parameters, the records that hits read, and the instance table.
 class DeviceScene {
 public:
-    DeviceScene(Device& device, const Scene& scene);
+    /// @param stage_harmonics  activation and its derivative move harmonics through shared memory, whole lines at a time, instead of each thread
+    ///                         its own surfel's; not given: on GPUs
+    DeviceScene(Device& device, const Scene& scene, std::optional<bool> stage_harmonics = std::nullopt);
     ~DeviceScene();
 
     /// Poses of all instances, world_from_model, one each: all present. Blocking upload.

@@ -1,26 +1,34 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adam (Kingma and Ba) over one parameter group, one thread a row. Rows not touched keep their values and moments.
+// Adam (Kingma and Ba) over one parameter group, one thread a row, or a float (PER_FLOAT): neighbouring threads then read neighbouring
+// addresses, which a GPU loads together; a CPU has nothing of it. Gradients of rows not touched are not read: they are zero, or the row is
+// left as it is.
 // Input: gradients, touched. In place: values, moment1, moment2.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
 #include "../shared/optimizer.h"
+layout(constant_id = 1) const bool PER_FLOAT = false;
 RELIDAR_PARAMS(AdamParams);
 
+void update(uint row, uint column, bool has_gradient) {
+    uint within = column % params.block;
+    if (within >= params.n_active) return;
+    uint i = row * params.stride + column;
+    float g = has_gradient ? params.gradients.at[i] : 0.0;
+    float m = mix(g, params.moment1.at[i], params.beta1);
+    float v = mix(g * g, params.moment2.at[i], params.beta2);
+    params.moment1.at[i] = m;
+    params.moment2.at[i] = v;
+    float rate = params.learning_rate * (within == 0u ? params.first_scale : 1.0);
+    params.values.at[i] -= rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
+}
+
 void main() {
-    uint row = thread_index();
+    uint i = thread_index(), row = PER_FLOAT ? i / params.stride : i;
     if (row >= params.n_rows) return;
-    if (!is_null(params.touched) && params.touched.at[row] == 0u) return;
-    for (uint column = 0u; column < params.stride; ++column) {
-        uint within = column % params.block;
-        if (within >= params.n_active) continue;
-        uint i = row * params.stride + column;
-        float g = params.gradients.at[i];
-        float m = mix(g, params.moment1.at[i], params.beta1);
-        float v = mix(g * g, params.moment2.at[i], params.beta2);
-        params.moment1.at[i] = m;
-        params.moment2.at[i] = v;
-        float rate = params.learning_rate * (within == 0u ? params.first_scale : 1.0);
-        params.values.at[i] -= rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
-    }
+    bool has_gradient = is_null(params.touched) || params.touched.at[row] != 0u;
+    if (!has_gradient && params.only_touched != 0u) return;
+    if (PER_FLOAT) update(row, i % params.stride, has_gradient);
+    else
+        for (uint column = 0u; column < params.stride; ++column) update(row, column, has_gradient);
 }

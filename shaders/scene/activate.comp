@@ -8,28 +8,36 @@
 #include "../shared/scene.h"
 #include "../gaussian/quaternion.glsl"
 #include "../gaussian/sh.glsl"
+#include "sh_rows.glsl"
 RELIDAR_PARAMS(ActivateParams);
 
-float channel(uint surfel, uint c, float basis[16], uint n) {
-    float value = 0.5;
-    for (uint k = 0u; k < n; ++k) value += basis[k] * params.surfels.sh.at[surfel * RELIDAR_SH_FLOATS + c * 16u + k];
-    return value;
-}
-
-/// Whether every active SH coefficient is finite. The channels themselves do not tell: max(NaN, 0) is 0.
-bool finite_sh(uint surfel, uint n) {
-    float sum = 0.0;
-    for (uint c = 0u; c < 3u; ++c)
-        for (uint k = 0u; k < n; ++k) sum += abs(params.surfels.sh.at[surfel * RELIDAR_SH_FLOATS + c * 16u + k]);
-    return !isnan(sum) && !isinf(sum);
+/// Channel values of a surfel in a direction. Every thread of the workgroup must call it.
+/// @return whether all active coefficients are finite; the values do not tell: max(NaN, 0) is 0
+bool channels(uint surfel, bool is_surfel, vec3 direction, out vec3 values) {
+    float basis[16];
+    sh_basis(direction, params.sh_degree, basis);
+    uint n = sh_count(params.sh_degree);
+    float size = 0.0;
+    values = vec3(0.5);
+    choose_moves(is_surfel, false);
+    for (uint c = 0u; c < 3u; ++c) {
+        load_channel(params.surfels.sh, surfel, c, n);
+        for (uint k = 0u; k < n; ++k) {
+            float x = coefficient(params.surfels.sh, surfel, c, k);
+            values[c] += basis[k] * x;
+            size += abs(x);
+        }
+    }
+    return !isnan(size) && !isinf(size);
 }
 
 bool finite3(vec3 v) { return !any(isnan(v)) && !any(isinf(v)); }
 
 void main() {
     uint i = thread_index();
-    if (i >= params.n_surfels) return;
-    uint surfel = params.first_surfel + i;
+    bool is_surfel = i < params.n_surfels;
+    if (!STAGED && !is_surfel) return;   // else its threads load for others
+    uint surfel = params.first_surfel + (is_surfel ? i : 0u);
     Floats mean = params.surfels.mean, rotation = params.surfels.rotation, log_scale = params.surfels.log_scale;
     SurfelRecord s;
     s.mean = vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]);
@@ -41,22 +49,17 @@ void main() {
     s.normal = r[2];
     if (!is_null(params.surfels.log_scale_w)) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);   // 3D Gaussians
     s.opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
-    s.intensity = 0.0;
-    s.hit_logit = 0.0;
-    s.drop_logit = 0.0;
-    uint n = sh_count(params.sh_degree);
-    if (params.sh_per_surfel != 0u) {
-        float basis[16];
-        sh_basis(normalize(s.mean - params.view_origin), params.sh_degree, basis);
-        s.intensity = max(channel(surfel, 0u, basis, n), 0.0);
-        s.hit_logit = channel(surfel, 1u, basis, n);
-        s.drop_logit = channel(surfel, 2u, basis, n);
-    }
+    vec3 values;
+    bool finite_sh = channels(params.first_surfel + i, is_surfel, normalize(s.mean - params.view_origin), values);
+    bool evaluate = params.sh_per_surfel != 0u;
+    s.intensity = evaluate ? max(values.x, 0.0) : 0.0;
+    s.hit_logit = evaluate ? values.y : 0.0;
+    s.drop_logit = evaluate ? values.z : 0.0;
     vec3 inverse_scale = vec3(length(s.axis_u), length(s.axis_v), length(s.normal));   // scales outside 1e-6 m .. 1e6 m are no surfels
-    bool finite = q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(inverse_scale, vec3(1e-6))) && all(lessThan(inverse_scale, vec3(1e6))) && finite3(s.mean) && finite3(s.axis_u) && finite3(s.axis_v) && finite3(s.normal) && finite_sh(surfel, n);
+    bool finite = q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(inverse_scale, vec3(1e-6))) && all(lessThan(inverse_scale, vec3(1e6))) && finite3(s.mean) && finite3(s.axis_u) && finite3(s.axis_v) && finite3(s.normal) && finite_sh;
     if (!finite || !(s.opacity > params.alpha_min)) {
         bool placed = finite3(s.mean);
         s = SurfelRecord(placed ? s.mean : vec3(0.0), 0.0, vec3(1.0, 0.0, 0.0), 0.0, vec3(0.0, 1.0, 0.0), 0.0, vec3(0.0, 0.0, 1.0), 0.0);
     }
-    params.records.at[surfel] = s;
+    if (is_surfel) params.records.at[surfel] = s;
 }

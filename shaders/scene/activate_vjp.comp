@@ -8,24 +8,31 @@
 #include "../shared/scene.h"
 #include "../gaussian/quaternion.glsl"
 #include "../gaussian/sh.glsl"
+#include "sh_rows.glsl"
 RELIDAR_PARAMS(ActivateVjpParams);
 
-/// Gradient of the SH coefficients of one surfel; returns dL/d(direction).
-vec3 channels_vjp(uint surfel, vec3 direction, vec3 d_channel) {
+/// Gradient of the SH coefficients of one surfel; zeros where it has none. Every thread of the workgroup must call it.
+/// @return dL/d(direction)
+vec3 channels_vjp(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel) {
     float basis[16], d_basis[16];
     uint n = sh_count(params.sh_degree);
     sh_basis(direction, params.sh_degree, basis);
     for (uint k = 0u; k < 16u; ++k) d_basis[k] = 0.0;
-    Floats sh = params.surfels.sh;
-    uint first = surfel * RELIDAR_SH_FLOATS;
-    float intensity = 0.5;
-    for (uint k = 0u; k < n; ++k) intensity += basis[k] * sh.at[first + k];
-    if (intensity < 0.0) d_channel.x = 0.0;   // clamped at 0 in the record
-    for (uint c = 0u; c < 3u; ++c)
-        for (uint k = 0u; k < n; ++k) {
-            params.d_surfels.sh.at[first + c * 16u + k] = d_channel[c] * basis[k];
-            d_basis[k] += d_channel[c] * sh.at[first + c * 16u + k];
+    Floats sh = params.surfels.sh, d_sh = params.d_surfels.sh;
+    for (uint c = 0u; c < 3u; ++c) {
+        load_channel(sh, surfel, c, n);
+        float d = d_channel[c];
+        if (c == 0u) {
+            float intensity = 0.5;
+            for (uint k = 0u; k < n; ++k) intensity += basis[k] * coefficient(sh, surfel, c, k);
+            if (intensity < 0.0) d = 0.0;   // clamped at 0 in the record
         }
+        for (uint k = 0u; k < n; ++k) {
+            d_basis[k] += d * coefficient(sh, surfel, c, k);
+            set_coefficient(d_sh, surfel, c, k, any_gradient ? d * basis[k] : 0.0);
+        }
+        store_channel(d_sh, surfel, c, n);
+    }
     return sh_basis_vjp(direction, params.sh_degree, d_basis);
 }
 
@@ -38,12 +45,13 @@ void store_view(uint surfel, vec3 g) {
 
 /// Record gradient of a surfel, summed over the placements of its model. @return whether it is not zero
 bool load_row(uint i, out float row[16]) {
-    bool any_gradient = false;
-    for (uint k = 0u; k < 16u; ++k) {
-        row[k] = params.d_records.at[16u * (params.first_surfel + i) + k];
-        for (uint p = 0u; p < params.n_more; ++p) row[k] += params.d_records.at[16u * (params.more_rows.at[p] + i) + k];
-        any_gradient = any_gradient || row[k] != 0.0;
+    for (uint k = 0u; k < 16u; ++k) row[k] = params.d_records.at[16u * (params.first_surfel + i) + k];
+    for (uint p = 0u; p < params.n_more; ++p) {
+        uint first = 16u * (params.more_rows.at[p] + i);
+        for (uint k = 0u; k < 16u; ++k) row[k] += params.d_records.at[first + k];
     }
+    bool any_gradient = false;
+    for (uint k = 0u; k < 16u; ++k) any_gradient = any_gradient || row[k] != 0.0;
     return any_gradient;
 }
 
@@ -55,50 +63,52 @@ void store_zero(uint surfel) {
     for (uint k = 0u; k < 2u; ++k) params.d_surfels.log_scale.at[2 * surfel + k] = 0.0;
     if (is_gaussian()) params.d_surfels.log_scale_w.at[surfel] = 0.0;
     params.d_surfels.opacity_logit.at[surfel] = 0.0;
-    if (params.sh_per_surfel == 0u) return;
+    if (STAGED || params.sh_per_surfel == 0u) return;
     for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k) params.d_surfels.sh.at[surfel * RELIDAR_SH_FLOATS + k] = 0.0;
 }
 
-void main() {
-    uint i = thread_index();
-    if (i >= params.n_surfels) return;
-    uint surfel = params.first_surfel + i;
-    float row[16];
-    bool any_gradient = load_row(i, row);
-    params.touched.at[surfel] = any_gradient ? 1u : 0u;
-    if (!any_gradient) {
-        if (params.zero_untouched != 0u) store_zero(surfel);
-        store_view(surfel, vec3(0.0));
-        return;
-    }
-
-    vec3 d_mean = vec3(row[0], row[1], row[2]);
-    float d_opacity = row[3];
+/// All groups but the harmonics.
+void store_geometry(uint surfel, vec3 d_mean, float row[16]) {
     vec3 d_axis_u = vec3(row[4], row[5], row[6]);
     vec3 d_axis_v = vec3(row[8], row[9], row[10]);
     vec3 d_normal = vec3(row[12], row[13], row[14]);
-    vec3 d_channel = vec3(row[7], row[11], row[15]);
-
     vec4 q = vec4(params.surfels.rotation.at[4 * surfel], params.surfels.rotation.at[4 * surfel + 1],
                   params.surfels.rotation.at[4 * surfel + 2], params.surfels.rotation.at[4 * surfel + 3]);
     mat3 r = rotation_matrix(q);
     vec3 inverse_scale = exp(-vec3(params.surfels.log_scale.at[2 * surfel], params.surfels.log_scale.at[2 * surfel + 1], is_gaussian() ? params.surfels.log_scale_w.at[surfel] : 0.0));
     vec4 d_q = rotation_matrix_vjp(q, mat3(d_axis_u * inverse_scale.x, d_axis_v * inverse_scale.y, d_normal * inverse_scale.z));
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
-
-    if (params.sh_per_surfel != 0u) {
-        vec3 to_mean = load3(params.surfels.mean, 3 * surfel) - params.view_origin;
-        float inverse_length = inversesqrt(dot(to_mean, to_mean));
-        vec3 direction = to_mean * inverse_length;
-        vec3 d_direction = channels_vjp(surfel, direction, d_channel);
-        vec3 d_to_mean = (d_direction - direction * dot(direction, d_direction)) * inverse_length;
-        d_mean += d_to_mean;
-        store_view(surfel, -d_to_mean);
-    }
     for (uint k = 0u; k < 3u; ++k) params.d_surfels.mean.at[3 * surfel + k] = d_mean[k];
     for (uint k = 0u; k < 4u; ++k) params.d_surfels.rotation.at[4 * surfel + k] = d_q[k];
     params.d_surfels.log_scale.at[2 * surfel] = -dot(d_axis_u, r[0]) * inverse_scale.x;   // axis_u = a_u exp(-log_scale)
     params.d_surfels.log_scale.at[2 * surfel + 1] = -dot(d_axis_v, r[1]) * inverse_scale.y;
     if (is_gaussian()) params.d_surfels.log_scale_w.at[surfel] = -dot(d_normal, r[2]) * inverse_scale.z;
-    params.d_surfels.opacity_logit.at[surfel] = d_opacity * opacity * (1.0 - opacity);
+    params.d_surfels.opacity_logit.at[surfel] = row[3] * opacity * (1.0 - opacity);
+}
+
+void main() {
+    uint i = thread_index();
+    bool is_surfel = i < params.n_surfels;
+    if (!STAGED && !is_surfel) return;   // else its threads move rows of others
+    uint surfel = params.first_surfel + i;
+    float row[16];
+    bool any_gradient = is_surfel && load_row(i, row);
+    if (is_surfel) params.touched.at[surfel] = any_gradient ? 1u : 0u;
+
+    vec3 d_to_mean = vec3(0.0);
+    if (params.sh_per_surfel != 0u && (STAGED || any_gradient)) {
+        vec3 to_mean = any_gradient ? load3(params.surfels.mean, 3 * surfel) - params.view_origin : vec3(1.0);
+        float inverse_length = inversesqrt(dot(to_mean, to_mean));
+        vec3 direction = to_mean * inverse_length;
+        choose_moves(any_gradient, is_surfel && (any_gradient || params.zero_untouched != 0u));
+        vec3 d_direction = channels_vjp(surfel, any_gradient, direction, vec3(row[7], row[11], row[15]));
+        d_to_mean = (d_direction - direction * dot(direction, d_direction)) * inverse_length;
+    }
+    if (any_gradient) {
+        store_geometry(surfel, vec3(row[0], row[1], row[2]) + d_to_mean, row);
+        store_view(surfel, -d_to_mean);
+    } else if (is_surfel) {
+        if (params.zero_untouched != 0u) store_zero(surfel);
+        store_view(surfel, vec3(0.0));
+    }
 }

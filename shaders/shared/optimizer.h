@@ -11,7 +11,7 @@ struct AdamParams {
     Floats gradients;      // input [n_rows,stride]
     Floats moment1;        // in place
     Floats moment2;        // in place
-    Uints touched;         // input [n_rows] rows to update, or address 0 = all
+    Uints touched;         // input [n_rows] rows with a gradient, or address 0 = all
     float learning_rate;
     float beta1;
     float beta2;
@@ -22,7 +22,8 @@ struct AdamParams {
     uint n_rows;
     uint stride;           // floats a row
     uint block;            // columns a block: column 0 of each block has its own rate
-    uint n_active;          // columns updated in each block, the first ones
+    uint n_active;         // columns updated in each block, the first ones
+    uint only_touched;     // 1: rows without a gradient stay as they are; 0: theirs is zero
 };
 
 RELIDAR_SHARED_END

@@ -3,7 +3,6 @@
 #include "backward/pose_gradients.hpp"
 
 #include <algorithm>
-#include <cmath>
 
 #include "core/assert.hpp"
 #include "gpu/stream.hpp"
@@ -11,12 +10,14 @@
 namespace relidar {
 namespace {
 
+constexpr std::uint32_t kThreads = 64;    // of a workgroup
+constexpr std::uint32_t kBlock = 1024;    // surfels of a workgroup: of a million both halves of the sum take 16 steps a thread, and a tree
+
 struct BlockTable {
     std::vector<shared::PoseBlock> blocks;
     std::vector<std::uint32_t> first;   ///< [instances + 1]
 };
 
-/// As many blocks an instance as surfels a block: both halves of the sum are equally long.
 BlockTable block_table(const DeviceScene& scene) {
     const Scene& layout = scene.layout();
     BlockTable table;
@@ -24,9 +25,8 @@ BlockTable block_table(const DeviceScene& scene) {
     for (std::size_t i = 0; i < layout.instances.size(); ++i) {
         const std::uint32_t model = layout.instances[i].model;
         const std::uint32_t n = layout.models[model].count, first = layout.models[model].first, first_row = scene.first_gradient_row(i);
-        const std::uint32_t size = std::max(16u, static_cast<std::uint32_t>(std::sqrt(double(n))));
         table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
-        for (std::uint32_t k = 0; k < n; k += size) table.blocks.push_back({first + k, first_row + k, std::min(size, n - k), viewed[model] ? 0u : 1u});
+        for (std::uint32_t k = 0; k < n; k += kBlock) table.blocks.push_back({first + k, first_row + k, std::min(kBlock, n - k), viewed[model] ? 0u : 1u});
         viewed[model] = true;
     }
     table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
@@ -43,16 +43,16 @@ Gradients::PoseSums::PoseSums(Device& device, const DeviceScene& scene) {
     d_view = Array<float>(device, 3 * std::size_t(scene.size()), "view gradient");
 }
 
-PoseGradients::PoseGradients(Device& device) : blocks_(device, "backward/pose_blocks"), poses_(device, "backward/poses"), sensor_(device, "backward/sensor_pose") {}
+PoseGradients::PoseGradients(Device& device) : blocks_(device, "backward/pose_blocks", {{0u, kThreads}}), poses_(device, "backward/poses", {{0u, kThreads}}), sensor_(device, "backward/sensor_pose") {}
 
 void PoseGradients::run(Stream& stream, const DeviceScene& scene, const ImageModel& model, const glm::vec3& view_origin_m, Gradients& gradients) {
     const Gradients::PoseSums& sums = *gradients.pose_sums;
     const auto n_instances = static_cast<std::uint32_t>(scene.layout().instances.size()), n_blocks = static_cast<std::uint32_t>(sums.blocks.size());
     RELIDAR_ASSERT_LE(std::size_t(n_instances) + 1, sums.first_block.size());
-    relidar::run(stream, blocks_, n_blocks,
+    relidar::run(stream, blocks_, kThreads * std::size_t(n_blocks),
                  {scene.records().address(), gradients.records.address(), sums.d_view.address(), sums.blocks.address(), sums.sums.address(), n_blocks,
                   model.sh_direction == ShDirection::surfel ? 1u : 0u});
-    relidar::run(stream, poses_, n_instances,
+    relidar::run(stream, poses_, kThreads * std::size_t(n_instances),
                  {scene.instances_address(), sums.sums.address(), sums.first_block.address(), gradients.poses.address(), view_origin_m, n_instances});
     relidar::run(stream, sensor_, 1, {scene.instances_address(), gradients.poses.address(), gradients.sensor.address(), view_origin_m, n_instances});
 }

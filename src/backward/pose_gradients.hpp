@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-/// Surfels of all instances in blocks of about the square root of their number, and the sums over each.
+/// Surfels of all instances in blocks, and the sums over each.
 struct Gradients::PoseSums {
     Array<shared::PoseBlock> blocks;
     Array<std::uint32_t> first_block;   ///< [instances + 1]

@@ -118,6 +118,8 @@ KernelBase::Impl::~Impl() {
 
 KernelBase::~KernelBase() = default;
 
+bool coalesces(const Device& device) { return device.info().type != "CPU"; }
+
 std::string accumulating_variant(const Device& device, std::string_view name) {
     return std::string(name) + (device.info().float_atomics ? "_atomics" : "_swap");
 }

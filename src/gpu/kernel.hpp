@@ -55,6 +55,10 @@ public:
     using KernelBase::KernelBase;
 };
 
+/// Whether neighbouring threads should read neighbouring addresses, at the price of more threads or of shared memory: a GPU loads whole lines
+/// for a subgroup, a CPU for each core, where one thread a row is 1.7 times as fast for Adam.
+bool coalesces(const Device& device);
+
 /// Name of the variant of a tracing kernel that suits a device: "stage/stem@ray_query" and, for kernels that accumulate floats,
 /// "...@ray_query_atomics" where the device adds floats atomically.
 std::string accumulating_variant(const Device& device, std::string_view name);

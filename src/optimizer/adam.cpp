@@ -16,14 +16,34 @@ double exponential_schedule(double start, double end, int step, int n_steps) {
     return std::exp((1.0 - s) * std::log(start) + s * std::log(end));
 }
 
+namespace {
+
+constexpr std::uint32_t kStreamingThreads = 128;   // of a workgroup: with 32 a GPU could not fill itself
+
+std::vector<Constant> constants(bool per_float) {
+    std::vector<Constant> all{{1u, per_float ? 1u : 0u}};
+    if (per_float) all.push_back({0u, kStreamingThreads});
+    return all;
+}
+
+}  // namespace
+
 struct Adam::Impl {
     AdamOptions options;
+    bool per_float;
     SurfelArrays moment1, moment2;
     Kernel<shared::AdamParams> kernel;
+
+    Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, Primitive primitive)
+        : options(o),
+          per_float(o.thread_per_float.value_or(coalesces(device))),
+          moment1(device, n_surfels, "first moment", primitive),
+          moment2(device, n_surfels, "second moment", primitive),
+          kernel(device, "optimizer/adam", constants(per_float)) {}
 };
 
 Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, Primitive primitive)
-    : impl_(new Impl{options, {device, n_surfels, "first moment", primitive}, {device, n_surfels, "second moment", primitive}, {device, "optimizer/adam"}}) {
+    : impl_(new Impl(device, n_surfels, options, primitive)) {
     Stream stream(device);
     impl_->moment1.fill_zero(stream);
     impl_->moment2.fill_zero(stream);
@@ -33,7 +53,7 @@ Adam::~Adam() = default;
 SurfelArrays& Adam::moment1() { return impl_->moment1; }
 SurfelArrays& Adam::moment2() { return impl_->moment2; }
 
-void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t>& touched, const LearningRates& rates, int step, int sh_degree) {
+void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t>* touched, const LearningRates& rates, int step, int sh_degree) {
     Impl& a = *impl_;
     RELIDAR_ASSERT_LE(p.n, a.moment1.n);
     RELIDAR_ASSERT_LE(p.n, g.n);
@@ -41,10 +61,10 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
     const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step)));
     const auto update = [&](Array<float>& value, const Array<float>& gradient, Array<float>& m, Array<float>& v, double rate, double first_scale, std::uint32_t stride,
                             std::uint32_t block, std::uint32_t active) {
-        run(stream, a.kernel, p.n,
-            {value.address(), gradient.address(), m.address(), v.address(), a.options.only_touched ? touched.address() : 0, static_cast<float>(rate),
+        run(stream, a.kernel, std::size_t(p.n) * (a.per_float ? stride : 1u),
+            {value.address(), gradient.address(), m.address(), v.address(), touched ? touched->address() : 0, static_cast<float>(rate),
              static_cast<float>(a.options.beta1), static_cast<float>(a.options.beta2), static_cast<float>(a.options.epsilon), correction1, correction2,
-             static_cast<float>(first_scale), p.n, stride, block, active});
+             static_cast<float>(first_scale), p.n, stride, block, active, a.options.only_touched ? 1u : 0u});
     };
     SurfelArrays &m = a.moment1, &v = a.moment2;
     const std::uint32_t active = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));

@@ -93,6 +93,12 @@ void check_layout(const Scene& scene) {
             throw DataError(fmt::format("loading scene: an instance places model {}, expected one of {}", instance.model, scene.models.size()));
 }
 
+std::vector<Constant> activation_constants(bool stage_harmonics) {
+    std::vector<Constant> all{{1u, stage_harmonics ? 1u : 0u}};
+    if (stage_harmonics) all.push_back({0u, 64u});   // threads that share 4.4 kB: one wave, or two
+    return all;
+}
+
 /// Where the record gradients of each placement lie: those of a model's first placement are its surfels' own rows, further ones follow
 /// after all surfels.
 struct GradientRows {
@@ -130,15 +136,15 @@ struct DeviceScene::Impl {
     Kernel<shared::ActivateParams> activate;
     Kernel<shared::ActivateVjpParams> activate_vjp;
 
-    Impl(Device& device, const Scene& scene)
+    Impl(Device& device, const Scene& scene, bool stage_harmonics)
         : layout(layout_of(scene)),
           rows(scene, static_cast<std::uint32_t>(scene.surfels.size())),
           more_rows(device, rows.more, "rows of further placements"),
           parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel", scene.surfels.primitive()),
           records(device, 16 * scene.surfels.size(), "surfel records"),
           instances(device, scene.instances.size(), "instance table"),
-          activate(device, "scene/activate"),
-          activate_vjp(device, "scene/activate_vjp") {}
+          activate(device, "scene/activate", activation_constants(stage_harmonics)),
+          activate_vjp(device, "scene/activate_vjp", activation_constants(stage_harmonics)) {}
 
     /// Takes the poses. @return the table hits are moved into their models with; an absent instance has no surfels
     std::vector<shared::InstanceEntry> instance_table(const std::vector<InstancePose>& placed) {
@@ -162,9 +168,9 @@ struct DeviceScene::Impl {
     }
 };
 
-DeviceScene::DeviceScene(Device& device, const Scene& scene) {
+DeviceScene::DeviceScene(Device& device, const Scene& scene, std::optional<bool> stage_harmonics) {
     check_layout(scene);
-    impl_ = std::make_unique<Impl>(device, scene);
+    impl_ = std::make_unique<Impl>(device, scene, stage_harmonics.value_or(coalesces(device)));
     impl_->parameters.upload(scene.surfels);
     set_poses(std::vector<Pose>(scene.instances.size()));
 }

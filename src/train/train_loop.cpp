@@ -109,9 +109,12 @@ std::uint32_t TrainLoop::largest_batch() const {
     return largest;
 }
 
+/// Terms of the surfels themselves reach those that no ray has met.
+bool TrainLoop::all_have_gradients() const { return config_.loss.uses_surfels() && !config_.train.only_touched; }
+
 void TrainLoop::make_gradients() {
     gradients_.emplace(stream_.device(), scene_, refiner_ ? refiner_->wanted(largest_batch()) : WantedGradients{});
-    gradients_->zero_untouched = !config_.train.only_touched;
+    gradients_->zero_untouched = all_have_gradients();
 }
 
 void TrainLoop::place(std::size_t frame_index, const ImageModel& model) {
@@ -149,7 +152,7 @@ void TrainLoop::iterate(int step, bool ends_line) {
     surfel_loss_.run(stream_, scene_, {&gradients_->surfels, config_.train.only_touched ? &gradients_->touched : nullptr}, terms);
     if (densifier_) densifier_->observe(stream_, scene_, {&gradients_->surfels, &gradients_->touched, static_cast<std::uint32_t>(frame_index), rays.n_rays == frame.n_rays});
     const LearningRates rates = rates_at(config_.train, extent_m_, step);
-    adam_.step(stream_, scene_.parameters(), gradients_->surfels, gradients_->touched, rates, step, model.sh_degree);
+    adam_.step(stream_, scene_.parameters(), gradients_->surfels, all_have_gradients() ? nullptr : &gradients_->touched, rates, step, model.sh_degree);
     reports_.add(step, frame.index);
     if (densifier_ && densifier_->due(step)) change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene_, adam_, step, others_bytes); });
     if (densifier_) densifier_->after_step(stream_, scene_, adam_, step, rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));

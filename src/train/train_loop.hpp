@@ -123,6 +123,7 @@ private:
     }
 
     std::uint32_t largest_batch() const;
+    bool all_have_gradients() const;
     /// Gradients for the scene's present size.
     void make_gradients();
     /// Records the image of a batch and its losses, but for Chamfer's.

@@ -4,6 +4,9 @@
 // instances, one model placed twice, instances that are absent or that no ray meets.
 #include <glm/gtc/quaternion.hpp>
 
+#include <random>
+
+#include "backward/pose_gradients.hpp"
 #include "passes.hpp"
 
 namespace relidar {
@@ -118,11 +121,67 @@ TEST_F(PoseGradient, ShAlongSurfelSeesTheViewOriginMove) {
     expect_agreement(ShDirection::surfel, options, "poses, SH along sensor -> mean, an actor in the background");
 }
 
-TEST_F(PoseGradient, ManyBlocksOfSurfels) {
+TEST_F(PoseGradient, MoreSurfelsThanThreadsOfAWorkgroup) {
     test::RandomSceneOptions options;
     options.seed = 43, options.rays = 40, options.actor_instances = 1, options.actor_surfels = 90, options.background_surfels = 60;
     options.opacity_low = 0.02, options.opacity_high = 0.2;
     expect_agreement(ShDirection::ray, options, "poses, transparent, 90 surfels an actor");
+}
+
+/// Of a street and an actor in several blocks each, from record gradients at random: sums in double, and the same bits in every run.
+TEST_F(PoseGradient, ManyBlocksOfSurfels) {
+    const std::uint32_t n_background = 2500, n_actor = 1100, n = n_background + n_actor;
+    Scene layout = make_background_scene(make_benchmark_street(n));
+    layout.models = {{"background", 0, n_background}, {"actor", n_background, n_actor}};
+    layout.instances.push_back({1, "actor"});
+    const glm::dvec3 view_origin(1.0, -2.0, 0.5);
+    const Pose pose{glm::angleAxis(0.7, glm::normalize(glm::dvec3(1.0, 2.0, 3.0))), {4.0, -1.0, 0.3}};
+    std::mt19937_64 random(45);
+    std::normal_distribution<float> normal;
+    std::vector<float> d_records(16 * std::size_t(n)), d_view(3 * std::size_t(n));
+    for (std::size_t i = 0; i < n; i += 2) {   // the others have no gradient
+        for (std::size_t k = 0; k < 16; ++k) d_records[16 * i + k] = normal(random);
+        for (std::size_t k = 0; k < 3; ++k) d_view[3 * i + k] = normal(random);
+    }
+    for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
+        ImageModel model;
+        model.sh_direction = direction;
+        DeviceScene scene(device(), layout);
+        scene.set_poses({Pose{}, pose});
+        Stream stream(device());
+        scene.activate(stream, model, glm::vec3(view_origin));
+        stream.finish();
+        Gradients gradients(device(), scene, {.poses = true});
+        gradients.records.upload(d_records);
+        gradients.pose_sums->d_view.upload(d_view);
+        PoseGradients kernels(device());
+        kernels.run(stream, scene, model, glm::vec3(view_origin), gradients);
+        stream.finish();
+        const std::vector<float> poses = gradients.poses.download(), records = scene.records().download();
+        const auto three = [](const std::vector<float>& v, std::size_t i) { return glm::dvec3(v[i], v[i + 1], v[i + 2]); };
+        GradientTable table;
+        for (std::size_t k = 0; k < 2; ++k) {
+            glm::dvec3 force(0.0), torque(0.0), view(0.0);
+            for (std::size_t i = layout.models[k].first; i < layout.models[k].first + layout.models[k].count; ++i) {
+                force += three(d_records, 16 * i);
+                for (const std::size_t lane : {0, 4, 8, 12}) torque += glm::cross(three(records, 16 * i + lane), three(d_records, 16 * i + lane));
+                if (direction == ShDirection::surfel) view += three(d_view, 3 * i);
+                else torque -= glm::dvec3(d_records[16 * i + 7], d_records[16 * i + 11], d_records[16 * i + 15]);
+            }
+            const Pose placed = k == 1 ? pose : Pose{};
+            torque -= glm::cross(inverse(placed) * view_origin, view);
+            std::vector<double> expected = lanes(placed.rotation * (force - view), 3);
+            for (const double x : lanes(placed.rotation * torque, 3)) expected.push_back(x);
+            add_twist(table, "sums in double", expected, lanes(poses.data() + 6 * k, 6));
+        }
+        table.print("poses, blocks of surfels");
+        for (const auto& [name, group] : table.groups()) EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
+        for (int again = 0; again < 5; ++again) {
+            kernels.run(stream, scene, model, glm::vec3(view_origin), gradients);
+            stream.finish();
+            EXPECT_EQ(gradients.poses.download(), poses);
+        }
+    }
 }
 
 /// Behind the sensor, absent, or met by rays without a gradient: exactly nothing.

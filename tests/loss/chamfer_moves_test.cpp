@@ -71,7 +71,7 @@ double distance_after(Device& device, float shift, bool cut_gradient, bool image
         chamfer.run(stream, batch, measured, rendered, upstream, terms);
         if (cut_gradient) stream.fill(upstream);
         backward.run(stream, scene, accel, {batch, &rendered, &upstream}, glm::vec3(0.0f), gradients);
-        adam.step(stream, scene.parameters(), gradients.surfels, gradients.touched, {0.02, 0.0, 0.0, 0.0, 0.0, 1.0}, step, 3);
+        adam.step(stream, scene.parameters(), gradients.surfels, &gradients.touched, {0.02, 0.0, 0.0, 0.0, 0.0, 1.0}, step, 3);
         stream.finish();
     }
     double sum = 0.0, n = 0.0;

@@ -14,6 +14,8 @@ namespace relidar {
 namespace {
 
 class AdamTest : public test::DeviceTest {};
+class AdamThreads : public test::DeviceTest, public testing::WithParamInterface<bool> {};
+INSTANTIATE_TEST_SUITE_P(PerRowAndPerFloat, AdamThreads, testing::Bool());
 
 Surfels random_surfels(std::uint32_t n, std::uint64_t seed, Primitive primitive) {
     std::mt19937_64 random(seed);
@@ -39,32 +41,36 @@ struct Scalar {
     }
 };
 
-TEST_F(AdamTest, AgreesWithAdamInDouble) {
+/// With one thread a row and one a float; where all rows have gradients, where those that are not touched decay, and where these stay.
+TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     const std::uint32_t n = 133;
     const LearningRates rates{1e-3, 2e-3, 3e-3, 4e-2, 5e-3, 0.05};
-    for (const bool only_touched : {false, true}) {
+    enum class Untouched { none, decay, stay };
+    for (const Untouched untouched : {Untouched::none, Untouched::decay, Untouched::stay}) {
+        const bool only_touched = untouched == Untouched::stay;
         const Primitive primitive = only_touched ? Primitive::gaussian : Primitive::surfel;
-        Adam adam(device(), n, {.only_touched = only_touched}, primitive);
+        Adam adam(device(), n, {.only_touched = only_touched, .thread_per_float = GetParam()}, primitive);
         Stream stream(device());
         SurfelArrays parameters(device(), n, "parameters", primitive), gradients(device(), n, "gradients", primitive);
         const Surfels start = random_surfels(n, 1, primitive);
         parameters.upload(start);
-        std::vector<std::uint32_t> touched(n);
-        for (std::uint32_t i = 0; i < n; ++i) touched[i] = i % 3 != 0;
-        const Array<std::uint32_t> on_device(device(), std::span<const std::uint32_t>(touched), "touched");
+        const auto is_touched = [&](std::uint32_t i, int t) { return untouched == Untouched::none || i % 3 == 0 || int(i % 3) == t; };   // in all steps, or in one
         std::vector<Surfels> g;
         for (int t = 1; t <= 3; ++t) {
-            g.push_back(random_surfels(n, 10 + std::uint64_t(t), primitive));
+            g.push_back(random_surfels(n, 10 + std::uint64_t(t), primitive));   // that of the others must not be read
             gradients.upload(g.back());
-            adam.step(stream, parameters, gradients, on_device, rates, t, 2);
+            std::vector<std::uint32_t> touched(n);
+            for (std::uint32_t i = 0; i < n; ++i) touched[i] = is_touched(i, t);
+            const Array<std::uint32_t> on_device(device(), std::span<const std::uint32_t>(touched), "touched");
+            adam.step(stream, parameters, gradients, untouched == Untouched::none ? nullptr : &on_device, rates, t, 2);
             stream.finish();
         }
         const Surfels actual = parameters.download();
         for (std::uint32_t i = 0; i < n; ++i) {
-            const bool frozen = only_touched && !touched[i];
             const auto expect = [&](double first, double result, double rate, auto&& gradient) {
                 Scalar s{first};
-                for (int t = 1; t <= 3 && !frozen; ++t) s.step(gradient(g[std::size_t(t - 1)]), rate, t);
+                for (int t = 1; t <= 3; ++t)
+                    if (is_touched(i, t) || !only_touched) s.step(is_touched(i, t) ? gradient(g[std::size_t(t - 1)]) : 0.0, rate, t);
                 EXPECT_NEAR(result, s.value, 2e-6 * (1.0 + std::abs(s.value)));
             };
             for (int k = 0; k < 3; ++k) expect(start.mean[i][k], actual.mean[i][k], rates.mean, [&](const Surfels& s) { return s.mean[i][k]; });
@@ -89,7 +95,7 @@ TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
     Stream stream(device());
     for (Array<float>* array : {&value, &m, &v}) stream.fill(*array);
     stream.fill(gradient, 0x3f800000u);   // 1
-    run(stream, kernel, n, {value.address(), gradient.address(), m.address(), v.address(), 0, 1.0f, 0.9f, 0.999f, 1e-15f, 10.0f, 1000.0f, 1.0f, n, 1, 1, 1});
+    run(stream, kernel, n, {value.address(), gradient.address(), m.address(), v.address(), 0, 1.0f, 0.9f, 0.999f, 1e-15f, 10.0f, 1000.0f, 1.0f, n, 1, 1, 1, 0});
     stream.finish();
     const std::vector<float> values = value.download();
     EXPECT_EQ(std::count_if(values.begin(), values.end(), [](float x) { return std::abs(x + 1.0f) < 1e-4f; }), std::ptrdiff_t(n));

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// scene/activate and scene/activate_vjp alone, against the reference activations and their differences, record lane by record lane;
-// kd order; background extent.
+// scene/activate and scene/activate_vjp alone, against the reference activations and their differences, record lane by record lane, with
+// harmonics read by each thread and moved through shared memory; kd order.
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <random>
+#include <tuple>
 
 #include "../support/device.hpp"
 #include "../support/gradient_check.hpp"
@@ -13,90 +15,152 @@
 namespace relidar {
 namespace {
 
-/// In both primitives.
-class Activate : public test::DeviceTest, public testing::WithParamInterface<Primitive> {};
-INSTANTIATE_TEST_SUITE_P(Primitives, Activate, testing::Values(Primitive::surfel, Primitive::gaussian));
+/// In both primitives, with the access to harmonics that suits a CPU and the one that suits a GPU.
+class Activate : public test::DeviceTest, public testing::WithParamInterface<std::tuple<Primitive, bool>> {
+protected:
+    Primitive primitive() const { return std::get<0>(GetParam()); }
+    bool stages_harmonics() const { return std::get<1>(GetParam()); }
+
+    ImageModel image_model(int sh_degree) const {
+        ImageModel model;
+        model.primitive = primitive();
+        model.sh_direction = ShDirection::surfel;
+        model.sh_degree = sh_degree;
+        return model;
+    }
+    /// Two models, of which the first fills no whole workgroups, both placed at the origin.
+    DeviceScene on_device(const Surfels& surfels) {
+        Scene scene = make_background_scene(surfels);
+        const auto n = static_cast<std::uint32_t>(surfels.size());
+        scene.models = {{"background", 0, 70}, {"actor", 70, n - 70}};
+        scene.instances.push_back({1, "actor"});
+        return DeviceScene(device(), scene, stages_harmonics());
+    }
+};
+INSTANTIATE_TEST_SUITE_P(PrimitivesAndAccess, Activate, testing::Combine(testing::Values(Primitive::surfel, Primitive::gaussian), testing::Bool()));
 
 /// The 16 floats of a record in double, as shaders/shared/scene.h orders them.
-std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view_origin) {
+std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view_origin, int sh_degree) {
     const reference::DoubleRecord r = reference::make_record(s);
-    const glm::dvec3 c = reference::sh_values(s, glm::normalize(s.mean - view_origin), 3);
+    const glm::dvec3 c = reference::sh_values(s, glm::normalize(s.mean - view_origin), sh_degree);
     return {r.mean.x, r.mean.y, r.mean.z, r.sigma, r.axis_u.x, r.axis_u.y, r.axis_u.z, std::max(c.x, 0.0),
             r.axis_v.x, r.axis_v.y, r.axis_v.z, c.y, r.normal.x, r.normal.y, r.normal.z, c.z};
 }
 
+/// More than two workgroups of 64.
 std::vector<reference::Surfel> some_surfels(Primitive primitive) {
     test::RandomSceneOptions options;
     options.seed = 8;
+    options.background_surfels = 150;
     options.primitive = primitive;
     return test::make_random_scene(options, {}).world.surfels;
 }
 
 TEST_P(Activate, RecordsAgreeWithReference) {
-    const std::vector<reference::Surfel> surfels = some_surfels(GetParam());
+    const std::vector<reference::Surfel> surfels = some_surfels(primitive());
     const glm::vec3 view(0.3f, -0.2f, 0.1f);
-    ImageModel model;
-    model.primitive = GetParam();
-    model.sh_direction = ShDirection::surfel;
-    Stream stream(device());
-    DeviceScene scene(device(), make_background_scene(test::to_surfels(surfels)));
-    scene.activate(stream, model, view);
-    stream.finish();
-    const std::vector<float> actual = scene.records().download();
-    for (std::size_t i = 0; i < surfels.size(); ++i) {
-        const std::vector<double> expected = record_of(surfels[i], glm::dvec3(view));
-        for (std::size_t k = 0; k < 16; ++k) EXPECT_NEAR(actual[16 * i + k], expected[k], 2e-6 * (1.0 + std::abs(expected[k]))) << "surfel " << i << " lane " << k;
+    DeviceScene scene = on_device(test::to_surfels(surfels));
+    for (const int degree : {3, 1}) {
+        Stream stream(device());
+        scene.activate(stream, image_model(degree), view);
+        stream.finish();
+        const std::vector<float> actual = scene.records().download();
+        for (std::size_t i = 0; i < surfels.size(); ++i) {
+            const std::vector<double> expected = record_of(surfels[i], glm::dvec3(view), degree);
+            for (std::size_t k = 0; k < 16; ++k) EXPECT_NEAR(actual[16 * i + k], expected[k], 2e-6 * (1.0 + std::abs(expected[k]))) << "surfel " << i << " lane " << k;
+        }
     }
 }
 
-TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
-    std::vector<reference::Surfel> surfels = some_surfels(GetParam());
-    const glm::vec3 view(0.3f, -0.2f, 0.1f);
-    glm::dvec3 seen_from(view);
+TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
+    Surfels surfels = test::to_surfels(some_surfels(primitive()));
+    surfels.sh[kShFloats * 5 + 17] = std::numeric_limits<float>::quiet_NaN();
+    surfels.sh[kShFloats * 99 + 3] = std::numeric_limits<float>::infinity();
+    surfels.sh[kShFloats * 7 + 47] = std::numeric_limits<float>::quiet_NaN();   // not active
+    DeviceScene scene = on_device(surfels);
+    Stream stream(device());
+    scene.activate(stream, image_model(1), glm::vec3(0.0f));
+    stream.finish();
+    const std::vector<float> records = scene.records().download();
+    for (std::size_t i = 0; i < surfels.size(); ++i) EXPECT_EQ(records[16 * i + 3] == 0.0f, i == 5 || i == 99) << "surfel " << i;
+}
+
+/// Record gradients of all surfels but every third.
+std::vector<float> some_record_gradients(std::size_t n) {
     std::mt19937_64 random(3);
     std::normal_distribution<float> normal;
     std::vector<float> d_records;
-    for (std::size_t i = 0; i < 16 * surfels.size(); ++i) d_records.push_back(normal(random));
-    for (std::size_t k = 0; k < 16; ++k) d_records[16 + k] = 0.0f;   // surfel 1 has no gradient
-    ImageModel model;
-    model.sh_direction = ShDirection::surfel;
-    Stream stream(device());
-    const auto n = static_cast<std::uint32_t>(surfels.size());
-    DeviceScene scene(device(), make_background_scene(test::to_surfels(surfels)));
-    SurfelArrays d_surfels(device(), n, "gradient", GetParam());
-    Array<std::uint32_t> touched(device(), n, "touched");
-    Array<float> d_view(device(), 3 * surfels.size(), "view gradient");
-    const Array<float> upstream(device(), std::span<const float>(d_records), "record gradient");
-    scene.activate_vjp(stream, model, view, {&upstream, &d_surfels, &touched, &d_view});
-    stream.finish();
-    const Surfels actual = d_surfels.download();
-    EXPECT_EQ(touched.download()[1], 0u);
-    EXPECT_EQ(glm::length(actual.mean[1]), 0.0f);
-    if (GetParam() == Primitive::gaussian) {
-        EXPECT_EQ(actual.log_scale_w[1], 0.0f);
-    }
+    for (std::size_t i = 0; i < n; ++i)
+        for (std::size_t k = 0; k < 16; ++k) d_records.push_back(i % 3 == 1 ? 0.0f : normal(random));
+    return d_records;
+}
 
-    const std::vector<float> views = d_view.download();
-    test::GradientTable table;
-    for (std::size_t i = 0; i < surfels.size(); ++i) {
-        const auto terms = [&] {
-            std::vector<double> sum = record_of(surfels[i], seen_from);
-            for (std::size_t k = 0; k < 16; ++k) sum[k] *= d_records[16 * i + k];
-            return sum;
-        };
-        const auto row = [](const float* v, int count) { return std::vector<double>(v, v + count); };
-        table.add_row("view origin", test::central_differences(&seen_from.x, 3, terms), row(views.data() + 3 * i, 3));
-        table.add_row("mean", test::central_differences(&surfels[i].mean.x, 3, terms), row(&actual.mean[i].x, 3));
-        table.add_row("rotation", test::central_differences(&surfels[i].rotation.x, 4, terms), row(&actual.rotation[i].x, 4));
-        table.add_row("log_scale", test::central_differences(&surfels[i].log_scale.x, 2, terms), row(&actual.log_scale[i].x, 2));
-        if (surfels[i].log_scale_w) table.add_row("log_scale_w", test::central_differences(&*surfels[i].log_scale_w, 1, terms), row(&actual.log_scale_w[i], 1));
-        table.add_row("opacity_logit", test::central_differences(&surfels[i].opacity_logit, 1, terms), row(&actual.opacity_logit[i], 1));
-        table.add_row("sh", test::central_differences(surfels[i].sh.data(), kShFloats, terms, test::kLogitStep), row(actual.sh.data() + i * kShFloats, kShFloats));
+TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
+    std::vector<reference::Surfel> surfels = some_surfels(primitive());
+    const glm::vec3 view(0.3f, -0.2f, 0.1f);
+    glm::dvec3 seen_from(view);
+    const std::vector<float> d_records = some_record_gradients(surfels.size());
+    DeviceScene scene = on_device(test::to_surfels(surfels));
+    const auto n = static_cast<std::uint32_t>(surfels.size());
+    for (const int degree : {3, 1}) {
+        Stream stream(device());
+        SurfelArrays d_surfels(device(), n, "gradient", primitive());
+        Array<std::uint32_t> touched(device(), n, "touched");
+        Array<float> d_view(device(), 3 * surfels.size(), "view gradient");
+        const Array<float> upstream(device(), std::span<const float>(d_records), "record gradient");
+        scene.activate_vjp(stream, image_model(degree), view, {&upstream, &d_surfels, &touched, &d_view});
+        stream.finish();
+        const Surfels actual = d_surfels.download();
+        const std::vector<std::uint32_t> marks = touched.download();
+        for (std::size_t i = 0; i < n; ++i) EXPECT_EQ(marks[i], i % 3 == 1 ? 0u : 1u);
+
+        const std::vector<float> views = d_view.download();
+        test::GradientTable table;
+        for (std::size_t i = 0; i < surfels.size(); ++i) {
+            const auto terms = [&] {
+                std::vector<double> sum = record_of(surfels[i], seen_from, degree);
+                for (std::size_t k = 0; k < 16; ++k) sum[k] *= d_records[16 * i + k];
+                return sum;
+            };
+            const auto row = [](const float* v, int count) { return std::vector<double>(v, v + count); };
+            table.add_row("view origin", test::central_differences(&seen_from.x, 3, terms), row(views.data() + 3 * i, 3));
+            table.add_row("mean", test::central_differences(&surfels[i].mean.x, 3, terms), row(&actual.mean[i].x, 3));
+            table.add_row("rotation", test::central_differences(&surfels[i].rotation.x, 4, terms), row(&actual.rotation[i].x, 4));
+            table.add_row("log_scale", test::central_differences(&surfels[i].log_scale.x, 2, terms), row(&actual.log_scale[i].x, 2));
+            if (surfels[i].log_scale_w) table.add_row("log_scale_w", test::central_differences(&*surfels[i].log_scale_w, 1, terms), row(&actual.log_scale_w[i], 1));
+            table.add_row("opacity_logit", test::central_differences(&surfels[i].opacity_logit, 1, terms), row(&actual.opacity_logit[i], 1));
+            const int active = (degree + 1) * (degree + 1);
+            for (int first = 0; first < kShFloats; first += kShCoefficients)
+                table.add_row("sh", test::central_differences(surfels[i].sh.data() + first, active, terms, test::kLogitStep), row(actual.sh.data() + i * kShFloats + std::size_t(first), active));
+        }
+        table.print("activation on " + device().info().name);
+        for (const auto& [name, group] : table.groups()) {
+            EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
+            EXPECT_EQ(group.missing_rows(), 0u) << name;
+        }
     }
-    table.print("activation on " + device().info().name);
-    for (const auto& [name, group] : table.groups()) {
-        EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
-        EXPECT_EQ(group.missing_rows(), 0u) << name;
+}
+
+TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
+    const std::vector<reference::Surfel> surfels = some_surfels(primitive());
+    const std::vector<float> d_records = some_record_gradients(surfels.size());
+    const auto n = static_cast<std::uint32_t>(surfels.size());
+    DeviceScene scene = on_device(test::to_surfels(surfels));
+    SurfelArrays d_surfels(device(), n, "gradient", primitive());
+    Surfels before;
+    before.resize(n, primitive());
+    std::fill(before.sh.begin(), before.sh.end(), 7.0f);
+    std::fill(before.mean.begin(), before.mean.end(), glm::vec3(7.0f));
+    d_surfels.upload(before);
+    Array<std::uint32_t> touched(device(), n, "touched");
+    const Array<float> upstream(device(), std::span<const float>(d_records), "record gradient");
+    Stream stream(device());
+    scene.activate_vjp(stream, image_model(3), glm::vec3(0.0f), {&upstream, &d_surfels, &touched, nullptr, false});
+    stream.finish();
+    const Surfels after = d_surfels.download();
+    for (std::size_t i = 0; i < n; ++i) {
+        EXPECT_EQ(after.mean[i] == glm::vec3(7.0f), i % 3 == 1) << "surfel " << i;
+        for (std::size_t k = 0; k < kShFloats; ++k) EXPECT_EQ(after.sh[kShFloats * i + k] == 7.0f, i % 3 == 1) << "surfel " << i << " coefficient " << k;
     }
 }
 

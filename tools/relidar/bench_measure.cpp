@@ -76,7 +76,7 @@ struct TrainingState {
           upstream(device, wanted.size() * kUpstreamFloats, "loss gradients"),
           terms(device, std::vector<float>(kLossTerms, 0.0f), "loss terms"),
           kept(device, wanted.size(), static_cast<std::uint32_t>(bench.config.trace.keep_hits)) {
-        gradients.zero_untouched = !bench.config.train.only_touched;
+        gradients.zero_untouched = false;   // Adam does not read them
         for (const DeviceTarget& target : wanted) n_returned += target.range_m > 0.0f;
     }
 };
@@ -182,7 +182,7 @@ private:
         const RayBatch rays = batch();
         t.loss.run(stream_, {&t.targets, 0, 1, rays.n_rays, t.n_returned, static_cast<double>(rays.n_rays)}, rendered_, t.upstream, t.terms);
         t.backward.run(stream_, scene_, accel_, {rays, &rendered_, &t.upstream, &t.kept}, case_.view_origin_m, t.gradients);
-        t.adam.step(stream_, scene_.parameters(), t.gradients.surfels, t.gradients.touched, kStandStill, ++t.step, case_.config.image.sh_degree);
+        t.adam.step(stream_, scene_.parameters(), t.gradients.surfels, &t.gradients.touched, kStandStill, ++t.step, case_.config.image.sh_degree);
     }
 
     /// Sums the times since the last call by kernel.

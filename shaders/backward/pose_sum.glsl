@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sums of forces and torques over a workgroup, always in the same order. Include after kernel.glsl.
+#ifndef RELIDAR_INCLUDED_BACKWARD_POSE_SUM_GLSL
+#define RELIDAR_INCLUDED_BACKWARD_POSE_SUM_GLSL
+
+struct PoseSum {
+    vec3 force;
+    vec3 torque;   // about the model's origin
+    vec3 view;     // dL/d(view origin)
+};
+shared PoseSum pose_partial[gl_WorkGroupSize.x];   // a power of two
+
+/// Workgroups of a launch are folded into two dimensions as threads are (kernel.glsl).
+uint workgroup_index() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
+
+/// @return the sum over all threads, to the first of them. Every thread of the workgroup must call it.
+PoseSum add_over_workgroup(PoseSum sum) {
+    uint lane = gl_LocalInvocationIndex;
+    pose_partial[lane] = sum;
+    for (uint n = gl_WorkGroupSize.x / 2u; n > 0u; n /= 2u) {
+        barrier();
+        if (lane >= n) continue;
+        pose_partial[lane].force += pose_partial[lane + n].force;
+        pose_partial[lane].torque += pose_partial[lane + n].torque;
+        pose_partial[lane].view += pose_partial[lane + n].view;
+    }
+    return pose_partial[lane];
+}
+#endif
