@@ -19,25 +19,26 @@ struct BlendState {
     float moment;      // and over all of the ray
 };
 
-/// g . c of a hit in the buffer: what a unit of its weight is worth to the loss.
-float shade_of(TraceScene scene, Ray ray, RayGradient g, uint i, BlendState state) {
-    vec3 c = hit_channels(scene, ray, hit_instance[i], hit_surfel[i], scene.records.at[hit_surfel[i]]);
-    float shade = g.depth * hit_t[i] + g.weight + g.intensity * c.x + g.hit_logit * c.y + g.drop_logit * c.z;
+/// g . c of a hit: what a unit of its weight is worth to the loss.
+float shade_of(TraceScene scene, Ray ray, RayGradient g, Hit hit, BlendState state) {
+    vec3 c = hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
+    float shade = g.depth * hit.t + g.weight + g.intensity * c.x + g.hit_logit * c.y + g.drop_logit * c.z;
     if (GEOMETRY == 0u) return shade;
-    shade += ray_geometry.distortion * distortion_by_weight(state.transmittance, hit_t[i] - state.first_t, state.before, state.moment);
-    return shade + dot(ray_geometry.normal, facing_normal(scene, ray, hit_instance[i], hit_surfel[i]));
+    shade += ray_geometry.distortion * distortion_by_weight(state.transmittance, hit.t - state.first_t, state.before, state.moment);
+    return shade + dot(ray_geometry.normal, facing_normal(scene, ray, hit.instance, hit.surfel));
 }
 
 /// Blends the hits in the buffer front to back, n of them, and takes their share of the loss from what remains.
 void blend_chunk(TraceScene scene, Ray ray, RayGradient g, uint n, inout BlendState state) {
     for (uint i = 0u; i < n; ++i) {
-        float alpha = min(hit_alpha[i], scene.alpha_max);
+        Hit hit = hit_at(i);
+        float alpha = min(hit.alpha, scene.alpha_max);
         chunk_transmittance[i] = state.transmittance;
         chunk_w[i] = alpha * state.transmittance;
-        chunk_shade[i] = shade_of(scene, ray, g, i, state) - state.shift;
+        chunk_shade[i] = shade_of(scene, ray, g, hit, state) - state.shift;
         add_compensated(state.remaining, state.lost, -chunk_w[i] * chunk_shade[i]);
         state.transmittance *= 1.0 - alpha;
-        if (GEOMETRY != 0u) state.before += chunk_w[i] * (hit_t[i] - state.first_t);
+        if (GEOMETRY != 0u) state.before += chunk_w[i] * (hit.t - state.first_t);
     }
 }
 #endif

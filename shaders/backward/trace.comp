@@ -91,15 +91,12 @@ void add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHi
 void load_kept_hits(TraceScene scene, Ray ray, uint first, uint n) {
     reset_hits(0.0);
     hits_closed = true;
-    for (n_hits = 0u; n_hits < min(n, CHUNK); ++n_hits) {
+    for (; n_hits < min(n, CHUNK); ++n_hits) {
         KeptHit kept = params.kept.at[first + n_hits];
         SurfelHit hit;
         enter_instance(scene, ray, kept.instance);
         intersect(scene.records.at[kept.surfel], entered_origin, entered_direction, hit);
-        hit_t[n_hits] = hit.t;
-        hit_alpha[n_hits] = hit.alpha;
-        hit_instance[n_hits] = kept.instance;
-        hit_surfel[n_hits] = kept.surfel;
+        put_hit(n_hits, n_hits, Hit(hit.t, hit.alpha, kept.instance, kept.surfel));
     }
 }
 
@@ -126,7 +123,7 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
         uint n = min(n_hits, final.n_hits - blended);
         if (pass == 0u) {
             state.first_t = hit_t[0];
-            state.shift = shade_of(scene, ray, g, 0u, state);
+            state.shift = shade_of(scene, ray, g, hit_at(0u), state);
             add_compensated(state.remaining, state.lost, -state.shift * final.weight);
             add_compensated(state.remaining, state.lost, -state.shift * final.transmittance);
         }
@@ -137,7 +134,8 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
         float behind = ends ? state.transmittance * (g.drop_logit - state.shift) : state.remaining;   // background: drop logit 1
         for (uint k = n; k > 0u; --k) {
             uint i = k - 1u;
-            add_hit(scene, ray, ray_index, g, BlendedHit(slot + i, hit_instance[i], hit_surfel[i], hit_alpha[i], chunk_transmittance[i], chunk_w[i], chunk_shade[i], behind));
+            Hit hit = hit_at(i);
+            add_hit(scene, ray, ray_index, g, BlendedHit(slot + i, hit.instance, hit.surfel, hit.alpha, chunk_transmittance[i], chunk_w[i], chunk_shade[i], behind));
             behind += chunk_w[i] * chunk_shade[i];
         }
         if (ends) break;

@@ -11,10 +11,10 @@ RELIDAR_PARAMS(ForwardParams);
 
 /// Takes a hit into the geometry of its ray; `beyond` is its distance behind the first hit, of which no digits are lost in M10's sums.
 /// @param before  weight of the hits before it
-void add_geometry(TraceScene scene, Ray ray, uint i, float w, float before, float beyond, inout RenderedGeometry q) {
+void add_geometry(TraceScene scene, Ray ray, Hit hit, float w, float before, float beyond, inout RenderedGeometry q) {
     q.distortion += w * (beyond * before - q.moment);   // M10
     q.moment += w * beyond;
-    q.normal += w * facing_normal(scene, ray, hit_instance[i], hit_surfel[i]);
+    q.normal += w * facing_normal(scene, ray, hit.instance, hit.surfel);
 }
 
 RenderedRay render(TraceScene scene, Ray ray, uint ray_index) {
@@ -29,25 +29,26 @@ RenderedRay render(TraceScene scene, Ray ray, uint ray_index) {
     for (; pass < RELIDAR_MAX_PASSES && !ended; ++pass) {
         next_hits(scene, ray, after, remaining_budget(scene, r.transmittance));
         for (uint i = 0u; i < n_hits && !ended; ++i) {
-            float alpha = min(hit_alpha[i], scene.alpha_max);
+            Hit hit = hit_at(i);
+            float alpha = min(hit.alpha, scene.alpha_max);
             float next = r.transmittance * (1.0 - alpha);
             if (next < scene.transmittance_min) { ended = true; break; }
             float w = alpha * r.transmittance;
-            vec3 c = hit_channels(scene, ray, hit_instance[i], hit_surfel[i], scene.records.at[hit_surfel[i]]);
+            vec3 c = hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
             if (GEOMETRY != 0u) {
-                if (r.n_hits == 0u) first_t = hit_t[i];
-                add_geometry(scene, ray, i, w, r.weight, hit_t[i] - first_t, geometry);
+                if (r.n_hits == 0u) first_t = hit.t;
+                add_geometry(scene, ray, hit, w, r.weight, hit.t - first_t, geometry);
             }
-            add_compensated(r.depth, lost[0], w * hit_t[i]);
+            add_compensated(r.depth, lost[0], w * hit.t);
             add_compensated(r.weight, lost[1], w);
             add_compensated(r.intensity, lost[2], w * c.x);
             add_compensated(r.hit_logit, lost[3], w * c.y);
             add_compensated(r.drop_logit, lost[4], w * c.z);
             bool crosses = r.transmittance > 0.5 && next <= 0.5;
-            if (crosses) r.median_depth = hit_t[i];
-            if (crosses || r.n_hits == 0u) r.instance = hit_instance[i];
+            if (crosses) r.median_depth = hit.t;
+            if (crosses || r.n_hits == 0u) r.instance = hit.instance;
             r.transmittance = next;
-            if (r.n_hits < params.n_kept) params.kept.at[ray_index * params.n_kept + r.n_hits] = KeptHit(hit_instance[i], hit_surfel[i]);
+            if (r.n_hits < params.n_kept) params.kept.at[ray_index * params.n_kept + r.n_hits] = KeptHit(hit.instance, hit.surfel);
             ++r.n_hits;
         }
         if (!hits_closed) ended = true;

@@ -19,9 +19,10 @@ void main() {
         for (uint i = 0u; i < n_hits; ++i, ++count) {
             if (count >= params.max_hits) continue;
             uint slot = ray_index * params.max_hits + count;
-            params.t.at[slot] = hit_t[i];
-            params.instance.at[slot] = hit_instance[i];
-            params.surfel.at[slot] = hit_surfel[i];
+            Hit hit = hit_at(i);
+            params.t.at[slot] = hit.t;
+            params.instance.at[slot] = hit.instance;
+            params.surfel.at[slot] = hit.surfel;
         }
         more = hits_closed;
         if (more) after = hit_key(n_hits - 1u);

@@ -25,10 +25,22 @@ float evaluate_channel(TraceScene scene, uint surfel, uint channel) {
     return value;
 }
 
+/// All three at once: the basis, an array that is indexed at run time, is read once.
+vec3 evaluate_channels(TraceScene scene, uint surfel) {
+    vec3 value = vec3(0.5);
+    uint x = surfel * RELIDAR_SH_FLOATS, y = x + RELIDAR_SH_COEFFICIENTS, z = y + RELIDAR_SH_COEFFICIENTS;
+    for (uint k = 0u; k < sh_count(scene.sh_degree); ++k) {
+        float hit_logit = SINGLE_DROP_LOGIT != 0u ? 0.0 : scene.sh.at[y + k];
+        value += ray_basis[k] * vec3(scene.sh.at[x + k], hit_logit, scene.sh.at[z + k]);
+    }
+    return value;
+}
+
 /// @return intensity (clamped at 0), hit logit, drop logit
 vec3 hit_channels(TraceScene scene, Ray ray, uint instance, uint surfel, SurfelRecord record) {
     if (SH_PER_SURFEL != 0u) return vec3(record.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : record.hit_logit, record.drop_logit);
     use_basis(scene, ray, instance);
-    return vec3(max(evaluate_channel(scene, surfel, 0u), 0.0), SINGLE_DROP_LOGIT != 0u ? 0.0 : evaluate_channel(scene, surfel, 1u), evaluate_channel(scene, surfel, 2u));
+    vec3 value = evaluate_channels(scene, surfel);
+    return vec3(max(value.x, 0.0), SINGLE_DROP_LOGIT != 0u ? 0.0 : value.y, value.z);
 }
 #endif

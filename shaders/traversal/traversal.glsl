@@ -21,12 +21,23 @@ struct Ray {
 // over registers, which then spill: Mesa's AMD compiler all up to 256 bytes, Intel's all up to 16 elements. A larger one is memory.
 const uint SLOTS = 65u;
 
-// The buffer: sorted hits, nearest first, CHUNK of them at most.
+/// A hit in the buffer.
+struct Hit {
+    float t;
+    float alpha;      // sigma G, not clamped
+    uint instance;
+    uint surfel;
+};
+
+// The buffer: hits in the order of their keys, nearest first, CHUNK of them at most. Only what is compared lies in order; the rest of a hit
+// stays where it was put, so that making room moves two words a hit.
 float hit_t[SLOTS];
-float hit_alpha[SLOTS];    // sigma G, not clamped
-uint hit_instance[SLOTS];
-uint hit_surfel[SLOTS];
+uint hit_place[SLOTS];     // where the rest of it lies; behind the last hit: places of dropped ones, to be taken again
 uint n_hits;
+uint n_places;             // taken so far, at most CHUNK
+float placed_alpha[SLOTS];
+uint placed_instance[SLOTS];
+uint placed_surfel[SLOTS];
 bool hits_closed;          // nothing beyond the last hit can matter any more in this pass: the ray may end there
 float hits_optical_depth;  // sum of -log(1 - alpha) over the buffer
 float optical_budget;      // hits behind this optical depth cannot be blended; huge = keep all
@@ -55,7 +66,25 @@ bool before(Key a, Key b) {
     return a.surfel < b.surfel;
 }
 
-Key hit_key(uint i) { return Key(hit_t[i], hit_instance[i], hit_surfel[i]); }
+/// Hit i of the buffer, 0 the nearest.
+Hit hit_at(uint i) {
+    uint place = hit_place[i];
+    return Hit(hit_t[i], placed_alpha[place], placed_instance[place], placed_surfel[place]);
+}
+
+Key hit_key(uint i) { return Key(hit_t[i], placed_instance[hit_place[i]], placed_surfel[hit_place[i]]); }
+
+/// A place for the rest of a hit: that of one that was dropped, or a new one.
+uint take_place() { return n_places > n_hits ? hit_place[n_hits] : n_places++; }
+
+/// Writes a hit into a slot of the buffer.
+void put_hit(uint slot, uint place, Hit hit) {
+    hit_t[slot] = hit.t;
+    hit_place[slot] = place;
+    placed_alpha[place] = hit.alpha;
+    placed_instance[place] = hit.instance;
+    placed_surfel[place] = hit.surfel;
+}
 
 vec3 model_point(InstanceEntry m, vec3 p) {
     return vec3(exact_dot(m.row0.xyz, p) + m.row0.w, exact_dot(m.row1.xyz, p) + m.row1.w, exact_dot(m.row2.xyz, p) + m.row2.w);
@@ -79,7 +108,7 @@ float optical_depth(float alpha, float alpha_max) { return -log(1.0 - min(alpha,
 /// Drops the farthest hits while those before them already end the ray (T under T_min whatever comes behind).
 void cut_by_transmittance(float alpha_max) {
     while (hits_optical_depth >= optical_budget && n_hits > 1u) {
-        float last = optical_depth(hit_alpha[n_hits - 1u], alpha_max);
+        float last = optical_depth(hit_at(n_hits - 1u).alpha, alpha_max);
         if (hits_optical_depth - last < optical_budget) return;
         hits_optical_depth -= last;
         --n_hits;
@@ -102,19 +131,18 @@ void insert(Key key, float alpha, float alpha_max) {
 #endif
     if (n_hits == CHUNK) {
         --n_hits;
-        hits_optical_depth -= optical_depth(hit_alpha[n_hits], alpha_max);
+        hits_optical_depth -= optical_depth(hit_at(n_hits).alpha, alpha_max);
     }
-    uint slot = n_hits;
-    for (; slot > 0u && !before(hit_key(slot - 1u), key); --slot) {
-        hit_t[slot] = hit_t[slot - 1u];
-        hit_alpha[slot] = hit_alpha[slot - 1u];
-        hit_instance[slot] = hit_instance[slot - 1u];
-        hit_surfel[slot] = hit_surfel[slot - 1u];
+    uint slot = n_hits, own_place = take_place();
+    for (; slot > 0u; --slot) {
+        float t = hit_t[slot - 1u];
+        uint place = hit_place[slot - 1u];
+        if (!(t >= key.t)) break;
+        if (t == key.t && before(Key(t, placed_instance[place], placed_surfel[place]), key)) break;
+        hit_t[slot] = t;
+        hit_place[slot] = place;
     }
-    hit_t[slot] = key.t;
-    hit_alpha[slot] = alpha;
-    hit_instance[slot] = key.instance;
-    hit_surfel[slot] = key.surfel;
+    put_hit(slot, own_place, Hit(key.t, alpha, key.instance, key.surfel));
     ++n_hits;
     hits_optical_depth += optical_depth(alpha, alpha_max);
     if (n_hits == CHUNK) hits_closed = true;
@@ -140,6 +168,7 @@ void offer(TraceScene scene, Ray ray, Key after, uint instance, uint local_surfe
 
 void reset_hits(float budget) {
     n_hits = 0u;
+    n_places = 0u;
     hits_closed = false;
     hits_optical_depth = 0.0;
     optical_budget = budget;
