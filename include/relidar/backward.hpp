@@ -24,7 +24,7 @@ struct Gradients {
     SurfelArrays surfels;                ///< dL/d(parameter), layout of Surfels
     Array<float> records;                ///< [DeviceScene::gradient_rows,16] dL/d(record) of each placed surfel
     Array<std::uint32_t> touched;        ///< [n] 1 where a surfel has a gradient in this batch
-    bool zero_untouched = true;          ///< false: parameter gradients of the other surfels are left undefined (Adam does not read them)
+    bool zero_untouched = true;          ///< false: parameter gradients of the other surfels are left undefined (Adam takes them for zero)
     Array<float> rays;                   ///< [n_rays,6] dL/d(origin), dL/d(direction), world; empty unless asked for
 
     /// [instances,6] dL/d(v, w) at 0, v metres, w radians, both in the world's axes: world_from_model becomes (exp([w]x) R, T + v), so w turns

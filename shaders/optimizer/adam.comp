@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Adam (Kingma and Ba) over one parameter group, one thread a row, or a float (PER_FLOAT): neighbouring threads then read neighbouring
-// addresses, which a GPU loads together; a CPU has nothing of it. Gradients of rows not touched are not read: they are zero, or the row is
+// addresses, which a GPU loads together; a CPU has nothing of it. Gradients of rows not touched do not count: they are zero, or the row is
 // left as it is.
 // Input: gradients, touched. In place: values, moment1, moment2.
 #version 460
@@ -14,7 +14,8 @@ void update(uint row, uint column, bool has_gradient) {
     uint within = column % params.block;
     if (within >= params.n_active) return;
     uint i = row * params.stride + column;
-    float g = has_gradient ? params.gradients.at[i] : 0.0;
+    float g = PER_FLOAT && !has_gradient ? 0.0 : params.gradients.at[i];   // lanes of a CPU load faster than they branch
+    g = has_gradient ? g : 0.0;
     float m = mix(g, params.moment1.at[i], params.beta1);
     float v = mix(g * g, params.moment2.at[i], params.beta2);
     params.moment1.at[i] = m;

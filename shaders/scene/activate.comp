@@ -18,15 +18,16 @@ bool channels(uint surfel, bool is_surfel, vec3 direction, out vec3 values) {
     sh_basis(direction, params.sh_degree, basis);
     uint n = sh_count(params.sh_degree);
     float size = 0.0;
-    values = vec3(0.5);
     choose_moves(is_surfel, false);
     for (uint c = 0u; c < 3u; ++c) {
         load_channel(params.surfels.sh, surfel, c, n);
+        float value = 0.5;
         for (uint k = 0u; k < n; ++k) {
             float x = coefficient(params.surfels.sh, surfel, c, k);
-            values[c] += basis[k] * x;
+            value += basis[k] * x;
             size += abs(x);
         }
+        values[c] = value;
     }
     return !isnan(size) && !isinf(size);
 }

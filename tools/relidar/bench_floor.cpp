@@ -13,7 +13,7 @@ namespace relidar::cli {
 namespace {
 
 // Bytes of what the kernels exchange (shaders/shared).
-constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36, kTarget = 12, kUpstream = 20, kKeptHit = 8, kHitRecord = 16, kRow = 4;
+constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36, kTarget = 12, kUpstream = 20, kKeptHit = 8, kHitRecord = 16, kRow = 4, kMark = 4;
 constexpr double kBox = 24, kCorners = 48, kKey = 8, kIndex = 4;
 constexpr double kFewestNodes = 1.0 / 28.0;   // wide nodes a surfel: 8 children, leaves of 4
 constexpr double kNodeOperations = 150, kSurfelOperations = 40;   // shaders/traversal/software_bvh.glsl
@@ -41,13 +41,14 @@ double backward_trace(const FloorSizes& s) {
     return s.n_rays * (kRay + kRendered + kUpstream) + s.n_hits_kept * kKeptHit + s.n_touched * (kRecord + sh_along_ray(s)) + sums;
 }
 
-double activate_vjp(const FloorSizes& s) {
-    const double written = s.only_touched ? s.n_touched : s.n_surfels;
-    return s.n_surfels * (kRecord + 4) + s.n_touched * (kGeometry + sh_a_surfel(s)) + written * (kGeometry + sh_a_surfel(s));
-}
+/// Record gradients in, marks of the touched surfels out; of these parameters in, gradients out.
+double activate_vjp(const FloorSizes& s) { return s.n_surfels * (kRecord + kMark) + s.n_touched * 2 * (kGeometry + sh_a_surfel(s)); }
 
-/// Values, gradients and both moments in; values and moments out.
-double adam(const FloorSizes& s) { return (s.only_touched ? s.n_touched : s.n_surfels) * 7 * (kGeometry + sh(s)); }
+/// Marks and the gradients that are not zero in; values and both moments in and out.
+double adam(const FloorSizes& s) {
+    const double updated = s.only_touched ? s.n_touched : s.n_surfels;
+    return s.n_surfels * kMark + (s.n_touched + 6 * updated) * (kGeometry + sh(s));
+}
 
 enum class When { always, software, training, gather };
 

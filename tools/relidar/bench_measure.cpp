@@ -76,7 +76,7 @@ struct TrainingState {
           upstream(device, wanted.size() * kUpstreamFloats, "loss gradients"),
           terms(device, std::vector<float>(kLossTerms, 0.0f), "loss terms"),
           kept(device, wanted.size(), static_cast<std::uint32_t>(bench.config.trace.keep_hits)) {
-        gradients.zero_untouched = false;   // Adam does not read them
+        gradients.zero_untouched = false;   // Adam takes the others for zero
         for (const DeviceTarget& target : wanted) n_returned += target.range_m > 0.0f;
     }
 };
