@@ -7,10 +7,11 @@ layout(local_size_x_id = 0) in;
 /// Index of this thread. Launches of more workgroups than a device takes in one dimension are folded into two (src/gpu/stream.cpp).
 uint thread_index() { return gl_GlobalInvocationID.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x + gl_GlobalInvocationID.x; }
 
-// Read once, at the start: a copy in a block that nobody writes, so that no store of the kernel can change it and a compiler may keep it in
-// scalar registers.
-#define RELIDAR_PARAMS(Type)                                                                                     \
-    layout(buffer_reference, scalar, buffer_reference_align = 16) readonly buffer ParamsBlock { Type value; }; \
-    layout(push_constant, scalar) uniform Push { ParamsBlock block; } push;                                     \
-    Type params = push.block.value
+// Nobody writes the block, and the host tells the compiler so when it loads the module (src/gpu/spirv_modes.hpp): then no store of the kernel
+// can change a parameter, and it may stay in scalar registers. `readonly` here would not let a pointer be passed to a function, and a copy
+// of the struct is one that SwiftShader's compiler does not survive.
+#define RELIDAR_PARAMS(Type)                                                                            \
+    layout(buffer_reference, scalar, buffer_reference_align = 16) buffer ParamsBlock { Type value; }; \
+    layout(push_constant, scalar) uniform Push { ParamsBlock block; } push
+#define params push.block.value
 #endif

@@ -9,6 +9,7 @@ namespace relidar::gpu {
 namespace {
 
 constexpr std::size_t kHeaderWords = 5;
+constexpr std::uint32_t kOpName = 5, kOpMemberDecorate = 72, kOffset = 35, kNonWritable = 24;
 constexpr std::uint32_t kOpExtension = 10, kOpEntryPoint = 15, kOpExecutionMode = 16, kOpCapability = 17;
 
 std::vector<std::uint32_t> extension_instruction(std::string_view name) {
@@ -37,6 +38,19 @@ std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> wo
             modes.clear();
         }
         result.insert(result.end(), words.begin() + at, words.begin() + at + (words[at] >> 16));
+    }
+    return result;
+}
+
+std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32_t> words) {
+    std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
+    std::uint32_t block = 0;   // names come before decorations
+    for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16) {
+        const std::uint32_t opcode = words[at] & 0xffffu;
+        if (opcode == kOpName && std::strcmp(reinterpret_cast<const char*>(&words[at + 2]), "ParamsBlock") == 0) block = words[at + 1];
+        result.insert(result.end(), words.begin() + at, words.begin() + at + (words[at] >> 16));
+        if (opcode == kOpMemberDecorate && words[at + 1] == block && words[at + 3] == kOffset)
+            result.insert(result.end(), {4u << 16 | kOpMemberDecorate, block, words[at + 2], kNonWritable});
     }
     return result;
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Execution modes added to a SPIR-V module when it is loaded: whether a device has them is known only then, and glslang may not know
-// their GLSL extensions.
+// What is added to a SPIR-V module when it is loaded. Execution modes: whether a device has them is known only then, and glslang may not know
+// their GLSL extensions. That parameters are only read: GLSL's word for it reaches too far (shaders/common/kernel.glsl).
 #pragma once
 
 #include <cstdint>
@@ -23,5 +23,8 @@ inline constexpr ExecutionMode kMaximallyReconverges{6023, "SPV_KHR_maximal_reco
 
 /// The module with the mode on each of its entry points. @param words of a module that has at least one
 std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> words, const ExecutionMode& mode);
+
+/// The module with its block of parameters (RELIDAR_PARAMS) decorated NonWritable.
+std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32_t> words);
 
 }  // namespace relidar::gpu

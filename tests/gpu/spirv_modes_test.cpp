@@ -46,6 +46,23 @@ std::string text_of(const Words& extension) {
     return text.c_str();
 }
 
+TEST(SpirvModes, ParametersAreReadOnlyInEveryModule) {
+    for (const EmbeddedKernel& kernel : embedded_kernels()) {
+        const std::vector<Words> before = instructions(kernel.words), after = instructions(gpu::with_read_only_parameters(kernel.words));
+        std::vector<Words> added;
+        std::size_t k = 0;
+        for (const Words& instruction : after) {
+            if (k < before.size() && instruction == before[k]) ++k;
+            else added.push_back(instruction);
+        }
+        EXPECT_EQ(k, before.size()) << kernel.name << ": an instruction is missing";
+        ASSERT_EQ(added.size(), 1u) << kernel.name;
+        EXPECT_EQ(added[0][0], 4u << 16 | 72u) << kernel.name;   // OpMemberDecorate
+        EXPECT_EQ(added[0][2], 0u) << kernel.name;
+        EXPECT_EQ(added[0][3], 24u) << kernel.name;              // NonWritable
+    }
+}
+
 TEST(SpirvModes, AreAllThatIsAddedToAModule) {
     for (const EmbeddedKernel& kernel : embedded_kernels())
         for (const gpu::ExecutionMode& mode : {gpu::kSubgroupUniformControlFlow, gpu::kMaximallyReconverges}) {

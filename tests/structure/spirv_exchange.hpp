@@ -22,6 +22,7 @@ struct Origin {
     std::string member;   ///< "keys", "wide.order"; empty: none
     bool in_array = false;   ///< the array itself, not the pointer to it
     bool coherent = false;
+    bool parameters = false;   ///< the pointer to the block of parameters, or its place in the push constants
 };
 
 struct Accesses {
@@ -67,11 +68,14 @@ private:
 
     void chain(std::span<const std::uint32_t> o) {
         Origin from = origins_[o[2]];
-        if (names_[o[2]] == "params") {
+        if (names_[o[2]] == "push") {
+            from.parameters = true;
+        } else if (from.parameters) {
+            from.parameters = false;
             std::uint32_t type = pointers_[type_of_[o[2]]].second;
             for (std::size_t k = 3; k < o.size(); ++k) {
                 const std::uint32_t index = constants_[o[k]];
-                from.member += (from.member.empty() ? "" : ".") + member_names_[type][index];
+                if (k > 3) from.member += (from.member.empty() ? "" : ".") + member_names_[type][index];   // the first is `value`
                 type = struct_members_[type].size() > index ? struct_members_[type][index] : 0;
             }
         } else if (!from.member.empty()) {
@@ -100,6 +104,7 @@ private:
             case AccessChain: chain(o); break;
             case Load:
                 access(o[2], false);
+                type_of_[o[1]] = o[0];
                 origins_[o[1]] = origins_[o[2]];
                 origins_[o[1]].in_array = false;
                 origins_[o[1]].coherent = points_to_coherent(o[0]);
