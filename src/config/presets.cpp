@@ -83,7 +83,7 @@ Config quick() {
     config.train.iterations = 600;
     config.train.rays_per_iteration = 16384;
     config.train.sh_degree_interval = 200;
-    config.train.only_touched = true;   // a sixth of a step on a CPU, for 2 % of the range errors (docs/performance.md)
+    config.train.only_touched = true;   // saves up to a sixth of a step on a CPU, costs 2 % of RMSE and Chamfer (docs/performance.md)
     config.train.log_every = 20;
     return config;
 }
