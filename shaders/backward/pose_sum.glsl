@@ -10,9 +10,6 @@ struct PoseSum {
 };
 shared PoseSum pose_partial[gl_WorkGroupSize.x];   // a power of two
 
-/// Workgroups of a launch are folded into two dimensions as threads are (kernel.glsl).
-uint workgroup_index() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
-
 /// @return the sum over all threads, to the first of them. Every thread of the workgroup must call it.
 PoseSum add_over_workgroup(PoseSum sum) {
     uint lane = gl_LocalInvocationIndex;

@@ -7,7 +7,10 @@ layout(local_size_x_id = 0) in;
 /// Index of this thread. Launches of more workgroups than a device takes in one dimension are folded into two (src/gpu/stream.cpp).
 uint thread_index() { return gl_GlobalInvocationID.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x + gl_GlobalInvocationID.x; }
 
-// Nobody writes the block, and the host tells the compiler so when it loads the module (src/gpu/spirv_modes.hpp): then no store of the kernel
+/// Index of this workgroup, folded in the same way.
+uint workgroup_index() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
+
+// Nobody writes the block, and the host tells the compiler so when it loads the module (src/gpu/spirv.hpp): then no store of the kernel
 // can change a parameter, and it may stay in scalar registers. `readonly` here would not let a pointer be passed to a function, and a copy
 // of the struct is one that SwiftShader's compiler does not survive.
 #define RELIDAR_PARAMS(Type)                                                                            \

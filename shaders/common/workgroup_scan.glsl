@@ -9,9 +9,6 @@ shared uvec2 scan_sums[64];
 
 uint scan_thread() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
-/// Workgroups of a launch are folded into two dimensions as threads are (kernel.glsl).
-uint workgroup_index() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
-
 /// Sum over the subgroups before this one. Every thread of the workgroup must call it.
 /// @param sum of this subgroup @param total of all
 uvec2 subgroups_before(uvec2 sum, out uvec2 total) {

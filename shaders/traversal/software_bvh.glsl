@@ -35,7 +35,7 @@ const float kNever = 1e30;
 const float kSlack = 5e-7;                 // 8 roundings of 2^-24
 const float kLeastSlope = 1e-12;
 
-uint stack_entry[SLOTS];       // one more than is used (SLOTS)
+uint stack_entry[SLOTS];       // SLOTS is one more than what is used
 float stack_t[SLOTS];          // where this ray enters it, kNever where it does not
 uint stack_size;
 bool stack_full;
