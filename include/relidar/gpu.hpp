@@ -48,7 +48,6 @@ struct PipelineStatistics {
     std::string constants;                  ///< "CHUNK=64 TOGETHER=0", in the order of their ids
     int workgroup_size = 0;                 ///< threads
     int subgroup_size = 0;                  ///< lanes the driver compiled for, 0 = unknown
-    double compile_ms = 0.0;
     std::string failure;                    ///< the driver's answer where it made no pipeline, else empty
     std::map<std::string, double> values;   ///< by the driver's own names; empty where it has no VK_KHR_pipeline_executable_properties
 };

@@ -36,7 +36,8 @@ class Adam {
 public:
     Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, Primitive primitive = Primitive::surfel);
     ~Adam();
-    /// Records one step. @param step counts from 1 @param touched [n] 1 where a surfel has a gradient, that of the others counts as zero whatever it is; null: all have
+    /// Records one step. @param step counts from 1
+    /// @param touched [n] 1 where a surfel has a gradient, that of the others counts as zero whatever it is; null: all have
     /// @param sh_degree active degree: higher coefficients are left alone
     void step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients, const Array<std::uint32_t>* touched,
               const LearningRates& rates, int step, int sh_degree);

@@ -55,7 +55,8 @@ struct TrainResult {
     bool interrupted = false;          ///< before the last one
 };
 
-/// Called with every line of the log, a few iterations after the one at which it ends. Returning false stops training after the current iteration; the result holds the scene so far.
+/// Called with every line of the log, a few iterations after the one at which it ends. Returning false stops training after the current
+/// iteration; the result holds the scene so far.
 using ProgressCallback = std::function<bool(const TrainProgress&)>;
 
 /// How a training that may take days starts and stops.

@@ -41,7 +41,6 @@ private:
     PrefixSum prefix_sum_;                      ///< over rays
     std::unique_ptr<RadixSort> sort_;           ///< by row
     std::uint32_t n_rays_ = 0;                  ///< of the present batch
-
 };
 
 }  // namespace relidar

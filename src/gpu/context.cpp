@@ -196,7 +196,7 @@ void Device::Impl::open() {
     read_limits();
     make_pipeline_layout();
     if (compile_only) return;   // what a driver without hardware lacks
-    pipelines = std::make_unique<gpu::PipelineCache>(physical, device);
+    pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device);
     memory = std::make_unique<gpu::MemoryPools>(physical, device);
     transfers = std::make_unique<gpu::Transfers>(*this);
 }
@@ -295,7 +295,7 @@ Device::Impl::~Impl() {
     if (!device) return;
     transfers.reset();
     memory.reset();
-    pipelines.reset();
+    pipeline_cache.reset();
     if (pipeline_layout) vkDestroyPipelineLayout(device, pipeline_layout, nullptr);
     vkDestroyDevice(device, nullptr);
 }

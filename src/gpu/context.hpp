@@ -12,8 +12,6 @@
 
 #include <relidar/gpu.hpp>
 
-#include "gpu/spirv_modes.hpp"
-
 namespace relidar::gpu {
 
 class MemoryPools;
@@ -38,7 +36,9 @@ struct Instance {
     std::vector<VkPhysicalDevice> physical_devices() const;
 };
 
+/// Whether a device offers an extension.
 bool has_extension(VkPhysicalDevice physical, const char* name);
+
 /// What makes kernels right or safer on devices where it is not so anyway.
 struct OptionalFeatures {
     bool subgroup_size = false;    ///< a kernel can ask for subgroups of DeviceInfo::subgroup_size lanes
@@ -77,7 +77,7 @@ struct Device::Impl {
     struct { std::uint64_t n_bytes; const char* name; } largest_buffer{};   ///< that one array may have, and which limit that is
     std::unique_ptr<gpu::MemoryPools> memory;
     std::unique_ptr<gpu::Transfers> transfers;
-    std::unique_ptr<gpu::PipelineCache> pipelines;
+    std::unique_ptr<gpu::PipelineCache> pipeline_cache;
     std::mutex queue_mutex;
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;   ///< shared by all kernels: one 8-byte push constant
     std::uint64_t memory_limit_bytes = 0;   ///< 0 = none

@@ -3,15 +3,15 @@
 #include "gpu/kernel.hpp"
 
 #include <algorithm>
-#include <chrono>
 #include <array>
 
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
 
-#include "gpu/pipeline_statistics.hpp"
 #include "gpu/pipeline_cache.hpp"
+#include "gpu/pipeline_statistics.hpp"
+#include "gpu/spirv.hpp"
 #include "gpu/stream.hpp"
 
 namespace relidar {
@@ -59,7 +59,7 @@ VkResult make_pipeline(Device::Impl& device, std::span<const std::uint32_t> word
     if (subgroups == Subgroups::full && device.optional.subgroup_size) info.stage.pNext = &lanes;
     if (subgroups == Subgroups::full && device.optional.full_subgroups) info.stage.flags = VK_PIPELINE_SHADER_STAGE_CREATE_REQUIRE_FULL_SUBGROUPS_BIT;
     info.layout = device.pipeline_layout;
-    const VkPipelineCache cache = device.pipelines ? device.pipelines->handle() : VK_NULL_HANDLE;
+    const VkPipelineCache cache = device.pipeline_cache ? device.pipeline_cache->handle() : VK_NULL_HANDLE;
     const VkResult result = vkCreateComputePipelines(device.device, cache, 1, &info, nullptr, &pipeline);
     vkDestroyShaderModule(device.device, module, nullptr);
     return result;
@@ -104,9 +104,7 @@ void KernelBase::compile_only(std::string_view name, std::span<const std::uint32
     s.workgroup_size = static_cast<int>(impl_->workgroup_size);
     const auto same = [&](const PipelineStatistics& known) { return known.kernel == s.kernel && known.constants == s.constants && known.workgroup_size == s.workgroup_size; };
     if (std::any_of(device.compiled.begin(), device.compiled.end(), same)) return;
-    const auto start = std::chrono::steady_clock::now();
     const VkResult result = make_pipeline(device, words, constants, subgroups, impl_->pipeline);
-    s.compile_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
     if (result != VK_SUCCESS) s.failure = gpu::result_name(result);
     else if (device.pipeline_statistics) gpu::read_statistics(device.device, impl_->pipeline, s);
     device.compiled.push_back(s);

@@ -2,14 +2,10 @@
 // Statistics of compiled pipelines, as the driver names them.
 #include "gpu/pipeline_statistics.hpp"
 
-#include <cstring>
 #include <vector>
 
 namespace relidar::gpu {
 namespace {
-
-constexpr std::uint32_t kOpName = 5, kOpDecorate = 71, kSpecId = 1;
-constexpr std::size_t kHeaderWords = 5;
 
 double as_double(const VkPipelineExecutableStatisticKHR& s) {
     switch (s.format) {
@@ -21,18 +17,6 @@ double as_double(const VkPipelineExecutableStatisticKHR& s) {
 }
 
 }  // namespace
-
-std::map<std::uint32_t, std::string> constant_names(std::span<const std::uint32_t> words) {
-    std::map<std::uint32_t, std::string> name_of_result, name_of_constant;   // names come before decorations in a module
-    for (std::size_t at = kHeaderWords; at < words.size();) {
-        const std::uint32_t n_words = words[at] >> 16, opcode = words[at] & 0xffffu;
-        if (n_words == 0 || at + n_words > words.size()) break;
-        if (opcode == kOpName) name_of_result[words[at + 1]] = reinterpret_cast<const char*>(&words[at + 2]);
-        if (opcode == kOpDecorate && words[at + 2] == kSpecId) name_of_constant[words[at + 3]] = name_of_result[words[at + 1]];
-        at += n_words;
-    }
-    return name_of_constant;
-}
 
 void read_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics) {
     VkPipelineInfoKHR info{VK_STRUCTURE_TYPE_PIPELINE_INFO_KHR};

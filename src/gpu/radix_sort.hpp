@@ -17,7 +17,7 @@ struct SortSet {
 class RadixSort {
 public:
     /// @param capacity  keys at most: about 1/4 byte each @param key_words  32-bit words of a key
-    /// @throws DeviceError where subgroups have fewer than 8 lanes, more than 64, or a number that varies
+    /// @throws DeviceError where subgroups have fewer than 4 lanes, more than 64, or a number that varies
     RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_words);
     std::uint32_t capacity() const { return capacity_; }
 

@@ -19,10 +19,11 @@ struct Setting {
     const char* value;
 };
 
-// What is tried on top of `base`, one at a time. A new specialisation constant is a line here.
+// What is tried on top of the preset `default`, one at a time. A new specialisation constant is a line here.
 constexpr Setting kSettings[] = {
     {"image.sh_direction", "ray"}, {"image.sh_direction", "surfel"}, {"image.primitive", "gaussian"}, {"image.single_drop_logit", "true"},
-    {"train.gradient_sums", "atomics"}, {"train.gradient_sums", "gather"}, {"loss.distortion", "0.1"}, {"loss.chamfer", "0.01"}, {"loss.box", "0.1"}, {"train.deterministic", "true"}, {"train.refine_poses", "sensor,actors"},
+    {"train.gradient_sums", "atomics"}, {"train.gradient_sums", "gather"}, {"train.deterministic", "true"}, {"train.refine_poses", "sensor,actors"},
+    {"loss.distortion", "0.1"}, {"loss.chamfer", "0.01"}, {"loss.box", "0.1"},
     {"trace.walk", "lane"}, {"trace.walk", "subgroup"}, {"trace.proxy", "triangles"}, {"trace.proxy", "boxes"},
     {"trace.chunk", "16"}, {"trace.chunk", "64"}, {"densify.strategy", "adaptive"}, {"densify.strategy", "mcmc"}};
 

@@ -13,7 +13,7 @@ RELIDAR_PARAMS(ExchangeParams);
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 
 #ifdef COHERENT
-#define KEYS SharedUints(params.keys)
+#define KEYS SharedUints(uvec2(params.keys))
 #else
 #define KEYS params.keys
 #endif

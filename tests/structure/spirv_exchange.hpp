@@ -46,8 +46,8 @@ public:
     }
 
 private:
-    enum Code : std::uint32_t { Name = 5, MemberName = 6, TypePointer = 32, Constant = 43, Load = 61, Store = 62, AccessChain = 65, MemberDecorate = 72,
-                                ConvertUToPtr = 120, ConvertPtrToU = 117, Bitcast = 124, ControlBarrier = 224, MemoryBarrier = 225 };
+    enum Code : std::uint32_t { Name = 5, MemberName = 6, TypePointer = 32, Constant = 43, Variable = 59, Load = 61, Store = 62, AccessChain = 65, MemberDecorate = 72,
+                                Bitcast = 124, ControlBarrier = 224, MemoryBarrier = 225 };
     static constexpr std::uint32_t kCoherent = 23, kPhysicalStorage = 5349;
 
     std::map<std::uint32_t, std::string> names_;
@@ -100,7 +100,7 @@ private:
             case OpTypeStruct: struct_members_[o[0]].assign(o.begin() + 1, o.end()); break;
             case TypePointer: pointers_[o[0]] = {o[1], o[2]}; break;
             case Constant: constants_[o[1]] = o[2]; break;
-            case 59: type_of_[o[1]] = o[0]; break;   // OpVariable
+            case Variable: type_of_[o[1]] = o[0]; break;
             case AccessChain: chain(o); break;
             case Load:
                 access(o[2], false);
@@ -109,7 +109,7 @@ private:
                 origins_[o[1]].in_array = false;
                 origins_[o[1]].coherent = points_to_coherent(o[0]);
                 break;
-            case ConvertUToPtr: case ConvertPtrToU: case Bitcast:
+            case Bitcast:   // a pointer to a pointer of another type, through uvec2
                 origins_[o[1]] = origins_[o[2]];
                 origins_[o[1]].coherent = points_to_coherent(o[0]);
                 break;

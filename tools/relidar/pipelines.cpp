@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // relidar pipelines: compiles every pipeline of the program on a device and prints what the driver's compiler says of it.
-#include <algorithm>
-#include <filesystem>
 #include <memory>
 #include <set>
 
@@ -23,29 +21,27 @@ struct Options {
     bool tsv = false;
 };
 
-/// Pipelines of a device with one traversal; nothing where it cannot.
-std::vector<PipelineStatistics> compiled(const Options& options, Traversal traversal) {
-    Device device({.index = options.device, .traversal = traversal, .compile_only = true});
+std::vector<PipelineStatistics> compiled(int index, Traversal traversal) {
+    Device device({.index = index, .traversal = traversal, .compile_only = true});
     Progress progress(false);
     compile_pipelines(device, [&](const std::string& what) { progress.show("compiling: " + what); });
     return device.pipelines();
 }
 
-/// Those of both traversals, each once.
+/// Those of the traversals asked for, of "both" those that the device has; each pipeline once.
 std::vector<PipelineStatistics> all_compiled(const Options& options) {
+    const DeviceInfo info = Device({.index = options.device, .compile_only = true}).info();
     std::vector<PipelineStatistics> all;
     std::set<std::string> known;
-    for (const auto& [name, traversal] : {std::pair{"software", Traversal::software}, std::pair{"ray_query", Traversal::ray_query}}) {
-        if (options.traversal != "both" && options.traversal != name) continue;
-        const std::vector<DeviceInfo> devices = list_devices();
-        const int index = std::max(options.device, 0);
-        const bool has = std::size_t(index) >= devices.size() || (traversal == Traversal::software ? devices[std::size_t(index)].software : devices[std::size_t(index)].ray_query);
-        if (options.traversal == "both" && !has) continue;
-        for (PipelineStatistics& p : compiled(options, traversal)) {
+    const auto add = [&](const char* name, Traversal traversal, bool has) {
+        if (options.traversal != name && !(options.traversal == "both" && has)) return;
+        for (PipelineStatistics& p : compiled(info.index, traversal)) {
             if (p.kernel.find(options.kernel) == std::string::npos) continue;
             if (known.insert(fmt::format("{} {} {}", p.kernel, p.constants, p.workgroup_size)).second) all.push_back(std::move(p));
         }
-    }
+    };
+    add("software", Traversal::software, info.software);
+    add("ray_query", Traversal::ray_query, info.ray_query);
     return all;
 }
 

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// What is added to a SPIR-V module when it is loaded. Execution modes: whether a device has them is known only then, and glslang may not know
-// their GLSL extensions. That parameters are only read: GLSL's word for it reaches too far (shaders/common/kernel.glsl).
+// What is read from a SPIR-V module, and added to it, when it is loaded. Execution modes: whether a device has them is known only then, and
+// glslang may not know their GLSL extensions. That parameters are only read: GLSL's word for it reaches too far (shaders/common/kernel.glsl).
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <span>
+#include <string>
 #include <string_view>
 #include <vector>
 
@@ -26,5 +28,8 @@ std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> wo
 
 /// The module with its block of parameters (RELIDAR_PARAMS) decorated NonWritable.
 std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32_t> words);
+
+/// Name of each specialisation constant, by its id (OpDecorate SpecId, OpName).
+std::map<std::uint32_t, std::string> constant_names(std::span<const std::uint32_t> words);
 
 }  // namespace relidar::gpu

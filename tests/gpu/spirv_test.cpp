@@ -10,7 +10,7 @@
 #include <gtest/gtest.h>
 
 #include "gpu/kernel.hpp"
-#include "gpu/spirv_modes.hpp"
+#include "gpu/spirv.hpp"
 
 namespace relidar {
 namespace {

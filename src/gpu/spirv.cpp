@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: Apache-2.0
+// The order of a module: capabilities, extensions, ..., entry points, execution modes, ...
+#include "gpu/spirv.hpp"
+
+#include <cstring>
+
+namespace relidar::gpu {
+
+namespace {
+
+constexpr std::size_t kHeaderWords = 5;
+constexpr std::uint32_t kOpName = 5, kOpDecorate = 71, kOpMemberDecorate = 72, kSpecId = 1, kOffset = 35, kNonWritable = 24;
+constexpr std::uint32_t kOpExtension = 10, kOpEntryPoint = 15, kOpExecutionMode = 16, kOpCapability = 17;
+
+std::vector<std::uint32_t> extension_instruction(std::string_view name) {
+    std::vector<std::uint32_t> words(1 + name.size() / 4 + 1, 0u);   // the name ends with a zero byte
+    std::memcpy(words.data() + 1, name.data(), name.size());
+    words[0] = static_cast<std::uint32_t>(words.size()) << 16 | kOpExtension;
+    return words;
+}
+
+using Instruction = std::span<const std::uint32_t>;   // its first word holds length and opcode
+
+/// Calls f(opcode, instruction) for each instruction of a module, in order.
+template <class F>
+void for_each_instruction(std::span<const std::uint32_t> words, const F& f) {
+    for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16) f(words[at] & 0xffffu, words.subspan(at, words[at] >> 16));
+}
+
+void append(std::vector<std::uint32_t>& words, Instruction instruction) { words.insert(words.end(), instruction.begin(), instruction.end()); }
+
+const char* name_in(Instruction op_name) { return reinterpret_cast<const char*>(&op_name[2]); }
+
+}  // namespace
+
+std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> words, const ExecutionMode& mode) {
+    std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords), modes;
+    bool extended = false;
+    for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
+        if (!extended && opcode != kOpCapability && opcode != kOpExtension) {
+            append(result, extension_instruction(mode.extension));
+            extended = true;
+        }
+        if (opcode == kOpEntryPoint) {
+            modes.insert(modes.end(), {3u << 16 | kOpExecutionMode, instruction[2], mode.mode});
+        } else {   // behind the last entry point
+            append(result, modes);
+            modes.clear();
+        }
+        append(result, instruction);
+    });
+    return result;
+}
+
+std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32_t> words) {
+    std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
+    std::uint32_t block = 0;   // names come before decorations
+    for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
+        if (opcode == kOpName && std::strcmp(name_in(instruction), "ParamsBlock") == 0) block = instruction[1];
+        append(result, instruction);
+        if (opcode == kOpMemberDecorate && instruction[1] == block && instruction[3] == kOffset)
+            result.insert(result.end(), {4u << 16 | kOpMemberDecorate, block, instruction[2], kNonWritable});
+    });
+    return result;
+}
+
+std::map<std::uint32_t, std::string> constant_names(std::span<const std::uint32_t> words) {
+    std::map<std::uint32_t, std::string> name_of_result, name_of_constant;   // names come before decorations
+    for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
+        if (opcode == kOpName) name_of_result[instruction[1]] = name_in(instruction);
+        if (opcode == kOpDecorate && instruction[2] == kSpecId) name_of_constant[instruction[3]] = name_of_result[instruction[1]];
+    });
+    return name_of_constant;
+}
+
+}  // namespace relidar::gpu
