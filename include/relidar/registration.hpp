@@ -11,10 +11,13 @@
 namespace relidar {
 
 struct RegisterOptions {
-    double largest_m = 1.0;         ///< a pose whose correction is larger counts as lost; also how far apart points may be at first
+    double largest_m = 1.0;         ///< a scan whose correction is farther from its neighbours' counts as lost; also how far apart the same
+                                    ///< surface may lie for two scans before the adjustment
+    bool given_motion = true;       ///< the poses say how the sensor moved from scan to scan; false: only the scans do
     std::vector<BoxTrack> movers;   ///< their points are not the street's
     double mover_margin_m = 0.2;    ///< boxes are grown by this
-    std::function<bool()> stop;     ///< asked before every round; true ends registration with nothing changed
+    std::function<bool()> stop;     ///< asked before every scan and round; true ends registration with nothing changed
+    std::function<void(const std::string& what, double done)> progress;   ///< called now and then, done in 0..1
 };
 
 /// One round: planes are fitted to the cells of a grid, then all poses take one step towards them.
@@ -29,13 +32,16 @@ struct RegisterRound {
 struct Registration {
     PoseTrack world_from_sensor;        ///< corrected; the log's own where stopped
     std::vector<RegisterRound> rounds;
-    std::vector<std::size_t> lost;      ///< frames that their own scan did not place, by position: corrected as their neighbours are
+    std::vector<std::size_t> lost;      ///< frames that their own scan did not place, by position: moved as their neighbours were
+    double on_planes = 0.0;             ///< share of a training scan's points that lie on common planes, the median over scans
     bool stopped = false;
 };
 
-/// Corrects the poses of the sensor so that all scans lie on common planes:
+/// Finds poses of the sensor at which all scans lie on common planes. First scan by scan, each on the map of those before it, starting where
+/// the given poses say that it moved; then all at once:
 ///   min over all poses and planes (n, d) of  sum over points p of rho(n . p - d),  rho(r) = r^2 / (1 + r^2 / s^2),
-/// each point moving with the poses between which it was fired. The mean correction is zero, as what all poses have in common cannot be seen.
+/// each point moving with the poses between which it was fired. So given poses may drift by metres, or jump. What all poses have in common
+/// cannot be seen: the mean correction is zero, or without given motion the pose in the middle stays.
 /// Held-out scans shape no plane and move no other pose than their own, which is found last, on the planes of the training scans.
 /// Deterministic, whatever the number of threads. One training scan is left where it is.
 /// @throws DataError where no two training scans see a common surface

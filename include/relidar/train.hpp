@@ -71,13 +71,15 @@ struct TrainSession {
 struct PrepareSession {
     std::function<void(const std::string&)> tell;   ///< one line about each estimate, as soon as it is made
     std::function<bool()> stop;                     ///< asked now and then; true ends it
+    std::function<void(const std::string& what, double done)> progress;   ///< called now and then, done in 0..1
 };
 
 /// Estimates what the log does not say and training needs from the start, in this order, as the settings ask: poses of the sensor
 /// (train.refine_poses with train.pose_register), offsets and responses of its lasers (sensor.calibrate_range, sensor.calibrate_intensity),
 /// tracks of what moves without a label (init.discover_actors). From training frames alone, but for the poses of held-out ones; the same for
 /// the same log and settings, so that a resumed training prepares its log anew.
-/// A log whose scans see nothing in common keeps its poses. @throws Error with exit code 130 where stopped
+/// @throws Error with exit code 130 where stopped; DataError where more than 5 % of the scans do not find their place among the others and
+/// train.allow_lost_scans is not set; UsageError where a log without poses is not to be registered
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session = {});
 
 /// Trains a scene on the training frames of a log, prepared by prepare_log().

@@ -123,7 +123,8 @@ void visit_training(C& c, Visitor&& f) {
     f("train.sensor_drop", c.train.sensor_drop, anything(), "learn what the sensor itself never sees (its own vehicle) apart from the scene");
     f("train.refine_poses", c.train.refine_poses, one_of({"none", "sensor", "actors", "sensor,actors"}), "poses that are corrected together with the scene: of the sensor, of the actors' boxes");
     f("train.pose_register", c.train.pose_register, anything(), "where the sensor's poses are refined, they start from a registration of the scans, before the scene is initialised");
-    f("train.pose_largest_m", c.train.pose_largest_m, between(0.05, 100.0), "largest correction that registration looks for, metres; a scan that would need more is placed as its neighbours are");
+    f("train.pose_largest_m", c.train.pose_largest_m, between(0.05, 100.0), "how far, in metres, a scan's correction may be from its neighbours', and the same surface from itself once the scans were followed; a scan beyond is moved as its neighbours are");
+    f("train.allow_lost_scans", c.train.allow_lost_scans, anything(), "train also where more than 5 % of the scans did not find their place; false: an error");
     f("train.pose_from", c.train.pose_from, between(0, kMaxCount), "poses stay as they are up to this step");
     f("train.pose_rate_m", c.train.pose_rate_m, at_least(0), "learning rate of the sensor's translations at the start, metres; a tenth at the end; without train.pose_register 2e-3 and more follow centimetres");
     f("train.pose_rate_rad", c.train.pose_rate_rad, at_least(0), "learning rate of the sensor's rotations at the start, radians; a tenth at the end");

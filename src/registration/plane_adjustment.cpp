@@ -72,11 +72,17 @@ const Plane* PlaneMap::at(const glm::dvec3& point_m) const {
     return cell && planes[*cell] ? &*planes[*cell] : nullptr;
 }
 
-PlaneAdjustment::PlaneAdjustment(const PoseTrack& start, std::vector<ThinPoint> points, std::vector<bool> gauge) : start_(start), track_(start), points_(std::move(points)), gauge_(std::move(gauge)) {}
+PlaneAdjustment::PlaneAdjustment(const PoseTrack& given, const PoseTrack& start, std::vector<ThinPoint> points, std::vector<bool> gauge)
+    : given_(given), track_(start), points_(std::move(points)), gauge_(std::move(gauge)) {
+    remove_common_motion();
+    start_ = track_;
+}
 
-std::vector<RegisterRound> PlaneAdjustment::run(const RegisterRound& first, const RegisterRound& last, const std::function<bool()>& stop) {
+std::vector<RegisterRound> PlaneAdjustment::run(const RegisterRound& first, const RegisterRound& last, const std::function<bool(double done)>& proceed) {
+    constexpr int kRounds = kShrinking + kLast;
     std::vector<RegisterRound> rounds;
-    for (int i = 0; i < kShrinking + kLast && !(stop && stop()); ++i) rounds.push_back(step(between(first, last, std::min(1.0, i / double(kShrinking - 1))), kShift * i));
+    for (int i = 0; i < kRounds && proceed(i / double(kRounds)); ++i)
+        rounds.push_back(step(between(first, last, std::min(1.0, i / double(kShrinking - 1))), kShift * i));
     return rounds;
 }
 
@@ -113,8 +119,8 @@ void PlaneAdjustment::remove_common_motion() {
         glm::dvec3 centre(0.0), v(0.0), w(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
             if (!gauge_[k]) continue;
-            const Twist c = twist_between(start_.pose[k], track_.pose[k]);
-            centre += start_.pose[k].translation / n;
+            const Twist c = twist_between(given_.pose[k], track_.pose[k]);
+            centre += given_.pose[k].translation / n;
             v += glm::dvec3(c[0], c[1], c[2]) / n;
             w += glm::dvec3(c[3], c[4], c[5]) / n;
         }
@@ -123,33 +129,55 @@ void PlaneAdjustment::remove_common_motion() {
     }
 }
 
+std::pair<std::size_t, std::size_t> PlaneAdjustment::neighbours_of(std::size_t pose, const std::vector<bool>& among) {
+    std::size_t before = pose, after = pose;
+    for (std::size_t k = pose; k-- > 0 && before == pose;)
+        if (among[k]) before = k;
+    for (std::size_t k = pose + 1; k < among.size() && after == pose; ++k)
+        if (among[k]) after = k;
+    return {before, after};
+}
+
+double PlaneAdjustment::share_of_time(std::size_t before, std::size_t pose, std::size_t after) const {
+    const std::vector<double>& t = given_.time_s;
+    return (t[pose] - t[before]) / (t[after] - t[before]);
+}
+
 void PlaneAdjustment::interpolate_corrections(const std::vector<bool>& is_known) {
     const Eigen::VectorXd known = corrections(start_, track_);
-    const std::size_t n = is_known.size();
-    for (std::size_t k = 0; k < n; ++k) {
+    for (std::size_t k = 0; k < is_known.size(); ++k) {
         if (is_known[k]) continue;
-        std::size_t before = k, after = k;
-        while (before > 0 && !is_known[before]) --before;
-        while (after + 1 < n && !is_known[after]) ++after;
-        if (!is_known[before]) before = after;
-        if (!is_known[after]) after = before;
-        if (!is_known[before]) continue;   // none at all
-        const double span = start_.time_s[after] - start_.time_s[before], s = span > 0.0 ? (start_.time_s[k] - start_.time_s[before]) / span : 0.0;
+        auto [before, after] = neighbours_of(k, is_known);
+        if (before == k && after == k) continue;   // none at all
+        if (before == k) before = after;
+        if (after == k) after = before;
+        const double s = before == after ? 0.0 : share_of_time(before, k, after);
         Twist twist = twist_of(known, before);
         for (std::size_t i = 0; i < 6; ++i) twist[i] += s * (twist_of(known, after)[i] - twist[i]);
         track_.pose[k] = moved(start_.pose[k], twist);
     }
 }
 
-bool PlaneAdjustment::is_placed(const PlaneMap& map, std::size_t pose, std::span<const ThinPoint> own, double scale_m, double largest_m) const {
+double PlaneAdjustment::share_on_planes(const PlaneMap& map, std::span<const ThinPoint> own, double scale_m) const {
     std::size_t n_placed = 0;
     for (const ThinPoint& point : own) {
         const PlacedPoint placed = place(track_, point);
         const Plane* plane = map.at(placed.point_m);
         n_placed += plane && row_of(placed, *plane, scale_m).weight > 0.25;
     }
-    const double correction_m = glm::length(track_.pose[pose].translation - start_.pose[pose].translation);
-    return correction_m <= largest_m && n_placed >= kFewestPlaced && double(n_placed) >= kFewestShare * double(own.size());
+    return own.empty() ? 0.0 : double(n_placed) / double(own.size());
+}
+
+bool PlaneAdjustment::is_placed(double share, std::size_t n_points) { return share >= kFewestShare && share * double(n_points) >= double(kFewestPlaced); }
+
+double PlaneAdjustment::stands_out_m(std::size_t pose, const std::vector<bool>& among) const {
+    const auto [before, after] = neighbours_of(pose, among);
+    if (before == pose || after == pose) return 0.0;
+    const auto correction = [&](std::size_t k) { return track_.pose[k].translation - given_.pose[k].translation; };
+    const glm::dvec3 between = glm::mix(correction(before), correction(after), share_of_time(before, pose, after));
+    double least = glm::distance(correction(pose), between);   // given poses that jump have one neighbour that jumps along
+    for (const std::size_t neighbour : {before, after}) least = std::min(least, glm::distance(correction(pose), correction(neighbour)));
+    return least;
 }
 
 std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map, const std::vector<bool>& candidates, double scale_m, double largest_m) {
@@ -159,7 +187,8 @@ std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map, cons
     for (std::size_t k = 0; k < is_known.size(); ++k) {
         std::size_t end = begin;
         while (end < points_.size() && points_[end].frame == k) ++end;
-        if (candidates[k] && !is_placed(map, k, std::span(points_).subspan(begin, end - begin), scale_m, largest_m)) {
+        const double share = share_on_planes(map, std::span(points_).subspan(begin, end - begin), scale_m);
+        if (candidates[k] && !(is_placed(share, end - begin) && stands_out_m(k, candidates) <= largest_m)) {
             lost.push_back(k);
             is_known[k] = false;
         }

@@ -9,6 +9,8 @@
 
 #include <relidar/error.hpp>
 
+#include "core/parallel.hpp"
+#include "registration/odometry.hpp"
 #include "registration/plane_adjustment.hpp"
 
 namespace relidar {
@@ -25,7 +27,8 @@ std::vector<ThinPoint> joined(const std::vector<std::vector<ThinPoint>>& scans) 
 }
 
 /// Coarse to fine like the training scans, but on planes that know nothing of them.
-void place_held_out(PlaneAdjustment& adjustment, const Split& split, const std::vector<std::vector<ThinPoint>>& scans, const RegisterRound& first, const RegisterOptions& options, std::vector<std::size_t>& lost) {
+std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const Split& split, const std::vector<bool>& is_train, const std::vector<std::vector<ThinPoint>>& scans, const RegisterRound& first, double largest_m) {
+    std::vector<std::size_t> lost;
     std::vector<Pose> as_neighbours;
     for (const int position : split.test) as_neighbours.push_back(adjustment.track().pose[std::size_t(position)]);
     for (int level = 0; level < kLevels && !scans.empty(); ++level) {
@@ -35,29 +38,61 @@ void place_held_out(PlaneAdjustment& adjustment, const Split& split, const std::
         for (std::size_t i = 0; i < scans.size(); ++i) {
             const auto pose = std::size_t(split.test[i]);
             for (int step = 0; step < kStepsALevel; ++step) adjustment.place_pose(map, pose, scans[i], scale_m);
-            if (level + 1 < kLevels || adjustment.is_placed(map, pose, scans[i], scale_m, options.largest_m)) continue;
+            if (level + 1 < kLevels) continue;
+            const bool found = PlaneAdjustment::is_placed(adjustment.share_on_planes(map, scans[i], scale_m), scans[i].size());
+            if (found && adjustment.stands_out_m(pose, is_train) <= largest_m) continue;
             adjustment.set_pose(pose, as_neighbours[i]);
             lost.push_back(pose);
         }
     }
+    return lost;
+}
+
+/// [poses] those of training.
+std::vector<bool> marked(const std::vector<int>& positions, std::size_t n) {
+    std::vector<bool> is(n, false);
+    for (const int position : positions) is[std::size_t(position)] = true;
+    return is;
+}
+
+double median_share(const PlaneAdjustment& adjustment, const PlaneMap& map, const std::vector<std::vector<ThinPoint>>& scans) {
+    std::vector<double> shares(scans.size());
+    run_parallel(static_cast<int>(scans.size()), [&](int i) { shares[std::size_t(i)] = adjustment.share_on_planes(map, scans[std::size_t(i)], kLast.scale_m); });
+    std::nth_element(shares.begin(), shares.begin() + std::ptrdiff_t(shares.size() / 2), shares.end());
+    return shares[shares.size() / 2];
 }
 
 }  // namespace
 
 Registration register_scans(const Sequence& sequence, const Split& split, const RegisterOptions& options) {
-    Registration result{sequence.world_from_sensor, {}, {}, false};
+    Registration result{sequence.world_from_sensor, {}, {}, 0.0, false};
     if (split.train.size() < 2) return result;
-    std::vector<bool> is_train(sequence.frames.size(), false);
-    for (const int position : split.train) is_train[std::size_t(position)] = true;
+    const auto proceed = [&](const char* what) {
+        return [&, what](double done) {
+            if (options.progress) options.progress(what, done);
+            return !(result.stopped = options.stop && options.stop());
+        };
+    };
+    const std::vector<bool> is_train = marked(split.train, sequence.frames.size());
     const RegisterRound first{std::max(2.0 * options.largest_m, kLast.cell_m), std::max(0.5 * options.largest_m, kLast.scale_m)};
 
-    PlaneAdjustment adjustment(sequence.world_from_sensor, joined(thin_scans(sequence, split.train, options, kThin_m)), is_train);
-    result.rounds = adjustment.run(first, kLast, [&] { return result.stopped = options.stop && options.stop(); });
+    const std::vector<std::vector<ThinPoint>> scans = thin_scans(sequence, split.train, options, kThin_m);
+    std::vector<std::vector<ThinPoint>> by_pose(sequence.frames.size());
+    for (std::size_t i = 0; i < scans.size(); ++i) by_pose[std::size_t(split.train[i])] = scans[i];
+    const Odometry odometry = follow_scans(sequence.world_from_sensor, by_pose, {first, kLast, options.given_motion, proceed("following the scans")});
+    if (result.stopped) return result;
+
+    const std::vector<bool> gauge = options.given_motion ? is_train : marked({split.train[split.train.size() / 2]}, sequence.frames.size());
+    PlaneAdjustment adjustment(sequence.world_from_sensor, odometry.track, joined(scans), gauge);
+    result.rounds = adjustment.run(first, kLast, proceed("registering all scans together"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)
         throw DataError(fmt::format("registering the scans of {}: found no surface that two of its {} training scans see, expected some; train.pose_register=false leaves poses where they are", sequence.name, split.train.size()));
-    result.lost = adjustment.replace_lost(adjustment.planes(kLast), is_train, kLast.scale_m, options.largest_m);
-    place_held_out(adjustment, split, thin_scans(sequence, split.test, options, kThin_m), first, options, result.lost);
+    const PlaneMap map = adjustment.planes(kLast);
+    result.on_planes = median_share(adjustment, map, scans);
+    result.lost = adjustment.replace_lost(map, is_train, kLast.scale_m, options.largest_m);
+    const std::vector<std::size_t> lost = place_held_out(adjustment, split, is_train, thin_scans(sequence, split.test, options, kThin_m), first, options.largest_m);
+    result.lost.insert(result.lost.end(), lost.begin(), lost.end());
     std::sort(result.lost.begin(), result.lost.end());
     result.world_from_sensor = adjustment.track();
     return result;

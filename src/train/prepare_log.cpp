@@ -11,6 +11,8 @@
 #include <relidar/error.hpp>
 #include <relidar/registration.hpp>
 
+#include "core/list_text.hpp"
+
 namespace relidar {
 namespace {
 
@@ -22,25 +24,47 @@ std::string corrections_text(const PoseTrack& from, const PoseTrack& to) {
     return fmt::format("corrections of {:.3f} m (median) to {:.3f} m", metres[metres.size() / 2], metres.back());
 }
 
+constexpr double kMostLost = 0.05;   // of the scans, one in any case
+
+RegisterOptions register_options(const Sequence& sequence, const Config& config, const PrepareSession& session) {
+    RegisterOptions options;
+    options.largest_m = config.train.pose_largest_m;
+    options.given_motion = config.dataset.poses != kNoPoses;
+    options.mover_margin_m = config.init.actor_margin_m;
+    options.stop = session.stop;
+    options.progress = session.progress;
+    for (const BoxTrack& box : sequence.boxes)   // without poses nobody knows which boxes move
+        if (!options.given_motion || box.mean_step_m() > config.init.actor_min_step_m) options.movers.push_back(box);
+    return options;
+}
+
+/// What is told of scans that did not find their place. @throws DataError where they are too many
+void tell_lost(const Sequence& sequence, const Registration& found, const Config& config, const PrepareSession& session) {
+    if (found.lost.empty()) return;
+    std::vector<int> frames;
+    for (const std::size_t k : found.lost) frames.push_back(sequence.frames[k].index);
+    const std::size_t n = sequence.frames.size();
+    const std::string text = fmt::format("{} of {} scans did not find their place among the others, those of frames {}", frames.size(), n, list_text(frames));
+    if (double(frames.size()) > std::max(1.0, kMostLost * double(n)) && !config.train.allow_lost_scans)
+        throw DataError(fmt::format("registering the scans of {}: {}; expected at most {:.0f} %. train.allow_lost_scans=true moves them as their neighbours, train.pose_register=false keeps the log's own poses",
+                                    sequence.name, text, 100.0 * kMostLost));
+    session.tell(text + ": moved as their neighbours were");
+}
+
 void register_sensor(Sequence& sequence, const Split& split, const Config& config, const PrepareSession& session) {
-    RegisterOptions options{config.train.pose_largest_m, {}, config.init.actor_margin_m, session.stop};
-    std::ranges::copy_if(sequence.boxes, std::back_inserter(options.movers), [&](const BoxTrack& box) { return box.mean_step_m() > config.init.actor_min_step_m; });
     Registration found;
     try {
-        found = register_scans(sequence, split, options);
-    } catch (const DataError& error) {   // nothing to go by is no reason not to train
+        found = register_scans(sequence, split, register_options(sequence, config, session));
+    } catch (const DataError& error) {
+        if (!config.train.allow_lost_scans) throw;
         session.tell(fmt::format("{}; the log's own poses are used", error.what()));
         return;
     }
     if (found.stopped) throw Error(ExitCode::interrupted, "interrupted while scans were registered: nothing is trained yet");
     if (found.rounds.empty()) return;
-    session.tell(fmt::format("scans registered: {:.3f} m from common planes at first, {:.3f} m now; {}", found.rounds.front().residual_m, found.rounds.back().residual_m,
+    session.tell(fmt::format("scans registered: {:.0f} % of their points lie on common planes, {:.3f} m from them; {}", 100.0 * found.on_planes, found.rounds.back().residual_m,
                              corrections_text(sequence.world_from_sensor, found.world_from_sensor)));
-    if (!found.lost.empty()) {
-        std::vector<int> frames;
-        for (const std::size_t k : found.lost) frames.push_back(sequence.frames[k].index);
-        session.tell(fmt::format("frames {}: their scans did not find their place within {} m, their poses are corrected as those of their neighbours", fmt::join(frames, ", "), options.largest_m));
-    }
+    tell_lost(sequence, found, config, session);
     set_sensor_poses(sequence, found.world_from_sensor);
 }
 
@@ -82,6 +106,9 @@ bool registers_sensor(const TrainConfig& config) { return config.pose_register &
 
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session) {
     if (!session.tell) session.tell = [](const std::string&) {};
+    if (!session.progress) session.progress = [](const std::string&, double) {};
+    if (config.dataset.poses == kNoPoses && !registers_sensor(config.train))
+        throw UsageError("dataset.poses=none: the poses have to be found from the scans; expected train.refine_poses=sensor and train.pose_register=true");
     if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
     calibrate_lasers(sequence, split, config.sensor, session);
     if (config.init.discover_actors && config.init.actors != ActorMode::background) add_discovered(sequence, split, config.init, session);

@@ -35,23 +35,51 @@ PoseTrack drifting(PoseTrack track, double amplitude_m, double amplitude_rad) {
     return track;
 }
 
-PoseError error_of(const PoseTrack& track, const PoseTrack& exact, const std::vector<int>& positions) {
-    std::vector<Twist> e;
+PoseTrack with_drift_and_jumps(const PoseTrack& exact) {
+    PoseTrack track = exact;
+    const std::size_t n = exact.pose.size();
+    for (std::size_t k = 1; k < n; ++k) {
+        Pose step = inverse(exact.pose[k - 1]) * exact.pose[k];
+        const double way_m = glm::length(step.translation), turn_rad = 0.01 * way_m * kPi / 180.0;
+        step.translation *= 1.01;
+        step.rotation = glm::normalize(step.rotation * glm::angleAxis(turn_rad, glm::dvec3(0, 0, 1)) * glm::angleAxis(0.3 * turn_rad, glm::dvec3(0, 1, 0)));
+        track.pose[k] = track.pose[k - 1] * step;
+        if (k % (n / 5) == 0) track.pose[k].translation += 0.3 * glm::normalize(glm::dvec3(std::sin(double(k)), std::cos(double(k)), 0.2));
+    }
+    return track;
+}
+
+namespace {
+
+/// Takes the mean motion from one track to another out of the latter, about the centre of some of its poses.
+PoseTrack aligned(PoseTrack track, const PoseTrack& exact, const std::vector<int>& positions) {
     glm::dvec3 centre(0.0), v(0.0), w(0.0);
-    const auto n = double(positions.size());
     for (const int k : positions) {
-        e.push_back(twist_between(exact.pose[std::size_t(k)], track.pose[std::size_t(k)]));
-        centre += exact.pose[std::size_t(k)].translation / n;
-        v += glm::dvec3(e.back()[0], e.back()[1], e.back()[2]) / n;
-        w += glm::dvec3(e.back()[3], e.back()[4], e.back()[5]) / n;
+        const Twist twist = twist_between(exact.pose[std::size_t(k)], track.pose[std::size_t(k)]);
+        centre += track.pose[std::size_t(k)].translation / double(positions.size());
+        v += glm::dvec3(twist[0], twist[1], twist[2]) / double(positions.size());
+        w += glm::dvec3(twist[3], twist[4], twist[5]) / double(positions.size());
     }
+    const glm::dquat turn = moved(Pose{}, {0, 0, 0, -w.x, -w.y, -w.z}).rotation;
+    for (Pose& pose : track.pose) pose = {glm::normalize(turn * pose.rotation), centre - v + turn * (pose.translation - centre)};
+    return track;
+}
+
+}  // namespace
+
+PoseError error_of(PoseTrack track, const PoseTrack& exact, const std::vector<int>& positions) {
+    const Pose start = exact.pose[std::size_t(positions.front())] * inverse(track.pose[std::size_t(positions.front())]);
+    for (Pose& pose : track.pose) pose = start * pose;   // near enough for mean rotations
+    for (int i = 0; i < 5; ++i) track = aligned(std::move(track), exact, positions);
     std::vector<double> metres, degrees;
-    for (std::size_t i = 0; i < e.size(); ++i) {
-        const glm::dvec3 carried = v + glm::cross(w, exact.pose[std::size_t(positions[i])].translation - centre);
-        metres.push_back(glm::length(glm::dvec3(e[i][0], e[i][1], e[i][2]) - carried));
-        degrees.push_back(glm::length(glm::dvec3(e[i][3], e[i][4], e[i][5]) - w) * 180.0 / kPi);
+    double squares = 0.0;
+    for (const int k : positions) {
+        const Twist e = twist_between(exact.pose[std::size_t(k)], track.pose[std::size_t(k)]);
+        metres.push_back(glm::length(glm::dvec3(e[0], e[1], e[2])));
+        degrees.push_back(glm::length(glm::dvec3(e[3], e[4], e[5])) * 180.0 / kPi);
+        squares += metres.back() * metres.back();
     }
-    return {median(metres), median(degrees)};
+    return {median(metres), median(degrees), std::sqrt(squares / double(positions.size())), *std::max_element(metres.begin(), metres.end()), *std::max_element(degrees.begin(), degrees.end())};
 }
 
 }  // namespace relidar::test

@@ -14,10 +14,14 @@ PoseTrack perturbed(PoseTrack track, double sigma_m, double sigma_rad, std::uint
 /// Every pose moved by a smooth curve of these amplitudes.
 PoseTrack drifting(PoseTrack track, double amplitude_m, double amplitude_rad);
 
+/// What is integrated from wheels and gyros: 1 % of the way too much, 1 degree of heading and 0.3 degrees of pitch per 100 m, and jumps of 0.3 m
+/// at a fifth, at two, at three and at four fifths of the track.
+PoseTrack with_drift_and_jumps(const PoseTrack& exact);
+
 struct PoseError {
-    double median_m, median_deg;
+    double median_m, median_deg, rms_m, worst_m, worst_deg;
 };
-/// Median over some poses, after their common rigid motion is taken out (least squares, linear in the small rotation).
-PoseError error_of(const PoseTrack& track, const PoseTrack& exact, const std::vector<int>& positions);
+/// Over some poses, after their common rigid motion is taken out.
+PoseError error_of(PoseTrack track, const PoseTrack& exact, const std::vector<int>& positions);
 
 }  // namespace relidar::test

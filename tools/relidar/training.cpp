@@ -62,12 +62,14 @@ private:
 }  // namespace
 
 void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet) {
+    Progress progress(quiet);
     const auto tell = [&](const std::string& line) {
         if (quiet) return;
+        end_progress_line();
         print(line + "\n");
         std::fflush(stdout);
     };
-    prepare_log(sequence, split, config, {tell, interrupted});
+    prepare_log(sequence, split, config, {tell, interrupted, [&](const std::string& what, double done) { progress.show(fmt::format("{} {:.0f} %", what, 100.0 * done)); }});
 }
 
 TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const fs::path& folder, bool quiet, TrainSession session) {

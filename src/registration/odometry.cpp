@@ -1,0 +1,180 @@
+// SPDX-License-Identifier: Apache-2.0
+// Scan to map: a scan starts where its motion is predicted to bring it, by the given poses and by the velocity of the scan before, and moves
+// as a rigid body in Gauss-Newton steps onto planes of cells of 2 m, then finer. Its points are placed at their own firing times:
+// the pose before is known, the pose after moves along. Of several predictions the one counts on which most points find a plane.
+#include "registration/odometry.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include <Eigen/Cholesky>
+
+#include "registration/pose_equations.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kLevels = 3, kMostSteps = 8;
+constexpr double kConverged_m = 1e-3;       // length of the last step
+constexpr double kDamping = 1e-4;           // of the mean stiffness: decides only what no point sees
+constexpr double kFewestShare = 0.1;        // of a scan's points that lie on planes of the map: streets 0.5 to 0.8
+constexpr double kMemory_m = 80.0;          // what was last seen so far back is forgotten: odometry must not close loops
+constexpr double kSame_m = 0.05;            // predictions nearer to each other lead to the same place
+constexpr int kLostInARow = 5;              // after which the map begins anew
+constexpr int kTrialScans = 4;              // by which the first motion is chosen
+constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;   // between scans: 40 m/s at 10 Hz
+
+/// The motion from a to b, s times.
+Pose scaled_motion(const Pose& a, const Pose& b, double s) { return interpolate(Pose{}, inverse(a) * b, s); }
+
+class Follower {
+public:
+    Follower(const PoseTrack& given, const OdometryOptions& options, std::optional<Pose> first_motion) : given_(given), track_(given), options_(options), first_motion_(first_motion) {
+        for (int level = 0; level < kLevels; ++level) maps_.emplace_back(between(options.first.cell_m, options.last.cell_m, level));
+        if (track_.pose.size() > 1) track_.pose[1] = predictions(1).front();
+    }
+
+    /// Poses are followed in their order.
+    void follow(std::size_t pose, const std::vector<ThinPoint>& scan) {
+        const std::vector<Pose> starts = pose == 0 ? std::vector<Pose>{track_.pose[0]} : predictions(pose);
+        Candidate best{starts.front(), 0.0};
+        for (const Pose& start : starts) {
+            const Candidate candidate = placed(pose, start, scan);
+            if (candidate.share > best.share) best = candidate;
+        }
+        const bool is_lost = !scan.empty() && !maps_.front().empty() && best.share < kFewestShare;
+        set(pose, is_lost ? starts.front() : best.pose);
+        if (pose > 0) travelled_m_ += glm::distance(track_.pose[pose].translation, track_.pose[pose - 1].translation);
+        if (scan.empty()) return;
+        share_ += best.share;
+        if (is_lost) lost.push_back(pose);
+        lost_in_a_row_ = is_lost ? lost_in_a_row_ + 1 : 0;
+        if (is_lost && lost_in_a_row_ < kLostInARow) return;
+        if (is_lost)
+            for (VoxelPlanes& map : maps_) map = VoxelPlanes(map.cell_m());
+        add_to_maps(scan);
+    }
+
+    const PoseTrack& track() const { return track_; }
+    double share() const { return share_; }   ///< of points on planes, summed over scans
+    std::vector<std::size_t> lost;
+
+private:
+    struct Candidate {
+        Pose pose;
+        double share = 0.0;   // of its points that lie on planes
+    };
+    const PoseTrack& given_;
+    PoseTrack track_;
+    const OdometryOptions& options_;
+    std::optional<Pose> first_motion_;
+    std::vector<VoxelPlanes> maps_;   ///< [kLevels]
+    double travelled_m_ = 0.0, share_ = 0.0;
+    int lost_in_a_row_ = 0;
+
+    static double between(double first, double last, int level) { return first * std::pow(last / first, level / double(kLevels - 1)); }
+
+    void add_to_maps(const std::vector<ThinPoint>& scan) {
+        for (const ThinPoint& point : scan) {
+            const glm::dvec3 at = place(track_, point).point_m;
+            for (VoxelPlanes& map : maps_) map.add(at, travelled_m_);
+        }
+        for (VoxelPlanes& map : maps_) map.forget(travelled_m_ - kMemory_m);
+    }
+
+    /// Motion from pose k - 1 to k as the velocity from pose k - 2 to k - 1 has it.
+    Pose kept_motion(std::size_t k) const {
+        if (k < 2) return first_motion_.value_or(Pose{});
+        const std::vector<double>& t = track_.time_s;
+        return scaled_motion(track_.pose[k - 2], track_.pose[k - 1], (t[k] - t[k - 1]) / (t[k - 1] - t[k - 2]));
+    }
+
+    Pose given_motion(std::size_t k) const { return inverse(given_.pose[k - 1]) * given_.pose[k]; }
+
+    /// Where pose k > 0 may be, the likeliest first.
+    std::vector<Pose> predictions(std::size_t k) const {
+        const Pose kept = track_.pose[k - 1] * kept_motion(k);
+        if (!options_.given_motion) return {kept};
+        const Pose given = track_.pose[k - 1] * given_motion(k);
+        if (k < 2 || glm::distance(given.translation, kept.translation) < kSame_m) return {given};
+        return {given, kept};
+    }
+
+    /// Sets a pose; the next one moves along, as far as it is known.
+    void set(std::size_t k, const Pose& pose) {
+        track_.pose[k] = pose;
+        if (k + 1 < track_.pose.size()) track_.pose[k + 1] = pose * (options_.given_motion ? given_motion(k + 1) : kept_motion(k + 1));
+    }
+
+    /// A scan moved onto the maps. @return where it ends, and the share of its points that lie on planes there
+    Candidate placed(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan) {
+        set(k, start);
+        if (maps_.front().empty() || scan.empty()) return {start, 0.0};
+        double share = 0.0;
+        for (int level = 0; level < kLevels; ++level)
+            for (int i = 0; i < kMostSteps && step(k, scan, level, between(options_.first.scale_m, 2.0 * options_.last.scale_m, level), share) > kConverged_m; ++i) {}
+        return {track_.pose[k], share};
+    }
+
+    /// Of the maps up to a level: what lies far away fills large cells only.
+    const Plane* finest_plane(const glm::dvec3& point_m, int level) const {
+        const Plane* plane = nullptr;
+        for (int l = level; l >= 0 && !plane; --l) plane = maps_[std::size_t(l)].at(point_m);
+        return plane;
+    }
+
+    /// @return length of the step
+    double step(std::size_t k, const std::vector<ThinPoint>& scan, int level, double scale_m, double& share) {
+        Matrix6 stiffness = Matrix6::Zero();
+        Vector6 gradient = Vector6::Zero();
+        std::size_t on_planes = 0;
+        for (const ThinPoint& point : scan) {
+            const PlacedPoint at = place(track_, point);
+            const Plane* plane = finest_plane(at.point_m, level);
+            if (!plane) continue;
+            const Row row = row_of(at, *plane, scale_m);
+            const double a = point.left + 1 == k ? double(point.s) : 1.0;   // how far the point moves along
+            stiffness += row.weight * a * a * row.j * row.j.transpose();
+            gradient += row.weight * a * row.residual_m * row.j;
+            on_planes += row.weight > 0.25;
+        }
+        share = double(on_planes) / double(scan.size());
+        if (!(stiffness.trace() > 0.0)) return 0.0;
+        stiffness.diagonal() *= 1.0 + kDamping;
+        stiffness.diagonal().array() += kDamping * stiffness.diagonal().mean();
+        const Vector6 x = -stiffness.llt().solve(gradient);
+        set(k, moved(track_.pose[k], {x[0], x[1], x[2], x[3], x[4], x[5]}));
+        return x.head<3>().norm() + 10.0 * x.tail<3>().norm();   // points lie some ten metres away
+    }
+};
+
+/// How the sensor moved from its first pose to the second, where nothing says so: the speed ahead on which the first scans agree best.
+Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options) {
+    Pose best;
+    double best_share = -1.0;
+    for (double step_m = -kBackwards_m; step_m <= kFastest_m; step_m += kTrialStep_m) {
+        const Pose motion{{1.0, 0.0, 0.0, 0.0}, {step_m, 0.0, 0.0}};
+        Follower follower(given, options, motion);
+        int n = 0;
+        for (std::size_t k = 0; k < scans.size() && n < kTrialScans; ++k, n += !scans[k - 1].empty()) follower.follow(k, scans[k]);
+        if (follower.share() <= best_share) continue;
+        best_share = follower.share();
+        best = motion;
+    }
+    return best;
+}
+
+}  // namespace
+
+Odometry follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options) {
+    Follower follower(given, options, options.given_motion ? std::nullopt : std::optional(find_first_motion(given, scans, options)));
+    Odometry result;
+    for (std::size_t k = 0; k < scans.size(); ++k) {
+        if (!options.proceed(double(k) / double(scans.size()))) return {given, {}, true};
+        follower.follow(k, scans[k]);
+    }
+    return {follower.track(), std::move(follower.lost), false};
+}
+
+}  // namespace relidar

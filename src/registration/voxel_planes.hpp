@@ -1,0 +1,42 @@
+// SPDX-License-Identifier: Apache-2.0
+// A map that grows scan by scan: per cell of a grid the sums from which the plane of its points follows, so that a scan is added, and a point
+// asked for, in constant time.
+#pragma once
+
+#include <optional>
+#include <unordered_map>
+
+#include "registration/plane_cells.hpp"
+
+namespace relidar {
+
+class VoxelPlanes {
+public:
+    explicit VoxelPlanes(double cell_m) : cell_m_(cell_m) {}
+
+    double cell_m() const { return cell_m_; }
+    bool empty() const { return cells_.empty(); }
+    /// @param travelled_m  how far the sensor had come when the point was seen
+    void add(const glm::dvec3& point_m, double travelled_m);
+    /// The plane of the cell that a point lies in; null where its points spread over no surface, or are too thick for one.
+    const Plane* at(const glm::dvec3& point_m) const;
+    /// Drops cells that were last seen before the sensor had come so far.
+    void forget(double travelled_m);
+
+private:
+    struct Cell {
+        double n = 0.0;
+        glm::dvec3 sum{0.0};                            ///< of d = point - centre of the cell
+        glm::dvec3 squares{0.0}, products{0.0};         ///< of dx^2 dy^2 dz^2, and of dy dz, dx dz, dx dy
+        double travelled_m = 0.0;
+        mutable double n_fitted = 0.0;                  ///< points in `plane`
+        mutable std::optional<Plane> plane;
+    };
+    double cell_m_;
+    std::unordered_map<std::uint64_t, Cell> cells_;
+
+    glm::dvec3 centre(const glm::dvec3& point_m) const { return (glm::floor(point_m / cell_m_) + 0.5) * cell_m_; }
+    void fit(const Cell& cell, const glm::dvec3& centre_m) const;
+};
+
+}  // namespace relidar
