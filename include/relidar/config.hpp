@@ -26,8 +26,8 @@ struct DatasetConfig {
     int frames_begin = 0;
     int frames_end = -1;           ///< -1: to the last
     int test_every = 10;
-    std::string poses;             ///< file with 12 numbers a line; empty = the dataset's own
-    bool allow_missing_scans = false;
+    std::string poses;             ///< file with 12 numbers a line; empty = the dataset's own; kNoPoses = none at all
+    bool allow_missing_scans = true;
     double max_range_m = 80.0;
 };
 

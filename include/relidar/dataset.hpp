@@ -17,11 +17,15 @@ struct FrameRange {
     int end = -1;   ///< -1: to the last frame
 };
 
+/// DatasetOptions::poses_file of a log without poses: all are identity, for a registration of the scans to find. Boxes stand where their
+/// labels have them in the sensor's frame, and go along with set_sensor_poses(). A file of this name is given as "./none".
+inline constexpr const char* kNoPoses = "none";
+
 /// What to read of a log.
 struct DatasetOptions {
     FrameRange frames;
-    std::filesystem::path poses_file;   ///< 12 numbers a line, world_from_sensor of frame i on line i, in the dataset's world; empty = the dataset's own
-    bool allow_missing_scans = false;   ///< leave frames without a scan out; false: a missing scan is an error
+    std::filesystem::path poses_file;   ///< 12 numbers a line, world_from_sensor of frame i on line i, in the dataset's world; empty = the dataset's own; kNoPoses
+    bool allow_missing_scans = true;    ///< leave frames without a scan out; false: a missing scan is an error
     bool rolling_shutter = true;        ///< false: take all rays of a turn as fired at its reference time
     double max_range_m = 80.0;          ///< returns beyond are treated as dropped
 };

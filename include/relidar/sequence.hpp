@@ -81,6 +81,7 @@ struct Sequence {
     std::vector<BoxTrack> boxes;
     glm::dvec3 world_offset_m{0.0};       ///< add to relidar's world to get the dataset's world
     std::string conventions;              ///< one line a human reads: frames, units, time reference
+    std::vector<std::string> notes;       ///< what the log lacks, as it was read: a line each
     bool rolling_shutter = true;          ///< rays were fired at their own times (scans are not motion-compensated)
 };
 

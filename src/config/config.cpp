@@ -41,18 +41,12 @@ std::vector<std::string> all_keys() {
     return keys;
 }
 
-/// Control characters would break the one line of an error message.
-std::string printable(std::string text) {
-    std::replace_if(text.begin(), text.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, '?');
-    return text.size() <= 80 ? text : text.substr(0, 77) + "...";
-}
-
 template <class T>
 void assign(T& field, const std::string& key, const Accepts& accepts, const Found& found) {
     const bool wrong_kind = found.quotes == (is_text<T> ? Found::Quotes::no : Found::Quotes::yes);
     if (wrong_kind || !from_text(found.text, accepts, field)) {
         const char* hint = wrong_kind && is_text<T> ? " in quotes" : wrong_kind ? " without quotes" : "";
-        throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, printable(found.text), describe<T>(accepts), hint));
+        throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, excerpt(found.text), describe<T>(accepts), hint));
     }
 }
 
@@ -63,7 +57,7 @@ void set_found(Config& config, const std::string& key, const Found& found) {
         known = true;
         assign(field, key, accepts, found);
     });
-    if (!known) throw UsageError(fmt::format("setting {}: unknown key, did you mean {}?", printable(key), nearest_name(key, all_keys())));
+    if (!known) throw UsageError(fmt::format("setting {}: unknown key, did you mean {}?", excerpt(key), nearest_name(key, all_keys())));
     if (key == "preset") config = make_preset(config.preset);
 }
 
@@ -75,7 +69,7 @@ Found found_in(const toml::node& node, const std::string& key) {
     if (const auto* boolean = node.as_boolean()) return {boolean->get() ? "true" : "false", Found::Quotes::no};
     std::ostringstream kind;
     kind << node.type();
-    throw UsageError(fmt::format("setting {}: found a TOML {}, expected a single value", printable(key), kind.str()));
+    throw UsageError(fmt::format("setting {}: found a TOML {}, expected a single value", excerpt(key), kind.str()));
 }
 
 void set_table(Config& config, const toml::table& table, const std::string& prefix) {
@@ -124,7 +118,7 @@ void load_config(Config& config, const std::filesystem::path& path) {
         if (const toml::node* preset = table.get("preset")) set_found(result, "preset", found_in(*preset, "preset"));
         set_table(result, table, "");
     } catch (const toml::parse_error& error) {
-        throw DataError(fmt::format("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line, printable(std::string(error.description()))));
+        throw DataError(fmt::format("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line, excerpt(error.description())));
     } catch (const UsageError& error) {
         throw UsageError(fmt::format("{}: {}", path.string(), error.what()));
     }

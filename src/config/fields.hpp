@@ -39,8 +39,8 @@ void visit_dataset(C& c, Visitor&& f) {
     f("dataset.frames_begin", c.dataset.frames_begin, between(0, kMaxCount), "first frame, by the dataset's own number");
     f("dataset.frames_end", c.dataset.frames_end, between(-1, kMaxCount), "frame after the last one; -1: to the end of the log");
     f("dataset.test_every", c.dataset.test_every, between(0, kMaxCount), "every so many frames one is held out for testing; 0: none");
-    f("dataset.poses", c.dataset.poses, anything(), "file with 12 numbers a line, world_from_sensor of each frame; empty: the dataset's own poses");
-    f("dataset.allow_missing_scans", c.dataset.allow_missing_scans, anything(), "leave frames without a scan out; false: a missing scan is an error");
+    f("dataset.poses", c.dataset.poses, anything(), "file with 12 numbers a line, world_from_sensor of each frame; empty: the dataset's own poses; none: no poses, they are found from the scans alone");
+    f("dataset.allow_missing_scans", c.dataset.allow_missing_scans, anything(), "leave frames without a scan out, with a note; false: a missing scan is an error");
     f("dataset.max_range_m", c.dataset.max_range_m, above(0), "returns beyond this range count as dropped, metres");
 }
 

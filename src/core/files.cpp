@@ -2,8 +2,12 @@
 // Reading files whole, and numbers out of their lines.
 #include "core/files.hpp"
 
+#include <algorithm>
+#include <cctype>
+#include <cerrno>
 #include <charconv>
 #include <fstream>
+#include <system_error>
 
 #include <fmt/format.h>
 
@@ -11,18 +15,65 @@
 
 namespace relidar {
 
-std::string read_file(const std::filesystem::path& path) {
+namespace fs = std::filesystem;
+
+namespace {
+
+/// Why a path that was looked at is not there or cannot be reached: what the system says.
+DataError unreachable(const fs::path& path, const char* thing, const std::error_code& failed) {
+    const bool missing = !failed || failed == std::errc::no_such_file_or_directory || failed == std::errc::not_a_directory;
+    return DataError(missing ? fmt::format("{}: no such {}", path.string(), thing)
+                             : fmt::format("{}: cannot be read: {}", path.string(), failed.message()));
+}
+
+}  // namespace
+
+std::string read_file(const fs::path& path) {
     std::error_code failed;
-    if (!std::filesystem::exists(path, failed)) throw DataError(fmt::format("{}: no such file", path.string()));
-    if (!std::filesystem::is_regular_file(path, failed)) throw DataError(fmt::format("{}: not a file", path.string()));
+    const fs::file_status status = fs::status(path, failed);
+    if (!fs::status_known(status) || !fs::exists(status)) throw unreachable(path, "file", failed);
+    if (!fs::is_regular_file(status)) throw DataError(fmt::format("{}: not a file", path.string()));
     std::ifstream in(path, std::ios::binary);
-    if (!in) throw DataError(fmt::format("{}: cannot be opened for reading", path.string()));
-    std::string text(std::filesystem::file_size(path), '\0');
+    if (!in) throw DataError(fmt::format("{}: cannot be read: {}", path.string(), std::generic_category().message(errno)));
+    const std::uintmax_t n_bytes = fs::file_size(path, failed);
+    if (failed) throw unreachable(path, "file", failed);
+    std::string text(n_bytes, '\0');
     in.read(text.data(), static_cast<std::streamsize>(text.size()));
     if (in.gcount() != static_cast<std::streamsize>(text.size())) {
         throw DataError(fmt::format("{}: only {} of {} bytes could be read", path.string(), in.gcount(), text.size()));
     }
     return text;
+}
+
+std::vector<fs::path> list_folder(const fs::path& folder) {
+    std::error_code failed;
+    std::vector<fs::path> paths;
+    fs::directory_iterator entry(folder, failed);
+    if (failed) throw unreachable(folder, "folder", failed);
+    for (const fs::directory_iterator end; entry != end; entry.increment(failed)) {
+        if (failed) throw unreachable(folder, "folder", failed);
+        paths.push_back(entry->path());
+    }
+    std::sort(paths.begin(), paths.end());
+    return paths;
+}
+
+std::optional<int> file_number(const std::string& stem) {
+    const std::size_t first = std::min(stem.find_first_not_of('0'), stem.size());
+    if (stem.empty() || stem.size() - first > 8 || stem.find_first_not_of("0123456789") != std::string::npos) return std::nullopt;
+    int number = 0;
+    std::from_chars(stem.data(), stem.data() + stem.size(), number);
+    return number;
+}
+
+std::string excerpt(std::string_view text) {
+    constexpr std::size_t kMost = 80;
+    const bool cut = text.size() > kMost;
+    std::size_t n = cut ? kMost - 3 : text.size();
+    while (cut && n > 0 && (static_cast<unsigned char>(text[n]) & 0xC0) == 0x80) --n;   // not within a UTF-8 character
+    std::string shown(text.substr(0, n));
+    std::replace_if(shown.begin(), shown.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, '?');
+    return cut ? shown + "..." : shown;
 }
 
 std::vector<std::string> split_lines(const std::string& text) {

@@ -13,6 +13,15 @@ namespace relidar {
 /// Content of a file. @throws DataError where it is missing or cannot be read
 std::string read_file(const std::filesystem::path& path);
 
+/// What a folder holds, by name. @throws DataError where it is missing, no folder, or cannot be read
+std::vector<std::filesystem::path> list_folder(const std::filesystem::path& folder);
+
+/// The number a file's name stands for: digits only, below 10^8, so that arithmetic with it fits an int. @return nothing otherwise
+std::optional<int> file_number(const std::string& stem);
+
+/// At most 80 characters of a text, without control characters: what a message may quote of a file.
+std::string excerpt(std::string_view text);
+
 /// Lines without their ends ("\n" or "\r\n"); a final newline makes no empty line.
 std::vector<std::string> split_lines(const std::string& text);
 

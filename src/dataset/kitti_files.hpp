@@ -19,10 +19,18 @@ std::vector<int> list_scans(const std::filesystem::path& drive, int begin, int e
 /// Points of a scan: x, y, z (metres, sensor frame), reflectance. @throws DataError for a truncated, empty or impossible scan
 std::vector<glm::vec4> read_scan(const std::filesystem::path& file);
 
-/// Seconds of every line, counted from the file's first line (days included).
-std::vector<double> read_timestamps(const std::filesystem::path& file);
+/// Which scans between the first and the last of the frames are missing, in words; empty where none is.
+std::string describe_gaps(const std::vector<int>& frames);
 
-/// Median time of one turn from timestamps_start.txt and timestamps_end.txt.
+/// What a folder is that is no drive, and what to give instead: a KITTI odometry sequence, a folder of drives, a folder within one.
+/// @param marker  folder that tells a drive @return empty where it is none of these
+std::string describe_stranger(const std::filesystem::path& folder, const std::string& marker);
+
+/// Times of the given frames, seconds after the file's first (days included): frame i stands on line i, lines of missing scans are empty.
+/// @throws DataError for a line that is no time, a frame without one, or times that do not rise
+std::vector<double> read_times(const std::filesystem::path& file, const std::vector<int>& frames);
+
+/// Median time of one turn from timestamps_start.txt and timestamps_end.txt, over the lines that both have.
 double read_period(const std::filesystem::path& drive);
 
 /// Rigid transform with the keys R (9 numbers, row-major) and T (3).
@@ -30,6 +38,7 @@ Pose read_calibration(const std::filesystem::path& file);
 
 /// world_from_sensor of the given frames from OXTS: Mercator about the latitude of the log's first frame, x east, y north.
 /// Dataset's world: origin at the IMU in the log's first frame.
+/// @throws DataError naming the file, or the setting that helps where the drive has no OXTS
 std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive, const std::vector<int>& frames);
 
 /// world_from_sensor of the given frames: 12 numbers a line, 3x4 row-major, frame i on line i.

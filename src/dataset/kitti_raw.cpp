@@ -39,22 +39,14 @@ std::vector<RawScan> read_scans(const fs::path& drive, const std::vector<int>& f
 }
 
 PoseTrack read_poses(const fs::path& drive, const std::vector<int>& frames, const fs::path& poses_file) {
-    const fs::path file = drive / "velodyne_points/timestamps.txt";
-    const std::vector<double> time_s = read_timestamps(file);
-    PoseTrack track;
-    for (const int frame : frames) {
-        if (static_cast<std::size_t>(frame) >= time_s.size()) {
-            throw DataError(fmt::format("{}: {} lines, frame {} needs line {}", file.string(), time_s.size(), frame, frame + 1));
-        }
-        track.time_s.push_back(time_s[static_cast<std::size_t>(frame)]);
-        const std::size_t n = track.time_s.size();
-        if (n > 1 && !(track.time_s[n - 1] > track.time_s[n - 2])) {
-            throw DataError(
-                fmt::format("{} line {}: not later than that of frame {}, expected rising times", file.string(), frame + 1, frames[n - 2]));
-        }
-    }
-    track.pose = poses_file.empty() ? read_oxts_poses(drive, frames) : read_pose_file(poses_file, frames);
+    PoseTrack track{read_times(drive / "velodyne_points/timestamps.txt", frames), std::vector<Pose>(frames.size())};
+    if (poses_file != kNoPoses) track.pose = poses_file.empty() ? read_oxts_poses(drive, frames) : read_pose_file(poses_file, frames);
     return track;
+}
+
+std::string describe_poses(const fs::path& poses_file) {
+    if (poses_file == kNoPoses) return "no poses: the sensor is at the origin in every frame";
+    return "poses from " + (poses_file.empty() ? "OXTS (Mercator)" : poses_file.string());
 }
 
 /// Makes the scans of all frames from their points; sets the sensor's beams and columns.
@@ -85,16 +77,17 @@ void grid_scans(std::vector<RawScan>& raw, Sequence& sequence, const fs::path& d
     });
 }
 
-/// Scans may be missing in the middle of a drive (drive 0009 lacks four); a log with a hole is only read where that is wanted.
-void check_gaps(const fs::path& drive, const std::vector<int>& frames) {
-    std::vector<int> missing;
-    for (std::size_t i = 1; i < frames.size(); ++i)
-        for (int frame = frames[i - 1] + 1; frame < frames[i]; ++frame) missing.push_back(frame);
-    if (missing.empty()) return;
-    const std::size_t shown = std::min<std::size_t>(missing.size(), 5);
-    throw DataError(fmt::format("{}/velodyne_points/data: {} of the scans {} to {} missing ({}{}), expected all; dataset.allow_missing_scans=true leaves them out",
-                                drive.string(), missing.size(), frames.front(), frames.back(), fmt::join(missing.begin(), missing.begin() + std::ptrdiff_t(shown), ", "),
-                                shown < missing.size() ? ", ..." : ""));
+/// What the drive lacks. Scans may be missing in the middle of it (drive 0009 lacks four), labels and poses altogether.
+std::vector<std::string> take_notes(const fs::path& drive, const std::vector<int>& frames, const DatasetOptions& options) {
+    std::vector<std::string> notes;
+    const std::string gaps = describe_gaps(frames);
+    if (!gaps.empty() && !options.allow_missing_scans)
+        throw DataError(fmt::format("{}/velodyne_points/data: {}, expected all; dataset.allow_missing_scans=true leaves them out", drive.string(), gaps));
+    std::error_code failed;
+    if (!gaps.empty()) notes.push_back(gaps + ": left out");
+    if (!fs::exists(drive / "tracklet_labels.xml", failed)) notes.push_back("no tracklet_labels.xml: nothing in this drive is labelled");
+    if (options.poses_file == kNoPoses) notes.push_back("no poses are read (dataset.poses=none): they have to be found from the scans");
+    return notes;
 }
 
 /// Moves the world's origin to the sensor position in the middle frame: float precision downstream.
@@ -111,17 +104,21 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     if (!fs::is_directory(folder, failed)) {
         throw DataError(fmt::format("{}: no such folder, expected a KITTI raw drive (velodyne_points/)", folder.string()));
     }
+    if (!fs::exists(folder / "velodyne_points", failed)) {
+        const std::string stranger = describe_stranger(folder, "velodyne_points");
+        if (!stranger.empty()) throw DataError(fmt::format("{}: no drive, but {}", folder.string(), stranger));
+    }
     const fs::path drive = fs::canonical(folder);
     const std::vector<int> frames = list_scans(drive, options.frames.begin, options.frames.end);
-    if (!options.allow_missing_scans) check_gaps(drive, frames);
 
     Sequence sequence;
     sequence.name = drive.filename().string();
     sequence.source = folder.string();
     sequence.conventions = fmt::format(
         "sensor x forward, y left, z up; metres; time = head faces forward, seconds after the log's first "
-        "turn; poses from {}; scans not motion-compensated; boxes in the front camera's view only",
-        options.poses_file.empty() ? "OXTS (Mercator)" : options.poses_file.string());
+        "turn; {}; scans not motion-compensated; boxes in the front camera's view only",
+        describe_poses(options.poses_file));
+    sequence.notes = take_notes(drive, frames, options);
     sequence.sensor.name = "HDL-64E fitted to " + sequence.name;
     sequence.sensor.period_s = read_period(drive);
     sequence.sensor.max_range_m = options.max_range_m;

@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include "dataset/kitti_files.hpp"
 #include "dataset/kitti_raw.hpp"
 #include "dataset/synthetic.hpp"
 
@@ -54,6 +55,10 @@ std::string recognise_dataset(const fs::path& path) {
     for (const Kind& kind : kKinds) {
         if (fs::exists(path / kind.marker, failed)) return kind.name;
         known += fmt::format("{}{} ({})", known.empty() ? "" : ", ", kind.describe, kind.marker);
+    }
+    for (const Kind& kind : kKinds) {
+        const std::string stranger = kitti::describe_stranger(path, kind.marker);
+        if (!stranger.empty()) throw DataError(fmt::format("{}: not a dataset, but {}", path.string(), stranger));
     }
     throw DataError(fmt::format("{}: not a dataset, expected one of: {}", path.string(), known));
 }

@@ -48,15 +48,72 @@ TEST(KittiErrors, MissingFoldersAndFiles) {
     fs::remove(drive.file("oxts/data/0000000001.txt"));
     expect_data_error(drive, {"oxts/data/0000000001.txt: no such file"});
     fs::remove_all(drive.file("oxts"));
-    expect_data_error(drive, {"oxts/data: no poses", "expected OXTS files"});
-    fs::remove(drive.calibration());
-    expect_data_error(drive, {"calib_imu_to_velo.txt: no such file"});
+    expect_data_error(drive, {"oxts/data: no OXTS files", "dataset.poses=FILE", "dataset.poses=none"});
+    write_text(drive.file("oxts/data/nan.txt"), "");   // no frame's
+    expect_data_error(drive, {"oxts/data: no OXTS files"});
     fs::remove(drive.file("velodyne_points/timestamps_end.txt"));
     expect_data_error(drive, {"timestamps_end.txt: no such file"});
     fs::remove_all(drive.file("velodyne_points/data"));
     expect_data_error(drive, {"velodyne_points/data: no such folder", "expected KITTI raw scans"});
     fs::create_directories(drive.file("velodyne_points/data"));
     expect_data_error(drive, {"velodyne_points/data: no scans"});
+}
+
+TEST(KittiErrors, MissingCalibration) {
+    const KittiDrive drive("uncalibrated");
+    fs::remove(drive.calibration());
+    expect_data_error(drive, {"calib_imu_to_velo.txt: no such file, nor in the drive", "2011_12_31_calib", "dataset.poses"});
+}
+
+TEST(KittiErrors, NumbersOfScans) {
+    const KittiDrive drive("numbers");
+    write_text(drive.file("velodyne_points/data/2147483646.bin"), "");
+    expect_data_error(drive, {"2147483646.bin: the number of a scan", "below 100000000"});
+    fs::rename(drive.file("velodyne_points/data/2147483646.bin"), drive.file("velodyne_points/data/9999999999.bin"));
+    expect_data_error(drive, {"9999999999.bin: the number of a scan"});
+    fs::rename(drive.file("velodyne_points/data/9999999999.bin"), drive.file("velodyne_points/data/0099999999.bin"));
+    expect_data_error(drive, {"timestamps.txt: 3 lines, frame 99999999 needs line 100000000"});
+    DatasetOptions complete;
+    complete.allow_missing_scans = false;
+    expect_failure(drive, complete, ExitCode::data, {"99999996 of the scans 0 to 99999999 missing (3, 4, 5, 6, 7, ...), expected all"});
+}
+
+TEST(KittiErrors, FoldersThatAreNoDrive) {
+    const KittiDrive drive("strangers");
+    const auto expect = [](const fs::path& folder, const std::vector<std::string>& parts) {
+        for (const std::string kind : {"", "kitti_raw:"}) {
+            try {
+                load_sequence(kind + folder.string(), {});
+                FAIL() << folder;
+            } catch (const DataError& error) {
+                for (const std::string& part : parts) EXPECT_THAT(error.what(), testing::HasSubstr(part));
+            }
+        }
+    };
+    expect(drive.folder.parent_path(), {"2011_12_31: no", "holds 1 dataset; expected one of them, as", "2011_12_31_drive_0001_sync"});
+    expect(drive.file("velodyne_points"), {"within a dataset; expected", "2011_12_31_drive_0001_sync"});
+    expect(drive.file("oxts/data"), {"within a dataset; expected"});
+    const fs::path odometry = drive.folder.parent_path().parent_path() / "dataset/sequences/00";
+    write_text(odometry / "velodyne/000000.bin", "");
+    write_text(odometry / "times.txt", "0\n");
+    expect(odometry, {"sequences/00: no", "a KITTI odometry sequence, whose scans are motion-compensated", "KITTI raw"});
+    expect(odometry.parent_path().parent_path(), {"a KITTI odometry sequence"});
+    for (int frame = 0; frame < 3; ++frame) fs::rename(drive.scan(frame), drive.scan(frame).replace_extension("txt"));
+    expect_data_error(drive, {"scans as text", "_extract", "_sync"});
+}
+
+TEST(KittiErrors, PosesOutOfThisWorld) {
+    const KittiDrive drive("far");
+    const std::string good = "1 0 0 0 0 1 0 0 0 0 1 0\n";
+    DatasetOptions options;
+    options.poses_file = drive.file("poses.txt");
+    write_text(options.poses_file, good + "1 0 0 1e308 0 1 0 0 0 0 1 0\n" + good);
+    expect_failure(drive, options, ExitCode::data, {"poses.txt: the pose of frame 1 is at (1e+308, 0, 0), expected metres within"});
+    write_text(options.poses_file, good + "1 0 0 2e5 0 1 0 0 0 0 1 0\n" + good);
+    expect_failure(drive, options, ExitCode::data, {"poses.txt: the poses of frames 0 and 1 are 200000 m apart"});
+    const fs::path oxts = drive.file("oxts/data/0000000002.txt");
+    write_text(oxts, read_text(oxts).replace(read_text(oxts).find("100.5"), 5, "1e308"));
+    expect_data_error(drive, {"oxts/data: the pose of frame 2 is at ("});
 }
 
 TEST(KittiErrors, BrokenScans) {
@@ -90,7 +147,22 @@ TEST(KittiErrors, Timestamps) {
     expect_data_error(drive, {"timestamps.txt: 1 lines, frame 1 needs line 2"});
     write_text(file, "2011-13-31 23:59:10.0\n");
     expect_data_error(drive, {"timestamps.txt line 1", "2011-13-31", "expected YYYY-MM-DD"});
+    write_text(file, "9999-01-01 00:00:00.0\n");   // beyond 64 bits of nanoseconds
+    expect_data_error(drive, {"timestamps.txt line 1", "9999-01-01", "1970 to 2199"});
+    write_text(file, std::string(1 << 20, '7') + "\n");
+    try {
+        load_sequence(drive.folder.string(), {});
+        FAIL();
+    } catch (const DataError& error) {
+        EXPECT_LT(std::string(error.what()).size(), 400u);
+    }
     const std::string line = whole.substr(0, whole.find('\n') + 1);
+    write_text(file, line + "\n" + line);
+    expect_data_error(drive, {"timestamps.txt line 2: empty, expected the time of frame 1"});
+    write_text(file, "\n \n");
+    expect_data_error(drive, {"timestamps.txt: empty"});
+    write_text(file, "   " + whole);   // leading blanks: a time all the same
+    EXPECT_EQ(load_sequence(drive.folder.string(), {}).frames.size(), 3u);
     write_text(file, line + line + line);
     expect_data_error(drive, {"timestamps.txt line 2", "rising"});
 }

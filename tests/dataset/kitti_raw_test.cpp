@@ -8,6 +8,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
+#include <sstream>
 
 #include <gtest/gtest.h>
 
@@ -127,11 +128,12 @@ TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
     test::write_text(poses, "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n0 -1 0 5 1 0 0 6 0 0 1 7\n");
     DatasetOptions options;
     options.poses_file = poses;
+    options.allow_missing_scans = false;
     try {
         load_sequence(drive.folder.string(), options);
-        FAIL() << "a hole in the log must be wanted";
+        FAIL() << "a hole in the log, and a complete one was asked for";
     } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), ::testing::HasSubstr("(1), expected all"));
+        EXPECT_THAT(error.what(), ::testing::HasSubstr("missing (1), expected all"));
     }
     options.allow_missing_scans = true;
     Sequence log = load_sequence(drive.folder.string(), options);
@@ -144,6 +146,78 @@ TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
     EXPECT_NEAR(x.y, 1.0, 1e-12);
     options.frames = {2, -1};
     EXPECT_EQ(load_sequence(drive.folder.string(), options).frames.size(), 1u);
+}
+
+/// Empties lines of a file.
+void blank_lines(const std::filesystem::path& path, const std::vector<std::size_t>& numbers) {
+    const std::string whole = test::read_text(path);
+    std::string text, line;
+    std::istringstream lines(whole);
+    for (std::size_t n = 0; std::getline(lines, line); ++n) text += (std::find(numbers.begin(), numbers.end(), n) == numbers.end() ? line : "") + "\n";
+    test::write_text(path, text);
+}
+
+// As drive 0009 ships: a scan less, its line of the three timestamp files empty, its OXTS file there.
+TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
+    const KittiDrive drive("drive0009");
+    std::filesystem::remove(drive.scan(1));
+    for (const char* name : {"timestamps.txt", "timestamps_start.txt", "timestamps_end.txt"}) blank_lines(drive.file(std::string("velodyne_points/") + name), {1});
+    const Sequence log = load_sequence(drive.folder.string(), {});
+    ASSERT_EQ(log.frames.size(), 2u);
+    EXPECT_EQ(log.frames[1].index, 2);
+    EXPECT_NEAR(log.frames[1].time_s - log.frames[0].time_s, 0.2, 1e-9);
+    EXPECT_NEAR(log.sensor.period_s, 0.1, 1e-9);
+    EXPECT_THAT(log.notes, testing::ElementsAre("1 of the scans 0 to 2 missing (1): left out"));
+    const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;   // of OXTS, by number and not by count
+    EXPECT_NEAR(log.world_from_sensor.pose[1].translation.x - log.world_from_sensor.pose[0].translation.x, 2 * step, 1e-6);
+    ASSERT_EQ(log.boxes.size(), 1u);
+    ASSERT_EQ(log.boxes[0].world_from_box.pose.size(), 1u);   // labelled in frames 1 and 2
+    EXPECT_DOUBLE_EQ(log.boxes[0].world_from_box.time_s[0], log.frames[1].time_s);
+}
+
+TEST(KittiRaw, TimesAreCountedFromTheFirstLineThatHasOne) {
+    const KittiDrive drive("headless");
+    std::filesystem::remove(drive.scan(0));
+    for (const char* name : {"timestamps.txt", "timestamps_start.txt", "timestamps_end.txt"}) blank_lines(drive.file(std::string("velodyne_points/") + name), {0});
+    const Sequence log = load_sequence(drive.folder.string(), {});
+    EXPECT_NEAR(log.frames[0].time_s, 0.0, 1e-9);
+    EXPECT_NEAR(log.frames[1].time_s, 0.1, 1e-9);
+}
+
+TEST(KittiRaw, CalibrationBesideAboveOrInItsArchive) {
+    for (const char* place : {"calib_imu_to_velo.txt", "calib/calib_imu_to_velo.txt", "../2011_12_31_calib/2011_12_31/calib_imu_to_velo.txt", "../../calib_imu_to_velo.txt"}) {
+        const KittiDrive drive("calibration_places");
+        const glm::dvec3 usual = load_sequence(drive.folder.string(), {}).world_offset_m;
+        const std::string text = test::read_text(drive.calibration());
+        std::filesystem::remove(drive.calibration());
+        test::write_text(drive.file(place), text);
+        EXPECT_EQ(load_sequence(drive.folder.string(), {}).world_offset_m, usual) << place;
+    }
+}
+
+TEST(KittiRaw, WithoutPosesAndTracklets) {
+    const KittiDrive drive("no_poses");
+    const Sequence whole = load_sequence(drive.folder.string(), {});
+    std::filesystem::remove_all(drive.file("oxts"));
+    std::filesystem::remove(drive.calibration());
+    DatasetOptions options;
+    options.poses_file = kNoPoses;
+    Sequence log = load_sequence(drive.folder.string(), options);
+    EXPECT_THAT(log.notes, testing::ElementsAre(testing::HasSubstr("no poses are read")));
+    for (std::size_t i = 0; i < 3; ++i) {
+        EXPECT_EQ(log.world_from_sensor.pose[i].translation, glm::dvec3(0.0));
+        EXPECT_EQ(log.world_from_sensor.pose[i].rotation, glm::dquat(1, 0, 0, 0));
+        EXPECT_EQ(log.world_from_sensor.time_s[i], whole.world_from_sensor.time_s[i]);
+        EXPECT_EQ(log.frames[i].scan.range_m, whole.frames[i].scan.range_m);
+    }
+    EXPECT_EQ(log.boxes[0].world_from_box.pose[0].translation, glm::dvec3(10, 2, -0.5));   // as labelled
+    set_sensor_poses(log, whole.world_from_sensor);
+    for (std::size_t k = 0; k < 2; ++k)
+        EXPECT_NEAR(glm::distance(log.boxes[0].world_from_box.pose[k].translation, whole.boxes[0].world_from_box.pose[k].translation), 0.0, 1e-9);
+    std::filesystem::remove(drive.file("tracklet_labels.xml"));
+    log = load_sequence(drive.folder.string(), options);
+    EXPECT_THAT(log.notes, testing::Contains(testing::HasSubstr("no tracklet_labels.xml")));
+    EXPECT_TRUE(log.boxes.empty());
 }
 
 TEST(KittiRaw, ReturnsBeyondTheLimitAreDropped) {

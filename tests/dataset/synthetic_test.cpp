@@ -146,6 +146,21 @@ TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     fs::remove_all(folder);
 }
 
+TEST(Synthetic, WithoutPosesBoxesStandWhereTheSensorSawThem) {
+    const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_no_poses";
+    save_synthetic(small(), folder);
+    const Sequence exact = load_sequence(folder.string(), {});
+    DatasetOptions options;
+    options.poses_file = kNoPoses;
+    Sequence log = load_sequence(folder.string(), options);
+    for (const Pose& pose : log.world_from_sensor.pose) EXPECT_EQ(pose.translation, glm::dvec3(0.0));
+    const glm::dvec3 as_seen = inverse(exact.world_from_sensor.pose[0]) * exact.boxes[0].world_from_box.pose[0].translation;
+    EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation, as_seen), 1e-9);
+    set_sensor_poses(log, exact.world_from_sensor);
+    EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation, exact.boxes[0].world_from_box.pose[0].translation), 1e-9);
+    fs::remove_all(folder);
+}
+
 TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
     SyntheticOptions with = small(), without = small();
     with.range_noise_m = without.range_noise_m = 0.0;

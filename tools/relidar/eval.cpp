@@ -139,6 +139,7 @@ void score_log(const Options& options) {
     config.dataset.frames_end = range.end;
     const Output output(options.out, options.pictures);
     const Sequence log = load_dataset(config);
+    for (const std::string& text : log.notes) note(text);
     const Split split = split_frames(log, config.dataset.test_every);
     check_held_out(split, options.target);
 

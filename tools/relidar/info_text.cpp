@@ -56,7 +56,7 @@ Json json_of(const BoxSummary& b) {
 Json json_of(const LogSummary& log) {
     Json boxes = Json::array();
     for (const BoxSummary& b : log.boxes) boxes.push_back(json_of(b));
-    Json json = {{"name", log.name}, {"source", log.source}, {"conventions", log.conventions},
+    Json json = {{"name", log.name}, {"source", log.source}, {"conventions", log.conventions}, {"notes", log.notes},
                  {"sensor", {{"name", log.sensor}, {"rows", log.n_beams}, {"columns", log.columns}, {"top_deg", log.top_deg}, {"bottom_deg", log.bottom_deg},
                              {"period_s", log.period_s}, {"max_range_m", log.max_range_m}}},
                  {"rolling_shutter", log.rolling_shutter}, {"frames", log.n_frames}, {"first_frame", log.first_frame}, {"last_frame", log.last_frame},
@@ -91,6 +91,7 @@ BoxSummary summarise(const Sequence& sequence, const BoxTrack& box, double min_s
 
 std::string text_of(const LogSummary& log, bool of_run) {
     std::string text = line("log", log.name) + line("source", log.source) + line("conventions", log.conventions);
+    for (const std::string& note : log.notes) text += line("note", note);
     text += line("sensor", fmt::format("{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s a turn, {:.4g} m{}", log.sensor, log.n_beams, log.columns, log.top_deg,
                                        log.bottom_deg, log.period_s, log.max_range_m, log.rolling_shutter ? ", rolling shutter" : ""));
     text += line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames, log.first_frame, log.last_frame, log.seconds, log.path_m));
@@ -107,6 +108,7 @@ LogSummary summarise(const Sequence& sequence, double min_step_m) {
     log.name = sequence.name;
     log.source = sequence.source;
     log.conventions = sequence.conventions;
+    log.notes = sequence.notes;
     log.sensor = sequence.sensor.name;
     log.n_beams = sequence.sensor.beams.size();
     log.columns = sequence.sensor.columns;

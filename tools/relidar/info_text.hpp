@@ -27,6 +27,7 @@ struct BoxSummary {
 
 struct LogSummary {
     std::string name, source, conventions;
+    std::vector<std::string> notes;        ///< what the log lacks
     std::string sensor;
     std::size_t n_beams = 0;
     int columns = 0;

@@ -70,7 +70,7 @@ Config start_settings(const Options& options) {
 Config config_of(const Options& options) {
     Config config = start_settings(options);
     if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
-    config.dataset.poses = absolute_path(config.dataset.poses);
+    if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
     config.eval.lpips_weights = absolute_path(config.eval.lpips_weights);
     if (!options.frames.empty()) {
         const FrameRange range = parse_frames(options.frames);
@@ -104,6 +104,7 @@ std::optional<Checkpoint> find_start(const Options& options) {
 void announce(const Sequence& sequence, const Split& split, const Device& device, const Checkpoint* start) {
     print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name, sequence.frames.size(), split.train.size(), split.test.size(),
                       device.info().name, device.traversal() == Traversal::software ? "software traversal" : "ray query"));
+    for (const std::string& note : sequence.notes) print("note    " + note + "\n");
     if (start) print(fmt::format("resume  from iteration {}\n", start->iteration));
     std::fflush(stdout);
 }
