@@ -6,8 +6,9 @@
 #include <iterator>
 
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 
+
+#include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
 #include <relidar/registration.hpp>
 

@@ -207,7 +207,9 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     street = given;
     EXPECT_THROW(run(config, &*checkpoint), DataError) << "a log that was not prepared is another log";
     try {
-        prepare_log(street, split, config, {{}, [] { return true; }});
+        PrepareSession session;
+        session.stop = [] { return true; };
+        prepare_log(street, split, config, session);
         FAIL() << "expected registration to be interrupted";
     } catch (const Error& error) {
         EXPECT_EQ(error.code(), ExitCode::interrupted) << error.what();
