@@ -16,8 +16,9 @@ namespace relidar {
 namespace {
 
 constexpr int kLevels = 3, kMostSteps = 8;
+constexpr double kLastScale = 2.0;          // of the adjustment's: a map of running sums is coarser
 constexpr double kConverged_m = 1e-3;       // length of the last step
-constexpr double kDamping = 1e-4;           // of the mean stiffness: decides only what no point sees
+constexpr double kPrior = 3e-4;             // of the mean stiffness, towards the prediction: decides along what no point sees, such as a bare road
 constexpr double kFewestShare = 0.1;        // of a scan's points that lie on planes of the map: streets 0.5 to 0.8
 constexpr double kMemory_m = 80.0;          // what was last seen so far back is forgotten: odometry must not close loops
 constexpr double kSame_m = 0.05;            // predictions nearer to each other lead to the same place
@@ -112,8 +113,10 @@ private:
         set(k, start);
         if (maps_.front().empty() || scan.empty()) return {start, 0.0};
         double share = 0.0;
-        for (int level = 0; level < kLevels; ++level)
-            for (int i = 0; i < kMostSteps && step(k, scan, level, between(options_.first.scale_m, 2.0 * options_.last.scale_m, level), share) > kConverged_m; ++i) {}
+        for (int level = 0; level < kLevels; ++level) {
+            const double scale_m = between(options_.first.scale_m, kLastScale * options_.last.scale_m, level);
+            for (int i = 0; i < kMostSteps && step(k, start, scan, level, scale_m, share) > kConverged_m; ++i) {}
+        }
         return {track_.pose[k], share};
     }
 
@@ -125,7 +128,7 @@ private:
     }
 
     /// @return length of the step
-    double step(std::size_t k, const std::vector<ThinPoint>& scan, int level, double scale_m, double& share) {
+    double step(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan, int level, double scale_m, double& share) {
         Matrix6 stiffness = Matrix6::Zero();
         Vector6 gradient = Vector6::Zero();
         std::size_t on_planes = 0;
@@ -141,8 +144,12 @@ private:
         }
         share = double(on_planes) / double(scan.size());
         if (!(stiffness.trace() > 0.0)) return 0.0;
-        stiffness.diagonal() *= 1.0 + kDamping;
-        stiffness.diagonal().array() += kDamping * stiffness.diagonal().mean();
+        const Twist correction = twist_between(start, track_.pose[k]);
+        const double prior[] = {kPrior * stiffness.diagonal().head<3>().mean(), kPrior * stiffness.diagonal().tail<3>().mean()};
+        for (int i = 0; i < 6; ++i) {   // metres and radians have stiffnesses of their own
+            stiffness(i, i) += prior[i / 3];
+            gradient[i] += prior[i / 3] * correction[std::size_t(i)];
+        }
         const Vector6 x = -stiffness.llt().solve(gradient);
         set(k, moved(track_.pose[k], {x[0], x[1], x[2], x[3], x[4], x[5]}));
         return x.head<3>().norm() + 10.0 * x.tail<3>().norm();   // points lie some ten metres away

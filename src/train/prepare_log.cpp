@@ -25,6 +25,12 @@ std::string corrections_text(const PoseTrack& from, const PoseTrack& to) {
     return fmt::format("corrections of {:.3f} m (median) to {:.3f} m", metres[metres.size() / 2], metres.back());
 }
 
+std::string way_text(const PoseTrack& track) {
+    double metres = 0.0;
+    for (std::size_t k = 1; k < track.pose.size(); ++k) metres += glm::distance(track.pose[k].translation, track.pose[k - 1].translation);
+    return fmt::format("{:.1f} m driven", metres);
+}
+
 constexpr double kMostLost = 0.05;   // of the scans, one in any case
 
 RegisterOptions register_options(const Sequence& sequence, const Config& config, const PrepareSession& session) {
@@ -64,7 +70,7 @@ void register_sensor(Sequence& sequence, const Split& split, const Config& confi
     if (found.stopped) throw Error(ExitCode::interrupted, "interrupted while scans were registered: nothing is trained yet");
     if (found.rounds.empty()) return;
     session.tell(fmt::format("scans registered: {:.0f} % of their points lie on common planes, {:.3f} m from them; {}", 100.0 * found.on_planes, found.rounds.back().residual_m,
-                             corrections_text(sequence.world_from_sensor, found.world_from_sensor)));
+                             config.dataset.poses == kNoPoses ? way_text(found.world_from_sensor) : corrections_text(sequence.world_from_sensor, found.world_from_sensor)));
     tell_lost(sequence, found, config, session);
     set_sensor_poses(sequence, found.world_from_sensor);
 }
