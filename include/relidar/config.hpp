@@ -43,6 +43,7 @@ struct TrainConfig {
     int iterations = 30000;
     int rays_per_iteration = 0;      ///< 0 = all rays of one frame (paper)
     std::string batch = "rays";      ///< fewer than all: "rays" (every n-th column of the frame) or "columns" (a window of whole columns)
+    int sh_degree_start = 0;         ///< active from the first iteration
     int sh_degree_interval = 1000;   ///< +1 degree this often
     double mean_rate = 1.6e-4;       ///< times the extent
     double mean_rate_final = 1.6e-6;

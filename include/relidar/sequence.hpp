@@ -71,6 +71,17 @@ struct BoxTrack {
     bool holds(const glm::dvec3& point_m, double t_s, double margin_m) const;
 };
 
+/// How the intensities of a sensor's lasers fall alike with range and incidence:
+///   measured by the mean laser = albedo * at_range(range) * at_cosine(cos),   1 at 10 m and square incidence
+struct IntensityResponse {
+    std::vector<double> range_m;   ///< knots, ascending; none: 1 at every range
+    std::vector<double> factor;    ///< [knots], linear between them
+    double incidence = 0.0;        ///< 0: as bright from every side, 1: Lambert's cosine
+
+    double at_range(double at_m) const;
+    double at_cosine(double cosine) const { return 1.0 - incidence * (1.0 - cosine); }
+};
+
 /// A LiDAR log, recentred: the world origin is the sensor position in the middle frame.
 struct Sequence {
     std::string name;
@@ -80,6 +91,7 @@ struct Sequence {
     PoseTrack world_from_sensor;          ///< one entry a frame, at Frame::time_s
     std::vector<BoxTrack> boxes;
     glm::dvec3 world_offset_m{0.0};       ///< add to relidar's world to get the dataset's world
+    IntensityResponse intensity_response; ///< of the sensor on these surfaces; 1 unless estimated
     std::string conventions;              ///< one line a human reads: frames, units, time reference
     std::vector<std::string> notes;       ///< what the log lacks, as it was read: a line each
     bool rolling_shutter = true;          ///< rays were fired at their own times (scans are not motion-compensated)
@@ -120,25 +132,34 @@ WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size
 /// between observations allowed, for the rays of the turn in which they were labelled.
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m);
 
-/// Intensity of what a ray returned from, the response of its laser taken off: (measured - offset) / gain. The measured value where
-/// the sensor has no such laser.
-float surface_intensity(const SpinningSensor& sensor, const Scan& scan, std::size_t ray);
+/// Intensity of what a ray returned from as the mean laser would measure it from 10 m away: (measured - offset) / gain / at_range(range).
+/// The angle of incidence is left in.
+float surface_intensity(const Sequence& sequence, const Scan& scan, std::size_t ray);
 
 /// Range of what a ray returned from, the offset of its laser taken off, metres; 0 where the ray was dropped.
 float surface_range(const SpinningSensor& sensor, const Scan& scan, std::size_t ray);
 
-/// How well lasers agree on what several of them have seen.
+/// How well lasers agree on planes that several of them have seen.
 struct LaserCalibration {
     std::size_t returns = 0;    ///< that were compared
-    double rms_before = 0.0;    ///< of intensities about the mean of their place, or of points about their plane, metres
-    double rms_after = 0.0;     ///< with a response, or an offset, for each laser
+    double rms_before = 0.0;    ///< of points about their plane, metres
+    double rms_after = 0.0;     ///< with an offset for each laser
     bool adopted = false;       ///< whether the sensor has them now
 };
-/// Finds gain and offset of each laser's intensity (Beam) from returns of the given frames that fall into the same 0.1 m of the world, by
-/// alternating least squares; the mean laser has gain 1 and offset 0, and so has one that shares no place. Lasers of one sensor differ by more
-/// than surfaces do: without it the scene averages them. (Not in the paper.)
+/// What was found of intensities.
+struct IntensityCalibration {
+    std::size_t returns = 0;    ///< that were compared
+    double rms_before = 0.0;    ///< of intensities about the mean of their place
+    double rms_after = 0.0;     ///< with what was adopted
+    bool shared = false;        ///< whether the log has an IntensityResponse now
+    bool lasers = false;        ///< whether the sensor's lasers have gains and offsets now
+};
+/// Finds how intensities fall with range and incidence (Sequence::intensity_response), and gain and offset of each laser (Beam), from returns of
+/// the given frames that fall into the same 0.1 m of a surface, by least squares. Of the two, and of both together, only what brings
+/// the error down by 5 % more is adopted: lasers that agree have no gains, intensities that the sensor has compensated no fall. The mean laser
+/// has gain 1 and offset 0, and so has one that shares no place. (Not in the paper.)
 /// @param positions  of the frames to look at, in Sequence::frames
-LaserCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions);
+IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions);
 /// Finds what each laser adds to its ranges (Beam) from returns on the same planes, cells of 0.3 m, by alternating least squares from the
 /// nominal ranges; offsets of all lasers average 0, and are 0 where they make the planes less than 3 % thinner. Datasets keep offsets of centimetres between lasers. (Not in the paper.)
 LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions);

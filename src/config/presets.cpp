@@ -59,6 +59,7 @@ Config standard() {
     config.loss.chamfer = 0.0f;                        // 0.01 changed no metric by more than 1 % over 110 steps of `quick`, and costs a tenth of a step
     config.loss.opacity = 0.1f;                        // what D no longer does: close the holes
     config.train.iterations = 3000;
+    config.train.sh_degree_start = 1;                  // intensities start with their fall with the angle of incidence
     config.train.sh_degree_interval = 500;
     config.train.mean_rate = 1e-5;                     // points are right to 2 cm already
     config.train.mean_rate_final = 1e-6;

@@ -6,6 +6,7 @@
 #include <optional>
 #include <unordered_map>
 
+#include "core/plane_sums.hpp"
 #include "registration/plane_cells.hpp"
 
 namespace relidar {
@@ -25,11 +26,9 @@ public:
 
 private:
     struct Cell {
-        double n = 0.0;
-        glm::dvec3 sum{0.0};                            ///< of d = point - centre of the cell
-        glm::dvec3 squares{0.0}, products{0.0};         ///< of dx^2 dy^2 dz^2, and of dy dz, dx dz, dx dy
+        PlaneSums sums;                   ///< from the centre of the cell
         double travelled_m = 0.0;
-        mutable double n_fitted = 0.0;                  ///< points in `plane`
+        mutable double n_fitted = 0.0;    ///< points in `plane`
         mutable std::optional<Plane> plane;
     };
     double cell_m_;

@@ -30,8 +30,9 @@ float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f 
 
 float measured_range(const Beam& beam, float range_m) { return range_m > 0.0f ? std::max(range_m + static_cast<float>(beam.range_offset_m), 0.0f) : range_m; }
 
-float measured_intensity(const Beam& beam, float intensity) {
-    return std::clamp(static_cast<float>(beam.intensity_gain * double(intensity) + beam.intensity_offset), 0.0f, 1.0f);
+/// @param at_range  of the sensor's response
+float measured_intensity(const Beam& beam, double at_range, float intensity) {
+    return std::clamp(static_cast<float>(beam.intensity_gain * at_range * double(intensity) + beam.intensity_offset), 0.0f, 1.0f);
 }
 
 Sequence without_scans(const Sequence& sequence, const Config& config) {
@@ -40,6 +41,7 @@ Sequence without_scans(const Sequence& sequence, const Config& config) {
     result.world_from_sensor = sequence.world_from_sensor;
     result.boxes = sequence.boxes;
     result.world_offset_m = sequence.world_offset_m;
+    result.intensity_response = sequence.intensity_response;
     result.rolling_shutter = sequence.rolling_shutter && config.sensor.rolling_shutter;
     return result;
 }
@@ -97,7 +99,7 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
         const Beam& laser = laser_of(sensor.beams, sensor.rays.channel[i]);
         scan.image.range_m.push_back(measured_range(laser, chosen_range(r, i, s.config.render.range)));
         scan.median_range_m.push_back(measured_range(laser, r.median_depth[i]));
-        scan.image.intensity.push_back(measured_intensity(laser, r.intensity[i]));
+        scan.image.intensity.push_back(measured_intensity(laser, s.sequence.intensity_response.at_range(double(chosen_range(r, i, "median"))), r.intensity[i]));
         scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
         const float never_seen = sensor.is_own ? s.layout.sensor_drop.at(sensor.rays.channel[i], sensor.rays.direction[i]) : 0.0f;
         scan.image.drop_prob.push_back(1.0f - (1.0f - drop_probability(r, i)) * (1.0f - never_seen));

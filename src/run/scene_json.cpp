@@ -103,6 +103,15 @@ SpinningSensor read_sensor(const JsonField& field) {
     return sensor;
 }
 
+/// Runs whose intensities do not fall with range have none.
+IntensityResponse read_intensity_response(const JsonField& field) {
+    const IntensityResponse r{field.at("range_m").numbers(), field.at("factor").numbers(), field.at("incidence").number(0.0, 1.0)};
+    if (r.factor.size() != r.range_m.size()) field.at("factor").fail(fmt::format("found {} factors", r.factor.size()), fmt::format("expected {}, one a knot", r.range_m.size()));
+    if (!std::is_sorted(r.range_m.begin(), r.range_m.end())) field.at("range_m").fail("found falling ranges", "expected ranges that rise");
+    if (!std::all_of(r.factor.begin(), r.factor.end(), [](double f) { return f > 0.0 && f < kHuge; })) field.at("factor").fail("found a factor that is not above 0", "expected all above 0");
+    return r;
+}
+
 void read_frames(const JsonField& field, SceneFile& scene) {
     for (std::size_t i = 0; i < field.size(); ++i) {
         const JsonField entry = field.at(i);
@@ -173,6 +182,8 @@ std::string to_scene_json(const Run& run) {
                  {"sensor", to_json(s.sensor)},
                  {"frames", frames_json(s, run.split)},
                  {"boxes", boxes}};
+    if (const IntensityResponse& r = s.intensity_response; !r.factor.empty())
+        json["intensity_response"] = {{"range_m", r.range_m}, {"factor", r.factor}, {"incidence", r.incidence}};
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
@@ -197,6 +208,7 @@ SceneFile parse_scene_json(const std::string& text, const std::string& file) {
     read_frames(root.at("frames"), scene);
     const JsonField boxes = root.at("boxes");
     for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box(boxes.at(i)));
+    if (root.has("intensity_response")) s.intensity_response = read_intensity_response(root.at("intensity_response"));
     if (root.has("edits")) read_edits(root.at("edits"), scene);
     if (root.has("refined_poses")) scene.refined_poses = root.at("refined_poses").text();
     check_counts(root, scene);

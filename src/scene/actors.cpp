@@ -155,7 +155,7 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
         if (!is_wanted(box, options)) continue;
         const std::vector<Sample> samples = actor_samples(sequence, train_positions, box, options);
         if (samples.size() < std::size_t(options.actor_min_points)) continue;
-        const Surfels surfels = surfels_from_points(samples, options);
+        const Surfels surfels = surfels_from_points(samples, options, sequence.intensity_response.incidence);
         scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
         scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()), static_cast<std::uint32_t>(surfels.size()), glm::vec3(0.5 * box.size_m + kPointMargin_m)});
         scene.surfels.append(surfels);

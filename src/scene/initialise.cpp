@@ -121,7 +121,7 @@ Surfels initialise_background(const Sequence& sequence, const std::vector<int>& 
     if (options.remove_unlabelled_movers) samples = without_movers(samples, sequence, train_positions);
     if (samples.empty())
         throw DataError(fmt::format("initialising the background of {}: found no return outside moving boxes in {} training frames, expected at least one", sequence.name, train_positions.size()));
-    return surfels_from_points(samples, options);
+    return surfels_from_points(samples, options, sequence.intensity_response.incidence);
 }
 
 }  // namespace relidar

@@ -16,6 +16,7 @@ namespace relidar {
 namespace {
 
 constexpr float kSh0 = 0.28209479177387814f;   ///< constant of SH degree 0
+constexpr double kSh1 = 0.4886025119029199;    ///< of degree 1: -y, z, -x
 constexpr int kScaleNeighbours = 3;
 
 /// nanoflann's view of the samples.
@@ -73,8 +74,22 @@ glm::dvec3 random_direction(Random& random) {
     return d / std::max(glm::length(d), 1e-12);
 }
 
+/// Intensity a (1 - q (1 - cos)) with cos = -n . d for rays of direction d towards the surface: harmonics of degrees 0 and 1. What was seen at a
+/// grazing angle says little of a. @param normal zero where there is none: as bright from every side
+void fill_intensity(float* sh, const Sample& sample, const glm::dvec3& normal, double incidence) {
+    constexpr double kGrazing = 0.1;
+    const double facing = -glm::dot(normal, glm::normalize(glm::dvec3(sample.view)));
+    const glm::dvec3 n = facing < 0.0 ? -normal : normal;
+    const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence, albedo = double(sample.intensity) / (1.0 - q * (1.0 - std::max(std::abs(facing), kGrazing)));
+    const glm::dvec3 slope = -albedo * q / kSh1 * n;   // of a direction's y, z, x
+    sh[0] = (static_cast<float>(albedo * (1.0 - q)) - 0.5f) / kSh0;
+    sh[1] = static_cast<float>(-slope.y);
+    sh[2] = static_cast<float>(slope.z);
+    sh[3] = static_cast<float>(-slope.x);
+}
+
 /// Fills surfel i from its sample and neighbours.
-void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& samples, const Tree& tree, const InitialiseOptions& options) {
+void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& samples, const Tree& tree, const InitialiseOptions& options, double incidence) {
     const std::size_t k = std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
     std::vector<std::size_t> found(k);
     std::vector<float> distance2(k);
@@ -93,20 +108,20 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
     surfels.log_scale[i] = glm::vec2(static_cast<float>(std::log(std::clamp(scale * options.scale_factor, 1e-3, options.max_scale_m))));
     surfels.opacity_logit[i] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
     float* sh = surfels.sh.data() + i * kShFloats;
-    sh[0] = (samples[i].intensity - 0.5f) / kSh0;
+    fill_intensity(sh, samples[i], plane.is_surface ? plane.normal : glm::dvec3(0.0), incidence);
     sh[kShCoefficients] = (static_cast<float>(options.hit_logit) - 0.5f) / kSh0;
     sh[2 * kShCoefficients] = (static_cast<float>(options.drop_logit) - 0.5f) / kSh0;
 }
 
 }  // namespace
 
-Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options) {
+Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options, double incidence) {
     const Cloud cloud{samples};
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(16));
     Surfels surfels;
     surfels.resize(samples.size());
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
-    for_each_block(samples.size(), [&](std::size_t i) { fill_surfel(surfels, i, samples, tree, options); });
+    for_each_block(samples.size(), [&](std::size_t i) { fill_surfel(surfels, i, samples, tree, options, incidence); });
     return surfels.permuted(kd_order(surfels.mean));
 }
 

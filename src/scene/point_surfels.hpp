@@ -16,7 +16,8 @@ struct Sample {
     glm::vec3 view;   ///< unit, sensor to point
 };
 
-/// One surfel a sample, in kd order. @param samples at least one
-Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options);
+/// One surfel a sample, in kd order. Where normals are found, intensity starts with the fall with incidence of the log's surfaces.
+/// @param samples at least one @param incidence of IntensityResponse
+Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options, double incidence);
 
 }  // namespace relidar

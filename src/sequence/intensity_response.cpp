@@ -1,150 +1,271 @@
 // SPDX-License-Identifier: Apache-2.0
-// Intensity responses of the lasers of one sensor, from how differently they see the same places (alternating least squares).
+// How intensities fall with range and incidence, and how the lasers of a sensor differ, from how differently the same places are seen.
+// Gauss-Newton for
+//   intensity = gain_b * albedo_p * rho(range) * (1 - q (1 - cos)) + offset_b,   rho piecewise linear,
+// albedos eliminated: H = sum J J^T - sum over places of (sum J c)(sum J c)^T / sum c^2, c the derivative by the place's albedo.
+// What one part explains as well as two is left to the one.
 #include <algorithm>
+#include <array>
 #include <cmath>
-#include <unordered_map>
+
+#include <Eigen/Cholesky>
 
 #include <relidar/sequence.hpp>
 
-#include "core/cell_key.hpp"
-#include "sequence/laser_returns.hpp"
+#include "sequence/intensity_places.hpp"
 
 namespace relidar {
 namespace {
 
-constexpr double kCell_m = 0.1;             // a place: small enough to be one surface, large enough to be hit by several lasers
-constexpr double kMaxRange_m = 50.0;        // farther out a place is seldom hit twice
-constexpr std::size_t kMostReturns = 8000000;
-constexpr double kPriorReturns = 200.0;     // a laser starts as if so many of its returns had followed the mean laser
-constexpr double kMinGain = 0.2, kMaxGain = 5.0;
-constexpr int kRounds = 20;
-
-/// One return: where, by which laser, how bright.
-struct Observation {
-    std::uint32_t place;
-    std::uint32_t beam;
-    float intensity;
-};
-
-/// Returns of one frame; `place` is still to be numbered.
-struct FrameReturns {
-    std::vector<std::uint64_t> cell;
-    std::vector<Observation> seen;
-};
-
-FrameReturns returns_of(const Sequence& sequence, const Frame& frame) {
-    FrameReturns result;
-    const Scan& scan = frame.scan;
-    for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
-        if (!is_of_laser(sequence, scan, ray, kMaxRange_m)) continue;
-        result.cell.push_back(cell_key(world_return(sequence, frame, ray).point_m, kCell_m));
-        result.seen.push_back({0, scan.rays.channel[ray], scan.intensity[ray]});
-    }
-    return result;
-}
-
-/// Returns of places that at least two lasers have seen, places numbered from 0.
-std::vector<Observation> shared_places(const Sequence& sequence, const std::vector<int>& positions, std::size_t& n_places) {
-    std::vector<FrameReturns> frames = read_frames(sequence, positions, kMostReturns, [&](const Frame& frame) { return returns_of(sequence, frame); });
-
-    constexpr std::uint32_t kSeveral = 0xffffffffu;
-    std::unordered_map<std::uint64_t, std::uint32_t> number;
-    std::vector<std::uint32_t> only_beam;
-    for (FrameReturns& frame : frames)
-        for (std::size_t k = 0; k < frame.cell.size(); ++k) {
-            const auto [slot, is_new] = number.try_emplace(frame.cell[k], static_cast<std::uint32_t>(only_beam.size()));
-            Observation& o = frame.seen[k];
-            o.place = slot->second;
-            if (is_new) only_beam.push_back(o.beam);
-            else if (only_beam[o.place] != o.beam) only_beam[o.place] = kSeveral;
-        }
-    n_places = only_beam.size();
-    std::vector<Observation> shared;
-    for (const FrameReturns& frame : frames)
-        std::copy_if(frame.seen.begin(), frame.seen.end(), std::back_inserter(shared), [&](const Observation& o) { return only_beam[o.place] == kSeveral; });
-    return shared;
-}
+constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
+constexpr std::size_t kReference = 3;       // of the knots: where rho is 1
+constexpr double kPriorReturns = 200.0;     // a laser starts as if so many of its returns had followed the mean laser; a knot, a straight line
+constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
+constexpr double kLeastGain = 0.95;         // what does not bring the error down to this share of what it was is not there
+constexpr int kSteps = 12;
+constexpr double kDamping = 1e-3;
 
 struct Response {
     double gain = 1.0;
     double offset = 0.0;
 };
 
-/// Brightness of each place under the present responses: least squares.
-std::vector<double> brightness_of_places(const std::vector<Observation>& seen, const std::vector<Response>& responses, std::size_t n_places) {
-    std::vector<double> sum(n_places, 0.0), weight(n_places, 0.0);
-    for (const Observation& o : seen) {
-        const Response& r = responses[o.beam];
-        sum[o.place] += r.gain * (double(o.intensity) - r.offset);
-        weight[o.place] += r.gain * r.gain;
-    }
-    for (std::size_t i = 0; i < n_places; ++i) sum[i] /= std::max(weight[i], 1e-12);
-    return sum;
-}
-
-/// Sums of a straight line's least squares.
-struct LineFit {
-    double n = 0.0, x = 0.0, y = 0.0, xx = 0.0, xy = 0.0;
-    void add(double at, double value, double times = 1.0) { n += times, x += times * at, y += times * value, xx += times * at * at, xy += times * at * value; }
-    Response response() const {
-        const double variance = n * xx - x * x;
-        if (!(variance > 1e-12 * n * n)) return {};
-        const double gain = std::clamp((n * xy - x * y) / variance, kMinGain, kMaxGain);
-        return {gain, (y - gain * x) / n};
-    }
+struct Model {
+    std::vector<double> albedo;                                    ///< [places]
+    std::vector<double> factor = std::vector<double>(kKnots_m.size(), 1.0);
+    double incidence = 0.0;
+    std::vector<Response> lasers;
+    double rms = 0.0;
 };
 
-/// One scale and one shift of all brightnesses are free: the mean laser, by returns, has gain 1 and offset 0.
-void fix_mean(std::vector<Response>& responses, const std::vector<LineFit>& fits) {
-    double n = 0.0, gain = 0.0, offset = 0.0;
-    for (std::size_t b = 0; b < responses.size(); ++b) n += fits[b].n, gain += fits[b].n * responses[b].gain, offset += fits[b].n * responses[b].offset;
-    for (Response& r : responses) {
-        r.gain *= n / gain;
-        r.offset -= r.gain * offset / n;
+struct Parts {
+    bool shared, lasers;
+};
+
+/// The knot at or before a range, and how far on to the next one it is. The first and last segment go on.
+std::pair<std::size_t, double> knot_at(double range_m) {
+    const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
+    const std::size_t left = std::size_t(std::clamp<std::ptrdiff_t>(after - kKnots_m.begin() - 1, 0, std::ptrdiff_t(kKnots_m.size()) - 2));
+    return {left, std::clamp((range_m - kKnots_m[left]) / (kKnots_m[left + 1] - kKnots_m[left]), 0.0, 1.0)};
+}
+
+double factor_at(const Model& m, double range_m) {
+    const auto [k, s] = knot_at(range_m);
+    return (1.0 - s) * m.factor[k] + s * m.factor[k + 1];
+}
+
+double at_cosine(const Model& m, double cosine) { return 1.0 - m.incidence * (1.0 - cosine); }
+
+void fit_albedos(Model& m, const PlaceReturns& returns) {
+    std::vector<double> sum(returns.n_places, 0.0), weight(returns.n_places, 0.0);
+    for (const PlaceReturn& r : returns.seen) {
+        const Response& laser = m.lasers[r.beam];
+        const double x = laser.gain * factor_at(m, r.range_m) * at_cosine(m, r.cosine);
+        sum[r.place] += x * (double(r.intensity) - laser.offset);
+        weight[r.place] += x * x;
+    }
+    for (std::size_t p = 0; p < returns.n_places; ++p) m.albedo[p] = std::max(sum[p] / std::max(weight[p], 1e-12), 0.0);
+}
+
+/// Where the unknowns of the wanted parts stand in the system: rho, q, then gain and offset of each laser.
+struct Layout {
+    Parts parts;
+    std::size_t n_lasers;
+    Eigen::Index factor(std::size_t knot) const { return Eigen::Index(knot); }
+    Eigen::Index incidence() const { return Eigen::Index(kKnots_m.size()); }
+    Eigen::Index gain(std::size_t laser) const { return (parts.shared ? incidence() + 1 : 0) + 2 * Eigen::Index(laser); }
+    Eigen::Index offset(std::size_t laser) const { return gain(laser) + 1; }
+    Eigen::Index size() const { return gain(parts.lasers ? n_lasers : 0); }
+};
+
+/// The derivatives of what is expected of one return, by the few unknowns that it depends on.
+struct Row {
+    std::array<std::pair<Eigen::Index, double>, 5> by;
+    std::size_t n = 0;
+    double by_albedo, error;   ///< error: measured - expected
+    void add(Eigen::Index unknown, double derivative) { by[n++] = {unknown, derivative}; }
+};
+
+Row row_of(const Model& m, const Layout& at, const PlaceReturn& r) {
+    const Response& laser = m.lasers[r.beam];
+    const auto [knot, s] = knot_at(r.range_m);
+    const double rho = factor_at(m, r.range_m), kappa = at_cosine(m, r.cosine), albedo = m.albedo[r.place], mean_laser = albedo * rho * kappa;
+    Row row{{}, 0, laser.gain * rho * kappa, double(r.intensity) - laser.gain * mean_laser - laser.offset};
+    if (at.parts.shared) {
+        row.add(at.factor(knot), laser.gain * albedo * kappa * (1.0 - s));
+        row.add(at.factor(knot + 1), laser.gain * albedo * kappa * s);
+        row.add(at.incidence(), -laser.gain * albedo * rho * (1.0 - double(r.cosine)));
+    }
+    if (at.parts.lasers) {
+        row.add(at.gain(r.beam), mean_laser);
+        row.add(at.offset(r.beam), 1.0);
+    }
+    return row;
+}
+
+struct System {
+    Eigen::MatrixXd h;
+    Eigen::VectorXd g;
+    double mean = 0.0, spread = 0.0;   ///< of what the mean laser measures
+};
+
+/// @param returns in the order of their places
+System system_of(const Model& m, const Layout& at, const PlaceReturns& returns) {
+    System sys{Eigen::MatrixXd::Zero(at.size(), at.size()), Eigen::VectorXd::Zero(at.size())};
+    std::vector<double> coupling(std::size_t(at.size()), 0.0);
+    std::vector<Eigen::Index> touched;
+    double sum = 0.0, sum2 = 0.0;
+    for (std::size_t begin = 0, end = 0; begin < returns.seen.size(); begin = end) {
+        double cc = 0.0, ce = 0.0;
+        touched.clear();
+        for (end = begin; end < returns.seen.size() && returns.seen[end].place == returns.seen[begin].place; ++end) {
+            const Row row = row_of(m, at, returns.seen[end]);
+            for (std::size_t i = 0; i < row.n; ++i) {
+                const auto [unknown, derivative] = row.by[i];
+                if (coupling[std::size_t(unknown)] == 0.0) touched.push_back(unknown);
+                coupling[std::size_t(unknown)] += derivative * row.by_albedo;
+                sys.g[unknown] += derivative * row.error;
+                for (std::size_t j = 0; j < row.n; ++j) sys.h(unknown, row.by[j].first) += derivative * row.by[j].second;
+            }
+            cc += row.by_albedo * row.by_albedo, ce += row.by_albedo * row.error;
+            const double expected = m.albedo[returns.seen[end].place] * row.by_albedo;
+            sum += expected, sum2 += expected * expected;
+        }
+        for (const Eigen::Index i : touched) {
+            sys.g[i] -= coupling[std::size_t(i)] * ce / cc;
+            for (const Eigen::Index j : touched) sys.h(i, j) -= coupling[std::size_t(i)] * coupling[std::size_t(j)] / cc;
+        }
+        for (const Eigen::Index i : touched) coupling[std::size_t(i)] = 0.0;
+    }
+    sys.mean = sum / double(returns.seen.size());
+    sys.spread = std::sqrt(std::max(sum2 / double(returns.seen.size()) - sys.mean * sys.mean, 0.0));
+    return sys;
+}
+
+void add_priors(System& sys, const Model& m, const Layout& at) {
+    const auto pull = [&](Eigen::Index i, double weight, double error) { sys.h(i, i) += weight, sys.g[i] += weight * error; };
+    const double prior = kPriorReturns * (sys.mean * sys.mean + sys.spread * sys.spread);
+    for (std::size_t k = 1; at.parts.shared && k + 1 < kKnots_m.size(); ++k) {   // what few returns say continues the line of its neighbours
+        const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
+        const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after), now(m.factor[k - 1], m.factor[k], m.factor[k + 1]);
+        sys.h.block<3, 3>(at.factor(k - 1), at.factor(k - 1)) += prior * bend * bend.transpose();
+        sys.g.segment<3>(at.factor(k - 1)) -= prior * bend * bend.dot(now);
+    }
+    if (at.parts.shared) {
+        pull(at.factor(kReference), 1e3 * prior, 1.0 - m.factor[kReference]);   // the scale of albedos is free
+        for (std::size_t k = 0; k < kKnots_m.size(); ++k) pull(at.factor(k), 1e-3 * prior, 1.0 - m.factor[k]);
+        pull(at.incidence(), 1e-3 * prior, -m.incidence);
+    }
+    for (std::size_t b = 0; at.parts.lasers && b < m.lasers.size(); ++b)
+        for (const double x : {sys.mean - sys.spread, sys.mean + sys.spread}) {
+            const double weight = 0.5 * kPriorReturns, error = x - m.lasers[b].gain * x - m.lasers[b].offset;
+            sys.h(at.gain(b), at.gain(b)) += weight * x * x, sys.h(at.offset(b), at.offset(b)) += weight;
+            sys.h(at.gain(b), at.offset(b)) += weight * x, sys.h(at.offset(b), at.gain(b)) += weight * x;
+            sys.g[at.gain(b)] += weight * x * error, sys.g[at.offset(b)] += weight * error;
+        }
+}
+
+void take_step(Model& m, const Layout& at, const Eigen::VectorXd& step) {
+    if (at.parts.shared) {
+        for (std::size_t k = 0; k < m.factor.size(); ++k) m.factor[k] = std::clamp(m.factor[k] + step[at.factor(k)], kMinFactor, kMaxFactor);
+        m.incidence = std::clamp(m.incidence + step[at.incidence()], 0.0, kMaxIncidence);
+    }
+    for (std::size_t b = 0; at.parts.lasers && b < m.lasers.size(); ++b) {
+        m.lasers[b].gain = std::clamp(m.lasers[b].gain + step[at.gain(b)], kMinGain, kMaxGain);
+        m.lasers[b].offset += step[at.offset(b)];
     }
 }
 
-/// Each laser's line of intensity over brightness. @return the mean square error of the responses that come in
-double fit_responses(const std::vector<Observation>& seen, const std::vector<double>& brightness, std::vector<Response>& responses) {
-    double squares = 0.0, sum = 0.0, sum2 = 0.0;
-    std::vector<LineFit> fits(responses.size());
-    for (const Observation& o : seen) {
-        const double at = brightness[o.place], error = responses[o.beam].gain * at + responses[o.beam].offset - double(o.intensity);
-        squares += error * error, sum += at, sum2 += at * at;
-        fits[o.beam].add(at, double(o.intensity));
+/// One scale and one shift of all albedos are free: the mean laser, by returns, has gain 1 and offset 0.
+void fix_mean(std::vector<Response>& lasers, const PlaceReturns& returns) {
+    std::vector<double> n(lasers.size(), kPriorReturns);
+    for (const PlaceReturn& r : returns.seen) n[r.beam] += 1.0;
+    double all = 0.0, gain = 0.0, offset = 0.0;
+    for (std::size_t b = 0; b < lasers.size(); ++b) all += n[b], gain += n[b] * lasers[b].gain, offset += n[b] * lasers[b].offset;
+    for (Response& r : lasers) {
+        r.gain *= all / gain;
+        r.offset -= r.gain * offset / all;
     }
-    const double n = double(seen.size()), mean = sum / n, spread = std::sqrt(std::max(sum2 / n - mean * mean, 0.0));
-    for (LineFit& fit : fits)
-        for (const double at : {mean - spread, mean + spread}) fit.add(at, at, 0.5 * kPriorReturns);
-    for (std::size_t b = 0; b < responses.size(); ++b) responses[b] = fits[b].response();
-    fix_mean(responses, fits);
-    return squares / n;
+}
+
+double error_of(const Model& m, const PlaceReturns& returns) {
+    double squares = 0.0;
+    for (const PlaceReturn& r : returns.seen) {
+        const Response& laser = m.lasers[r.beam];
+        const double error = laser.gain * m.albedo[r.place] * factor_at(m, r.range_m) * at_cosine(m, r.cosine) + laser.offset - double(r.intensity);
+        squares += error * error;
+    }
+    return std::sqrt(squares / double(returns.seen.size()));
+}
+
+Model fitted(const PlaceReturns& returns, std::size_t n_lasers, Parts parts) {
+    Model m;
+    m.albedo.resize(returns.n_places);
+    m.lasers.resize(n_lasers);
+    fit_albedos(m, returns);
+    m.rms = error_of(m, returns);
+    const Layout at{parts, n_lasers};
+    double damping = kDamping;
+    for (int i = 0; i < kSteps && at.size() > 0; ++i) {   // Levenberg and Marquardt
+        System sys = system_of(m, at, returns);
+        add_priors(sys, m, at);
+        sys.h.diagonal() *= 1.0 + damping;
+        Model next = m;
+        take_step(next, at, sys.h.ldlt().solve(sys.g));
+        fit_albedos(next, returns);
+        next.rms = error_of(next, returns);
+        const bool is_better = next.rms < m.rms;
+        damping *= is_better ? 0.1 : 10.0;
+        if (is_better) m = std::move(next);
+    }
+    if (parts.lasers) {
+        fix_mean(m.lasers, returns);
+        fit_albedos(m, returns);
+    }
+    return m;
 }
 
 }  // namespace
 
-LaserCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions) {
+double IntensityResponse::at_range(double at_m) const {
+    if (factor.empty()) return 1.0;
+    const auto after = std::upper_bound(range_m.begin(), range_m.end(), at_m);
+    if (after == range_m.begin()) return factor.front();
+    if (after == range_m.end()) return factor.back();
+    const auto right = std::size_t(after - range_m.begin());
+    const double s = (at_m - range_m[right - 1]) / (range_m[right] - range_m[right - 1]);
+    return (1.0 - s) * factor[right - 1] + s * factor[right];
+}
+
+IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions) {
+    sequence.intensity_response = {};
     for (Beam& beam : sequence.sensor.beams) beam.intensity_gain = 1.0, beam.intensity_offset = 0.0;
-    std::size_t n_places = 0;
-    const std::vector<Observation> seen = shared_places(sequence, positions, n_places);
-    LaserCalibration result{seen.size(), 0.0, 0.0, !seen.empty()};
-    if (seen.empty()) return result;
-    std::vector<Response> responses(sequence.sensor.beams.size());
-    for (int round = 0; round < kRounds; ++round) {
-        const std::vector<double> brightness = brightness_of_places(seen, responses, n_places);
-        result.rms_after = std::sqrt(fit_responses(seen, brightness, responses));
-        if (round == 0) result.rms_before = result.rms_after;
-    }
-    for (std::size_t b = 0; b < responses.size(); ++b) {
-        sequence.sensor.beams[b].intensity_gain = responses[b].gain;
-        sequence.sensor.beams[b].intensity_offset = responses[b].offset;
+    const PlaceReturns returns = returns_of_places(sequence, positions);
+    IntensityCalibration result;
+    result.returns = returns.seen.size();
+    if (returns.seen.empty()) return result;
+    const std::size_t n = sequence.sensor.beams.size();
+    const auto better = [](const Model& a, const Model& b) { return a.rms < kLeastGain * b.rms; };
+    Model best = fitted(returns, n, {false, false});
+    result.rms_before = best.rms;
+    const Model shared = fitted(returns, n, {true, false}), lasers = fitted(returns, n, {false, true}), both = fitted(returns, n, {true, true});
+    const bool first_shared = shared.rms <= lasers.rms;
+    const Model& single = first_shared ? shared : lasers;
+    if (better(single, best)) best = single, result.shared = first_shared, result.lasers = !first_shared;
+    if (better(both, best)) best = both, result.shared = result.lasers = true;
+    result.rms_after = best.rms;
+    if (result.shared) sequence.intensity_response = {{kKnots_m.begin(), kKnots_m.end()}, best.factor, best.incidence};
+    for (std::size_t b = 0; b < n && result.lasers; ++b) {
+        sequence.sensor.beams[b].intensity_gain = best.lasers[b].gain;
+        sequence.sensor.beams[b].intensity_offset = best.lasers[b].offset;
     }
     return result;
 }
 
-float surface_intensity(const SpinningSensor& sensor, const Scan& scan, std::size_t ray) {
-    const Beam& beam = laser_of(sensor.beams, scan.rays.channel[ray]);
-    return static_cast<float>((double(scan.intensity[ray]) - beam.intensity_offset) / beam.intensity_gain);
+float surface_intensity(const Sequence& sequence, const Scan& scan, std::size_t ray) {
+    const Beam& beam = laser_of(sequence.sensor.beams, scan.rays.channel[ray]);
+    const double mean_laser = (double(scan.intensity[ray]) - beam.intensity_offset) / beam.intensity_gain;
+    return static_cast<float>(mean_laser / sequence.intensity_response.at_range(double(surface_range(sequence.sensor, scan, ray))));
 }
 
 }  // namespace relidar

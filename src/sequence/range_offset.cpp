@@ -4,12 +4,11 @@
 #include <cmath>
 #include <unordered_map>
 
-#include <Eigen/Eigenvalues>
-
 #include <relidar/sequence.hpp>
 
 #include "core/cell_key.hpp"
 #include "core/parallel.hpp"
+#include "core/plane_sums.hpp"
 #include "sequence/laser_returns.hpp"
 
 namespace relidar {
@@ -68,32 +67,22 @@ struct Plane {
 
 std::vector<Plane> planes_of(const std::vector<Observation>& seen, const std::vector<double>& offset_m, std::size_t n_cells) {
     struct Sums {
-        glm::dvec3 p{0.0}, squares{0.0}, mixed{0.0};   // about the cell's first point; mixed: yz, zx, xy
+        PlaneSums sums;          // from the cell's first point
         glm::dvec3 about{0.0};
-        int n = 0;
     };
-    std::vector<Sums> sums(n_cells);
+    std::vector<Sums> cells(n_cells);
     for (const Observation& o : seen) {
-        Sums& s = sums[o.cell];
+        Sums& s = cells[o.cell];
         const glm::dvec3 at = moved(o, offset_m);
-        if (s.n++ == 0) s.about = at;
-        const glm::dvec3 p = at - s.about;
-        s.p += p;
-        s.squares += p * p;
-        s.mixed += glm::dvec3(p.y * p.z, p.z * p.x, p.x * p.y);
+        if (s.sums.n == 0.0) s.about = at;
+        s.sums.add(at - s.about);
     }
     std::vector<Plane> planes(n_cells);
     for_each_block(n_cells, [&](std::size_t i) {
-        const Sums& s = sums[i];
-        if (s.n < kMinReturns) return;
-        const glm::dvec3 m = s.p / double(s.n), d = s.squares / double(s.n) - m * m, x = s.mixed / double(s.n) - glm::dvec3(m.y * m.z, m.z * m.x, m.x * m.y);
-        Eigen::Matrix3d covariance;
-        covariance << d.x, x.z, x.y, x.z, d.y, x.x, x.y, x.x, d.z;
-        const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(covariance);
-        const Eigen::Vector3d values = solver.eigenvalues();
-        if (values[0] > kMaxThickness_m * kMaxThickness_m || values[1] < kMaxThickness_m * kMaxThickness_m) return;
-        const Eigen::Vector3d normal = solver.eigenvectors().col(0);
-        planes[i] = {s.about + m, {normal.x(), normal.y(), normal.z()}};
+        if (cells[i].sums.n < kMinReturns) return;
+        const PlaneFit fit = cells[i].sums.fit();
+        if (fit.variance[0] > kMaxThickness_m * kMaxThickness_m || fit.variance[1] < kMaxThickness_m * kMaxThickness_m) return;
+        planes[i] = {cells[i].about + fit.mean, fit.axes[0]};
     });
     return planes;
 }

@@ -109,7 +109,7 @@ double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double t
 WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray) {
     const WorldRay w = world_ray(sequence.world_from_sensor, frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
     const double t_s = frame.time_s + (sequence.rolling_shutter ? static_cast<double>(frame.scan.rays.time_offset_s[ray]) : 0.0);
-    return {w.origin_m + static_cast<double>(surface_range(sequence.sensor, frame.scan, ray)) * w.direction, w.direction, t_s, surface_intensity(sequence.sensor, frame.scan, ray)};
+    return {w.origin_m + static_cast<double>(surface_range(sequence.sensor, frame.scan, ray)) * w.direction, w.direction, t_s, surface_intensity(sequence, frame.scan, ray)};
 }
 
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m) {

@@ -64,7 +64,7 @@ void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& m
         const bool blind = masks.blind.at(scan.rays.channel[i], scan.rays.direction[i]) >= kBlindFrequency;
         const bool unknown = blind || is_unknown(boxes, w, scan.range_m[i]);
         rays.push_back({glm::vec3(w.origin_m), glm::vec3(w.direction)});
-        targets.push_back({surface_range(sequence.sensor, scan, i), surface_intensity(sequence.sensor, scan, i), unknown ? 0.0f : 1.0f});
+        targets.push_back({surface_range(sequence.sensor, scan, i), surface_intensity(sequence, scan, i), unknown ? 0.0f : 1.0f});
     }
 }
 

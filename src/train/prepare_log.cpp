@@ -77,17 +77,22 @@ void register_sensor(Sequence& sequence, const Split& split, const Config& confi
 
 void calibrate_lasers(Sequence& sequence, const Split& split, const SensorConfig& config, const PrepareSession& session) {
     const std::size_t n = sequence.sensor.beams.size();
-    if (n < 2) return;
-    if (config.calibrate_range) {
+    if (n > 1 && config.calibrate_range) {
         const LaserCalibration found = calibrate_ranges(sequence, split.train);
         session.tell(fmt::format("ranges of {} lasers compared on {:.1f} million returns: {:.1f} mm from common planes, {:.1f} mm with an offset each{}", n, double(found.returns) * 1e-6,
                                  found.rms_before * 1e3, found.rms_after * 1e3, found.adopted ? "" : ": none is taken"));
     }
-    if (config.calibrate_intensity) {
-        const LaserCalibration found = calibrate_intensity(sequence, split.train);
-        session.tell(fmt::format("intensities of {} lasers compared on {:.1f} million returns: {:.3f} apart, {:.3f} with a gain and offset each", n, double(found.returns) * 1e-6,
-                                 found.rms_before, found.rms_after));
-    }
+}
+
+void calibrate_intensities(Sequence& sequence, const Split& split, const PrepareSession& session) {
+    const IntensityCalibration found = calibrate_intensity(sequence, split.train);
+    const IntensityResponse& r = sequence.intensity_response;
+    const std::string fall = fmt::format("{:.2f} of it at 40 m and {:.2f} at 60 degrees of incidence", r.at_range(40.0) / r.at_range(10.0), r.at_cosine(0.5));
+    session.tell(fmt::format("intensities of {:.1f} million returns compared: {:.3f} apart at the same place, {:.3f} with {}", double(found.returns) * 1e-6, found.rms_before, found.rms_after,
+                             found.shared && found.lasers ? "a gain and offset for each laser, " + fall
+                             : found.shared               ? fall
+                             : found.lasers               ? "a gain and offset for each laser"
+                                                          : "what was tried: none is taken"));
 }
 
 /// Ids with their sizes and speeds.
@@ -118,6 +123,7 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
         throw UsageError("dataset.poses=none: the poses have to be found from the scans; expected train.refine_poses=sensor and train.pose_register=true");
     if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
     calibrate_lasers(sequence, split, config.sensor, session);
+    if (config.sensor.calibrate_intensity) calibrate_intensities(sequence, split, session);
     if (config.init.discover_actors && config.init.actors != ActorMode::background) add_discovered(sequence, split, config.init, session);
 }
 

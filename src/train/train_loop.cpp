@@ -45,6 +45,9 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
             c.opacity_rate * decay, c.sh_rate * decay, c.sh_rest_factor};
 }
 
+/// Active degree of the spherical harmonics; the image's own may be lower.
+int sh_degree_at(const TrainConfig& c, int step) { return c.sh_degree_start + std::max(step - 1, 0) / std::max(1, c.sh_degree_interval); }
+
 ImageModel with_degree(ImageModel model, int degree) {
     model.sh_degree = std::min(model.sh_degree, degree);
     return model;
@@ -137,7 +140,7 @@ void TrainLoop::iterate(int step, bool ends_line) {
     if (refiner_) refiner_->take_steps(stream_, step - kReadbackLag);
     const std::size_t frame_index = sampler_.next();
     const FrameData& frame = frames_[frame_index];
-    const ImageModel model = with_degree(config_.image, (step - 1) / std::max(1, config_.train.sh_degree_interval));
+    const ImageModel model = with_degree(config_.image, sh_degree_at(config_.train, step));
     forward_.set_sh_degree(model.sh_degree);
     backward_.set_sh_degree(model.sh_degree);
 
@@ -178,7 +181,7 @@ void TrainLoop::change_surfels(const Change& change) {
 
 void TrainLoop::prune_unseen() {
     densifier_->forget(stream_);
-    const ImageModel model = with_degree(config_.image, std::max(config_.train.iterations - 1, 0) / std::max(1, config_.train.sh_degree_interval));
+    const ImageModel model = with_degree(config_.image, sh_degree_at(config_.train, config_.train.iterations));
     for (std::size_t i = 0; i < frames_.size(); ++i) {
         const FrameData& frame = frames_[i];
         const RayBatch rays = frame.batch(0, 1);
@@ -244,7 +247,7 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
 DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
     constexpr std::uint32_t kRays = 20000;   // of each frame: hundreds a bin over a log
     constexpr float kSolid = 0.9f;           // a ray must meet this much of a surface
-    const ImageModel model = with_degree(config_.image, (config_.train.iterations - 1) / std::max(1, config_.train.sh_degree_interval));
+    const ImageModel model = with_degree(config_.image, sh_degree_at(config_.train, config_.train.iterations));
     DropCounts counts(sequence);
     for (std::size_t k = 0; k < frames_.size(); ++k) {
         const FrameData& frame = frames_[k];

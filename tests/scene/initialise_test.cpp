@@ -41,6 +41,33 @@ TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
     }
 }
 
+/// Flat ground of one albedo, seen from 2 m above it: intensity = 0.4 (0.3 + 0.7 cos), which degree 1 holds exactly.
+TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
+    Sequence ground;
+    for (int b = 0; b < 64; ++b) ground.sensor.beams.push_back({.elevation_rad = -0.5 - 0.01 * b});
+    ground.sensor.columns = 720;
+    ground.rolling_shutter = false;
+    ground.world_from_sensor = {{0.0}, {{}}};
+    ground.intensity_response.incidence = 0.7;
+    Frame frame{0, 0.0, {make_rays(ground.sensor), {}, {}}};
+    for (const glm::vec3& d : frame.scan.rays.direction) {
+        frame.scan.range_m.push_back(-2.0f / d.z);
+        frame.scan.intensity.push_back(0.4f * (0.3f - 0.7f * d.z));
+    }
+    ground.frames.push_back(frame);
+    const Surfels surfels = initialise_background(ground, {0}, {});
+    std::vector<float> worst;
+    for (std::size_t i = 0; i < surfels.size(); ++i) {
+        const float* sh = surfels.sh.data() + i * 48;
+        for (const glm::vec3 d : {glm::vec3(0, 0, -1), glm::normalize(glm::vec3(1, 2, -1)), glm::normalize(glm::vec3(-3, 1, -0.5f))}) {
+            const float value = 0.5f + 0.28209479f * sh[0] + 0.48860251f * (-d.y * sh[1] + d.z * sh[2] - d.x * sh[3]);
+            worst.push_back(std::abs(value - 0.4f * (0.3f - 0.7f * d.z)));
+        }
+    }
+    std::sort(worst.begin(), worst.end());
+    EXPECT_LT(worst[worst.size() * 95 / 100], 0.02f) << "normals of a few rays are not quite upright";
+}
+
 std::size_t count_in_moving_boxes(const Sequence& street, const Surfels& surfels) {
     std::size_t n = 0;
     for (const glm::vec3& p : surfels.mean) {

@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <relidar/dataset.hpp>
 #include <relidar/sequence.hpp>
 
 namespace relidar {
@@ -63,7 +64,7 @@ std::vector<Beam> unequal_beams() {
 TEST(IntensityResponse, ComesBackFromSharedPlaces) {
     const std::vector<Beam> truth = unequal_beams();
     Sequence sequence = drive(truth, 0.01);
-    const LaserCalibration found = calibrate_intensity(sequence, kAll);
+    const IntensityCalibration found = calibrate_intensity(sequence, kAll);
     ASSERT_GT(found.returns, 2000u);
     EXPECT_GT(found.rms_before, 3.0 * found.rms_after);
     // Up to the common scale and shift, which no data tell: what two lasers report of the same surface is compared.
@@ -90,6 +91,44 @@ TEST(IntensityResponse, EqualLasersStayEqual) {
         for (const double surface : {0.3, 0.6}) EXPECT_NEAR(beam.intensity_gain * surface + beam.intensity_offset, surface, 0.015);
 }
 
+/// The street's intensities are reflectance * (0.3 + 0.7 cos) * (1 - range / 160 m), its lasers equal (src/dataset/synthetic.cpp).
+Sequence street() {
+    SyntheticOptions options;
+    options.n_frames = 40;   // 32 m: near and far views of the same places
+    return make_synthetic_street(options);
+}
+
+void expect_the_streets_fall(const IntensityResponse& found, double tolerance) {
+    const auto exact = [](double range_m) { return (1.0 - range_m / 160.0) / (1.0 - 10.0 / 160.0); };
+    for (const double range_m : {4.0, 7.0, 15.0, 25.0, 40.0}) EXPECT_NEAR(found.at_range(range_m) / exact(range_m), 1.0, tolerance) << range_m;
+    EXPECT_NEAR(found.incidence, 0.7, 0.05);
+}
+
+TEST(IntensityResponse, FallWithRangeAndIncidenceIsNotTheLasers) {
+    Sequence sequence = street();
+    const IntensityCalibration found = calibrate_intensity(sequence, split_frames(sequence, 0).train);
+    EXPECT_TRUE(found.shared);
+    EXPECT_FALSE(found.lasers);
+    for (const Beam& beam : sequence.sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
+    expect_the_streets_fall(sequence.intensity_response, 0.04);
+}
+
+TEST(IntensityResponse, FallAndLasersAreToldApart) {
+    Sequence sequence = street();
+    std::vector<double> gains;
+    double mean = 0.0;
+    for (std::size_t b = 0; b < sequence.sensor.beams.size(); ++b) gains.push_back(1.0 + 0.25 * noise(b + 5)), mean += gains.back() / double(sequence.sensor.beams.size());
+    for (Frame& frame : sequence.frames)
+        for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i) frame.scan.intensity[i] *= float(gains[frame.scan.rays.channel[i]]);
+    const IntensityCalibration found = calibrate_intensity(sequence, split_frames(sequence, 0).train);
+    EXPECT_TRUE(found.shared && found.lasers);
+    expect_the_streets_fall(sequence.intensity_response, 0.06);   // what a laser sees on the ground, it sees at one range
+    double ratio = 0.0;   // the mean laser is one by returns
+    for (std::size_t b = 0; b < gains.size(); ++b) ratio += sequence.sensor.beams[b].intensity_gain / gains[b] / double(gains.size());
+    for (std::size_t b = 4; b < gains.size(); ++b)   // the first lasers look into the sky and see little
+        EXPECT_NEAR(sequence.sensor.beams[b].intensity_gain / gains[b] / ratio, 1.0, 0.08) << b;
+}
+
 TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
     Sequence whole = drive(unequal_beams(), 0.01), changed = whole;
     for (float& value : changed.frames[5].scan.intensity) value = 0.9f;
@@ -104,7 +143,7 @@ TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
 
 TEST(IntensityResponse, NothingSharedLeavesTheSensorAlone) {
     Sequence sequence = drive(unequal_beams(), 0.0);
-    const LaserCalibration found = calibrate_intensity(sequence, {});
+    const IntensityCalibration found = calibrate_intensity(sequence, {});
     EXPECT_EQ(found.returns, 0u);
     for (const Beam& beam : sequence.sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
 }
@@ -114,10 +153,13 @@ TEST(IntensityResponse, SurfaceIntensityUndoesTheResponse) {
     const Frame& frame = sequence.frames[3];
     for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 7) {
         const WorldReturn w = world_return(sequence, frame, i);
-        EXPECT_NEAR(w.intensity, surface_intensity(sequence.sensor, frame.scan, i), 0.0);
+        EXPECT_NEAR(w.intensity, surface_intensity(sequence, frame.scan, i), 0.0);
         const Beam& beam = sequence.sensor.beams[frame.scan.rays.channel[i]];
         EXPECT_NEAR(beam.intensity_gain * double(w.intensity) + beam.intensity_offset, double(frame.scan.intensity[i]), 1e-6);
     }
+    const float near_by = surface_intensity(sequence, frame.scan, 3);
+    sequence.intensity_response = {{0.0, 100.0}, {0.5, 0.5}, 0.0};
+    EXPECT_NEAR(surface_intensity(sequence, frame.scan, 3), 2.0f * near_by, 1e-6f) << "what falls to half was twice as bright";
 }
 
 }  // namespace

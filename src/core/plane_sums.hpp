@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+// The plane of points that come one by one:
+//   mean = sum d / n,   covariance = sum d d^T / n - mean mean^T,   the normal its axis of least variance.
+#pragma once
+
+#include <Eigen/Eigenvalues>
+#include <glm/glm.hpp>
+
+namespace relidar {
+
+struct PlaneFit {
+    glm::dvec3 mean{0.0};
+    glm::dvec3 variance{0.0};   ///< along the axes, ascending
+    glm::dvec3 axes[3];         ///< unit; the first is the normal
+};
+
+struct PlaneSums {
+    double n = 0.0;
+    glm::dvec3 sum{0.0}, squares{0.0}, products{0.0};   ///< products: of y z, x z, x y
+
+    /// @param d from an origin near the points, so that squares lose no digits
+    void add(const glm::dvec3& d) {
+        n += 1.0;
+        sum += d;
+        squares += d * d;
+        products += glm::dvec3(d.y * d.z, d.x * d.z, d.x * d.y);
+    }
+
+    /// From the same origin; n > 0.
+    PlaneFit fit() const {
+        const glm::dvec3 mean = sum / n, s = squares / n - mean * mean, p = products / n - glm::dvec3(mean.y * mean.z, mean.x * mean.z, mean.x * mean.y);
+        Eigen::Matrix3d covariance;
+        covariance << s.x, p.z, p.y, p.z, s.y, p.x, p.y, p.x, s.z;
+        const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(covariance);
+        PlaneFit fit{mean, {solver.eigenvalues()[0], solver.eigenvalues()[1], solver.eigenvalues()[2]}, {}};
+        for (int i = 0; i < 3; ++i) fit.axes[i] = {solver.eigenvectors()(0, i), solver.eigenvectors()(1, i), solver.eigenvectors()(2, i)};
+        return fit;
+    }
+};
+
+}  // namespace relidar
