@@ -42,6 +42,9 @@ struct Scan {
     std::size_t count_returns() const;
 };
 
+/// Drops the returns of a scan whose range lies outside the limits.
+void drop_outside(Scan& scan, const RangeLimits& limits);
+
 /// One turn of the log.
 struct Frame {
     int index = 0;          ///< the dataset's own frame number
@@ -83,6 +86,9 @@ struct Sequence {
     std::string conventions;              ///< one line a human reads: frames, units, time reference
     bool rolling_shutter = true;          ///< rays were fired at their own times (scans are not motion-compensated)
 };
+
+/// Poses of a sensor that stands beside another one. @param sensor_from_moved in the frame of the sensor of `track`
+PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved);
 
 /// Gives the sensor other poses at the same times. Boxes go along: they were labelled on the scans, so each stays where it was as seen
 /// from the sensor at its label's time.

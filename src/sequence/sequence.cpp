@@ -73,6 +73,16 @@ std::size_t Scan::count_returns() const {
     return static_cast<std::size_t>(std::count_if(range_m.begin(), range_m.end(), [](float r) { return r > 0.0f; }));
 }
 
+void drop_outside(Scan& scan, const RangeLimits& limits) {
+    for (std::size_t i = 0; i < scan.range_m.size(); ++i)
+        if (scan.range_m[i] > 0.0f && !limits.contains(scan.range_m[i])) scan.range_m[i] = scan.intensity[i] = 0.0f;
+}
+
+PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved) {
+    for (Pose& pose : track.pose) pose = pose * sensor_from_moved;
+    return track;
+}
+
 double BoxTrack::mean_step_m() const {
     const std::vector<Pose>& poses = world_from_box.pose;
     const std::size_t half = poses.size() / 2;
