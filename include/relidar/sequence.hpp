@@ -65,6 +65,9 @@ struct BoxTrack {
     /// Mean motion of the box's centre from one observation to the next, metres: from the mean position in the first half of the track
     /// to that in the second, so that the jitter of labels on a parked car (9 cm a frame on KITTI) is no motion. 0 for one observation.
     double mean_step_m() const;
+    /// Whether the thing stands still as far as labels and poses can tell: its positions, averaged over a second (half of a shorter track), stay
+    /// within 0.2 m of the first, or within 2 m at less than 0.5 m/s, since a log's poses drift while a parked car is seen.
+    bool is_parked() const;
     /// Whether the box was observed at a time, or half a mean step beside it: a turn takes that long to either side of its label.
     bool present(double t_s) const;
     /// Where the box is while it is present, and for beyond_s before its first and after its last observation where the mean velocity of

@@ -95,6 +95,23 @@ double BoxTrack::mean_step_m() const {
     return glm::length(end - start) / double(half) / double(poses.size() - half);
 }
 
+bool BoxTrack::is_parked() const {
+    constexpr double kSmooth_s = 1.0, kJitter_m = 0.2, kDrift_m = 2.0, kDrift_mps = 0.5;
+    const std::vector<double>& t = world_from_box.time_s;
+    if (t.size() < 2) return true;
+    const double window_s = std::min(kSmooth_s, 0.5 * (t.back() - t.front()));
+    const auto smoothed = [&](std::size_t first) {
+        glm::dvec3 sum(0.0);
+        std::size_t n = 0;
+        for (std::size_t i = first; i < t.size() && t[i] <= t[first] + window_s; ++i, ++n) sum += world_from_box.pose[i].translation;
+        return sum / double(n);
+    };
+    const glm::dvec3 start = smoothed(0);
+    double farthest_m = 0.0;
+    for (std::size_t i = 1; i < t.size() && t[i] + window_s <= t.back(); ++i) farthest_m = std::max(farthest_m, glm::length(smoothed(i) - start));
+    return farthest_m < kJitter_m || (farthest_m < kDrift_m && farthest_m < kDrift_mps * (t.back() - t.front() - window_s));
+}
+
 void set_sensor_poses(Sequence& sequence, PoseTrack world_from_sensor) {
     for (BoxTrack& box : sequence.boxes)
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {

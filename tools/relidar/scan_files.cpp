@@ -164,7 +164,7 @@ std::vector<std::string> parse_formats(const std::string& list) {
     for (const std::string& word : split(list, ',')) {
         const std::string name = without_blanks(word);
         const std::optional<std::string> format = known_name(name, known);
-        if (!format) throw UsageError(fmt::format("--format: found \"{}\" in \"{}\", did you mean {}? (known: {})", name, list, nearest_name(name, known), fmt::join(known, ", ")));
+        if (!format) throw UsageError(fmt::format("--format: found \"{}\", did you mean {}? (known: {})", name, nearest_name(name, known), fmt::join(known, ", ")));
         wanted.push_back(*format);
     }
     return wanted;
