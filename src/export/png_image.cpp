@@ -23,7 +23,8 @@ void append_big_endian(std::string& bytes, std::uint32_t value) {
 
 /// An iTXt chunk: UTF-8 text, not compressed. The simplified interface has no way to write one.
 std::string text_chunk(const std::string& name, const std::string& text) {
-    const std::string body = "iTXt" + name + std::string(5, '\0') + text;   // after the name: end, not compressed, method, language, translated name
+    // After the name come its end, "not compressed", the method, and the empty language and translated name.
+    const std::string body = "iTXt" + name + std::string(5, '\0') + text;
     std::string chunk;
     append_big_endian(chunk, static_cast<std::uint32_t>(body.size() - 4));
     chunk += body;

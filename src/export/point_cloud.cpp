@@ -100,8 +100,8 @@ void write_pcd(const std::filesystem::path& path, const PointCloud& cloud) {
         counts += " 1";
     }
     const std::size_t n = cloud.position_m.size();
-    header += fmt::format("VERSION 0.7\nFIELDS{}\nSIZE{}\nTYPE{}\nCOUNT{}\nWIDTH {}\nHEIGHT 1\nVIEWPOINT {}\nPOINTS {}\nDATA binary\n", names, sizes, types, counts, n,
-                          viewpoint(cloud.world_from_points), n);
+    header += fmt::format("VERSION 0.7\nFIELDS{}\nSIZE{}\nTYPE{}\nCOUNT{}\n", names, sizes, types, counts);
+    header += fmt::format("WIDTH {}\nHEIGHT 1\nVIEWPOINT {}\nPOINTS {}\nDATA binary\n", n, viewpoint(cloud.world_from_points), n);
     export_detail::write_file(path, header + packed_records(cloud));
 }
 

@@ -120,7 +120,8 @@ void add_points(MetricRow& row, const std::string& prefix, const RangeImage& ren
     const Mask kept = returned(rendered, options.strict_drop_threshold), truth = returned(real, kRealDropThreshold);
     Mask both(truth.size());
     for (std::size_t i = 0; i < both.size(); ++i) both[i] = kept[i] && truth[i];
-    add_errors(row, prefix + "depth_", "_m", selected(rendered.range_m, both, options.max_range_m), selected(real.range_m, both, options.max_range_m));
+    add_errors(row, prefix + "depth_", "_m", selected(rendered.range_m, both, options.max_range_m),
+               selected(real.range_m, both, options.max_range_m));
     const Points a = points(rendered, kept), b = points(real, truth);
     if (a.empty() && b.empty()) return;
     const CloudDistances distances(a, b);

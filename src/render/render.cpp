@@ -35,7 +35,9 @@ float measured_intensity(const Beam& beam, float intensity) {
 }
 
 /// Whether a sensor sees the ray's surface: the dominant one, and where the range image has it.
-bool is_in_range(const RangeLimits& limits, float range_m, float median_m) { return limits.contains(range_m) && (!(median_m > 0.0f) || limits.contains(median_m)); }
+bool is_in_range(const RangeLimits& limits, float range_m, float median_m) {
+    return limits.contains(range_m) && (!(median_m > 0.0f) || limits.contains(median_m));
+}
 
 Sequence without_scans(const Sequence& sequence, const Config& config) {
     Sequence result;
@@ -109,13 +111,15 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     scan.channel = sensor.rays.channel;
     for (std::size_t i = 0; i < r.size(); ++i) {
         const Beam& laser = laser_of(sensor.beams, sensor.rays.channel[i]);
-        const float range_m = measured_range(laser, chosen_range(r, i, s.config.render.range)), median_m = measured_range(laser, r.median_depth[i]);
+        const float range_m = measured_range(laser, chosen_range(r, i, s.config.render.range));
+        const float median_m = measured_range(laser, r.median_depth[i]);
         scan.image.range_m.push_back(range_m);
         scan.median_range_m.push_back(median_m);
         scan.image.intensity.push_back(measured_intensity(laser, r.intensity[i]));
         scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
         const float never_seen = sensor.is_own ? s.layout.sensor_drop.at(sensor.rays.channel[i], sensor.rays.direction[i]) : 0.0f;
-        scan.image.drop_prob.push_back(is_in_range(sensor.limits, range_m, median_m) ? 1.0f - (1.0f - drop_probability(r, i)) * (1.0f - never_seen) : 1.0f);
+        const float returns = is_in_range(sensor.limits, range_m, median_m) ? (1.0f - drop_probability(r, i)) * (1.0f - never_seen) : 0.0f;
+        scan.image.drop_prob.push_back(1.0f - returns);
     }
     if (!s.sequence.rolling_shutter) track = {{time_s}, {pose}};
     for (Pose& p : track.pose) p.translation += s.sequence.world_offset_m;

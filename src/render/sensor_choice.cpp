@@ -24,12 +24,15 @@ SensorChoice own_sensor(const Config& config, const Sequence& sequence) {
 }
 
 SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequence& sequence) {
-    if (config.sensor.grid_method == "cast") return {make_rays(grid), std::nullopt, false, {}, overlap({0.0, grid.max_range_m}, configured_limits(config)), grid.name};
-    if (config.sensor.grid_method != "project")
-        throw UsageError(fmt::format("choosing the sensor: found sensor.grid_method = \"{}\", expected project or cast", config.sensor.grid_method));
+    const std::string& method = config.sensor.grid_method;
+    const RangeLimits limits = overlap({0.0, grid.max_range_m}, configured_limits(config));
+    if (method == "cast") return {make_rays(grid), std::nullopt, false, {}, limits, grid.name};
+    if (method != "project") {
+        throw UsageError(fmt::format("choosing the sensor: found sensor.grid_method = \"{}\", expected project or cast", method));
+    }
     SensorChoice choice = own_sensor(config, sequence);
     choice.grid = grid;
-    choice.limits = overlap(choice.limits, {0.0, grid.max_range_m});
+    choice.limits = overlap(choice.limits, limits);
     choice.name = grid.name;
     return choice;
 }

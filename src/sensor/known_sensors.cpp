@@ -87,8 +87,10 @@ SpinningSensor find_sensor(const std::string& name_or_file, const std::vector<st
     if (table.path.extension() == ".csv" || std::filesystem::is_regular_file(table.path)) return read_beam_table(table);
     std::vector<std::string> known = also_known;
     for (const std::string& sensor : sensor_names()) known.push_back(sensor);
-    throw UsageError(fmt::format("sensor '{}': unknown name, did you mean '{}'? (known: {}; the path of a CSV beam table works too, as beams.csv:1024x10)", name_or_file,
-                                 nearest_name(name_or_file, known), fmt::join(known, ", ")));
+    throw UsageError(
+        fmt::format("sensor '{}': unknown name, did you mean '{}'? (known: {}; the path of a CSV beam table "
+                    "works too, as beams.csv:1024x10)",
+                    name_or_file, nearest_name(name_or_file, known), fmt::join(known, ", ")));
 }
 
 }  // namespace relidar

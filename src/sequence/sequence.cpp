@@ -108,8 +108,11 @@ bool BoxTrack::is_parked() const {
     };
     const glm::dvec3 start = smoothed(0);
     double farthest_m = 0.0;
-    for (std::size_t i = 1; i < t.size() && t[i] + window_s <= t.back(); ++i) farthest_m = std::max(farthest_m, glm::length(smoothed(i) - start));
-    return farthest_m < kJitter_m || (farthest_m < kDrift_m && farthest_m < kDrift_mps * (t.back() - t.front() - window_s));
+    for (std::size_t i = 1; i < t.size() && t[i] + window_s <= t.back(); ++i) {
+        farthest_m = std::max(farthest_m, glm::length(smoothed(i) - start));
+    }
+    const double drift_m = std::min(kDrift_m, kDrift_mps * (t.back() - t.front() - window_s));
+    return farthest_m < std::max(kJitter_m, drift_m);
 }
 
 void set_sensor_poses(Sequence& sequence, PoseTrack world_from_sensor) {

@@ -195,7 +195,10 @@ rendering() {
     check "render wrote other than 12 files and scans.json" test "$(ls scans | wc -l)" = 13
     foreign_readers
     bad 2 "scans: the folder holds another rendering \(13 files.*--overwrite replaces it" render run --out scans --frames 2:3
+    printf 'mine' >scans/frame_notes.txt
     good render run --out scans --frames 2:3 --format NPZ --overwrite
+    check "--overwrite removed a file of the user's" grep -qx mine scans/frame_notes.txt
+    rm scans/frame_notes.txt
     check "--overwrite left frames of the rendering before" test "$(ls scans | tr '\n' ' ')" = "frame_000002.npz scans.json "
     good render run --out left --frames 2:4 --offset -1,2.5,1,90
     exists left/frame_000002.npz

@@ -33,7 +33,10 @@ std::string sizes(const Scene& scene) { return fmt::format("{} surfels, {} model
 
 void run_export(const ExportOptions& options) {
     const std::filesystem::path out = options.out;
-    if (!known_name(out.extension().string(), {".ply"})) throw UsageError(fmt::format("--out {}: found {}, expected a name that ends in .ply: that is the format", options.out, out.has_extension() ? "the ending " + out.extension().string() : "no ending"));
+    if (!known_name(out.extension().string(), {".ply"})) {
+        const std::string found = out.has_extension() ? "the ending " + out.extension().string() : "no ending";
+        throw UsageError(fmt::format("--out {}: found {}, expected a name that ends in .ply: that is the format", options.out, found));
+    }
     const Run run = load_run(options.run);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     write_surfel_ply(out, run.scene);

@@ -81,21 +81,27 @@ Pose parse_offset(const std::string& text) {
     const std::vector<double> v = parse_list("--offset", text);
     if (v.size() != 3 && v.size() != 4) throw UsageError(fmt::format("--offset: found {} numbers in \"{}\", expected x,y,z or x,y,z,yaw_deg", v.size(), text));
     for (std::size_t i = 0; i < 3; ++i)
-        if (std::abs(v[i]) > kFarthestOffset_m) throw UsageError(fmt::format("--offset: found {} in \"{}\", expected metres between -{} and {}", v[i], text, kFarthestOffset_m, kFarthestOffset_m));
-    if (v.size() == 4 && std::abs(v[3]) > 360.0) throw UsageError(fmt::format("--offset: found a turn of {} in \"{}\", expected degrees between -360 and 360", v[3], text));
+        if (std::abs(v[i]) > kFarthestOffset_m) {
+            throw UsageError(fmt::format("--offset: found {} in \"{}\", expected metres between -{} and {}", v[i], text, kFarthestOffset_m, kFarthestOffset_m));
+        }
+    if (v.size() == 4 && std::abs(v[3]) > 360.0) {
+        throw UsageError(fmt::format("--offset: found a turn of {} in \"{}\", expected degrees between -360 and 360", v[3], text));
+    }
     const double yaw_rad = v.size() == 4 ? v[3] * kPi / 180.0 : 0.0;
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), {v[0], v[1], v[2]}};
 }
 
-/// What the files hold, checked before anything is loaded but the run. @throws UsageError
+/// What the files hold.
 ScanFormat wanted_format(const Options& options, const Run& run, const SensorChoice& sensor, const Pose& offset) {
     ScanFormat format = scan_format(run, sensor, offset);
     format.formats = parse_formats(options.formats);
     format.frame = parse_point_frame(options.point_frame);
     format.deskew = options.deskew;
+    format.only = options.only;
     return format;
 }
 
+/// @throws UsageError for what can be refused before the run is loaded
 void check_options(const Options& options) {
     parse_formats(options.formats);
     parse_point_frame(options.point_frame);

@@ -85,14 +85,27 @@ void npz(const fs::path& path, const PlacedScan& placed) {
     const RenderedScan& scan = placed.scan;
     const RangeImage& image = scan.image;
     const std::vector<double> pose = matrix_of(scan.world_from_sensor);
-    const std::int32_t number = placed.frame, deskewed = placed.format.deskew || placed.format.frame == PointFrame::world ? 1 : 0;
-    write_npz(path, {image_array("range", image, image.range_m), image_array("median_range", image, scan.median_range_m), image_array("intensity", image, image.intensity),
-                     image_array("drop_prob", image, image.drop_prob), image_array("weight", image, scan.weight), image_array("time", image, scan.time_offset_s),
-                     image_array("ring", image, scan.channel), image_array("instance", image, scan.instance), make_text_array("instance_names", placed.format.instance_names),
-                     vector_array("directions", image, placed.direction), vector_array("origin", image, placed.origin), make_array("pose", {4, 4}, pose.data(), pose.size()),
-                     make_array("time_s", {}, &scan.time_s, 1), make_array("frame_number", {}, &number, 1),
-                     make_text("frame", placed.format.frame == PointFrame::world ? "world" : "sensor"), make_array("deskewed", {}, &deskewed, 1),
-                     make_text("sensor", placed.format.sensor), make_text("run", placed.format.run), make_text("units", kUnits)});
+    const bool world = placed.format.frame == PointFrame::world;
+    const std::int32_t number = placed.frame, deskewed = world || placed.format.deskew ? 1 : 0;
+    write_npz(path, {image_array("range", image, image.range_m),
+                     image_array("median_range", image, scan.median_range_m),
+                     image_array("intensity", image, image.intensity),
+                     image_array("drop_prob", image, image.drop_prob),
+                     image_array("weight", image, scan.weight),
+                     image_array("time", image, scan.time_offset_s),
+                     image_array("ring", image, scan.channel),
+                     image_array("instance", image, scan.instance),
+                     make_text_array("instance_names", placed.format.instance_names),
+                     vector_array("directions", image, placed.direction),
+                     vector_array("origin", image, placed.origin),
+                     make_array("pose", {4, 4}, pose.data(), pose.size()),
+                     make_array("time_s", {}, &scan.time_s, 1),
+                     make_array("frame_number", {}, &number, 1),
+                     make_text("frame", world ? "world" : "sensor"),
+                     make_array("deskewed", {}, &deskewed, 1),
+                     make_text("sensor", placed.format.sensor),
+                     make_text("run", placed.format.run),
+                     make_text("units", kUnits)});
 }
 
 void exr(const fs::path& path, const PlacedScan& placed) {
@@ -112,7 +125,9 @@ void exr(const fs::path& path, const PlacedScan& placed) {
 }
 
 /// Whether a ray gives a point at this range.
-bool is_point(const RenderedScan& scan, std::size_t ray, float range_m) { return scan.image.drop_prob[ray] < kDropThreshold && range_m > 0.0f; }
+bool is_point(const RenderedScan& scan, std::size_t ray, float range_m) {
+    return scan.image.drop_prob[ray] < kDropThreshold && range_m > 0.0f;
+}
 
 PointCloud cloud_of(const PlacedScan& placed) {
     const RenderedScan& scan = placed.scan;
@@ -150,21 +165,24 @@ struct Format {
 };
 constexpr Format kFormats[] = {{"npz", npz}, {"exr", exr}, {"ply", ply}, {"pcd", pcd}, {"bin", bin}, {"png", png}};
 
-std::vector<std::string> format_names() {
+}  // namespace
+
+std::vector<std::string> scan_formats() {
     std::vector<std::string> names;
     for (const Format& format : kFormats) names.emplace_back(format.name);
     return names;
 }
 
-}  // namespace
-
 std::vector<std::string> parse_formats(const std::string& list) {
-    const std::vector<std::string> known = format_names();
+    const std::vector<std::string> known = scan_formats();
     std::vector<std::string> wanted;
     for (const std::string& word : split(list, ',')) {
         const std::string name = without_blanks(word);
         const std::optional<std::string> format = known_name(name, known);
-        if (!format) throw UsageError(fmt::format("--format: found \"{}\", did you mean {}? (known: {})", name, nearest_name(name, known), fmt::join(known, ", ")));
+        if (!format) {
+            const std::string nearest = nearest_name(name, known);
+            throw UsageError(fmt::format("--format: found \"{}\", did you mean {}? (known: {})", name, nearest, fmt::join(known, ", ")));
+        }
         wanted.push_back(*format);
     }
     return wanted;
@@ -179,7 +197,9 @@ PointFrame parse_point_frame(const std::string& name) {
 ScanFormat scan_format(const Run& run, const SensorChoice& sensor, const Pose& offset) {
     ScanFormat format;
     format.formats = {"npz"};
-    for (const Instance& instance : run.scene.instances) format.instance_names.push_back(instance.track.empty() ? "background" : instance.track);
+    for (const Instance& instance : run.scene.instances) {
+        format.instance_names.push_back(instance.track.empty() ? "background" : instance.track);
+    }
     format.run = absolute_path(run.folder.string());
     format.sensor = sensor.name;
     format.limits = sensor.limits;

@@ -18,6 +18,8 @@ struct SensorChoice;
 
 namespace relidar::cli {
 
+/// Names of the formats, which are the files' extensions.
+std::vector<std::string> scan_formats();
 /// "npz,ply" as names, in any case, with or without spaces. @throws UsageError for an unknown one, naming the nearest
 std::vector<std::string> parse_formats(const std::string& list);
 
@@ -32,6 +34,7 @@ struct ScanFormat {
     PointFrame frame = PointFrame::sensor;
     bool deskew = false;                       ///< sensor frame: of the scan's reference time for all rays, instead of each ray's firing time
     std::vector<std::string> instance_names;   ///< "background" or the track, by instance
+    std::vector<std::string> only;             ///< what was rendered alone; empty: everything
     std::string run;                           ///< its folder
     std::string sensor;
     RangeLimits limits;

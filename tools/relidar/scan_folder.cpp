@@ -2,6 +2,8 @@
 // The folder of a rendering as a whole: what is in the way of a new one, and scans.json.
 #include "scan_files.hpp"
 
+#include <algorithm>
+
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
@@ -17,14 +19,22 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSummary = "scans.json";
 
-/// The files of a rendering that a folder holds.
+/// Whether a name is scans.json or frame_<number>.<format>: nobody else's files are taken for a rendering.
+bool is_of_rendering(const fs::path& name) {
+    if (name == kSummary) return true;
+    const std::string stem = name.stem().string(), prefix = "frame_", extension = name.extension().string();
+    const std::vector<std::string> formats = scan_formats();
+    return stem.starts_with(prefix) && stem.size() > prefix.size() && stem.find_first_not_of("0123456789", prefix.size()) == std::string::npos &&
+           !extension.empty() && std::find(formats.begin(), formats.end(), extension.substr(1)) != formats.end();
+}
+
+/// The files of a rendering that a folder holds, by name.
 std::vector<fs::path> scans_in(const fs::path& folder) {
     std::vector<fs::path> files;
     std::error_code failed;
-    for (const auto& entry : fs::directory_iterator(folder, failed)) {
-        const fs::path name = entry.path().filename();
-        if (name == kSummary || name.string().starts_with("frame_")) files.push_back(entry.path());
-    }
+    for (const auto& entry : fs::directory_iterator(folder, failed))
+        if (is_of_rendering(entry.path().filename())) files.push_back(entry.path());
+    std::sort(files.begin(), files.end());
     return files;
 }
 
@@ -50,13 +60,19 @@ Json settings_json(const Config& config) {
 }  // namespace
 
 ScanFolder::ScanFolder(fs::path folder, ScanFormat format) : folder_(std::move(folder)), format_(std::move(format)) {
-    for (const fs::path& file : scans_in(folder_)) fs::remove(file);
+    for (const fs::path& file : scans_in(folder_)) {
+        std::error_code failed;
+        fs::remove(file, failed);
+        if (failed) throw DataError(fmt::format("removing {} of an earlier rendering: {}", file.string(), failed.message()));
+    }
     remove_temporaries(folder_);
 }
 
 void ScanFolder::finish() const {
     const Config& config = format_.config;
     const bool world = format_.frame == PointFrame::world;
+    const std::string range = config.render.points == "median" ? "median" : config.render.range;
+    const Json points = {{"frame", world ? "world" : "sensor"}, {"deskewed", world || format_.deskew}, {"range", range}, {"returned", "drop_prob < 0.5"}};
     Json json = {{"format", "relidar scans"},
                  {"version", 1},
                  {"relidar", RELIDAR_VERSION},
@@ -65,12 +81,18 @@ void ScanFolder::finish() const {
                  {"sensor", {{"name", format_.sensor}, {"min_range_m", format_.limits.min_m}, {"max_range_m", format_.limits.max_m}}},
                  {"sensor_offset", matrix_json(format_.offset)},
                  {"units", "metres, seconds; time of a point in seconds from time_s; intensity and drop_prob 0 to 1"},
-                 {"points", {{"frame", world ? "world" : "sensor"}, {"deskewed", world || format_.deskew}, {"range", config.render.points == "median" ? "median" : config.render.range}, {"returned", "drop_prob < 0.5"}}},
+                 {"points", points},
                  {"instances", format_.instance_names},
+                 {"only", format_.only},
                  {"scans", Json::array()},
                  {"settings", settings_json(config)}};
     for (const Entry& e : entries_)
-        json["scans"].push_back({{"frame_number", e.frame}, {"time_s", e.time_s}, {"world_from_sensor", matrix_json(e.world_from_sensor)}, {"rays", e.rays}, {"points", e.points}, {"files", e.files}});
+        json["scans"].push_back({{"frame_number", e.frame},
+                                 {"time_s", e.time_s},
+                                 {"world_from_sensor", matrix_json(e.world_from_sensor)},
+                                 {"rays", e.rays},
+                                 {"points", e.points},
+                                 {"files", e.files}});
     write_text(folder_ / kSummary, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 
@@ -78,8 +100,8 @@ void check_no_scans(const fs::path& folder, bool overwrite) {
     if (overwrite) return;
     const std::vector<fs::path> files = scans_in(folder);
     if (files.empty()) return;
-    throw UsageError(fmt::format("--out {}: the folder holds another rendering ({} files, one is {}), expected a new one; --overwrite replaces it", folder.string(), files.size(),
-                                 files.front().filename().string()));
+    throw UsageError(fmt::format("--out {}: the folder holds another rendering ({} files, one is {}), expected a new one; --overwrite replaces it",
+                                 folder.string(), files.size(), files.front().filename().string()));
 }
 
 }  // namespace relidar::cli
