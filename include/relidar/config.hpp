@@ -28,6 +28,7 @@ struct DatasetConfig {
     int test_every = 10;
     std::string poses;             ///< file with 12 numbers a line; empty = the dataset's own; kNoPoses = none at all
     bool allow_missing_scans = true;
+    double min_range_m = 0.0;
     double max_range_m = 80.0;
 };
 
@@ -78,7 +79,8 @@ struct TrainConfig {
 };
 
 struct RenderConfig {
-    std::string range = "normalised";   ///< "expected" (D, paper), "normalised" (D / W) or "median"
+    std::string range = "normalised";   ///< "expected" (D, paper), "normalised" (D / W) or "median": of range images
+    std::string points = "median";      ///< range of the points of point clouds: "median", the dominant surface, or "range", as above
 };
 
 struct EvalConfig {

@@ -28,6 +28,7 @@ struct DatasetOptions {
     bool allow_missing_scans = true;    ///< leave frames without a scan out; false: a missing scan is an error
     bool rolling_shutter = true;        ///< false: take all rays of a turn as fired at its reference time
     double max_range_m = 80.0;          ///< returns beyond are treated as dropped
+    double min_range_m = 0.0;           ///< and so are those nearer than this
 };
 
 /// Reads a log. @param dataset a path (format recognised) or "kind:path" with kind kitti_raw or synthetic

@@ -2,6 +2,7 @@
 // Failures a caller can meet. Every message is one line: what was being done: what was found, what was expected.
 #pragma once
 
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <string_view>
@@ -40,5 +41,7 @@ struct DeviceError : Error {
 /// The known name a mistyped one was most likely meant to be (smallest edit distance, case ignored), for "did you mean".
 /// @return empty where `known` is empty
 std::string nearest_name(std::string_view wanted, const std::vector<std::string>& known);
+/// The known name that a user means who writes it in another case; nothing where there is none.
+std::optional<std::string> known_name(std::string_view wanted, const std::vector<std::string>& known);
 
 }  // namespace relidar

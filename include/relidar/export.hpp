@@ -6,11 +6,14 @@
 #include <filesystem>
 #include <functional>
 #include <map>
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <glm/glm.hpp>
 
+#include <relidar/math.hpp>
 #include <relidar/metrics.hpp>
 
 namespace relidar {
@@ -41,12 +44,15 @@ struct NamedArray {
     std::vector<float> as_float() const;
 };
 
-/// Array of float, double or int32 values. @throws DataError where n is not the product of shape
+/// Array of float, double, int32 or uint16 values. @throws DataError where n is not the product of shape
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values, std::size_t n);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values, std::size_t n);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values, std::size_t n);
+NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::uint16_t* values, std::size_t n);
 /// Texts as numpy's fixed-length byte strings, UTF-8 padded with zeros. @return [texts]
 NamedArray make_text_array(std::string name, const std::vector<std::string>& texts);
+/// One text, of shape [].
+NamedArray make_text(std::string name, const std::string& text);
 
 /// npz as numpy.savez_compressed writes it; equal arrays make equal files. @throws DataError beyond 4 GiB, as for write_atomically
 void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays);
@@ -62,15 +68,21 @@ std::vector<NamedArray> read_safetensors(const std::filesystem::path& path, std:
 /// @throws DataError for a file that is damaged or lacks one; Lpips checks their sizes
 LpipsWeights read_lpips_weights(const std::filesystem::path& path);
 
-/// A point cloud in the sensor's frame.
+/// What a file says of itself: names and values, for people and for tools that look for a name.
+using FileNotes = std::vector<std::pair<std::string, std::string>>;
+
+/// A point cloud. Fields that a cloud does not have are left out of its files; one that it has is there without a point too.
 struct PointCloud {
-    std::vector<glm::vec3> position_m;   ///< [n]
-    std::vector<float> intensity;        ///< [n]
-    std::vector<std::uint16_t> channel;  ///< [n] or empty
-    std::vector<float> time_offset_s;    ///< [n] or empty
-    std::vector<std::int32_t> instance = {};   ///< [n] whose surface, index into Scene::instances, or empty
+    std::vector<glm::vec3> position_m;                        ///< [n]
+    std::vector<float> intensity;                             ///< [n] 0..1
+    std::optional<std::vector<std::uint16_t>> ring = {};      ///< [n] number of the laser, 0 = highest
+    std::optional<std::vector<float>> time = {};              ///< [n] seconds from the scan's reference time
+    std::optional<std::vector<std::int32_t>> instance = {};   ///< [n] whose surface, index into Scene::instances
+    Pose world_from_points = {};                              ///< takes the points to the world: VIEWPOINT of a PCD
+    FileNotes notes = {};                                     ///< comments of PLY and PCD
 };
-/// Point cloud files; fields that are empty are left out. @throws DataError where lengths differ, as for write_atomically
+/// Point cloud files: x y z intensity (float32), ring (uint16), time (float32), instance (int32).
+/// @throws DataError where lengths differ, as for write_atomically
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud);         ///< binary little-endian
 void write_pcd(const std::filesystem::path& path, const PointCloud& cloud);         ///< PCD 0.7, binary
 void write_kitti_bin(const std::filesystem::path& path, const PointCloud& cloud);   ///< n x float32 x y z intensity
@@ -87,8 +99,8 @@ void write_surfel_ply(const std::filesystem::path& path, const Scene& scene);
 /// @throws DataError for text or big-endian files, missing properties, sizes that do not match, values that are not finite
 Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, Primitive primitive = {});
 
-/// Float channels of one image, ZIP compressed. @param channels name -> [rows*columns]
-void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels);
+/// Float channels of one image, ZIP compressed. @param channels name -> [rows*columns] @param notes string attributes
+void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels, const FileNotes& notes = {});
 
 /// 8-bit RGB image.
 struct Image {
@@ -104,9 +116,10 @@ Image colour_map(const std::vector<float>& values, int rows, int columns, float 
 /// Stacks images of one width, separated by a thin line, each enlarged vertically by `stretch` (a LiDAR row is taller than
 /// its column is wide). @throws DataError where widths differ
 Image stack(const std::vector<Image>& images, int stretch = 1);
-/// PNG file, or its bytes. @throws DataError where rgb is not rows*columns*3 bytes, or nothing
-void write_png(const std::filesystem::path& path, const Image& image);
-std::vector<std::uint8_t> encode_png(const Image& image);
+/// PNG file, or its bytes. @param notes as international text (iTXt), names of 1 to 79 Latin letters
+/// @throws DataError where rgb is not rows*columns*3 bytes, or nothing
+void write_png(const std::filesystem::path& path, const Image& image, const FileNotes& notes = {});
+std::vector<std::uint8_t> encode_png(const Image& image, const FileNotes& notes = {});
 
 /// One picture row of the report: real, rendered, error.
 struct ReportFigure {

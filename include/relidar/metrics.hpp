@@ -79,13 +79,18 @@ std::vector<Region> standard_regions(const RangeImage& real, const std::vector<b
 /// @param min_step_m  boxes that move more than this a frame @param sensor_offset of the sensor that made the scan from the log's own
 std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame, double min_step_m, const Pose& sensor_offset = {});
 
+/// How close points are, as the strict protocol has it: points/{depth_*,cd_*,f_*}, of the clouds that files hold, whose ranges may be other
+/// than those of the image. @throws DataError as evaluate()
+MetricRow evaluate_points(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options = {});
+
 /// One rendering, the real image beside it and its regions.
 struct Comparison {
     const RangeImage* rendered = nullptr;
     const RangeImage* real = nullptr;
     std::vector<Region> regions;
+    std::vector<float> point_range_m = {};   ///< [rows*columns] of the points of `rendered`, or empty
 };
-/// evaluate() and evaluate_regions() of many frames at once, on all cores. @return [n] rows
+/// evaluate(), evaluate_regions() and, where a comparison has points, evaluate_points() of many frames at once, on all cores. @return [n] rows
 std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons, const MetricOptions& options = {});
 
 /// What the baseline does with points in moving boxes.

@@ -15,18 +15,25 @@
 
 namespace relidar {
 
-/// A simulated scan: a range image with the ray of each pixel, in the sensor's frame.
+/// A simulated scan: a range image with the ray of each pixel, in the sensor's frame at the ray's firing time.
 struct RenderedScan {
-    RangeImage image;                   ///< range as config.render.range says; drop_prob from the two logits (M6)
+    RangeImage image;                   ///< range as config.render.range says; drop_prob from the two logits (M6), 1 beyond the sensor's range
     std::vector<float> median_range_m;  ///< [n] t where T crosses 0.5 (0 where never), along the ray
     std::vector<float> weight;          ///< [n] accumulated alpha W
     std::vector<std::int32_t> instance; ///< [n] whose surface was met: index into Scene::instances, -1 where none was
     std::vector<float> time_offset_s;   ///< [n] firing time of each ray
     std::vector<std::uint16_t> channel; ///< [n]
     Pose world_from_sensor;             ///< at the reference time, in the dataset's world
+    PoseTrack track;                    ///< of the sensor, in the dataset's world; a single pose where all rays were fired from it
     double time_s = 0.0;
     double trace_ms = 0.0;
+
+    /// Where the sensor was when a ray was fired, in the dataset's world.
+    Pose world_from_firing(std::size_t ray) const;
 };
+
+/// [n] Ranges of the points of a scan, by config.render.points: of the dominant surface, where a ray has one, or those of the image.
+std::vector<float> point_ranges(const RenderedScan& scan, const Config& config);
 
 /// The sensor whose scan is wanted.
 struct SensorChoice {
@@ -34,11 +41,14 @@ struct SensorChoice {
     std::optional<RangeGrid> grid;   ///< bin the simulated points into this grid afterwards
     bool is_own = false;             ///< the log's own sensor: its sensor-level ray-drop applies
     std::vector<Beam> beams = {};    ///< of the rays' channels, for what their lasers add to ranges and make of intensities; none: they measure what is there
+    RangeLimits limits = {};         ///< of measured ranges
+    std::string name = "";
 };
 
-/// What config.sensor says: the log's own sensor, or the grid by projection or by casting.
+/// What config.sensor says: the log's own sensor, or the grid by projection or by casting. The log's sensor sees what lies within its own
+/// range limits and those of config.dataset.
 SensorChoice configured_sensor(const Config& config, const Sequence& sequence);
-/// A sensor by name, CSV file or grid name. "kitti360" follows config.sensor.grid_method.
+/// "native", or a sensor by name, CSV file or grid name. "kitti360" follows config.sensor.grid_method.
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence);
 
 /// Renders scans of a trained scene. With ShDirection::surfel a model placed n times is held n times (own_models): each placement

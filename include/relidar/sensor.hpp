@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <limits>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -46,6 +47,16 @@ struct Beam {
 /// The laser of a channel; one that measures what is there where there is no such laser.
 const Beam& laser_of(const std::vector<Beam>& beams, std::size_t channel);
 
+/// Ranges at which a sensor sees anything. A ray whose range lies outside is dropped.
+struct RangeLimits {
+    double min_m = 0.0;
+    double max_m = std::numeric_limits<double>::infinity();
+
+    bool contains(double range_m) const { return range_m >= min_m && range_m <= max_m; }
+};
+/// What lies within both.
+RangeLimits overlap(const RangeLimits& a, const RangeLimits& b);
+
 /// A spinning LiDAR: its beams, the number of azimuth steps a turn, and the turn itself.
 struct SpinningSensor {
     std::string name;
@@ -57,6 +68,8 @@ struct SpinningSensor {
     double min_range_m = 0.0;
     double max_range_m = 80.0;
     double divergence_rad = 0.0;
+
+    RangeLimits range_limits() const { return {min_range_m, max_range_m}; }
 };
 
 /// Where a beam starts and points, sensor frame.
@@ -74,8 +87,9 @@ int column_shift(const Beam& beam, int columns);
 
 /// Rays of one turn. Time 0 is the moment the head faces forward (azimuth 0); a clockwise head reaches azimuth a at
 /// -a / (2 pi) * period.
-/// @throws UsageError where the sensor has no beams, no columns or a non-finite value
+/// @throws UsageError where the sensor has no beams, no columns, more than kMaxRays rays, a non-finite value or no range between its limits
 RayTable make_rays(const SpinningSensor& sensor);
+inline constexpr std::size_t kMaxRays = std::size_t(1) << 24;   ///< of one turn: 128 beams at 0.003 degrees; 500 MB as rays and their scan
 
 /// Sensor-level ray-drop (paper section 3.5): what a sensor never sees whatever stands there, such as the body of its own vehicle, as
 /// a probability a beam and azimuth bin. Independent of the scene: P(drop) = 1 - (1 - scene's) (1 - sensor's).
@@ -126,16 +140,28 @@ struct GridImage {
 /// Projects points into a grid. @param points_m [n] metres, sensor frame @param intensity [n]
 GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& points_m, const std::vector<float>& intensity);
 
-/// A sensor by name ("kitti360", "VLP-16", ...) or from a CSV beam table with the columns elevation_deg,
-/// azimuth_offset_deg, origin_offset_m, origin_up_m, origin_left_m (rows from the highest beam down; missing = 0),
-/// optionally followed by ":columns[xHz]" as in "beams.csv:1024x10".
+/// A sensor by name ("kitti360", "VLP-16", ..., in any case) or from a CSV beam table (kBeamTableHelp), optionally followed by
+/// ":columns[xHz]" as in "beams.csv:1024x10".
+/// @param also_known  names that the caller knows beside sensor_names(), for the message
 /// @throws UsageError for an unknown name (the nearest known one is named), DataError for a bad file
-SpinningSensor find_sensor(const std::string& name_or_file);
+SpinningSensor find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known = {});
+
+/// What a CSV beam table holds, in lines for a user.
+inline constexpr const char* kBeamTableHelp =
+    "A CSV beam table has a header line and then a line for each beam, from the highest down. Columns, in any order:\n"
+    "  elevation_deg        needed; up is positive\n"
+    "  azimuth_offset_deg   of the beam from where the head points, to the left\n"
+    "  origin_offset_m      where the beam starts: along the head's direction,\n"
+    "  origin_up_m          at right angles to the beam, upwards,\n"
+    "  origin_left_m        and to its left\n"
+    "  min_range_m, max_range_m   of the sensor, the same in every line (default: 0, 80)\n"
+    "  channel              the maker's number of the laser; not used\n"
+    "Columns left out are 0; any other column is an error. FILE.csv:1024x10 is 1024 columns a turn at 10 Hz (default: 1800x10).";
 
 /// Names find_sensor knows.
 std::vector<std::string> sensor_names();
 
-/// A grid by name ("kitti360"). @throws UsageError for an unknown name
+/// A grid by name ("kitti360", in any case). @throws UsageError for an unknown name
 RangeGrid find_grid(const std::string& name);
 
 }  // namespace relidar

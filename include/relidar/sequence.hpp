@@ -42,6 +42,9 @@ struct Scan {
     std::size_t count_returns() const;
 };
 
+/// Drops the returns of a scan whose range lies outside the limits.
+void drop_outside(Scan& scan, const RangeLimits& limits);
+
 /// One turn of the log.
 struct Frame {
     int index = 0;          ///< the dataset's own frame number
@@ -62,6 +65,9 @@ struct BoxTrack {
     /// Mean motion of the box's centre from one observation to the next, metres: from the mean position in the first half of the track
     /// to that in the second, so that the jitter of labels on a parked car (9 cm a frame on KITTI) is no motion. 0 for one observation.
     double mean_step_m() const;
+    /// Whether the thing stands still as far as labels and poses can tell: its positions, averaged over a second (half of a shorter track), stay
+    /// within 0.2 m of the first, or within 2 m at less than 0.5 m/s, since a log's poses drift while a parked car is seen.
+    bool is_parked() const;
     /// Whether the box was observed at a time, or half a mean step beside it: a turn takes that long to either side of its label.
     bool present(double t_s) const;
     /// Where the box is while it is present, and for beyond_s before its first and after its last observation where the mean velocity of
@@ -96,6 +102,9 @@ struct Sequence {
     std::vector<std::string> notes;       ///< what the log lacks, as it was read: a line each
     bool rolling_shutter = true;          ///< rays were fired at their own times (scans are not motion-compensated)
 };
+
+/// Poses of a sensor that stands beside another one. @param sensor_from_moved in the frame of the sensor of `track`
+PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved);
 
 /// Gives the sensor other poses at the same times. Boxes go along: they were labelled on the scans, so each stays where it was as seen
 /// from the sensor at its label's time.

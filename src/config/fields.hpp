@@ -41,7 +41,8 @@ void visit_dataset(C& c, Visitor&& f) {
     f("dataset.test_every", c.dataset.test_every, between(0, kMaxCount), "every so many frames one is held out for testing; 0: none");
     f("dataset.poses", c.dataset.poses, anything(), "file with 12 numbers a line, world_from_sensor of each frame; empty: the dataset's own poses; none: no poses, they are found from the scans alone");
     f("dataset.allow_missing_scans", c.dataset.allow_missing_scans, anything(), "leave frames without a scan out, with a note; false: a missing scan is an error");
-    f("dataset.max_range_m", c.dataset.max_range_m, above(0), "returns beyond this range count as dropped, metres");
+    f("dataset.min_range_m", c.dataset.min_range_m, at_least(0), "returns nearer than this count as dropped, and the log's sensor simulates none there, metres");
+    f("dataset.max_range_m", c.dataset.max_range_m, above(0), "returns beyond this range count as dropped, and the log's sensor simulates none there, metres");
 }
 
 template <class C, class Visitor>
@@ -168,7 +169,8 @@ void visit(C& c, Visitor&& f) {
     visit_scene(c, f);
     visit_training(c, f);
     visit_densify(c, f);
-    f("render.range", c.render.range, one_of({"expected", "normalised", "median"}), "range of a ray: D (paper), D / W, or where the transmittance crosses 0.5");
+    f("render.range", c.render.range, one_of({"expected", "normalised", "median"}), "range of a ray in range images: D (paper), D / W, or where the transmittance crosses 0.5");
+    f("render.points", c.render.points, one_of({"median", "range"}), "points of point clouds lie where the transmittance crosses 0.5, on the dominant surface, or at render.range, which has points between two surfaces");
     f("eval.lpips_weights", c.eval.lpips_weights, anything(), "safetensors file with the weights of LPIPS (AlexNet, v0.1); empty: the file that RELIDAR_LPIPS_WEIGHTS names, or no LPIPS");
     f("trace.chunk", c.trace.chunk, between(1, 64), "hits sorted at a time");
     f("trace.proxy", c.trace.proxy, one_of({"automatic", "triangles", "boxes"}), "what stands for a surfel in the driver's acceleration structure (ray query)");

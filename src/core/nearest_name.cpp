@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Levenshtein distance with one row of memory:
+// Names as users write them. Levenshtein distance with one row of memory:
 //   d(i, j) = min(d(i-1, j) + 1, d(i, j-1) + 1, d(i-1, j-1) + [a_i != b_j])
 #include <relidar/error.hpp>
 
@@ -36,6 +36,12 @@ std::string nearest_name(std::string_view wanted, const std::vector<std::string>
         return edit_distance(wanted, a) < edit_distance(wanted, b);
     });
     return best == known.end() ? std::string() : *best;
+}
+
+std::optional<std::string> known_name(std::string_view wanted, const std::vector<std::string>& known) {
+    for (const std::string& name : known)
+        if (std::equal(wanted.begin(), wanted.end(), name.begin(), name.end(), same_letter)) return name;
+    return std::nullopt;
 }
 
 }  // namespace relidar

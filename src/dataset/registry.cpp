@@ -40,6 +40,14 @@ const Kind& find_kind(const std::string& name) {
                                  fmt::join(kind_names(), ", ")));
 }
 
+/// The sensor sees nothing beyond its limits and the given ones.
+void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
+    const RangeLimits limits = overlap(sequence.sensor.range_limits(), wanted);
+    sequence.sensor.min_range_m = limits.min_m;
+    sequence.sensor.max_range_m = limits.max_m;
+    for (Frame& frame : sequence.frames) drop_outside(frame.scan, limits);
+}
+
 void check_range(const FrameRange& range) {
     if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end)) {
         throw UsageError(fmt::format("frames {}:{}: an empty range, expected a:b with 0 <= a < b", range.begin, range.end));
@@ -65,8 +73,8 @@ std::string recognise_dataset(const fs::path& path) {
 
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options) {
     check_range(options.frames);
-    if (!(options.max_range_m > 0.0)) {
-        throw UsageError(fmt::format("max_range: {} m, expected above 0", options.max_range_m));
+    if (!(options.min_range_m >= 0.0 && options.max_range_m > options.min_range_m)) {
+        throw UsageError(fmt::format("range limits: {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m", options.min_range_m, options.max_range_m));
     }
     std::error_code failed;
     const std::size_t colon = dataset.find(':');
@@ -75,6 +83,7 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
     const std::string kind = has_kind ? dataset.substr(0, colon) : recognise_dataset(path);
     Sequence sequence = find_kind(kind).load(path, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
+    apply_limits(sequence, {options.min_range_m, options.max_range_m});
     return sequence;
 }
 

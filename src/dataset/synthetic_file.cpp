@@ -90,12 +90,6 @@ Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     }
     sequence.source = folder.string();
     if (!options.poses_file.empty()) take_poses(sequence, options.poses_file);
-    sequence.sensor.max_range_m = std::min(sequence.sensor.max_range_m, options.max_range_m);
-    for (Frame& frame : sequence.frames) {
-        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
-            if (frame.scan.range_m[i] > options.max_range_m) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;
-        }
-    }
     return sequence;
 }
 

@@ -15,6 +15,15 @@ namespace relidar {
 
 namespace {
 
+/// Why a labelled box cannot be edited, and what to set so that it can.
+std::string without_surfels(const std::string& track, std::vector<std::string> actors) {
+    actors.push_back(track);
+    return fmt::format("editing track \"{}\": the log has its box, but it has no surfels of its own: it is parked, of a class that "
+                       "init.actor_classes leaves out, or has fewer points than init.actor_min_points; train with --set "
+                       "init.actor_tracks={}, which makes actors of these tracks whether they move or not",
+                       track, fmt::join(actors, ","));
+}
+
 /// Index of the instance with a track.
 std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
     std::vector<std::string> known;
@@ -25,7 +34,8 @@ std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
     }
     const std::vector<BoxTrack>& boxes = driving.sequence.boxes;
     const bool labelled = std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& b) { return b.id == track; });
-    const std::string found = fmt::format("editing track \"{}\": {}", track, labelled ? "the log has its box, but it has no surfels of its own (it stood still, or its class or number of points made it no actor)" : "found no such track");
+    if (labelled) throw UsageError(without_surfels(track, known));
+    const std::string found = fmt::format("editing track \"{}\": found no such track", track);
     if (known.empty()) throw UsageError(found + ", and the scene has no actor at all");
     throw UsageError(fmt::format("{}, did you mean \"{}\"? (actors: {})", found, nearest_name(track, known), fmt::join(known, ", ")));
 }

@@ -10,6 +10,7 @@
 #include <ImfHeader.h>
 #include <ImfIO.h>
 #include <ImfOutputFile.h>
+#include <ImfStringAttribute.h>
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
@@ -51,13 +52,14 @@ void check(int rows, int columns, const std::map<std::string, std::vector<float>
 
 }  // namespace
 
-void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels) {
+void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels, const FileNotes& notes) {
     namespace imf = OPENEXR_IMF_NAMESPACE;
     check(rows, columns, channels);
     MemoryStream stream;
     try {
         imf::Header header(columns, rows);
         header.compression() = imf::ZIP_COMPRESSION;
+        for (const auto& [name, text] : notes) header.insert(name, imf::StringAttribute(text));
         imf::FrameBuffer buffer;
         const std::size_t stride = sizeof(float);
         for (const auto& [name, values] : channels) {

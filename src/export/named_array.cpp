@@ -128,6 +128,16 @@ NamedArray make_array(std::string name, std::vector<std::size_t> shape, const st
     return make(std::move(name), std::move(shape), "i4", values, n);
 }
 
+NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::uint16_t* values, std::size_t n) {
+    return make(std::move(name), std::move(shape), "u2", values, n);
+}
+
+NamedArray make_text(std::string name, const std::string& text) {
+    NamedArray array = make_text_array(std::move(name), {text});
+    array.shape = {};
+    return array;
+}
+
 NamedArray make_text_array(std::string name, const std::vector<std::string>& texts) {
     std::size_t length = 1;
     for (const std::string& text : texts) length = std::max(length, text.size());

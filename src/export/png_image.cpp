@@ -7,6 +7,7 @@
 
 #include <fmt/format.h>
 #include <png.h>
+#include <zlib.h>
 
 #include <relidar/error.hpp>
 
@@ -14,7 +15,28 @@
 
 namespace relidar {
 
-std::vector<std::uint8_t> encode_png(const Image& image) {
+namespace {
+
+void append_big_endian(std::string& bytes, std::uint32_t value) {
+    for (int shift = 24; shift >= 0; shift -= 8) bytes += static_cast<char>(value >> shift);
+}
+
+/// An iTXt chunk: UTF-8 text, not compressed. The simplified interface has no way to write one.
+std::string text_chunk(const std::string& name, const std::string& text) {
+    // After the name come its end, "not compressed", the method, and the empty language and translated name.
+    const std::string body = "iTXt" + name + std::string(5, '\0') + text;
+    std::string chunk;
+    append_big_endian(chunk, static_cast<std::uint32_t>(body.size() - 4));
+    chunk += body;
+    append_big_endian(chunk, static_cast<std::uint32_t>(crc32(0, reinterpret_cast<const Bytef*>(body.data()), static_cast<uInt>(body.size()))));
+    return chunk;
+}
+
+constexpr std::ptrdiff_t kAfterHeader = 8 + 25;   // the signature, and the IHDR chunk of 13 bytes
+
+}  // namespace
+
+std::vector<std::uint8_t> encode_png(const Image& image, const FileNotes& notes) {
     const std::size_t n = std::size_t(std::max(image.rows, 0)) * std::size_t(std::max(image.columns, 0)) * 3;
     if (n == 0 || image.rgb.size() != n)
         throw DataError(fmt::format("PNG image of {} x {} pixels: {} bytes, expected {}", image.rows, image.columns, image.rgb.size(),
@@ -31,11 +53,14 @@ std::vector<std::uint8_t> encode_png(const Image& image) {
     png_image_free(&description);
     if (!done) throw DataError("encoding a PNG image: " + message);
     bytes.resize(size);
+    std::string chunks;
+    for (const auto& [name, text] : notes) chunks += text_chunk(name, text);
+    bytes.insert(bytes.begin() + kAfterHeader, chunks.begin(), chunks.end());
     return bytes;
 }
 
-void write_png(const std::filesystem::path& path, const Image& image) {
-    const std::vector<std::uint8_t> bytes = encode_png(image);
+void write_png(const std::filesystem::path& path, const Image& image, const FileNotes& notes) {
+    const std::vector<std::uint8_t> bytes = encode_png(image, notes);
     export_detail::write_file(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
 }
 

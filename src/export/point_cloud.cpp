@@ -1,9 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // Point clouds as files: PLY (binary little-endian), PCD 0.7 (binary) and KITTI .bin; formats.md, sections a and h.
 // PLY and PCD hold the same packed records under different headers; KITTI has neither header nor extra fields.
+// Names and types of fields are those that readers of spinning LiDARs look for: intensity, ring (uint16), time (float32, seconds).
 #include <relidar/export.hpp>
 
+#include <algorithm>
+#include <cctype>
+
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <relidar/error.hpp>
 
@@ -14,6 +19,23 @@ namespace {
 
 using export_detail::append;
 
+/// A field of a record, as both headers call it. (PLY has two names of 16 bits, ushort and uint16: Open3D reads the second alone.)
+struct Field {
+    const char* name;
+    const char* ply_type;
+    int bytes;
+    char pcd_type;
+};
+
+std::vector<Field> fields_of(const PointCloud& cloud) {
+    std::vector<Field> fields;
+    for (const char* name : {"x", "y", "z", "intensity"}) fields.push_back({name, "float", 4, 'F'});
+    if (cloud.ring) fields.push_back({"ring", "uint16", 2, 'U'});
+    if (cloud.time) fields.push_back({"time", "float", 4, 'F'});
+    if (cloud.instance) fields.push_back({"instance", "int", 4, 'I'});
+    return fields;
+}
+
 /// @throws DataError where an array's length is not the number of points
 void check_cloud(const PointCloud& cloud) {
     const std::size_t n = cloud.position_m.size();
@@ -21,64 +43,71 @@ void check_cloud(const PointCloud& cloud) {
         if (found != n) throw DataError(fmt::format("point cloud: {} values of {}, expected {}", found, name, n));
     };
     check("intensity", cloud.intensity.size());
-    if (!cloud.channel.empty()) check("channel", cloud.channel.size());
-    if (!cloud.time_offset_s.empty()) check("time_offset_s", cloud.time_offset_s.size());
-    if (!cloud.instance.empty()) check("instance", cloud.instance.size());
+    if (cloud.ring) check("ring", cloud.ring->size());
+    if (cloud.time) check("time", cloud.time->size());
+    if (cloud.instance) check("instance", cloud.instance->size());
 }
 
-/// x y z intensity (float32), then channel (uint16), time offset (float32) and instance (int32) where present, a record a point.
+/// A record a point, in the order of fields_of().
 std::string packed_records(const PointCloud& cloud) {
     std::string bytes;
     bytes.reserve(cloud.position_m.size() * 26);
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         for (int axis = 0; axis < 3; ++axis) append(bytes, cloud.position_m[i][axis]);
         append(bytes, cloud.intensity[i]);
-        if (!cloud.channel.empty()) append(bytes, cloud.channel[i]);
-        if (!cloud.time_offset_s.empty()) append(bytes, cloud.time_offset_s[i]);
-        if (!cloud.instance.empty()) append(bytes, cloud.instance[i]);
+        if (cloud.ring) append(bytes, (*cloud.ring)[i]);
+        if (cloud.time) append(bytes, (*cloud.time)[i]);
+        if (cloud.instance) append(bytes, (*cloud.instance)[i]);
     }
     return bytes;
+}
+
+/// A note as one header line.
+std::string note_line(const std::pair<std::string, std::string>& note) {
+    std::string line = note.first + " " + note.second;
+    std::replace_if(line.begin(), line.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
+    return line;
+}
+
+/// "tx ty tz qw qx qy qz"
+std::string viewpoint(const Pose& pose) {
+    const glm::dvec3& t = pose.translation;
+    const glm::dquat& q = pose.rotation;
+    std::vector<std::string> numbers;
+    for (const double v : {t.x, t.y, t.z, q.w, q.x, q.y, q.z}) numbers.push_back(fmt::format("{}", v));
+    return fmt::format("{}", fmt::join(numbers, " "));
 }
 
 }  // namespace
 
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud) {
     check_cloud(cloud);
-    std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar: metres, sensor frame\n";
+    std::string text = "ply\nformat binary_little_endian 1.0\n";
+    for (const auto& note : cloud.notes) text += fmt::format("comment {}\n", note_line(note));
     text += fmt::format("element vertex {}\n", cloud.position_m.size());
-    text += "property float x\nproperty float y\nproperty float z\nproperty float intensity\n";
-    if (!cloud.channel.empty()) text += "property ushort channel\n";
-    if (!cloud.time_offset_s.empty()) text += "property float time_offset_s\n";
-    if (!cloud.instance.empty()) text += "property int instance\n";
+    for (const Field& field : fields_of(cloud)) text += fmt::format("property {} {}\n", field.ply_type, field.name);
     export_detail::write_file(path, text + "end_header\n" + packed_records(cloud));
 }
 
 void write_pcd(const std::filesystem::path& path, const PointCloud& cloud) {
     check_cloud(cloud);
-    std::string fields = "x y z intensity", size = "4 4 4 4", type = "F F F F", count = "1 1 1 1";
-    const auto add = [&](const char* field, const char* field_size, const char* field_type) {
-        fields += fmt::format(" {}", field);
-        size += fmt::format(" {}", field_size);
-        type += fmt::format(" {}", field_type);
-        count += " 1";
-    };
-    if (!cloud.channel.empty()) add("channel", "2", "U");
-    if (!cloud.time_offset_s.empty()) add("time_offset_s", "4", "F");
-    if (!cloud.instance.empty()) add("instance", "4", "I");
+    std::string header = "# .PCD v0.7 - Point Cloud Data file format\n", names, sizes, types, counts;
+    for (const auto& note : cloud.notes) header += fmt::format("# {}\n", note_line(note));
+    for (const Field& field : fields_of(cloud)) {
+        names += fmt::format(" {}", field.name);
+        sizes += fmt::format(" {}", field.bytes);
+        types += fmt::format(" {}", field.pcd_type);
+        counts += " 1";
+    }
     const std::size_t n = cloud.position_m.size();
-    const std::string header = fmt::format(
-        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS {}\nSIZE {}\nTYPE {}\nCOUNT {}\nWIDTH {}\nHEIGHT 1\n"
-        "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {}\nDATA binary\n",
-        fields, size, type, count, n, n);
+    header += fmt::format("VERSION 0.7\nFIELDS{}\nSIZE{}\nTYPE{}\nCOUNT{}\n", names, sizes, types, counts);
+    header += fmt::format("WIDTH {}\nHEIGHT 1\nVIEWPOINT {}\nPOINTS {}\nDATA binary\n", n, viewpoint(cloud.world_from_points), n);
     export_detail::write_file(path, header + packed_records(cloud));
 }
 
 void write_kitti_bin(const std::filesystem::path& path, const PointCloud& cloud) {
     check_cloud(cloud);
-    PointCloud bare;
-    bare.position_m = cloud.position_m;
-    bare.intensity = cloud.intensity;
-    export_detail::write_file(path, packed_records(bare));
+    export_detail::write_file(path, packed_records({cloud.position_m, cloud.intensity}));
 }
 
 }  // namespace relidar

@@ -115,29 +115,36 @@ void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
     row["strict/drop_f1"] = ratio(2 * hits, 2 * hits + false_drops + missed_drops);
 }
 
+/// Ranges of pixels returned in both, and distances between the clouds of returned points.
+void add_points(MetricRow& row, const std::string& prefix, const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
+    const Mask kept = returned(rendered, options.strict_drop_threshold), truth = returned(real, kRealDropThreshold);
+    Mask both(truth.size());
+    for (std::size_t i = 0; i < both.size(); ++i) both[i] = kept[i] && truth[i];
+    add_errors(row, prefix + "depth_", "_m", selected(rendered.range_m, both, options.max_range_m),
+               selected(real.range_m, both, options.max_range_m));
+    const Points a = points(rendered, kept), b = points(real, truth);
+    if (a.empty() && b.empty()) return;
+    const CloudDistances distances(a, b);
+    if (distances.defined()) {
+        row[prefix + "cd_mean_m"] = distances.chamfer();
+        row[prefix + "cd_sq_m2"] = distances.chamfer_squared();
+    }
+    row[prefix + "f_5cm"] = distances.f_score(kFineThreshold_m);
+    row[prefix + "f_22cm"] = distances.f_score(kPeerThreshold_m);
+}
+
 void add_strict(MetricRow& row, const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
     const Mask kept = returned(rendered, options.strict_drop_threshold);
     const Mask truth = returned(real, kRealDropThreshold);
     Mask both(truth.size());
     for (std::size_t i = 0; i < both.size(); ++i) both[i] = kept[i] && truth[i];
-    add_errors(row, "strict/depth_", "_m", selected(rendered.range_m, both, options.max_range_m),
-               selected(real.range_m, both, options.max_range_m));
     add_errors(row, "strict/intensity_", "", selected(rendered.intensity, both, kMaxIntensity),
                selected(real.intensity, both, kMaxIntensity));
     add_drop(row, kept, truth);
     const double threshold = options.strict_drop_threshold;
     add_image(row, "strict/image_depth_", "_m", depth_pair(rendered, real, threshold, options.max_range_m), nullptr);
     add_image(row, "strict/image_intensity_", "", intensity_pair(rendered, real, threshold), nullptr);
-
-    const Points a = points(rendered, kept), b = points(real, truth);
-    if (a.empty() && b.empty()) return;
-    const CloudDistances distances(a, b);
-    if (distances.defined()) {
-        row["strict/cd_mean_m"] = distances.chamfer();
-        row["strict/cd_sq_m2"] = distances.chamfer_squared();
-    }
-    row["strict/f_5cm"] = distances.f_score(kFineThreshold_m);
-    row["strict/f_22cm"] = distances.f_score(kPeerThreshold_m);
+    add_points(row, "strict/", rendered, real, options);
 }
 
 }  // namespace
@@ -150,6 +157,13 @@ MetricRow evaluate(const RangeImage& rendered, const RangeImage& real, const Met
     return row;
 }
 
+MetricRow evaluate_points(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
+    check_pair(rendered, real);
+    MetricRow row;
+    add_points(row, "points/", rendered, real, options);
+    return row;
+}
+
 std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons, const MetricOptions& options) {
     std::vector<MetricRow> rows(comparisons.size());
     run_parallel(static_cast<int>(comparisons.size()), [&](int i) {
@@ -157,6 +171,10 @@ std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons, 
         MetricRow& row = rows[static_cast<std::size_t>(i)];
         row = evaluate(*c.rendered, *c.real, options);
         row.merge(evaluate_regions(*c.rendered, *c.real, c.regions, options));
+        if (c.point_range_m.empty()) return;
+        RangeImage points = *c.rendered;
+        points.range_m = c.point_range_m;
+        row.merge(evaluate_points(points, *c.real, options));
     });
     return rows;
 }

@@ -35,6 +35,11 @@ float measured_intensity(const Beam& beam, double at_range, float intensity) {
     return std::clamp(static_cast<float>(beam.intensity_gain * at_range * double(intensity) + beam.intensity_offset), 0.0f, 1.0f);
 }
 
+/// Whether a sensor sees the ray's surface: the dominant one, and where the range image has it.
+bool is_in_range(const RangeLimits& limits, float range_m, float median_m) {
+    return limits.contains(range_m) && (!(median_m > 0.0f) || limits.contains(median_m));
+}
+
 Sequence without_scans(const Sequence& sequence, const Config& config) {
     Sequence result;
     result.sensor = sequence.sensor;
@@ -47,6 +52,18 @@ Sequence without_scans(const Sequence& sequence, const Config& config) {
 }
 
 }  // namespace
+
+Pose RenderedScan::world_from_firing(std::size_t ray) const {
+    return track.pose.empty() ? world_from_sensor : track.at(time_s + static_cast<double>(time_offset_s[ray]));
+}
+
+std::vector<float> point_ranges(const RenderedScan& scan, const Config& config) {
+    std::vector<float> range_m = scan.image.range_m;
+    if (config.render.points != "median") return range_m;
+    for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)
+        if (scan.median_range_m[i] > 0.0f) range_m[i] = scan.median_range_m[i];
+    return range_m;
+}
 
 struct ScanRenderer::Impl {
     const Config config;
@@ -71,8 +88,7 @@ const KernelTimes& ScanRenderer::times() const { return impl_->renderer.times();
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset) {
     const Impl& s = *impl_;
-    PoseTrack track = s.sequence.world_from_sensor;
-    for (Pose& pose : track.pose) pose = pose * sensor_offset;
+    PoseTrack track = moved_track(s.sequence.world_from_sensor, sensor_offset);
     WorldRays rays;
     for (std::size_t i = 0; i < sensor.rays.size(); ++i) {
         const WorldRay w = world_ray(track, time_s, sensor.rays, i, s.sequence.rolling_shutter);
@@ -97,13 +113,19 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     scan.channel = sensor.rays.channel;
     for (std::size_t i = 0; i < r.size(); ++i) {
         const Beam& laser = laser_of(sensor.beams, sensor.rays.channel[i]);
-        scan.image.range_m.push_back(measured_range(laser, chosen_range(r, i, s.config.render.range)));
-        scan.median_range_m.push_back(measured_range(laser, r.median_depth[i]));
-        scan.image.intensity.push_back(measured_intensity(laser, s.sequence.intensity_response.at_range(double(chosen_range(r, i, "median"))), r.intensity[i]));
+        const float range_m = measured_range(laser, chosen_range(r, i, s.config.render.range));
+        const float median_m = measured_range(laser, r.median_depth[i]);
+        scan.image.range_m.push_back(range_m);
+        scan.median_range_m.push_back(median_m);
+        scan.image.intensity.push_back(measured_intensity(laser, s.sequence.intensity_response.at_range(double(median_m > 0.0f ? median_m : range_m)), r.intensity[i]));
         scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
         const float never_seen = sensor.is_own ? s.layout.sensor_drop.at(sensor.rays.channel[i], sensor.rays.direction[i]) : 0.0f;
-        scan.image.drop_prob.push_back(1.0f - (1.0f - drop_probability(r, i)) * (1.0f - never_seen));
+        const float returns = is_in_range(sensor.limits, range_m, median_m) ? (1.0f - drop_probability(r, i)) * (1.0f - never_seen) : 0.0f;
+        scan.image.drop_prob.push_back(1.0f - returns);
     }
+    if (!s.sequence.rolling_shutter) track = {{time_s}, {pose}};
+    for (Pose& p : track.pose) p.translation += s.sequence.world_offset_m;
+    scan.track = std::move(track);
     scan.world_from_sensor = {pose.rotation, pose.translation + s.sequence.world_offset_m};
     scan.time_s = time_s;
     return sensor.grid ? project_scan(scan, *sensor.grid) : scan;

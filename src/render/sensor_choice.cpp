@@ -16,10 +16,25 @@ namespace {
 
 constexpr float kMinWeight = 0.05f;   ///< a simulated ray that met less than this has no point to bin
 
+RangeLimits configured_limits(const Config& config) { return {config.dataset.min_range_m, config.dataset.max_range_m}; }
+
+SensorChoice own_sensor(const Config& config, const Sequence& sequence) {
+    const RangeLimits limits = overlap(sequence.sensor.range_limits(), configured_limits(config));
+    return {make_rays(sequence.sensor), std::nullopt, true, sequence.sensor.beams, limits, sequence.sensor.name};
+}
+
 SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequence& sequence) {
-    if (config.sensor.grid_method == "cast") return {make_rays(grid), std::nullopt, false, {}};
-    if (config.sensor.grid_method == "project") return {make_rays(sequence.sensor), grid, true, sequence.sensor.beams};
-    throw UsageError(fmt::format("choosing the sensor: found sensor.grid_method = \"{}\", expected project or cast", config.sensor.grid_method));
+    const std::string& method = config.sensor.grid_method;
+    const RangeLimits limits = overlap({0.0, grid.max_range_m}, configured_limits(config));
+    if (method == "cast") return {make_rays(grid), std::nullopt, false, {}, limits, grid.name};
+    if (method != "project") {
+        throw UsageError(fmt::format("choosing the sensor: found sensor.grid_method = \"{}\", expected project or cast", method));
+    }
+    SensorChoice choice = own_sensor(config, sequence);
+    choice.grid = grid;
+    choice.limits = overlap(choice.limits, limits);
+    choice.name = grid.name;
+    return choice;
 }
 
 void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, std::size_t cell) {
@@ -35,15 +50,15 @@ void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, 
 }  // namespace
 
 SensorChoice configured_sensor(const Config& config, const Sequence& sequence) {
-    if (config.sensor.grid == "native") return {make_rays(sequence.sensor), std::nullopt, true, sequence.sensor.beams};
+    if (config.sensor.grid == "native") return own_sensor(config, sequence);
     return grid_choice(find_grid(config.sensor.grid), config, sequence);
 }
 
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence) {
-    if (name_or_file == "native") return {make_rays(sequence.sensor), std::nullopt, true, sequence.sensor.beams};
-    if (name_or_file == kitti360_grid().name) return grid_choice(kitti360_grid(), config, sequence);
-    const SpinningSensor sensor = find_sensor(name_or_file);
-    return {make_rays(sensor), std::nullopt, false, sensor.beams};
+    if (known_name(name_or_file, {"native"})) return own_sensor(config, sequence);
+    if (known_name(name_or_file, {kitti360_grid().name})) return grid_choice(kitti360_grid(), config, sequence);
+    const SpinningSensor sensor = find_sensor(name_or_file, {"native"});
+    return {make_rays(sensor), std::nullopt, false, sensor.beams, sensor.range_limits(), sensor.name};
 }
 
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
@@ -63,6 +78,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     result.time_offset_s.assign(n, 0.0f);
     result.channel = cells.channel;
     result.world_from_sensor = scan.world_from_sensor;
+    result.track = scan.track;
     result.time_s = scan.time_s;
     result.trace_ms = scan.trace_ms;
     std::vector<float> winner_drop(n, 2.0f);   // of the ray that owns a cell so far; 2 = none

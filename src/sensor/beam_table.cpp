@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// CSV beam tables: header line, then one line a beam. Known columns: elevation_deg (needed), azimuth_offset_deg,
-// origin_offset_m, origin_up_m, origin_left_m; others (channel, ...) are left alone.
+// CSV beam tables (kBeamTableHelp): header line, then one line a beam. A column that is not known is an error: a misspelt one would be 0.
 #include "sensor/beam_table.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <optional>
@@ -16,7 +16,26 @@
 namespace relidar {
 namespace {
 
-constexpr std::array<const char*, 5> kFields{"elevation_deg", "azimuth_offset_deg", "origin_offset_m", "origin_up_m", "origin_left_m"};
+enum Field { kElevation, kAzimuthOffset, kOriginOffset, kOriginUp, kOriginLeft, kMinRange, kMaxRange, kChannel, kFieldCount };
+
+struct FieldRule {
+    const char* name;
+    double low, high, missing;   ///< values allowed, and the one where the table has no such column
+};
+constexpr double kFarthest_m = 10'000.0;
+constexpr std::array<FieldRule, kFieldCount> kFields{{{"elevation_deg", -90.0, 90.0, 0.0},
+                                                      {"azimuth_offset_deg", -180.0, 180.0, 0.0},
+                                                      {"origin_offset_m", -10.0, 10.0, 0.0},
+                                                      {"origin_up_m", -10.0, 10.0, 0.0},
+                                                      {"origin_left_m", -10.0, 10.0, 0.0},
+                                                      {"min_range_m", 0.0, kFarthest_m, SpinningSensor{}.min_range_m},
+                                                      {"max_range_m", 0.0, kFarthest_m, SpinningSensor{}.max_range_m},
+                                                      {"channel", 0.0, 65535.0, 0.0}}};
+
+using Columns = std::array<int, kFieldCount>;     ///< of each field, -1 where it is missing
+using Values = std::array<double, kFieldCount>;
+
+constexpr double kMaxColumns = 1'000'000, kMaxRate_hz = 10'000;
 
 std::vector<std::string_view> split_commas(std::string_view line) {
     std::vector<std::string_view> cells;
@@ -28,31 +47,58 @@ std::vector<std::string_view> split_commas(std::string_view line) {
     return cells;
 }
 
-/// Position of each known field in the header, -1 where it is missing.
-std::array<int, kFields.size()> find_fields(const std::vector<std::string_view>& header) {
-    std::array<int, kFields.size()> at;
-    for (std::size_t f = 0; f < kFields.size(); ++f) {
-        at[f] = -1;
-        for (std::size_t c = 0; c < header.size(); ++c) {
-            if (header[c] == kFields[f]) at[f] = static_cast<int>(c);
+/// Where the header has each field. @throws DataError for a column that is not known, or there twice
+Columns find_fields(const std::vector<std::string_view>& header, const std::string& path) {
+    std::vector<std::string> known;
+    for (const FieldRule& field : kFields) known.emplace_back(field.name);
+    Columns at;
+    at.fill(-1);
+    for (std::size_t c = 0; c < header.size(); ++c) {
+        const auto f = static_cast<std::size_t>(std::find(known.begin(), known.end(), header[c]) - known.begin());
+        if (f == known.size()) {
+            throw DataError(fmt::format("{} line 1: column '{}' is not known, did you mean '{}'? (known: {})", path, header[c],
+                                        nearest_name(header[c], known), fmt::join(known, ", ")));
         }
+        if (at[f] >= 0) throw DataError(fmt::format("{} line 1: column '{}' is there twice, expected once", path, header[c]));
+        at[f] = static_cast<int>(c);
     }
     return at;
 }
 
-Beam parse_beam(const std::vector<std::string_view>& cells, const std::array<int, kFields.size()>& at, const std::string& where) {
-    std::array<double, kFields.size()> value{};
+Values parse_line(const std::vector<std::string_view>& cells, const Columns& at, const std::string& where) {
+    Values value{};
     for (std::size_t f = 0; f < kFields.size(); ++f) {
+        const FieldRule& rule = kFields[f];
+        value[f] = rule.missing;
         if (at[f] < 0) continue;
         const std::string_view cell = cells[static_cast<std::size_t>(at[f])];
         const auto number = parse_number(cell);
-        const double limit = f == 0 ? 90.0 : f == 1 ? 180.0 : 10.0;
-        if (!number || !(std::abs(*number) <= limit)) {
-            throw DataError(fmt::format("{}: {} is '{}', expected a number in [-{}, {}]", where, kFields[f], cell, limit, limit));
+        if (!number || !(*number >= rule.low && *number <= rule.high)) {
+            throw DataError(fmt::format("{}: {} is '{}', expected a number in [{}, {}]", where, rule.name, cell, rule.low, rule.high));
         }
         value[f] = *number;
     }
-    return {value[0] * kPi / 180.0, value[1] * kPi / 180.0, value[2], value[3], value[4]};
+    return value;
+}
+
+/// Adds the beam of a line. @throws DataError where it is above the one before, or the sensor's range limits are others
+void add_beam(SpinningSensor& sensor, const Values& v, const std::string& where) {
+    const Beam beam{v[kElevation] * kPi / 180.0, v[kAzimuthOffset] * kPi / 180.0, v[kOriginOffset], v[kOriginUp], v[kOriginLeft]};
+    if (sensor.beams.empty()) {
+        sensor.min_range_m = v[kMinRange];
+        sensor.max_range_m = v[kMaxRange];
+    }
+    if (v[kMinRange] != sensor.min_range_m || v[kMaxRange] != sensor.max_range_m) {
+        throw DataError(fmt::format("{}: found ranges of {} to {} m, expected {} to {} m as in the first line: limits are those of the sensor",
+                                    where, v[kMinRange], v[kMaxRange], sensor.min_range_m, sensor.max_range_m));
+    }
+    if (!(v[kMinRange] < v[kMaxRange])) {
+        throw DataError(fmt::format("{}: found ranges of {} to {} m, expected min_range_m below max_range_m", where, v[kMinRange], v[kMaxRange]));
+    }
+    if (!sensor.beams.empty() && beam.elevation_rad > sensor.beams.back().elevation_rad) {
+        throw DataError(fmt::format("{}: elevation_deg rises, expected rows from the highest beam down", where));
+    }
+    sensor.beams.push_back(beam);
 }
 
 }  // namespace
@@ -67,9 +113,9 @@ BeamTableName parse_beam_table_name(const std::string& name) {
     const auto columns = parse_number(suffix.substr(0, x));
     const auto rate_hz = x < suffix.size() ? parse_number(suffix.substr(x + 1)) : std::optional<double>(table.rate_hz);
     if (!columns || !rate_hz) return table;  // a colon of the path itself
-    if (!(*columns >= 1.0 && *columns <= 1e6) || *columns != std::floor(*columns) || !(*rate_hz > 0.0 && *rate_hz <= 1e4)) {
-        throw UsageError(
-            fmt::format("sensor '{}': {} columns at {} Hz, expected a whole number and a rate, both above 0", name, *columns, *rate_hz));
+    if (!(*columns >= 1.0 && *columns <= kMaxColumns) || *columns != std::floor(*columns) || !(*rate_hz > 0.0 && *rate_hz <= kMaxRate_hz)) {
+        throw UsageError(fmt::format("sensor '{}': {} columns at {} Hz, expected a whole number from 1 to {} and a rate above 0, at most {}", name,
+                                     *columns, *rate_hz, kMaxColumns, kMaxRate_hz));
     }
     table.path = name.substr(0, colon);
     table.columns = static_cast<int>(*columns);
@@ -81,8 +127,8 @@ SpinningSensor read_beam_table(const BeamTableName& name) {
     const std::string path = name.path.string();
     const std::vector<std::string> lines = split_lines(read_file(name.path));
     const std::vector<std::string_view> header = lines.empty() ? std::vector<std::string_view>{} : split_commas(lines[0]);
-    const auto at = find_fields(header);
-    if (at[0] < 0) throw DataError(fmt::format("{}: no column 'elevation_deg' in the first line, expected a CSV beam table", path));
+    const Columns at = find_fields(header, path);
+    if (at[kElevation] < 0) throw DataError(fmt::format("{}: no column 'elevation_deg' in the first line, expected a CSV beam table", path));
 
     SpinningSensor sensor;
     sensor.name = name.path.stem().string();
@@ -96,11 +142,7 @@ SpinningSensor read_beam_table(const BeamTableName& name) {
         if (cells.size() != header.size()) {
             throw DataError(fmt::format("{}: {} values, expected {} as in the header", where, cells.size(), header.size()));
         }
-        sensor.beams.push_back(parse_beam(cells, at, where));
-        const std::size_t n = sensor.beams.size();
-        if (n > 1 && sensor.beams[n - 1].elevation_rad > sensor.beams[n - 2].elevation_rad) {
-            throw DataError(fmt::format("{}: elevation_deg rises, expected rows from the highest beam down", where));
-        }
+        add_beam(sensor, parse_line(cells, at, where), where);
     }
     if (sensor.beams.empty()) throw DataError(fmt::format("{}: no beams after the header, expected at least one", path));
     return sensor;

@@ -73,21 +73,24 @@ std::vector<std::string> sensor_names() {
     return names;
 }
 
-SpinningSensor find_sensor(const std::string& name_or_file) {
-    if (name_or_file == "kitti360") return kitti360();
-    if (name_or_file == "HDL-64E") return hdl64e();
+SpinningSensor find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known) {
+    const std::string name = known_name(name_or_file, sensor_names()).value_or(name_or_file);
+    if (name == "kitti360") return kitti360();
+    if (name == "HDL-64E") return hdl64e();
     for (const Nominal& n : kNominal) {
-        if (name_or_file != n.name) continue;
+        if (name != n.name) continue;
         SpinningSensor sensor = spinning(n.name, n.columns, n.max_range_m, n.divergence_rad);
         add_beams(sensor, n.beams, n.top_deg, n.bottom_deg);
         return sensor;
     }
     const BeamTableName table = parse_beam_table_name(name_or_file);
     if (table.path.extension() == ".csv" || std::filesystem::is_regular_file(table.path)) return read_beam_table(table);
+    std::vector<std::string> known = also_known;
+    for (const std::string& sensor : sensor_names()) known.push_back(sensor);
     throw UsageError(
         fmt::format("sensor '{}': unknown name, did you mean '{}'? (known: {}; the path of a CSV beam table "
                     "works too, as beams.csv:1024x10)",
-                    name_or_file, nearest_name(name_or_file, sensor_names()), fmt::join(sensor_names(), ", ")));
+                    name_or_file, nearest_name(name_or_file, known), fmt::join(known, ", ")));
 }
 
 }  // namespace relidar

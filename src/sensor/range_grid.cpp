@@ -22,7 +22,7 @@ RangeGrid kitti360_grid() {
 }
 
 RangeGrid find_grid(const std::string& name) {
-    if (name == "kitti360") return kitti360_grid();
+    if (known_name(name, {"kitti360"})) return kitti360_grid();
     throw UsageError(fmt::format("grid '{}': unknown name, did you mean '{}'?", name, nearest_name(name, {"kitti360"})));
 }
 

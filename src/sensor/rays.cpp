@@ -4,6 +4,7 @@
 // azimuth offset is moved by a whole number of columns, so that columns of the image stay upright.
 #include <relidar/sensor.hpp>
 
+#include <algorithm>
 #include <cmath>
 
 #include <fmt/format.h>
@@ -32,6 +33,12 @@ void check(const SpinningSensor& sensor) {
     if (sensor.beams.empty()) fail("has no beams, expected at least one");
     if (sensor.beams.size() > 65535) fail(fmt::format("has {} beams, expected at most 65535", sensor.beams.size()));
     if (sensor.columns <= 0) fail(fmt::format("has {} columns, expected at least one", sensor.columns));
+    if (sensor.beams.size() * static_cast<std::size_t>(sensor.columns) > kMaxRays) {
+        fail(fmt::format("has {} beams and {} columns, expected at most {} rays a turn", sensor.beams.size(), sensor.columns, kMaxRays));
+    }
+    if (!(sensor.min_range_m >= 0.0 && sensor.max_range_m > sensor.min_range_m)) {
+        fail(fmt::format("sees from {} to {} m, expected 0 <= min_range_m < max_range_m", sensor.min_range_m, sensor.max_range_m));
+    }
     if (!(sensor.period_s > 0.0) || !std::isfinite(sensor.period_s)) {
         fail(fmt::format("has a period of {} s, expected a positive number", sensor.period_s));
     }
@@ -51,6 +58,8 @@ double wrapped(double azimuth_rad) {
 }
 
 }  // namespace
+
+RangeLimits overlap(const RangeLimits& a, const RangeLimits& b) { return {std::max(a.min_m, b.min_m), std::min(a.max_m, b.max_m)}; }
 
 const Beam& laser_of(const std::vector<Beam>& beams, std::size_t channel) {
     static const Beam ideal;

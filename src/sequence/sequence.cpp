@@ -73,6 +73,16 @@ std::size_t Scan::count_returns() const {
     return static_cast<std::size_t>(std::count_if(range_m.begin(), range_m.end(), [](float r) { return r > 0.0f; }));
 }
 
+void drop_outside(Scan& scan, const RangeLimits& limits) {
+    for (std::size_t i = 0; i < scan.range_m.size(); ++i)
+        if (scan.range_m[i] > 0.0f && !limits.contains(scan.range_m[i])) scan.range_m[i] = scan.intensity[i] = 0.0f;
+}
+
+PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved) {
+    for (Pose& pose : track.pose) pose = pose * sensor_from_moved;
+    return track;
+}
+
 double BoxTrack::mean_step_m() const {
     const std::vector<Pose>& poses = world_from_box.pose;
     const std::size_t half = poses.size() / 2;
@@ -83,6 +93,26 @@ double BoxTrack::mean_step_m() const {
         end += poses[poses.size() - 1 - i].translation;
     }
     return glm::length(end - start) / double(half) / double(poses.size() - half);
+}
+
+bool BoxTrack::is_parked() const {
+    constexpr double kSmooth_s = 1.0, kJitter_m = 0.2, kDrift_m = 2.0, kDrift_mps = 0.5;
+    const std::vector<double>& t = world_from_box.time_s;
+    if (t.size() < 2) return true;
+    const double window_s = std::min(kSmooth_s, 0.5 * (t.back() - t.front()));
+    const auto smoothed = [&](std::size_t first) {
+        glm::dvec3 sum(0.0);
+        std::size_t n = 0;
+        for (std::size_t i = first; i < t.size() && t[i] <= t[first] + window_s; ++i, ++n) sum += world_from_box.pose[i].translation;
+        return sum / double(n);
+    };
+    const glm::dvec3 start = smoothed(0);
+    double farthest_m = 0.0;
+    for (std::size_t i = 1; i < t.size() && t[i] + window_s <= t.back(); ++i) {
+        farthest_m = std::max(farthest_m, glm::length(smoothed(i) - start));
+    }
+    const double drift_m = std::min(kDrift_m, kDrift_mps * (t.back() - t.front() - window_s));
+    return farthest_m < std::max(kJitter_m, drift_m);
 }
 
 void set_sensor_poses(Sequence& sequence, PoseTrack world_from_sensor) {

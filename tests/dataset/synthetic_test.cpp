@@ -119,6 +119,31 @@ TEST(Synthetic, LogAgreesWithTheCastUpToNoiseAndDrops) {
     }
 }
 
+TEST(Synthetic, ReturnsOutsideTheLimitsAreDrops) {
+    const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_limits";
+    save_synthetic(small(), folder);
+    DatasetOptions options;
+    options.min_range_m = 5.0;
+    options.max_range_m = 20.0;
+    const Sequence all = load_sequence(folder.string(), {}), some = load_sequence(folder.string(), options);
+    EXPECT_EQ(some.sensor.min_range_m, 5.0);
+    EXPECT_EQ(some.sensor.max_range_m, 20.0);
+    std::size_t near = 0, far = 0;
+    for (std::size_t f = 0; f < all.frames.size(); ++f)
+        for (std::size_t i = 0; i < all.frames[f].scan.range_m.size(); ++i) {
+            const float range = all.frames[f].scan.range_m[i];
+            const bool kept = range >= 5.0f && range <= 20.0f;
+            ASSERT_EQ(some.frames[f].scan.range_m[i], kept ? range : 0.0f);
+            near += range > 0.0f && range < 5.0f;
+            far += range > 20.0f;
+        }
+    EXPECT_GT(near, 0u);
+    EXPECT_GT(far, 0u);
+    options.min_range_m = 20.0;
+    EXPECT_THROW(load_sequence(folder.string(), options), UsageError);
+    fs::remove_all(folder);
+}
+
 TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_poses";
     save_synthetic(small(), folder);

@@ -2,12 +2,15 @@
 // EXR and PNG files read back by OpenEXR and libpng themselves; colour maps and stacks by their pixels.
 #include <relidar/export.hpp>
 
+#include <algorithm>
+#include <csetjmp>
 #include <limits>
 
 #include <ImfChannelList.h>
 #include <ImfFrameBuffer.h>
 #include <ImfHeader.h>
 #include <ImfInputFile.h>
+#include <ImfStringAttribute.h>
 #include <png.h>
 
 #include "temporary_folder.hpp"
@@ -50,6 +53,14 @@ TEST_F(Picture, ExrKeepsEveryBit) {
     EXPECT_EQ(read_channel(folder / "a.exr", "intensity", rows, columns), intensity);
 }
 
+TEST_F(Picture, ExrCarriesNotes) {
+    write_exr(folder / "a.exr", 1, 2, {{"range", {1.0f, 2.0f}}}, {{"sensor", "VLP-16"}, {"run", "über\nzwei"}});
+    const Imf::InputFile file((folder / "a.exr").c_str());
+    EXPECT_EQ(file.header().typedAttribute<Imf::StringAttribute>("sensor").value(), "VLP-16");
+    EXPECT_EQ(file.header().typedAttribute<Imf::StringAttribute>("run").value(), "über\nzwei");
+    EXPECT_EQ(read_channel(folder / "a.exr", "range", 1, 2), (std::vector<float>{1.0f, 2.0f}));
+}
+
 TEST_F(Picture, ExrRefusesWrongSizes) {
     data_error([&] { write_exr(folder / "a.exr", 2, 2, {{"range_m", std::vector<float>(3)}}); });
     data_error([&] { write_exr(folder / "a.exr", 2, 2, {}); });
@@ -65,6 +76,38 @@ Image read_png(const std::vector<std::uint8_t>& bytes) {
     Image image{int(description.height), int(description.width), std::vector<std::uint8_t>(PNG_IMAGE_SIZE(description))};
     EXPECT_TRUE(png_image_finish_read(&description, nullptr, image.rgb.data(), 0, nullptr)) << description.message;
     return image;
+}
+
+/// What libpng finds of text in a file in memory.
+std::vector<std::pair<std::string, std::string>> png_texts(const std::vector<std::uint8_t>& bytes) {
+    png_structp png = png_create_read_struct(PNG_LIBPNG_VER_STRING, nullptr, nullptr, nullptr);
+    png_infop info = png_create_info_struct(png);
+    std::pair<const std::uint8_t*, std::size_t> rest{bytes.data(), bytes.size()};
+    std::vector<std::pair<std::string, std::string>> texts;
+    png_set_read_fn(png, &rest, [](png_structp from, png_bytep to, std::size_t n) {
+        auto& left = *static_cast<std::pair<const std::uint8_t*, std::size_t>*>(png_get_io_ptr(from));
+        if (n > left.second) png_error(from, "the file ends early");
+        std::copy(left.first, left.first + n, to);
+        left = {left.first + n, left.second - n};
+    });
+    if (setjmp(png_jmpbuf(png)) == 0) {
+        png_read_png(png, info, PNG_TRANSFORM_IDENTITY, nullptr);
+        png_textp text = nullptr;
+        const int n = png_get_text(png, info, &text, nullptr);
+        for (int i = 0; i < n; ++i) texts.emplace_back(text[i].key, text[i].text);
+    } else {
+        ADD_FAILURE() << "libpng refuses the file";
+    }
+    png_destroy_read_struct(&png, &info, nullptr);
+    return texts;
+}
+
+TEST_F(Picture, PngCarriesNotes) {
+    const Image image{2, 3, std::vector<std::uint8_t>(18, 7)};
+    const FileNotes notes{{"sensor", "VLP-16"}, {"run", "über zwei"}};
+    EXPECT_EQ(png_texts(encode_png(image, notes)), notes);
+    EXPECT_EQ(read_png(encode_png(image, notes)).rgb, image.rgb);
+    EXPECT_TRUE(png_texts(encode_png(image)).empty());
 }
 
 TEST_F(Picture, PngKeepsEveryPixel) {

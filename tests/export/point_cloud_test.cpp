@@ -16,9 +16,11 @@ PointCloud some_cloud() {
     PointCloud cloud;
     cloud.position_m = {{1.5f, -2.0f, 0.25f}, {10.0f, 20.0f, 30.0f}, {-0.5f, 0.0f, 80.0f}};
     cloud.intensity = {0.1f, 0.5f, 1.0f};
-    cloud.channel = {0, 63, 65535};
-    cloud.time_offset_s = {-0.05f, 0.0f, 0.05f};
-    cloud.instance = {0, 70000, -1};
+    cloud.ring = {{0, 63, 65535}};
+    cloud.time = {{-0.05f, 0.0f, 0.05f}};
+    cloud.instance = {{0, 70000, -1}};
+    cloud.world_from_points = {glm::dquat(0.5, 0.5, -0.5, 0.5), glm::dvec3(1.25, -2e6, 0.1)};
+    cloud.notes = {{"sensor", "VLP-16"}, {"run", "a\nb"}};
     return cloud;
 }
 
@@ -53,9 +55,9 @@ void expect_records(const std::string& body, const PointCloud& cloud, std::size_
             EXPECT_EQ(value_at<float>(body, i * stride + 4 * std::size_t(axis)), cloud.position_m[i][axis]);
         EXPECT_EQ(value_at<float>(body, i * stride + 12), cloud.intensity[i]);
         if (stride != 26) continue;
-        EXPECT_EQ(value_at<std::uint16_t>(body, i * stride + 16), cloud.channel[i]);
-        EXPECT_EQ(value_at<float>(body, i * stride + 18), cloud.time_offset_s[i]);
-        EXPECT_EQ(value_at<std::int32_t>(body, i * stride + 22), cloud.instance[i]);
+        EXPECT_EQ(value_at<std::uint16_t>(body, i * stride + 16), (*cloud.ring)[i]);
+        EXPECT_EQ(value_at<float>(body, i * stride + 18), (*cloud.time)[i]);
+        EXPECT_EQ(value_at<std::int32_t>(body, i * stride + 22), (*cloud.instance)[i]);
     }
 }
 
@@ -63,9 +65,9 @@ TEST_F(PointCloudFile, WritesPly) {
     write_ply(folder / "a.ply", some_cloud());
     const Parsed file = parse(contents(folder / "a.ply"), "end_header");
     const std::vector<std::string> expected{
-        "ply", "format binary_little_endian 1.0", "comment relidar: metres, sensor frame", "element vertex 3",
-        "property float x", "property float y", "property float z", "property float intensity", "property ushort channel",
-        "property float time_offset_s", "property int instance", "end_header"};
+        "ply", "format binary_little_endian 1.0", "comment sensor VLP-16", "comment run a b", "element vertex 3",
+        "property float x", "property float y", "property float z", "property float intensity", "property uint16 ring",
+        "property float time", "property int instance", "end_header"};
     EXPECT_EQ(file.header, expected);
     expect_records(file.body, some_cloud(), 26);
 }
@@ -74,17 +76,18 @@ TEST_F(PointCloudFile, WritesPcd) {
     write_pcd(folder / "a.pcd", some_cloud());
     const Parsed file = parse(contents(folder / "a.pcd"), "DATA binary");
     const std::vector<std::string> expected{
-        "# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", "FIELDS x y z intensity channel time_offset_s instance",
-        "SIZE 4 4 4 4 2 4 4", "TYPE F F F F U F I", "COUNT 1 1 1 1 1 1 1", "WIDTH 3", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", "POINTS 3", "DATA binary"};
+        "# .PCD v0.7 - Point Cloud Data file format", "# sensor VLP-16", "# run a b", "VERSION 0.7", "FIELDS x y z intensity ring time instance",
+        "SIZE 4 4 4 4 2 4 4", "TYPE F F F F U F I", "COUNT 1 1 1 1 1 1 1", "WIDTH 3", "HEIGHT 1", "VIEWPOINT 1.25 -2000000 0.1 0.5 0.5 -0.5 0.5", "POINTS 3", "DATA binary"};
     EXPECT_EQ(file.header, expected);
     expect_records(file.body, some_cloud(), 26);
 }
 
 TEST_F(PointCloudFile, LeavesOutFieldsThatAreMissing) {
     PointCloud cloud = some_cloud();
-    cloud.channel.clear();
-    cloud.time_offset_s.clear();
-    cloud.instance.clear();
+    cloud.ring.reset();
+    cloud.time.reset();
+    cloud.instance.reset();
+    cloud.notes.clear();
     write_ply(folder / "a.ply", cloud);
     write_pcd(folder / "a.pcd", cloud);
     expect_records(parse(contents(folder / "a.ply"), "end_header").body, cloud, 16);
@@ -105,18 +108,27 @@ TEST_F(PointCloudFile, WritesEmptyClouds) {
     write_ply(folder / "a.ply", {});
     write_pcd(folder / "a.pcd", {});
     write_kitti_bin(folder / "a.bin", {});
-    EXPECT_EQ(parse(contents(folder / "a.ply"), "end_header").header[3], "element vertex 0");
+    EXPECT_EQ(parse(contents(folder / "a.ply"), "end_header").header[2], "element vertex 0");
     EXPECT_EQ(parse(contents(folder / "a.pcd"), "DATA binary").body, "");
     EXPECT_EQ(contents(folder / "a.bin"), "");
+}
+
+TEST_F(PointCloudFile, KeepsFieldsWithoutAPoint) {
+    PointCloud cloud;
+    cloud.ring.emplace(), cloud.time.emplace(), cloud.instance.emplace();
+    write_ply(folder / "a.ply", cloud);
+    write_pcd(folder / "a.pcd", cloud);
+    EXPECT_NE(contents(folder / "a.ply").find("property uint16 ring\nproperty float time\nproperty int instance\nend_header"), std::string::npos);
+    EXPECT_EQ(parse(contents(folder / "a.pcd"), "DATA binary").header[2], "FIELDS x y z intensity ring time instance");
 }
 
 TEST_F(PointCloudFile, RefusesArraysOfUnequalLength) {
     for (int which : {0, 1, 2, 3}) {
         PointCloud cloud = some_cloud();
         if (which == 0) cloud.intensity.pop_back();
-        if (which == 1) cloud.channel.pop_back();
-        if (which == 2) cloud.time_offset_s.pop_back();
-        if (which == 3) cloud.instance.pop_back();
+        if (which == 1) cloud.ring->pop_back();
+        if (which == 2) cloud.time->pop_back();
+        if (which == 3) cloud.instance->pop_back();
         data_error([&] { write_ply(folder / "a", cloud); });
         data_error([&] { write_pcd(folder / "a", cloud); });
         data_error([&] { write_kitti_bin(folder / "a", cloud); });

@@ -84,6 +84,17 @@ TEST(Evaluate, StrictByHand) {
     EXPECT_NEAR(row.at("strict/f_22cm"), f, 1e-12);
 }
 
+TEST(Evaluate, PointsMayHaveOtherRangesThanTheImage) {
+    RangeImage points = kRendered;
+    points.range_m = kReal.range_m;
+    std::vector<MetricRow> rows = evaluate_all({{&kRendered, &kReal, {}, points.range_m}, {&kRendered, &kReal, {}}});
+    EXPECT_EQ(rows[0].at("points/depth_rmse_m"), 0.0);
+    EXPECT_EQ(rows[0].at("points/cd_mean_m"), evaluate_points(points, kReal).at("points/cd_mean_m"));
+    EXPECT_EQ(rows[0].at("points/cd_mean_m"), evaluate(points, kReal).at("strict/cd_mean_m"));
+    EXPECT_GT(rows[0].at("strict/depth_rmse_m"), 1.0) << "the image keeps its own";
+    EXPECT_FALSE(rows[1].contains("points/depth_rmse_m"));
+}
+
 TEST(Evaluate, ThresholdsOfTheFScore) {
     const RangeImage real = image_of(1, 2, {10, 10}, {0, 0}, {0, 0});
     const RangeImage rendered = image_of(1, 2, {10.04f, 10.2f}, {0, 0}, {0, 0});   // 4 cm and 20 cm off

@@ -124,6 +124,13 @@ Sequence cross_sequence() {
     return sequence;
 }
 
+std::size_t ray_towards(const RayTable& rays, const glm::vec3& direction) {
+    std::size_t best = 0;
+    for (std::size_t i = 0; i < rays.size(); ++i)
+        if (glm::dot(rays.direction[i], direction) > glm::dot(rays.direction[best], direction)) best = i;
+    return best;
+}
+
 /// What a laser adds to ranges and makes of intensities is the sensor's: its own scans have it, those of another sensor do not.
 TEST_F(Render, LasersMeasureInTheirOwnWay) {
     const Surfels wall = wall_ahead();
@@ -155,6 +162,85 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
     EXPECT_EQ(scan.image.range_m[4 + behind], 0.0f) << "nothing stays nothing";
 }
 
+/// A ray whose surface lies outside the sensor's limits is dropped, whichever of its two ranges lies there.
+TEST_F(Render, RangesBeyondTheSensorAreDrops) {
+    Sequence sequence = cross_sequence();
+    const Scene scene = make_background_scene(wall_ahead());
+    Config config;
+    ScanRenderer renderer(device(), scene, config, sequence);
+    const auto dropped = [&](double min_m, double max_m) {
+        SensorChoice sensor = configured_sensor(config, sequence);
+        sensor.limits = {min_m, max_m};
+        const RenderedScan scan = renderer.render(sensor, 0.0);
+        const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0});
+        EXPECT_NEAR(scan.image.range_m[ahead], 10.0 + sequence.sensor.beams[0].range_offset_m, 1e-4);
+        return scan.image.drop_prob[ahead] == 1.0f;
+    };
+    EXPECT_FALSE(dropped(9.9, 10.1));
+    EXPECT_TRUE(dropped(0.0, 9.9));
+    EXPECT_TRUE(dropped(10.1, 80.0));
+    sequence.sensor.beams[0].range_offset_m = 0.2;   // limits are of what is measured
+    EXPECT_TRUE(dropped(0.0, 10.1));
+}
+
+TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
+    Sequence sequence = cross_sequence();
+    sequence.sensor.min_range_m = 0.5;
+    sequence.sensor.max_range_m = 60.0;
+    Config config;
+    EXPECT_EQ(configured_sensor(config, sequence).limits.min_m, 0.5);
+    EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 60.0);
+    config.dataset.max_range_m = 30.0;
+    config.dataset.min_range_m = 2.0;
+    EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 30.0);
+    EXPECT_EQ(choose_sensor("Native", config, sequence).limits.min_m, 2.0);
+    EXPECT_EQ(choose_sensor("VLP-16", config, sequence).limits.max_m, 100.0) << "another sensor has its own";
+    config.sensor.grid = "kitti360";
+    EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 30.0);
+    config.dataset.max_range_m = sequence.sensor.max_range_m = 200.0;
+    EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
+}
+
+/// Points of a ray that sees a faint plate before the wall: the mean lies in the air between them, the dominant surface is the wall.
+TEST_F(Render, PointsLieOnTheDominantSurface) {
+    Surfels surfels = wall_ahead();
+    surfels.append(wall_ahead());
+    surfels.mean[0].x = 4.0f;
+    surfels.opacity_logit[0] = std::log(0.3f / 0.7f);
+    const Sequence sequence = cross_sequence();
+    Config config;
+    const SensorChoice sensor = configured_sensor(config, sequence);
+    const RenderedScan scan = ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
+    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}), behind = ray_towards(sensor.rays, {-1, 0, 0});
+    EXPECT_NEAR(scan.image.range_m[ahead], 0.3 * 4.0 + 0.7 * 10.0, 0.05);
+    EXPECT_NEAR(point_ranges(scan, config)[ahead], 10.0, 1e-4);
+    EXPECT_EQ(point_ranges(scan, config)[behind], 0.0f);
+    config.render.points = "range";
+    EXPECT_EQ(point_ranges(scan, config), scan.image.range_m);
+}
+
+/// The place of a wall that stands still, from a sensor that moves while it turns: every ray's own pose puts its point on the wall.
+TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
+    Sequence sequence = cross_sequence();
+    sequence.sensor.columns = 64;
+    sequence.world_from_sensor = {{0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {4.0, -1.0, 0.0}}}};
+    sequence.world_offset_m = {100.0, 0.0, 0.0};
+    for (const bool rolling : {true, false}) {
+        sequence.rolling_shutter = rolling;
+        const SensorChoice sensor = configured_sensor({}, sequence);
+        const RenderedScan scan = ScanRenderer(device(), make_background_scene(wall_ahead()), {}, sequence).render(sensor, 0.5, {{1, 0, 0, 0}, {-1.0, 0.0, 0.0}});
+        std::size_t met = 0;
+        for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
+            if (!(scan.median_range_m[i] > 0.0f)) continue;
+            const glm::dvec3 p = scan.world_from_firing(i) * glm::dvec3(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
+            EXPECT_NEAR(p.x, 110.0, 1e-4);
+            ++met;
+        }
+        EXPECT_GT(met, 5u);
+        EXPECT_NEAR(glm::length(scan.track.at(0.5).translation - scan.world_from_sensor.translation), 0.0, 1e-12);
+    }
+}
+
 /// A wall behind the sensor's right, and a plate placed ahead and, turned to face the sensor too, behind; its brightness depends on
 /// the direction it is seen from.
 Scene two_placements(Sequence& sequence) {
@@ -174,13 +260,6 @@ Scene two_placements(Sequence& sequence) {
     const glm::dquat half_turn = glm::angleAxis(kPi, glm::dvec3(0, 0, 1));
     sequence.boxes = {{"ahead", "Car", {1, 1, 1}, {{0.0}, {Pose{{1, 0, 0, 0}, {5, 0, 0}}}}}, {"behind", "Car", {1, 1, 1}, {{0.0}, {Pose{half_turn, {-5, 0, 0}}}}}};
     return scene;
-}
-
-std::size_t ray_towards(const RayTable& rays, const glm::vec3& direction) {
-    std::size_t best = 0;
-    for (std::size_t i = 0; i < rays.size(); ++i)
-        if (glm::dot(rays.direction[i], direction) > glm::dot(rays.direction[best], direction)) best = i;
-    return best;
 }
 
 TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {

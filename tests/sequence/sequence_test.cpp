@@ -86,6 +86,31 @@ TEST(MovingBox, JitterIsNoMotion) {
     EXPECT_EQ(BoxTrack{}.mean_step_m(), 0.0);
 }
 
+/// A track of n observations 0.1 s apart at a speed, labels jittering by 9 cm, as KITTI's do.
+BoxTrack walked(int n, double speed_mps) {
+    BoxTrack box;
+    for (int i = 0; i < n; ++i) {
+        box.world_from_box.time_s.push_back(0.1 * i);
+        box.world_from_box.pose.push_back(turned(0.0, {0.1 * i * speed_mps, i % 2 ? 0.045 : -0.045, 0}));
+    }
+    return box;
+}
+
+TEST(MovingBox, ParkedIsWhatDriftsNoFasterThanPosesDo) {
+    EXPECT_TRUE(BoxTrack{}.is_parked());
+    EXPECT_TRUE(walked(1, 0.0).is_parked());
+    EXPECT_TRUE(walked(2, 0.0).is_parked());
+    EXPECT_TRUE(walked(95, 0.0).is_parked());
+    EXPECT_TRUE(walked(95, 0.18).is_parked()) << "1.7 m of drift while it is seen";
+    EXPECT_GT(walked(95, 0.18).mean_step_m(), 0.01) << "which the mean step takes for motion";
+    EXPECT_FALSE(walked(95, 0.3).is_parked()) << "2.5 m are more than drift";
+    EXPECT_FALSE(walked(6, 1.2).is_parked()) << "a pedestrian seen for half a second";
+    EXPECT_FALSE(walked(30, 8.0).is_parked());
+    BoxTrack starts = walked(95, 0.0);   // a car that waits, then goes
+    for (std::size_t i = 80; i < 95; ++i) starts.world_from_box.pose[i].translation.x += 0.3 * double(i - 80);
+    EXPECT_FALSE(starts.is_parked());
+}
+
 TEST(MovingBox, OnlyMovingBoxesAtTheirTimes) {
     BoxTrack car;
     car.size_m = {4, 2, 1.5};

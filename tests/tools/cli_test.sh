@@ -9,6 +9,7 @@
 # Exits 77 (skipped) where there is no Vulkan device, or fails there with RELIDAR_REQUIRE_GPU=1.
 set -uo pipefail
 relidar=$(realpath "${1:?usage: cli_test.sh RELIDAR [WORK_FOLDER]}")
+tests=$(realpath "$(dirname "${BASH_SOURCE[0]}")")
 work=${2:-$(mktemp -d)}
 rm -rf "$work" && mkdir -p "$work" && cd "$work" || exit 1
 n_checks=0 n_failed=0
@@ -91,7 +92,9 @@ wrong_usage() {
     bad 2 '--baseline: found "nerest", expected nearest or nearest-actors' eval street --baseline nerest
     bad 3 "nowhere: no such folder" eval nowhere --baseline nearest
     bad 3 "street: no frame was held out" eval street --baseline nearest --frames 0:5
-    bad 3 "nowhere: no such folder" export nowhere --out x
+    bad 3 "nowhere: no such folder" export nowhere --out x.ply
+    bad 2 "x.obj: found the ending .obj, expected a name that ends in .ply" export run --out x.obj
+    bad 2 'setting train.iterations: found "-1"' demo --out x --iterations -1
     bad 3 "nowhere: no such folder" import scene.ply --run nowhere --out x
     bad 2 'scene: found "D", expected A, B or C' bench --scene D
     bad 2 'surfels: found 0, expected 1 to' bench --surfels 0
@@ -135,6 +138,9 @@ log_info() {
     good info street
     says "8 rows x 96 columns"
     says "12 \(0 to 11\)"
+    says "^boxes +2: 2 moving, 0 parked$"
+    good info street --frames 9:14
+    check "frames beyond the log are left out without a word" grep -q "^relidar: note: frames 9:14: street ends with frame 11" err
     good info synthetic:street --frames 2:5 --json
     says '"frames": 3'
     says '"returns_share": 0\.'
@@ -158,27 +164,91 @@ training() {
     says '"surfels": [1-9]'
 }
 
+# What other programs find in the files: numpy (python3-numpy) and OpenEXR's own tool (openexr), where they are.
+foreign_readers() {
+    local python
+    for python in python3 /usr/bin/python3 none; do "$python" -c 'import numpy' 2>/dev/null && break; done
+    if [[ $python == none ]]; then
+        echo "note: no numpy, npz, ply, pcd and bin are not read by another program"
+    else
+        good render run --out in_world --format npz,ply --frame world
+        good render run --out deskewed --format npz,ply --deskew
+        "$python" "$tests/read_scans.py" scans in_world deskewed >err 2>&1
+        check "read_scans.py finds faults" test $? = 0
+    fi
+    if ! command -v exrheader >/dev/null; then
+        echo "note: no exrheader, exr is not read by another program"
+    else
+        exrheader scans/frame_000005.exr >out 2>err
+        check "exrheader refuses the file" test $? = 0
+        says '^sensor \(type string\): "synthetic"$'
+        says '^time_s \(type string\): "0.5"$'
+        says '^    median_range, 32-bit floating-point'
+    fi
+}
+
 rendering() {
     good render run --out scans --format npz,exr,ply,pcd,bin,png
     for frame in 000005 000010; do
         for format in npz exr ply pcd bin png; do exists scans/frame_$frame.$format; done
     done
-    check "render wrote other than 12 files" test "$(ls scans | wc -l)" = 12
+    check "render wrote other than 12 files and scans.json" test "$(ls scans | wc -l)" = 13
+    foreign_readers
+    bad 2 "scans: the folder holds another rendering \(13 files.*--overwrite replaces it" render run --out scans --frames 2:3
+    printf 'mine' >scans/frame_notes.txt
+    good render run --out scans --frames 2:3 --format NPZ --overwrite
+    check "--overwrite removed a file of the user's" grep -qx mine scans/frame_notes.txt
+    rm scans/frame_notes.txt
+    check "--overwrite left frames of the rendering before" test "$(ls scans | tr '\n' ' ')" = "frame_000002.npz scans.json "
     good render run --out left --frames 2:4 --offset -1,2.5,1,90
     exists left/frame_000002.npz
     exists left/frame_000003.npz
     good render run --out other --frames 11: --sensor VLP-16
     good render run --out grid --frames all --sensor kitti360 --quiet
-    check "--frames all wrote other than 12 files" test "$(ls grid | wc -l)" = 12
-    printf 'elevation_deg\n5\n0\n-5\n' >beams.csv
-    good render run --out table --frames 0:1 --sensor beams.csv:64x10
+    check "--frames all wrote other than 12 files and scans.json" test "$(ls grid | wc -l)" = 13
+    printf 'elevation_deg,max_range_m\n5,15\n0,15\n-5,15\n' >beams.csv
+    good render run --out table --frames 0:1 --sensor beams.csv:64x10 --format "npz, ply"
+    check "scans.json lacks the sensor's limit" grep -q '"max_range_m": 15' table/scans.json
+    exists table/frame_000000.ply
+    range_limits
+    good render run --out beyond --frames 11:14
+    check "frames beyond the log are left out without a word" grep -q "^relidar: note: frames 11:14: run ends with frame 11" err
+    good train street --out kept --preset quick --set train.iterations=1 --set dataset.test_every=0 --no-eval --quiet
+    good render kept --out kept_scans
+    check "render of a run that held nothing out does not say so" grep -q "^relidar: note: kept held no frame out: rendering all 12" err
+    check "render of a run that held nothing out left frames out" test "$(ls kept_scans | wc -l)" = 13
     bad 2 "no frame of run lies in it" render run --out x --frames 100:200
     bad 2 'format: found "npy", did you mean npz' render run --out x --format npy
     bad 2 "offset: found 2 numbers" render run --out x --offset 1,2
+    bad 2 'format: found "", did you mean' render run --out x --format npz,
+    bad 2 "offset: found 1e[+]?30 in .*between -10000 and 10000" render run --out x --offset 1e30,0,0,0
+    bad 2 "offset: found a turn of 1000000000 in" render run --out x --offset 0,0,0,1e9
+    bad 2 '--frame: found "wold", expected sensor or world' render run --out x --frame wold
+    bad 2 "known: native, kitti360, HDL-64E" render run --out x --sensor nativ
+    bad 2 "99999999 columns at 10 Hz, expected a whole number from 1 to 1000000" render run --out x --sensor beams.csv:99999999x10
+    printf 'elevation_deg,azimuth_ofset_deg\n5,1\n' >typo.csv
+    bad 3 "typo.csv line 1: column 'azimuth_ofset_deg' is not known, did you mean 'azimuth_offset_deg'" render run --out x --sensor typo.csv
     bad 2 "offset: found \"x\"" render run --out x --offset 1,2,x
     bad 2 "did you mean 'VLP-16'" render run --out x --sensor VLP16
     bad 3 "cannot be made a folder" render run --out broken.toml/x
     absent x
+}
+
+# Highest range of the points in a KITTI .bin file, metres.
+farthest() { od -An -v -t f4 -w16 "$1" | awk '{ r = $1 * $1 + $2 * $2 + $3 * $3; if (r > most) most = r } END { print sqrt(most) }'; }
+
+# dataset.max_range_m and min_range_m: of the sensor that renders, and of what is read.
+range_limits() {
+    good render run --out far --frames 5:6 --format bin
+    check "the street has nothing beyond 20 m" awk "BEGIN { exit !($(farthest far/frame_000005.bin) > 20) }"
+    good render run --out near --frames 5:6 --format bin --set dataset.max_range_m=20 --sensor Native
+    check "points beyond dataset.max_range_m" awk "BEGIN { exit !($(farthest near/frame_000005.bin) <= 20.5) }"
+    good render run --out nothing --frames 5:6 --format ply,pcd,bin --set dataset.max_range_m=0.5
+    for line in "FIELDS x y z intensity ring time instance" "POINTS 0"; do check "an empty pcd lacks: $line" grep -aqx "$line" nothing/frame_000005.pcd; done
+    check "an empty ply lacks its fields" test "$(grep -ac '^property' nothing/frame_000005.ply)" = 7
+    good eval run --out limited.json --set dataset.max_range_m=20
+    check "eval with another range limit gives the same numbers" test "$(grep -c depth_medae limited.json)" -gt 0 -a "$(grep -m1 strict/depth_rmse_m limited.json)" != "$(grep -m1 strict/depth_rmse_m run/metrics.json)"
+    bad 2 "range limits: 30 to 20 m, expected 0 <= dataset.min_range_m < dataset.max_range_m" info street --set dataset.max_range_m=20 --set dataset.min_range_m=30
 }
 
 # x y z yaw of a track's start, as --copy takes it.
@@ -255,6 +325,7 @@ evaluation() {
     cp run/metrics.json before.json
     good eval run
     says "strict/depth_medae_m"
+    says "^points/cd_mean_m"
     says "^actors/tail_share_real "
     check "eval gives other numbers than train" diff <(sed -n '/"mean"/,/}/p' before.json) <(sed -n '/"mean"/,/}/p' run/metrics.json)
     good eval run --out sub/metrics.json --set render.range=normalised

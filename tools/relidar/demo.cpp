@@ -24,12 +24,12 @@ namespace {
 namespace fs = std::filesystem;
 
 const Pose kShift{glm::dquat(1.0, 0.0, 0.0, 0.0), glm::dvec3(0.0, 2.0, 1.0)};   // 2 m to the left, 1 m up
-constexpr const char* kShownMetrics[] = {"strict/depth_medae_m", "strict/depth_rmse_m", "strict/intensity_mae", "strict/drop_accuracy", "strict/cd_mean_m", "strict/f_22cm", "peer/depth_psnr_db", "peer/depth_ssim"};
+constexpr const char* kShownMetrics[] = {"strict/depth_medae_m", "strict/depth_rmse_m", "strict/intensity_mae", "strict/drop_accuracy", "strict/cd_mean_m", "points/cd_mean_m", "points/f_22cm", "peer/depth_psnr_db", "peer/depth_ssim"};
 
 struct Options {
     std::string out = "demo";
     std::string seed = "1";
-    int iterations = -1;
+    std::string iterations;
     std::vector<std::string> sets;
     DeviceChoice device;
     bool quiet = false;
@@ -40,7 +40,7 @@ Config config_of(const Options& options, const fs::path& street) {
     set_key(config, "train.seed", options.seed);
     set_key(config, "init.seed", options.seed);
     config.init.scale_factor = 0.6;   // 32 beams leave wider gaps between points than the 64 the preset is made for
-    if (options.iterations >= 0) config.train.iterations = options.iterations;
+    if (!options.iterations.empty()) set_key(config, "train.iterations", options.iterations);
     apply_sets(config, options.sets);
     config.dataset.path = absolute_dataset("synthetic:" + street.string());
     return config;
@@ -56,26 +56,30 @@ Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
 Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptions& street, bool quiet) {
     Progress progress(quiet);
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
-    PoseTrack track = run.sequence.world_from_sensor;
-    for (Pose& pose : track.pose) pose = pose * kShift;
+    const PoseTrack track = moved_track(run.sequence.world_from_sensor, kShift);
     const RayTable rays = make_rays(run.sequence.sensor);
     std::vector<ScoredFrame> frames;
     for (const int position : run.split.test) {
         stop_if_interrupted();
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        const Frame exact{frame.index, frame.time_s, cast_synthetic_street(street, rays, track, frame.time_s)};
+        Frame exact{frame.index, frame.time_s, cast_synthetic_street(street, rays, track, frame.time_s)};
+        drop_outside(exact.scan, run.sequence.sensor.range_limits());
         frames.push_back(score_frame(renderer, run.config, run.sequence, exact, kShift));
         progress.count("shifted sensor, frame", frames.size(), run.split.test.size());
     }
     return summarise(std::move(frames), renderer.times());
 }
 
-void write_scans(const fs::path& folder, const Evaluation& evaluation, const Run& run) {
+void write_scans(const fs::path& folder, const Evaluation& evaluation, const Run& run, const Pose& offset) {
     const OutputFolder made(folder);
+    ScanFormat format = scan_format(run, configured_sensor(run.config, run.sequence), offset);
+    format.formats = {"npz", "png", "ply", "exr"};
+    ScanFolder scans(folder, format);
     for (const ScoredFrame& frame : evaluation.frames) {
-        write_scan(folder, frame.frame, frame.rendered, {{"npz", "png", "ply", "exr"}, instance_names(run.scene)});
+        scans.write(frame.frame, frame.rendered);
         write_png(folder / fmt::format("range_{:06}.png", frame.frame), range_pair(frame, run.config.dataset.max_range_m));
     }
+    scans.finish();
 }
 
 std::string short_table(const Evaluation& held_out, const Evaluation& shifted) {
@@ -89,8 +93,8 @@ void finish(Device& device, const Run& run, const SyntheticOptions& street, Repo
     const Evaluation held_out = evaluate_held_out(device, run, quiet);
     const Evaluation shifted = evaluate_shifted(device, run, street, quiet);
     write_text(run.folder / "metrics.json", metrics_json(held_out, run.config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
-    write_scans(out / "held_out", held_out, run);
-    write_scans(out / "shifted", shifted, run);
+    write_scans(out / "held_out", held_out, run, {});
+    write_scans(out / "shifted", shifted, run, kShift);
     report.title = "relidar demo: a synthetic street";
     report.summary += " The shifted sensor stands 2 m to the left of the real one and 1 m higher; its exact scan comes from casting rays into the street itself, without noise. "
                       "Moving cars are actors: surfel sets of their own, placed by their tracked boxes.";

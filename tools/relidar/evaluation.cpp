@@ -18,8 +18,9 @@ namespace relidar::cli {
 namespace {
 
 SensorChoice sensor_of(const Config& config, const Sequence& sequence, const Frame& frame) {
-    if (config.sensor.grid == "native") return {frame.scan.rays, std::nullopt, true, sequence.sensor.beams};
-    return configured_sensor(config, sequence);
+    SensorChoice sensor = configured_sensor(config, sequence);
+    if (config.sensor.grid == "native") sensor.rays = frame.scan.rays;
+    return sensor;
 }
 
 /// The pixels whose return lies in a moving box: binned as the points are, with the answer in the place of the intensity.
@@ -66,7 +67,7 @@ std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config
     options.max_range_m = config.dataset.max_range_m;
     options.lpips = lpips;
     std::vector<Comparison> comparisons;
-    for (const RenderedFrame& r : rendered) comparisons.push_back({&r.frame.rendered.image, &r.frame.real, standard_regions(r.frame.real, r.moving)});
+    for (const RenderedFrame& r : rendered) comparisons.push_back({&r.frame.rendered.image, &r.frame.real, standard_regions(r.frame.real, r.moving), point_ranges(r.frame.rendered, config)});
     const std::vector<MetricRow> rows = evaluate_all(comparisons, options);
     std::vector<ScoredFrame> frames;
     for (std::size_t i = 0; i < rendered.size(); ++i) {
@@ -114,7 +115,8 @@ Evaluation evaluate_baseline(const std::string& name, const Config& config, cons
         stop_if_interrupted();
         const Frame& frame = sequence.frames.at(static_cast<std::size_t>(position));
         RenderedFrame result = real_frame(config, sequence, frame, {});
-        const Scan points = neighbour_points(sequence, position, split.train, boxes, config.init.actor_min_step_m);
+        Scan points = neighbour_points(sequence, position, split.train, boxes, config.init.actor_min_step_m);
+        drop_outside(points, configured_sensor(config, sequence).limits);
         result.frame.rendered.image = real_image(config, config.sensor.grid == "native" ? bin_onto_rays(frame.scan.rays, points) : points);
         frames.push_back(std::move(result));
         progress.count("projecting neighbours of frame", frames.size(), split.test.size());

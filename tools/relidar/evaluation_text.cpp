@@ -20,6 +20,7 @@ constexpr const char* kPeer = "all pixels, dropped ones at 0, ranges clamped to 
                               "squared Chamfer distance and F-score at 0.05 m^2 squared distance over returned points; returned: drop_prob < 0.4";
 constexpr const char* kStrict = "returned: drop_prob < 0.5; image_*: all pixels, dropped ones at 0; depth_*, intensity_*: pixels returned in both; Chamfer distance: both ways summed; "
                                 "F-score at 5 cm and 22.4 cm; drop_*: dropped is positive";
+constexpr const char* kPoints = "as strict/depth_*, cd_* and f_*, of point clouds as files hold them: render.points, by default the dominant surface; strict/* is of the image, render.range";
 constexpr const char* kRegions = "pixels with a real return, the rendered value whatever its drop probability; `returned`: share of them with drop_prob < 0.5";
 constexpr const char* kActors = "tail_share: of the returned points (drop_prob < 0.5), those above ground where a moving box is at another time of the log but none is now; tail_share_real: of the log's";
 constexpr const char* kColumns[] = {"pixels", "returned", "depth_medae_m", "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
@@ -30,10 +31,13 @@ Json protocol_json(const Config& config) {
             {"grid", config.sensor.grid},
             {"grid_method", config.sensor.grid == "native" ? "rays of the real scan" : config.sensor.grid_method},
             {"range", config.render.range},
+            {"points_range", config.render.points == "median" ? "median" : config.render.range},
+            {"min_range_m", config.dataset.min_range_m},
             {"max_range_m", config.dataset.max_range_m},
             {"lpips", lpips.empty() ? "no weights" : "AlexNet, v0.1, on metres and intensity, x -> 2 x - 1 without a clamp; weights " + lpips},
             {"peer", kPeer},
             {"strict", kStrict},
+            {"points", kPoints},
             {"regions", kRegions},
             {"actors", kActors},
             {"drop_threshold", {{"peer", 0.4}, {"strict", 0.5}, {"regions", 0.5}}}};
@@ -45,7 +49,7 @@ Json frames_json(const Evaluation& evaluation) {
     return frames;
 }
 
-bool of_protocol(const std::string& name) { return name.starts_with("peer/") || name.starts_with("strict/") || name.starts_with("actors/"); }
+bool of_protocol(const std::string& name) { return name.starts_with("peer/") || name.starts_with("strict/") || name.starts_with("points/") || name.starts_with("actors/"); }
 
 /// Lowest and highest of a metric over the frames that have it.
 std::pair<double, double> spread_of(const Evaluation& evaluation, const std::string& name) {
@@ -101,7 +105,7 @@ std::string metric_table(const Evaluation& evaluation, const Evaluation* baselin
         }
     std::string text = table(rows) + "\n" + table(region_rows(evaluation));
     if (baseline) text += "\n" + table(region_rows(*baseline));
-    return text + fmt::format("\npeer     {}\nstrict   {}\nregions  {}\nactors   {}\n", kPeer, kStrict, kRegions, kActors);
+    return text + fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n", kPeer, kStrict, kPoints, kRegions, kActors);
 }
 
 std::string metrics_json(const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin) {

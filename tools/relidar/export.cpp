@@ -32,8 +32,12 @@ struct ImportOptions {
 std::string sizes(const Scene& scene) { return fmt::format("{} surfels, {} model{}", scene.surfels.size(), scene.models.size(), scene.models.size() == 1 ? "" : "s"); }
 
 void run_export(const ExportOptions& options) {
-    const Run run = load_run(options.run);
     const std::filesystem::path out = options.out;
+    if (!known_name(out.extension().string(), {".ply"})) {
+        const std::string found = out.has_extension() ? "the ending " + out.extension().string() : "no ending";
+        throw UsageError(fmt::format("--out {}: found {}, expected a name that ends in .ply: that is the format", options.out, found));
+    }
+    const Run run = load_run(options.run);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     write_surfel_ply(out, run.scene);
     if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), sizes(run.scene)));

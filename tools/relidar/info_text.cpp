@@ -39,7 +39,7 @@ std::string box_table(const std::vector<BoxSummary>& boxes, bool of_run) {
     for (const BoxSummary& b : boxes) {
         rows.push_back({b.id, b.category, fmt::format("{:.2f} m", b.size_m.x), fmt::format("{:.2f} m", b.size_m.y), fmt::format("{:.2f} m", b.size_m.z),
                         b.n_frames ? fmt::format("{}-{}", b.first_frame, b.last_frame) : "none", fmt::format("{:.1f} m", b.path_m),
-                        b.moves ? fmt::format("{:.1f} m/s", b.mean_speed_mps) : "still", fmt::format("{:.2f},{:.2f},{:.2f},{:.1f}", b.start_m.x, b.start_m.y, b.start_m.z, b.start_yaw_deg)});
+                        b.parked ? "parked" : fmt::format("{:.1f} m/s", b.mean_speed_mps), fmt::format("{:.2f},{:.2f},{:.2f},{:.1f}", b.start_m.x, b.start_m.y, b.start_m.z, b.start_yaw_deg)});
         if (of_run) rows.back().insert(rows.back().end(), {b.instance ? fmt::format("{}", *b.instance) : "-", b.instance ? fmt::format("{}", b.n_surfels) : "-"});
     }
     return "\n" + table(rows);
@@ -47,7 +47,7 @@ std::string box_table(const std::vector<BoxSummary>& boxes, bool of_run) {
 
 Json json_of(const BoxSummary& b) {
     Json json = {{"id", b.id}, {"category", b.category}, {"size_m", {b.size_m.x, b.size_m.y, b.size_m.z}}, {"frames", b.n_frames}, {"first_frame", b.first_frame},
-                 {"last_frame", b.last_frame}, {"path_m", b.path_m}, {"mean_speed_mps", b.mean_speed_mps}, {"moving", b.moves},
+                 {"last_frame", b.last_frame}, {"path_m", b.path_m}, {"mean_speed_mps", b.mean_speed_mps}, {"moving", b.moves}, {"parked", b.parked},
                  {"start_m", {b.start_m.x, b.start_m.y, b.start_m.z}}, {"start_yaw_deg", b.start_yaw_deg}, {"instance", nullptr}, {"surfels", b.n_surfels}};
     if (b.instance) json["instance"] = *b.instance;
     return json;
@@ -83,6 +83,7 @@ BoxSummary summarise(const Sequence& sequence, const BoxTrack& box, double min_s
     const double seconds = track.time_s.back() - track.time_s.front();
     summary.mean_speed_mps = seconds > 0.0 ? summary.path_m / seconds : 0.0;
     summary.moves = box.mean_step_m() > min_step_m;
+    summary.parked = box.is_parked();
     const glm::dvec3 forward = track.pose.front().rotation * glm::dvec3(1, 0, 0);
     summary.start_m = track.pose.front().translation + sequence.world_offset_m;
     summary.start_yaw_deg = std::atan2(forward.y, forward.x) * 180.0 / kPi;
@@ -96,8 +97,8 @@ std::string text_of(const LogSummary& log, bool of_run) {
                                        log.bottom_deg, log.period_s, log.max_range_m, log.rolling_shutter ? ", rolling shutter" : ""));
     text += line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames, log.first_frame, log.last_frame, log.seconds, log.path_m));
     if (log.returns_share) text += line("returns", fmt::format("{:.1f} % of all rays", 100.0 * *log.returns_share));
-    const auto moving = std::count_if(log.boxes.begin(), log.boxes.end(), [](const BoxSummary& b) { return b.moves; });
-    text += line("boxes", fmt::format("{}, {} of them moving", log.boxes.size(), moving));
+    const auto parked = std::count_if(log.boxes.begin(), log.boxes.end(), [](const BoxSummary& b) { return b.parked; });
+    text += line("boxes", fmt::format("{}: {} moving, {} parked", log.boxes.size(), static_cast<std::ptrdiff_t>(log.boxes.size()) - parked, parked));
     return text + box_table(log.boxes, of_run);
 }
 

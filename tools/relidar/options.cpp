@@ -7,6 +7,7 @@
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
+#include "console.hpp"
 #include <relidar/error.hpp>
 
 namespace relidar::cli {
@@ -33,9 +34,10 @@ DeviceOptions device_options(const DeviceChoice& choice) {
     DeviceOptions options;
     if (choice.index < -1) throw UsageError(fmt::format("--device: found {}, expected a number that `relidar devices` lists", choice.index));
     options.index = choice.index;
-    if (choice.traversal == "ray_query") options.traversal = Traversal::ray_query;
-    else if (choice.traversal == "software") options.traversal = Traversal::software;
-    else if (choice.traversal != "auto") throw UsageError(fmt::format("--traversal: found \"{}\", expected auto, ray_query or software", choice.traversal));
+    const std::optional<std::string> traversal = known_name(choice.traversal, {"auto", "ray_query", "software"});
+    if (traversal == "ray_query") options.traversal = Traversal::ray_query;
+    else if (traversal == "software") options.traversal = Traversal::software;
+    else if (!traversal) throw UsageError(fmt::format("--traversal: found \"{}\", expected auto, ray_query or software", choice.traversal));
     return options;
 }
 
@@ -76,9 +78,14 @@ FrameRange parse_frames(const std::string& text) {
     return range;
 }
 
+void note_frames_beyond(const FrameRange& range, int last, const std::string& where) {
+    if (range.end > last + 1) note(fmt::format("frames {}:{}: {} ends with frame {}; the rest is left out", range.begin, range.end, where, last));
+}
+
 std::vector<double> parse_list(const std::string& option, const std::string& text) {
     std::vector<double> numbers;
-    for (const std::string& word : split(text, ',')) {
+    for (const std::string& typed : split(text, ',')) {
+        const std::string word = without_blanks(typed);
         double value = 0.0;
         if (!parse(word, value) || !std::isfinite(value)) throw UsageError(fmt::format("{}: found \"{}\" in \"{}\", expected numbers parted by commas", option, word, text));
         numbers.push_back(value);
@@ -95,6 +102,11 @@ std::vector<std::string> split(const std::string& text, char separator) {
     return words;
 }
 
+std::string without_blanks(const std::string& text) {
+    const std::size_t begin = text.find_first_not_of(" \t"), end = text.find_last_not_of(" \t");
+    return begin == std::string::npos ? "" : text.substr(begin, end - begin + 1);
+}
+
 std::string absolute_path(const std::string& path) {
     if (path.empty()) return path;
     const std::string clean = fs::absolute(path).lexically_normal().string();
@@ -109,7 +121,9 @@ std::string absolute_dataset(const std::string& dataset) {
 }
 
 Sequence load_dataset(const Config& config) {
-    return load_sequence(config.dataset.path, {{config.dataset.frames_begin, config.dataset.frames_end}, config.dataset.poses, config.dataset.allow_missing_scans, config.sensor.rolling_shutter, config.dataset.max_range_m});
+    Sequence sequence = load_sequence(config.dataset.path, {{config.dataset.frames_begin, config.dataset.frames_end}, config.dataset.poses, config.dataset.allow_missing_scans, config.sensor.rolling_shutter, config.dataset.max_range_m, config.dataset.min_range_m});
+    if (!sequence.frames.empty()) note_frames_beyond({config.dataset.frames_begin, config.dataset.frames_end}, sequence.frames.back().index, sequence.source);
+    return sequence;
 }
 
 }  // namespace relidar::cli

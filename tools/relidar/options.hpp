@@ -39,9 +39,12 @@ void apply_sets(Config& config, const std::vector<std::string>& sets);
 
 /// "a:b", either side may be empty. @throws UsageError
 FrameRange parse_frames(const std::string& text);
+/// Tells that a log or a run ends before the frames that are wanted do. @param last frame of it
+void note_frames_beyond(const FrameRange& range, int last, const std::string& where);
 /// Numbers parted by commas. @throws UsageError naming the option
 std::vector<double> parse_list(const std::string& option, const std::string& text);
 std::vector<std::string> split(const std::string& text, char separator);
+std::string without_blanks(const std::string& text);   ///< at both ends
 
 /// A dataset as given, made independent of the working folder; a kind in front stays.
 std::string absolute_dataset(const std::string& dataset);

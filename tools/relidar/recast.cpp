@@ -9,6 +9,7 @@
 
 #include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
+#include <relidar/render.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -52,11 +53,13 @@ std::vector<Scan> attach_recast(Run& run) {
     const SyntheticOptions street = read_synthetic(street_folder(run));
     const std::vector<StreetCar> cars = cars_of(run);
     const RayTable rays = make_rays(run.sequence.sensor);
+    const RangeLimits limits = configured_sensor(run.config, run.sequence).limits;
     std::vector<Scan> before;
     for (const int position : run.split.test) {
         Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
         frame.scan = cast_synthetic_street(street, cars, rays, run.sequence.world_from_sensor, frame.time_s);
         before.push_back(cast_synthetic_street(street, rays, run.sequence.world_from_sensor, frame.time_s));
+        for (Scan* scan : {&frame.scan, &before.back()}) drop_outside(*scan, limits);
     }
     return before;
 }

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // relidar render: scans of a run, from where the sensor was or beside it, by its own sensor or another, as files.
 #include <algorithm>
-#include <chrono>
+#include <cmath>
 #include <memory>
+#include <numeric>
+#include <optional>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
@@ -22,31 +24,53 @@ namespace {
 struct Options {
     std::string run;
     std::string out;
-    std::string frames = "test";
+    std::optional<std::string> frames;
     std::string offset;
     std::string sensor;
     std::string formats = "npz";
     std::vector<std::string> sets;
     std::vector<std::string> only;
     DeviceChoice device;
+    std::string point_frame = "sensor";
+    bool deskew = false;
+    bool overwrite = false;
     bool quiet = false;
 };
 
-/// Positions of the wanted frames. @throws UsageError where there is none
-std::vector<int> choose_frames(const Run& run, const std::string& which) {
-    std::vector<int> positions;
-    if (which == "test" || which == "train") {
-        positions = which == "test" ? run.split.test : run.split.train;
-    } else {
-        const FrameRange range = which == "all" ? FrameRange{} : parse_frames(which);
-        for (int i = 0; i < static_cast<int>(run.sequence.frames.size()); ++i) {
-            const int index = run.sequence.frames[static_cast<std::size_t>(i)].index;
-            if (index >= range.begin && (range.end < 0 || index < range.end)) positions.push_back(i);
-        }
+constexpr double kFarthestOffset_m = 10'000.0;   // beyond it a number is a slip, and float positions lose millimetres
+
+std::vector<int> all_positions(const Run& run) {
+    std::vector<int> positions(run.sequence.frames.size());
+    std::iota(positions.begin(), positions.end(), 0);
+    return positions;
+}
+
+std::vector<int> positions_in(const Run& run, const FrameRange& range) {
+    std::vector<int> positions = all_positions(run);
+    std::erase_if(positions, [&](int i) {
+        const int index = run.sequence.frames[static_cast<std::size_t>(i)].index;
+        return index < range.begin || (range.end >= 0 && index >= range.end);
+    });
+    return positions;
+}
+
+/// Positions of the wanted frames; where nobody says which, those held out, or all where none was. @throws UsageError where there is none
+std::vector<int> choose_frames(const Run& run, const std::optional<std::string>& wanted, bool quiet) {
+    if (!wanted && run.split.test.empty()) {
+        if (!quiet) note(fmt::format("{} held no frame out: rendering all {}", run.folder.string(), run.sequence.frames.size()));
+        return all_positions(run);
+    }
+    const std::string which = wanted.value_or("test");
+    const std::string name = known_name(which, {"test", "train", "all"}).value_or("");
+    std::vector<int> positions = name == "all" ? all_positions(run) : name == "train" ? run.split.train : run.split.test;
+    const int last = run.sequence.frames.back().index;
+    if (name.empty()) {
+        const FrameRange range = parse_frames(which);
+        positions = positions_in(run, range);
+        if (!positions.empty()) note_frames_beyond(range, last, run.folder.string());
     }
     if (positions.empty()) {
-        throw UsageError(fmt::format("--frames {}: no frame of {} lies in it, expected numbers in {}..{}, or test, train or all", which, run.folder.string(),
-                                     run.sequence.frames.front().index, run.sequence.frames.back().index));
+        throw UsageError(fmt::format("--frames {}: no frame of {} lies in it, expected numbers in {}..{}, or test, train or all", which, run.folder.string(), run.sequence.frames.front().index, last));
     }
     return positions;
 }
@@ -56,23 +80,48 @@ Pose parse_offset(const std::string& text) {
     if (text.empty()) return {};
     const std::vector<double> v = parse_list("--offset", text);
     if (v.size() != 3 && v.size() != 4) throw UsageError(fmt::format("--offset: found {} numbers in \"{}\", expected x,y,z or x,y,z,yaw_deg", v.size(), text));
+    for (std::size_t i = 0; i < 3; ++i)
+        if (std::abs(v[i]) > kFarthestOffset_m) {
+            throw UsageError(fmt::format("--offset: found {} in \"{}\", expected metres between -{} and {}", v[i], text, kFarthestOffset_m, kFarthestOffset_m));
+        }
+    if (v.size() == 4 && std::abs(v[3]) > 360.0) {
+        throw UsageError(fmt::format("--offset: found a turn of {} in \"{}\", expected degrees between -360 and 360", v[3], text));
+    }
     const double yaw_rad = v.size() == 4 ? v[3] * kPi / 180.0 : 0.0;
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), {v[0], v[1], v[2]}};
 }
 
+/// What the files hold.
+ScanFormat wanted_format(const Options& options, const Run& run, const SensorChoice& sensor, const Pose& offset) {
+    ScanFormat format = scan_format(run, sensor, offset);
+    format.formats = parse_formats(options.formats);
+    format.frame = parse_point_frame(options.point_frame);
+    format.deskew = options.deskew;
+    format.only = options.only;
+    return format;
+}
+
+/// @throws UsageError for what can be refused before the run is loaded
+void check_options(const Options& options) {
+    parse_formats(options.formats);
+    parse_point_frame(options.point_frame);
+    check_no_scans(options.out, options.overwrite);
+}
+
 void run_render(const Options& options) {
-    const std::vector<std::string> formats = parse_formats(options.formats);
+    check_options(options);
     const Pose offset = parse_offset(options.offset);
     const OutputFolder folder(options.out);
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
-    const std::vector<int> positions = choose_frames(run, options.frames);
+    const std::vector<int> positions = choose_frames(run, options.frames, options.quiet);
     const SensorChoice sensor = options.sensor.empty() ? configured_sensor(run.config, run.sequence) : choose_sensor(options.sensor, run.config, run.sequence);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
-    const std::vector<std::string> names = instance_names(run.scene);
     Device device(device_options(options.device));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     if (!options.only.empty()) renderer.show_only(shown);
+    const ScanFormat format = wanted_format(options, run, sensor, offset);
+    ScanFolder scans(folder.path(), format);
 
     catch_interrupts();
     Progress progress(options.quiet);
@@ -81,14 +130,15 @@ void run_render(const Options& options) {
         stop_if_interrupted();
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(positions[done])];
         const RenderedScan scan = renderer.render(sensor, frame.time_s, offset);
-        write_scan(folder.path(), frame.index, scan, {formats, names});
+        scans.write(frame.index, scan);
         trace_ms += scan.trace_ms;
         progress.count(fmt::format("rendering frame {}:", frame.index), done + 1, positions.size());
     }
+    scans.finish();
     end_progress_line();
     if (options.quiet) return;
     const double mrays = static_cast<double>(sensor.rays.size() * positions.size()) / 1e6;
-    print(fmt::format("{} scans of {} rays in {} ({}); tracing {:.1f} ms a scan, {:.3f} Mrays/s\n", positions.size(), sensor.rays.size(), options.out, fmt::join(formats, ", "),
+    print(fmt::format("{} scans of {} rays in {} ({}); tracing {:.1f} ms a scan, {:.3f} Mrays/s\n", positions.size(), sensor.rays.size(), options.out, fmt::join(format.formats, ", "),
                       trace_ms / static_cast<double>(positions.size()), trace_ms > 0.0 ? 1000.0 * mrays / trace_ms : 0.0));
 }
 
@@ -99,21 +149,28 @@ void add_render(CLI::App& app, Call& call) {
     const auto options = std::make_shared<Options>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
     command->add_option("--out", options->out, "folder for the scans")->required()->type_name("DIR");
-    command->add_option("--frames", options->frames, "first:end by the dataset's numbers, or test, train or all (default: test)")->type_name("WHICH");
+    command->add_option("--frames", options->frames, "first:end by the dataset's numbers, or test, train or all (default: test; all where none was held out)")->type_name("WHICH");
     command->add_option("--offset", options->offset, "move the sensor, in its own frame: forward, left, up in metres, turn left in degrees")->type_name("X,Y,Z,YAW_DEG");
-    command->add_option("--sensor", options->sensor, "another sensor: native, kitti360, VLP-16, HDL-64E, OS1-64, OS1-128, waymo-top, or a CSV beam table as in beams.csv:1024x10")->type_name("NAME|FILE");
+    command->add_option("--sensor", options->sensor, "another sensor: native (the log's), kitti360, VLP-16, HDL-64E, OS1-64, OS1-128, waymo-top, or a CSV beam table as in beams.csv:1024x10, see below")->type_name("NAME|FILE");
     command->add_option("--format", options->formats, "npz, exr, ply, pcd, bin, png, parted by commas (default: npz)")->type_name("LIST");
     command->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")->type_name("WHAT")->type_size(1)->allow_extra_args(false);
+    command->add_option("--frame", options->point_frame, "frame of reference of points: sensor, each point at its own firing time; or world, the dataset's (default: sensor)")->type_name("WHAT");
+    command->add_flag("--deskew", options->deskew, "bring all points of a scan to the sensor's frame at the scan's time, as a motion-compensated log has them");
+    command->add_flag("--overwrite", options->overwrite, "replace the rendering in DIR");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer("Files are DIR/frame_000123.npz and so on, by the dataset's frame number.\n"
-                    "npz: range, median_range, intensity, drop_prob, weight [rows,columns]; directions, origin [rows,columns,3] in the sensor frame;\n"
-                    "pose [4,4] sensor to the dataset's world; time_s. Metres. ply, pcd, bin: points of rays with drop_prob < 0.5, sensor frame.\n"
-                    "instance (npz, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; npz has instance_names.\n"
+    command->footer(std::string("Files are DIR/frame_000123.npz and so on, by the dataset's frame number, and DIR/scans.json: run, sensor, offset, poses, times, settings.\n"
+                    "npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin [rows,columns,3];\n"
+                    "pose [4,4] sensor to the dataset's world at time_s. Metres, seconds. ply, pcd, bin: points of rays with drop_prob < 0.5, of the dominant\n"
+                    "surface (--set render.points=range: of the mean along the ray, which lies between two surfaces at edges). ring: laser, 0 the highest;\n"
+                    "time: of the ray, seconds from time_s. VIEWPOINT of a pcd takes its points to the dataset's world.\n"
+                    "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; npz has instance_names.\n") +
+                    kBeamTableHelp + "\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"
                     "  relidar render run --out cars --only actors --format ply\n"
+                    "  relidar render run --out map --frames all --frame world --format pcd\n"
                     "  relidar render run --out left --frames 10:20 --offset 0,2,1,0 --format npz,ply\n"
                     "  relidar render run --out small --sensor VLP-16 --format png");
     command->callback([&call, options] { call.run = [options] { run_render(*options); }; });

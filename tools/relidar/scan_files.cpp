@@ -4,12 +4,14 @@
 #include <algorithm>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include "options.hpp"
 #include "pictures.hpp"
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
 #include <relidar/render.hpp>
+#include <relidar/run.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -17,7 +19,57 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr float kDropThreshold = 0.5f;
-using Names = std::vector<std::string>;   // of the instances
+constexpr const char* kUnits = "metres, seconds; intensity and drop_prob 0 to 1";
+
+/// A scan with its rays in the frame that was asked for.
+struct PlacedScan {
+    const RenderedScan& scan;
+    const ScanFormat& format;
+    int frame;                                  ///< the dataset's number
+    std::vector<glm::vec3> origin, direction;   ///< [n]
+    FileNotes notes;
+
+    const RangeImage& image() const { return scan.image; }
+};
+
+void place_rays(PlacedScan& placed) {
+    placed.origin = placed.image().origin;
+    placed.direction = placed.image().direction;
+    const bool world = placed.format.frame == PointFrame::world;
+    if (!world && !placed.format.deskew) return;
+    const Pose target_from_world = world ? Pose{} : inverse(placed.scan.world_from_sensor);
+    for (std::size_t i = 0; i < placed.origin.size(); ++i) {
+        const Pose target_from_firing = target_from_world * placed.scan.world_from_firing(i);
+        placed.origin[i] = glm::vec3(target_from_firing * glm::dvec3(placed.origin[i]));
+        placed.direction[i] = glm::vec3(glm::normalize(target_from_firing.rotation * glm::dvec3(placed.direction[i])));
+    }
+}
+
+/// Row by row.
+std::vector<double> matrix_of(const Pose& pose) {
+    const glm::dmat4 columns = to_matrix(pose);
+    std::vector<double> numbers;
+    for (int row = 0; row < 4; ++row)
+        for (int column = 0; column < 4; ++column) numbers.push_back(columns[column][row]);
+    return numbers;
+}
+
+std::string frame_text(const ScanFormat& format) {
+    if (format.frame == PointFrame::world) return "world: the dataset's own";
+    return format.deskew ? "sensor at time_s: x forward, y left, z up" : "sensor at each ray's firing time: x forward, y left, z up";
+}
+
+FileNotes notes_of(const ScanFormat& format, int frame, const RenderedScan& scan) {
+    return {{"relidar", RELIDAR_VERSION},
+            {"run", format.run},
+            {"sensor", format.sensor},
+            {"frame_number", fmt::format("{}", frame)},
+            {"time_s", fmt::format("{}", scan.time_s)},
+            {"points_in", frame_text(format)},
+            {"points_range", format.config.render.points == "median" ? "median" : format.config.render.range},
+            {"world_from_sensor", fmt::format("{}", fmt::join(matrix_of(scan.world_from_sensor), " "))},
+            {"units", kUnits}};
+}
 
 template <class T>
 NamedArray image_array(const char* name, const RangeImage& image, const std::vector<T>& values) {
@@ -29,73 +81,143 @@ NamedArray vector_array(const char* name, const RangeImage& image, const std::ve
     return make_array(name, {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns), 3}, first, values.size() * 3);
 }
 
-void npz(const fs::path& path, const RenderedScan& scan, const Names& names) {
+void npz(const fs::path& path, const PlacedScan& placed) {
+    const RenderedScan& scan = placed.scan;
     const RangeImage& image = scan.image;
-    const glm::dmat4 columns = to_matrix(scan.world_from_sensor);
-    std::vector<double> pose;   // row-major
-    for (int row = 0; row < 4; ++row) {
-        for (int column = 0; column < 4; ++column) pose.push_back(columns[column][row]);
+    const std::vector<double> pose = matrix_of(scan.world_from_sensor);
+    const bool world = placed.format.frame == PointFrame::world;
+    const std::int32_t number = placed.frame, deskewed = world || placed.format.deskew ? 1 : 0;
+    write_npz(path, {image_array("range", image, image.range_m),
+                     image_array("median_range", image, scan.median_range_m),
+                     image_array("intensity", image, image.intensity),
+                     image_array("drop_prob", image, image.drop_prob),
+                     image_array("weight", image, scan.weight),
+                     image_array("time", image, scan.time_offset_s),
+                     image_array("ring", image, scan.channel),
+                     image_array("instance", image, scan.instance),
+                     make_text_array("instance_names", placed.format.instance_names),
+                     vector_array("directions", image, placed.direction),
+                     vector_array("origin", image, placed.origin),
+                     make_array("pose", {4, 4}, pose.data(), pose.size()),
+                     make_array("time_s", {}, &scan.time_s, 1),
+                     make_array("frame_number", {}, &number, 1),
+                     make_text("frame", world ? "world" : "sensor"),
+                     make_array("deskewed", {}, &deskewed, 1),
+                     make_text("sensor", placed.format.sensor),
+                     make_text("run", placed.format.run),
+                     make_text("units", kUnits)});
+}
+
+void exr(const fs::path& path, const PlacedScan& placed) {
+    const RenderedScan& scan = placed.scan;
+    const RangeImage& image = scan.image;
+    std::map<std::string, std::vector<float>> channels{{"range", image.range_m},         {"median_range", scan.median_range_m},
+                                                       {"intensity", image.intensity},   {"drop_prob", image.drop_prob},
+                                                       {"weight", scan.weight},          {"time", scan.time_offset_s},
+                                                       {"instance", {scan.instance.begin(), scan.instance.end()}}};
+    constexpr const char* kAxes = "xyz";
+    for (int axis = 0; axis < 3; ++axis) {
+        auto &origin = channels[fmt::format("origin.{}", kAxes[axis])], &direction = channels[fmt::format("direction.{}", kAxes[axis])];
+        for (const glm::vec3& v : placed.origin) origin.push_back(v[axis]);
+        for (const glm::vec3& v : placed.direction) direction.push_back(v[axis]);
     }
-    write_npz(path, {image_array("range", image, image.range_m), image_array("median_range", image, scan.median_range_m), image_array("intensity", image, image.intensity),
-                     image_array("drop_prob", image, image.drop_prob), image_array("weight", image, scan.weight), image_array("instance", image, scan.instance), make_text_array("instance_names", names), vector_array("directions", image, image.direction),
-                     vector_array("origin", image, image.origin), make_array("pose", {4, 4}, pose.data(), pose.size()), make_array("time_s", {}, &scan.time_s, 1)});
+    write_exr(path, image.rows, image.columns, channels, placed.notes);
 }
 
-void exr(const fs::path& path, const RenderedScan& scan, const Names&) {
-    const RangeImage& image = scan.image;
-    write_exr(path, image.rows, image.columns,
-              {{"range", image.range_m}, {"median_range", scan.median_range_m}, {"intensity", image.intensity}, {"drop_prob", image.drop_prob}, {"weight", scan.weight}});
+/// Whether a ray gives a point at this range.
+bool is_point(const RenderedScan& scan, std::size_t ray, float range_m) {
+    return scan.image.drop_prob[ray] < kDropThreshold && range_m > 0.0f;
 }
 
-PointCloud cloud_of(const RenderedScan& scan) {
-    const RangeImage& image = scan.image;
-    const std::size_t n = image.range_m.size();
+PointCloud cloud_of(const PlacedScan& placed) {
+    const RenderedScan& scan = placed.scan;
+    const std::vector<float> range_m = point_ranges(scan, placed.format.config);
     PointCloud cloud;
-    for (std::size_t i = 0; i < n; ++i) {
-        if (!(image.drop_prob[i] < kDropThreshold) || !(image.range_m[i] > 0.0f)) continue;
-        cloud.position_m.push_back(image.origin[i] + image.range_m[i] * image.direction[i]);
-        cloud.intensity.push_back(image.intensity[i]);
-        if (scan.channel.size() == n) cloud.channel.push_back(scan.channel[i]);
-        if (scan.time_offset_s.size() == n) cloud.time_offset_s.push_back(scan.time_offset_s[i]);
-        cloud.instance.push_back(scan.instance[i]);
+    cloud.ring.emplace(), cloud.time.emplace(), cloud.instance.emplace();
+    cloud.notes = placed.notes;
+    if (placed.format.frame == PointFrame::sensor) cloud.world_from_points = scan.world_from_sensor;
+    for (std::size_t i = 0; i < range_m.size(); ++i) {
+        if (!is_point(scan, i, range_m[i])) continue;
+        cloud.position_m.push_back(placed.origin[i] + range_m[i] * placed.direction[i]);
+        cloud.intensity.push_back(scan.image.intensity[i]);
+        cloud.ring->push_back(scan.channel[i]);
+        cloud.time->push_back(scan.time_offset_s[i]);
+        cloud.instance->push_back(scan.instance[i]);
     }
     return cloud;
 }
 
-void ply(const fs::path& path, const RenderedScan& scan, const Names&) { write_ply(path, cloud_of(scan)); }
-void pcd(const fs::path& path, const RenderedScan& scan, const Names&) { write_pcd(path, cloud_of(scan)); }
-void bin(const fs::path& path, const RenderedScan& scan, const Names&) { write_kitti_bin(path, cloud_of(scan)); }
-void png(const fs::path& path, const RenderedScan& scan, const Names&) { write_png(path, scan_picture(scan)); }
+std::size_t count_points(const RenderedScan& scan, const Config& config) {
+    const std::vector<float> range_m = point_ranges(scan, config);
+    std::size_t n = 0;
+    for (std::size_t i = 0; i < range_m.size(); ++i) n += is_point(scan, i, range_m[i]);
+    return n;
+}
+
+void ply(const fs::path& path, const PlacedScan& placed) { write_ply(path, cloud_of(placed)); }
+void pcd(const fs::path& path, const PlacedScan& placed) { write_pcd(path, cloud_of(placed)); }
+void bin(const fs::path& path, const PlacedScan& placed) { write_kitti_bin(path, cloud_of(placed)); }
+void png(const fs::path& path, const PlacedScan& placed) { write_png(path, scan_picture(placed.scan), placed.notes); }
 
 struct Format {
     const char* name;   ///< and extension
-    void (*write)(const fs::path&, const RenderedScan&, const Names&);
+    void (*write)(const fs::path&, const PlacedScan&);
 };
 constexpr Format kFormats[] = {{"npz", npz}, {"exr", exr}, {"ply", ply}, {"pcd", pcd}, {"bin", bin}, {"png", png}};
 
 }  // namespace
 
-std::vector<std::string> instance_names(const Scene& scene) {
+std::vector<std::string> scan_formats() {
     std::vector<std::string> names;
-    for (const Instance& instance : scene.instances) names.push_back(instance.track.empty() ? "background" : instance.track);
+    for (const Format& format : kFormats) names.emplace_back(format.name);
     return names;
 }
 
 std::vector<std::string> parse_formats(const std::string& list) {
-    std::vector<std::string> known, wanted = split(list, ',');
-    for (const Format& format : kFormats) known.emplace_back(format.name);
-    for (const std::string& name : wanted) {
-        if (std::find(known.begin(), known.end(), name) != known.end()) continue;
-        throw UsageError(fmt::format("--format: found \"{}\", did you mean {}? (known: {})", name, nearest_name(name, known), fmt::join(known, ", ")));
+    const std::vector<std::string> known = scan_formats();
+    std::vector<std::string> wanted;
+    for (const std::string& word : split(list, ',')) {
+        const std::string name = without_blanks(word);
+        const std::optional<std::string> format = known_name(name, known);
+        if (!format) {
+            const std::string nearest = nearest_name(name, known);
+            throw UsageError(fmt::format("--format: found \"{}\", did you mean {}? (known: {})", name, nearest, fmt::join(known, ", ")));
+        }
+        wanted.push_back(*format);
     }
     return wanted;
 }
 
-void write_scan(const fs::path& folder, int frame, const RenderedScan& scan, const ScanFormat& wanted) {
-    for (const Format& format : kFormats) {
-        if (std::find(wanted.formats.begin(), wanted.formats.end(), format.name) == wanted.formats.end()) continue;
-        format.write(folder / fmt::format("frame_{:06}.{}", frame, format.name), scan, wanted.instance_names);
+PointFrame parse_point_frame(const std::string& name) {
+    if (known_name(name, {"sensor"})) return PointFrame::sensor;
+    if (known_name(name, {"world"})) return PointFrame::world;
+    throw UsageError(fmt::format("--frame: found \"{}\", expected sensor or world (which scans are rendered is --frames)", name));
+}
+
+ScanFormat scan_format(const Run& run, const SensorChoice& sensor, const Pose& offset) {
+    ScanFormat format;
+    format.formats = {"npz"};
+    for (const Instance& instance : run.scene.instances) {
+        format.instance_names.push_back(instance.track.empty() ? "background" : instance.track);
     }
+    format.run = absolute_path(run.folder.string());
+    format.sensor = sensor.name;
+    format.limits = sensor.limits;
+    format.offset = offset;
+    format.config = run.config;
+    return format;
+}
+
+void ScanFolder::write(int frame, const RenderedScan& scan) {
+    PlacedScan placed{scan, format_, frame, {}, {}, notes_of(format_, frame, scan)};
+    place_rays(placed);
+    Entry entry{frame, scan.time_s, scan.world_from_sensor, scan.image.range_m.size(), count_points(scan, format_.config), {}};
+    for (const Format& format : kFormats) {
+        if (std::find(format_.formats.begin(), format_.formats.end(), format.name) == format_.formats.end()) continue;
+        entry.files.push_back(fmt::format("frame_{:06}.{}", frame, format.name));
+        format.write(folder_ / entry.files.back(), placed);
+    }
+    entries_.push_back(std::move(entry));
 }
 
 }  // namespace relidar::cli

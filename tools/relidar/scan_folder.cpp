@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: Apache-2.0
+// The folder of a rendering as a whole: what is in the way of a new one, and scans.json.
+#include "scan_files.hpp"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include <relidar/error.hpp>
+#include <relidar/export.hpp>
+#include <relidar/render.hpp>
+
+namespace relidar::cli {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+
+constexpr const char* kSummary = "scans.json";
+
+/// Whether a name is scans.json or frame_<number>.<format>: nobody else's files are taken for a rendering.
+bool is_of_rendering(const fs::path& name) {
+    if (name == kSummary) return true;
+    const std::string stem = name.stem().string(), prefix = "frame_", extension = name.extension().string();
+    const std::vector<std::string> formats = scan_formats();
+    return stem.starts_with(prefix) && stem.size() > prefix.size() && stem.find_first_not_of("0123456789", prefix.size()) == std::string::npos &&
+           !extension.empty() && std::find(formats.begin(), formats.end(), extension.substr(1)) != formats.end();
+}
+
+/// The files of a rendering that a folder holds, by name.
+std::vector<fs::path> scans_in(const fs::path& folder) {
+    std::vector<fs::path> files;
+    std::error_code failed;
+    for (const auto& entry : fs::directory_iterator(folder, failed))
+        if (is_of_rendering(entry.path().filename())) files.push_back(entry.path());
+    std::sort(files.begin(), files.end());
+    return files;
+}
+
+Json matrix_json(const Pose& pose) {
+    const glm::dmat4 columns = to_matrix(pose);
+    Json rows = Json::array();
+    for (int row = 0; row < 4; ++row) rows.push_back({columns[0][row], columns[1][row], columns[2][row], columns[3][row]});
+    return rows;
+}
+
+/// A setting as JSON: numbers and booleans as such, anything else as text.
+Json value_json(const std::string& text) {
+    const Json value = Json::parse(text, nullptr, false);
+    return value.is_number() || value.is_boolean() ? value : Json(text);
+}
+
+Json settings_json(const Config& config) {
+    Json json = Json::object();
+    for (const ConfigKey& key : config_keys(config)) json[key.key] = value_json(key.value);
+    return json;
+}
+
+}  // namespace
+
+ScanFolder::ScanFolder(fs::path folder, ScanFormat format) : folder_(std::move(folder)), format_(std::move(format)) {
+    for (const fs::path& file : scans_in(folder_)) {
+        std::error_code failed;
+        fs::remove(file, failed);
+        if (failed) throw DataError(fmt::format("removing {} of an earlier rendering: {}", file.string(), failed.message()));
+    }
+    remove_temporaries(folder_);
+}
+
+void ScanFolder::finish() const {
+    const Config& config = format_.config;
+    const bool world = format_.frame == PointFrame::world;
+    const std::string range = config.render.points == "median" ? "median" : config.render.range;
+    const Json points = {{"frame", world ? "world" : "sensor"}, {"deskewed", world || format_.deskew}, {"range", range}, {"returned", "drop_prob < 0.5"}};
+    Json json = {{"format", "relidar scans"},
+                 {"version", 1},
+                 {"relidar", RELIDAR_VERSION},
+                 {"run", format_.run},
+                 {"dataset", config.dataset.path},
+                 {"sensor", {{"name", format_.sensor}, {"min_range_m", format_.limits.min_m}, {"max_range_m", format_.limits.max_m}}},
+                 {"sensor_offset", matrix_json(format_.offset)},
+                 {"units", "metres, seconds; time of a point in seconds from time_s; intensity and drop_prob 0 to 1"},
+                 {"points", points},
+                 {"instances", format_.instance_names},
+                 {"only", format_.only},
+                 {"scans", Json::array()},
+                 {"settings", settings_json(config)}};
+    for (const Entry& e : entries_)
+        json["scans"].push_back({{"frame_number", e.frame},
+                                 {"time_s", e.time_s},
+                                 {"world_from_sensor", matrix_json(e.world_from_sensor)},
+                                 {"rays", e.rays},
+                                 {"points", e.points},
+                                 {"files", e.files}});
+    write_text(folder_ / kSummary, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+void check_no_scans(const fs::path& folder, bool overwrite) {
+    if (overwrite) return;
+    const std::vector<fs::path> files = scans_in(folder);
+    if (files.empty()) return;
+    throw UsageError(fmt::format("--out {}: the folder holds another rendering ({} files, one is {}), expected a new one; --overwrite replaces it",
+                                 folder.string(), files.size(), files.front().filename().string()));
+}
+
+}  // namespace relidar::cli
