@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include "core/files.hpp"
 #include "dataset/kitti_files.hpp"
 #include "dataset/kitti_raw.hpp"
 #include "dataset/synthetic.hpp"
@@ -49,11 +50,10 @@ void check_range(const FrameRange& range) {
 }  // namespace
 
 std::string recognise_dataset(const fs::path& path) {
-    std::error_code failed;
-    if (!fs::is_directory(path, failed)) throw DataError(fmt::format("{}: no such folder, expected a dataset", path.string()));
+    check_folder(path, "a dataset");
     std::string known;
     for (const Kind& kind : kKinds) {
-        if (fs::exists(path / kind.marker, failed)) return kind.name;
+        if (path_exists(path / kind.marker)) return kind.name;
         known += fmt::format("{}{} ({})", known.empty() ? "" : ", ", kind.describe, kind.marker);
     }
     for (const Kind& kind : kKinds) {
