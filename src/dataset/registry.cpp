@@ -2,6 +2,8 @@
 // Which reader a dataset path belongs to: one row a kind. A new dataset is one reader and one row here.
 #include <relidar/dataset.hpp>
 
+#include <algorithm>
+
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
@@ -48,6 +50,11 @@ void check_range(const FrameRange& range) {
 }
 
 }  // namespace
+
+bool is_dataset(const fs::path& path) {
+    std::error_code failed;
+    return std::any_of(std::begin(kKinds), std::end(kKinds), [&](const Kind& kind) { return fs::exists(path / kind.marker, failed); });
+}
 
 std::string recognise_dataset(const fs::path& path) {
     check_folder(path, "a dataset");
