@@ -122,8 +122,10 @@ if(RELIDAR_BUILD_TOOLS AND NOT RELIDAR_FOR_PACKAGE)
 endif()
 
 # --- tests -----------------------------------------------------------------------------------------------------------
-if(RELIDAR_BUILD_TESTS AND NOT RELIDAR_FOR_PACKAGE)
+if((RELIDAR_BUILD_TESTS OR RELIDAR_FUZZ) AND NOT RELIDAR_FOR_PACKAGE)
     relidar_dependency(gtest APT libgtest-dev PACKAGE GTest TARGETS GTest::gtest)
+endif()
+if(RELIDAR_BUILD_TESTS AND NOT RELIDAR_FOR_PACKAGE)
     relidar_dependency(gmock APT libgmock-dev PACKAGE GTest TARGETS GTest::gmock LINK relidar::dep_gtest)
     # Embree 3 and 4 both call their target `embree`; only the header's folder differs.
     find_package(embree QUIET GLOBAL)

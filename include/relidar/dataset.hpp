@@ -38,6 +38,9 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
 /// Kind of a dataset path ("kitti_raw", "synthetic"). @throws DataError where it is none of the known ones
 std::string recognise_dataset(const std::filesystem::path& path);
 
+/// Whether a folder is a log of one of these kinds.
+bool is_dataset(const std::filesystem::path& path);
+
 /// Parameters of the synthetic street: facades, poles, parked cars and two moving cars, cast exactly.
 struct SyntheticOptions {
     std::uint64_t seed = 1;

@@ -10,6 +10,7 @@
 #include <fmt/ranges.h>
 #include <zlib.h>
 
+#include "core/files.hpp"
 #include <relidar/error.hpp>
 
 namespace relidar {
@@ -59,13 +60,13 @@ std::string take(Texts& texts, const std::string& key) {
 }
 
 void expect(const std::string& what, const std::string& found, const std::string& expected) {
-    if (found != expected) throw DataError(fmt::format("{}: found \"{}\", expected \"{}\"", what, found, expected));
+    if (found != expected) throw DataError(fmt::format("{}: found \"{}\", expected \"{}\"", what, excerpt(found), expected));
 }
 
 int iteration_of(const std::string& text) {
     int iteration = -1;
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), iteration);
-    if (error != std::errc() || stop != text.data() + text.size() || iteration < 0) throw DataError(fmt::format("metadata iteration: found \"{}\", expected a count", text));
+    if (error != std::errc() || stop != text.data() + text.size() || iteration < 0) throw DataError(fmt::format("metadata iteration: found \"{}\", expected a count", excerpt(text)));
     return iteration;
 }
 

@@ -14,6 +14,7 @@
 #include "config/field_text.hpp"
 #include "core/files.hpp"
 #include "core/number_text.hpp"
+#include "core/toml_depth.hpp"
 #include <relidar/accel.hpp>
 #include <relidar/backward.hpp>
 #include <relidar/error.hpp>
@@ -112,6 +113,7 @@ void set_key(Config& config, const std::string& key, const std::string& value) {
 
 void load_config(Config& config, const std::filesystem::path& path) {
     const std::string text = read_file(path);
+    check_toml_depth(text, path.string());
     Config result = config;   // all or nothing
     try {
         const toml::table table = toml::parse(text, path.string());

@@ -19,24 +19,29 @@ namespace fs = std::filesystem;
 
 namespace {
 
-/// Why a path that was looked at is not there or cannot be reached: what the system says.
-DataError unreachable(const fs::path& path, const char* thing, const std::error_code& failed) {
-    const bool missing = !failed || failed == std::errc::no_such_file_or_directory || failed == std::errc::not_a_directory;
-    return DataError(missing ? fmt::format("{}: no such {}", path.string(), thing)
-                             : fmt::format("{}: cannot be read: {}", path.string(), failed.message()));
+DataError unreadable(const fs::path& path, const std::error_code& failed) {
+    return DataError(fmt::format("{}: cannot be read: {}", path.string(), failed.message()));
+}
+
+/// What a path leads to; file_type::not_found where nothing is there.
+fs::file_status status_of(const fs::path& path) {
+    std::error_code failed;
+    const fs::file_status status = fs::status(path, failed);
+    if (fs::status_known(status)) return status;
+    throw unreadable(path, failed);
 }
 
 }  // namespace
 
 std::string read_file(const fs::path& path) {
-    std::error_code failed;
-    const fs::file_status status = fs::status(path, failed);
-    if (!fs::status_known(status) || !fs::exists(status)) throw unreachable(path, "file", failed);
+    const fs::file_status status = status_of(path);
+    if (!fs::exists(status)) throw DataError(fmt::format("{}: no such file", path.string()));
     if (!fs::is_regular_file(status)) throw DataError(fmt::format("{}: not a file", path.string()));
     std::ifstream in(path, std::ios::binary);
-    if (!in) throw DataError(fmt::format("{}: cannot be read: {}", path.string(), std::generic_category().message(errno)));
+    if (!in) throw unreadable(path, {errno, std::generic_category()});
+    std::error_code failed;
     const std::uintmax_t n_bytes = fs::file_size(path, failed);
-    if (failed) throw unreachable(path, "file", failed);
+    if (failed) throw unreadable(path, failed);
     std::string text(n_bytes, '\0');
     in.read(text.data(), static_cast<std::streamsize>(text.size()));
     if (in.gcount() != static_cast<std::streamsize>(text.size())) {
@@ -45,15 +50,19 @@ std::string read_file(const fs::path& path) {
     return text;
 }
 
+bool path_exists(const fs::path& path) { return fs::exists(status_of(path)); }
+
+void check_folder(const fs::path& path, const std::string& expected) {
+    const fs::file_status status = status_of(path);
+    if (!fs::is_directory(status)) throw DataError(fmt::format("{}: {}, expected {}", path.string(), fs::exists(status) ? "not a folder" : "no such folder", expected));
+}
+
 std::vector<fs::path> list_folder(const fs::path& folder) {
     std::error_code failed;
     std::vector<fs::path> paths;
-    fs::directory_iterator entry(folder, failed);
-    if (failed) throw unreachable(folder, "folder", failed);
-    for (const fs::directory_iterator end; entry != end; entry.increment(failed)) {
-        if (failed) throw unreachable(folder, "folder", failed);
-        paths.push_back(entry->path());
-    }
+    if (!fs::is_directory(status_of(folder))) throw DataError(fmt::format("{}: no such folder", folder.string()));
+    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed)) paths.push_back(entry->path());
+    if (failed) throw unreadable(folder, failed);
     std::sort(paths.begin(), paths.end());
     return paths;
 }

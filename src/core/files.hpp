@@ -13,6 +13,12 @@ namespace relidar {
 /// Content of a file. @throws DataError where it is missing or cannot be read
 std::string read_file(const std::filesystem::path& path);
 
+/// Whether a path leads to something. @throws DataError where the system does not say (no permission, a loop of links, too long a name)
+bool path_exists(const std::filesystem::path& path);
+
+/// @throws DataError where a path is no folder, or cannot be reached; the message ends with what was expected there
+void check_folder(const std::filesystem::path& path, const std::string& expected);
+
 /// What a folder holds, by name. @throws DataError where it is missing, no folder, or cannot be read
 std::vector<std::filesystem::path> list_folder(const std::filesystem::path& folder);
 

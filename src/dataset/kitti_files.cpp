@@ -50,10 +50,7 @@ std::string describe_gaps(const std::vector<int>& frames) {
 
 std::vector<int> list_scans(const fs::path& drive, int begin, int end) {
     const fs::path folder = drive / "velodyne_points/data";
-    std::error_code failed;
-    if (!fs::exists(folder, failed)) {
-        throw DataError(fmt::format("{}: no such folder, expected KITTI raw scans %010d.bin in it", folder.string()));
-    }
+    check_folder(folder, "KITTI raw scans %010d.bin in it");
     std::vector<int> all, frames;
     bool text_scans = false;
     for (const fs::path& file : list_folder(folder)) {

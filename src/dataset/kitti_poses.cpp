@@ -80,8 +80,7 @@ Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
 /// Smallest frame number with an OXTS file; the Mercator scale and the origin belong to it, whatever frames are loaded.
 int first_oxts(const fs::path& drive) {
     const fs::path folder = drive / "oxts/data";
-    std::error_code failed;
-    if (fs::exists(folder, failed)) {
+    if (path_exists(folder)) {
         for (const fs::path& file : list_folder(folder)) {   // by name: the first is the smallest
             const auto number = file_number(file.stem().string());
             if (file.extension() == ".txt" && number) return *number;
@@ -95,10 +94,9 @@ int first_oxts(const fs::path& drive) {
 fs::path find_calibration(const fs::path& drive) {
     const char* name = "calib_imu_to_velo.txt";
     const std::string date = drive.filename().string().substr(0, 10);   // 2011_09_26_drive_0005_sync
-    std::error_code failed;
     for (const fs::path& base : {drive.parent_path(), drive, drive.parent_path().parent_path()}) {
         for (const fs::path& inner : {fs::path(), fs::path("calib"), fs::path("calibration"), fs::path(date), fs::path(date + "_calib"), fs::path(date + "_calib") / date}) {
-            if (fs::exists(base / inner / name, failed)) return base / inner / name;
+            if (path_exists(base / inner / name)) return base / inner / name;
         }
     }
     throw DataError(fmt::format("{}: no such file, nor in the drive or in a folder calib, calibration or {}_calib beside or above it; expected KITTI's "

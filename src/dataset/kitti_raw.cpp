@@ -9,6 +9,7 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include "core/files.hpp"
 #include "core/parallel.hpp"
 #include "dataset/kitti_files.hpp"
 #include "dataset/kitti_grid.hpp"
@@ -49,12 +50,25 @@ std::string describe_poses(const fs::path& poses_file) {
     return "poses from " + (poses_file.empty() ? "OXTS (Mercator)" : poses_file.string());
 }
 
+/// Before rays are made: as many as the azimuths say, and no more than the points can be returns of.
+void check_rays(const std::vector<RawScan>& raw, const FiringLattice& lattice, const std::string& where) {
+    constexpr int kMostFirings = 8192;           // an HDL-64E has up to 4170 a turn
+    constexpr std::size_t kMostRaysAPoint = 200;   // whole turns have 1.1
+    if (lattice.n_ticks > kMostFirings)
+        throw DataError(fmt::format("{}: azimuths of neighbouring points differ by 1/{} of a turn, expected at most {} firings of an HDL-64E", where, lattice.n_ticks, kMostFirings));
+    std::size_t n_points = 0;
+    for (const RawScan& scan : raw) n_points += scan.points.size();
+    const std::size_t n_rays = raw.size() * kRings * std::size_t(lattice.every_tick ? lattice.n_ticks : 1);
+    if (n_rays > kMostRaysAPoint * n_points) throw DataError(fmt::format("{}: {} points in {} turns of {} rays, expected whole turns", where, n_points, raw.size(), n_rays / raw.size()));
+}
+
 /// Makes the scans of all frames from their points; sets the sensor's beams and columns.
 void grid_scans(std::vector<RawScan>& raw, Sequence& sequence, const fs::path& drive, double max_range_m) {
     Hdl64 hdl64;
     const Cones cones = fit_cones(spread(raw, kFitScans), (drive / "velodyne_points/data").string());
     run_parallel(static_cast<int>(raw.size()), [&](int i) { correct_rings(raw[static_cast<std::size_t>(i)], cones); });
     hdl64.lattice = fit_lattice(spread(raw, kLatticeScans));
+    check_rays(raw, hdl64.lattice, (drive / "velodyne_points/data").string());
 
     std::vector<std::vector<int>> firings(raw.size());
     run_parallel(static_cast<int>(raw.size()), [&](int i) {
@@ -83,9 +97,8 @@ std::vector<std::string> take_notes(const fs::path& drive, const std::vector<int
     const std::string gaps = describe_gaps(frames);
     if (!gaps.empty() && !options.allow_missing_scans)
         throw DataError(fmt::format("{}/velodyne_points/data: {}, expected all; dataset.allow_missing_scans=true leaves them out", drive.string(), gaps));
-    std::error_code failed;
     if (!gaps.empty()) notes.push_back(gaps + ": left out");
-    if (!fs::exists(drive / "tracklet_labels.xml", failed)) notes.push_back("no tracklet_labels.xml: nothing in this drive is labelled");
+    if (!path_exists(drive / "tracklet_labels.xml")) notes.push_back("no tracklet_labels.xml: nothing in this drive is labelled");
     if (options.poses_file == kNoPoses) notes.push_back("no poses are read (dataset.poses=none): they have to be found from the scans");
     return notes;
 }
@@ -100,11 +113,8 @@ void recentre(Sequence& sequence) {
 }  // namespace
 
 Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
-    std::error_code failed;
-    if (!fs::is_directory(folder, failed)) {
-        throw DataError(fmt::format("{}: no such folder, expected a KITTI raw drive (velodyne_points/)", folder.string()));
-    }
-    if (!fs::exists(folder / "velodyne_points", failed)) {
+    check_folder(folder, "a KITTI raw drive (velodyne_points/)");
+    if (!path_exists(folder / "velodyne_points")) {
         const std::string stranger = describe_stranger(folder, "velodyne_points");
         if (!stranger.empty()) throw DataError(fmt::format("{}: no drive, but {}", folder.string(), stranger));
     }

@@ -15,12 +15,14 @@
 namespace relidar::kitti {
 namespace {
 
-/// Number in a child element. @throws DataError naming track and field where it is missing or not finite
+constexpr double kLargest = 1e6;   // of any number of a label: metres, radians, frames
+
+/// Number in a child element. @throws DataError naming track and field where it is missing or no number a label can have
 double number_of(const pugi::xml_node& node, const char* field, const std::string& where) {
     const std::string text = node.child_value(field);
     const auto value = parse_number(trimmed(text));
-    if (!value || !std::isfinite(*value)) {
-        throw DataError(fmt::format("{}: {} is '{}', expected a finite number", where, field, text));
+    if (!value || !(std::abs(*value) <= kLargest)) {
+        throw DataError(fmt::format("{}: {} is '{}', expected a finite number within {:.0e}", where, field, excerpt(text), kLargest));
     }
     return *value;
 }
@@ -59,8 +61,7 @@ BoxTrack read_track(const pugi::xml_node& item, const std::vector<int>& frames, 
 
 std::vector<BoxTrack> read_tracklets(const std::filesystem::path& file, const std::vector<int>& frames,
                                      const PoseTrack& world_from_sensor) {
-    std::error_code failed;
-    if (!std::filesystem::exists(file, failed)) return {};
+    if (!path_exists(file)) return {};
     const std::string text = read_file(file);
     pugi::xml_document document;
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());

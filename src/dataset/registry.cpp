@@ -2,9 +2,12 @@
 // Which reader a dataset path belongs to: one row a kind. A new dataset is one reader and one row here.
 #include <relidar/dataset.hpp>
 
+#include <algorithm>
+
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include "core/files.hpp"
 #include "dataset/kitti_files.hpp"
 #include "dataset/kitti_raw.hpp"
 #include "dataset/synthetic.hpp"
@@ -56,12 +59,16 @@ void check_range(const FrameRange& range) {
 
 }  // namespace
 
-std::string recognise_dataset(const fs::path& path) {
+bool is_dataset(const fs::path& path) {
     std::error_code failed;
-    if (!fs::is_directory(path, failed)) throw DataError(fmt::format("{}: no such folder, expected a dataset", path.string()));
+    return std::any_of(std::begin(kKinds), std::end(kKinds), [&](const Kind& kind) { return fs::exists(path / kind.marker, failed); });
+}
+
+std::string recognise_dataset(const fs::path& path) {
+    check_folder(path, "a dataset");
     std::string known;
     for (const Kind& kind : kKinds) {
-        if (fs::exists(path / kind.marker, failed)) return kind.name;
+        if (path_exists(path / kind.marker)) return kind.name;
         known += fmt::format("{}{} ({})", known.empty() ? "" : ", ", kind.describe, kind.marker);
     }
     for (const Kind& kind : kKinds) {

@@ -20,6 +20,7 @@ namespace {
 using street::Hit;
 
 constexpr double kMaxRange_m = 80.0;
+constexpr double kMostRays = 2e8;   // 44 bytes each: 9 GB
 
 void check(const SyntheticOptions& options) {
     const auto in_range = [](const char* name, double value, double low, double high) {
@@ -111,6 +112,8 @@ void add_boxes(Sequence& sequence, const street::Street& street, const std::vect
 
 Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int end) {
     check(options);
+    const double n_rays = double(end - begin) * options.rows * options.columns;
+    if (n_rays > kMostRays) throw UsageError(fmt::format("synthetic street: {} frames of {} x {} rays are {:.3g} rays, expected at most {:.3g}; take fewer frames", end - begin, options.rows, options.columns, n_rays, kMostRays));
     const street::Street street = street::make_street(options);
     Sequence sequence;
     sequence.name = fmt::format("synthetic street {}", options.seed);

@@ -11,6 +11,7 @@
 #include <relidar/error.hpp>
 #include "core/files.hpp"
 #include "core/number_text.hpp"
+#include "core/toml_depth.hpp"
 #include "dataset/kitti_files.hpp"
 
 namespace relidar {
@@ -46,16 +47,18 @@ void take_poses(Sequence& sequence, const fs::path& poses_file) {
 
 SyntheticOptions read_options(const fs::path& path) {
     const std::string file = path.string();
+    const std::string text = read_file(path);
+    check_toml_depth(text, file);
     toml::table table;
     try {
-        table = toml::parse(read_file(path), file);
+        table = toml::parse(text, file);
     } catch (const toml::parse_error& error) {
-        throw DataError(fmt::format("{} line {}: malformed TOML: {}", file, error.source().begin.line, error.description()));
+        throw DataError(fmt::format("{} line {}: malformed TOML: {}", file, error.source().begin.line, excerpt(error.description())));
     }
     for (const auto& [key, value] : table) {
         const std::string name(key.str());
         if (std::find(kKeys.begin(), kKeys.end(), name) != kKeys.end()) continue;
-        throw DataError(fmt::format("{} line {}: unknown key '{}', did you mean '{}'?", file, value.source().begin.line, name,
+        throw DataError(fmt::format("{} line {}: unknown key '{}', did you mean '{}'?", file, value.source().begin.line, excerpt(name),
                                     nearest_name(name, kKeys)));
     }
     SyntheticOptions options;

@@ -16,11 +16,12 @@ namespace {
 
 constexpr std::array kColumns{"time_s", "x", "y", "z", "yaw_deg", "pitch_deg", "roll_deg"};
 constexpr std::size_t kNeeded = 5;
+constexpr double kLargest = 1e10;   // metres of any world, degrees, and seconds since 1970
 
 std::vector<std::string> cells_of(const std::string& line) {
     std::vector<std::string> cells{""};
     for (const char c : line) {
-        if (c == ',') cells.emplace_back();
+        if (c == ',' && cells.size() <= kColumns.size()) cells.emplace_back();   // one too many is enough to be refused
         else cells.back() += c;
     }
     return cells;
@@ -33,7 +34,7 @@ std::vector<double> read_row(const std::vector<std::string>& cells, const std::s
     std::vector<double> row;
     for (std::size_t i = 0; i < cells.size(); ++i) {
         const std::optional<double> value = parse_number(trimmed(cells[i]));
-        if (!value || !std::isfinite(*value)) throw DataError(fmt::format("{}: {}: found \"{}\", expected a finite number", where, kColumns[i], trimmed(cells[i])));
+        if (!value || !(std::abs(*value) <= kLargest)) throw DataError(fmt::format("{}: {}: found \"{}\", expected a finite number within {:.0e}", where, kColumns[i], excerpt(trimmed(cells[i])), kLargest));
         row.push_back(*value);
     }
     row.resize(kColumns.size(), 0.0);

@@ -12,6 +12,7 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/error.hpp>
+#include "core/files.hpp"
 
 #include "file_io.hpp"
 #include "named_array.hpp"
@@ -19,11 +20,12 @@
 namespace relidar {
 namespace {
 
-using Json = nlohmann::ordered_json;
+using Json = nlohmann::json;
 using export_detail::byte_count;
 using export_detail::item_size;
 
-constexpr std::size_t kMaxHeader = 100'000'000;   // the format's own limit
+constexpr std::size_t kMaxHeader = 4u << 20;   // the format allows 100 MB, which parsed take 24 times that; ours have a few kB
+constexpr std::size_t kMaxName = 200, kMaxDimensions = 16;
 constexpr const char* kMetadata = "__metadata__";
 
 constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypes{{
@@ -40,12 +42,13 @@ std::string tensor_type(const std::string& dtype) {
 
 std::string numpy_type(const std::string& name, const std::string& type) {
     const auto it = std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& known) { return known.first == type; });
-    if (it == kTypes.end()) throw DataError(fmt::format("array '{}': type '{}' is not supported", name, type));
+    if (it == kTypes.end()) throw DataError(fmt::format("array '{}': type '{}' is not supported", name, excerpt(type)));
     return std::string(it->second);
 }
 
+/// In the order given: a reader of the file sees what comes first first.
 std::string make_header(const std::vector<NamedArray>& arrays, const std::map<std::string, std::string>& metadata) {
-    Json header = Json::object();
+    nlohmann::ordered_json header = nlohmann::ordered_json::object();
     if (!metadata.empty()) header[kMetadata] = metadata;
     std::size_t offset = 0;
     for (const NamedArray& array : arrays) {
@@ -58,22 +61,37 @@ std::string make_header(const std::vector<NamedArray>& arrays, const std::map<st
     }
     std::string text = header.dump();
     text.resize((text.size() + 7) / 8 * 8, ' ');   // data starts at a multiple of 8
-    if (text.size() > kMaxHeader) throw DataError("the header would exceed 100 MB");
+    if (text.size() > kMaxHeader) throw DataError("the header would exceed 4 MiB");
     return text;
 }
 
-Json parse_header(const std::vector<std::byte>& file, std::size_t& data_start) {
+/// The description of a file and the names in the order they stand there, which orders arrays without bytes.
+struct Header {
+    Json json;
+    std::vector<std::string> names;
+    std::size_t data_start = 0;
+};
+
+Header parse_header(const std::vector<std::byte>& file) {
+    Header header;
     std::uint64_t size = 0;
     if (file.size() < sizeof size) throw DataError(fmt::format("{} bytes, expected at least 8", file.size()));
     std::memcpy(&size, file.data(), sizeof size);
     if (size > kMaxHeader) throw DataError(fmt::format("header of {} bytes, expected at most {}", size, kMaxHeader));
     if (size > file.size() - sizeof size)
         throw DataError(fmt::format("header of {} bytes, but the file ends after {}", size, file.size() - sizeof size));
-    data_start = sizeof size + size;
+    header.data_start = sizeof size + size;
     const char* text = reinterpret_cast<const char*>(file.data()) + sizeof size;
-    Json header = Json::parse(text, text + size, nullptr, false);
-    if (header.is_discarded()) throw DataError("the header is not valid JSON");
-    if (!header.is_object()) throw DataError("the header is not a JSON object");
+    header.json = Json::parse(text, text + size, [&](int depth, Json::parse_event_t event, const Json& parsed) {
+        if (event == Json::parse_event_t::key && depth == 1) header.names.push_back(parsed.get<std::string>());
+        return true;
+    }, false);
+    if (header.json.is_discarded()) throw DataError("the header is not valid JSON");
+    if (!header.json.is_object()) throw DataError("the header is not a JSON object");
+    if (header.json.size() != header.names.size()) throw DataError("the header names an array twice");
+    for (const std::string& name : header.names) {
+        if (name.size() > kMaxName) throw DataError(fmt::format("array '{}': a name of {} bytes, expected at most {}", excerpt(name), name.size(), kMaxName));
+    }
     return header;
 }
 
@@ -81,6 +99,7 @@ Json parse_header(const std::vector<std::byte>& file, std::size_t& data_start) {
 std::vector<std::size_t> integers(const std::string& name, const Json& entry, const char* key) {
     if (!entry.is_object() || !entry.contains(key) || !entry[key].is_array())
         throw DataError(fmt::format("array '{}': no list '{}'", name, key));
+    if (entry[key].size() > kMaxDimensions) throw DataError(fmt::format("array '{}': '{}' holds {} numbers, expected at most {}", name, key, entry[key].size(), kMaxDimensions));
     std::vector<std::size_t> result;
     for (const Json& value : entry[key]) {
         if (!value.is_number_unsigned()) throw DataError(fmt::format("array '{}': '{}' holds {}", name, key, value.type_name()));
@@ -112,19 +131,19 @@ std::map<std::string, std::string> parse_metadata(const Json& entry) {
     std::map<std::string, std::string> result;
     if (!entry.is_object()) throw DataError("__metadata__ is not an object");
     for (const auto& [key, value] : entry.items()) {
-        if (!value.is_string()) throw DataError(fmt::format("__metadata__ '{}' is not a string", key));
+        if (!value.is_string()) throw DataError(fmt::format("__metadata__ '{}' is not a string", excerpt(key)));
         result[key] = value.get<std::string>();
     }
     return result;
 }
 
 std::vector<NamedArray> parse(const std::vector<std::byte>& file, std::map<std::string, std::string>* metadata) {
-    std::size_t data_start = 0;
-    const Json header = parse_header(file, data_start);
-    const std::size_t n_data = file.size() - data_start;
+    const Header header = parse_header(file);
+    const std::size_t n_data = file.size() - header.data_start;
     std::vector<std::pair<NamedArray, Range>> entries;
     std::map<std::string, std::string> found;
-    for (const auto& [name, entry] : header.items()) {
+    for (const std::string& name : header.names) {
+        const Json& entry = header.json.at(name);
         if (name == kMetadata) found = parse_metadata(entry);
         else entries.push_back(parse_entry(name, entry, n_data));
     }
@@ -137,7 +156,7 @@ std::vector<NamedArray> parse(const std::vector<std::byte>& file, std::map<std::
         if (range.begin != covered)
             throw DataError(fmt::format("array '{}' starts at byte {}, expected {} (no gap, no overlap)", array.name, range.begin,
                                         covered));
-        const auto data = file.begin() + std::ptrdiff_t(data_start);
+        const auto data = file.begin() + std::ptrdiff_t(header.data_start);
         array.bytes.assign(data + std::ptrdiff_t(range.begin), data + std::ptrdiff_t(range.end));
         covered = range.end;
         arrays.push_back(std::move(array));

@@ -13,6 +13,7 @@
 
 #include <fmt/format.h>
 
+#include "core/files.hpp"
 #include "file_io.hpp"
 #include <relidar/error.hpp>
 #include <relidar/scene.hpp>
@@ -23,7 +24,7 @@ namespace {
 constexpr int kColours = 3;
 constexpr int kRest = kShCoefficients - 1;
 const float kFlat = std::log(1e-4f);            // thickness of a surfel for viewers of ellipsoids, metres
-constexpr const char* kEndOfHeader = "\nend_header\n";
+constexpr std::string_view kEndOfHeader = "\nend_header";   // and a line end, which may be that of Windows
 constexpr std::size_t kMaxHeader = 65536;
 constexpr std::size_t kMaxSurfels = 4294967295;
 constexpr std::size_t kMaxModels = 1u << 24;    // an index is stored as a float
@@ -104,20 +105,20 @@ std::size_t size_of_type(const std::string& type) {
     for (const char* t : {"short", "ushort", "int16", "uint16"}) if (type == t) return 2;
     for (const char* t : {"int", "uint", "int32", "uint32", "float", "float32"}) if (type == t) return 4;
     for (const char* t : {"double", "float64"}) if (type == t) return 8;
-    throw DataError(fmt::format("found a property of type \"{}\", expected a number (no lists)", type));
+    throw DataError(fmt::format("found a property of type \"{}\", expected a number (no lists)", excerpt(type)));
 }
 
 std::size_t parse_count(const std::string& text) {
     std::size_t count = 0;
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), count);
     if (error != std::errc() || stop != text.data() + text.size() || count > kMaxSurfels)
-        throw DataError(fmt::format("found \"element vertex {}\", expected a count of at most {}", text, kMaxSurfels));
+        throw DataError(fmt::format("found \"element vertex {}\", expected a count of at most {}", excerpt(text), kMaxSurfels));
     return count;
 }
 
 void add_field(Layout& layout, const std::string& type, const std::string& name) {
     if (std::any_of(layout.fields.begin(), layout.fields.end(), [&](const Layout::Field& f) { return f.name == name; }))
-        throw DataError(fmt::format("property {}: found twice, expected once", name));
+        throw DataError(fmt::format("property {}: found twice, expected once", excerpt(name)));
     layout.fields.push_back({name, type == "float" || type == "float32", layout.stride});
     layout.stride += size_of_type(type);
 }
@@ -135,13 +136,13 @@ Layout parse_header(const std::string& header) {
         if (number == 1 && line != "ply") throw DataError("the first line is not \"ply\"");
         if (what == "format") {
             has_format = true;
-            if (first != "binary_little_endian") throw DataError(fmt::format("found format {}, expected binary_little_endian (export as binary PLY)", first));
+            if (first != "binary_little_endian") throw DataError(fmt::format("found format {}, expected binary_little_endian (export as binary PLY)", excerpt(first)));
         } else if (what == "element") {
-            if (first != "vertex" || has_vertex) throw DataError(fmt::format("found element {}, expected one element, vertex", first));
+            if (first != "vertex" || has_vertex) throw DataError(fmt::format("found element {}, expected one element, vertex", excerpt(first)));
             has_vertex = true;
             layout.count = parse_count(second);
         } else if (what == "property") {
-            if (!has_vertex) throw DataError(fmt::format("property {}: found before an element, expected it after element vertex", second));
+            if (!has_vertex) throw DataError(fmt::format("property {}: found before an element, expected it after element vertex", excerpt(second)));
             add_field(layout, first, second);
         }
     }
@@ -192,13 +193,24 @@ Scene grouped(const Surfels& surfels, const std::vector<std::uint32_t>& model, c
     return scene;
 }
 
+/// Where the last line of the header begins, its line end before it. @return npos where there is none
+std::size_t find_end_of_header(const std::string& start) {
+    std::size_t at = start.find(kEndOfHeader);
+    while (at != std::string::npos) {
+        const std::string_view behind = std::string_view(start).substr(at + kEndOfHeader.size(), 2);
+        if (behind.starts_with('\n') || behind == "\r\n") break;
+        at = start.find(kEndOfHeader, at + 1);
+    }
+    return at;
+}
+
 Scene parse(const std::vector<std::byte>& file, const Scene& scene_layout, Primitive primitive) {
     const std::string start(reinterpret_cast<const char*>(file.data()), std::min(file.size(), kMaxHeader));
-    const std::size_t end = start.find(kEndOfHeader);
+    const std::size_t end = find_end_of_header(start);
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
     if (end == std::string::npos) throw DataError(fmt::format("found no end_header in the first {} bytes, expected it", start.size()));
     const Layout layout = parse_header(start.substr(0, end));
-    const std::size_t data = end + std::strlen(kEndOfHeader), n_bytes = file.size() - data;
+    const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = file.size() - data;
     const Columns columns = find_columns(layout, primitive);
     if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
         throw DataError(fmt::format("found {} bytes of data, expected {} vertices of {} bytes", n_bytes, layout.count, layout.stride));
@@ -219,7 +231,7 @@ std::string header_of(const Scene& scene, const std::vector<Property>& list) {
     text += scene.surfels.primitive() == Primitive::gaussian ? "3D Gaussians: metres, frame of each model\n" : "surfels: metres, frame of each model; scale_2 only makes them flat\n";
     text += fmt::format("element vertex {}\n", scene.surfels.size());
     for (const Property& p : list) text += fmt::format("property float {}\n", p.name);
-    return text + (kEndOfHeader + 1);
+    return text + "end_header\n";
 }
 
 void check_models(const Scene& scene) {

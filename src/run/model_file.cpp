@@ -12,6 +12,7 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include "core/files.hpp"
 #include "run/json_field.hpp"
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
@@ -159,8 +160,7 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
 
 Scene load_model(const std::filesystem::path& path) {
     const std::string file = path.string();
-    std::error_code failed;
-    if (!std::filesystem::is_regular_file(path, failed)) throw DataError(fmt::format("{}: no such file", file));
+    if (!path_exists(path)) throw DataError(fmt::format("{}: no such file", file));
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
     check_metadata(metadata, file);

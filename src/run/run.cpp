@@ -22,7 +22,8 @@ constexpr const char* kSceneFile = "scene.json";
 void make_folder(const fs::path& folder) {
     std::error_code failed;
     fs::create_directories(folder, failed);
-    if (!fs::is_directory(folder)) throw DataError(fmt::format("{}: cannot be made a folder: {}", folder.string(), failed ? failed.message() : "something else has that name"));
+    std::error_code unknown;
+    if (!fs::is_directory(folder, unknown)) throw DataError(fmt::format("{}: cannot be made a folder: {}", folder.string(), failed ? failed.message() : "something else has that name"));
 }
 
 /// In a run, a wrong setting is damage to a file, not a wrong command line.
@@ -47,10 +48,9 @@ void save_run(const Run& run) {
 }
 
 Run load_run(const fs::path& folder) {
-    std::error_code failed;
-    if (!fs::is_directory(folder, failed)) throw DataError(fmt::format("{}: no such folder, expected a run of `relidar train`", folder.string()));
+    check_folder(folder, "a run of `relidar train`");
     for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
-        if (!fs::exists(folder / name, failed)) throw DataError(fmt::format("{}: no such file, expected it in a run of `relidar train`", (folder / name).string()));
+        if (!path_exists(folder / name)) throw DataError(fmt::format("{}: no such file, expected it in a run of `relidar train`", (folder / name).string()));
     }
     Run run;
     run.folder = folder;

@@ -20,7 +20,12 @@ using Json = nlohmann::ordered_json;
 constexpr const char* kFormat = "relidar scene";
 constexpr int kVersion = 1;
 constexpr double kHuge = 1e12;   // of any length or time in a log: beyond it a value is damage
-constexpr std::int64_t kMaxInt = 2147483647;
+constexpr double kFarthest_m = 1e6;      // of any place from the world's origin, the sensor in the middle frame
+constexpr double kFarthestWorld_m = 1e9; // of that origin in the dataset's world
+constexpr double kLargestBeam = 100.0;   // radians, or metres from the sensor's centre
+constexpr double kLargestResponse = 1e3; // gain and offset of intensities, metres of a range offset
+constexpr std::size_t kMostRays = 100'000'000;
+constexpr std::int64_t kMaxInt = 2147483647, kMaxFrame = 99999999;
 constexpr const char* kUnits = "metres, seconds, radians";
 constexpr const char* kConventions =
     "Sensor frame: x forward, y left, z up. World: the dataset's world minus world_offset_m. A pose a_from_b is translation x y z and unit "
@@ -65,16 +70,24 @@ Json frames_json(const Sequence& sequence, const Split& split) {
     return frames;
 }
 
+/// @throws DataError where a number is larger than a log can hold
+void check_within(const JsonField& field, std::initializer_list<double> values, double limit) {
+    for (const double v : values)
+        if (std::abs(v) > limit) field.fail(fmt::format("found {}", v), fmt::format("expected numbers within {:.15g}", limit));
+}
+
 Pose read_pose(const JsonField& field) {
     const auto v = field.numbers<7>();
     const glm::dquat q(v[3], v[4], v[5], v[6]);
     const double length = glm::length(q);
     if (std::abs(length - 1.0) > 1e-6) field.fail(fmt::format("found a quaternion of length {}", length), "expected 1");
+    check_within(field, {v[0], v[1], v[2]}, kFarthest_m);
     return {q, {v[0], v[1], v[2]}};   // as written: normalising again would move the last digit
 }
 
-glm::dvec3 read_vector(const JsonField& field) {
+glm::dvec3 read_vector(const JsonField& field, double limit) {
     const auto v = field.numbers<3>();
+    check_within(field, {v[0], v[1], v[2]}, limit);
     return {v[0], v[1], v[2]};
 }
 
@@ -84,22 +97,25 @@ SpinningSensor read_sensor(const JsonField& field) {
     sensor.columns = static_cast<int>(field.at("columns").integer(1, 1000000));
     sensor.period_s = field.at("period_s").number(0.0, 3600.0);
     sensor.clockwise = field.at("clockwise").boolean();
-    sensor.first_azimuth_rad = field.at("first_azimuth_rad").number();
+    sensor.first_azimuth_rad = field.at("first_azimuth_rad").number(-10.0, 10.0);
     sensor.min_range_m = field.at("min_range_m").number(0.0, kHuge);
     sensor.max_range_m = field.at("max_range_m").number(0.0, kHuge);
     sensor.divergence_rad = field.at("divergence_rad").number(0.0, 10.0);
     const JsonField beams = field.at("beams");
     for (std::size_t i = 0; i < beams.size(); ++i) {
         const JsonField beam = beams.at(i);
+        for (std::size_t k = 0; k < std::min<std::size_t>(beam.size(), 5); ++k) check_within(beam, {beam.at(k).number()}, kLargestBeam);
         if (beam.size() == 5) {   // as written before lasers had a response
             const auto v = beam.numbers<5>();
             sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4]});
             continue;
         }
         const auto v = beam.numbers<8>();
+        check_within(beam, {v[5], v[6], v[7]}, kLargestResponse);
         sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]});
     }
     if (sensor.beams.empty()) beams.fail("found no beam", "expected at least one");
+    if (sensor.beams.size() * std::size_t(sensor.columns) > kMostRays) beams.fail(fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns), fmt::format("expected at most {} rays", kMostRays));
     return sensor;
 }
 
@@ -116,7 +132,7 @@ void read_frames(const JsonField& field, SceneFile& scene) {
     for (std::size_t i = 0; i < field.size(); ++i) {
         const JsonField entry = field.at(i);
         Frame frame;
-        frame.index = static_cast<int>(entry.at("index").integer(0, kMaxInt));
+        frame.index = static_cast<int>(entry.at("index").integer(0, kMaxFrame));
         frame.time_s = entry.at("time_s").number(-kHuge, kHuge);
         if (i > 0 && frame.time_s <= scene.sequence.frames.back().time_s) entry.at("time_s").fail(fmt::format("found {}", frame.time_s), "expected times that rise");
         const std::string part = entry.at("split").text();
@@ -134,12 +150,13 @@ BoxTrack read_box(const JsonField& field) {
     BoxTrack box;
     box.id = field.at("id").text();
     box.category = field.at("category").text();
-    box.size_m = read_vector(field.at("size_m"));
+    box.size_m = read_vector(field.at("size_m"), kFarthest_m);
     if (!(std::min({box.size_m.x, box.size_m.y, box.size_m.z}) > 0.0)) field.at("size_m").fail(fmt::format("found {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z), "expected all above 0");
     box.world_from_box.time_s = field.at("time_s").numbers();
     const JsonField poses = field.at("world_from_box");
     for (std::size_t i = 0; i < poses.size(); ++i) box.world_from_box.pose.push_back(read_pose(poses.at(i)));
     const std::size_t n = box.world_from_box.time_s.size();
+    for (const double t : box.world_from_box.time_s) check_within(field.at("time_s"), {t}, kHuge);
     if (poses.size() != n) poses.fail(fmt::format("found {} poses", poses.size()), fmt::format("expected {}, one a time", n));
     if (!std::is_sorted(box.world_from_box.time_s.begin(), box.world_from_box.time_s.end())) field.at("time_s").fail("found falling times", "expected times that rise");
     return box;
@@ -202,7 +219,7 @@ SceneFile parse_scene_json(const std::string& text, const std::string& file) {
     s.name = root.at("name").text();
     s.source = root.at("source").text();
     s.conventions = root.at("source_conventions").text();
-    s.world_offset_m = read_vector(root.at("world_offset_m"));
+    s.world_offset_m = read_vector(root.at("world_offset_m"), kFarthestWorld_m);
     s.rolling_shutter = root.at("rolling_shutter").boolean();
     s.sensor = read_sensor(root.at("sensor"));
     read_frames(root.at("frames"), scene);

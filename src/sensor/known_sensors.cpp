@@ -3,12 +3,11 @@
 // states; a unit's own calibration comes as a CSV beam table (beam_table.cpp).
 #include <relidar/sensor.hpp>
 
-#include <filesystem>
-
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
 #include <relidar/math.hpp>
+#include "core/files.hpp"
 #include "sensor/beam_table.hpp"
 
 namespace relidar {
@@ -84,7 +83,7 @@ SpinningSensor find_sensor(const std::string& name_or_file, const std::vector<st
         return sensor;
     }
     const BeamTableName table = parse_beam_table_name(name_or_file);
-    if (table.path.extension() == ".csv" || std::filesystem::is_regular_file(table.path)) return read_beam_table(table);
+    if (table.path.extension() == ".csv" || path_exists(table.path)) return read_beam_table(table);
     std::vector<std::string> known = also_known;
     for (const std::string& sensor : sensor_names()) known.push_back(sensor);
     throw UsageError(

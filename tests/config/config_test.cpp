@@ -217,6 +217,10 @@ TEST_F(ConfigFile, DamagedFilesAreDataErrors) {
     put(folder / "c.toml", "[loss]\ndepth = \n");
     const std::string message = data_error([&] { load_config(config, folder / "c.toml"); });
     EXPECT_NE(message.find("c.toml:2: not valid TOML"), std::string::npos) << message;
+    std::string dots = "loss";
+    for (int i = 0; i < 40000; ++i) dots += ".a";
+    put(folder / "c.toml", dots + " = 1\n");
+    EXPECT_NE(data_error([&] { load_config(config, folder / "c.toml"); }).find("c.toml:1: a key of more than 8 parts"), std::string::npos);
     EXPECT_NE(data_error([&] { load_config(config, folder / "missing.toml"); }).find("missing.toml: no such file"), std::string::npos);
     EXPECT_NE(data_error([&] { load_config(config, folder); }).find(folder.string()), std::string::npos);
 }

@@ -10,6 +10,7 @@
 #include <gtest/gtest.h>
 
 #include <relidar/error.hpp>
+#include <relidar/math.hpp>
 #include "dataset/kitti_drive.hpp"
 
 namespace relidar {
@@ -139,6 +140,28 @@ TEST(KittiErrors, BrokenScans) {
     expect_data_error(drive, {"velodyne_points/data: ", "rings in file order, expected 64"});
 }
 
+/// 64 rings of points at even azimuths, ring by ring as KITTI stores them.
+std::string even_scan(double step_rad, int n_a_ring) {
+    std::string bytes;
+    for (int ring = 0; ring < 64; ++ring) {
+        for (int i = 0; i < n_a_ring; ++i) {
+            // A few points far round the turn make the azimuth wrap from ring to ring.
+            const double azimuth = i < n_a_ring - 3 ? i * step_rad : 2.0 * kPi - (n_a_ring - i) * 1e-3;
+            const double elevation = (2.0 - 0.42 * ring) * kPi / 180.0;
+            const double rho = 12.0 + 8.0 * std::sin(0.01 * i);
+            const glm::vec4 point(rho * std::cos(azimuth), rho * std::sin(azimuth), rho * std::tan(elevation), 0.5);
+            bytes.append(reinterpret_cast<const char*>(&point), sizeof point);
+        }
+    }
+    return bytes;
+}
+
+TEST(KittiErrors, AzimuthStepsOfNoSensor) {
+    const KittiDrive drive("steps");
+    for (int frame = 0; frame < 3; ++frame) write_text(drive.scan(frame), even_scan(2e-5, 1000));
+    expect_data_error(drive, {"velodyne_points/data: azimuths of neighbouring points differ by 1/", "at most 8192 firings"});
+}
+
 TEST(KittiErrors, Timestamps) {
     const KittiDrive drive("times");
     const auto file = drive.file("velodyne_points/timestamps.txt");
@@ -218,6 +241,8 @@ TEST(KittiErrors, Tracklets) {
     expect("<l>4.4</l>", "<l>nan</l>", {"tracklet_labels.xml: track 0: l is 'nan'"});
     expect("<tx>11</tx>", "<tx>inf</tx>", {"track 0 frame 2: tx is 'inf'"});
     expect("<w>1.8</w>", "", {"track 0: w is ''"});
+    expect("<first_frame>1</first_frame>", "<first_frame>1e300</first_frame>", {"track 0: first_frame is '1e300'"});
+    expect("<tx>11</tx>", "<tx>" + std::string(1 << 16, '1') + "</tx>", {"track 0 frame 2: tx is '11111", "...'"});
     write_text(file, "<html/>");
     expect_data_error(drive, {"tracklet_labels.xml: no element boost_serialization/tracklets"});
 }

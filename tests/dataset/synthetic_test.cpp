@@ -171,6 +171,28 @@ TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     fs::remove_all(folder);
 }
 
+TEST(Synthetic, SizesAreBoundedByTheirProductToo) {
+    const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_sizes";
+    fs::create_directories(folder);
+    std::ofstream(folder / "street.toml") << "n_frames = 10000\nrows = 256\ncolumns = 8192\n";
+    try {
+        load_sequence(folder.string(), {});
+        FAIL();
+    } catch (const DataError& error) {
+        EXPECT_NE(std::string(error.what()).find("street.toml: synthetic street: 10000 frames of 256 x 8192 rays are 2.1e+10 rays, expected at most 2e+08"), std::string::npos) << error.what();
+    }
+    DatasetOptions one;
+    one.frames = {0, 1};
+    EXPECT_EQ(load_sequence(folder.string(), one).frames.size(), 1u);
+    std::string dots = "a";
+    for (int i = 0; i < 40000; ++i) dots += ".a";
+    for (const std::string& text : {dots + " = 1\n", "[" + dots + "]\nx = 1\n"}) {
+        std::ofstream(folder / "street.toml") << text;
+        EXPECT_THROW(load_sequence(folder.string(), {}), DataError);
+    }
+    fs::remove_all(folder);
+}
+
 TEST(Synthetic, WithoutPosesBoxesStandWhereTheSensorSawThem) {
     const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_no_poses";
     save_synthetic(small(), folder);

@@ -161,6 +161,16 @@ TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
     expect_equal(read, expected);
 }
 
+TEST_F(SurfelPly, ReadsHeadersWithLineEndsOfWindows) {
+    const Scene scene = some_scene();
+    write_surfel_ply(folder / "a.ply", scene);
+    const Parts file(contents(folder / "a.ply"));
+    std::string header;
+    for (const char c : file.header) header += c == '\n' ? std::string("\r\n") : std::string(1, c);
+    put(folder / "b.ply", header + file.data);
+    expect_equal(read_surfel_ply(folder / "b.ply", layout_of(scene)), scene);
+}
+
 TEST_F(SurfelPly, RefusesFilesThatLie) {
     const Scene scene = some_scene(), layout = layout_of(scene);
     write_surfel_ply(folder / "a.ply", scene);

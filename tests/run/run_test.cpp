@@ -139,6 +139,15 @@ TEST_F(RunFolder, WrongKindsAreRefused) {
     EXPECT_NE(replaced("/frames/1/split", "tset").find("frames[1].split: found \"tset\""), std::string::npos);
     EXPECT_NE(replaced("/frames/1/world_from_sensor", {1, 2, 3}).find("found 3 numbers, expected 7"), std::string::npos);
     EXPECT_NE(replaced("/frames/1/world_from_sensor/4", 5.0).find("quaternion of length"), std::string::npos);
+    EXPECT_NE(replaced("/frames/1/world_from_sensor/0", 1e308).find("frames[1].world_from_sensor: found 1e+308, expected numbers within 1000000"), std::string::npos);
+    EXPECT_NE(replaced("/boxes/0/world_from_box/1/2", -1e7).find("boxes[0].world_from_box[1]: found -10000000"), std::string::npos);
+    EXPECT_NE(replaced("/world_offset_m/1", 1e308).find("world_offset_m: found 1e+308"), std::string::npos);
+    EXPECT_NE(replaced("/sensor/beams/1/7", 1e308).find("sensor.beams[1]: found 1e+308, expected numbers within 1000"), std::string::npos);
+    EXPECT_NE(replaced("/sensor/beams/1/3", 1e308).find("sensor.beams[1]: found 1e+308, expected numbers within 100"), std::string::npos);
+    Json many = whole;
+    many["sensor"]["columns"] = 1000000;
+    for (int i = 0; i < 200; ++i) many["sensor"]["beams"].push_back(many["sensor"]["beams"][0]);
+    EXPECT_NE(error_with(many).find("beams x 1000000 columns, expected at most 100000000 rays"), std::string::npos) << "sizes are bounded by their product too";
     EXPECT_NE(replaced("/frames", Json::array()).find("frames: found no frame"), std::string::npos);
     EXPECT_NE(replaced("/version", 2).find("version: found 2, this relidar"), std::string::npos);
     EXPECT_NE(replaced("/format", "other").find("format: found \"other\""), std::string::npos);
@@ -190,6 +199,9 @@ TEST_F(RunFolder, UnwritableFoldersFailEarly) {
     put(folder / "file", "x");
     EXPECT_NE(data_error([&] { check_writable(folder / "file"); }).find("cannot be made a folder"), std::string::npos);
     EXPECT_NE(data_error([&] { check_writable(folder / "file" / "run"); }).find("cannot be made a folder"), std::string::npos);
+    EXPECT_NE(data_error([&] { check_writable(folder / std::string(300, 'x')); }).find("cannot be made a folder: File name too long"), std::string::npos);
+    std::filesystem::create_symlink(folder / "loop", folder / "loop");
+    EXPECT_NE(data_error([&] { check_writable(folder / "loop" / "run"); }).find("cannot be made a folder: Too many levels"), std::string::npos);
     EXPECT_NE(data_error([&] { check_writable("/proc/relidar"); }).find("/proc/relidar"), std::string::npos);
     check_writable(folder / "a" / "b");
     EXPECT_TRUE(std::filesystem::is_empty(folder / "a" / "b"));

@@ -86,7 +86,11 @@ wrong_usage() {
     bad 3 "cannot be made a folder" train street --out broken.toml/run
     bad 3 "/proc/" train street --out /proc/relidar
     mkdir full && printf 'x' >full/file
-    bad 2 "full: the folder is not empty.*--force" train street --out full
+    bad 2 "full: the folder is not empty and holds no run" train street --out full --force
+    bad 2 "street: the folder holds a log" train street --out street --force
+    bad 2 "street: the folder holds a log" train street --out street --resume
+    check "the log, or what was beside no run, was touched" test -s street/street.toml -a -s full/file -a "$(ls -A street full | wc -l)" = 5
+    bad_paths
     bad 3 "nowhere: no such folder" render nowhere --out x
     bad 3 "nowhere: no such folder" eval nowhere
     bad 2 '--baseline: found "nerest", expected nearest or nearest-actors' eval street --baseline nerest
@@ -111,6 +115,33 @@ wrong_usage() {
     bad 2 'run: found --scene, --surfels or --rays beside it' bench --run run --rays kitti
     bad 3 "found a folder, expected the name of a file" bench --json .
     absent x
+}
+
+# What the system refuses is told as what it is, never as a fault of relidar. Root may go anywhere, so that it asks as "nobody".
+bad_paths() {
+    local own=$relidar
+    mkdir locked && cp -r street unreadable && ln -s loop loop && printf 'elevation_deg\n0\n' >beams.csv
+    if [[ $(id -u) == 0 ]] && command -v setpriv >/dev/null && setpriv --reuid=65534 --clear-groups test -x "$relidar" -a -x "$work"; then
+        printf '#!/bin/sh\nexec setpriv --reuid=65534 --clear-groups %q "$@"\n' "$relidar" >as_nobody && chmod 755 as_nobody && relidar=$work/as_nobody
+    fi
+    chmod 000 locked unreadable/street.toml beams.csv
+    local long
+    long=$(printf 'x%.0s' {1..300})
+    if [[ $(id -u) != 0 || $relidar != "$own" ]]; then
+        for command in "train street" "demo" "render street" "edit run --remove 0" "import a.ply --run run"; do bad 3 "(locked|run).*(Permission denied|no such folder|config.toml: no such file)" $command --out locked/run; done
+        bad 3 "unreadable/street.toml: cannot be read: Permission denied" info unreadable
+        bad 3 "locked: cannot be read: Permission denied|locked/.*cannot be read: Permission denied" info locked
+        bad 3 "locked/run: cannot be read: Permission denied" info locked/run
+        bad 3 "beams.csv: cannot be read: Permission denied" info street --set dataset.poses=beams.csv
+    fi
+    relidar=$own
+    for out in loop loop/run "$long" "a/$long"; do
+        bad 3 "cannot be made a folder: (Too many levels of symbolic links|File name too long)" train street --out "$out"
+        bad 3 "cannot be made a folder: (Too many levels of symbolic links|File name too long)" demo --out "$out"
+    done
+    bad 3 "cannot be read: (Too many levels of symbolic links|File name too long)" info loop
+    bad 3 "cannot be read: File name too long" info "$long"
+    chmod 755 locked && rm -rf locked unreadable loop beams.csv a as_nobody
 }
 
 no_driver() {
@@ -434,6 +465,12 @@ interruption() {
         [[ ! -s stopped/log.jsonl ]] || break
         sleep 0.1
     done
+    mv err first_err
+    bad 3 "stopped: another relidar is writing this run" train street --out stopped
+    bad 3 "stopped: another relidar is writing this run" train street --out stopped --force
+    bad 3 "stopped: another relidar is writing this run" train --resume stopped
+    bad 3 "stopped: another relidar is writing this run" edit run --out stopped --remove 0 --force
+    mv first_err err
     kill -TERM $pid
     wait $pid
     local code=$?
@@ -441,6 +478,15 @@ interruption() {
     check "interrupted training does not say how to go on" grep -Eq "^relidar: interrupted after iteration [0-9]+ of 1000000; .*continue with: relidar train --resume stopped$" err
     stopped_at=$(sed -n 's/.*interrupted after iteration \([0-9]*\) .*/\1/p' err)
     good info stopped
+    absent stopped/.lock
+    flock --no-fork stopped/.lock sleep 600 &   # another process, killed: nothing of it stays
+    pid=$!
+    sleep 0.2
+    bad 3 "stopped: another relidar is writing this run" eval stopped
+    kill -KILL $pid
+    wait $pid 2>/dev/null
+    good eval stopped --quiet
+    absent stopped/.lock
 }
 
 # The interrupted run goes on, with the log it had, from the newest checkpoint that can be read.

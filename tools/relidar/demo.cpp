@@ -109,7 +109,8 @@ void run_demo(const Options& options, const std::string& command_line) {
     const fs::path out = options.out;
     const Config config = config_of(options, out / "street");
     check_lpips_weights(config);
-    const OutputFolder folder(out), run_folder(out / "run");
+    const OutputFolder folder(out);
+    const RunFolder run_folder(out / "run", Existing::replace);
     Device device(device_options(options.device));
     SyntheticOptions street;
     street.seed = config.train.seed;

@@ -24,15 +24,15 @@ struct Options {
     bool quiet = false;
 };
 
-void check_folders(const Options& options) {
+void check_other_folder(const Options& options) {
     std::error_code failed;
     if (std::filesystem::equivalent(options.run, options.out, failed)) throw UsageError(fmt::format("--out {}: found the run that is edited, expected another folder", options.out));
-    check_empty(options.out, options.force);
 }
 
 void run_edit(const Options& options) {
     if (options.edits.empty()) throw UsageError("found no edit, expected --remove, --move, --retime, --trajectory, --copy, --insert or --keep (see `relidar edit --help`)");
-    check_folders(options);
+    check_other_folder(options);
+    const RunFolder folder(options.out, options.force ? Existing::replace : Existing::refuse);
     Run run = load_run(options.run);
     const std::string origin = absolute_path(options.run);
     DrivingScene driving{std::move(run.scene), std::move(run.sequence)};
@@ -45,7 +45,6 @@ void run_edit(const Options& options) {
     }
     run.scene = std::move(driving.scene);
     run.sequence = std::move(driving.sequence);
-    const OutputFolder folder(options.out);
     remove_run_files(folder.path());
     run.folder = folder.path();
     save_run(run);

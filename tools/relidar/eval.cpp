@@ -105,6 +105,8 @@ void add_edited_scores(Evaluation& evaluation, const Config& config, const std::
 }
 
 void score_run(const Options& options) {
+    std::optional<FolderLock> lock;   // its metrics.json belongs to what is scored
+    if (options.out.empty() && is_run(options.target)) lock.emplace(options.target);
     Run run = load_run(options.target);
     apply_options(run.config, options);
     const Output output(options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out), options.pictures);

@@ -44,10 +44,9 @@ void run_export(const ExportOptions& options) {
 }
 
 void run_import(const ImportOptions& options) {
-    check_empty(options.out, options.force);
+    const RunFolder folder(options.out, options.force ? Existing::replace : Existing::refuse);
     Run run = load_run(options.run);
     run.scene = read_surfel_ply(options.file, run.scene, run.config.image.primitive);
-    const OutputFolder folder(options.out);
     remove_run_files(folder.path());
     run.folder = folder.path();
     save_run(run);

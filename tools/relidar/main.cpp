@@ -3,6 +3,7 @@
 // 3 data, 4 device, 130 interrupted (error.hpp).
 #include <cstdio>
 #include <exception>
+#include <filesystem>
 #include <new>
 
 #include <CLI/CLI.hpp>
@@ -72,6 +73,8 @@ int main(int argc, char** argv) {
         return report(error.code(), error.what());
     } catch (const std::bad_alloc&) {
         return report(ExitCode::data, "out of memory: the machine cannot hold this log or scene; take fewer frames (--frames a:b) or larger voxels (--set init.voxel_m=...)");
+    } catch (const std::filesystem::filesystem_error& error) {   // what the system refuses is no fault of ours
+        return report(ExitCode::data, fmt::format("{}: {}", error.path1().string(), error.code().message()));
     } catch (const std::exception& error) {
         return report(ExitCode::bug, std::string("a fault of relidar itself: ") + error.what());
     } catch (...) {

@@ -1,15 +1,65 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "output_folder.hpp"
 
+#include <algorithm>
+#include <cerrno>
+#include <fstream>
+#include <string>
+#include <system_error>
+
+#include <fcntl.h>
+#include <sys/file.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
 #include <fmt/format.h>
 
+#include <relidar/checkpoint.hpp>
+#include <relidar/config.hpp>
+#include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
 #include <relidar/run.hpp>
 
 namespace relidar::cli {
+namespace {
 
 namespace fs = std::filesystem;
+
+constexpr const char* kLockFile = ".lock";
+
+/// Nothing in it but what a process that was killed at once may have left. A folder that cannot be looked into is told when it is written.
+bool holds_nothing(const fs::path& folder) {
+    std::error_code failed;
+    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed)) {
+        if (entry->path().filename() != kLockFile) return false;
+    }
+    return true;
+}
+
+/// A run, or what one leaves that was killed before it had a scene.
+bool holds_run(const fs::path& folder) {
+    if (is_run(folder) || !list_checkpoints(checkpoint_folder(folder)).empty()) return true;
+    const std::string ours = to_toml({}).substr(0, to_toml({}).find('\n'));
+    std::string line;
+    std::ifstream config(folder / "config.toml");
+    return std::getline(config, line) && line == ours;
+}
+
+void check_content(const fs::path& folder, Existing existing) {
+    if (holds_nothing(folder)) return;
+    if (is_dataset(folder)) throw UsageError(fmt::format("--out {}: the folder holds a log, expected another one for the run", folder.string()));
+    if (!holds_run(folder)) throw UsageError(fmt::format("--out {}: the folder is not empty and holds no run, expected a new one", folder.string()));
+    if (existing == Existing::refuse) throw UsageError(fmt::format("--out {}: the folder is not empty, expected a new one; --force overwrites the run in it", folder.string()));
+}
+
+/// Whether the name still leads to the file that is open: whoever let it go has removed it.
+bool is_same_file(int descriptor, const fs::path& file) {
+    struct stat opened {}, named {};
+    return ::fstat(descriptor, &opened) == 0 && ::stat(file.c_str(), &named) == 0 && opened.st_dev == named.st_dev && opened.st_ino == named.st_ino;
+}
+
+}  // namespace
 
 OutputFolder::OutputFolder(const fs::path& path) : path_(path) {
     std::error_code failed;
@@ -22,10 +72,29 @@ OutputFolder::~OutputFolder() {
     if (!was_there_) fs::remove(path_, failed);   // refuses where something is in it
 }
 
-void check_empty(const fs::path& folder, bool force) {
-    std::error_code failed;
-    if (force || !fs::is_directory(folder, failed) || fs::is_empty(folder, failed)) return;
-    throw UsageError(fmt::format("--out {}: the folder is not empty, expected a new one; --force overwrites the run in it", folder.string()));
+FolderLock::FolderLock(const fs::path& folder) : file_(folder / kLockFile) {
+    for (bool held = false; !held;) {
+        descriptor_ = ::open(file_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
+        if (descriptor_ < 0) throw DataError(fmt::format("{}: cannot be written: {}", file_.string(), std::generic_category().message(errno)));
+        if (::flock(descriptor_, LOCK_EX | LOCK_NB) != 0 && errno == EWOULDBLOCK) {
+            ::close(descriptor_);
+            throw DataError(fmt::format("{}: another relidar is writing this run, expected one at a time", folder.string()));
+        }
+        held = is_same_file(descriptor_, file_);
+        if (!held) ::close(descriptor_);
+    }
+}
+
+FolderLock::~FolderLock() {
+    ::unlink(file_.c_str());   // while it is held: nobody else can hold what is removed
+    ::close(descriptor_);
+}
+
+RunFolder::RunFolder(const fs::path& path, Existing existing) {
+    if (!holds_run(path)) check_content(path, existing);   // nothing is written beside what is no run
+    folder_.emplace(path);
+    lock_.emplace(path);
+    check_content(path, existing);
 }
 
 void remove_run_files(const fs::path& folder) {

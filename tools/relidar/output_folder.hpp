@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// A folder for results, checked before the long work begins and not left behind empty where that work fails.
+// Folders for results, checked before the long work begins and not left behind empty where that work fails.
 #pragma once
 
 #include <filesystem>
+#include <optional>
 
 namespace relidar::cli {
 
@@ -22,8 +23,41 @@ private:
     bool was_there_;
 };
 
-/// For a run: refuses a folder that holds something. @throws UsageError unless force is set
-void check_empty(const std::filesystem::path& folder, bool force);
+/// One process at a time writes a folder. The system forgets a lock with the process that held it, however that ended; where a file system
+/// knows no locks, there is none.
+class FolderLock {
+public:
+    /// @throws DataError where another process holds it, or the folder cannot be written
+    explicit FolderLock(const std::filesystem::path& folder);
+    ~FolderLock();
+    FolderLock(const FolderLock&) = delete;
+    FolderLock& operator=(const FolderLock&) = delete;
+
+private:
+    std::filesystem::path file_;
+    int descriptor_ = -1;
+};
+
+/// What may be in the folder of a run that is about to be written.
+enum class Existing {
+    refuse,   ///< nothing
+    keep,     ///< nothing, or a run that goes on
+    replace   ///< nothing, or a run that is given up
+};
+
+/// The folder of a run, written by this process alone for as long as this lives.
+class RunFolder {
+public:
+    /// @throws UsageError where something else is in it, DataError where another process writes it or it cannot be made
+    RunFolder(const std::filesystem::path& path, Existing existing);
+
+    const std::filesystem::path& path() const { return folder_->path(); }
+
+private:
+    std::optional<OutputFolder> folder_;
+    std::optional<FolderLock> lock_;   ///< goes first: an empty folder can be removed
+};
+
 /// Removes the files of an earlier run but its settings and checkpoints, so that none is mistaken for one of this run, and what a killed one left
 /// half written.
 void remove_run_files(const std::filesystem::path& folder);

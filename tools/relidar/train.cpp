@@ -96,7 +96,6 @@ std::optional<Checkpoint> find_start(const Options& options) {
     if (start) return start;
     if (is_file(folder / "report.html"))
         throw UsageError(fmt::format("resuming {}: its training has ended and left no checkpoint, expected one to go on from; --force trains anew", folder.string()));
-    if (!is_file(folder / kConfigFile)) check_empty(folder, false);   // no run of ours: nothing in it may be overwritten
     note(fmt::format("{} holds no checkpoint: training starts from the beginning", folder.string()));
     return std::nullopt;
 }
@@ -166,9 +165,8 @@ void run_train(const Options& given, const std::string& command_line) {
     }
     const bool resume = options.resume && !options.force;
     if (!options.no_eval) check_lpips_weights(config);
-    if (!resume) check_empty(options.out, options.force);
+    const RunFolder folder(options.out, resume ? Existing::keep : options.force ? Existing::replace : Existing::refuse);
     std::optional<Checkpoint> start = resume ? find_start(options) : std::nullopt;
-    const OutputFolder folder(options.out);
     Device device(device_options(options.device));
     Sequence sequence = load_dataset(config);
     const Split split = split_frames(sequence, config.dataset.test_every);

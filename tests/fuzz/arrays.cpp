@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binary files: arrays, models, checkpoints, surfels, weights.
+#include "harness.hpp"
+
+#include <cstring>
+
+#include <relidar/checkpoint.hpp>
+#include <relidar/export.hpp>
+#include <relidar/metrics.hpp>
+#include <relidar/run.hpp>
+
+#include "export/npy.hpp"
+#include "run/example_run.hpp"
+
+namespace relidar::fuzz {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::vector<NamedArray> some_arrays() {
+    const float values[6] = {1.0f, -2.0f, 0.5f, 1e-20f, 3e38f, 0.0f};
+    const std::int32_t counts[3] = {1, 2, -3};
+    return {make_array("a", {2, 3}, values, 6), make_array("count", {3}, counts, 3), make_array("none", {0, 4}, values, 0), make_text_array("names", {"background", "mover-1"})};
+}
+
+Scene small_scene() { return make_background_scene(example_surfels(3)); }
+
+/// What a writer of the program makes of a path.
+template <class Write>
+std::vector<std::string> written(const fs::path& folder, const Write& write) {
+    write(folder / "seed");
+    return {contents(folder / "seed")};
+}
+
+/// Reads the input as a file.
+template <class Read>
+void read_as_file(std::string_view input, const fs::path& folder, const Read& read) {
+    put(folder / "input", input);
+    read(folder / "input");
+}
+
+std::vector<std::byte> bytes_of(std::string_view input) {
+    std::vector<std::byte> bytes(input.size());
+    if (!input.empty()) std::memcpy(bytes.data(), input.data(), input.size());
+    return bytes;
+}
+
+std::vector<std::string> npy_seeds(const fs::path&) {
+    std::vector<std::string> seeds;
+    for (const NamedArray& array : some_arrays()) seeds.push_back(export_detail::npy_header(array) + std::string(reinterpret_cast<const char*>(array.bytes.data()), array.bytes.size()));
+    return seeds;
+}
+
+std::vector<std::string> checkpoint_seeds(const fs::path& folder) {
+    return written(folder, [](const fs::path& file) {
+        auto arrays = some_arrays();
+        arrays.pop_back();   // safetensors has no texts
+        write_checkpoint(file, {7, {{"seed", "1"}, {"config", "x = 1"}}, arrays});
+    });
+}
+
+std::vector<std::string> safetensors_seeds(const fs::path& folder) {
+    return written(folder, [](const fs::path& file) {
+        auto arrays = some_arrays();
+        arrays.pop_back();
+        write_safetensors(file, arrays, {{"k", "v"}});
+    });
+}
+
+}  // namespace
+
+std::vector<Harness> array_harnesses() {
+    return {
+        {"npz", [](const fs::path& folder) { return written(folder, [](const fs::path& file) { write_npz(file, some_arrays()); }); },
+         [](std::string_view input, const fs::path& folder) { read_as_file(input, folder, [](const fs::path& file) { read_npz(file); }); }},
+        {"npy", npy_seeds, [](std::string_view input, const fs::path&) { export_detail::parse_npy("a", bytes_of(input)); }},
+        {"safetensors", safetensors_seeds, [](std::string_view input, const fs::path& folder) { read_as_file(input, folder, [](const fs::path& file) { read_safetensors(file); }); }},
+        {"model", [](const fs::path& folder) { return written(folder, [](const fs::path& file) { save_model(file, small_scene()); }); },
+         [](std::string_view input, const fs::path& folder) { read_as_file(input, folder, [](const fs::path& file) { load_model(file); }); }},
+        {"checkpoint", checkpoint_seeds, [](std::string_view input, const fs::path& folder) { read_as_file(input, folder, [](const fs::path& file) { read_checkpoint(file); }); }},
+        {"ply", [](const fs::path& folder) { return written(folder, [](const fs::path& file) { write_surfel_ply(file, small_scene()); }); },
+         [](std::string_view input, const fs::path& folder) { read_as_file(input, folder, [](const fs::path& file) { read_surfel_ply(file, small_scene()); }); }},
+        {"lpips", safetensors_seeds, [](std::string_view input, const fs::path& folder) { read_as_file(input, folder, [](const fs::path& file) { Lpips{read_lpips_weights(file)}; }); }, false},   // whole weights are 10 MB
+    };
+}
+
+}  // namespace relidar::fuzz

@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+// A parser under libFuzzer: seeds the program makes itself, and what is done with an input.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace relidar::fuzz {
+
+struct Harness {
+    const char* name;
+    /// Inputs to start from. @param folder for files that a writer of the program makes
+    std::vector<std::string> (*seeds)(const std::filesystem::path& folder);
+    /// Reads an input. What it throws must be a relidar::Error of usage or data, short enough for a terminal.
+    /// @param folder kept from input to input
+    void (*read)(std::string_view input, const std::filesystem::path& folder);
+    bool seeds_are_good = true;   ///< they are read without a complaint
+};
+
+/// Harnesses of each file; main.cpp joins them.
+std::vector<Harness> array_harnesses();
+std::vector<Harness> text_harnesses();
+std::vector<Harness> drive_harnesses();
+
+void put(const std::filesystem::path& file, std::string_view bytes);
+std::string contents(const std::filesystem::path& file);
+
+}  // namespace relidar::fuzz

@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: Apache-2.0
+// libFuzzer's entry points. relidar_fuzz --harness=NAME [--seeds=FOLDER] CORPUS...; with --seeds it writes seeds and ends; --list names all.
+#include "harness.hpp"
+
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <fstream>
+#include <iterator>
+
+#include <unistd.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar::fuzz {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::size_t kLongestMessage = 1000;   // paths included: those of the harnesses are short
+
+std::vector<Harness> all_harnesses() {
+    std::vector<Harness> all = array_harnesses();
+    for (const auto& more : {text_harnesses(), drive_harnesses()}) all.insert(all.end(), more.begin(), more.end());
+    return all;
+}
+
+/// A new folder in TMPDIR, which tools/dev/fuzz makes in memory and takes away.
+fs::path scratch_folder() {
+    static const fs::path folder = [] {
+        std::string pattern = fs::temp_directory_path() / "fuzz-XXXXXX";
+        if (!::mkdtemp(pattern.data())) std::abort();
+        return fs::path(pattern);
+    }();
+    return folder;
+}
+
+Harness chosen;
+
+[[noreturn]] void write_seeds(const fs::path& folder) {
+    fs::create_directories(folder);
+    std::size_t n = 0;
+    for (const std::string& seed : chosen.seeds(scratch_folder())) {
+        if (chosen.seeds_are_good) chosen.read(seed, scratch_folder());   // not caught: a seed that is refused teaches little
+        put(folder / ("seed_" + std::to_string(n++)), seed);
+    }
+    std::exit(0);
+}
+
+void initialise(const std::vector<std::string>& arguments) {
+    std::string name, seeds;
+    for (const std::string& argument : arguments) {
+        if (argument == "--list") {
+            for (const Harness& harness : all_harnesses()) std::puts(harness.name);
+            std::exit(0);
+        }
+        if (argument.starts_with("--harness=")) name = argument.substr(10);
+        if (argument.starts_with("--seeds=")) seeds = argument.substr(8);
+    }
+    for (const Harness& harness : all_harnesses()) {
+        if (name == harness.name) chosen = harness;
+    }
+    if (!chosen.read) {
+        std::fprintf(stderr, "relidar_fuzz: --harness=%s: unknown, expected one that --list names\n", name.c_str());
+        std::exit(2);
+    }
+    if (!seeds.empty()) write_seeds(seeds);
+}
+
+void read(std::string_view input) {
+    try {
+        chosen.read(input, scratch_folder());
+    } catch (const Error& error) {   // anything else ends the process, and libFuzzer keeps the input
+        const std::string message = error.what();
+        const bool expected = error.code() == ExitCode::data || error.code() == ExitCode::usage;
+        if (expected && message.size() <= kLongestMessage) return;
+        std::fprintf(stderr, "exit code %d, %zu characters: %.300s\n", static_cast<int>(error.code()), message.size(), message.c_str());
+        std::abort();
+    }
+}
+
+}  // namespace
+
+void put(const fs::path& file, std::string_view bytes) {
+    std::ofstream out(file, std::ios::binary);
+    if (!out.write(bytes.data(), static_cast<std::streamsize>(bytes.size())).flush()) std::abort();
+}
+
+std::string contents(const fs::path& file) {
+    std::ifstream in(file, std::ios::binary);
+    return {std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+}
+
+}  // namespace relidar::fuzz
+
+extern "C" int LLVMFuzzerInitialize(int* argc, char*** argv) {
+    relidar::fuzz::initialise({*argv, *argv + *argc});
+    return 0;
+}
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+    relidar::fuzz::read({reinterpret_cast<const char*>(data), size});
+    return 0;
+}

@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: Apache-2.0
+// Text files: settings, scenes, streets, beam tables, trajectories. "toml" writes its text from tokens, so that it stays a TOML file more often
+// than not.
+#include "harness.hpp"
+
+#include <fmt/format.h>
+
+#include <relidar/config.hpp>
+#include <relidar/dataset.hpp>
+#include <relidar/edit.hpp>
+#include <relidar/error.hpp>
+#include <relidar/run.hpp>
+#include <relidar/sensor.hpp>
+
+#include "run/example_run.hpp"
+
+namespace relidar::fuzz {
+namespace {
+
+namespace fs = std::filesystem;
+
+void read_config(std::string_view input, const fs::path& folder) {
+    put(folder / "config.toml", input);
+    Config config;
+    load_config(config, folder / "config.toml");
+}
+
+/// A street, cast where it is small.
+void read_street(std::string_view input, const fs::path& folder) {
+    put(folder / "street.toml", input);
+    const SyntheticOptions street = read_synthetic(folder);
+    DatasetOptions one;
+    one.frames = {0, 1};
+    if (double(street.rows) * street.columns > 2000.0 && street.rows <= 256 && street.columns <= 8192) return;
+    load_sequence("synthetic:" + folder.string(), one);
+}
+
+void read_scene(std::string_view input, const fs::path& folder) {
+    static const Run run = [&] {
+        Run made = example_run(folder / "run");
+        save_run(made);
+        return made;
+    }();
+    put(run.folder / "scene.json", input);
+    const Run read = load_run(run.folder);
+    if (read.sequence.sensor.beams.size() * std::size_t(read.sequence.sensor.columns) < 10000) make_rays(read.sequence.sensor);
+    for (const BoxTrack& box : read.sequence.boxes) (void)box.present(read.sequence.frames[0].time_s);
+    split_frames(read.sequence, 10);
+}
+
+std::vector<std::string> scene_seeds(const fs::path& folder) {
+    save_run(example_run(folder / "seed_run"));
+    return {contents(folder / "seed_run/scene.json")};
+}
+
+void read_sensor(std::string_view input, const fs::path& folder) {
+    put(folder / "beams.csv", input);
+    const SpinningSensor sensor = find_sensor((folder / "beams.csv").string());
+    if (sensor.beams.size() < 1000) make_rays(sensor);
+}
+
+void read_track(std::string_view input, const fs::path& folder) {
+    put(folder / "way.csv", input);
+    const PoseTrack track = read_trajectory(folder / "way.csv");
+    (void)track.at(track.time_s.front() + 0.1);
+}
+
+/// TOML from tokens: a byte each.
+std::string toml_of(std::string_view input) {
+    static const std::vector<std::string> tokens = [] {
+        std::vector<std::string> all{"\n", "\n", " = ", " = ", ".", ".", "[", "]", "[[", "]]", "{", "}", ",", "\"", "'", "\"\"\"", "#", "\\", "\\u0000", "\xC3\xA9", "\xFF", "\t",
+                                     "0", "-1", "1e308", "-1e308", "1e-308", "nan", "inf", "9223372036854775807", "9223372036854775808", "0x10", "true", "false", "1979-05-27", "07:32:00", "\"none\"", "\"paper\"",
+                                     "preset", "seed", "n_frames", "rows", "columns", "range_noise_m", "speed_mps", "moving_cars", "a"};
+        for (const ConfigKey& key : config_keys({})) all.push_back(key.key);
+        return all;
+    }();
+    std::string text;
+    for (const char c : input) {
+        const auto token = static_cast<unsigned char>(c);
+        if (token < tokens.size()) text += tokens[token];
+        else text += static_cast<char>(token);
+    }
+    return text;
+}
+
+void read_tokens(std::string_view input, const fs::path& folder) {
+    const std::string text = toml_of(input);
+    try {
+        read_config(text, folder);
+    } catch (const Error& error) {
+        if (std::string_view(error.what()).size() > 1000) throw;
+    }
+    read_street(text, folder);
+}
+
+}  // namespace
+
+std::vector<Harness> text_harnesses() {
+    return {
+        {"config", [](const fs::path&) { return std::vector{to_toml(make_preset("quick")), std::string("preset = \"paper\"\n[loss]\ndepth = 0.5\n")}; }, read_config},
+        {"street", [](const fs::path&) { return std::vector<std::string>{"seed = 5\nn_frames = 2\nrows = 8\ncolumns = 96\nrange_noise_m = 0.01\nspeed_mps = 8.0\nmoving_cars = true\n"}; }, read_street},
+        {"toml", [](const fs::path&) { return std::vector<std::string>{std::string("\x28\x02\x17\x00\x29\x02\x16\x00", 8), std::string("\x06\x30\x07\x00\x2e\x02\x16", 7)}; }, read_tokens, false},   // a file is settings or a street
+        {"scene", scene_seeds, read_scene},
+        {"sensor", [](const fs::path&) { return std::vector<std::string>{"elevation_deg,azimuth_offset_deg,origin_offset_m,origin_up_m,origin_left_m\n2.0,-1.5,0.01,0.2,0.026\n-3,0.5,0,0.12,-0.026\n"}; }, read_sensor},
+        {"trajectory", [](const fs::path&) { return std::vector<std::string>{"time_s,x,y,z,yaw_deg\n0,1,2,3,90\n0.1,1.5,2,3,91\n", "0,1,2,3,90,1,2\n1,1,2,3,90,1,2\n"}; }, read_track},
+    };
+}
+
+}  // namespace relidar::fuzz
