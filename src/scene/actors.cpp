@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <string_view>
 #include <unordered_map>
 
 #include <fmt/format.h>
@@ -22,6 +23,7 @@ namespace {
 constexpr double kPointMargin_m = 0.1;    ///< labels fit loosely
 constexpr double kGround_m = 0.15;        ///< the lowest part of a box is ground
 constexpr double kVoxel_m = 0.06;         ///< label jitter blurs anything finer
+constexpr std::string_view kEveryClass = "all";
 
 /// Points of the training frames in a box, in its frame.
 std::vector<Sample> box_samples(const Sequence& sequence, const std::vector<int>& train, const BoxTrack& box) {
@@ -79,7 +81,7 @@ bool lists(const std::string& list, const std::string& word) {
 bool is_wanted(const BoxTrack& box, const InitialiseOptions& options) {
     if (options.actors != ActorMode::models) return false;
     if (options.discover_actors && box.category == kDiscoveredCategory) return true;
-    return options.actor_tracks.empty() ? lists(options.actor_classes, box.category) : lists(options.actor_tracks, box.id);
+    return options.actor_tracks.empty() ? options.actor_classes == kEveryClass || lists(options.actor_classes, box.category) : lists(options.actor_tracks, box.id);
 }
 
 /// @throws DataError for a box that cannot hold anything
@@ -149,10 +151,13 @@ std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseO
     return boxes;
 }
 
-Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options) {
-    Scene scene = make_background_scene(initialise_background(sequence, train_positions, options));
-    for (const BoxTrack& box : separate_boxes(sequence, options)) {
-        if (!is_wanted(box, options)) continue;
+Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress& progress) {
+    Scene scene = make_background_scene(initialise_background(sequence, train_positions, options, progress));
+    std::vector<BoxTrack> wanted = separate_boxes(sequence, options);
+    std::erase_if(wanted, [&](const BoxTrack& box) { return !is_wanted(box, options); });
+    for (std::size_t i = 0; i < wanted.size(); ++i) {
+        const BoxTrack& box = wanted[i];
+        if (progress) progress("points of actors", double(i) / double(wanted.size()));
         const std::vector<Sample> samples = actor_samples(sequence, train_positions, box, options);
         if (samples.size() < std::size_t(options.actor_min_points)) continue;
         const Surfels surfels = surfels_from_points(samples, options);
@@ -161,6 +166,18 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
         scene.surfels.append(surfels);
     }
     return scene;
+}
+
+std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence, const InitialiseOptions& options) {
+    std::vector<BoxTrack> boxes = separate_boxes(sequence, options);
+    std::erase_if(boxes, [&](const BoxTrack& box) { return std::any_of(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.track == box.id; }); });
+    return boxes;
+}
+
+std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseOptions& options) {
+    std::vector<BoxTrack> boxes = separate_boxes(sequence, options);
+    std::erase_if(boxes, [&](const BoxTrack& box) { return is_wanted(box, options); });
+    return boxes;
 }
 
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s) {

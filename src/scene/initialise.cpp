@@ -116,7 +116,7 @@ std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Seq
 
 }  // namespace
 
-Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options) {
+Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress&) {
     std::vector<Sample> samples = voxel_means(sequence, train_positions, options);
     if (options.remove_unlabelled_movers) samples = without_movers(samples, sequence, train_positions);
     if (samples.empty())
