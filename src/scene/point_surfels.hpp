@@ -17,6 +17,6 @@ struct Sample {
 };
 
 /// One surfel a sample, in kd order. @param samples at least one
-Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options);
+Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options, const Progress& progress = {});
 
 }  // namespace relidar

@@ -173,6 +173,7 @@ TEST(Synthetic, SavedAndLoadedAgain) {
     SyntheticOptions options = small();
     options.seed = 99;
     options.speed_mps = 6;
+    options.people = true;
     save_synthetic(options, folder);
     EXPECT_EQ(recognise_dataset(folder), "synthetic");
     const Sequence made = make_synthetic_street(options);
