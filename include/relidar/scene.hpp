@@ -160,6 +160,8 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
 std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence, const InitialiseOptions& options);
 /// The same before there is a scene: those of unwanted classes alone.
 std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseOptions& options);
+/// Their tracks and classes in a few words, at most eight of them by name: "3 (Pedestrian), 7 (Tram)".
+std::string names_of(const std::vector<BoxTrack>& boxes);
 
 /// Poses of all instances at a time, each taken when the sensor's head faces its box; a box is absent outside its first and last label.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s);

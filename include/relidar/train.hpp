@@ -66,14 +66,14 @@ struct TrainSession {
     const Checkpoint* start = nullptr;               ///< continue from here; null: from the beginning
     std::function<bool()> stop;                      ///< asked after every iteration; true stops training
     std::function<void(const std::string&)> note;    ///< one line about what the log does not say: a full disk under a checkpoint, boxes that become no actor
-    Progress progress;                               ///< of the initialisation, before the first line of the log
+    Progress progress = {};                          ///< of the initialisation, before the first line of the log
 };
 
 /// How a log is prepared.
 struct PrepareSession {
     std::function<void(const std::string&)> tell;   ///< one line about each estimate, as soon as it is made
     std::function<bool()> stop;                     ///< asked now and then; true ends it
-    Progress progress;                              ///< of what takes longer than a moment
+    Progress progress = {};                         ///< of what takes longer than a moment
 };
 
 /// Estimates what the log does not say and training needs from the start, in this order, as the settings ask: poses of the sensor

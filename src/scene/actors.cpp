@@ -190,6 +190,13 @@ std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseO
     return boxes;
 }
 
+std::string names_of(const std::vector<BoxTrack>& boxes) {
+    constexpr std::size_t kMost = 8;
+    std::vector<std::string> names;
+    for (std::size_t i = 0; i < std::min(kMost, boxes.size()); ++i) names.push_back(fmt::format("{} ({})", boxes[i].id, boxes[i].category));
+    return fmt::format("{}{}", fmt::join(names, ", "), boxes.size() > kMost ? fmt::format(" and {} more", boxes.size() - kMost) : "");
+}
+
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s) {
     std::vector<InstancePose> placed;
     for (const Instance& instance : scene.instances) {

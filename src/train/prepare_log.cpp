@@ -71,7 +71,7 @@ std::string described(const std::vector<BoxTrack>& boxes) {
 }
 
 void add_discovered(Sequence& sequence, const Split& split, const InitialiseOptions& options, const PrepareSession& session) {
-    std::vector<BoxTrack> found = discover_tracks(sequence, split.train, options);
+    std::vector<BoxTrack> found = discover_tracks(sequence, split.train, options, session.progress);
     session.tell(fmt::format("{} movers discovered without a label{}", found.size(), found.empty() ? "" : ": " + described(found)));
     std::move(found.begin(), found.end(), std::back_inserter(sequence.boxes));
 }
