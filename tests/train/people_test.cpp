@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // People as actors: on held-out frames they return about as often as they did, and what is masked instead is told.
 #include <cstdio>
+#include <map>
+#include <utility>
 
 #include <relidar/dataset.hpp>
 #include <relidar/render.hpp>
@@ -31,30 +33,34 @@ BoxTrack above_ground(BoxTrack box) {
     return box;
 }
 
+/// By the surface that is met (median range): the mean of the light puts up to a quarter of so slim a thing's points behind it.
 TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
-    const Sequence street = make_synthetic_street({.seed = 3, .n_frames = 13, .rows = 64, .columns = 768, .range_noise_m = 0.01, .speed_mps = 5.0, .people = true});
+    const Sequence street = make_synthetic_street({.seed = 3, .n_frames = 20, .rows = 64, .columns = 512, .range_noise_m = 0.01, .speed_mps = 5.0, .people = true});
     const Split split = split_frames(street, 6);
     Config config = make_preset("quick");
-    config.train.iterations = 150;
-    config.train.refine_poses = "";
+    config.train.iterations = 200;
+    config.train.refine_poses = "none";
     const TrainResult result = train(device(), street, split, config, [](const TrainProgress&) { return true; });
     ScanRenderer renderer(device(), result.scene, config, street);
-    int all_real = 0, all_simulated = 0;
+    std::map<std::string, std::pair<int, int>> counts;   // real, simulated
     for (const int position : split.test) {
         const Frame& frame = street.frames[std::size_t(position)];
-        const RangeImage image = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s).image;
+        const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
         for (const BoxTrack& labelled : street.boxes) {
             if (labelled.category == "Car") continue;
             const BoxTrack box = above_ground(labelled);
             const int real = returns_in(street, frame, box, frame.scan.range_m, [&](std::size_t i) { return frame.scan.range_m[i] > 0.0f; });
-            const int simulated = returns_in(street, frame, box, image.range_m, [&](std::size_t i) { return image.range_m[i] > 0.0f && image.drop_prob[i] < 0.5f; });
+            const int simulated = returns_in(street, frame, box, scan.median_range_m, [&](std::size_t i) { return scan.median_range_m[i] > 0.0f && scan.image.drop_prob[i] < 0.5f; });
             std::printf("frame %d: %s %s, %d real returns, %d simulated\n", frame.index, labelled.category.c_str(), labelled.id.c_str(), real, simulated);
-            all_real += real, all_simulated += simulated;
-            if (real >= 40) EXPECT_NEAR(simulated, real, 0.25 * real) << labelled.category << " " << labelled.id << ", frame " << frame.index;
+            counts[labelled.category].first += real;
+            counts[labelled.category].second += simulated;
         }
     }
-    ASSERT_GT(all_real, 200);
-    EXPECT_NEAR(all_simulated, all_real, 0.25 * all_real);
+    for (const auto& [category, count] : counts) {
+        std::printf("%s: %d real returns, %d simulated\n", category.c_str(), count.first, count.second);
+        EXPECT_GT(count.first, 100) << category;
+        EXPECT_NEAR(count.second, count.first, 0.25 * count.first) << category;
+    }
 }
 
 TEST_F(People, WhoAreMaskedAreTold) {
