@@ -41,7 +41,7 @@ std::string recognise_dataset(const std::filesystem::path& path);
 /// Whether a folder is a log of one of these kinds.
 bool is_dataset(const std::filesystem::path& path);
 
-/// Parameters of the synthetic street: facades, poles, parked cars and two moving cars, cast exactly.
+/// Parameters of the synthetic street: facades, poles, parked cars and what moves, cast exactly.
 struct SyntheticOptions {
     std::uint64_t seed = 1;
     int n_frames = 30;
@@ -50,6 +50,7 @@ struct SyntheticOptions {
     double range_noise_m = 0.01;      ///< standard deviation
     double speed_mps = 8.0;           ///< of the sensor along the street
     bool moving_cars = true;
+    bool people = false;              ///< three pedestrians, a cyclist, cars parked behind a fence, cars with windows that let rays through, bushes
 };
 
 /// Makes the synthetic street log in memory, ground truth by exact ray casting with a rolling shutter.

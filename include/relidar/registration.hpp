@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include <relidar/progress.hpp>
 #include <relidar/sequence.hpp>
 
 namespace relidar {
@@ -17,7 +18,7 @@ struct RegisterOptions {
     std::vector<BoxTrack> movers;   ///< their points are not the street's
     double mover_margin_m = 0.2;    ///< boxes are grown by this
     std::function<bool()> stop;     ///< asked before every scan and round; true ends registration with nothing changed
-    std::function<void(const std::string& what, double done)> progress;   ///< called now and then, done in 0..1
+    Progress progress = {};         ///< of both parts
 };
 
 /// One round: planes are fitted to the cells of a grid, then all poses take one step towards them.

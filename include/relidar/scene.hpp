@@ -12,6 +12,7 @@
 
 #include <relidar/gpu.hpp>
 #include <relidar/math.hpp>
+#include <relidar/progress.hpp>
 #include <relidar/sequence.hpp>
 
 namespace relidar {
@@ -117,13 +118,13 @@ struct InitialiseOptions {
     double actor_min_step_m = 0.01;    ///< boxes moving more than this a frame hold actors: their points are left out
     double actor_margin_m = 0.2;       ///< boxes are grown by this when points are left out
     ActorMode actors = ActorMode::models;
-    std::string actor_classes;         ///< comma-separated classes of moving boxes that become actors of their own; empty = none
+    std::string actor_classes = "all"; ///< comma-separated classes of moving boxes that become actors of their own; all = every class, empty = none
     std::string actor_tracks;          ///< comma-separated tracks that do, whatever their class and motion; empty = by class
     int actor_points = 8000;           ///< an actor has at most so many surfels
     int actor_pad_to = 0;              ///< an actor with fewer is filled up with random points of its box; 0 = not (paper: 8000)
     bool actor_symmetry = false;       ///< points of an actor are mirrored left to right (not in the paper)
     double mask_beyond_labels_s = 0.0; ///< a box is still left out so long before its first and after its last label, where it would be then
-    int actor_min_points = 100;        ///< a box with fewer points is masked instead
+    int actor_min_points = 20;        ///< a box with fewer points is masked instead
     std::uint64_t seed = 1;
 };
 
@@ -138,7 +139,7 @@ struct InstancePose {
 /// through are grouped, linked from frame to frame and placed as rigid upright boxes, of which the end near the sensor is sure and the size what
 /// they showed when they showed most. Only what is seen in at least 6 frames and comes 0.6 m far becomes a track, parts of the sensor's own
 /// vehicle excepted. x is the direction of motion; ids are mover-0, mover-1, ...
-std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options);
+std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress& progress = {});
 
 /// Boxes whose points and rays are not the background's: those that move, and the tracks asked for; none with ActorMode::background.
 /// @throws DataError for a box without a size or with a pose that is not finite, UsageError for an unknown track
@@ -147,12 +148,20 @@ std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseO
 /// Background surfels from the training frames of a log, in the recentred world.
 /// Order: kd (recursive object median along the longest axis), which software BVH builders without sorting need.
 /// @throws DataError where no training frame has a usable point
-Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options);
+Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress& progress = {});
 
 /// The background and one model and instance for every moving box of the wanted classes, or for the wanted tracks, in the frame of the
 /// box (Eq. 4-5). Points that lie in two boxes go into both models.
 /// Points come from training frames only. @throws DataError as initialise_background
-Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options);
+Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress& progress = {});
+
+/// Boxes that separate_boxes() leaves out of the background and no instance stands for: of an unwanted class, or with too few points. Their
+/// rays teach nothing and their returns are missing from what is rendered.
+std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence, const InitialiseOptions& options);
+/// The same before there is a scene: those of unwanted classes alone.
+std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseOptions& options);
+/// Their tracks and classes in a few words, at most eight of them by name: "3 (Pedestrian), 7 (Tram)".
+std::string names_of(const std::vector<BoxTrack>& boxes);
 
 /// Poses of all instances at a time, each taken when the sensor's head faces its box; a box is absent outside its first and last label.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s);

@@ -13,6 +13,7 @@
 #include <relidar/config.hpp>
 #include <relidar/gpu.hpp>
 #include <relidar/loss.hpp>
+#include <relidar/progress.hpp>
 #include <relidar/scene.hpp>
 #include <relidar/sequence.hpp>
 
@@ -64,14 +65,15 @@ struct TrainSession {
     std::filesystem::path checkpoints;               ///< folder they go to, as train.checkpoint_* say and where training stops early; empty: none
     const Checkpoint* start = nullptr;               ///< continue from here; null: from the beginning
     std::function<bool()> stop;                      ///< asked after every iteration; true stops training
-    std::function<void(const std::string&)> note;    ///< one line about what the log does not say: a full disk under a checkpoint, how far scans were moved
+    std::function<void(const std::string&)> note;    ///< one line about what the log does not say: a full disk under a checkpoint, boxes that become no actor
+    Progress progress = {};                          ///< of the initialisation, before the first line of the log
 };
 
 /// How a log is prepared.
 struct PrepareSession {
     std::function<void(const std::string&)> tell;   ///< one line about each estimate, as soon as it is made
     std::function<bool()> stop;                     ///< asked now and then; true ends it
-    std::function<void(const std::string& what, double done)> progress;   ///< called now and then, done in 0..1
+    Progress progress = {};                         ///< of what takes longer than a moment
 };
 
 /// Estimates what the log does not say and training needs from the start, in this order, as the settings ask: poses of the sensor

@@ -72,7 +72,7 @@ void visit_scene(C& c, Visitor&& f) {
     f("init.actor_min_step_m", c.init.actor_min_step_m, at_least(0), "boxes that move more than this a frame are actors: their points are left out, metres");
     f("init.actor_margin_m", c.init.actor_margin_m, at_least(0), "boxes are grown by this when points are left out, metres");
     f("init.actors", c.init.actors, one_of({"models", "masked", "background"}), "moving boxes become models of their own, are masked out, or belong to the background (see init.remove_unlabelled_movers)");
-    f("init.actor_classes", c.init.actor_classes, anything(), "classes of moving boxes that become actors of their own, separated by commas; empty: moving boxes are masked out");
+    f("init.actor_classes", c.init.actor_classes, anything(), "classes of moving boxes that become actors of their own, separated by commas; all: every class; empty: moving boxes are masked out");
     f("init.actor_points", c.init.actor_points, between(1, 1e6), "most surfels of an actor");
     f("init.actor_tracks", c.init.actor_tracks, anything(), "tracks that become actors, whatever their class and motion, separated by commas; empty: by class");
     f("init.actor_pad_to", c.init.actor_pad_to, between(0, 1e6), "an actor with fewer points is filled up with random points of its box; 0: not; paper: 8000");

@@ -14,7 +14,8 @@ Config paper() {
     Config config;
     config.preset = "paper";
     config.init.max_scale_m = 1000.0;   // the paper does not clamp
-    config.init.actor_classes = "Car,Van,Truck";
+    config.init.actor_classes = "Car,Van,Truck";   // vehicles, as it says; people are masked out
+    config.init.actor_min_points = 100;
     config.init.actor_pad_to = 8000;
     config.render.range = "expected";
     config.densify.strategy = DensifyStrategy::adaptive;
@@ -52,7 +53,6 @@ Config standard() {
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
     config.init.thickness = 0.05;                      // 3D Gaussians, street of `demo`, 150 steps: median range error 9.3 mm as with surfels; 0.2: 10.7 mm, spheres: 44 mm
-    config.init.actor_classes = "Car,Van,Truck,Tram,Cyclist";   // a cyclist as a rigid body beats a hole in the scan
     config.image.sh_direction = ShDirection::surfel;   // 48 coefficients a surfel and frame instead of a hit
     config.image.transmittance_min = 1e-3f;
     config.loss.normalised_depth = true;               // with D a weight of 0.97 pushes every surface 3 % away

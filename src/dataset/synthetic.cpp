@@ -96,7 +96,7 @@ void add_boxes(Sequence& sequence, const street::Street& street, const std::vect
     for (std::size_t c = 0; c < street.cars.size(); ++c) {
         BoxTrack box;
         box.id = std::to_string(c);
-        box.category = "Car";
+        box.category = street.cars[c].category;
         box.size_m = street.cars[c].size_m;
         for (const int frame : frames) {
             Pose pose = street.cars[c].world_from_box(street::frame_time_s(frame));

@@ -19,7 +19,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-const std::vector<std::string> kKeys{"seed", "n_frames", "rows", "columns", "range_noise_m", "speed_mps", "moving_cars"};
+const std::vector<std::string> kKeys{"seed", "n_frames", "rows", "columns", "range_noise_m", "speed_mps", "moving_cars", "people"};
 
 /// Value of a key where it is there. @throws DataError where it has another type (whole numbers serve as real ones)
 template <class T>
@@ -71,6 +71,7 @@ SyntheticOptions read_options(const fs::path& path) {
     read_value(table, "range_noise_m", "a number", file, options.range_noise_m);
     read_value(table, "speed_mps", "a number", file, options.speed_mps);
     read_value(table, "moving_cars", "true or false", file, options.moving_cars);
+    read_value(table, "people", "true or false", file, options.people);
     return options;
 }
 
@@ -103,9 +104,9 @@ void save_synthetic(const SyntheticOptions& options, const fs::path& folder) {
     fs::create_directories(folder, failed);
     const fs::path file = folder / "street.toml";
     std::ofstream out(file);
-    out << fmt::format("seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {}\nspeed_mps = {}\nmoving_cars = {}\n",
+    out << fmt::format("seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {}\nspeed_mps = {}\nmoving_cars = {}\npeople = {}\n",
                        static_cast<std::int64_t>(options.seed), options.n_frames, options.rows, options.columns, number_text(options.range_noise_m),
-                       number_text(options.speed_mps), options.moving_cars);
+                       number_text(options.speed_mps), options.moving_cars, options.people);
     if (!out.flush()) throw DataError(fmt::format("{}: cannot be written", file.string()));
 }
 

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <string_view>
 #include <unordered_map>
 
 #include <fmt/format.h>
@@ -14,6 +15,7 @@
 
 #include "core/random.hpp"
 #include "scene/point_surfels.hpp"
+#include "scene/progress_blocks.hpp"
 
 namespace relidar {
 
@@ -22,23 +24,34 @@ namespace {
 constexpr double kPointMargin_m = 0.1;    ///< labels fit loosely
 constexpr double kGround_m = 0.15;        ///< the lowest part of a box is ground
 constexpr double kVoxel_m = 0.06;         ///< label jitter blurs anything finer
+constexpr std::string_view kEveryClass = "all";
 
-/// Points of the training frames in a box, in its frame.
-std::vector<Sample> box_samples(const Sequence& sequence, const std::vector<int>& train, const BoxTrack& box) {
-    std::vector<Sample> samples;
-    for (const int position : train) {
-        const Frame& frame = sequence.frames[std::size_t(position)];
-        if (!box.present(frame.time_s)) continue;
-        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
-            if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-            const WorldReturn w = world_return(sequence, frame, ray);
-            if (!box.holds(w.point_m, w.time_s, kPointMargin_m)) continue;
-            const Pose box_from_world = inverse(box.world_from_box.at(w.time_s));
+/// Adds the points of one frame that lie in boxes, each in its box's frame.
+void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes, std::vector<std::vector<Sample>>& samples) {
+    std::vector<std::size_t> present;
+    for (std::size_t b = 0; b < boxes.size(); ++b)
+        if (boxes[b].present(frame.time_s)) present.push_back(b);
+    if (present.empty()) return;
+    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+        if (!(frame.scan.range_m[ray] > 0.0f)) continue;
+        const WorldReturn w = world_return(sequence, frame, ray);
+        for (const std::size_t b : present) {
+            if (!boxes[b].holds(w.point_m, w.time_s, kPointMargin_m)) continue;
+            const Pose box_from_world = inverse(boxes[b].world_from_box.at(w.time_s));
             const glm::dvec3 local = box_from_world * w.point_m;
-            if (local.z < -0.5 * box.size_m.z + kGround_m) continue;
-            samples.push_back({glm::vec3(local), w.intensity, glm::vec3(box_from_world.rotation * w.direction)});
+            if (local.z < -0.5 * boxes[b].size_m.z + kGround_m) continue;
+            samples[b].push_back({glm::vec3(local), w.intensity, glm::vec3(box_from_world.rotation * w.direction)});
         }
     }
+}
+
+/// Points of the training frames in boxes, each in its box's frame. @return [boxes]
+std::vector<std::vector<Sample>> box_samples(const Sequence& sequence, const std::vector<int>& train, const std::vector<BoxTrack>& boxes, const Progress& progress) {
+    std::vector<std::vector<Sample>> samples(boxes.size());
+    std::vector<std::vector<std::vector<Sample>>> of_frame(train.size(), std::vector<std::vector<Sample>>(boxes.size()));
+    for_each_told(train.size(), progress, "points of actors", [&](std::size_t i) { add_frame(sequence, sequence.frames[std::size_t(train[i])], boxes, of_frame[i]); });
+    for (const std::vector<std::vector<Sample>>& frame : of_frame)
+        for (std::size_t b = 0; b < boxes.size(); ++b) samples[b].insert(samples[b].end(), frame[b].begin(), frame[b].end());
     return samples;
 }
 
@@ -79,7 +92,7 @@ bool lists(const std::string& list, const std::string& word) {
 bool is_wanted(const BoxTrack& box, const InitialiseOptions& options) {
     if (options.actors != ActorMode::models) return false;
     if (options.discover_actors && box.category == kDiscoveredCategory) return true;
-    return options.actor_tracks.empty() ? lists(options.actor_classes, box.category) : lists(options.actor_tracks, box.id);
+    return options.actor_tracks.empty() ? options.actor_classes == kEveryClass || lists(options.actor_classes, box.category) : lists(options.actor_tracks, box.id);
 }
 
 /// @throws DataError for a box that cannot hold anything
@@ -122,9 +135,8 @@ void pad(std::vector<Sample>& samples, std::size_t n, const BoxTrack& box, std::
     }
 }
 
-/// What an actor is made of; too few points where it is none.
-std::vector<Sample> actor_samples(const Sequence& sequence, const std::vector<int>& train, const BoxTrack& box, const InitialiseOptions& options) {
-    std::vector<Sample> samples = box_samples(sequence, train, box);
+/// What an actor is made of, of the points in its box; too few points where it is none.
+std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& box, const InitialiseOptions& options) {
     if (options.actor_symmetry) add_mirrored(samples);
     samples = thin_out(samples, std::size_t(options.actor_points));
     if (samples.size() >= std::size_t(options.actor_min_points)) pad(samples, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box, options.seed);
@@ -149,11 +161,14 @@ std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseO
     return boxes;
 }
 
-Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options) {
-    Scene scene = make_background_scene(initialise_background(sequence, train_positions, options));
-    for (const BoxTrack& box : separate_boxes(sequence, options)) {
-        if (!is_wanted(box, options)) continue;
-        const std::vector<Sample> samples = actor_samples(sequence, train_positions, box, options);
+Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress& progress) {
+    Scene scene = make_background_scene(initialise_background(sequence, train_positions, options, progress));
+    std::vector<BoxTrack> wanted = separate_boxes(sequence, options);
+    std::erase_if(wanted, [&](const BoxTrack& box) { return !is_wanted(box, options); });
+    std::vector<std::vector<Sample>> in_boxes = box_samples(sequence, train_positions, wanted, progress);
+    for (std::size_t i = 0; i < wanted.size(); ++i) {
+        const BoxTrack& box = wanted[i];
+        const std::vector<Sample> samples = actor_samples(std::move(in_boxes[i]), box, options);
         if (samples.size() < std::size_t(options.actor_min_points)) continue;
         const Surfels surfels = surfels_from_points(samples, options, sequence.intensity_response.incidence);
         scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
@@ -161,6 +176,25 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
         scene.surfels.append(surfels);
     }
     return scene;
+}
+
+std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence, const InitialiseOptions& options) {
+    std::vector<BoxTrack> boxes = separate_boxes(sequence, options);
+    std::erase_if(boxes, [&](const BoxTrack& box) { return std::any_of(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.track == box.id; }); });
+    return boxes;
+}
+
+std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseOptions& options) {
+    std::vector<BoxTrack> boxes = separate_boxes(sequence, options);
+    std::erase_if(boxes, [&](const BoxTrack& box) { return is_wanted(box, options); });
+    return boxes;
+}
+
+std::string names_of(const std::vector<BoxTrack>& boxes) {
+    constexpr std::size_t kMost = 8;
+    std::vector<std::string> names;
+    for (std::size_t i = 0; i < std::min(kMost, boxes.size()); ++i) names.push_back(fmt::format("{} ({})", boxes[i].id, boxes[i].category));
+    return fmt::format("{}{}", fmt::join(names, ", "), boxes.size() > kMost ? fmt::format(" and {} more", boxes.size() - kMost) : "");
 }
 
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s) {

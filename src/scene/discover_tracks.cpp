@@ -5,12 +5,16 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <tuple>
+#include <utility>
 
 #include <fmt/format.h>
 
 #include "core/parallel.hpp"
 #include "scene/mover_clusters.hpp"
+#include "scene/mover_evidence.hpp"
+#include "scene/progress_blocks.hpp"
 
 namespace relidar {
 namespace {
@@ -26,7 +30,14 @@ constexpr double kOwnVehicle_m = 4.0, kRides_m = 0.3;
 constexpr double kSmooth_s = 0.45;          // a track is a parabola over so long to either side
 constexpr double kTop_s = 1.0;              // the road rises little while this passes
 constexpr double kMargin_m = 0.1;           // of the box around its points
-constexpr double kFragment_m = 0.5;         // around a box, where another track may be a part of the same thing
+constexpr double kFragment_m = 0.5, kVehicleFragment_m = 1.0;   // around a box, where another track may be a part of the same thing
+constexpr double kProvenShare = 0.5;        // of the frames of a track, of whose returns others say that they moved
+constexpr std::size_t kFewestPoints = 5;    // of a frame, once those that stayed are out
+constexpr double kLongest_m = 20.0, kWidest_m = 3.2, kTallest_m = 4.5;
+constexpr double kSpeedOver_s = 0.5, kSlowest_mps = 0.4, kFastest_mps = 50.0;
+constexpr double kVehicle_m = 1.2;          // parts as large belong to a vehicle, not to people who walk together
+constexpr double kBesides_m = 1.5;          // between parts of one vehicle
+constexpr double kRigid_m = 0.5;            // standard deviation of where a part is seen of the whole: its visible side changes
 constexpr double kGround_m = 0.15;          // the lowest part of a box counts as ground (actors.cpp)
 
 struct Observation {
@@ -62,9 +73,11 @@ std::vector<Track> link(const std::vector<std::vector<MoverCluster>>& clusters, 
         std::size_t track, cluster;
     };
     std::vector<Track> tracks;
+    std::vector<std::size_t> open;   // those that may go on
     for (std::size_t f = 0; f < clusters.size(); ++f) {
         std::vector<Fit> fits;
-        for (std::size_t t = 0; t < tracks.size(); ++t)
+        std::erase_if(open, [&](std::size_t t) { return frame_times_s[f] - tracks[t].seen.back().frame_time_s > 2.0 * kMaxGap_s; });
+        for (const std::size_t t : open)
             for (std::size_t c = 0; c < clusters[f].size(); ++c)
                 if (const double m = mismatch(tracks[t], clusters[f][c]); m < 1.0) fits.push_back({m, t, c});
         std::sort(fits.begin(), fits.end(), [](const Fit& a, const Fit& b) { return std::tie(a.mismatch, a.track, a.cluster) < std::tie(b.mismatch, b.track, b.cluster); });
@@ -76,7 +89,10 @@ std::vector<Track> link(const std::vector<std::vector<MoverCluster>>& clusters, 
             tracks[fit.track].seen.push_back(observation(fit.cluster));
         }
         for (std::size_t c = 0; c < clusters[f].size(); ++c)
-            if (!cluster_taken[c]) tracks.push_back({{observation(c)}});
+            if (!cluster_taken[c]) {
+                open.push_back(tracks.size());
+                tracks.push_back({{observation(c)}});
+            }
     }
     return tracks;
 }
@@ -136,6 +152,58 @@ bool rides_along(const Track& track, const PoseTrack& world_from_sensor) {
     for (const Observation& o : track.seen) places.push_back(inverse(world_from_sensor.at(o.cluster.time_s)) * o.cluster.centre_m);
     const auto is_near = [&](const glm::dvec3& p) { return glm::distance(p, places[places.size() / 2]) < kRides_m; };
     return glm::length(places[places.size() / 2]) < kOwnVehicle_m && std::count_if(places.begin(), places.end(), is_near) > std::ptrdiff_t(places.size() * 3 / 4);
+}
+
+/// The longer side of what is seen of something from above.
+double width_seen(const MoverCluster& cluster) {
+    glm::dvec2 low(1e30), high(-1e30);
+    for (const glm::dvec3& p : cluster.points_m) low = glm::min(low, glm::dvec2(p)), high = glm::max(high, glm::dvec2(p));
+    return std::max(high.x - low.x, high.y - low.y);
+}
+
+double gap_between(const MoverCluster& a, const MoverCluster& b) {
+    double nearest = 1e30;
+    for (const glm::dvec3& p : a.points_m)
+        for (const glm::dvec3& q : b.points_m) nearest = std::min(nearest, glm::distance(glm::dvec2(p), glm::dvec2(q)));
+    return nearest;
+}
+
+/// Pairs of observations of two tracks in the same frames.
+std::vector<std::pair<std::size_t, std::size_t>> in_common(const Track& a, const Track& b) {
+    std::vector<std::pair<std::size_t, std::size_t>> pairs;
+    for (std::size_t i = 0, j = 0; i < a.seen.size() && j < b.seen.size();) {
+        if (a.seen[i].frame_time_s < b.seen[j].frame_time_s) ++i;
+        else if (b.seen[j].frame_time_s < a.seen[i].frame_time_s) ++j;
+        else pairs.push_back({i++, j++});
+    }
+    return pairs;
+}
+
+/// Whether two tracks are parts of one vehicle, as its tail and its cabin with a roof that no beam meets between them.
+bool move_as_one(const Track& whole, const Track& part) {
+    const auto common = in_common(whole, part);
+    if (2 * common.size() < part.seen.size() || common.size() < 4) return false;
+    const auto& [i, j] = common[common.size() / 2];
+    if (std::min(width_seen(whole.seen[i].cluster), width_seen(part.seen[j].cluster)) < kVehicle_m || gap_between(whole.seen[i].cluster, part.seen[j].cluster) > kBesides_m) return false;
+    glm::dvec3 sum(0.0), squares(0.0);
+    for (const auto& [a, b] : common) {
+        const glm::dvec3 apart = part.seen[b].cluster.centre_m - whole.seen[a].cluster.centre_m;
+        sum += apart, squares += apart * apart;
+    }
+    const double n = double(common.size());
+    const glm::dvec3 variance = squares / n - sum / n * (sum / n);
+    return variance.x + variance.y < kRigid_m * kRigid_m;
+}
+
+/// Gives the returns of parts to the track of which they are parts.
+void join_parts(std::vector<Track>& tracks) {
+    std::stable_sort(tracks.begin(), tracks.end(), [](const Track& a, const Track& b) { return a.seen.size() > b.seen.size(); });
+    for (std::size_t a = 0; a < tracks.size(); ++a)
+        for (std::size_t b = a + 1; b < tracks.size(); ++b) {
+            if (!move_as_one(tracks[a], tracks[b])) continue;
+            for (const auto& [i, j] : in_common(tracks[a], tracks[b])) tracks[a].seen[i].cluster.take_in(tracks[b].seen[j].cluster);
+            tracks.erase(tracks.begin() + std::ptrdiff_t(b--));
+        }
 }
 
 /// A frame of the ground: position and heading.
@@ -277,12 +345,42 @@ BoxTrack box_of(const Track& track) {
     return boxed(track, placed, smooth_placements(times, placed, frame_times));
 }
 
+/// Whether something may have this size and speed.
+bool is_plausible(const BoxTrack& box) {
+    const PoseTrack& track = box.world_from_box;
+    double fastest = 0.0;   // over half a second, at least
+    for (std::size_t i = 0, j = 0; j < track.pose.size(); ++j) {
+        while (track.time_s[j] - track.time_s[i + 1 < j ? i + 1 : i] >= kSpeedOver_s) ++i;
+        const double seconds = track.time_s[j] - track.time_s[i];
+        if (seconds >= kSpeedOver_s) fastest = std::max(fastest, glm::distance(track.pose[j].translation, track.pose[i].translation) / seconds);
+    }
+    return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m && fastest > kSlowest_mps && fastest < kFastest_mps;
+}
+
+/// The box of a track of which other frames say that it moved, without what they say stayed; nothing where they do not say so.
+std::optional<BoxTrack> proven_box(const Visibility& visibility, Track& track) {
+    Evidence sum;
+    std::size_t moved = 0;
+    const BoxTrack box = box_of(track);
+    for (Observation& o : track.seen) {
+        const Evidence evidence = sift(visibility, o.cluster, box);
+        sum += evidence;
+        moved += evidence.says_moved();
+    }
+    if (!sum.says_moved() || double(moved) < kProvenShare * double(track.seen.size())) return std::nullopt;
+    std::erase_if(track.seen, [](const Observation& o) { return o.cluster.points_m.size() < kFewestPoints; });
+    if (!moves(track)) return std::nullopt;
+    const BoxTrack result = box_of(track);
+    return is_plausible(result) ? std::optional(result) : std::nullopt;
+}
+
 /// Whether a track is mostly inside another's box: a part of it that was a group of its own for a while.
 bool is_part_of(const BoxTrack& part, const BoxTrack& whole) {
+    const double margin = std::max(whole.size_m.x, whole.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
     std::size_t inside = 0;
     for (std::size_t i = 0; i < part.world_from_box.time_s.size(); ++i) {
         const double t_s = part.world_from_box.time_s[i];
-        inside += whole.present(t_s) && whole.holds(part.world_from_box.pose[i].translation, t_s, kFragment_m);
+        inside += whole.present(t_s) && whole.holds(part.world_from_box.pose[i].translation, t_s, margin);
     }
     return 2 * inside > part.world_from_box.time_s.size();
 }
@@ -297,13 +395,18 @@ std::vector<BoxTrack> without_parts(std::vector<BoxTrack> boxes) {
 
 }  // namespace
 
-std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options) {
+std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress& progress) {
     std::vector<double> times;
     for (const int position : train_positions) times.push_back(sequence.frames[std::size_t(position)].time_s);
-    std::vector<Track> tracks = link(find_mover_clusters(sequence, train_positions, options), times, sequence.world_from_sensor);
+    const Visibility visibility(sequence, train_positions);
+    std::vector<Track> tracks = link(find_mover_clusters(sequence, train_positions, visibility, options, progress), times, sequence.world_from_sensor);
     std::erase_if(tracks, [&](const Track& track) { return !moves(track) || rides_along(track, sequence.world_from_sensor); });
-    std::vector<BoxTrack> boxes(tracks.size());
-    run_parallel(static_cast<int>(tracks.size()), [&](int i) { boxes[std::size_t(i)] = box_of(tracks[std::size_t(i)]); });
+    join_parts(tracks);
+    std::vector<std::optional<BoxTrack>> found(tracks.size());
+    for_each_told(tracks.size(), progress, "paths of movers", [&](std::size_t i) { found[i] = proven_box(visibility, tracks[i]); });
+    std::vector<BoxTrack> boxes;
+    for (std::optional<BoxTrack>& box : found)
+        if (box) boxes.push_back(std::move(*box));
     boxes = without_parts(std::move(boxes));
     for (std::size_t i = 0; i < boxes.size(); ++i) boxes[i].id = fmt::format("mover-{}", i);
     return boxes;

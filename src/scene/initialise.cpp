@@ -5,15 +5,18 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <unordered_map>
 
 #include <fmt/format.h>
+#include <nanoflann.hpp>
 
 #include <relidar/error.hpp>
 
 #include "core/parallel.hpp"
 #include "core/random.hpp"
 #include "scene/point_surfels.hpp"
+#include "scene/progress_blocks.hpp"
 #include "scene/visibility.hpp"
 
 namespace relidar {
@@ -61,12 +64,37 @@ std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame, 
     return samples;
 }
 
+/// Where the sensor was, to ask for the nearest place.
+class SensorPlaces {
+public:
+    SensorPlaces(const Sequence& sequence, const std::vector<int>& positions) {
+        for (const int position : positions) places_.m.push_back(glm::vec3(sequence.world_from_sensor.at(sequence.frames[std::size_t(position)].time_s).translation));
+        tree_.emplace(3, places_, nanoflann::KDTreeSingleIndexAdaptorParams(8));
+    }
+    float nearest2(const glm::vec3& p) const {
+        std::size_t place = 0;
+        float distance2 = 1e30f;
+        tree_->knnSearch(&p.x, 1, &place, &distance2);
+        return distance2;
+    }
+
+private:
+    struct Places {
+        std::vector<glm::vec3> m;
+        std::size_t kdtree_get_point_count() const { return m.size(); }
+        float kdtree_get_pt(std::size_t i, std::size_t axis) const { return m[i][static_cast<int>(axis)]; }
+        template <class Box>
+        bool kdtree_get_bbox(Box&) const { return false; }
+    };
+    Places places_;
+    std::optional<nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Places>, Places, 3, std::size_t>> tree_;   // of places_
+};
+
 /// Voxel edge at a point: voxel_m, doubled where the point is far from every sensor position (voxel_growth > 0).
-Cell cell_of(const glm::vec3& p, const std::vector<glm::vec3>& sensors, const InitialiseOptions& options) {
+Cell cell_of(const glm::vec3& p, const SensorPlaces& sensors, const InitialiseOptions& options) {
     int level = 0;
     if (options.voxel_growth > 0.0) {
-        float nearest2 = 1e30f;
-        for (const glm::vec3& s : sensors) nearest2 = std::min(nearest2, glm::dot(p - s, p - s));
+        const float nearest2 = sensors.nearest2(p);
         const double edge = std::max(options.voxel_m, options.voxel_growth * std::sqrt(double(nearest2)));
         level = std::max(0, static_cast<int>(std::floor(std::log2(edge / options.voxel_m) + 0.5)));
     }
@@ -74,27 +102,42 @@ Cell cell_of(const glm::vec3& p, const std::vector<glm::vec3>& sensors, const In
     return {level, int(std::floor(p.x / edge)), int(std::floor(p.y / edge)), int(std::floor(p.z / edge))};
 }
 
-/// Voxel means in a reproducible order: that of first appearance.
-std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>& train, const InitialiseOptions& options) {
+/// A sample and its voxel.
+struct Placed {
+    Sample sample;
+    Cell cell;
+};
+
+std::vector<Placed> placed_samples(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& separate, const SensorPlaces& sensors, const InitialiseOptions& options) {
+    std::vector<Placed> placed;
+    for (const Sample& s : frame_samples(sequence, frame, separate, options)) placed.push_back({s, cell_of(s.position, sensors, options)});
+    return placed;
+}
+
+/// Voxel means in a reproducible order: that of first appearance. A few frames at a time, so that memory grows with the voxels alone.
+std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>& train, const InitialiseOptions& options, const Progress& progress) {
+    constexpr std::size_t kFrames = 16;
     const std::vector<BoxTrack> separate = separate_boxes(sequence, options);
-    std::vector<std::vector<Sample>> samples(train.size());
-    run_parallel(static_cast<int>(train.size()), [&](int i) {
-        samples[std::size_t(i)] = frame_samples(sequence, sequence.frames[std::size_t(train[std::size_t(i)])], separate, options);
-    });
-    std::vector<glm::vec3> sensors;
-    for (const int position : train) sensors.push_back(glm::vec3(sequence.world_from_sensor.at(sequence.frames[std::size_t(position)].time_s).translation));
+    const SensorPlaces sensors(sequence, train);
     std::unordered_map<Cell, std::size_t, CellHash> index;
     std::vector<Voxel> voxels;
-    for (const std::vector<Sample>& frame : samples)
-        for (const Sample& s : frame) {
-            const auto [slot, is_new] = index.try_emplace(cell_of(s.position, sensors, options), voxels.size());
-            if (is_new) voxels.emplace_back();
-            Voxel& v = voxels[slot->second];
-            v.position += glm::dvec3(s.position);
-            v.view += glm::dvec3(s.view);
-            v.intensity += s.intensity;
-            ++v.count;
-        }
+    for (std::size_t begin = 0; begin < train.size(); begin += kFrames) {
+        if (progress) progress("points of the background", double(begin) / double(train.size()));
+        std::vector<std::vector<Placed>> frames(std::min(kFrames, train.size() - begin));
+        run_parallel(static_cast<int>(frames.size()), [&](int i) {
+            frames[std::size_t(i)] = placed_samples(sequence, sequence.frames[std::size_t(train[begin + std::size_t(i)])], separate, sensors, options);
+        });
+        for (const std::vector<Placed>& frame : frames)
+            for (const auto& [s, cell] : frame) {
+                const auto [slot, is_new] = index.try_emplace(cell, voxels.size());
+                if (is_new) voxels.emplace_back();
+                Voxel& v = voxels[slot->second];
+                v.position += glm::dvec3(s.position);
+                v.view += glm::dvec3(s.view);
+                v.intensity += s.intensity;
+                ++v.count;
+            }
+    }
     std::vector<Sample> means;
     for (const Voxel& v : voxels)
         means.push_back({glm::vec3(v.position / double(v.count)), static_cast<float>(v.intensity / v.count), glm::vec3(v.view / std::max(glm::length(v.view), 1e-12))});
@@ -102,10 +145,10 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
 }
 
 /// Leaves out samples that other frames see through.
-std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Sequence& sequence, const std::vector<int>& train) {
+std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Sequence& sequence, const std::vector<int>& train, const Progress& progress) {
     const Visibility visibility(sequence, train);
     std::vector<char> keep(samples.size());
-    for_each_block(samples.size(), [&](std::size_t i) {
+    for_each_block_told(samples.size(), progress, "what did not stay", [&](std::size_t i) {
         keep[i] = !visibility.votes(samples[i].position).is_seen_through(kGoneShare);
     });
     std::vector<Sample> kept;
@@ -116,12 +159,12 @@ std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Seq
 
 }  // namespace
 
-Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options) {
-    std::vector<Sample> samples = voxel_means(sequence, train_positions, options);
-    if (options.remove_unlabelled_movers) samples = without_movers(samples, sequence, train_positions);
+Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress& progress) {
+    std::vector<Sample> samples = voxel_means(sequence, train_positions, options, progress);
+    if (options.remove_unlabelled_movers) samples = without_movers(samples, sequence, train_positions, progress);
     if (samples.empty())
         throw DataError(fmt::format("initialising the background of {}: found no return outside moving boxes in {} training frames, expected at least one", sequence.name, train_positions.size()));
-    return surfels_from_points(samples, options, sequence.intensity_response.incidence);
+    return surfels_from_points(samples, options, sequence.intensity_response.incidence, progress);
 }
 
 }  // namespace relidar

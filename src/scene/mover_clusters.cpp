@@ -9,7 +9,7 @@
 
 #include "core/cell_key.hpp"
 #include "core/parallel.hpp"
-#include "scene/visibility.hpp"
+#include "scene/progress_blocks.hpp"
 
 namespace relidar {
 namespace {
@@ -36,13 +36,30 @@ struct Return {
     Motion motion = Motion::rests;
 };
 
-std::vector<Return> returns_of(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& labelled, const InitialiseOptions& options) {
+/// Boxes of which a frame may see something. What is labelled needs no discovery: where it moves, at its time; and what stands as long as it
+/// is labelled stands before and after as well.
+std::vector<BoxTrack> labelled_at(const Sequence& sequence, double time_s, const InitialiseOptions& options) {
+    std::vector<BoxTrack> boxes;
+    for (const BoxTrack& box : sequence.boxes) {
+        const PoseTrack& track = box.world_from_box;
+        if (track.pose.empty()) continue;
+        if (box.mean_step_m() > options.actor_min_step_m) {
+            if (box.present(time_s)) boxes.push_back(box);
+            continue;
+        }
+        BoxTrack& still = boxes.emplace_back(box);
+        still.world_from_box = {{time_s}, {track.at(std::clamp(time_s, track.time_s.front(), track.time_s.back()))}};
+    }
+    return boxes;
+}
+
+std::vector<Return> returns_of(const Sequence& sequence, const Frame& frame, const InitialiseOptions& options) {
+    const std::vector<BoxTrack> labelled = labelled_at(sequence, frame.time_s, options);
     std::vector<Return> result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kMaxRange_m)) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
-        const bool is_known = std::any_of(labelled.begin(), labelled.end(), [&](const BoxTrack& box) { return box.present(w.time_s) && box.holds(w.point_m, w.time_s, options.actor_margin_m); });
-        if (!is_known) result.push_back({glm::vec3(w.point_m), w.time_s, 0, Motion::rests});
+        if (std::none_of(labelled.begin(), labelled.end(), [&](const BoxTrack& box) { return box.holds(w.point_m, w.time_s, options.actor_margin_m); })) result.push_back({glm::vec3(w.point_m), w.time_s, 0, Motion::rests});
     }
     return result;
 }
@@ -111,14 +128,19 @@ std::vector<MoverCluster> group(const std::vector<Return>& returns) {
 
 }  // namespace
 
-std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions, const InitialiseOptions& options) {
-    const std::vector<BoxTrack> labelled = separate_boxes(sequence, options);
+void MoverCluster::take_in(const MoverCluster& other) {
+    const double n = double(points_m.size()), m = double(other.points_m.size());
+    time_s = (n * time_s + m * other.time_s) / (n + m);
+    centre_m = (n * centre_m + m * other.centre_m) / (n + m);
+    points_m.insert(points_m.end(), other.points_m.begin(), other.points_m.end());
+}
+
+std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions, const Visibility& visibility, const InitialiseOptions& options, const Progress& progress) {
     std::vector<std::vector<Return>> frames(positions.size());
-    run_parallel(static_cast<int>(positions.size()), [&](int i) { frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])], labelled, options); });
+    run_parallel(static_cast<int>(positions.size()), [&](int i) { frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])], options); });
     const std::vector<glm::vec3> cells = number_cells(frames);
-    const Visibility visibility(sequence, positions);
     std::vector<Motion> motion(cells.size());
-    for_each_block(cells.size(), [&](std::size_t i) {
+    for_each_block_told(cells.size(), progress, "what moved", [&](std::size_t i) {
         const Visibility::Votes votes = visibility.votes(cells[i]);
         motion[i] = votes.is_seen_through(kSeenThroughShare) ? Motion::moved : votes.seen <= kSeldomSeen ? Motion::seldom_seen : Motion::rests;
     });

@@ -6,6 +6,8 @@
 
 #include <relidar/scene.hpp>
 
+#include "scene/visibility.hpp"
+
 namespace relidar {
 
 /// One group in one frame.
@@ -13,9 +15,13 @@ struct MoverCluster {
     double time_s = 0.0;                 ///< mean time at which its returns were seen
     glm::dvec3 centre_m{0.0};            ///< world, mean of its returns
     std::vector<glm::dvec3> points_m;    ///< world
+
+    /// Adds the returns of a group of the same frame.
+    void take_in(const MoverCluster& other);
 };
 
-/// @param positions  frames that are looked at, ascending @return [positions] clusters of each
-std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions, const InitialiseOptions& options);
+/// @param positions  frames that are looked at, ascending @param visibility  of these frames @return [positions] clusters of each
+std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions, const Visibility& visibility, const InitialiseOptions& options,
+                                                           const Progress& progress);
 
 }  // namespace relidar

@@ -8,8 +8,8 @@
 #include <Eigen/Eigenvalues>
 #include <nanoflann.hpp>
 
-#include "core/parallel.hpp"
 #include "core/random.hpp"
+#include "scene/progress_blocks.hpp"
 
 namespace relidar {
 
@@ -115,13 +115,13 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
 
 }  // namespace
 
-Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options, double incidence) {
+Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options, double incidence, const Progress& progress) {
     const Cloud cloud{samples};
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(16));
     Surfels surfels;
     surfels.resize(samples.size());
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
-    for_each_block(samples.size(), [&](std::size_t i) { fill_surfel(surfels, i, samples, tree, options, incidence); });
+    for_each_block_told(samples.size(), progress, "normals", [&](std::size_t i) { fill_surfel(surfels, i, samples, tree, options, incidence); });
     return surfels.permuted(kd_order(surfels.mean));
 }
 

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/cell_key.hpp"
 #include "core/parallel.hpp"
 
 namespace relidar {
@@ -12,7 +13,12 @@ namespace relidar {
 namespace {
 
 constexpr int kRows = 64, kColumns = 1024;
-constexpr int kMinReturns = 3;   ///< of the 3 x 3 pixels around a point
+constexpr int kMinReturns = 3;         // of the 3 x 3 pixels around a point
+constexpr int kSectors = 64;           // of a turn: in one the sensor moves by millimetres to centimetres
+constexpr double kTile_m = 8.0;        // of the ground, whose points ask the same frames
+constexpr double kNear_m = 40.0;       // a sensor farther away sees a person as a return or two, and most places not at all
+constexpr double kHardlyFarther = 1.25;   // than the nearest sensor, where none is near
+constexpr std::size_t kMostViews = 64;
 
 /// A grid over the sensor's vertical field of view, a beam or so a row.
 RangeGrid grid_over(const SpinningSensor& sensor) {
@@ -25,57 +31,106 @@ RangeGrid grid_over(const SpinningSensor& sensor) {
     return {"visibility", std::min<int>(kRows, std::max<int>(1, static_cast<int>(sensor.beams.size()))), kColumns, high + margin, high - low + 2.0 * margin, 1e6};
 }
 
-/// Nearest and farthest of the returns in the 3 x 3 pixels around each pixel, columns wrapping round.
-void filter(const RangeGrid& grid, const std::vector<float>& range, std::vector<float>& nearest, std::vector<float>& farthest) {
-    nearest.assign(range.size(), 0.0f);
-    farthest.assign(range.size(), 0.0f);
-    for (int row = 0; row < grid.rows; ++row)
-        for (int column = 0; column < grid.columns; ++column) {
-            float low = 1e30f, high = 0.0f;
-            int n = 0;
-            for (int r = std::max(row - 1, 0); r <= std::min(row + 1, grid.rows - 1); ++r)
-                for (int c = column - 1; c <= column + 1; ++c) {
-                    const float value = range[std::size_t(r * grid.columns + (c + grid.columns) % grid.columns)];
-                    if (!(value > 0.0f)) continue;
-                    low = std::min(low, value);
-                    high = std::max(high, value);
-                    ++n;
-                }
-            if (n < kMinReturns) continue;
-            nearest[std::size_t(row * grid.columns + column)] = low;
-            farthest[std::size_t(row * grid.columns + column)] = high;
-        }
+glm::dvec3 tile_centre(const glm::dvec3& p) { return kTile_m * (glm::floor(glm::dvec3(p.x, p.y, 0.0) / kTile_m) + glm::dvec3(0.5, 0.5, 0.0)); }
+
+/// Every so many-th of them, so that at most kMostViews are left.
+void thin_out(std::vector<std::uint32_t>& views) {
+    if (views.size() <= kMostViews) return;
+    std::vector<std::uint32_t> kept;
+    for (std::size_t k = 0; k < kMostViews; ++k) kept.push_back(views[k * views.size() / kMostViews]);
+    views = std::move(kept);
 }
 
 }  // namespace
 
-Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positions) : sequence_(sequence), grid_(grid_over(sequence.sensor)), views_(positions.size()) {
-    run_parallel(static_cast<int>(positions.size()), [&](int i) {
-        const Frame& frame = sequence_.frames[std::size_t(positions[std::size_t(i)])];
-        std::vector<glm::vec3> points;
-        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
-            if (frame.scan.range_m[ray] > 0.0f) points.push_back(frame.scan.point(ray));
-        View& view = views_[std::size_t(i)];
-        view.time_s = frame.time_s;
-        filter(grid_, project_points(grid_, points, std::vector<float>(points.size(), 0.0f)).range_m, view.nearest_m, view.farthest_m);
-    });
+Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positions)
+    : grid_(grid_over(sequence.sensor)), clockwise_(sequence.sensor.clockwise), rolling_shutter_(sequence.rolling_shutter), views_(positions.size()) {
+    run_parallel(static_cast<int>(positions.size()), [&](int i) { views_[std::size_t(i)] = make_view(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])]); });
+    sort_by_tile(sequence);
 }
 
-/// The point in the sensor's frame at the moment the head faces it.
-glm::dvec3 Visibility::in_sensor(const View& view, const glm::dvec3& point_m) const {
-    const glm::dvec3 p = inverse(sequence_.world_from_sensor.at(view.time_s)) * point_m;
-    return inverse(sequence_.world_from_sensor.at(facing_time(sequence_, p, view.time_s))) * point_m;
+Visibility::View Visibility::make_view(const Sequence& sequence, const Frame& frame) const {
+    View view;
+    view.time_s = frame.time_s;
+    const int n_sectors = rolling_shutter_ ? kSectors : 1;
+    for (int sector = 0; sector < n_sectors; ++sector) {
+        const double azimuth = 2.0 * kPi * ((sector + 0.5) / n_sectors - 0.5);
+        view.sensor_from_world.push_back(inverse(sequence.world_from_sensor.at(facing_time(sequence, {std::cos(azimuth), std::sin(azimuth), 0.0}, frame.time_s))));
+    }
+    std::vector<glm::vec3> points;
+    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
+        if (frame.scan.range_m[ray] > 0.0f) points.push_back(frame.scan.point(ray));
+    view.range_m = project_points(grid_, points, std::vector<float>(points.size(), 0.0f)).range_m;
+    return view;
+}
+
+void Visibility::sort_by_tile(const Sequence& sequence) {
+    const double farthest = sequence.sensor.max_range_m + kTile_m;
+    struct Seen {
+        std::uint32_t view;
+        double distance_m;
+    };
+    std::unordered_map<std::uint64_t, std::vector<Seen>> tiles;
+    for (std::uint32_t v = 0; v < views_.size(); ++v) {
+        glm::dvec3 sensor = sequence.world_from_sensor.at(views_[v].time_s).translation;
+        sensor.z = 0.0;
+        for (double dx = -farthest; dx <= farthest; dx += kTile_m)
+            for (double dy = -farthest; dy <= farthest; dy += kTile_m) {
+                const glm::dvec3 tile = tile_centre(sensor + glm::dvec3(dx, dy, 0.0));
+                if (const double distance = glm::distance(tile, sensor); distance < farthest) tiles[cell_key(tile, kTile_m)].push_back({v, distance});
+            }
+    }
+    for (const auto& [key, seen] : tiles) {
+        const double nearest = std::min_element(seen.begin(), seen.end(), [](const Seen& a, const Seen& b) { return a.distance_m < b.distance_m; })->distance_m;
+        std::vector<std::uint32_t>& views = near_[key];
+        for (const Seen& s : seen)
+            if (s.distance_m <= std::max(kNear_m, kHardlyFarther * nearest)) views.push_back(s.view);
+        thin_out(views);
+    }
+}
+
+const std::vector<std::uint32_t>& Visibility::views_near(const glm::dvec3& point_m) const {
+    static const std::vector<std::uint32_t> none;
+    const auto tile = near_.find(cell_key(tile_centre(point_m), kTile_m));
+    return tile == near_.end() ? none : tile->second;
+}
+
+Visibility::Surroundings Visibility::around(const View& view, const glm::dvec3& point_m) const {
+    const int n_sectors = static_cast<int>(view.sensor_from_world.size());
+    const glm::dvec3 roughly = view.sensor_from_world[std::size_t(n_sectors / 2)] * point_m;
+    const int sector = static_cast<int>((0.5 + std::atan2(roughly.y, roughly.x) / (2.0 * kPi)) * n_sectors);
+    const glm::dvec3 p = view.sensor_from_world[std::size_t(std::clamp(sector, 0, n_sectors - 1))] * point_m;
+    Surroundings result;
+    const std::optional<int> pixel = project(grid_, p);
+    if (!pixel) return result;
+    result.range_m = glm::length(p);
+    const int row = *pixel / grid_.columns, column = *pixel % grid_.columns;
+    for (int r = std::max(row - 1, 0); r <= std::min(row + 1, grid_.rows - 1); ++r)
+        for (int c = column - 1; c <= column + 1; ++c)
+            if (const float value = view.range_m[std::size_t(r * grid_.columns + (c + grid_.columns) % grid_.columns)]; value > 0.0f) result.returned_m[result.n++] = value;
+    return result;
+}
+
+Sight Visibility::look(std::uint32_t view, const glm::dvec3& point_m) const {
+    const Surroundings here = around(views_[view], point_m);
+    if (here.n < kMinReturns) return Sight::nothing;
+    const auto [nearest, farthest] = std::minmax_element(here.returned_m, here.returned_m + here.n);
+    const double range = here.range_m, margin = 0.3 + 0.02 * range;
+    if (*nearest > range + 2.0 * margin) return Sight::seen_through;
+    return range > *nearest - margin && range < *farthest + margin ? Sight::seen : Sight::nothing;
+}
+
+bool Visibility::has_return_at(std::uint32_t view, const glm::dvec3& point_m, double tolerance_m) const {
+    const Surroundings here = around(views_[view], point_m);
+    return std::any_of(here.returned_m, here.returned_m + here.n, [&](float returned) { return std::abs(returned - here.range_m) < tolerance_m; });
 }
 
 Visibility::Votes Visibility::votes(const glm::vec3& point_m) const {
     Votes votes;
-    for (const View& view : views_) {
-        const glm::dvec3 p = in_sensor(view, glm::dvec3(point_m));
-        const std::optional<int> pixel = project(grid_, p);
-        if (!pixel || !(view.nearest_m[std::size_t(*pixel)] > 0.0f)) continue;
-        const double range = glm::length(p), margin = 0.3 + 0.02 * range;
-        if (view.nearest_m[std::size_t(*pixel)] > range + 2.0 * margin) ++votes.seen_through;
-        else if (range > view.nearest_m[std::size_t(*pixel)] - margin && range < view.farthest_m[std::size_t(*pixel)] + margin) ++votes.seen;
+    for (const std::uint32_t view : views_near(glm::dvec3(point_m))) {
+        const Sight sight = look(view, glm::dvec3(point_m));
+        votes.seen += sight == Sight::seen;
+        votes.seen_through += sight == Sight::seen_through;
     }
     return votes;
 }

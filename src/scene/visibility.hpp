@@ -3,13 +3,18 @@
 // nothing. Points that frames see through belong to something that moved without a label (docs/method.md section 6: better).
 #pragma once
 
+#include <cstdint>
+#include <unordered_map>
 #include <vector>
 
 #include <relidar/sequence.hpp>
 
 namespace relidar {
 
-/// Range images of some frames, with the nearest and farthest range of each pixel's neighbourhood.
+enum class Sight : char { nothing, seen, seen_through };
+
+/// Range images of some frames. A point asks at most 64 of them, so that the cost of many points grows with their number alone: frames whose
+/// sensor was within 40 m, or little farther than the nearest was, evenly spread in time.
 class Visibility {
 public:
     Visibility(const Sequence& sequence, const std::vector<int>& positions);
@@ -23,16 +28,34 @@ public:
     /// @param point_m [3] world
     Votes votes(const glm::vec3& point_m) const;
 
+    /// Views that a point asks, ascending. @param point_m [3] world @return indices into the positions given
+    const std::vector<std::uint32_t>& views_near(const glm::dvec3& point_m) const;
+    /// What one view says of a point, with a margin of decimetres. @param point_m [3] world
+    Sight look(std::uint32_t view, const glm::dvec3& point_m) const;
+    /// Whether a view has a return in the direction of a point that is as far away, to tolerance_m. @param point_m [3] world
+    bool has_return_at(std::uint32_t view, const glm::dvec3& point_m, double tolerance_m) const;
+    double time_s(std::uint32_t view) const { return views_[view].time_s; }
+
 private:
     struct View {
         double time_s;
-        std::vector<float> nearest_m, farthest_m;   ///< [rows*columns] over 3 x 3 pixels, 0 where fewer than 3 of them returned
+        std::vector<Pose> sensor_from_world;   ///< one a sector of the turn, when the head faces the middle of it
+        std::vector<float> range_m;            ///< [rows*columns] nearest return, 0 where there is none
     };
-    const Sequence& sequence_;
+    /// A point as a view sees it: its range, and the returned ranges of the 3 x 3 pixels around it.
+    struct Surroundings {
+        double range_m = 0.0;
+        float returned_m[9];
+        int n = 0;
+    };
     RangeGrid grid_;
+    bool clockwise_, rolling_shutter_;
     std::vector<View> views_;
+    std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> near_;   ///< by tile of the ground
 
-    glm::dvec3 in_sensor(const View& view, const glm::dvec3& point_m) const;
+    View make_view(const Sequence& sequence, const Frame& frame) const;
+    void sort_by_tile(const Sequence& sequence);
+    Surroundings around(const View& view, const glm::dvec3& point_m) const;
 };
 
 }  // namespace relidar

@@ -107,7 +107,7 @@ std::string described(const std::vector<BoxTrack>& boxes) {
 }
 
 void add_discovered(Sequence& sequence, const Split& split, const InitialiseOptions& options, const PrepareSession& session) {
-    std::vector<BoxTrack> found = discover_tracks(sequence, split.train, options);
+    std::vector<BoxTrack> found = discover_tracks(sequence, split.train, options, session.progress);
     session.tell(fmt::format("{} movers discovered without a label{}", found.size(), found.empty() ? "" : ": " + described(found)));
     std::move(found.begin(), found.end(), std::back_inserter(sequence.boxes));
 }
@@ -118,7 +118,6 @@ bool registers_sensor(const TrainConfig& config) { return config.pose_register &
 
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session) {
     if (!session.tell) session.tell = [](const std::string&) {};
-    if (!session.progress) session.progress = [](const std::string&, double) {};
     if (config.dataset.poses == kNoPoses && !registers_sensor(config.train))
         throw UsageError("dataset.poses=none: the poses have to be found from the scans; expected train.refine_poses=sensor and train.pose_register=true");
     if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);

@@ -29,10 +29,17 @@ InitialiseOptions start_options(const Config& config) {
 }
 
 /// What training starts from.
-Scene start_scene(const Sequence& sequence, const Split& split, const Config& config) {
-    Scene scene = initialise_scene(sequence, split.train, start_options(config));
+Scene start_scene(const Sequence& sequence, const Split& split, const Config& config, const Progress& progress) {
+    Scene scene = initialise_scene(sequence, split.train, start_options(config), progress);
     if (config.image.primitive == Primitive::gaussian) make_gaussians(scene.surfels, config.init.thickness);
     return scene;
+}
+
+/// Says which moving boxes are nothing in the scene.
+void tell_masked(const Scene& scene, const Sequence& sequence, const Config& config, const TrainSession& session) {
+    const std::vector<BoxTrack> masked = masked_boxes(scene, sequence, config.init);
+    if (masked.empty() || !session.note) return;
+    session.note(fmt::format("{} moving boxes are masked out: {}; init.actor_classes names the classes that become actors, and init.actor_min_points what they need", masked.size(), names_of(masked)));
 }
 
 bool logs_at(int step, const TrainConfig& config) { return step == 1 || step % std::max(1, config.log_every) == 0 || step == config.iterations; }
@@ -44,8 +51,9 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     if (session.start) check_resumable(*session.start, sequence, split, config);
     TrainResult result;
     const Clock::time_point begin = Clock::now();
-    const Scene initial = session.start ? scene_of(*session.start) : start_scene(sequence, split, config);
+    const Scene initial = session.start ? scene_of(*session.start) : start_scene(sequence, split, config, session.progress);
     result.initialise_s = seconds_since(begin);
+    tell_masked(initial, sequence, config, session);
 
     if (config.train.refine_poses == "actors" && initial.instances.size() < 2 && session.note) session.note("train.refine_poses=actors: the scene has no actor, no pose is refined");
     TrainLoop loop(device, sequence, split, initial, config);

@@ -235,6 +235,7 @@ TEST(Synthetic, SavedAndLoadedAgain) {
     SyntheticOptions options = small();
     options.seed = 99;
     options.speed_mps = 6;
+    options.people = true;
     save_synthetic(options, folder);
     EXPECT_EQ(recognise_dataset(folder), "synthetic");
     const Sequence made = make_synthetic_street(options);
@@ -275,6 +276,27 @@ TEST(Synthetic, WrongFilesAreNamed) {
     SyntheticOptions options;
     options.columns = 0;
     EXPECT_THROW(make_synthetic_street(options), UsageError);
+}
+
+/// People's boxes hold their returns, whose number falls with range as it does on a street.
+TEST(Synthetic, PeopleAreMetInTheirBoxes) {
+    SyntheticOptions options = {.n_frames = 5, .rows = 64, .columns = 512, .range_noise_m = 0.0, .people = true};
+    const Sequence street = make_synthetic_street(options);
+    options.people = false;
+    EXPECT_EQ(make_synthetic_street(options).boxes.size(), 2u);
+    std::vector<std::string> categories;
+    for (const BoxTrack& box : street.boxes) categories.push_back(box.category);
+    EXPECT_THAT(categories, testing::ElementsAre("Car", "Car", "Pedestrian", "Pedestrian", "Pedestrian", "Cyclist"));
+    for (const std::size_t person : {2u, 5u}) {
+        std::size_t inside = 0;
+        const Frame& frame = street.frames[2];
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
+            if (frame.scan.range_m[ray] > 0.0f) {
+                const WorldReturn w = world_return(street, frame, ray);
+                inside += street.boxes[person].holds(w.point_m, w.time_s, 0.01);
+            }
+        EXPECT_GT(inside, 10u) << categories[person];
+    }
 }
 
 }  // namespace

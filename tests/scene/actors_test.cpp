@@ -42,7 +42,9 @@ TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
             EXPECT_LE(p.z, 0.5 * box->size_m.z + 0.11);
         }
     }
-    EXPECT_EQ(initialise_scene(street, split_frames(street, 10).train, {}).models.size(), 1u) << "no class is wanted: masked instead";
+    InitialiseOptions nothing;
+    nothing.actor_classes = "";
+    EXPECT_EQ(initialise_scene(street, split_frames(street, 10).train, nothing).models.size(), 1u) << "no class is wanted: masked instead";
 }
 
 TEST(Actors, StandWhereTheirBoxIsAndAreAbsentOutsideItsLabels) {

@@ -71,6 +71,18 @@ TEST(DiscoverTracks, LeavesLabelledAndRestingThingsAlone) {
     EXPECT_TRUE(discover_tracks(street.log, street.split.train, {}).empty());
 }
 
+/// Labels of a drive end where the camera's view does: what stood then stands before and after.
+TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
+    Street street = street_without_labels();
+    BoxTrack still{.id = "still", .category = "Van", .size_m = glm::dvec3(300.0, 300.0, 30.0), .world_from_box = {}};
+    for (const int frame : {10, 11}) {
+        still.world_from_box.time_s.push_back(street.log.frames[std::size_t(frame)].time_s);
+        still.world_from_box.pose.push_back({});
+    }
+    street.log.boxes = {still};
+    EXPECT_TRUE(discover_tracks(street.log, street.split.train, {}).empty());
+}
+
 /// A roof rack: returns that every scan has at the same place of its own.
 TEST(DiscoverTracks, LeavesItsOwnVehicleAlone) {
     Street street = street_without_labels();
@@ -104,6 +116,7 @@ TEST(DiscoverTracks, BecomeActors) {
     for (const BoxTrack& box : discover_tracks(street.log, street.split.train, options)) street.log.boxes.push_back(box);
     EXPECT_EQ(initialise_scene(street.log, street.split.train, options).models.size(), 1 + street.truth.size());
     options.discover_actors = false;
+    options.actor_classes = "Car";
     EXPECT_EQ(initialise_scene(street.log, street.split.train, options).models.size(), 1u) << "no class is wanted: masked instead";
 }
 

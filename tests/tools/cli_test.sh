@@ -166,6 +166,8 @@ devices() {
 }
 
 log_info() {
+    good info street --set init.actor_classes=Van
+    says 'masked +0 \(Car\), 1 \(Car\)'
     good info street
     says "8 rows x 96 columns"
     says "12 \(0 to 11\)"

@@ -33,7 +33,7 @@ void show_log(const Options& options) {
         config.dataset.frames_begin = range.begin;
         config.dataset.frames_end = range.end;
     }
-    const LogSummary summary = summarise(load_dataset(config), config.init.actor_min_step_m);
+    const LogSummary summary = summarise(load_dataset(config), config.init);
     print(options.json ? to_json(summary) : to_text(summary));
 }
 

@@ -60,7 +60,7 @@ Json json_of(const LogSummary& log) {
                  {"sensor", {{"name", log.sensor}, {"rows", log.n_beams}, {"columns", log.columns}, {"top_deg", log.top_deg}, {"bottom_deg", log.bottom_deg},
                              {"period_s", log.period_s}, {"max_range_m", log.max_range_m}}},
                  {"rolling_shutter", log.rolling_shutter}, {"frames", log.n_frames}, {"first_frame", log.first_frame}, {"last_frame", log.last_frame},
-                 {"seconds", log.seconds}, {"path_m", log.path_m}, {"returns_share", nullptr}, {"boxes", boxes}};
+                 {"seconds", log.seconds}, {"path_m", log.path_m}, {"returns_share", nullptr}, {"boxes", boxes}, {"masked", log.masked}};
     if (log.returns_share) json["returns_share"] = *log.returns_share;
     return json;
 }
@@ -99,12 +99,13 @@ std::string text_of(const LogSummary& log, bool of_run) {
     if (log.returns_share) text += line("returns", fmt::format("{:.1f} % of all rays", 100.0 * *log.returns_share));
     const auto parked = std::count_if(log.boxes.begin(), log.boxes.end(), [](const BoxSummary& b) { return b.parked; });
     text += line("boxes", fmt::format("{}: {} moving, {} parked", log.boxes.size(), static_cast<std::ptrdiff_t>(log.boxes.size()) - parked, parked));
+    text += line("masked", log.masked);
     return text + box_table(log.boxes, of_run);
 }
 
 }  // namespace
 
-LogSummary summarise(const Sequence& sequence, double min_step_m) {
+LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options) {
     LogSummary log;
     log.name = sequence.name;
     log.source = sequence.source;
@@ -127,13 +128,15 @@ LogSummary summarise(const Sequence& sequence, double min_step_m) {
     }
     log.path_m = path_length_m(sequence.world_from_sensor);
     log.returns_share = returns_share(sequence);
-    for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box, min_step_m));
+    for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box, options.actor_min_step_m));
+    log.masked = names_of(unwanted_boxes(sequence, options));
     return log;
 }
 
 RunSummary summarise(const Run& run) {
     RunSummary summary;
-    summary.log = summarise(run.sequence, run.config.init.actor_min_step_m);
+    summary.log = summarise(run.sequence, run.config.init);
+    summary.log.masked = run.edits.empty() ? names_of(masked_boxes(run.scene, run.sequence, run.config.init)) : "";   // what an edit removed is told by it
     summary.preset = run.config.preset;
     summary.iterations = run.config.train.iterations;
     summary.n_surfels = run.scene.surfels.size();

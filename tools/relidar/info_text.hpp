@@ -40,10 +40,11 @@ struct LogSummary {
     double seconds = 0.0, path_m = 0.0;
     std::optional<double> returns_share;   ///< none where the scans are not there
     std::vector<BoxSummary> boxes;
+    std::string masked;                    ///< moving boxes that become no actor, or have become none
 };
 
-/// @param min_step_m  boxes that move more a frame count as moving
-LogSummary summarise(const Sequence& sequence, double min_step_m);
+/// @param options  say which boxes count as moving, and which of those become actors
+LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options);
 
 struct RunSummary {
     LogSummary log;

@@ -56,6 +56,7 @@ Report make_report(const Run& run, const TrainResult& result, const Device& devi
                     {"Traversal", device.traversal() == Traversal::software ? "software" : "ray query"},
                     {"Peak device memory", byte_size(result.peak_device_bytes)},
                     {"relidar", RELIDAR_VERSION}};
+    if (const std::vector<BoxTrack> masked = masked_boxes(run.scene, run.sequence, run.config.init); !masked.empty()) report.facts.emplace_back("Moving boxes masked out", names_of(masked));
     report.curves = loss_curves(result);
     if (const MetricRow times = mean_times(result.times); !times.empty()) report.timings_ms.emplace_back("Training: mean of one launch", times);
     return report;

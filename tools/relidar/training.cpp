@@ -59,6 +59,10 @@ private:
     bool lost_ = false;
 };
 
+relidar::Progress shown_by(Progress& progress) {
+    return [&progress](std::string_view what, double done) { progress.show(fmt::format("{} {:.0f} %", what, 100.0 * done)); };
+}
+
 }  // namespace
 
 void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet) {
@@ -69,13 +73,13 @@ void prepare_log_shown(Sequence& sequence, const Split& split, const Config& con
         print(line + "\n");
         std::fflush(stdout);
     };
-    prepare_log(sequence, split, config, {tell, interrupted, [&](const std::string& what, double done) { progress.show(fmt::format("{} {:.0f} %", what, 100.0 * done)); }});
+    prepare_log(sequence, split, config, {tell, interrupted, shown_by(progress)});
 }
 
 TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const fs::path& folder, bool quiet, TrainSession session) {
     LogFile log(folder / "log.jsonl", session.start ? resumed_log(*session.start, config) : std::vector<TrainProgress>{});
     Progress progress(quiet);
-    if (!session.start) progress.show("initialising the scene");
+    session.progress = shown_by(progress);
     session.stop = interrupted;
     session.note = note;
     const TrainResult result = train(device, sequence, split, config,

@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+// How many of the movers that are discovered are ones, and how many of those there are, are discovered: against synthetic streets whose
+// actors are known but not told, with parked cars, some of them behind a fence, people, and a cyclist.
+#include <algorithm>
+#include <cstdio>
+#include <utility>
+
+#include <gtest/gtest.h>
+
+#include <relidar/dataset.hpp>
+#include <relidar/scene.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr std::size_t kSeenReturns = 12;     // of a thing in a frame that sees it
+constexpr std::size_t kSeenFrames = 10;      // that see what is to be discovered
+constexpr double kFarthest_m = 40.0;         // discover_tracks() looks no farther
+constexpr double kInside_m = 0.3;            // of a true box, where the centre of a discovered one belongs
+constexpr double kLarger_m = 0.8;            // than the true box a discovered one may be
+
+/// Training frames in which a thing has enough returns.
+std::vector<double> times_seen(const Sequence& log, const std::vector<int>& train, const BoxTrack& box) {
+    std::vector<double> times;
+    for (const int position : train) {
+        const Frame& frame = log.frames[std::size_t(position)];
+        std::size_t n = 0;
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+            if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kFarthest_m)) continue;
+            const WorldReturn w = world_return(log, frame, ray);
+            n += box.holds(w.point_m, w.time_s, 0.0);
+        }
+        if (n >= kSeenReturns) times.push_back(frame.time_s);
+    }
+    return times;
+}
+
+/// Whether a discovered track is this thing: its centre in the true box most of the time, and not larger than it.
+bool is_of(const BoxTrack& found, const BoxTrack& truth) {
+    std::size_t inside = 0;
+    for (std::size_t i = 0; i < found.world_from_box.time_s.size(); ++i) {
+        const double t_s = found.world_from_box.time_s[i];
+        inside += truth.present(t_s) && truth.holds(found.world_from_box.pose[i].translation, t_s, kInside_m);
+    }
+    return 10 * inside >= 8 * found.world_from_box.time_s.size() && found.size_m.x < truth.size_m.x + kLarger_m && found.size_m.y < truth.size_m.y + kLarger_m;
+}
+
+struct Score {
+    std::size_t found = 0, right = 0, present = 0, recalled = 0;
+    double precision() const { return double(right) / double(std::max<std::size_t>(found, 1)); }
+    double recall() const { return double(recalled) / double(std::max<std::size_t>(present, 1)); }
+};
+
+/// Adds the movers of one street. What is discovered twice at a time counts as wrong the second time.
+void add_street(const SyntheticOptions& options, Score& score) {
+    Sequence log = make_synthetic_street(options);
+    const std::vector<BoxTrack> truth = std::exchange(log.boxes, {});
+    const std::vector<int> train = split_frames(log, 10).train;
+    const std::vector<BoxTrack> found = discover_tracks(log, train, {});
+    std::vector<char> taken(found.size(), 0);
+    score.found += found.size();
+    for (const BoxTrack& thing : truth) {
+        std::vector<double> covered;
+        for (std::size_t i = 0; i < found.size(); ++i) {
+            if (taken[i] || !is_of(found[i], thing)) continue;
+            const std::vector<double>& times = found[i].world_from_box.time_s;
+            if (2 * std::count_if(covered.begin(), covered.end(), [&](double t_s) { return t_s >= times.front() && t_s <= times.back(); }) > std::ptrdiff_t(times.size())) continue;
+            taken[i] = 1;
+            ++score.right;
+            covered.insert(covered.end(), times.begin(), times.end());
+        }
+        const std::size_t seen = times_seen(log, train, thing).size();
+        if (seen < kSeenFrames) continue;
+        ++score.present;
+        const bool recalled = 2 * covered.size() >= seen;
+        score.recalled += recalled;
+        if (!recalled) std::printf("street %d: %s %s, seen in %zu frames: found in %zu\n", int(options.seed), thing.category.c_str(), thing.id.c_str(), seen, covered.size());
+    }
+    for (std::size_t i = 0; i < found.size(); ++i) {
+        const PoseTrack& track = found[i].world_from_box;
+        const glm::dvec3 at = track.pose.front().translation + log.world_offset_m, to = track.pose.back().translation + log.world_offset_m;
+        if (!taken[i]) std::printf("street %d: wrong %s, %.1f x %.1f x %.1f m, %zu frames, from %.1f %.1f to %.1f %.1f\n", int(options.seed), found[i].id.c_str(), found[i].size_m.x, found[i].size_m.y, found[i].size_m.z,
+                                  track.time_s.size(), at.x, at.y, to.x, to.y);
+    }
+}
+
+TEST(MoverScores, PrecisionAndRecallOnStreetsWithPeopleAndParkedCars) {
+    Score score;
+    for (std::uint64_t seed = 1; seed <= 6; ++seed) add_street({.seed = seed, .n_frames = 40, .rows = 64, .columns = 768, .range_noise_m = 0.02, .speed_mps = seed % 2 ? 8.0 : 3.0, .people = true}, score);
+    std::printf("movers: %zu of %zu discovered are right (precision %.3f), %zu of %zu seen in %zu frames or more are discovered (recall %.3f)\n", score.right, score.found, score.precision(), score.recalled,
+                score.present, kSeenFrames, score.recall());
+    EXPECT_GE(score.precision(), 0.95);
+    EXPECT_GE(score.recall(), 0.95);
+}
+
+}  // namespace
+}  // namespace relidar
