@@ -84,7 +84,8 @@ struct IntensityResponse {
     std::vector<double> factor;    ///< [knots], linear between them
     double incidence = 0.0;        ///< 0: as bright from every side, 1: Lambert's cosine
 
-    double at_range(double at_m) const;
+    double at_range(double at_m) const;   ///< the first and last factor beyond the knots
+    /// Of the angle between ray and normal.
     double at_cosine(double cosine) const { return 1.0 - incidence * (1.0 - cosine); }
 };
 

@@ -14,7 +14,7 @@
 namespace relidar::cli {
 namespace {
 
-constexpr std::chrono::seconds kPlainInterval{10};
+constexpr std::chrono::seconds kPlainFirst{2}, kPlainInterval{10};   // what is done sooner needs no line
 constexpr std::chrono::milliseconds kTerminalInterval{100};
 
 bool line_open = false;   // a progress line without its line break is on the terminal
@@ -107,8 +107,8 @@ Progress::Progress(bool quiet) : quiet_(quiet), terminal_(::isatty(STDERR_FILENO
 
 void Progress::show(const std::string& text, bool now) {
     const auto time = Clock::now();
-    const bool first = last_ == Clock::time_point{};
-    if (quiet_ || (!now && !first && time - last_ < (terminal_ ? Clock::duration(kTerminalInterval) : Clock::duration(kPlainInterval)))) return;
+    const Clock::duration due = terminal_ ? Clock::duration(kTerminalInterval) : last_ == Clock::time_point{} ? Clock::duration(kPlainFirst) : Clock::duration(kPlainInterval);
+    if (quiet_ || (!now && time - std::max(start_, last_) < due)) return;
     last_ = time;
     std::fputs(terminal_ ? ("\r" + cut_to_terminal(text) + "\x1b[K").c_str() : (text + "\n").c_str(), stderr);
     std::fflush(stderr);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Text for people: tables, durations, sizes, and a progress line that rewrites itself on a terminal and comes as a plain line
-// every ten seconds elsewhere. Results go to stdout, progress to stderr.
+// after two seconds and then every ten elsewhere. Results go to stdout, progress to stderr.
 #pragma once
 
 #include <chrono>
