@@ -2,6 +2,7 @@
 // Any pose, time and sensor to a scan.
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <string>
@@ -35,6 +36,11 @@ struct RenderedScan {
 /// [n] Ranges of the points of a scan, by config.render.points: of the dominant surface, where a ray has one, or those of the image.
 std::vector<float> point_ranges(const RenderedScan& scan, const Config& config);
 
+/// Draws one scan from what a rendering says is likely: a ray returns with probability 1 - drop_prob, independently of the others, its range off
+/// by the noise at its range and angle of incidence (from neighbouring pixels). Afterwards drop_prob is 0 or 1, and image.range_m is the
+/// dominant surface's, as median_range_m. The same for the same seed and time, whatever the device.
+void sample_returns(RenderedScan& scan, const RangeNoise& noise, std::uint64_t seed);
+
 /// The sensor whose scan is wanted.
 struct SensorChoice {
     RayTable rays;
@@ -59,8 +65,9 @@ public:
     ~ScanRenderer();
     /// Leaves out every instance that is not shown, from the next scan on. @param shown [instances]
     void show_only(const std::vector<bool>& shown);
-    /// @param sensor_from_mount  offset of the simulated sensor in the log's sensor frame (identity = where the real one was)
-    RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {});
+    /// @param sensor_offset  of the simulated sensor in the log's sensor frame (identity = where the real one was)
+    /// @param sample  seed of sample_returns(); not given: the likeliest scan, free of noise
+    RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {}, std::optional<std::uint64_t> sample = {});
     const KernelTimes& times() const;
 
 private:

@@ -47,6 +47,7 @@ Sequence without_scans(const Sequence& sequence, const Config& config) {
     result.boxes = sequence.boxes;
     result.world_offset_m = sequence.world_offset_m;
     result.intensity_response = sequence.intensity_response;
+    result.range_noise = sequence.range_noise;
     result.rolling_shutter = sequence.rolling_shutter && config.sensor.rolling_shutter;
     return result;
 }
@@ -86,7 +87,7 @@ void ScanRenderer::show_only(const std::vector<bool>& shown) {
 
 const KernelTimes& ScanRenderer::times() const { return impl_->renderer.times(); }
 
-RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset) {
+RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset, std::optional<std::uint64_t> sample) {
     const Impl& s = *impl_;
     PoseTrack track = moved_track(s.sequence.world_from_sensor, sensor_offset);
     WorldRays rays;
@@ -128,6 +129,7 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     scan.track = std::move(track);
     scan.world_from_sensor = {pose.rotation, pose.translation + s.sequence.world_offset_m};
     scan.time_s = time_s;
+    if (sample) sample_returns(scan, s.sequence.range_noise, *sample);
     return sensor.grid ? project_scan(scan, *sensor.grid) : scan;
 }
 

@@ -128,6 +128,14 @@ IntensityResponse read_intensity_response(const JsonField& field) {
     return r;
 }
 
+RangeNoise read_range_noise(const JsonField& field) {
+    const RangeNoise n{field.at("range_m").numbers(), field.at("cosine").numbers(), field.at("sigma_m").numbers()};
+    if (n.sigma_m.size() != n.range_m.size() * n.cosine.size() || n.sigma_m.empty())
+        field.at("sigma_m").fail(fmt::format("found {} numbers", n.sigma_m.size()), fmt::format("expected {} x {}", n.range_m.size(), n.cosine.size()));
+    if (!std::all_of(n.sigma_m.begin(), n.sigma_m.end(), [](double s) { return s >= 0.0 && s < 1e3; })) field.at("sigma_m").fail("found a value out of 0 ... 1000", "expected metres");
+    return n;
+}
+
 void read_frames(const JsonField& field, SceneFile& scene) {
     for (std::size_t i = 0; i < field.size(); ++i) {
         const JsonField entry = field.at(i);
@@ -201,6 +209,7 @@ std::string to_scene_json(const Run& run) {
                  {"boxes", boxes}};
     if (const IntensityResponse& r = s.intensity_response; !r.factor.empty())
         json["intensity_response"] = {{"range_m", r.range_m}, {"factor", r.factor}, {"incidence", r.incidence}};
+    if (const RangeNoise& n = s.range_noise; !n.sigma_m.empty()) json["range_noise"] = {{"range_m", n.range_m}, {"cosine", n.cosine}, {"sigma_m", n.sigma_m}};
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
@@ -226,6 +235,7 @@ SceneFile parse_scene_json(const std::string& text, const std::string& file) {
     const JsonField boxes = root.at("boxes");
     for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box(boxes.at(i)));
     if (root.has("intensity_response")) s.intensity_response = read_intensity_response(root.at("intensity_response"));
+    if (root.has("range_noise")) s.range_noise = read_range_noise(root.at("range_noise"));
     if (root.has("edits")) read_edits(root.at("edits"), scene);
     if (root.has("refined_poses")) scene.refined_poses = root.at("refined_poses").text();
     check_counts(root, scene);

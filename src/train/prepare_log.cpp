@@ -122,6 +122,8 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
         throw UsageError("dataset.poses=none: the poses have to be found from the scans; expected train.refine_poses=sensor and train.pose_register=true");
     if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
     calibrate_lasers(sequence, split, config.sensor, session);
+    if (measure_range_noise(sequence, split.train) > 0)
+        session.tell(fmt::format("ranges scatter by {:.0f} mm at 10 m and by {:.0f} mm at 40 m where surfaces are met squarely", 1e3 * sequence.range_noise.at(10.0, 1.0), 1e3 * sequence.range_noise.at(40.0, 1.0)));
     if (config.sensor.calibrate_intensity) calibrate_intensities(sequence, split, session);
     if (config.init.discover_actors && config.init.actors != ActorMode::background) add_discovered(sequence, split, config.init, session);
 }

@@ -53,6 +53,51 @@ TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
     EXPECT_EQ(filled, 1u);
 }
 
+/// A wall 10 m ahead, met squarely at azimuth 0 and obliquely beside it, half of whose returns are dropped at random.
+RenderedScan half_dropped_wall() {
+    std::vector<glm::vec3> points;
+    for (int row = 0; row < 64; ++row)
+        for (int column = 0; column < 256; ++column) points.push_back({10.0f, 10.0f * std::tan((128 - column) * 0.008f), 3.2f - 0.1f * float(row)});
+    RenderedScan scan = scan_of(points, std::vector<float>(points.size(), 0.5f));
+    scan.image.rows = 64, scan.image.columns = 256;
+    scan.time_s = 1.5;
+    return scan;
+}
+
+TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
+    const RenderedScan likely = half_dropped_wall();
+    const RangeNoise noise{{80.0}, {0.8, 1.0}, {0.2, 0.05}};
+    RenderedScan scan = likely, again = likely, other = likely;
+    sample_returns(scan, noise, 7);
+    sample_returns(again, noise, 7);
+    sample_returns(other, noise, 8);
+    EXPECT_EQ(scan.image.range_m, again.image.range_m);
+    EXPECT_NE(scan.image.drop_prob, other.image.drop_prob);
+    double n = 0.0, square[2] = {0.0, 0.0}, count[2] = {0.0, 0.0};
+    for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
+        ASSERT_TRUE(scan.image.drop_prob[i] == 0.0f || scan.image.drop_prob[i] == 1.0f);
+        EXPECT_EQ(scan.image.range_m[i], scan.median_range_m[i]);
+        if (scan.image.drop_prob[i] == 1.0f) continue;
+        const double error = double(scan.image.range_m[i]) - double(likely.image.range_m[i]), cosine = double(likely.image.direction[i].x);
+        if (std::abs(cosine - 0.8) < 0.02 || i % 256 == 255) continue;   // which bin is not sure; nothing lies beside the last column
+        const int oblique = cosine < 0.8;
+        n += 1.0, count[oblique] += 1.0, square[oblique] += error * error;
+    }
+    EXPECT_NEAR(std::sqrt(square[0] / count[0]), 0.05, 0.005);
+    EXPECT_NEAR(std::sqrt(square[1] / count[1]), 0.2, 0.02);
+    const double returned = double(std::count(scan.image.drop_prob.begin(), scan.image.drop_prob.end(), 0.0f)), all = double(scan.image.drop_prob.size());
+    EXPECT_NEAR(returned, 0.5 * all, 4.0 * std::sqrt(0.25 * all)) << "four standard deviations of as many coins";
+}
+
+TEST(SampleReturns, WhatCannotReturnDoesNotAndWhatMustDoes) {
+    RenderedScan scan = half_dropped_wall();
+    for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i) scan.image.drop_prob[i] = i % 2 ? 1.0f : 0.0f;
+    const std::vector<float> before = scan.image.drop_prob, ranges_m = scan.image.range_m;
+    sample_returns(scan, {}, 3);
+    EXPECT_EQ(scan.image.drop_prob, before);
+    EXPECT_EQ(scan.image.range_m, ranges_m) << "no noise is known";
+}
+
 TEST(ProjectScan, RealAndSimulatedPointsAreBinnedAlike) {
     Scan real;
     std::vector<glm::vec3> points;

@@ -233,6 +233,12 @@ rendering() {
     check "--overwrite removed a file of the user's" grep -qx mine scans/frame_notes.txt
     rm scans/frame_notes.txt
     check "--overwrite left frames of the rendering before" test "$(ls scans | tr '\n' ' ')" = "frame_000002.npz scans.json "
+    good render run --out drawn --frames 2:4 --sample 7
+    good render run --out drawn_again --frames 2:4 --sample 7
+    good render run --out drawn_otherwise --frames 2:4 --sample 8
+    check "two scans drawn with one seed differ" cmp -s drawn/frame_000003.npz drawn_again/frame_000003.npz
+    check "scans drawn with two seeds are the same" test "$(cmp -s drawn/frame_000003.npz drawn_otherwise/frame_000003.npz; echo $?)" = 1
+    check "scans.json does not say how scans were drawn" grep -q '"sample": 7' drawn/scans.json
     good render run --out left --frames 2:4 --offset -1,2.5,1,90
     exists left/frame_000002.npz
     exists left/frame_000003.npz

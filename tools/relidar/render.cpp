@@ -32,6 +32,7 @@ struct Options {
     std::vector<std::string> only;
     DeviceChoice device;
     std::string point_frame = "sensor";
+    std::optional<std::uint64_t> sample;
     bool deskew = false;
     bool overwrite = false;
     bool quiet = false;
@@ -98,6 +99,7 @@ ScanFormat wanted_format(const Options& options, const Run& run, const SensorCho
     format.frame = parse_point_frame(options.point_frame);
     format.deskew = options.deskew;
     format.only = options.only;
+    format.sample = options.sample;
     return format;
 }
 
@@ -123,13 +125,14 @@ void run_render(const Options& options) {
     const ScanFormat format = wanted_format(options, run, sensor, offset);
     ScanFolder scans(folder.path(), format);
 
+    if (options.sample && run.sequence.range_noise.sigma_m.empty() && !options.quiet) note(fmt::format("{} knows no range noise: sampled ranges are exact", run.folder.string()));
     catch_interrupts();
     Progress progress(options.quiet);
     double trace_ms = 0.0;
     for (std::size_t done = 0; done < positions.size(); ++done) {
         stop_if_interrupted();
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(positions[done])];
-        const RenderedScan scan = renderer.render(sensor, frame.time_s, offset);
+        const RenderedScan scan = renderer.render(sensor, frame.time_s, offset, options.sample);
         scans.write(frame.index, scan);
         trace_ms += scan.trace_ms;
         progress.count(fmt::format("rendering frame {}:", frame.index), done + 1, positions.size());
@@ -156,6 +159,7 @@ void add_render(CLI::App& app, Call& call) {
     command->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")->type_name("WHAT")->type_size(1)->allow_extra_args(false);
     command->add_option("--frame", options->point_frame, "frame of reference of points: sensor, each point at its own firing time; or world, the dataset's (default: sensor)")->type_name("WHAT");
     command->add_flag("--deskew", options->deskew, "bring all points of a scan to the sensor's frame at the scan's time, as a motion-compensated log has them");
+    command->add_option("--sample", options->sample, "draw each scan from the likely ones: drops by their probability, ranges with the noise measured on the log (default: the likeliest scan, free of noise)")->type_name("SEED");
     command->add_flag("--overwrite", options->overwrite, "replace the rendering in DIR");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);

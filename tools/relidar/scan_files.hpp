@@ -3,6 +3,8 @@
 #pragma once
 
 #include <filesystem>
+#include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -35,6 +37,7 @@ struct ScanFormat {
     bool deskew = false;                       ///< sensor frame: of the scan's reference time for all rays, instead of each ray's firing time
     std::vector<std::string> instance_names;   ///< "background" or the track, by instance
     std::vector<std::string> only;             ///< what was rendered alone; empty: everything
+    std::optional<std::uint64_t> sample;       ///< seed of a sampled scan; none: the likeliest
     std::string run;                           ///< its folder
     std::string sensor;
     RangeLimits limits;

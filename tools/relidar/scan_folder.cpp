@@ -84,6 +84,7 @@ void ScanFolder::finish() const {
                  {"points", points},
                  {"instances", format_.instance_names},
                  {"only", format_.only},
+                 {"sample", format_.sample ? Json(*format_.sample) : Json()},
                  {"scans", Json::array()},
                  {"settings", settings_json(config)}};
     for (const Entry& e : entries_)

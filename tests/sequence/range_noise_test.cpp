@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+// Range noise of the synthetic street against what was put in.
+#include <gtest/gtest.h>
+
+#include <relidar/dataset.hpp>
+#include <relidar/sequence.hpp>
+
+#include "core/random.hpp"
+
+namespace relidar {
+namespace {
+
+TEST(RangeNoise, ComesBackFromPlanes) {
+    SyntheticOptions options;
+    options.n_frames = 24, options.rows = 64, options.columns = 1024, options.range_noise_m = 0.0, options.moving_cars = false;
+    Sequence street = make_synthetic_street(options);
+    const auto sigma = [](float range_m) { return range_m < 20.0f ? 0.01 : 0.04; };
+    Random random(5);
+    for (Frame& frame : street.frames)
+        for (float& range : frame.scan.range_m)
+            if (range > 0.0f) range += static_cast<float>(sigma(range) * random.normal());
+    const std::vector<int> all = split_frames(street, 0).train;
+    ASSERT_GT(measure_range_noise(street, all), 10000u);
+    for (const double cosine : {0.5, 1.0}) {
+        EXPECT_NEAR(street.range_noise.at(8.0, cosine), 0.01, cosine < 0.6 ? 0.001 : 0.003) << cosine << ": met squarely and near are above all parked cars, whose edges add to it";
+        EXPECT_NEAR(street.range_noise.at(15.0, cosine), 0.01, 0.002) << cosine;
+        EXPECT_NEAR(street.range_noise.at(25.0, cosine), 0.04, 0.008) << cosine;
+    }
+    EXPECT_EQ(street.range_noise.at(500.0, 1.0), street.range_noise.at(79.0, 1.0)) << "the last bin goes on";
+}
+
+TEST(RangeNoise, NothingSeenMeasuresNothing) {
+    Sequence street = make_synthetic_street({.n_frames = 2, .rows = 4, .columns = 16});
+    EXPECT_EQ(measure_range_noise(street, {}), 0u);
+    EXPECT_TRUE(street.range_noise.sigma_m.empty());
+    EXPECT_EQ(street.range_noise.at(10.0, 1.0), 0.0);
+}
+
+}  // namespace
+}  // namespace relidar
