@@ -180,8 +180,8 @@ struct IntensityCalibration {
 /// has gain 1 and offset 0, and so has one that shares no place. (Not in the paper.)
 /// @param positions  of the frames to look at, in Sequence::frames
 IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions);
-/// Measures how ranges scatter about planes (Sequence::range_noise), 1.48 times the median distance along the ray, from returns of the given
-/// frames in cells of 0.3 m. Where a bin has seen fewer than 200 returns its neighbour's value stands. (Not in the paper.)
+/// Measures how ranges scatter (Sequence::range_noise), from second differences between neighbouring firings of a laser, in the given frames:
+/// scans need the order of an image. Where a bin has seen fewer than 200 returns its neighbour's value stands. (Not in the paper.)
 /// @param positions  of the frames to look at, in Sequence::frames @return returns that were looked at; 0: nothing was measured
 std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& positions);
 /// Finds what each laser adds to its ranges (Beam) from returns on the same planes, cells of 0.3 m, by alternating least squares from the

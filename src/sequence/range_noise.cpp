@@ -1,15 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scatter of ranges about the planes of small cells, by range and incidence:
-//   sigma = 1.4826 median |n . (p - q)| / |n . d|,   q, n the plane of the return's cell, d its direction.
+// Scatter of ranges by range and incidence, from second differences along a laser's own turn, which hold no pose, no other laser and, on what
+// is smooth for three firings, no surface:
+//   sigma = 1.4826 median |r_(i-1) - 2 r_i + r_(i+1)| / sqrt(6)
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <unordered_map>
 
 #include <relidar/sequence.hpp>
 
-#include "core/cell_key.hpp"
-#include "core/plane_sums.hpp"
+#include "core/incidence.hpp"
 #include "sequence/laser_returns.hpp"
 
 namespace relidar {
@@ -17,66 +16,38 @@ namespace {
 
 constexpr std::array kRanges_m = {10.0, 20.0, 30.0, 45.0, 80.0};
 constexpr std::array kCosines = {0.3, 0.6, 1.0};
-constexpr double kCell_m = 0.3, kLeastCosine = 0.1;
-constexpr double kMinReturns = 20.0;          // of a cell that may be a plane
-constexpr double kMaxThickness_m = 0.06, kMinExtent_m = 0.07;   // standard deviations across and along a plane
+constexpr std::size_t kBins = kRanges_m.size() * kCosines.size();
 constexpr std::size_t kMostReturns = 3000000, kFewestOfBin = 200;
-constexpr double kOfMedian = 1.4826;          // a normal deviate's standard deviation over its median absolute value
+constexpr float kEdge_m = 0.5f;        // larger differences are edges, not noise
+constexpr double kOfMedian = 1.4826;   // a normal deviate's standard deviation over its median absolute value
 
-struct Seen {
-    glm::dvec3 point_m;
-    glm::vec3 direction;
-    float range_m;
-};
-
-std::vector<Seen> returns_of(const Sequence& sequence, const Frame& frame) {
-    std::vector<Seen> result;
-    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
-        if (!is_of_laser(sequence, frame.scan, ray, kRanges_m.back())) continue;
-        const WorldReturn w = world_return(sequence, frame, ray);
-        result.push_back({w.point_m, glm::vec3(w.direction), frame.scan.range_m[ray]});
-    }
-    return result;
-}
-
-/// A grid of cells, moved by a share of a cell.
-struct Grid {
-    double shift;
-    std::uint64_t key(const glm::dvec3& p) const { return cell_key(p + shift * kCell_m, kCell_m); }
-    glm::dvec3 centre(const glm::dvec3& p) const { return kCell_m * (glm::floor(p / kCell_m + shift) + 0.5 - shift); }
-};
-
-struct Surface {
-    glm::dvec3 point_m, normal;
-};
-using Surfaces = std::unordered_map<std::uint64_t, Surface>;
-
-/// Planes that pass through the middle half of their cells: a wall along the border of two would lend its scatter to both, cut in half.
-Surfaces surfaces_of(const std::vector<std::vector<Seen>>& frames, const Grid& grid) {
-    std::unordered_map<std::uint64_t, PlaneSums> cells;
-    Surfaces surfaces;
-    for (const std::vector<Seen>& frame : frames)
-        for (const Seen& s : frame) {
-            cells[grid.key(s.point_m)].add(s.point_m - grid.centre(s.point_m));
-            surfaces[grid.key(s.point_m)].point_m = grid.centre(s.point_m);
-        }
-    for (const auto& [key, sums] : cells) {
-        const PlaneFit fit = sums.fit();
-        const bool is_plane = sums.n >= kMinReturns && fit.variance[0] < kMaxThickness_m * kMaxThickness_m && fit.variance[1] > std::max(kMinExtent_m * kMinExtent_m, fit.variance[0]);
-        if (is_plane && std::abs(glm::dot(fit.axes[0], fit.mean)) < 0.25 * kCell_m) surfaces[key] = {surfaces[key].point_m + fit.mean, fit.axes[0]};
-        else surfaces.erase(key);
-    }
-    return surfaces;
-}
+using Differences = std::array<std::vector<float>, kBins>;
 
 std::size_t bin(const auto& upper_ends, double value) {
     return std::min<std::size_t>(std::size_t(std::lower_bound(upper_ends.begin(), upper_ends.end(), value) - upper_ends.begin()), upper_ends.size() - 1);
 }
 
-double sigma_of(std::vector<float>& distances_m) {
-    const auto middle = distances_m.begin() + std::ptrdiff_t(distances_m.size() / 2);
-    std::nth_element(distances_m.begin(), middle, distances_m.end());
-    return kOfMedian * double(*middle);
+Differences differences_of(const Frame& frame) {
+    Differences result;
+    const Scan& scan = frame.scan;
+    const ImageRays image{scan.rays.rows, scan.rays.columns, scan.rays.origin, scan.rays.direction, scan.range_m};
+    const auto columns = std::size_t(std::max(scan.rays.columns, 1));
+    for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
+        const double cosine = incidence_cosine(image, i);
+        const std::size_t row = i / columns * columns, left = row + (i + columns - 1) % columns, right = row + (i + 1) % columns;
+        if (cosine < 0.0 || !(scan.range_m[left] > 0.0f && scan.range_m[right] > 0.0f)) continue;
+        const float difference_m = std::abs(scan.range_m[left] - 2.0f * scan.range_m[i] + scan.range_m[right]);
+        if (difference_m > kEdge_m) continue;
+        const std::size_t b = bin(kRanges_m, double(scan.range_m[i])) * kCosines.size() + bin(kCosines, cosine);
+        result[b].push_back(difference_m);
+    }
+    return result;
+}
+
+double sigma_of(std::vector<float>& differences_m) {
+    const auto middle = differences_m.begin() + std::ptrdiff_t(differences_m.size() / 2);
+    std::nth_element(differences_m.begin(), middle, differences_m.end());
+    return kOfMedian * double(*middle) / std::sqrt(6.0);
 }
 
 /// What no bin of its row or column has seen is as its neighbour: nearer first, then squarer.
@@ -99,27 +70,16 @@ double RangeNoise::at(double at_m, double at_cosine) const {
 
 std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& positions) {
     sequence.range_noise = {};
-    const std::vector<std::vector<Seen>> frames = read_frames(sequence, positions, kMostReturns, [&](const Frame& frame) { return returns_of(sequence, frame); });
-    std::vector<std::vector<float>> distances_m(kRanges_m.size() * kCosines.size());
+    std::vector<Differences> frames = read_frames(sequence, positions, kMostReturns, [](const Frame& frame) { return differences_of(frame); });
     std::size_t n = 0;
-    for (const double shift : {0.0, 0.5}) {
-        const Grid grid{shift};
-        const Surfaces surfaces = surfaces_of(frames, grid);
-        for (const std::vector<Seen>& frame : frames)
-            for (const Seen& s : frame) {
-                const auto found = surfaces.find(grid.key(s.point_m));
-                if (found == surfaces.end()) continue;
-                const double facing = std::abs(glm::dot(found->second.normal, glm::dvec3(s.direction)));
-                if (facing < kLeastCosine) continue;
-                distances_m[bin(kRanges_m, double(s.range_m)) * kCosines.size() + bin(kCosines, facing)].push_back(
-                    static_cast<float>(std::abs(glm::dot(found->second.normal, s.point_m - found->second.point_m)) / facing));
-                ++n;
-            }
+    RangeNoise noise{{kRanges_m.begin(), kRanges_m.end()}, {kCosines.begin(), kCosines.end()}, std::vector<double>(kBins, 0.0)};
+    for (std::size_t b = 0; b < kBins; ++b) {
+        std::vector<float> all;
+        for (const Differences& frame : frames) all.insert(all.end(), frame[b].begin(), frame[b].end());
+        n += all.size();
+        if (all.size() >= kFewestOfBin) noise.sigma_m[b] = sigma_of(all);
     }
-    if (n < kFewestOfBin) return 0;
-    RangeNoise noise{{kRanges_m.begin(), kRanges_m.end()}, {kCosines.begin(), kCosines.end()}, std::vector<double>(distances_m.size(), 0.0)};
-    for (std::size_t i = 0; i < distances_m.size(); ++i)
-        if (distances_m[i].size() >= kFewestOfBin) noise.sigma_m[i] = sigma_of(distances_m[i]);
+    if (*std::max_element(noise.sigma_m.begin(), noise.sigma_m.end()) == 0.0) return 0;
     fill_gaps(noise);
     sequence.range_noise = std::move(noise);
     return n;

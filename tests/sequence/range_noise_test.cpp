@@ -10,7 +10,7 @@
 namespace relidar {
 namespace {
 
-TEST(RangeNoise, ComesBackFromPlanes) {
+TEST(RangeNoise, ComesBackFromASmoothStreet) {
     SyntheticOptions options;
     options.n_frames = 24, options.rows = 64, options.columns = 1024, options.range_noise_m = 0.0, options.moving_cars = false;
     Sequence street = make_synthetic_street(options);
@@ -22,9 +22,9 @@ TEST(RangeNoise, ComesBackFromPlanes) {
     const std::vector<int> all = split_frames(street, 0).train;
     ASSERT_GT(measure_range_noise(street, all), 10000u);
     for (const double cosine : {0.5, 1.0}) {
-        EXPECT_NEAR(street.range_noise.at(8.0, cosine), 0.01, cosine < 0.6 ? 0.001 : 0.003) << cosine << ": met squarely and near are above all parked cars, whose edges add to it";
-        EXPECT_NEAR(street.range_noise.at(15.0, cosine), 0.01, 0.002) << cosine;
-        EXPECT_NEAR(street.range_noise.at(25.0, cosine), 0.04, 0.008) << cosine;
+        EXPECT_NEAR(street.range_noise.at(8.0, cosine), 0.01, 0.001) << cosine;
+        EXPECT_NEAR(street.range_noise.at(15.0, cosine), 0.01, 0.001) << cosine;
+        EXPECT_NEAR(street.range_noise.at(25.0, cosine), 0.04, cosine < 0.6 ? 0.004 : 0.012) << cosine << ": so far away little is met squarely, and much of it is edges";
     }
     EXPECT_EQ(street.range_noise.at(500.0, 1.0), street.range_noise.at(79.0, 1.0)) << "the last bin goes on";
 }
