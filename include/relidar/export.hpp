@@ -136,6 +136,7 @@ struct Report {
     std::string summary;                                              ///< one paragraph
     std::vector<std::pair<std::string, std::string>> facts;           ///< device, sizes, times
     std::vector<ReportCurve> curves;                                  ///< log scale where positive and spanning more than 4x
+    bool same_scans = true;   ///< the columns of metrics are scores of the same scans; false: none is better than another
     std::vector<std::pair<std::string, MetricRow>> metrics;           ///< column title -> values, grouped by the part before '/'
     std::vector<std::pair<std::string, MetricRow>> timings_ms;        ///< table title -> kernel -> ms; shares of "total" or the sum
     std::vector<ReportFigure> figures;

@@ -72,7 +72,7 @@ std::optional<double> best_value(const Report& report, const std::string& name) 
             ++count;
             if (!best || direction * (*value - *best) > 0.0) best = value;
         }
-    return direction != 0 && count > 1 ? best : std::nullopt;
+    return report.same_scans && direction != 0 && count > 1 ? best : std::nullopt;
 }
 
 std::string metric_cells(const Report& report, const std::string& name) {
@@ -102,8 +102,8 @@ std::string metrics(const Report& report) {
         group = name_group;
         rows += fmt::format("<tr><td class=\"name\">{}</td>{}</tr>\n", escape_html(metric), metric_cells(report, name));
     }
-    const std::string note =
-        report.metrics.size() > 1 ? "<p class=\"note\">Green: best of the row. Dash: not given or not defined.</p>\n" : "";
+    const char* marks = report.same_scans ? "Green: best of the row." : "Columns are of different scans: neither is better than the other.";
+    const std::string note = report.metrics.size() > 1 ? fmt::format("<p class=\"note\">{} Dash: not given or not defined.</p>\n", marks) : "";
     return table(head, rows) + note;
 }
 

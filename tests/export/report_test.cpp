@@ -81,6 +81,9 @@ TEST_F(ReportFile, HoldsEverything) {
                              "12.000", "Frame 5", "real"})
         EXPECT_NE(html.find(part), std::string::npos) << part;
     EXPECT_NE(html.find("<td class=\"best\">3.250</td><td>3.467</td>"), std::string::npos);
+    Report apart = some_report();
+    apart.same_scans = false;
+    EXPECT_EQ(written(folder, apart).find("class=\"best\""), std::string::npos) << "scores of different scans are not compared";
     EXPECT_LT(html.find("backward"), html.find("forward"));   // longest first
 }
 
