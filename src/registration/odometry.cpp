@@ -31,7 +31,8 @@ Pose scaled_motion(const Pose& a, const Pose& b, double s) { return interpolate(
 
 class Follower {
 public:
-    Follower(const PoseTrack& given, const OdometryOptions& options, std::optional<Pose> first_motion) : given_(given), track_(given), options_(options), first_motion_(first_motion) {
+    Follower(const PoseTrack& given, const OdometryOptions& options, std::optional<Pose> first_motion)
+        : given_(given), track_(given), options_(options), first_motion_(first_motion) {
         for (int level = 0; level < kLevels; ++level) maps_.emplace_back(between(options.first.cell_m, options.last.cell_m, level));
         if (track_.pose.size() > 1) track_.pose[1] = predictions(1).front();
     }

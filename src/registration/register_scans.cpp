@@ -27,7 +27,9 @@ std::vector<ThinPoint> joined(const std::vector<std::vector<ThinPoint>>& scans) 
 }
 
 /// Coarse to fine like the training scans, but on planes that know nothing of them.
-std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const Split& split, const std::vector<bool>& is_train, const std::vector<std::vector<ThinPoint>>& scans, const RegisterRound& first, double largest_m) {
+/// @param scans [held-out frames] their points @return poses of those that did not find their place
+std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const Split& split, const std::vector<bool>& is_train,
+                                        const std::vector<std::vector<ThinPoint>>& scans, const RegisterRound& first, double largest_m) {
     std::vector<std::size_t> lost;
     std::vector<Pose> as_neighbours;
     for (const int position : split.test) as_neighbours.push_back(adjustment.track().pose[std::size_t(position)]);
