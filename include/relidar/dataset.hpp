@@ -7,6 +7,7 @@
 #include <optional>
 #include <string>
 
+#include <relidar/progress.hpp>
 #include <relidar/sequence.hpp>
 
 namespace relidar {
@@ -29,6 +30,7 @@ struct DatasetOptions {
     bool rolling_shutter = true;        ///< false: take all rays of a turn as fired at its reference time
     double max_range_m = 80.0;          ///< returns beyond are treated as dropped
     double min_range_m = 0.0;           ///< and so are those nearer than this
+    Progress progress = {};             ///< of reading
 };
 
 /// Reads a log. @param dataset a path (format recognised) or "kind:path" with kind kitti_raw or synthetic

@@ -11,6 +11,7 @@
 #include <relidar/error.hpp>
 #include "core/files.hpp"
 #include "core/parallel.hpp"
+#include "core/progress_blocks.hpp"
 #include "dataset/kitti_files.hpp"
 #include "dataset/kitti_grid.hpp"
 
@@ -30,10 +31,9 @@ std::vector<const RawScan*> spread(const std::vector<RawScan>& scans, std::size_
     return some;
 }
 
-std::vector<RawScan> read_scans(const fs::path& drive, const std::vector<int>& frames) {
+std::vector<RawScan> read_scans(const fs::path& drive, const std::vector<int>& frames, const Progress& progress) {
     std::vector<RawScan> scans(frames.size());
-    run_parallel(static_cast<int>(frames.size()), [&](int i) {
-        const std::size_t at = static_cast<std::size_t>(i);
+    for_each_told(frames.size(), progress, "reading scans", [&](std::size_t at) {
         scans[at] = split_rings(read_scan(drive / "velodyne_points/data" / fmt::format("{:010d}.bin", frames[at])));
     });
     return scans;
@@ -63,7 +63,7 @@ void check_rays(const std::vector<RawScan>& raw, const FiringLattice& lattice, c
 }
 
 /// Makes the scans of all frames from their points; sets the sensor's beams and columns.
-void grid_scans(std::vector<RawScan>& raw, Sequence& sequence, const fs::path& drive, double max_range_m) {
+void grid_scans(std::vector<RawScan>& raw, Sequence& sequence, const fs::path& drive, double max_range_m, const Progress& progress) {
     Hdl64 hdl64;
     const Cones cones = fit_cones(spread(raw, kFitScans), (drive / "velodyne_points/data").string());
     run_parallel(static_cast<int>(raw.size()), [&](int i) { correct_rings(raw[static_cast<std::size_t>(i)], cones); });
@@ -71,8 +71,7 @@ void grid_scans(std::vector<RawScan>& raw, Sequence& sequence, const fs::path& d
     check_rays(raw, hdl64.lattice, (drive / "velodyne_points/data").string());
 
     std::vector<std::vector<int>> firings(raw.size());
-    run_parallel(static_cast<int>(raw.size()), [&](int i) {
-        const std::size_t at = static_cast<std::size_t>(i);
+    for_each_told(raw.size(), progress, "finding the firings of each turn", [&](std::size_t at) {
         firings[at] = find_firings(raw[at], hdl64.lattice);
         if (firings[at].empty()) {
             throw DataError(fmt::format("{}/{:010d}.bin: {} points without a firing in common, expected a turn of an HDL-64E",
@@ -84,8 +83,7 @@ void grid_scans(std::vector<RawScan>& raw, Sequence& sequence, const fs::path& d
     for (const auto& turn : firings) sensor.columns = std::max(sensor.columns, static_cast<int>(turn.size()));
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     hdl64.sensor = sensor;
-    run_parallel(static_cast<int>(raw.size()), [&](int i) {
-        const std::size_t at = static_cast<std::size_t>(i);
+    for_each_told(raw.size(), progress, "putting points on the rays that were fired", [&](std::size_t at) {
         sequence.frames[at].scan = make_scan(raw[at], firings[at], hdl64, max_range_m).scan;
         raw[at] = {};
     });
@@ -138,8 +136,8 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     for (std::size_t i = 0; i < frames.size(); ++i) {
         sequence.frames.push_back({.index = frames[i], .time_s = sequence.world_from_sensor.time_s[i], .scan = {}});
     }
-    std::vector<RawScan> raw = read_scans(drive, frames);
-    grid_scans(raw, sequence, drive, options.max_range_m);
+    std::vector<RawScan> raw = read_scans(drive, frames, options.progress);
+    grid_scans(raw, sequence, drive, options.max_range_m, options.progress);
     return sequence;
 }
 

@@ -15,7 +15,7 @@
 
 #include "core/random.hpp"
 #include "scene/point_surfels.hpp"
-#include "scene/progress_blocks.hpp"
+#include "core/progress_blocks.hpp"
 
 namespace relidar {
 

@@ -14,7 +14,7 @@
 #include "core/parallel.hpp"
 #include "scene/mover_clusters.hpp"
 #include "scene/mover_evidence.hpp"
-#include "scene/progress_blocks.hpp"
+#include "core/progress_blocks.hpp"
 
 namespace relidar {
 namespace {

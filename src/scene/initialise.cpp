@@ -16,7 +16,7 @@
 #include "core/parallel.hpp"
 #include "core/random.hpp"
 #include "scene/point_surfels.hpp"
-#include "scene/progress_blocks.hpp"
+#include "core/progress_blocks.hpp"
 #include "scene/visibility.hpp"
 
 namespace relidar {

@@ -9,7 +9,7 @@
 
 #include "core/cell_key.hpp"
 #include "core/parallel.hpp"
-#include "scene/progress_blocks.hpp"
+#include "core/progress_blocks.hpp"
 
 namespace relidar {
 namespace {

@@ -9,7 +9,7 @@
 #include <nanoflann.hpp>
 
 #include "core/random.hpp"
-#include "scene/progress_blocks.hpp"
+#include "core/progress_blocks.hpp"
 
 namespace relidar {
 

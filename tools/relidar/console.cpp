@@ -121,4 +121,8 @@ void Progress::count(const std::string& what, std::size_t done, std::size_t tota
     show(fmt::format("{} {}/{}  {:.2f}/s  eta {}", what, done, total, rate, duration(static_cast<double>(total - done) / std::max(rate, 1e-9))), done == total);
 }
 
+relidar::Progress shown_by(Progress& progress) {
+    return [&progress](std::string_view what, double done) { progress.show(fmt::format("{} {:.0f} %", what, 100.0 * done)); };
+}
+
 }  // namespace relidar::cli

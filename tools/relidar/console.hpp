@@ -8,6 +8,8 @@
 #include <string>
 #include <vector>
 
+#include <relidar/progress.hpp>
+
 namespace relidar::cli {
 
 /// Rows of cells with aligned columns, two blanks apart; the first row is the head. Columns of numbers are right-aligned.
@@ -48,5 +50,8 @@ private:
     Clock::time_point start_ = Clock::now();
     Clock::time_point last_{};
 };
+
+/// What the library tells of its progress, shown as "what 30 %".
+relidar::Progress shown_by(Progress& progress);
 
 }  // namespace relidar::cli

@@ -120,8 +120,17 @@ std::string absolute_dataset(const std::string& dataset) {
     return has_kind ? dataset.substr(0, colon + 1) + absolute_path(dataset.substr(colon + 1)) : absolute_path(dataset);
 }
 
-Sequence load_dataset(const Config& config) {
-    Sequence sequence = load_sequence(config.dataset.path, {{config.dataset.frames_begin, config.dataset.frames_end}, config.dataset.poses, config.dataset.allow_missing_scans, config.sensor.rolling_shutter, config.dataset.max_range_m, config.dataset.min_range_m});
+Sequence load_dataset(const Config& config, bool quiet) {
+    Progress progress(quiet);
+    DatasetOptions options;
+    options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
+    options.poses_file = config.dataset.poses;
+    options.allow_missing_scans = config.dataset.allow_missing_scans;
+    options.rolling_shutter = config.sensor.rolling_shutter;
+    options.max_range_m = config.dataset.max_range_m;
+    options.min_range_m = config.dataset.min_range_m;
+    options.progress = shown_by(progress);
+    Sequence sequence = load_sequence(config.dataset.path, options);
     if (!sequence.frames.empty()) note_frames_beyond({config.dataset.frames_begin, config.dataset.frames_end}, sequence.frames.back().index, sequence.source);
     return sequence;
 }

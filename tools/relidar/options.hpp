@@ -50,6 +50,6 @@ std::string without_blanks(const std::string& text);   ///< at both ends
 std::string absolute_dataset(const std::string& dataset);
 std::string absolute_path(const std::string& path);   ///< empty stays empty
 /// The log that config.dataset describes.
-Sequence load_dataset(const Config& config);
+Sequence load_dataset(const Config& config, bool quiet = false);
 
 }  // namespace relidar::cli

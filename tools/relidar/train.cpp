@@ -168,7 +168,7 @@ void run_train(const Options& given, const std::string& command_line) {
     const RunFolder folder(options.out, resume ? Existing::keep : options.force ? Existing::replace : Existing::refuse);
     std::optional<Checkpoint> start = resume ? find_start(options) : std::nullopt;
     Device device(device_options(options.device));
-    Sequence sequence = load_dataset(config);
+    Sequence sequence = load_dataset(config, options.quiet);
     const Split split = split_frames(sequence, config.dataset.test_every);
     if (!options.quiet) announce(sequence, split, device, start ? &*start : nullptr);
 

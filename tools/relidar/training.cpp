@@ -59,10 +59,6 @@ private:
     bool lost_ = false;
 };
 
-relidar::Progress shown_by(Progress& progress) {
-    return [&progress](std::string_view what, double done) { progress.show(fmt::format("{} {:.0f} %", what, 100.0 * done)); };
-}
-
 }  // namespace
 
 void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet) {
