@@ -16,7 +16,6 @@ namespace relidar {
 namespace {
 
 constexpr int kLevels = 3, kMostSteps = 8;
-constexpr double kLastScale = 2.0;          // of the adjustment's: a map of running sums is coarser
 constexpr double kConverged_m = 1e-3;       // length of the last step
 constexpr double kPrior = 3e-4;             // of the mean stiffness, towards the prediction: decides along what no point sees, such as a bare road
 constexpr double kFewestShare = 0.1;        // of a scan's points that lie on planes of the map: streets 0.5 to 0.8
@@ -33,7 +32,7 @@ class Follower {
 public:
     Follower(const PoseTrack& given, const OdometryOptions& options, std::optional<Pose> first_motion)
         : given_(given), track_(given), options_(options), first_motion_(first_motion) {
-        for (int level = 0; level < kLevels; ++level) maps_.emplace_back(between(options.first.cell_m, options.last.cell_m, level));
+        for (int level = 0; level < kLevels; ++level) maps_.emplace_back(round(level).cell_m);
         if (track_.pose.size() > 1) track_.pose[1] = predictions(1).front();
     }
 
@@ -50,7 +49,6 @@ public:
         if (pose > 0) travelled_m_ += glm::distance(track_.pose[pose].translation, track_.pose[pose - 1].translation);
         if (scan.empty()) return;
         share_ += best.share;
-        if (is_lost) lost.push_back(pose);
         lost_in_a_row_ = is_lost ? lost_in_a_row_ + 1 : 0;
         if (is_lost && lost_in_a_row_ < kLostInARow) return;
         if (is_lost)
@@ -60,7 +58,6 @@ public:
 
     const PoseTrack& track() const { return track_; }
     double share() const { return share_; }   ///< of points on planes, summed over scans
-    std::vector<std::size_t> lost;
 
 private:
     struct Candidate {
@@ -75,7 +72,7 @@ private:
     double travelled_m_ = 0.0, share_ = 0.0;
     int lost_in_a_row_ = 0;
 
-    static double between(double first, double last, int level) { return first * std::pow(last / first, level / double(kLevels - 1)); }
+    RegisterRound round(int level) const { return between(options_.first, options_.last, level / double(kLevels - 1)); }
 
     void add_to_maps(const std::vector<ThinPoint>& scan) {
         for (const ThinPoint& point : scan) {
@@ -115,7 +112,7 @@ private:
         if (maps_.front().empty() || scan.empty()) return {start, 0.0};
         double share = 0.0;
         for (int level = 0; level < kLevels; ++level) {
-            const double scale_m = between(options_.first.scale_m, kLastScale * options_.last.scale_m, level);
+            const double scale_m = round(level).scale_m;
             for (int i = 0; i < kMostSteps && step(k, start, scan, level, scale_m, share) > kConverged_m; ++i) {}
         }
         return {track_.pose[k], share};
@@ -175,14 +172,13 @@ Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<Thi
 
 }  // namespace
 
-Odometry follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options) {
+PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options) {
     Follower follower(given, options, options.given_motion ? std::nullopt : std::optional(find_first_motion(given, scans, options)));
-    Odometry result;
     for (std::size_t k = 0; k < scans.size(); ++k) {
-        if (!options.proceed(double(k) / double(scans.size()))) return {given, {}, true};
+        if (!options.proceed(double(k) / double(scans.size()))) return given;
         follower.follow(k, scans[k]);
     }
-    return {follower.track(), std::move(follower.lost), false};
+    return follower.track();
 }
 
 }  // namespace relidar

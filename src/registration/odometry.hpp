@@ -17,13 +17,8 @@ struct OdometryOptions {
     std::function<bool(double done)> proceed;        ///< called before each scan; false ends it
 };
 
-struct Odometry {
-    PoseTrack track;                    ///< starts where the given poses start
-    std::vector<std::size_t> lost;      ///< poses whose scan did not find its place: moved as predicted
-    bool stopped = false;
-};
-
-/// @param scans  [poses] points of each scan; empty where a pose has none of its own: moved as predicted
-Odometry follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options);
+/// Scans that do not find their place move as predicted. @param scans  [poses] points of each scan; empty where a pose has none of its own
+/// @return starts where the given poses start; the given poses where proceed() ended it
+PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options);
 
 }  // namespace relidar

@@ -61,10 +61,6 @@ std::vector<std::optional<Plane>> fit_planes(const PlaneCells& cells, const std:
     return planes;
 }
 
-RegisterRound between(const RegisterRound& first, const RegisterRound& last, double t) {
-    return {first.cell_m * std::pow(last.cell_m / first.cell_m, t), first.scale_m * std::pow(last.scale_m / first.scale_m, t)};
-}
-
 }  // namespace
 
 const Plane* PlaneMap::at(const glm::dvec3& point_m) const {

@@ -2,6 +2,7 @@
 // Planes of the world, one a cell of a grid, fitted to the points of all scans at their present poses.
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <optional>
 #include <span>
@@ -11,6 +12,11 @@
 #include "registration/thin_scans.hpp"
 
 namespace relidar {
+
+/// Cells and kernel of a round between two others: t = 0 is the first, 1 the last, geometrically.
+inline RegisterRound between(const RegisterRound& first, const RegisterRound& last, double t) {
+    return {first.cell_m * std::pow(last.cell_m / first.cell_m, t), first.scale_m * std::pow(last.scale_m / first.scale_m, t)};
+}
 
 /// n . (p - point) = 0, and how firmly its points hold it.
 struct Plane {

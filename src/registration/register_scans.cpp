@@ -18,6 +18,7 @@ namespace {
 
 constexpr double kThin_m = 0.5;                 // 12 thousand points of a 64-beam scan
 constexpr RegisterRound kLast{0.5, 0.05};       // cells and kernel of the last rounds
+constexpr RegisterRound kLastFollowed{0.5, 0.1};   // of a scan that is followed: a map of running sums is coarser
 constexpr int kLevels = 5, kStepsALevel = 3;    // of held-out scans
 
 std::vector<ThinPoint> joined(const std::vector<std::vector<ThinPoint>>& scans) {
@@ -34,9 +35,9 @@ std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const Split
     std::vector<Pose> as_neighbours;
     for (const int position : split.test) as_neighbours.push_back(adjustment.track().pose[std::size_t(position)]);
     for (int level = 0; level < kLevels && !scans.empty(); ++level) {
-        const double t = level / double(kLevels - 1);
-        const double scale_m = first.scale_m * std::pow(kLast.scale_m / first.scale_m, t);
-        const PlaneMap map = adjustment.planes({first.cell_m * std::pow(kLast.cell_m / first.cell_m, t), kLast.scale_m});
+        const RegisterRound round = between(first, kLast, level / double(kLevels - 1));
+        const double scale_m = round.scale_m;
+        const PlaneMap map = adjustment.planes({round.cell_m, kLast.scale_m});
         for (std::size_t i = 0; i < scans.size(); ++i) {
             const auto pose = std::size_t(split.test[i]);
             for (int step = 0; step < kStepsALevel; ++step) adjustment.place_pose(map, pose, scans[i], scale_m);
@@ -81,11 +82,11 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     const std::vector<std::vector<ThinPoint>> scans = thin_scans(sequence, split.train, options, kThin_m);
     std::vector<std::vector<ThinPoint>> by_pose(sequence.frames.size());
     for (std::size_t i = 0; i < scans.size(); ++i) by_pose[std::size_t(split.train[i])] = scans[i];
-    const Odometry odometry = follow_scans(sequence.world_from_sensor, by_pose, {first, kLast, options.given_motion, proceed("following the scans")});
+    const PoseTrack followed = follow_scans(sequence.world_from_sensor, by_pose, {first, kLastFollowed, options.given_motion, proceed("following the scans")});
     if (result.stopped) return result;
 
     const std::vector<bool> gauge = options.given_motion ? is_train : marked({split.train[split.train.size() / 2]}, sequence.frames.size());
-    PlaneAdjustment adjustment(sequence.world_from_sensor, odometry.track, joined(scans), gauge);
+    PlaneAdjustment adjustment(sequence.world_from_sensor, followed, joined(scans), gauge);
     result.rounds = adjustment.run(first, kLast, proceed("registering all scans together"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)

@@ -12,9 +12,9 @@
 #include <fmt/format.h>
 
 #include "core/parallel.hpp"
+#include "core/progress_blocks.hpp"
 #include "scene/mover_clusters.hpp"
 #include "scene/mover_evidence.hpp"
-#include "core/progress_blocks.hpp"
 
 namespace relidar {
 namespace {

@@ -44,7 +44,7 @@ void thin_out(std::vector<std::uint32_t>& views) {
 }  // namespace
 
 Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positions)
-    : grid_(grid_over(sequence.sensor)), clockwise_(sequence.sensor.clockwise), rolling_shutter_(sequence.rolling_shutter), views_(positions.size()) {
+    : grid_(grid_over(sequence.sensor)), views_(positions.size()) {
     run_parallel(static_cast<int>(positions.size()), [&](int i) { views_[std::size_t(i)] = make_view(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])]); });
     sort_by_tile(sequence);
 }
@@ -52,7 +52,7 @@ Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positio
 Visibility::View Visibility::make_view(const Sequence& sequence, const Frame& frame) const {
     View view;
     view.time_s = frame.time_s;
-    const int n_sectors = rolling_shutter_ ? kSectors : 1;
+    const int n_sectors = sequence.rolling_shutter ? kSectors : 1;
     for (int sector = 0; sector < n_sectors; ++sector) {
         const double azimuth = 2.0 * kPi * ((sector + 0.5) / n_sectors - 0.5);
         view.sensor_from_world.push_back(inverse(sequence.world_from_sensor.at(facing_time(sequence, {std::cos(azimuth), std::sin(azimuth), 0.0}, frame.time_s))));

@@ -49,7 +49,6 @@ private:
         int n = 0;
     };
     RangeGrid grid_;
-    bool clockwise_, rolling_shutter_;
     std::vector<View> views_;
     std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> near_;   ///< by tile of the ground
 

@@ -32,8 +32,7 @@ struct Response {
 
 struct Model {
     std::vector<double> albedo;                                    ///< [places]
-    std::vector<double> factor = std::vector<double>(kKnots_m.size(), 1.0);
-    double incidence = 0.0;
+    IntensityResponse shared{{kKnots_m.begin(), kKnots_m.end()}, std::vector<double>(kKnots_m.size(), 1.0), 0.0};
     std::vector<Response> lasers;
     double rms = 0.0;
 };
@@ -49,18 +48,11 @@ std::pair<std::size_t, double> knot_at(double range_m) {
     return {left, std::clamp((range_m - kKnots_m[left]) / (kKnots_m[left + 1] - kKnots_m[left]), 0.0, 1.0)};
 }
 
-double factor_at(const Model& m, double range_m) {
-    const auto [k, s] = knot_at(range_m);
-    return (1.0 - s) * m.factor[k] + s * m.factor[k + 1];
-}
-
-double at_cosine(const Model& m, double cosine) { return 1.0 - m.incidence * (1.0 - cosine); }
-
 void fit_albedos(Model& m, const PlaceReturns& returns) {
     std::vector<double> sum(returns.n_places, 0.0), weight(returns.n_places, 0.0);
     for (const PlaceReturn& r : returns.seen) {
         const Response& laser = m.lasers[r.beam];
-        const double x = laser.gain * factor_at(m, r.range_m) * at_cosine(m, r.cosine);
+        const double x = laser.gain * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine);
         sum[r.place] += x * (double(r.intensity) - laser.offset);
         weight[r.place] += x * x;
     }
@@ -89,7 +81,7 @@ struct Row {
 Row row_of(const Model& m, const Layout& at, const PlaceReturn& r) {
     const Response& laser = m.lasers[r.beam];
     const auto [knot, s] = knot_at(r.range_m);
-    const double rho = factor_at(m, r.range_m), kappa = at_cosine(m, r.cosine), albedo = m.albedo[r.place], mean_laser = albedo * rho * kappa;
+    const double rho = m.shared.at_range(r.range_m), kappa = m.shared.at_cosine(r.cosine), albedo = m.albedo[r.place], mean_laser = albedo * rho * kappa;
     Row row{{}, 0, laser.gain * rho * kappa, double(r.intensity) - laser.gain * mean_laser - laser.offset};
     if (at.parts.shared) {
         row.add(at.factor(knot), laser.gain * albedo * kappa * (1.0 - s));
@@ -147,14 +139,14 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
     const double prior = kPriorReturns * (sys.mean * sys.mean + sys.spread * sys.spread);
     for (std::size_t k = 1; at.parts.shared && k + 1 < kKnots_m.size(); ++k) {   // what few returns say continues the line of its neighbours
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
-        const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after), now(m.factor[k - 1], m.factor[k], m.factor[k + 1]);
+        const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after), now(m.shared.factor[k - 1], m.shared.factor[k], m.shared.factor[k + 1]);
         sys.h.block<3, 3>(at.factor(k - 1), at.factor(k - 1)) += prior * bend * bend.transpose();
         sys.g.segment<3>(at.factor(k - 1)) -= prior * bend * bend.dot(now);
     }
     if (at.parts.shared) {
-        pull(at.factor(kReference), 1e3 * prior, 1.0 - m.factor[kReference]);   // the scale of albedos is free
-        for (std::size_t k = 0; k < kKnots_m.size(); ++k) pull(at.factor(k), 1e-3 * prior, 1.0 - m.factor[k]);
-        pull(at.incidence(), 1e-3 * prior, -m.incidence);
+        pull(at.factor(kReference), 1e3 * prior, 1.0 - m.shared.factor[kReference]);   // the scale of albedos is free
+        for (std::size_t k = 0; k < kKnots_m.size(); ++k) pull(at.factor(k), 1e-3 * prior, 1.0 - m.shared.factor[k]);
+        pull(at.incidence(), 1e-3 * prior, -m.shared.incidence);
     }
     for (std::size_t b = 0; at.parts.lasers && b < m.lasers.size(); ++b)
         for (const double x : {sys.mean - sys.spread, sys.mean + sys.spread}) {
@@ -167,8 +159,8 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
 
 void take_step(Model& m, const Layout& at, const Eigen::VectorXd& step) {
     if (at.parts.shared) {
-        for (std::size_t k = 0; k < m.factor.size(); ++k) m.factor[k] = std::clamp(m.factor[k] + step[at.factor(k)], kMinFactor, kMaxFactor);
-        m.incidence = std::clamp(m.incidence + step[at.incidence()], 0.0, kMaxIncidence);
+        for (std::size_t k = 0; k < m.shared.factor.size(); ++k) m.shared.factor[k] = std::clamp(m.shared.factor[k] + step[at.factor(k)], kMinFactor, kMaxFactor);
+        m.shared.incidence = std::clamp(m.shared.incidence + step[at.incidence()], 0.0, kMaxIncidence);
     }
     for (std::size_t b = 0; at.parts.lasers && b < m.lasers.size(); ++b) {
         m.lasers[b].gain = std::clamp(m.lasers[b].gain + step[at.gain(b)], kMinGain, kMaxGain);
@@ -192,7 +184,7 @@ double error_of(const Model& m, const PlaceReturns& returns) {
     double squares = 0.0;
     for (const PlaceReturn& r : returns.seen) {
         const Response& laser = m.lasers[r.beam];
-        const double error = laser.gain * m.albedo[r.place] * factor_at(m, r.range_m) * at_cosine(m, r.cosine) + laser.offset - double(r.intensity);
+        const double error = laser.gain * m.albedo[r.place] * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine) + laser.offset - double(r.intensity);
         squares += error * error;
     }
     return std::sqrt(squares / double(returns.seen.size()));
@@ -254,7 +246,7 @@ IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<i
     if (better(single, best)) best = single, result.shared = first_shared, result.lasers = !first_shared;
     if (better(both, best)) best = both, result.shared = result.lasers = true;
     result.rms_after = best.rms;
-    if (result.shared) sequence.intensity_response = {{kKnots_m.begin(), kKnots_m.end()}, best.factor, best.incidence};
+    if (result.shared) sequence.intensity_response = best.shared;
     for (std::size_t b = 0; b < n && result.lasers; ++b) {
         sequence.sensor.beams[b].intensity_gain = best.lasers[b].gain;
         sequence.sensor.beams[b].intensity_offset = best.lasers[b].offset;
