@@ -23,14 +23,15 @@ struct FieldRule {
     double low, high, missing;   ///< values allowed, and the one where the table has no such column
 };
 constexpr double kFarthest_m = 10'000.0;
-constexpr std::array<FieldRule, kFieldCount> kFields{{{"elevation_deg", -90.0, 90.0, 0.0},
-                                                      {"azimuth_offset_deg", -180.0, 180.0, 0.0},
-                                                      {"origin_offset_m", -10.0, 10.0, 0.0},
-                                                      {"origin_up_m", -10.0, 10.0, 0.0},
-                                                      {"origin_left_m", -10.0, 10.0, 0.0},
-                                                      {"min_range_m", 0.0, kFarthest_m, SpinningSensor{}.min_range_m},
-                                                      {"max_range_m", 0.0, kFarthest_m, SpinningSensor{}.max_range_m},
-                                                      {"channel", 0.0, 65535.0, 0.0}}};
+// Not constexpr: clang 14 makes no std::string at compile time, and a SpinningSensor has one.
+const std::array<FieldRule, kFieldCount> kFields{{{"elevation_deg", -90.0, 90.0, 0.0},
+                                                  {"azimuth_offset_deg", -180.0, 180.0, 0.0},
+                                                  {"origin_offset_m", -10.0, 10.0, 0.0},
+                                                  {"origin_up_m", -10.0, 10.0, 0.0},
+                                                  {"origin_left_m", -10.0, 10.0, 0.0},
+                                                  {"min_range_m", 0.0, kFarthest_m, SpinningSensor{}.min_range_m},
+                                                  {"max_range_m", 0.0, kFarthest_m, SpinningSensor{}.max_range_m},
+                                                  {"channel", 0.0, 65535.0, 0.0}}};
 
 using Columns = std::array<int, kFieldCount>;     ///< of each field, -1 where it is missing
 using Values = std::array<double, kFieldCount>;
