@@ -10,9 +10,9 @@
 #include <string_view>
 #include <vector>
 
-#include <relidar/densify.hpp>
-#include <relidar/loss.hpp>
-#include <relidar/optimizer.hpp>
+#include <relidar/stages/densify.hpp>
+#include <relidar/stages/loss.hpp>
+#include <relidar/stages/optimizer.hpp>
 #include <relidar/scene.hpp>
 
 namespace relidar {

@@ -12,7 +12,7 @@
 
 #include <relidar/config.hpp>
 #include <relidar/gpu.hpp>
-#include <relidar/loss.hpp>
+#include <relidar/stages/loss.hpp>
 #include <relidar/progress.hpp>
 #include <relidar/scene.hpp>
 #include <relidar/sequence.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // One face over the driver's structures and the software tree, and when either is built anew instead of refitted.
-#include <relidar/accel.hpp>
+#include <relidar/stages/accel.hpp>
 
 #include "accel/bvh.hpp"
 #include "accel/hardware.hpp"

@@ -10,8 +10,8 @@
 #include <optional>
 #include <vector>
 
-#include <relidar/accel.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/stages/accel.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include "shared/bvh.h"
 

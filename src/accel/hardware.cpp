@@ -23,11 +23,11 @@ struct Structure {
     VkAccelerationStructureKHR handle = VK_NULL_HANDLE;
     std::uint64_t address = 0;
 
-    Structure(Device& owner, VkAccelerationStructureTypeKHR type, VkDeviceSize size, const std::string& what) : device(&owner.impl()) {
+    Structure(Device& owner, VkAccelerationStructureTypeKHR type, VkDeviceSize size, const std::string& what) : device(&impl_of(owner)) {
         storage = std::make_unique<Buffer>(owner, size, what);
         if (device->compile_only) return;
         VkAccelerationStructureCreateInfoKHR info{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_CREATE_INFO_KHR};
-        info.buffer = storage->impl().handle;
+        info.buffer = impl_of(*storage).handle;
         info.size = size;
         info.type = type;
         gpu::check(vkCreateAccelerationStructureKHR(device->device, &info, nullptr, &handle), "vkCreateAccelerationStructureKHR");
@@ -172,7 +172,7 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
     a.geometry = Array<float>(device, std::size_t(scene.size()) * (a.proxy == Proxy::boxes ? 6 : 3 * a.mesh.n_corners), "proxies");
     if (a.proxy == Proxy::triangles) a.indices = Array<std::uint32_t>(device, std::span<const std::uint32_t>(triangle_indices(a.mesh, largest)), "proxy indices");
 
-    const std::uint64_t alignment = device.impl().scratch_alignment;
+    const std::uint64_t alignment = impl_of(device).scratch_alignment;
     VkDeviceSize scratch_bytes = 0;
     a.blas_input.reserve(layout.models.size());
     for (const Model& model : layout.models) {
@@ -183,7 +183,7 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
             a.blas.push_back(nullptr);
             continue;
         }
-        const VkAccelerationStructureBuildSizesInfoKHR sizes = a.blas_input.back().sizes(device.impl(), n);
+        const VkAccelerationStructureBuildSizesInfoKHR sizes = a.blas_input.back().sizes(impl_of(device), n);
         a.blas.push_back(std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR, sizes.accelerationStructureSize, "bottom level of " + model.name));
         scratch_bytes += (std::max(sizes.buildScratchSize, sizes.updateScratchSize) + alignment - 1) / alignment * alignment;
     }
@@ -192,7 +192,7 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
     a.tlas_input.geometry.geometry.instances = {VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_INSTANCES_DATA_KHR, nullptr, VK_FALSE, {}};
     a.tlas_input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR;
     a.tlas_input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR;
-    const VkAccelerationStructureBuildSizesInfoKHR sizes = a.tlas_input.sizes(device.impl(), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
+    const VkAccelerationStructureBuildSizesInfoKHR sizes = a.tlas_input.sizes(impl_of(device), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
     a.tlas = std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR, sizes.accelerationStructureSize, "top level");
     scratch_bytes = std::max(scratch_bytes, sizes.buildScratchSize);
     a.scratch = Buffer(device, scratch_bytes + alignment, "acceleration structure scratch");
@@ -203,7 +203,7 @@ HardwareAccel::~HardwareAccel() = default;
 
 void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const AccelOptions& options, bool refit) {
     Impl& a = *impl_;
-    Stream::Impl& s = stream.impl();
+    Stream::Impl& s = impl_of(stream);
     if (a.reach.size()) stream.fill(a.reach);
     run(stream, a.proxies, scene.size(),
         {scene.records().address(), a.geometry.address(), a.geometry.address(), a.reach.address(), scene.alpha_min(), options.margin_m, options.margin_scale, scene.size()});
@@ -223,7 +223,7 @@ void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const Accel
 
 void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
-    Stream::Impl& s = stream.impl();
+    Stream::Impl& s = impl_of(stream);
     s.begin_timing("accel/top_level");
     a.tlas_input.geometry.geometry.instances.data.deviceAddress = a.write_instances(s, scene);
     a.tlas_input.prepare(*a.tlas, false, a.scratch_address);

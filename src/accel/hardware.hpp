@@ -6,7 +6,7 @@
 #include <cstdint>
 #include <memory>
 
-#include <relidar/accel.hpp>
+#include <relidar/stages/accel.hpp>
 
 namespace relidar {
 

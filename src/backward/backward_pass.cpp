@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Binding of backward/trace: second cast, sums of its hits, then the chain rule once a surfel (Eq. 9, M7, M8).
-#include <relidar/backward.hpp>
+#include <relidar/stages/backward.hpp>
 
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
-#include <relidar/forward.hpp>
+#include <relidar/stages/forward.hpp>
 
 #include "backward/hit_gather.hpp"
 #include "backward/pose_gradients.hpp"

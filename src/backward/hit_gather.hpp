@@ -4,7 +4,7 @@
 
 #include <memory>
 
-#include <relidar/backward.hpp>
+#include <relidar/stages/backward.hpp>
 
 #include "gpu/prefix_sum.hpp"
 #include "gpu/radix_sort.hpp"

@@ -2,7 +2,7 @@
 // Gradients of instance poses and of the sensor's pose from record gradients (backward/pose_blocks, poses, sensor_pose).
 #pragma once
 
-#include <relidar/backward.hpp>
+#include <relidar/stages/backward.hpp>
 
 #include "gpu/kernel.hpp"
 #include "shared/backward.h"

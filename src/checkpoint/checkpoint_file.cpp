@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // A checkpoint as a safetensors file with a checksum over all it says: a flipped bit anywhere is noticed, in numbers and texts alike.
-#include <relidar/checkpoint.hpp>
+#include <relidar/stages/checkpoint.hpp>
 
 #include <algorithm>
 #include <charconv>

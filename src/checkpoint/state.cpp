@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // State into named arrays and back; every array is checked for type and shape on the way back.
-#include <relidar/checkpoint.hpp>
+#include <relidar/stages/checkpoint.hpp>
 
 #include <algorithm>
 #include <cmath>

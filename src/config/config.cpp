@@ -15,10 +15,10 @@
 #include "core/files.hpp"
 #include "core/number_text.hpp"
 #include "core/toml_depth.hpp"
-#include <relidar/accel.hpp>
-#include <relidar/backward.hpp>
+#include <relidar/stages/accel.hpp>
+#include <relidar/stages/backward.hpp>
 #include <relidar/error.hpp>
-#include <relidar/traversal.hpp>
+#include <relidar/stages/traversal.hpp>
 
 namespace relidar {
 namespace {

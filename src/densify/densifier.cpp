@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // Bindings of densify/observe, classify, spawn, reset_opacity and jitter, and the order of a densification: classify, read the counts
 // back, make room, hand out copies, move every array, give the new surfels their values.
-#include <relidar/densify.hpp>
+#include <relidar/stages/densify.hpp>
 
 #include <cmath>
 #include <limits>
 
 #include <fmt/format.h>
 
-#include <relidar/optimizer.hpp>
+#include <relidar/stages/optimizer.hpp>
 
 #include "core/assert.hpp"
 #include "core/random.hpp"

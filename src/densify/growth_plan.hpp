@@ -6,8 +6,8 @@
 #include <cstdint>
 #include <vector>
 
-#include <relidar/densify.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/stages/densify.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include "shared/densify.h"
 

@@ -3,7 +3,7 @@
 // arrays that takes the place of each set in turn. Private to densify.
 #pragma once
 
-#include <relidar/densify.hpp>
+#include <relidar/stages/densify.hpp>
 
 #include "densify/growth_plan.hpp"
 #include "gpu/prefix_sum.hpp"

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include <relidar/error.hpp>
-#include <relidar/gpu.hpp>
+#include <relidar/stages/gpu.hpp>
 
 namespace relidar {
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // forward/trace once more, counting: a build of its own, so that the counters cost nothing where they are not asked for.
-#include <relidar/forward.hpp>
+#include <relidar/measure/forward.hpp>
 
 #include "gpu/stream.hpp"
 #include "traversal/trace_scene.hpp"

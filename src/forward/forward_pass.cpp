@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Binding of forward/trace: rays in, rendered rays out (Eq. 2-4).
-#include <relidar/forward.hpp>
+#include <relidar/stages/forward.hpp>
 
 #include <cstring>
 

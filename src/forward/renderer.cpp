@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // A scene ready to be traced: the composition of activation, acceleration structure and forward pass for one-off rendering.
-#include <relidar/forward.hpp>
+#include <relidar/stages/forward.hpp>
 
 #include <fmt/format.h>
 

@@ -73,9 +73,10 @@ Buffer::Impl::~Impl() {
     if (use == gpu::MemoryUse::device) device->allocated -= memory.n_bytes;
 }
 
-Buffer::Buffer(Device& device, std::size_t n_bytes, const std::string& what) : impl_(std::make_unique<Impl>(device.impl(), n_bytes, gpu::MemoryUse::device, what)) {}
+Buffer::Buffer(Device& device, std::size_t n_bytes, const std::string& what) : impl_(std::make_unique<Impl>(impl_of(device), n_bytes, gpu::MemoryUse::device, what)) {}
 Buffer::Buffer() = default;
 Buffer::~Buffer() = default;
+Buffer::Impl& impl_of(const Buffer& buffer) { return *buffer.impl_; }
 Buffer::Buffer(Buffer&&) noexcept = default;
 Buffer& Buffer::operator=(Buffer&&) noexcept = default;
 std::uint64_t Buffer::address() const { return impl_ ? impl_->address : 0; }

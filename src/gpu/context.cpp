@@ -182,6 +182,7 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
 }
 
 Device::~Device() = default;
+Device::Impl& impl_of(const Device& device) { return *device.impl_; }
 const DeviceInfo& Device::info() const { return impl_->info; }
 Traversal Device::traversal() const { return impl_->traversal; }
 std::uint64_t Device::allocated_bytes() const { return impl_->allocated; }

@@ -10,7 +10,7 @@
 
 #include <volk.h>
 
-#include <relidar/gpu.hpp>
+#include <relidar/stages/gpu.hpp>
 
 namespace relidar::gpu {
 

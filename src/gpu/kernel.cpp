@@ -79,7 +79,7 @@ std::string constants_text(std::span<const std::uint32_t> words, std::vector<Con
 }  // namespace
 
 KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups) : impl_(std::make_unique<Impl>()) {
-    Device::Impl& device = owner.impl();
+    Device::Impl& device = impl_of(owner);
     impl_->device = &device;
     impl_->name = std::string(name.substr(0, name.find('@')));
     const std::vector<std::uint32_t> words = module_words(device, name, impl_->name);

@@ -6,7 +6,7 @@
 #include <string_view>
 #include <vector>
 
-#include <relidar/gpu.hpp>
+#include <relidar/stages/gpu.hpp>
 
 namespace relidar {
 

@@ -15,7 +15,7 @@ struct Readback::Impl {
     bool pending = false;
 
     Impl(Device& device, std::size_t n_bytes, const std::string& name)
-        : what(name), host(std::make_shared<Buffer::Impl>(device.impl(), n_bytes ? n_bytes : 1, gpu::MemoryUse::readback, name)) {}
+        : what(name), host(std::make_shared<Buffer::Impl>(impl_of(device), n_bytes ? n_bytes : 1, gpu::MemoryUse::readback, name)) {}
 };
 
 Readback::Readback(Device& device, std::size_t n_bytes, const std::string& what) : impl_(std::make_unique<Impl>(device, n_bytes, what)) {}
@@ -28,8 +28,8 @@ void Readback::record(Stream& stream, const Buffer& from, std::size_t n_bytes, s
     if (n_bytes > r.host->n_bytes || offset_bytes + n_bytes > from.size_bytes())
         throw Error(ExitCode::bug, fmt::format("reading back {}: found bytes {} to {} of {}, expected them to be there and at most {}", r.what,
                                                offset_bytes, offset_bytes + n_bytes, from.size_bytes(), r.host->n_bytes));
-    stream.impl().read_back(from.impl(), r.host, {offset_bytes, 0, n_bytes});
-    r.ticket = stream.impl().last_ticket + 1;
+    impl_of(stream).read_back(impl_of(from), r.host, {offset_bytes, 0, n_bytes});
+    r.ticket = impl_of(stream).last_ticket + 1;
     r.pending = true;
 }
 
@@ -37,7 +37,7 @@ bool Readback::pending() const { return impl_->pending; }
 
 const void* Readback::wait(Stream& stream) {
     Impl& r = *impl_;
-    if (r.ticket == 0 || r.ticket > stream.impl().last_ticket)
+    if (r.ticket == 0 || r.ticket > impl_of(stream).last_ticket)
         throw Error(ExitCode::bug, fmt::format("waiting for {}: found no submitted copy, expected record() and submit() before", r.what));
     stream.wait(r.ticket);
     r.pending = false;

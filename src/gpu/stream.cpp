@@ -11,7 +11,7 @@
 
 namespace relidar {
 
-Stream::Impl::Impl(Device& d, bool with_timing) : owner(&d), device(&d.impl()), timing(with_timing && d.info().timestamps) {
+Stream::Impl::Impl(Device& d, bool with_timing) : owner(&d), device(&impl_of(d)), timing(with_timing && d.info().timestamps) {
     if (device->compile_only) return;
     VkSemaphoreTypeCreateInfo type{VK_STRUCTURE_TYPE_SEMAPHORE_TYPE_CREATE_INFO};
     type.semaphoreType = VK_SEMAPHORE_TYPE_TIMELINE;
@@ -123,7 +123,7 @@ void Stream::Impl::write(const Buffer& buffer, const void* bytes, std::size_t n_
     begin_timing("write");
     const Stored from = store(bytes, n_bytes);
     const VkBufferCopy region{from.offset, 0, n_bytes};
-    vkCmdCopyBuffer(commands(), from.buffer, buffer.impl().handle, 1, &region);
+    vkCmdCopyBuffer(commands(), from.buffer, impl_of(buffer).handle, 1, &region);
     end_timing();
 }
 
@@ -176,13 +176,14 @@ void Stream::Impl::collect_times(Slot& slot) {
 
 Stream::Stream(Device& device, bool timing) : impl_(std::make_unique<Impl>(device, timing)) {}
 Stream::~Stream() = default;
+Stream::Impl& impl_of(const Stream& stream) { return *stream.impl_; }
 Device& Stream::device() const { return *impl_->owner; }
 void Stream::wait(std::uint64_t ticket) { impl_->wait(ticket); }
 
 void Stream::fill(const Buffer& buffer, std::uint32_t pattern) {
     if (impl_->device->compile_only) return;
     impl_->begin_timing("fill");
-    vkCmdFillBuffer(impl_->commands(), buffer.impl().handle, 0, VK_WHOLE_SIZE, pattern);
+    vkCmdFillBuffer(impl_->commands(), impl_of(buffer).handle, 0, VK_WHOLE_SIZE, pattern);
     impl_->end_timing();
 }
 
@@ -190,12 +191,12 @@ void Stream::copy(const Buffer& from, const Buffer& to, std::size_t n_bytes) {
     if (impl_->device->compile_only) return;
     const VkBufferCopy region{0, 0, n_bytes};
     impl_->begin_timing("copy");
-    vkCmdCopyBuffer(impl_->commands(), from.impl().handle, to.impl().handle, 1, &region);
+    vkCmdCopyBuffer(impl_->commands(), impl_of(from).handle, impl_of(to).handle, 1, &region);
     impl_->end_timing();
 }
 
-Concurrent::Concurrent(Stream& stream) : stream_(stream) { ++stream.impl().n_concurrent; }
-Concurrent::~Concurrent() { stream_.impl().end_concurrent(); }
+Concurrent::Concurrent(Stream& stream) : stream_(stream) { ++impl_of(stream).n_concurrent; }
+Concurrent::~Concurrent() { impl_of(stream_).end_concurrent(); }
 
 std::uint64_t Stream::submit() {
     Impl& s = *impl_;

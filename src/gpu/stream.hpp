@@ -81,7 +81,7 @@ struct Stream::Impl {
 /// Runs one kernel over n_threads threads. Sees the results of everything recorded before.
 template <class Params>
 void run(Stream& stream, const Kernel<Params>& kernel, std::size_t n_threads, const Params& params) {
-    if (n_threads) stream.impl().launch(kernel, static_cast<std::uint32_t>(n_threads), &params, sizeof(Params));
+    if (n_threads) impl_of(stream).launch(kernel, static_cast<std::uint32_t>(n_threads), &params, sizeof(Params));
 }
 
 }  // namespace relidar

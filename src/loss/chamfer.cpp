@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Binding of loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and chamfer_vjp (Eq. 11).
-#include <relidar/loss.hpp>
+#include <relidar/stages/loss.hpp>
 
-#include <relidar/traversal.hpp>
+#include <relidar/stages/traversal.hpp>
 
 #include "core/assert.hpp"
 #include "gpu/stream.hpp"

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Binding of loss/geometry_loss and loss/normal_vjp (docs/method.md M10, M11).
-#include <relidar/loss.hpp>
+#include <relidar/stages/loss.hpp>
 
 #include <algorithm>
 
-#include <relidar/traversal.hpp>
+#include <relidar/stages/traversal.hpp>
 
 #include "core/assert.hpp"
 #include "gpu/stream.hpp"

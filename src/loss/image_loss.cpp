@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Binding of loss/image_loss, loss/ssim and loss/ssim_vjp (Eq. 10).
-#include <relidar/loss.hpp>
+#include <relidar/stages/loss.hpp>
 
 #include <algorithm>
 

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Binding of loss/surfel_loss: one launch a model.
-#include <relidar/loss.hpp>
+#include <relidar/stages/loss.hpp>
 
 #include <algorithm>
 
-#include <relidar/scene.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include "gpu/stream.hpp"
 #include "shared/loss.h"

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Binding of optimizer/adam: one launch a parameter group.
-#include <relidar/optimizer.hpp>
+#include <relidar/stages/optimizer.hpp>
 
 #include <algorithm>
 #include <cmath>

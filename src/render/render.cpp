@@ -8,9 +8,9 @@
 
 #include <fmt/format.h>
 
-#include <relidar/accel.hpp>
+#include <relidar/stages/accel.hpp>
 #include <relidar/error.hpp>
-#include <relidar/forward.hpp>
+#include <relidar/stages/forward.hpp>
 
 namespace relidar {
 

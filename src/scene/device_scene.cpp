@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The scene on the device: parameter arrays, records, the instance table, and the activation kernels between them.
-#include <relidar/scene.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include <algorithm>
 
@@ -185,7 +185,7 @@ void DeviceScene::set_poses(const std::vector<Pose>& world_from_instance) {
 
 void DeviceScene::place(Stream& stream, const std::vector<InstancePose>& placed) {
     const std::vector<shared::InstanceEntry> entries = impl_->instance_table(placed);
-    stream.impl().write(impl_->instances.buffer(), entries.data(), entries.size() * sizeof(entries[0]));
+    impl_of(stream).write(impl_->instances.buffer(), entries.data(), entries.size() * sizeof(entries[0]));
 }
 
 void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m) {

@@ -5,8 +5,8 @@
 #include <memory>
 #include <vector>
 
-#include <relidar/loss.hpp>
-#include <relidar/traversal.hpp>
+#include <relidar/stages/loss.hpp>
+#include <relidar/stages/traversal.hpp>
 
 #include "core/random.hpp"
 

@@ -6,7 +6,7 @@
 
 #include <fmt/format.h>
 
-#include <relidar/checkpoint.hpp>
+#include <relidar/stages/checkpoint.hpp>
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
 

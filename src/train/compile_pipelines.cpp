@@ -5,7 +5,7 @@
 
 #include <relidar/config.hpp>
 #include <relidar/dataset.hpp>
-#include <relidar/forward.hpp>
+#include <relidar/stages/forward.hpp>
 
 #include "gpu/radix_sort.hpp"
 #include "train/train_loop.hpp"

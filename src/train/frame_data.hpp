@@ -5,10 +5,10 @@
 #include <vector>
 
 #include <relidar/config.hpp>
-#include <relidar/gpu.hpp>
-#include <relidar/loss.hpp>
+#include <relidar/stages/gpu.hpp>
+#include <relidar/stages/loss.hpp>
 #include <relidar/sequence.hpp>
-#include <relidar/traversal.hpp>
+#include <relidar/stages/traversal.hpp>
 
 namespace relidar {
 

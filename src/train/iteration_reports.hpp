@@ -9,9 +9,9 @@
 #include <utility>
 #include <vector>
 
-#include <relidar/densify.hpp>
-#include <relidar/gpu.hpp>
-#include <relidar/loss.hpp>
+#include <relidar/stages/densify.hpp>
+#include <relidar/stages/gpu.hpp>
+#include <relidar/stages/loss.hpp>
 
 namespace relidar {
 

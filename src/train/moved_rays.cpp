@@ -51,7 +51,7 @@ void MovedRays::move(Stream& stream, const TrackCorrection& sensor, std::size_t 
         const Twist c = sensor.at(k);
         knots.push_back({glm::vec3(sensor.uncorrected().pose[k].translation), glm::vec3(c[0], c[1], c[2]), glm::vec3(c[3], c[4], c[5])});
     }
-    stream.impl().write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
+    impl_of(stream).write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
     run(stream, move_, frame.n_rays, {source.rays.address(), source.places.address(), knots_.address(), frame.rays.address(), frame.n_rays});
 }
 

@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include <relidar/gpu.hpp>
+#include <relidar/stages/gpu.hpp>
 #include <relidar/sequence.hpp>
 
 #include "gpu/kernel.hpp"

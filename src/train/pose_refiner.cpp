@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <cstring>
 
-#include <relidar/backward.hpp>
-#include <relidar/optimizer.hpp>
+#include <relidar/stages/backward.hpp>
+#include <relidar/stages/optimizer.hpp>
 #include <relidar/train.hpp>
 
 #include "train/moved_rays.hpp"

@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/gpu.hpp>
+#include <relidar/stages/gpu.hpp>
 #include <relidar/scene.hpp>
 
 #include "train/track_correction.hpp"

@@ -5,7 +5,7 @@
 #include <map>
 #include <string>
 
-#include <relidar/checkpoint.hpp>
+#include <relidar/stages/checkpoint.hpp>
 #include <relidar/train.hpp>
 
 namespace relidar {

@@ -5,11 +5,11 @@
 #include <optional>
 #include <utility>
 
-#include <relidar/backward.hpp>
-#include <relidar/checkpoint.hpp>
-#include <relidar/densify.hpp>
-#include <relidar/forward.hpp>
-#include <relidar/optimizer.hpp>
+#include <relidar/stages/backward.hpp>
+#include <relidar/stages/checkpoint.hpp>
+#include <relidar/stages/densify.hpp>
+#include <relidar/stages/forward.hpp>
+#include <relidar/stages/optimizer.hpp>
 #include <relidar/train.hpp>
 
 #include "core/random.hpp"

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Binding of traversal/collect_hits: all hits of each ray in order.
-#include <relidar/traversal.hpp>
+#include <relidar/measure/traversal.hpp>
 
 #include <fmt/format.h>
 

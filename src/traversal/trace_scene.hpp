@@ -3,7 +3,7 @@
 // Infrastructure of forward and backward alike, so neither reaches into the other.
 #pragma once
 
-#include <relidar/traversal.hpp>
+#include <relidar/stages/traversal.hpp>
 
 #include "gpu/kernel.hpp"
 #include "shared/trace.h"

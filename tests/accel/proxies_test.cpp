@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include <relidar/forward.hpp>
-#include <relidar/forward.hpp>
+#include <relidar/stages/forward.hpp>
+#include <relidar/stages/forward.hpp>
 
 #include "../support/device.hpp"
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // When a structure is built anew instead of refitted: the first time, when told, after so many refits, and, software tree alone, when it
 // has outgrown its build.
-#include <relidar/accel.hpp>
+#include <relidar/stages/accel.hpp>
 
 #include "../support/device.hpp"
 #include "../support/surfels.hpp"

@@ -4,9 +4,9 @@
 
 #include <vector>
 
-#include <relidar/backward.hpp>
-#include <relidar/forward.hpp>
-#include <relidar/loss.hpp>
+#include <relidar/stages/backward.hpp>
+#include <relidar/stages/forward.hpp>
+#include <relidar/stages/loss.hpp>
 
 #include "../support/device.hpp"
 #include "../support/gradient_check.hpp"

@@ -6,6 +6,7 @@
 
 #include <random>
 
+#include <relidar/measure/scene.hpp>
 #include "backward/pose_gradients.hpp"
 #include "passes.hpp"
 

@@ -5,7 +5,7 @@
 #include <limits>
 #include <random>
 
-#include <relidar/checkpoint.hpp>
+#include <relidar/stages/checkpoint.hpp>
 
 #include "../export/temporary_folder.hpp"
 #include "../support/file_size_limit.hpp"

@@ -2,7 +2,7 @@
 // State through StateWriter and StateReader: host and device come back bit by bit, and what does not fit is named.
 #include <bit>
 
-#include <relidar/checkpoint.hpp>
+#include <relidar/stages/checkpoint.hpp>
 
 #include "../export/temporary_folder.hpp"
 #include "../run/example_run.hpp"

@@ -4,7 +4,7 @@
 
 #include <set>
 
-#include <relidar/traversal.hpp>
+#include <relidar/stages/traversal.hpp>
 
 #include "../export/temporary_folder.hpp"
 

@@ -6,9 +6,9 @@
 #include <cstring>
 #include <random>
 
-#include <relidar/densify.hpp>
-#include <relidar/forward.hpp>
-#include <relidar/optimizer.hpp>
+#include <relidar/stages/densify.hpp>
+#include <relidar/stages/forward.hpp>
+#include <relidar/stages/optimizer.hpp>
 
 #include "../support/device.hpp"
 #include "core/random.hpp"

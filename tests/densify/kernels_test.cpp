@@ -5,8 +5,8 @@
 #include <numeric>
 #include <random>
 
-#include <relidar/densify.hpp>
-#include <relidar/optimizer.hpp>
+#include <relidar/stages/densify.hpp>
+#include <relidar/stages/optimizer.hpp>
 
 #include "../reference/densify.hpp"
 #include "../support/device.hpp"

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Growth and its ends: capacity is taken in steps, device memory that runs out caps the scene and harms nothing.
-#include <relidar/densify.hpp>
-#include <relidar/optimizer.hpp>
+#include <relidar/stages/densify.hpp>
+#include <relidar/stages/optimizer.hpp>
 #include <relidar/error.hpp>
 
 #include "../support/device.hpp"

@@ -3,8 +3,8 @@
 #include <cmath>
 #include <random>
 
-#include <relidar/densify.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/stages/densify.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include "../support/device.hpp"
 #include "random_model.hpp"

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Blended normals and distortion of forward/trace (M10, M11) against the double reference, which sums distortion pair by pair: random
 // scenes with instances, chunk sizes, rays of many hits. The image is the same, bit for bit, whether they are wanted or not.
-#include <relidar/forward.hpp>
+#include <relidar/stages/forward.hpp>
 
 #include "../support/device.hpp"
 #include "../support/placed.hpp"

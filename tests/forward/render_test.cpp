@@ -6,9 +6,10 @@
 #include <cstdlib>
 #include <filesystem>
 
+#include <relidar/measure/scene.hpp>
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
-#include <relidar/forward.hpp>
+#include <relidar/stages/forward.hpp>
 
 #include "../support/device.hpp"
 #include "../support/placed.hpp"

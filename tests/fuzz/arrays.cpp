@@ -4,7 +4,7 @@
 
 #include <cstring>
 
-#include <relidar/checkpoint.hpp>
+#include <relidar/stages/checkpoint.hpp>
 #include <relidar/export.hpp>
 #include <relidar/metrics.hpp>
 #include <relidar/run.hpp>

@@ -4,7 +4,7 @@
 #include <numeric>
 
 #include <relidar/error.hpp>
-#include <relidar/gpu.hpp>
+#include <relidar/stages/gpu.hpp>
 
 #include "../support/device.hpp"
 #include "gpu/context.hpp"
@@ -113,7 +113,7 @@ TEST_F(Gpu, ImpossibleRequestsSayWhatWasAsked) {
 
 TEST_F(Gpu, ExtensionsOfRayQueryAreEnabledForRayQueryAlone) {
     const auto has_ray_tracing = [](const Device& d) {
-        const auto& enabled = d.impl().extensions;
+        const auto& enabled = impl_of(d).extensions;
         return std::any_of(enabled.begin(), enabled.end(), [](const char* name) {
             const std::string text = name;
             return text.find("acceleration_structure") != std::string::npos || text.find("ray_query") != std::string::npos || text.find("deferred_host") != std::string::npos;

@@ -56,7 +56,7 @@ TEST(FreeRanges, NeverOverlapAndMergeAgain) {
 
 class GpuMemory : public test::DeviceTest {
 protected:
-    std::size_t n_blocks() { return device().impl().memory->n_blocks(); }
+    std::size_t n_blocks() { return impl_of(device()).memory->n_blocks(); }
 };
 
 TEST_F(GpuMemory, MoreArraysThanAllocations) {
@@ -88,7 +88,7 @@ TEST_F(GpuMemory, EmptyBlocksAreGivenBack) {
 }
 
 TEST_F(GpuMemory, WhatNoArrayCanHaveIsRefusedByName) {
-    const auto& [limit, name] = device().impl().largest_buffer;
+    const auto& [limit, name] = impl_of(device()).largest_buffer;
     for (const std::uint64_t n_bytes : {limit + 1, std::uint64_t(1) << 46}) {
         try {
             const Buffer buffer(device(), n_bytes, "a test of the impossible");

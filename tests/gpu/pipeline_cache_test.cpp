@@ -59,7 +59,7 @@ protected:
     static Opened open() {
         Device opened;
         const PrefixSum prefix_sum(opened);
-        return {opened.impl().pipeline_cache->path(), opened.impl().pipeline_cache->read_bytes()};
+        return {impl_of(opened).pipeline_cache->path(), impl_of(opened).pipeline_cache->read_bytes()};
     }
     static std::size_t files(const fs::path& in) { return static_cast<std::size_t>(std::distance(fs::directory_iterator(in), fs::directory_iterator())); }
 

@@ -27,7 +27,7 @@ TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     for (std::uint32_t s = 0; s < kSubmissions; ++s) {
         Words values(kWords);
         std::iota(values.begin(), values.end(), 1000u * s);
-        stream.impl().write(words.buffer(), values.data(), 4 * kWords);
+        impl_of(stream).write(words.buffer(), values.data(), 4 * kWords);
         sums.emplace_back(device(), kLaunches, "sums");
         for (std::uint32_t i = 0; i < kLaunches; ++i) prefix_sum.run(stream, {words.address(), i, 1}, prefix.address(), 1, sums.back().address() + 4 * i);
         stream.submit();

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Chamfer's gradient is used: a wall of surfels that stands beside where it was measured is moved back by that term alone, through
 // the backward pass and Adam. It stays where it is when the gradient is cut off.
-#include <relidar/backward.hpp>
-#include <relidar/forward.hpp>
-#include <relidar/loss.hpp>
-#include <relidar/optimizer.hpp>
+#include <relidar/stages/backward.hpp>
+#include <relidar/stages/forward.hpp>
+#include <relidar/stages/loss.hpp>
+#include <relidar/stages/optimizer.hpp>
 
 #include "../support/device.hpp"
 

@@ -6,9 +6,9 @@
 #include <limits>
 #include <random>
 
-#include <relidar/forward.hpp>
-#include <relidar/loss.hpp>
-#include <relidar/traversal.hpp>
+#include <relidar/stages/forward.hpp>
+#include <relidar/stages/loss.hpp>
+#include <relidar/stages/traversal.hpp>
 
 #include "../reference/chamfer.hpp"
 #include "../support/device.hpp"

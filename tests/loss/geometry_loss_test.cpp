@@ -5,9 +5,9 @@
 #include <numeric>
 #include <random>
 
-#include <relidar/forward.hpp>
-#include <relidar/loss.hpp>
-#include <relidar/traversal.hpp>
+#include <relidar/stages/forward.hpp>
+#include <relidar/stages/loss.hpp>
+#include <relidar/stages/traversal.hpp>
 
 #include "../reference/geometry_loss.hpp"
 #include "../support/device.hpp"

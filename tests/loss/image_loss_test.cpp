@@ -4,8 +4,8 @@
 #include <cmath>
 #include <random>
 
-#include <relidar/forward.hpp>
-#include <relidar/loss.hpp>
+#include <relidar/stages/forward.hpp>
+#include <relidar/stages/loss.hpp>
 
 #include "../reference/loss.hpp"
 #include "../support/device.hpp"

@@ -3,8 +3,8 @@
 // turns and windows, fewer rows and columns than the window, strided targets; what lies at a dropped pixel plays no part.
 #include <random>
 
-#include <relidar/forward.hpp>
-#include <relidar/loss.hpp>
+#include <relidar/stages/forward.hpp>
+#include <relidar/stages/loss.hpp>
 
 #include "../reference/ssim.hpp"
 #include "../support/device.hpp"

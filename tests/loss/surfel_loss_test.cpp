@@ -4,9 +4,9 @@
 #include <cmath>
 #include <random>
 
-#include <relidar/loss.hpp>
-#include <relidar/optimizer.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/stages/loss.hpp>
+#include <relidar/stages/optimizer.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include "../reference/surfel_loss.hpp"
 #include "../support/device.hpp"

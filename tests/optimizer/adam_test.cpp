@@ -4,7 +4,7 @@
 #include <cmath>
 #include <random>
 
-#include <relidar/optimizer.hpp>
+#include <relidar/stages/optimizer.hpp>
 
 #include "../support/device.hpp"
 #include "gpu/stream.hpp"

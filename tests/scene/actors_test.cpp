@@ -6,7 +6,7 @@
 
 #include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
-#include <relidar/forward.hpp>
+#include <relidar/stages/forward.hpp>
 #include <relidar/scene.hpp>
 
 #include "../support/device.hpp"

@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include <relidar/error.hpp>
+#include <relidar/measure/scene.hpp>
 #include <relidar/scene.hpp>
 
 namespace relidar {

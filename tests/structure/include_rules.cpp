@@ -82,7 +82,7 @@ std::string judge(const std::string& from_path, const std::string& to_path) {
     if (!layer_table().contains(from)) return "'" + from + "' is no stage of the layer table";
     if (from_path.starts_with(kFaces) && !to_face) return "a face includes only other faces";
     if (!stage_may_include(from, to)) return from + " may not include " + to;
-    if (!to_face && !kOpenFolders.contains(to)) return "another stage is reached only through <relidar/" + to + ".hpp>";
+    if (!to_face && !kOpenFolders.contains(to)) return "another stage is reached only through its faces, <relidar/" + to + ".hpp> or <relidar/stages/" + to + ".hpp>";
     return "";
 }
 

@@ -5,7 +5,7 @@
 
 #include <memory>
 
-#include <relidar/accel.hpp>
+#include <relidar/stages/accel.hpp>
 
 #include "shared/bvh.h"
 

@@ -5,7 +5,7 @@
 
 #include <vector>
 
-#include <relidar/traversal.hpp>
+#include <relidar/stages/traversal.hpp>
 #include <relidar/scene.hpp>
 
 #include "../reference/traversal.hpp"

@@ -8,7 +8,7 @@
 #include <optional>
 #include <regex>
 
-#include <relidar/checkpoint.hpp>
+#include <relidar/stages/checkpoint.hpp>
 #include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
 #include <relidar/render.hpp>

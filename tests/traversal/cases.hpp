@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/traversal.hpp>
+#include <relidar/stages/traversal.hpp>
 #include <relidar/scene.hpp>
 
 #include "../reference/traversal.hpp"

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <relidar/measure/traversal.hpp>
 #include "collect.hpp"
 
 #include <gtest/gtest.h>

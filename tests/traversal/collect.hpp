@@ -3,7 +3,8 @@
 // its own, for tests that refit, rebuild or bring a tree themselves.
 #pragma once
 
-#include <relidar/traversal.hpp>
+#include <relidar/measure/traversal.hpp>
+#include <relidar/stages/traversal.hpp>
 
 #include "gpu/kernel.hpp"
 #include "shared/trace.h"

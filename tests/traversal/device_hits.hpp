@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include <relidar/measure/traversal.hpp>
 #include "../support/device.hpp"
 #include "../support/placed.hpp"
 #include "cases.hpp"

@@ -6,6 +6,7 @@
 #include <limits>
 #include <random>
 
+#include <relidar/measure/traversal.hpp>
 #include "collect.hpp"
 #include "device_hits.hpp"
 #include "gpu/stream.hpp"

@@ -20,6 +20,7 @@
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
+#include <relidar/measure/scene.hpp>
 #include <relidar/scene.hpp>
 #include <relidar/sensor.hpp>
 

@@ -8,8 +8,9 @@
 
 #include "console.hpp"
 #include "interrupt.hpp"
-#include <relidar/accel.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/stages/accel.hpp>
+#include <relidar/measure/scene.hpp>
+#include <relidar/stages/scene.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "options.hpp"
+#include <relidar/measure/scene.hpp>
 #include <relidar/error.hpp>
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>

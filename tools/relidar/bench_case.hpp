@@ -5,7 +5,7 @@
 #include <string>
 
 #include <relidar/config.hpp>
-#include <relidar/traversal.hpp>
+#include <relidar/stages/traversal.hpp>
 
 namespace relidar::cli {
 

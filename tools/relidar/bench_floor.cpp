@@ -7,7 +7,7 @@
 #include <cmath>
 
 #include <relidar/error.hpp>
-#include <relidar/gpu.hpp>
+#include <relidar/stages/gpu.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -14,9 +14,10 @@
 #include "bench_case.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
-#include <relidar/backward.hpp>
+#include <relidar/stages/backward.hpp>
 #include <relidar/error.hpp>
-#include <relidar/forward.hpp>
+#include <relidar/measure/forward.hpp>
+#include <relidar/stages/forward.hpp>
 
 namespace relidar::cli {
 namespace {

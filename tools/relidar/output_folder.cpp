@@ -14,7 +14,7 @@
 
 #include <fmt/format.h>
 
-#include <relidar/checkpoint.hpp>
+#include <relidar/stages/checkpoint.hpp>
 #include <relidar/config.hpp>
 #include <relidar/dataset.hpp>
 #include <relidar/error.hpp>

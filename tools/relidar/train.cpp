@@ -15,7 +15,7 @@
 #include "output_folder.hpp"
 #include "run_report.hpp"
 #include "training.hpp"
-#include <relidar/checkpoint.hpp>
+#include <relidar/stages/checkpoint.hpp>
 #include <relidar/run.hpp>
 
 namespace relidar::cli {

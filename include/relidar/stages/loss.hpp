@@ -10,7 +10,7 @@
 
 #include <glm/glm.hpp>
 
-#include <relidar/gpu.hpp>
+#include <relidar/stages/gpu.hpp>
 
 namespace relidar {
 

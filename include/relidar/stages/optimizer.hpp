@@ -6,8 +6,8 @@
 #include <memory>
 #include <optional>
 
-#include <relidar/gpu.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/stages/gpu.hpp>
+#include <relidar/stages/scene.hpp>
 
 namespace relidar {
 

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rays and the order in which they meet surfels: what forward and backward share, and the traversal contract made visible for its
-// conformance tests (shaders/traversal/README.md).
+// Batches of rays, how they are traced, and what forward and backward hand to each other.
 #pragma once
 
 #include <cstdint>
@@ -8,9 +7,9 @@
 
 #include <glm/glm.hpp>
 
-#include <relidar/accel.hpp>
-#include <relidar/gpu.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/stages/accel.hpp>
+#include <relidar/stages/gpu.hpp>
+#include <relidar/stages/scene.hpp>
 
 namespace relidar {
 
@@ -58,7 +57,7 @@ struct KeptHits {
     KeptHits(Device& device, std::size_t n_rays, std::uint32_t hits_per_ray) : hits(device, 2 * n_rays * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
 };
 
-inline constexpr int kGeometryFloats = 5;           ///< normal B [3], distortion, moment (shaders/shared/trace.h)
+inline constexpr int kGeometryFloats = 5;           ///< normal B [3], distortion, moment
 inline constexpr int kGeometryGradientFloats = 8;   ///< d_normal [3], d_distortion, d_point [3], range
 
 /// What the geometric losses want of each ray of a batch beside its image, and what they give back.
@@ -73,26 +72,5 @@ struct RayGeometry {
 
 /// Rays as kernels read them.
 std::vector<DeviceRay> to_device_rays(const WorldRays& rays);
-
-/// Ordered hits of each ray, all of them: for tests of the traversal contract.
-struct CollectedHits {
-    std::uint32_t max_hits = 0;
-    std::vector<std::uint32_t> counts;     ///< [n_rays] may exceed max_hits
-    std::vector<float> t;                  ///< [n_rays, max_hits] metres
-    std::vector<std::uint32_t> instance;   ///< [n_rays, max_hits]
-    std::vector<std::uint32_t> surfel;     ///< [n_rays, max_hits]
-};
-
-/// A scene with its instances placed, and how it is traced.
-struct PlacedScene {
-    const Scene* scene = nullptr;
-    std::vector<Pose> world_from_instance;
-    ImageModel model;
-    AccelOptions accel;
-    TraceOptions trace;
-};
-
-/// @param max_hits  hits kept a ray; all are counted @throws DeviceError where a ray reaches the cap of passes
-CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays, std::uint32_t max_hits);
 
 }  // namespace relidar

@@ -17,8 +17,8 @@
 #include <vector>
 
 #include <relidar/export.hpp>
-#include <relidar/gpu.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/stages/gpu.hpp>
+#include <relidar/stages/scene.hpp>
 
 namespace relidar {
 

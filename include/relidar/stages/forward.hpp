@@ -9,10 +9,10 @@
 
 #include <glm/glm.hpp>
 
-#include <relidar/accel.hpp>
-#include <relidar/gpu.hpp>
-#include <relidar/scene.hpp>
-#include <relidar/traversal.hpp>
+#include <relidar/stages/accel.hpp>
+#include <relidar/stages/gpu.hpp>
+#include <relidar/stages/scene.hpp>
+#include <relidar/stages/traversal.hpp>
 
 namespace relidar {
 
@@ -32,7 +32,7 @@ struct Rendering {
     std::size_t size() const { return depth.size(); }
 };
 
-/// The forward kernel with its settings. Rendered rays stay on the device: kRenderedFloats floats a ray (see shaders/shared/trace.h).
+/// The forward kernel with its settings. Rendered rays stay on the device: kRenderedFloats floats a ray.
 inline constexpr int kRenderedFloats = 9;
 class ForwardPass {
 public:
@@ -49,22 +49,10 @@ public:
     const Array<std::uint32_t>& pass_cap_count() const;
     void set_sh_degree(int degree);
 
-    struct Impl;
-    Impl& impl() const { return *impl_; }
-
 private:
+    struct Impl;
     std::unique_ptr<Impl> impl_;
 };
-
-/// What the software traversal looks at for a ray, on average over a batch, all passes counted. With Walk::subgroup a ray counts what its
-/// subgroup opened for it.
-struct VisitCounts {
-    double nodes = 0.0;     ///< nodes opened, of the top tree too
-    double surfels = 0.0;   ///< surfels tested
-};
-/// Counts by rendering a batch once more. The scene must have been activated and accel updated, and both submitted. Blocks; at most
-/// 2^32 visits. @return nothing where the device traverses by ray query: its driver does not say
-std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model, const TraceOptions& options);
 
 /// Rendered rays as host arrays.
 Rendering to_rendering(const std::vector<float>& rendered, std::size_t n_rays);

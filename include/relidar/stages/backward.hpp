@@ -6,10 +6,10 @@
 #include <memory>
 #include <optional>
 
-#include <relidar/accel.hpp>
-#include <relidar/traversal.hpp>
-#include <relidar/gpu.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/stages/accel.hpp>
+#include <relidar/stages/traversal.hpp>
+#include <relidar/stages/gpu.hpp>
+#include <relidar/stages/scene.hpp>
 
 namespace relidar {
 

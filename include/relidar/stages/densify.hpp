@@ -10,7 +10,7 @@
 #include <utility>
 #include <vector>
 
-#include <relidar/gpu.hpp>
+#include <relidar/stages/gpu.hpp>
 
 namespace relidar {
 

@@ -1,0 +1,20 @@
+// SPDX-License-Identifier: Apache-2.0
+// The scenes that benchmarks and tests measure on. Not installed.
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include <relidar/scene.hpp>
+
+namespace relidar {
+
+/// The deterministic benchmark street of surfels (families A: refine = false, B: refine = true), bit-equal up to the
+/// last place with ../shared/bench/scene_gen.py `street(n, seed, refine)`; kd order is not applied.
+Surfels make_benchmark_street(std::uint32_t n, std::uint32_t seed = 20261120, bool refine = false);
+
+/// Its rays: kind "waymo" (64 x 2650) or "kitti" (66 x 1030), all from (0, -2, 1.8); or any size with a given field of view.
+RayTable make_benchmark_rays(const std::string& kind);
+RayTable make_benchmark_rays(int rows, int columns, double top_deg, double bottom_deg);
+
+}  // namespace relidar
