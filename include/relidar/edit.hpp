@@ -51,7 +51,7 @@ DrivingScene keep_background(DrivingScene driving);
 DrivingScene keep_actors(DrivingScene driving);
 
 /// A trajectory as CSV: time_s, x, y, z, yaw_deg[, pitch_deg, roll_deg] a line, R = Rz(yaw) Ry(pitch) Rx(roll); the first line may be
-/// a header. @throws DataError naming line and column
+/// a header (write_trajectory() in export.hpp writes one). @throws DataError naming line and column, and for fewer than two poses
 PoseTrack read_trajectory(const std::filesystem::path& path);
 
 }  // namespace relidar

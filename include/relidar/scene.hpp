@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <string>
 #include <vector>
@@ -164,6 +165,12 @@ std::string names_of(const std::vector<BoxTrack>& boxes);
 
 /// Poses of all instances at a time, each taken when the sensor's head faces its box; a box is absent outside its first and last label.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s);
+
+/// Where actors are, by their tracks' names: centres of their boxes (relidar's world), interpolated and extrapolated as PoseTrack::at. Those not named are absent.
+using ActorPoses = std::map<std::string, PoseTrack>;
+/// The same with the actors where the caller has them. The sequence says how the sensor turns and where it is.
+/// @throws UsageError for a name that no instance has, naming the nearest
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, const ActorPoses& world_from_actor);
 
 /// Recursive object-median order of points along the longest axis, split at (first + last) / 2.
 /// @return [n] permutation: position i of the sorted array holds point order[i]

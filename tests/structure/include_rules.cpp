@@ -34,6 +34,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"config", {"traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "scene", "sequence", "sensor", "gpu"}},   // options of all of them
         {"run", {"config", "export", "scene", "sequence", "sensor"}},   // a run's folder; export: safetensors
         {"render", {"config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
+        {"scan_files", {"render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
         {"train",
          {"config", "run", "backward", "forward", "traversal", "densify", "checkpoint", "accel", "optimizer", "loss", "metrics", "refine", "dataset",
           "registration", "scene", "sequence", "sensor", "gpu"}},
