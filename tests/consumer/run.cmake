@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-# Installs a built relidar into an empty folder and builds and runs the consumer project against it.
-#   cmake -DBUILD_DIR=<built relidar> -DWORK_DIR=<scratch> [-DGENERATOR=...] [-DCXX_COMPILER=...] [-DCXX_FLAGS=...] -P run.cmake
+# Installs a built relidar into an empty folder, or takes PREFIX, where it is installed, and builds and runs the consumer project against it.
+#   cmake -DBUILD_DIR=<built relidar> -DWORK_DIR=<scratch> [-DPREFIX=...] [-DGENERATOR=...] [-DCXX_COMPILER=...] [-DCXX_FLAGS=...] -P run.cmake
 cmake_minimum_required(VERSION 3.25)
 foreach(needed BUILD_DIR WORK_DIR)
     if(NOT ${needed})
@@ -17,10 +17,12 @@ function(run)
     set(output "${output}" PARENT_SCOPE)
 endfunction()
 
-set(prefix ${WORK_DIR}/prefix)
 set(build ${WORK_DIR}/build)
 file(REMOVE_RECURSE ${WORK_DIR})
-run(${CMAKE_COMMAND} --install ${BUILD_DIR} --prefix ${prefix})
+if(NOT PREFIX)
+    set(PREFIX ${WORK_DIR}/prefix)
+    run(${CMAKE_COMMAND} --install ${BUILD_DIR} --prefix ${PREFIX})
+endif()
 set(options "")
 if(GENERATOR)
     list(APPEND options -G ${GENERATOR})
@@ -29,13 +31,13 @@ if(CXX_COMPILER)
     list(APPEND options -DCMAKE_CXX_COMPILER=${CXX_COMPILER})
 endif()
 run(${CMAKE_COMMAND} -S ${CMAKE_CURRENT_LIST_DIR} -B ${build} ${options}
-    -DCMAKE_PREFIX_PATH=${prefix} -DCMAKE_CXX_FLAGS=${CXX_FLAGS} -DCMAKE_BUILD_TYPE=Release)
+    -DCMAKE_PREFIX_PATH=${PREFIX} -DCMAKE_CXX_FLAGS=${CXX_FLAGS} -DCMAKE_BUILD_TYPE=Release)
 run(${CMAKE_COMMAND} --build ${build})
 run(${build}/consumer)
 if(NOT output MATCHES "67980 rays")
     message(FATAL_ERROR "consumer test: expected 67980 rays (66 x 1030), the program said:\n${output}")
 endif()
-file(GLOB_RECURSE config ${prefix}/*relidarConfig.cmake)
+file(GLOB_RECURSE config ${PREFIX}/*relidarConfig.cmake)
 file(STRINGS ${config} paths REGEX "${BUILD_DIR}")
 if(paths)
     message(FATAL_ERROR "consumer test: the installed package refers to the build folder: ${paths}")
