@@ -34,6 +34,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"config", {"traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "scene", "sequence", "sensor", "gpu"}},   // options of all of them
         {"run", {"config", "export", "scene", "sequence", "sensor"}},   // a run's folder; export: safetensors
         {"render", {"config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
+        {"scan_files", {"render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
         {"train",
          {"config", "run", "backward", "forward", "traversal", "densify", "checkpoint", "accel", "optimizer", "loss", "metrics", "refine", "dataset",
           "registration", "scene", "sequence", "sensor", "gpu"}},
@@ -41,7 +42,7 @@ const std::map<std::string, Stages>& layer_table() {
     return table;
 }
 
-const std::string kFaces = "include/relidar/";
+const std::string kFaces = "include/relidar/", kUmbrella = kFaces + "relidar.hpp";
 const Stages kCoreFaces = {"error", "math", "progress", "version"};
 const Stages kOpenFolders = {"core", "gpu", "traversal", "shared"};   // infrastructure: its headers are included directly
 
@@ -74,6 +75,7 @@ std::string judge(const std::string& from_path, const std::string& to_path) {
     const std::string from = layer_of(from_path), to = layer_of(to_path);
     const bool to_face = to_path.starts_with(kFaces);
     if (from == to) return "";
+    if (from_path == kUmbrella) return to_path.starts_with(kFaces + "stages/") || to_path.starts_with(kFaces + "measure/") ? "the umbrella holds what users need" : "";
     if (from_path.starts_with("shaders/")) return shader_may_include(from, to) ? "" : from + " may not include " + to;
     if (from.starts_with("tools/")) return to_face ? "" : "tools see only include/relidar";
     const bool is_test = stem(from_path).ends_with("_test");
