@@ -20,7 +20,7 @@ struct Renderer::Impl {
     ForwardPass forward;
     bool built = false;
     Array<DeviceRay> rays;
-    Array<float> rendered;
+    Array<shared::RenderedRay> rendered;
 
     Impl(Device& d, const Scene& s, const ImageModel& m, const AccelOptions& a, const TraceOptions& t)
         : device(d), model(m), stream(d, true), scene(d, s), accel(d, scene, a), forward(d, m, accel.proxy(), t) {}
@@ -38,7 +38,7 @@ Rendering Renderer::trace(const WorldRays& rays, const glm::vec3& view_origin_m)
     Impl& r = *impl_;
     if (rays.size() != r.rays.size()) {
         r.rays = Array<DeviceRay>(r.device, rays.size(), "rays");
-        r.rendered = Array<float>(r.device, rays.size() * kRenderedFloats, "rendered rays");
+        r.rendered = Array<shared::RenderedRay>(r.device, rays.size(), "rendered rays");
     }
     r.rays.upload(to_device_rays(rays));
     if (!r.built || r.model.sh_direction == ShDirection::surfel) r.scene.activate(r.stream, r.model, view_origin_m);
@@ -49,7 +49,7 @@ Rendering Renderer::trace(const WorldRays& rays, const glm::vec3& view_origin_m)
     r.stream.finish();
     if (const std::uint32_t capped = r.forward.take_pass_cap_count())
         throw DeviceError(fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal stack, expected every ray to end", rays.size(), capped, RELIDAR_MAX_PASSES));
-    return to_rendering(r.rendered.download(), rays.size());
+    return to_rendering(r.rendered.download());
 }
 
 }  // namespace relidar

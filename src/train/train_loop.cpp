@@ -81,9 +81,9 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       backward_(device, config.image, accel_->proxy(), training_options(config), backward_options(config)),
       surfel_loss_(device, config.loss),
       adam_(device, scene_.size(), {.only_touched = config.train.only_touched}, scene_.primitive()),
-      rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
+      rendered_(device, largest_batch(), "rendered rays"),
       kept_(device, largest_batch(), static_cast<std::uint32_t>(config.trace.keep_hits)),
-      upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
+      upstream_(device, largest_batch(), "loss gradients"),
       reports_(device),
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.size(), config.train.seed) {
@@ -257,7 +257,7 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
         place(k, model);
         forward_.run(stream_, scene_, *accel_, rays, rendered_, nullptr, geometry_ ? &*geometry_ : nullptr);
         stream_.finish();
-        const Rendering r = to_rendering(rendered_.download(), rays.n_rays);
+        const Rendering r = to_rendering(rendered_.download(rays.n_rays));
         for (std::uint32_t j = 0; j < rays.n_rays; ++j) {
             const std::size_t i = first + std::size_t(j) * stride;
             if (r.weight[j] > kSolid && r.hit_logit[j] > r.drop_logit[j]) counts.add(scan.rays.channel[i], scan.rays.direction[i], !(scan.range_m[i] > 0.0f));

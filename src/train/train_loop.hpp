@@ -92,11 +92,11 @@ private:
     std::optional<Gradients> gradients_;
     std::optional<Densifier> densifier_;   ///< where the config wants one
     DensifyReport densified_;              ///< since the last log line
-    Array<float> rendered_;
+    Array<shared::RenderedRay> rendered_;
     KeptHits kept_;
     std::optional<RayGeometry> geometry_;          ///< where a loss wants it, as the next
     std::optional<GeometryLoss> geometry_loss_;
-    Array<float> upstream_;
+    Array<shared::RayGradient> upstream_;
     IterationReports reports_;
     double extent_m_;
     FrameSampler sampler_;

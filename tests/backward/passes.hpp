@@ -27,7 +27,8 @@ struct Passes {
     ForwardPass forward;
     BackwardPass backward;
     Array<DeviceRay> rays;
-    Array<float> rendered, upstream;
+    Array<shared::RenderedRay> rendered;
+    Array<shared::RayGradient> upstream;
     std::unique_ptr<KeptHits> kept;           ///< null: cast again
     std::unique_ptr<RayGeometry> geometry;    ///< where trace.geometry
     Gradients gradients;
@@ -37,16 +38,21 @@ struct Passes {
            const BackwardOptions& options = {})
         : device(d), model(m), placed(to_scene(to_surfels(s.world.surfels), s.world.instances)), stream(d), scene(d, placed.scene),
           accel(d, scene, {.proxy = proxy}), forward(d, m, proxy, trace), backward(d, m, proxy, trace, options), rays(d, s.rays.size(), "rays"),
-          rendered(d, s.rays.size() * kRenderedFloats, "rendered"), upstream(d, s.rays.size() * kUpstreamFloats, "upstream"),
+          rendered(d, s.rays.size(), "rendered"), upstream(d, s.rays.size(), "upstream"),
           gradients(d, scene, {.n_rays = static_cast<std::uint32_t>(s.rays.size()), .poses = true}), view_origin(s.view_origin) {
         scene.set_poses(placed.world_from_instance);
         if (trace.geometry) geometry = std::make_unique<RayGeometry>(d, s.rays.size());
         std::vector<DeviceRay> r;
-        std::vector<float> u, q;
+        std::vector<shared::RayGradient> u;
+        std::vector<shared::GeometryGradient> q;
         for (std::size_t i = 0; i < s.rays.size(); ++i) {
             r.push_back({glm::vec3(s.rays[i].origin), glm::vec3(s.rays[i].direction)});
-            for (const double x : {g[i].depth, g[i].weight, g[i].intensity, g[i].hit_logit, g[i].drop_logit}) u.push_back(static_cast<float>(x));
-            for (const double x : {g[i].normal.x, g[i].normal.y, g[i].normal.z, g[i].distortion, 0.0, 0.0, 0.0, 0.0}) q.push_back(static_cast<float>(x));
+            u.push_back({.depth = float(g[i].depth),
+                         .weight = float(g[i].weight),
+                         .intensity = float(g[i].intensity),
+                         .hit_logit = float(g[i].hit_logit),
+                         .drop_logit = float(g[i].drop_logit)});
+            q.push_back({.normal = glm::vec3(g[i].normal), .distortion = float(g[i].distortion), .point = glm::vec3(0.0f), .range = 0.0f});
         }
         rays.upload(r);
         upstream.upload(u);
@@ -68,10 +74,13 @@ struct Passes {
     double loss() {
         run_forward();
         stream.finish();
-        const std::vector<float> r = rendered.download(), u = upstream.download();
+        const std::vector<shared::RenderedRay> r = rendered.download();
+        const std::vector<shared::RayGradient> u = upstream.download();
         double sum = 0.0;
-        for (std::size_t i = 0; i < rays.size(); ++i)
-            for (int k = 0; k < kUpstreamFloats; ++k) sum += double(r[i * kRenderedFloats + std::size_t(k)]) * u[i * kUpstreamFloats + std::size_t(k)];
+        for (std::size_t i = 0; i < rays.size(); ++i) {
+            sum += double(r[i].depth) * u[i].depth + double(r[i].weight) * u[i].weight + double(r[i].intensity) * u[i].intensity;
+            sum += double(r[i].hit_logit) * u[i].hit_logit + double(r[i].drop_logit) * u[i].drop_logit;
+        }
         return sum;
     }
 };

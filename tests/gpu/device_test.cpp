@@ -50,7 +50,7 @@ TEST_F(Gpu, GrowingKeepsWhatThereWas) {
     array.reserve(device(), 5000, "test");
     EXPECT_EQ(array.size(), 5000u);
     EXPECT_EQ(array.download(1000), values);
-    const std::uint64_t address = array.address();
+    const Address<std::uint32_t> address = array.address();
     array.reserve(device(), 10, "test");
     EXPECT_EQ(array.address(), address) << "there is room already";
 }

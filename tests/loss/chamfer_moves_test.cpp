@@ -59,7 +59,8 @@ double distance_after(Device& device, float shift, bool cut_gradient, bool image
     ChamferLoss chamfer(device, weights, kRays);
     Adam adam(device, scene.size(), {});
     Gradients gradients(device, scene);
-    Array<float> rendered(device, kRays * kRenderedFloats, "rendered"), upstream(device, kRays * kUpstreamFloats, "upstream");
+    Array<shared::RenderedRay> rendered(device, kRays, "rendered");
+    Array<shared::RayGradient> upstream(device, kRays, "upstream");
     const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
     const RayBatch batch{&device_rays, 0, 1, kRays};
     const TargetBatch measured{&device_targets, 0, 1, kRays, kRays, kRays, image ? ImageShape{kSide, kSide, false} : ImageShape{}};

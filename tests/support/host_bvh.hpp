@@ -7,8 +7,6 @@
 
 #include <relidar/stages/accel.hpp>
 
-#include "shared/bvh.h"
-
 namespace relidar::test {
 
 class HostBvh {

@@ -44,7 +44,7 @@ std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normali
     constexpr float kRangeNoise_m = 0.1f, kIntensityNoise = 0.05f, kSolid = 0.5f;
     std::mt19937 random(1);
     const auto noise = [&] { return static_cast<float>(random()) / 2147483648.0f - 1.0f; };
-    std::vector<DeviceTarget> targets(rendering.size());
+    std::vector<DeviceTarget> targets(rendering.size(), {.range_m = 0.0f, .intensity = 0.0f, .weight = 1.0f});
     for (std::size_t i = 0; i < targets.size(); ++i) {
         if (!(rendering.weight[i] > kSolid)) continue;
         const float range_m = rendering.depth[i] / (normalised_depth ? rendering.weight[i] : 1.0f);
@@ -62,7 +62,8 @@ struct TrainingState {
     ImageLoss loss;
     BackwardPass backward;
     Array<DeviceTarget> targets;
-    Array<float> upstream, terms;
+    Array<shared::RayGradient> upstream;
+    Array<float> terms;
     KeptHits kept;
     double n_returned = 0.0;
     int step = 0;
@@ -74,7 +75,7 @@ struct TrainingState {
           loss(device, bench.config.loss),
           backward(device, bench.config.image, proxy, trace_options(bench.config), backward_options(bench.config)),
           targets(device, std::span<const DeviceTarget>(wanted), "targets"),
-          upstream(device, wanted.size() * kUpstreamFloats, "loss gradients"),
+          upstream(device, wanted.size(), "loss gradients"),
           terms(device, std::vector<float>(kLossTerms, 0.0f), "loss terms"),
           kept(device, wanted.size(), static_cast<std::uint32_t>(bench.config.trace.keep_hits)) {
         gradients.zero_untouched = false;   // Adam takes the others for zero
@@ -95,13 +96,13 @@ public:
           allocated_with_accel_(device.allocated_bytes()),
           forward_(device, bench.config.image, accel_.proxy(), trace_options(bench.config)),
           rays_(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays"),
-          rendered_(device, bench.rays.size() * kRenderedFloats, "rendered rays") {}
+          rendered_(device, bench.rays.size(), "rendered rays") {}
 
     /// The first image; with it the targets and all that training needs.
     void prepare(bool training) {
         frame();
         stream_.finish();
-        const Rendering rendering = to_rendering(rendered_.download(), rays_.size());
+        const Rendering rendering = to_rendering(rendered_.download());
         const double keep = training ? case_.config.trace.keep_hits : 0;
         for (const std::uint32_t hits : rendering.hits) {
             sizes_.n_hits += hits;
@@ -165,7 +166,7 @@ private:
     std::uint64_t allocated_with_accel_;
     ForwardPass forward_;
     Array<DeviceRay> rays_;
-    Array<float> rendered_;
+    Array<shared::RenderedRay> rendered_;
     std::unique_ptr<TrainingState> training_;
     std::uint64_t training_bytes_ = 0;
     FloorSizes sizes_;

@@ -48,10 +48,10 @@ struct Gradients {
 /// A batch that has been rendered and compared.
 struct RenderedBatch {
     RayBatch rays;
-    const Array<float>* rendered = nullptr;   ///< [n_rays, kRenderedFloats] of ForwardPass::run with the same scene
-    const Array<float>* upstream = nullptr;   ///< [n_rays, kUpstreamFloats] of ImageLoss::run
-    const KeptHits* kept = nullptr;           ///< of the same ForwardPass::run, or null
-    const RayGeometry* geometry = nullptr;    ///< of the same ForwardPass::run and of GeometryLoss::run, with TraceOptions::geometry
+    const Array<shared::RenderedRay>* rendered = nullptr;   ///< [n_rays] of ForwardPass::run with the same scene
+    const Array<shared::RayGradient>* upstream = nullptr;   ///< [n_rays] of ImageLoss::run
+    const KeptHits* kept = nullptr;                         ///< of the same ForwardPass::run, or null
+    const RayGeometry* geometry = nullptr;                  ///< of the same ForwardPass::run and of GeometryLoss::run, with TraceOptions::geometry
 };
 
 /// How the gradients of hits are summed.

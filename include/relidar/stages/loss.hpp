@@ -10,6 +10,7 @@
 
 #include <glm/glm.hpp>
 
+#include <relidar/shared/rays.h>
 #include <relidar/stages/gpu.hpp>
 
 namespace relidar {
@@ -19,12 +20,7 @@ struct RayGeometry;
 struct SurfelArrays;
 class DeviceScene;
 
-/// What a ray measured.
-struct DeviceTarget {
-    float range_m = 0.0f;     ///< 0 = dropped
-    float intensity = 0.0f;
-    float weight = 1.0f;      ///< 0 = unknown: takes no part in any loss
-};
+using shared::DeviceTarget;
 
 /// How the rays of a batch lie as an image, row by row. rows = 0: they do not.
 struct ImageShape {
@@ -74,10 +70,8 @@ struct TermRow {
     std::uint32_t row = 0;
 
     TermRow(const Array<float>& array, std::uint32_t at = 0) : terms(array), row(at) {}
-    std::uint64_t address() const { return terms.address() + std::uint64_t(row) * kLossTerms * sizeof(float); }
+    Address<float> address() const { return terms.address(std::size_t(row) * kLossTerms); }
 };
-
-inline constexpr int kUpstreamFloats = 5;   ///< d_depth, d_weight, d_intensity, d_hit_logit, d_drop_logit
 
 /// Depth, intensity and ray-drop, pixel by pixel, and the structural similarity of intensity.
 class ImageLoss {
@@ -87,10 +81,11 @@ public:
     ~ImageLoss();
     /// Records the loss of a batch, which must be an image where intensity_ssim > 0. A window of structural similarity holds its
     /// known, returned pixels only: what rendered and measured intensity are at dropped or unknown pixels plays no part.
-    /// @param rendered    [n_rays, kRenderedFloats] input
-    /// @param upstream    [n_rays, kUpstreamFloats] output
+    /// @param rendered    [n_rays] input
+    /// @param upstream    [n_rays] output
     /// @param terms       accumulated
-    void run(Stream& stream, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const TermRow& terms);
+    void run(Stream& stream, const TargetBatch& batch, const Array<shared::RenderedRay>& rendered,
+             Array<shared::RayGradient>& upstream, const TermRow& terms);
 
 private:
     struct Impl;
@@ -109,10 +104,11 @@ public:
     ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
     ~ChamferLoss();
     /// Records the loss of a batch; to follow ImageLoss::run.
-    /// @param rendered  [n_rays, kRenderedFloats] input
-    /// @param upstream  [n_rays, kUpstreamFloats] accumulated
+    /// @param rendered  [n_rays] input
+    /// @param upstream  [n_rays] accumulated
     /// @param terms     accumulated
-    void run(Stream& stream, const RayBatch& rays, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const TermRow& terms);
+    void run(Stream& stream, const RayBatch& rays, const TargetBatch& batch, const Array<shared::RenderedRay>& rendered,
+             Array<shared::RayGradient>& upstream, const TermRow& terms);
     /// Of the last batch, by ray: the nearest measured point of each simulated one and the reverse, ~0 where there is none. Blocks.
     std::array<std::vector<std::uint32_t>, 2> nearest() const;
 
@@ -135,11 +131,12 @@ public:
     GeometryLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
     ~GeometryLoss();
     /// Records the loss of a batch, which must be an image where normal > 0; to follow ImageLoss::run.
-    /// @param rendered  [n_rays, kRenderedFloats] input
+    /// @param rendered  [n_rays] input
     /// @param geometry  of the same ForwardPass::run; its gradient is output
-    /// @param upstream  [n_rays, kUpstreamFloats] accumulated
+    /// @param upstream  [n_rays] accumulated
     /// @param terms     accumulated
-    void run(Stream& stream, const RayBatch& rays, const TargetBatch& batch, const Array<float>& rendered, RayGeometry& geometry, Array<float>& upstream, const TermRow& terms);
+    void run(Stream& stream, const RayBatch& rays, const TargetBatch& batch, const Array<shared::RenderedRay>& rendered,
+             RayGeometry& geometry, Array<shared::RayGradient>& upstream, const TermRow& terms);
 
 private:
     struct Impl;

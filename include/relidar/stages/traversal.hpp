@@ -7,6 +7,7 @@
 
 #include <glm/glm.hpp>
 
+#include <relidar/shared/rays.h>
 #include <relidar/stages/accel.hpp>
 #include <relidar/stages/gpu.hpp>
 #include <relidar/stages/scene.hpp>
@@ -20,11 +21,7 @@ struct WorldRays {
     std::size_t size() const { return direction.size(); }
 };
 
-/// Rays on a device, ready to be traced in batches.
-struct DeviceRay {
-    glm::vec3 origin;      ///< metres, world
-    glm::vec3 direction;   ///< unit, world
-};
+using shared::DeviceRay;
 
 /// Ray k of a batch is entry first + k * stride.
 struct RayBatch {
@@ -50,24 +47,22 @@ struct TraceOptions {
 
 /// The first hits of each ray of a batch, as the forward pass blended them, so that the backward pass need not search them again.
 struct KeptHits {
-    Array<std::uint32_t> hits;    ///< [n_rays, per_ray, 2] instance, surfel
-    std::uint32_t per_ray = 0;    ///< a ray with more hits is cast again
+    Array<shared::KeptHit> hits;   ///< [n_rays, per_ray]
+    std::uint32_t per_ray = 0;     ///< a ray with more hits is cast again
 
     /// @param n_rays  of the largest batch
-    KeptHits(Device& device, std::size_t n_rays, std::uint32_t hits_per_ray) : hits(device, 2 * n_rays * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
+    KeptHits(Device& device, std::size_t n_rays, std::uint32_t hits_per_ray)
+        : hits(device, n_rays * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
 };
-
-inline constexpr int kGeometryFloats = 5;           ///< normal B [3], distortion, moment
-inline constexpr int kGeometryGradientFloats = 8;   ///< d_normal [3], d_distortion, d_point [3], range
 
 /// What the geometric losses want of each ray of a batch beside its image, and what they give back.
 struct RayGeometry {
-    Array<float> rendered;   ///< [n_rays, kGeometryFloats] of the forward pass
-    Array<float> gradient;   ///< [n_rays, kGeometryGradientFloats] of GeometryLoss
+    Array<shared::RenderedGeometry> rendered;   ///< [n_rays] of the forward pass
+    Array<shared::GeometryGradient> gradient;   ///< [n_rays] of GeometryLoss
 
     /// @param n_rays  of the largest batch
     RayGeometry(Device& device, std::size_t n_rays)
-        : rendered(device, n_rays * kGeometryFloats, "geometry of rays"), gradient(device, n_rays * kGeometryGradientFloats, "geometry gradients") {}
+        : rendered(device, n_rays, "geometry of rays"), gradient(device, n_rays, "geometry gradients") {}
 };
 
 /// Rays as kernels read them.
