@@ -69,7 +69,7 @@ struct Scene {
     Surfels surfels;
     std::vector<Model> models;
     std::vector<Instance> instances;
-    DropTable sensor_drop;   ///< of the log's own sensor; empty where it was not estimated
+    DropTable sensor_drop;   ///< of the log's own LiDARs, a row a laser (Sequence::laser_number); empty where it was not estimated
 };
 
 /// A scene of one model, the background, with one instance.
@@ -163,8 +163,8 @@ std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseO
 /// Their tracks and classes in a few words, at most eight of them by name: "3 (Pedestrian), 7 (Tram)".
 std::string names_of(const std::vector<BoxTrack>& boxes);
 
-/// Poses of all instances at a time, each taken when the sensor's head faces its box; a box is absent outside its first and last label.
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s);
+/// Poses of all instances at a time, each taken when the head of a LiDAR faces its box; a box is absent outside its first and last label.
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, int lidar = 0);
 
 /// Recursive object-median order of points along the longest axis, split at (first + last) / 2.
 /// @return [n] permutation: position i of the sorted array holds point order[i]

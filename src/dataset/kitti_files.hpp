@@ -12,9 +12,9 @@
 
 namespace relidar::kitti {
 
-/// Frame numbers of the scans in velodyne_points/data within [begin, end), ascending; end -1 = open.
+/// Frame numbers of the scans in a folder within [begin, end), ascending; end -1 = open.
 /// @throws DataError without that folder or any scan, UsageError where none lies in the range
-std::vector<int> list_scans(const std::filesystem::path& drive, int begin, int end);
+std::vector<int> list_scans(const std::filesystem::path& folder, int begin, int end);
 
 /// Points of a scan: x, y, z (metres, sensor frame), reflectance. @throws DataError for a truncated, empty or impossible scan
 std::vector<glm::vec4> read_scan(const std::filesystem::path& file);

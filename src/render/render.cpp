@@ -28,13 +28,6 @@ float chosen_range(const Rendering& r, std::size_t i, const std::string& which) 
 
 float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
 
-float measured_range(const Beam& beam, float range_m) { return range_m > 0.0f ? std::max(range_m + static_cast<float>(beam.range_offset_m), 0.0f) : range_m; }
-
-/// @param at_range  of the sensor's response
-float measured_intensity(const Beam& beam, double at_range, float intensity) {
-    return std::clamp(static_cast<float>(beam.intensity_gain * at_range * double(intensity) + beam.intensity_offset), 0.0f, 1.0f);
-}
-
 /// Whether a sensor sees the ray's surface: the dominant one, and where the range image has it.
 bool is_in_range(const RangeLimits& limits, float range_m, float median_m) {
     return limits.contains(range_m) && (!(median_m > 0.0f) || limits.contains(median_m));
@@ -42,8 +35,8 @@ bool is_in_range(const RangeLimits& limits, float range_m, float median_m) {
 
 Sequence without_scans(const Sequence& sequence, const Config& config) {
     Sequence result;
-    result.sensor = sequence.sensor;
-    result.world_from_sensor = sequence.world_from_sensor;
+    result.lidars = sequence.lidars;
+    result.world_from_vehicle = sequence.world_from_vehicle;
     result.boxes = sequence.boxes;
     result.world_offset_m = sequence.world_offset_m;
     result.intensity_response = sequence.intensity_response;
@@ -89,7 +82,8 @@ const KernelTimes& ScanRenderer::times() const { return impl_->renderer.times();
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset, std::optional<std::uint64_t> sample) {
     const Impl& s = *impl_;
-    PoseTrack track = moved_track(s.sequence.world_from_sensor, sensor_offset);
+    if (sensor.rays.size() == 0) throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor by --sensor", sensor.name));
+    PoseTrack track = moved_track(s.sequence.world_from_sensor(sensor.lidar), sensor_offset);
     WorldRays rays;
     for (std::size_t i = 0; i < sensor.rays.size(); ++i) {
         const WorldRay w = world_ray(track, time_s, sensor.rays, i, s.sequence.rolling_shutter);
@@ -97,7 +91,7 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
         rays.direction.push_back(glm::vec3(w.direction));
     }
     const Pose pose = track.at(time_s);
-    std::vector<InstancePose> placed = place_instances(s.layout, s.sequence, time_s);
+    std::vector<InstancePose> placed = place_instances(s.layout, s.sequence, time_s, sensor.lidar);
     for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && s.shown[i];
     impl_->renderer.place(placed);
     const auto start = std::chrono::steady_clock::now();
@@ -114,13 +108,15 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     scan.channel = sensor.rays.channel;
     for (std::size_t i = 0; i < r.size(); ++i) {
         const Beam& laser = laser_of(sensor.beams, sensor.rays.channel[i]);
-        const float range_m = measured_range(laser, chosen_range(r, i, s.config.render.range));
-        const float median_m = measured_range(laser, r.median_depth[i]);
+        const double surface_m = chosen_range(r, i, s.config.render.range), median_surface_m = r.median_depth[i];
+        const auto range_m = static_cast<float>(laser.measured_range(surface_m)), median_m = static_cast<float>(laser.measured_range(median_surface_m));
+        const double fall = s.sequence.intensity_response.at_range(median_surface_m > 0.0 ? median_surface_m : surface_m);
         scan.image.range_m.push_back(range_m);
         scan.median_range_m.push_back(median_m);
-        scan.image.intensity.push_back(measured_intensity(laser, s.sequence.intensity_response.at_range(double(median_m > 0.0f ? median_m : range_m)), r.intensity[i]));
+        scan.image.intensity.push_back(static_cast<float>(laser.measured_intensity(r.intensity[i], fall)));
         scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
-        const float never_seen = sensor.is_own ? s.layout.sensor_drop.at(sensor.rays.channel[i], sensor.rays.direction[i]) : 0.0f;
+        const auto own_laser = sensor.is_own ? s.sequence.laser_number(sensor.lidar, sensor.rays.channel[i]) : std::nullopt;
+        const float never_seen = own_laser ? s.layout.sensor_drop.at(*own_laser, sensor.rays.direction[i]) : 0.0f;
         const float returns = is_in_range(sensor.limits, range_m, median_m) ? (1.0f - drop_probability(r, i)) * (1.0f - never_seen) : 0.0f;
         scan.image.drop_prob.push_back(1.0f - returns);
     }

@@ -143,9 +143,10 @@ std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& b
     return samples;
 }
 
-/// When the head faces a box, the moment its only transform of the turn is taken at.
-double box_facing_time(const Sequence& sequence, const BoxTrack& box, double time_s) {
-    return facing_time(sequence, inverse(sequence.world_from_sensor.at(time_s)) * box.world_from_box.at(time_s).translation, time_s);
+/// When the head of a LiDAR faces a box, the moment its only transform of the turn is taken at.
+double box_facing_time(const Sequence& sequence, const BoxTrack& box, double time_s, int lidar) {
+    const Pose world_from_sensor = sequence.world_from_vehicle.at(time_s, sequence.lidars[std::size_t(lidar)].vehicle_from_sensor);
+    return facing_time(sequence, inverse(world_from_sensor) * box.world_from_box.at(time_s).translation, time_s, lidar);
 }
 
 }  // namespace
@@ -197,7 +198,7 @@ std::string names_of(const std::vector<BoxTrack>& boxes) {
     return fmt::format("{}{}", fmt::join(names, ", "), boxes.size() > kMost ? fmt::format(" and {} more", boxes.size() - kMost) : "");
 }
 
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s) {
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, int lidar) {
     std::vector<InstancePose> placed;
     for (const Instance& instance : scene.instances) {
         const auto box = std::find_if(sequence.boxes.begin(), sequence.boxes.end(), [&](const BoxTrack& b) { return b.id == instance.track; });
@@ -205,7 +206,7 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
         if (instance.track.empty()) continue;
         pose.present = box != sequence.boxes.end() && box->present(time_s);
         if (!pose.present) continue;
-        pose.time_s = box_facing_time(sequence, *box, time_s);
+        pose.time_s = box_facing_time(sequence, *box, time_s, lidar);
         pose.world_from_model = box->world_from_box.at(pose.time_s);
     }
     return placed;

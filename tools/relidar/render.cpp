@@ -26,6 +26,7 @@ struct Options {
     std::string out;
     std::optional<std::string> frames;
     std::string offset;
+    std::string lidar;
     std::string sensor;
     std::string formats = "npz";
     std::vector<std::string> sets;
@@ -76,6 +77,15 @@ std::vector<int> choose_frames(const Run& run, const std::optional<std::string>&
     return positions;
 }
 
+/// A LiDAR of a log by its name; the first where none is given.
+int find_lidar(const Sequence& sequence, const std::string& name) {
+    std::vector<std::string> known;
+    for (const Lidar& lidar : sequence.lidars) known.push_back(lidar.name);
+    const auto it = std::find(known.begin(), known.end(), name);
+    if (it == known.end() && !name.empty()) throw UsageError(fmt::format("--lidar: found \"{}\", expected one of the log's: {}", name, fmt::join(known, ", ")));
+    return name.empty() ? 0 : static_cast<int>(it - known.begin());
+}
+
 /// "x,y,z,yaw_deg" in the sensor's frame.
 Pose parse_offset(const std::string& text) {
     if (text.empty()) return {};
@@ -116,8 +126,11 @@ void run_render(const Options& options) {
     const OutputFolder folder(options.out);
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
-    const std::vector<int> positions = choose_frames(run, options.frames, options.quiet);
-    const SensorChoice sensor = options.sensor.empty() ? configured_sensor(run.config, run.sequence) : choose_sensor(options.sensor, run.config, run.sequence);
+    std::vector<int> positions = choose_frames(run, options.frames, options.quiet);
+    const int lidar = find_lidar(run.sequence, options.lidar);
+    std::erase_if(positions, [&](int i) { return run.sequence.frames[static_cast<std::size_t>(i)].lidar != lidar; });
+    if (positions.empty()) throw UsageError(fmt::format("--lidar {}: took none of the chosen frames of {}", options.lidar, run.folder.string()));
+    const SensorChoice sensor = options.sensor.empty() ? configured_sensor(run.config, run.sequence, lidar) : choose_sensor(options.sensor, run.config, run.sequence, lidar);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(device_options(options.device));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
@@ -154,6 +167,7 @@ void add_render(CLI::App& app, Call& call) {
     command->add_option("--out", options->out, "folder for the scans")->required()->type_name("DIR");
     command->add_option("--frames", options->frames, "first:end by the dataset's numbers, or test, train or all (default: test; all where none was held out)")->type_name("WHICH");
     command->add_option("--offset", options->offset, "move the sensor, in its own frame: forward, left, up in metres, turn left in degrees")->type_name("X,Y,Z,YAW_DEG");
+    command->add_option("--lidar", options->lidar, "whose frames and place, by its name in `relidar info` (default: the first of the log)")->type_name("NAME");
     command->add_option("--sensor", options->sensor, "another sensor: native (the log's), kitti360, VLP-16, HDL-64E, OS1-64, OS1-128, waymo-top, or a CSV beam table as in beams.csv:1024x10, see below")->type_name("NAME|FILE");
     command->add_option("--format", options->formats, "npz, exr, ply, pcd, bin, png, parted by commas (default: npz)")->type_name("LIST");
     command->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")->type_name("WHAT")->type_size(1)->allow_extra_args(false);
