@@ -36,6 +36,9 @@ double read_period(const std::filesystem::path& drive);
 /// Rigid transform with the keys R (9 numbers, row-major) and T (3).
 Pose read_calibration(const std::filesystem::path& file);
 
+/// Rigid transform of a line "key: 12 numbers", 3x4 row-major, of a file of such lines.
+Pose read_transform(const std::filesystem::path& file, const std::string& key);
+
 /// world_from_sensor of the given frames from OXTS: Mercator about the latitude of the log's first frame, x east, y north.
 /// Dataset's world: origin at the IMU in the log's first frame.
 /// @throws DataError naming the file, or the setting that helps where the drive has no OXTS

@@ -10,6 +10,7 @@
 #include <relidar/reader.hpp>
 #include "core/files.hpp"
 #include "dataset/kitti_files.hpp"
+#include "dataset/kitti_odometry.hpp"
 #include "dataset/kitti_raw.hpp"
 #include "dataset/synthetic.hpp"
 
@@ -27,6 +28,7 @@ struct Kind {
 
 constexpr Kind kKinds[] = {
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
+    {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_kitti_odometry},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
 };
 
