@@ -37,20 +37,6 @@ std::uint32_t subgroup_size(const Device& device) {
     return static_cast<std::uint32_t>(info.subgroup_size);
 }
 
-/// First surfel and number of surfels of each model, which together are all surfels in order.
-std::vector<glm::uvec2> model_ranges(const DeviceScene& scene) {
-    std::vector<glm::uvec2> ranges;
-    std::uint32_t next = 0;
-    for (const Model& model : scene.layout().models) {
-        if (model.first != next)
-            throw DataError(fmt::format("making the acceleration structure: model {} starts at surfel {}, expected {}", model.name, model.first, next));
-        ranges.push_back({model.first, model.count});
-        next += model.count;
-    }
-    if (next != scene.size()) throw DataError(fmt::format("making the acceleration structure: the models end at surfel {}, expected {}", next, scene.size()));
-    return ranges;
-}
-
 std::vector<std::uint32_t> model_of_instances(const DeviceScene& scene) {
     std::vector<std::uint32_t> models;
     for (const Instance& instance : scene.layout().instances) models.push_back(instance.model);
@@ -85,7 +71,6 @@ struct Bvh::Impl {
     Kernel<shared::BvhRefitParams> refit_kernel;
     Kernel<shared::BvhTopParams> top;
     Kernel<shared::BvhCostParams> cost_kernel;
-    Array<glm::uvec2> models;               ///< [n_models]
     Array<std::uint32_t> model_of;          ///< [n_instances]
     Array<float> boxes;                     ///< [n,6] of surfels
     Array<std::uint32_t> bounds;            ///< [n_models,6]
@@ -111,7 +96,7 @@ struct Bvh::Impl {
     SortSet sort_set(int set) const;
     std::uint64_t at(std::uint32_t bytes_a_surfel) const;
     std::uint32_t levels() const;
-    void collapse(Stream& stream);
+    void collapse(Stream& stream, const DeviceScene& scene);
     std::uint32_t key_bits() const { return 3 * RELIDAR_BVH_MORTON_BITS + static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1)); }
     void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
     SortSet sorted_surfels(Stream& stream, const DeviceScene& scene);
@@ -137,7 +122,6 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       refit_kernel(d, "accel/bvh_refit"),
       top(d, "accel/bvh_top", {kShares}, Subgroups::full),
       cost_kernel(d, "accel/bvh_cost", {kShares}, Subgroups::full),
-      models(d, std::span<const glm::uvec2>(model_ranges(scene)), "models of the acceleration structure"),
       model_of(d, std::span<const std::uint32_t>(model_of_instances(scene)), "models of the instances"),
       boxes(d, 6 * std::size_t(n), "surfel boxes"),
       bounds(d, 6 * std::size_t(n_models), "model bounds"),
@@ -179,17 +163,17 @@ void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const Accel
 
 SortSet Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
     stream.fill(bounds, 0xffffffffu);
-    run(stream, bounds_kernel, std::size_t(tiles_of(n)) * kWorkgroup, {boxes.address(), models.address(), bounds.address(), n, n_models});
+    run(stream, bounds_kernel, std::size_t(tiles_of(n)) * kWorkgroup, {boxes.address(), scene.models_address(), bounds.address(), n, n_models});
     const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);   // so that the result is set 0
     const SortSet from = sort_set(first_set);
-    run(stream, keys_kernel, n, {scene.records().address(), models.address(), bounds.address(), from.keys, at(kOtherEndsAt), at(kDemandsAt), n, n_models});
+    run(stream, keys_kernel, n, {scene.records().address(), scene.models_address(), bounds.address(), from.keys, at(kOtherEndsAt), at(kDemandsAt), n, n_models});
     return sort.run(stream, from, sort_set(1 - first_set), key_bits());
 }
 
-void Bvh::Impl::collapse(Stream& stream) {
+void Bvh::Impl::collapse(Stream& stream, const DeviceScene& scene) {
     stream.fill(level_sizes);
     shared::BvhWideParams params{binary(), wide(), queue.address(), at(kSlotsAt), level_sizes.address(), at(kDemandsAt), at(kOffsetsAt), tiles.address(), at(kPlacesAt),
-                                 at(kValuesAt), models.address(), n, tiles_of(n), n_models, bound, 0};
+                                 at(kValuesAt), scene.models_address(), n, tiles_of(n), n_models, bound, 0};
     for (std::uint64_t width = n_models; params.level < levels() - 1; ++params.level, width = std::min<std::uint64_t>(width * RELIDAR_BVH_WIDTH, bound)) run(stream, wide_mark, width, params);
     run(stream, wide_mark_rest, kWorkgroup, params);
     run(stream, wide_count, std::size_t(tiles_of(n)) * kWorkgroup, params);
@@ -217,8 +201,8 @@ void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& op
     b.make_boxes(stream, scene, options);
     const SortSet sorted = b.sorted_surfels(stream, scene);
     run(stream, b.cluster, b.n,
-        {b.binary(), b.boxes.address(), sorted.keys, sorted.order, b.models.address(), b.at(kOtherEndsAt), b.at(kClustersAt), b.queue.address(), b.n, b.n_models});
-    b.collapse(stream);
+        {b.binary(), b.boxes.address(), sorted.keys, sorted.order, scene.models_address(), b.at(kOtherEndsAt), b.at(kClustersAt), b.queue.address(), b.n, b.n_models});
+    b.collapse(stream, scene);
     b.fit_nodes(stream);
     move(stream, scene);
 }
@@ -232,7 +216,7 @@ void Bvh::refit(Stream& stream, const DeviceScene& scene, const AccelOptions& op
 void Bvh::move(Stream& stream, const DeviceScene& scene) {
     Impl& b = *impl_;
     run(stream, b.top, kWorkgroup,
-        {pointers(), scene.instances_address(), b.model_of.address(), b.models.address(), b.node_boxes.address(), b.top_boxes.address(), b.top_keys.address(), b.n_instances,
+        {pointers(), scene.instances_address(), b.model_of.address(), scene.models_address(), b.node_boxes.address(), b.top_boxes.address(), b.top_keys.address(), b.n_instances,
          static_cast<std::uint32_t>(b.top_keys.size())});
 }
 
@@ -244,7 +228,7 @@ shared::BvhPointers Bvh::pointers() const {
 std::uint64_t Bvh::memory_bytes() const {
     const Impl& b = *impl_;
     std::uint64_t bytes = b.sort.memory_bytes();
-    for (const Buffer* buffer : {&b.models.buffer(), &b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch, &b.queue.buffer(), &b.level_sizes.buffer(), &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(),
+    for (const Buffer* buffer : {&b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch, &b.queue.buffer(), &b.level_sizes.buffer(), &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(),
                                  &b.links.buffer(), &b.node_boxes.buffer(), &b.arrivals.buffer(), &b.count.buffer(), &b.roots.buffer(), &b.top_order.buffer(),
                                  &b.top_node_array.buffer(), &b.top_boxes.buffer(), &b.top_keys.buffer(), &b.cost_sums.buffer()})
         bytes += buffer->size_bytes();

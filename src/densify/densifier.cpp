@@ -24,10 +24,6 @@ constexpr float kUnbounded = std::numeric_limits<float>::infinity();
 
 double logit(double p) { return std::log(p / (1.0 - p)); }
 
-shared::SurfelPointers pointers(const SurfelArrays& arrays) {
-    return {arrays.mean.address(), arrays.rotation.address(), arrays.log_scale.address(), arrays.opacity_logit.address(), arrays.sh.address(), arrays.log_scale_w.address()};
-}
-
 double extent_of(const Scene& scene, std::size_t model) {
     const glm::vec3 half_size = scene.models[model].half_size_m;
     return half_size.x > 0.0f ? 8.0 * double(glm::length(half_size)) : model_extent(scene, model);
@@ -87,22 +83,33 @@ Rules Densifier::Impl::rules_at(int step) const {
 }
 
 std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceScene& scene, const Rules& rules, int step) {
-    const std::vector<Model>& models = scene.layout().models;
     const SurfelStatistics& s = arrays.statistics;
-    const std::uint32_t key = static_cast<std::uint32_t>(random(Draw::classify, step));
+    const std::vector<float> extents(extents_m.begin(), extents_m.end());
     stream.fill(counters);
-    for (std::size_t i = 0; i < models.size(); ++i) {
-        const Model& m = models[i];
-        const float extent = static_cast<float>(extents_m[i]);
-        relidar::run(stream, classify, m.count,
-            {pointers(scene.parameters()), s.gradient_sum.address(), s.n_seen.address(), s.frames.address(), arrays.action.address(), arrays.weight.address(),
-             counters.address() + i * sizeof(ModelCounts), rules.boxes ? m.half_size_m : glm::vec3(0.0f), rules.min_opacity, rules.max_extent_share * extent,
-             static_cast<float>(options.clone_extent_share) * extent, static_cast<float>(options.gradient_threshold), rules.growth, rules.drop_unseen ? 1u : 0u,
-             m.first, m.count, s.n_words, key});
-    }
+    relidar::run(stream, classify, scene.size(),
+                 {.surfels = pointers_of(scene.parameters()),
+                  .gradient_sum = s.gradient_sum.address(),
+                  .n_seen = s.n_seen.address(),
+                  .frames = s.frames.address(),
+                  .action = arrays.action.address(),
+                  .weight = arrays.weight.address(),
+                  .counters = counters.address(),
+                  .models = scene.models_address(),
+                  .extents = impl_of(stream).store(extents.data(), extents.size() * sizeof(float)).address,
+                  .min_opacity = rules.min_opacity,
+                  .max_extent_share = rules.max_extent_share,
+                  .clone_extent_share = static_cast<float>(options.clone_extent_share),
+                  .gradient_threshold = static_cast<float>(options.gradient_threshold),
+                  .growth = rules.growth,
+                  .bounded = rules.boxes ? 1u : 0u,
+                  .drop_unseen = rules.drop_unseen ? 1u : 0u,
+                  .n_surfels = scene.size(),
+                  .n_models = static_cast<std::uint32_t>(extents.size()),
+                  .n_words = s.n_words,
+                  .key = static_cast<std::uint32_t>(random(Draw::classify, step))});
     stream.finish();
     const std::vector<std::uint32_t> values = counters.download();
-    std::vector<ModelCounts> result(models.size());
+    std::vector<ModelCounts> result(extents.size());
     for (std::size_t i = 0; i < values.size(); ++i) result[i / RELIDAR_DENSIFY_COUNTERS][i % RELIDAR_DENSIFY_COUNTERS] = values[i];
     return result;
 }
@@ -110,7 +117,7 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
 /// @return the largest size tried, at most `wanted`, for which there is memory; the arrays then have room for it
 std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted, double others_bytes, std::string& why) {
     const std::uint32_t before = scene.size();
-    const double bytes = double(arrays.bytes_per_surfel()) + 4.0 * (3.0 * arrays.floats_per_surfel() + 16.0);   // with parameters, records and moments
+    const double bytes = double(arrays.bytes_per_surfel()) + 4.0 * (3.0 * floats_per_surfel(scene.primitive()) + 16.0);   // with parameters, records and moments
     const auto fits = [&](std::uint32_t target, double capacity) {
         const std::uint32_t now = arrays.capacity();
         const bool grows = capacity > now;
@@ -160,7 +167,7 @@ DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& a
     arrays.move(stream, scene.parameters(), false, plan.size());
     arrays.move(stream, adam.moment1(), true, plan.size());
     arrays.move(stream, adam.moment2(), true, plan.size());
-    relidar::run(stream, spawn, before, {pointers(scene.parameters()), arrays.action.address(), arrays.n_rows.address(), arrays.starts.address(), rules.min_opacity, before,
+    relidar::run(stream, spawn, before, {pointers_of(scene.parameters()), arrays.action.address(), arrays.n_rows.address(), arrays.starts.address(), rules.min_opacity, before,
                                 static_cast<std::uint32_t>(random(Draw::classify, step))});
     arrays.move_statistics(stream);
     stream.finish();
@@ -196,7 +203,7 @@ DensifyReport Densifier::run(Stream& stream, DeviceScene& scene, Adam& adam, int
 void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step, double rate_share) {
     const DensifyOptions& o = impl_->options;
     if (o.strategy == DensifyStrategy::mcmc && o.noise > 0.0)
-        relidar::run(stream, impl_->jitter, scene.size(), {pointers(scene.parameters()), static_cast<float>(o.noise * rate_share), scene.size(),
+        relidar::run(stream, impl_->jitter, scene.size(), {pointers_of(scene.parameters()), static_cast<float>(o.noise * rate_share), scene.size(),
                                                   static_cast<std::uint32_t>(impl_->random(Draw::noise, step))});
     if (o.strategy != DensifyStrategy::adaptive || o.opacity_reset_every <= 0 || step >= o.until || step % o.opacity_reset_every != 0) return;
     relidar::run(stream, impl_->reset_opacity, scene.size(), {scene.parameters().opacity_logit.address(), static_cast<float>(logit(o.reset_opacity)), scene.size()});

@@ -198,15 +198,17 @@ std::string names_of(const std::vector<BoxTrack>& boxes) {
 }
 
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s) {
+    std::unordered_map<std::string_view, const BoxTrack*> boxes;   // there may be a thousand
+    for (const BoxTrack& box : sequence.boxes) boxes.emplace(box.id, &box);
     std::vector<InstancePose> placed;
     for (const Instance& instance : scene.instances) {
-        const auto box = std::find_if(sequence.boxes.begin(), sequence.boxes.end(), [&](const BoxTrack& b) { return b.id == instance.track; });
         InstancePose& pose = placed.emplace_back();
         if (instance.track.empty()) continue;
-        pose.present = box != sequence.boxes.end() && box->present(time_s);
+        const auto box = boxes.find(instance.track);
+        pose.present = box != boxes.end() && box->second->present(time_s);
         if (!pose.present) continue;
-        pose.time_s = box_facing_time(sequence, *box, time_s);
-        pose.world_from_model = box->world_from_box.at(pose.time_s);
+        pose.time_s = box_facing_time(sequence, *box->second, time_s);
+        pose.world_from_model = box->second->world_from_box.at(pose.time_s);
     }
     return placed;
 }
