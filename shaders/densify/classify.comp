@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What becomes of each surfel (docs/method.md section 6): dropped where it is no surfel, faint, too large, outside its
-// actor's box or never seen; else it grows by its gradient (clone or split) or by its opacity (share), or stays. One thread a surfel of any model.
-// Input: surfels, statistics, models, extents. Output: action, weight. Accumulated: counters.
+// actor's box or never seen; else it grows by its gradient (clone or split) or by its opacity (share), or stays.
+// One thread a surfel of any model. Input: surfels, statistics, models, extents. Output: action, weight. Accumulated: counters.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
@@ -76,7 +76,8 @@ void main() {
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[i]));
     float max_scale = max(scale.x, scale.y);
     if (is_gaussian()) max_scale = max(max_scale, scale.z);
-    uint action = params.growth == RELIDAR_DENSIFY_BY_GRADIENT ? grow_by_gradient(i, max_scale, params.extents.at[model]) : RELIDAR_DENSIFY_KEEP;
+    bool by_gradient = params.growth == RELIDAR_DENSIFY_BY_GRADIENT;
+    uint action = by_gradient ? grow_by_gradient(i, max_scale, params.extents.at[model]) : RELIDAR_DENSIFY_KEEP;
     if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;   // its halves are judged, as if the split came first
     uint why = verdict(i, model, q, scale, opacity, max_scale);
     uint weight = 0u;

@@ -30,8 +30,10 @@ float box_term(uint i, ModelEntry model, bool write) {
         term += outside;
         if (write) params.d_surfels.mean.at[3u * i + axis] += params.box_weight * sign(mean) / model.half_size[axis];
     }
-    for (uint axis = 0u; axis < 2u; ++axis) term += scale_term(params.surfels.log_scale, params.d_surfels.log_scale, 2u * i + axis, largest_m, write);
-    if (!is_null(params.surfels.log_scale_w)) term += scale_term(params.surfels.log_scale_w, params.d_surfels.log_scale_w, i, largest_m, write);
+    Floats log_scale = params.surfels.log_scale, d_log_scale = params.d_surfels.log_scale;
+    for (uint axis = 0u; axis < 2u; ++axis) term += scale_term(log_scale, d_log_scale, 2u * i + axis, largest_m, write);
+    Floats third = params.surfels.log_scale_w;
+    if (!is_null(third)) term += scale_term(third, params.d_surfels.log_scale_w, i, largest_m, write);
     return params.box_weight * term;
 }
 
@@ -47,7 +49,8 @@ void main() {
     uint k = thread_index(), i = params.first_surfel + k;
     bool is_surfel = k < params.n_surfels;
     bool write = is_surfel && (is_null(params.touched) || params.touched.at[i] != 0u);
-    float box = is_surfel && params.box_weight > 0.0 ? box_term(i, params.models.at[find_model(params.models, params.n_models, i)], write) : 0.0;
+    float box = 0.0;
+    if (is_surfel && params.box_weight > 0.0) box = box_term(i, params.models.at[find_model(params.models, params.n_models, i)], write);
     float entropy = is_surfel && params.entropy_weight > 0.0 ? entropy_term(i, write) : 0.0;
     add_to_sum(params.terms, RELIDAR_TERM_BOX, box);
     add_to_sum(params.terms, RELIDAR_TERM_ENTROPY, entropy);

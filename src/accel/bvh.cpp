@@ -201,7 +201,8 @@ void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& op
     b.make_boxes(stream, scene, options);
     const SortSet sorted = b.sorted_surfels(stream, scene);
     run(stream, b.cluster, b.n,
-        {b.binary(), b.boxes.address(), sorted.keys, sorted.order, scene.models_address(), b.at(kOtherEndsAt), b.at(kClustersAt), b.queue.address(), b.n, b.n_models});
+        {b.binary(), b.boxes.address(), sorted.keys, sorted.order, scene.models_address(), b.at(kOtherEndsAt), b.at(kClustersAt), b.queue.address(), b.n,
+         b.n_models});
     b.collapse(stream, scene);
     b.fit_nodes(stream);
     move(stream, scene);

@@ -48,7 +48,8 @@ void StateWriter::put(const std::string& name, const char* dtype, std::vector<st
 
 void StateWriter::operator()(const std::string& name, const SurfelArrays& surfels) {
     const Surfels host = surfels.download();
-    for (const ParameterGroup& group : groups_of(surfels.primitive)) put(name + "/" + group.name, "f4", group.shape(host.size()), group.values(host).data());
+    for (const ParameterGroup& group : groups_of(surfels.primitive))
+        put(name + "/" + group.name, "f4", group.shape(host.size()), group.values(host).data());
 }
 
 const NamedArray& StateReader::find(const std::string& name, const char* dtype, const std::vector<std::size_t>& shape) const {
@@ -67,11 +68,15 @@ Surfels StateReader::surfels(const std::string& name) const {
 }
 
 Surfels StateReader::surfels_of(const std::string& name, std::size_t n) const {
-    const Primitive primitive = primitive_of([&](const char* group) { return std::ranges::any_of(checkpoint_.arrays, [&](const NamedArray& a) { return a.name == name + "/" + group; }); });
-    for (const ParameterGroup& group : groups_of(primitive)) find(name + "/" + group.name, "f4", group.shape(n));   // before anything is allocated
+    const Primitive primitive = primitive_of([&](const char* group) {
+        return std::ranges::any_of(checkpoint_.arrays, [&](const NamedArray& a) { return a.name == name + "/" + group; });
+    });
+    for (const ParameterGroup& group : groups_of(primitive))   // before anything is allocated
+        find(name + "/" + group.name, "f4", group.shape(n));
     Surfels host;
     host.resize(n, primitive);
-    for (const ParameterGroup& group : groups_of(primitive)) copy(checkpoint_.array(name + "/" + group.name), group.mutable_values(host).data());
+    for (const ParameterGroup& group : groups_of(primitive))
+        copy(checkpoint_.array(name + "/" + group.name), group.mutable_values(host).data());
     return host;
 }
 

@@ -117,7 +117,8 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
 /// @return the largest size tried, at most `wanted`, for which there is memory; the arrays then have room for it
 std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted, double others_bytes, std::string& why) {
     const std::uint32_t before = scene.size();
-    const double bytes = double(arrays.bytes_per_surfel()) + 4.0 * (3.0 * floats_per_surfel(scene.primitive()) + 16.0);   // with parameters, records and moments
+    const double others = 4.0 * (3.0 * floats_per_surfel(scene.primitive()) + 16.0);   // parameters, moments and records
+    const double bytes = double(arrays.bytes_per_surfel()) + others;
     const auto fits = [&](std::uint32_t target, double capacity) {
         const std::uint32_t now = arrays.capacity();
         const bool grows = capacity > now;
@@ -167,8 +168,9 @@ DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& a
     arrays.move(stream, scene.parameters(), false, plan.size());
     arrays.move(stream, adam.moment1(), true, plan.size());
     arrays.move(stream, adam.moment2(), true, plan.size());
-    relidar::run(stream, spawn, before, {pointers_of(scene.parameters()), arrays.action.address(), arrays.n_rows.address(), arrays.starts.address(), rules.min_opacity, before,
-                                static_cast<std::uint32_t>(random(Draw::classify, step))});
+    relidar::run(stream, spawn, before,
+                 {pointers_of(scene.parameters()), arrays.action.address(), arrays.n_rows.address(), arrays.starts.address(), rules.min_opacity, before,
+                  static_cast<std::uint32_t>(random(Draw::classify, step))});
     arrays.move_statistics(stream);
     stream.finish();
     scene.set_models(plan.ranges(scene.layout().models, counted));

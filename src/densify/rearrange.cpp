@@ -55,7 +55,8 @@ void Rearrangement::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, s
 }
 
 void Rearrangement::move(Stream& stream, SurfelArrays& set, bool fresh, std::uint32_t after) {
-    for (const ParameterGroup& group : groups_of(set.primitive)) move_rows(stream, set.*group.device, spare_.*group.device, group.floats(), fresh);
+    for (const ParameterGroup& group : groups_of(set.primitive))
+        move_rows(stream, set.*group.device, spare_.*group.device, group.floats(), fresh);
     set.n = after;
 }
 

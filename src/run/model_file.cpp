@@ -138,7 +138,8 @@ Scene load_model(const std::filesystem::path& path) {
     const NamedArray& mean = find_array(arrays, "mean", file);
     if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
         throw DataError(fmt::format("{}: array mean: found shape [{}], expected [n, 3]", file, fmt::join(mean.shape, ", ")));
-    const Primitive primitive = primitive_of([&](const char* name) { return std::ranges::any_of(arrays, [&](const NamedArray& a) { return a.name == name; }); });
+    const auto has_array = [&](const char* name) { return std::ranges::any_of(arrays, [&](const NamedArray& a) { return a.name == name; }); };
+    const Primitive primitive = primitive_of(has_array);
     for (const ParameterGroup& group : groups_of(primitive)) {   // row counts first: nothing is allocated for a file that lies
         const NamedArray& array = find_array(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])

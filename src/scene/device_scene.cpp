@@ -29,10 +29,12 @@ void check_primitive(Primitive found, const ImageModel& model) {
 void check_layout(const Scene& scene) {
     std::size_t next = 0;   // kernels find the model of a surfel among ranges in order
     for (const Model& model : scene.models) {
-        if (model.first != next) throw DataError(fmt::format("loading scene: model {} starts at surfel {}, expected {}, where the model before ends", model.name, model.first, next));
+        if (model.first != next)
+            throw DataError(fmt::format("loading scene: model {} starts at surfel {}, expected {}, where the model before ends", model.name, model.first, next));
         next += model.count;
     }
-    if (next != scene.surfels.size()) throw DataError(fmt::format("loading scene: the models end at surfel {}, expected {}", next, scene.surfels.size()));
+    if (next != scene.surfels.size())
+        throw DataError(fmt::format("loading scene: the models end at surfel {}, expected {}", next, scene.surfels.size()));
     for (const Instance& instance : scene.instances)
         if (instance.model >= scene.models.size())
             throw DataError(fmt::format("loading scene: an instance places model {}, expected one of {}", instance.model, scene.models.size()));
@@ -44,8 +46,8 @@ std::vector<Constant> activation_constants(bool stage_harmonics) {
     return all;
 }
 
-/// Where the placements of each model are, and their record gradients: those of a model's first placement are its surfels' own rows, further
-/// ones follow after all surfels, model by model.
+/// Where the placements of each model are, and their record gradients: those of a model's first placement are its surfels' own rows,
+/// further ones follow after all surfels, model by model.
 struct Placements {
     std::vector<std::uint32_t> first_row;        ///< [instances]
     std::vector<std::int64_t> first_instance;    ///< [models] -1: never placed
@@ -54,7 +56,10 @@ struct Placements {
     std::uint32_t n_rows;
 
     Placements(const Scene& scene, std::uint32_t n_surfels)
-        : first_row(scene.instances.size()), first_instance(scene.models.size(), -1), first_more(scene.models.size() + 1, 0), n_rows(n_surfels) {
+        : first_row(scene.instances.size()),
+          first_instance(scene.models.size(), -1),
+          first_more(scene.models.size() + 1, 0),
+          n_rows(n_surfels) {
         std::vector<std::uint32_t> placed(scene.models.size(), 0);
         for (const Instance& instance : scene.instances) ++placed[instance.model];
         std::vector<std::uint32_t> next_row(scene.models.size());
@@ -130,10 +135,11 @@ struct DeviceScene::Impl {
         return entries;
     }
 
-    /// Keeps the view origin in the frame of each model, as its first instance sees it, until the submission is done. @return [models] address
+    /// View origin in the frame of each model, as its first instance sees it. @return address [models], valid for the next submission
     std::uint64_t view_origins(Stream& stream, const glm::vec3& world) const {
         std::vector<glm::vec3> origins;
-        for (const std::int64_t i : placements.first_instance) origins.push_back(i < 0 ? world : glm::vec3(inverse(poses[static_cast<std::size_t>(i)].world_from_model) * glm::dvec3(world)));
+        for (const std::int64_t i : placements.first_instance)
+            origins.push_back(i < 0 ? world : glm::vec3(inverse(poses[static_cast<std::size_t>(i)].world_from_model) * glm::dvec3(world)));
         return impl_of(stream).store(origins.data(), origins.size() * sizeof(origins[0])).address;
     }
 };

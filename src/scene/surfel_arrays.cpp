@@ -22,7 +22,8 @@ std::vector<std::size_t> ParameterGroup::shape(std::size_t n) const {
 }
 
 SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& what, Primitive kind) : n(count), primitive(kind) {
-    for (const ParameterGroup& group : groups_of(kind)) this->*group.device = Array<float>(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
+    for (const ParameterGroup& group : groups_of(kind))
+        this->*group.device = Array<float>(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
 }
 
 void SurfelArrays::upload(const Surfels& s) {
@@ -48,7 +49,8 @@ std::uint32_t SurfelArrays::capacity() const {
 }
 
 void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::string& what) {
-    for (const ParameterGroup& group : groups_of(primitive)) (this->*group.device).reserve(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
+    for (const ParameterGroup& group : groups_of(primitive))
+        (this->*group.device).reserve(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
 }
 
 void SurfelArrays::fill_zero(Stream& stream) {
@@ -56,7 +58,12 @@ void SurfelArrays::fill_zero(Stream& stream) {
 }
 
 shared::SurfelPointers pointers_of(const SurfelArrays& a) {
-    return {.mean = a.mean.address(), .rotation = a.rotation.address(), .log_scale = a.log_scale.address(), .opacity_logit = a.opacity_logit.address(), .sh = a.sh.address(), .log_scale_w = a.log_scale_w.address()};
+    return {.mean = a.mean.address(),
+            .rotation = a.rotation.address(),
+            .log_scale = a.log_scale.address(),
+            .opacity_logit = a.opacity_logit.address(),
+            .sh = a.sh.address(),
+            .log_scale_w = a.log_scale_w.address()};
 }
 
 }  // namespace relidar

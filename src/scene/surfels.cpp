@@ -16,13 +16,14 @@ namespace relidar {
 void Surfels::resize(std::size_t n, Primitive primitive) {
     const std::span<const ParameterGroup> groups = groups_of(primitive);
     for (const ParameterGroup& group : groups) group.resize(*this, n * group.floats());
-    for (const ParameterGroup& group : std::span(kParameterGroups).subspan(groups.size())) group.resize(*this, 0);   // what the primitive has not
+    for (const ParameterGroup& group : std::span(kParameterGroups).subspan(groups.size())) group.resize(*this, 0);   // not of this primitive
 }
 
 void Surfels::check_shapes() const {
     for (const ParameterGroup& group : groups_of(primitive())) {
         const std::size_t found = group.values(*this).size(), expected = size() * group.floats();
-        if (found != expected) throw DataError(fmt::format("reading surfels: {} has {} values, expected {}: {} for each of the {} means", group.name, found, expected, group.floats(), size()));
+        if (found != expected)
+            throw DataError(fmt::format("reading surfels: {} has {} values, expected {}: {} for each of the {} means", group.name, found, expected, group.floats(), size()));
     }
 }
 
@@ -44,7 +45,7 @@ Surfels Surfels::permuted(const std::vector<std::uint32_t>& order) const {
         const std::span<const float> from = group.values(*this);
         const std::span<float> to = group.mutable_values(result);
         const std::size_t n = group.floats();
-        for (std::size_t i = 0; i < order.size(); ++i) std::ranges::copy(from.subspan(order[i] * n, n), to.begin() + static_cast<std::ptrdiff_t>(i * n));
+        for (std::size_t i = 0; i < order.size(); ++i) std::ranges::copy(from.subspan(order[i] * n, n), to.subspan(i * n).begin());
     }
     return result;
 }

@@ -35,7 +35,7 @@ struct Passes {
 
     Passes(Device& d, const ImageModel& m, const RandomScene& s, const std::vector<reference::PixelGradient>& g, Proxy proxy, const TraceOptions& trace,
            const BackwardOptions& options = {})
-        : device(d), model(m), placed(to_scene(to_surfels(s.world.surfels), s.world.instances)), stream(d), scene(d, placed.scene),
+        : device(d), model(m), placed(to_scene(to_surfels(s.world.surfels), s.world.instances)), stream(d, true), scene(d, placed.scene),
           accel(d, scene, {.proxy = proxy}), forward(d, m, proxy, trace), backward(d, m, proxy, trace, options), rays(d, s.rays.size(), "rays"),
           rendered(d, s.rays.size() * kRenderedFloats, "rendered"), upstream(d, s.rays.size() * kUpstreamFloats, "upstream"),
           gradients(d, scene, {.n_rays = static_cast<std::uint32_t>(s.rays.size()), .poses = true}), view_origin(s.view_origin) {
@@ -59,9 +59,10 @@ struct Passes {
         accel.update(stream, scene);
         forward.run(stream, scene, accel, batch(), rendered, kept.get(), geometry.get());
     }
+    void run_backward() { backward.run(stream, scene, accel, {batch(), &rendered, &upstream, kept.get(), geometry.get()}, view_origin, gradients); }
     void run() {
         run_forward();
-        backward.run(stream, scene, accel, {batch(), &rendered, &upstream, kept.get(), geometry.get()}, view_origin, gradients);
+        run_backward();
         stream.finish();
     }
     /// sum over rays of upstream . rendered, in double, geometry left out

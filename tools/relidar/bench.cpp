@@ -93,7 +93,7 @@ void add_bench(CLI::App& app, Call& call) {
     command->add_flag("--deterministic", choice.deterministic, "gather gradients in a fixed order instead of adding them with atomics");
     command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")->type_name("N");
     command->add_flag("--no-backward", options->no_backward, "rendering alone: no loss, gradients or optimiser, nor their memory");
-    command->add_option("--actors", options->actors, "time this instead: so many copies of an actor of 1000 surfels, as placements of one model and as models of their own; several numbers parted by commas")->type_name("LIST");
+    command->add_option("--actors", options->actors, "time scans, training and moves of so many copies of an actor of 1000 surfels instead; several numbers parted by commas")->type_name("LIST");
     command->add_option("--json", options->json, "write the numbers to this file too")->type_name("FILE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->settings.quiet, "print errors only");

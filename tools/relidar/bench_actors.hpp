@@ -15,10 +15,10 @@ struct ActorTimes {
     int n_actors = 0;
     bool own_models = false;       ///< a model each, harmonics once a surfel; else one model for all, harmonics along the ray
     double build_ms = 0.0;         ///< wall time: all bottom levels and the top level, once
-    Spread move_ms;                ///< wall time: poses to the device and top level, waits included
+    Spread move_ms{};              ///< wall time: poses to the device and top level, waits included
     std::uint64_t builds = 0;      ///< bottom-level builds and refits recorded during all the moves
-    Spread scan_ms;                ///< wall time: activation, refit, forward
-    Spread step_ms;                ///< wall time: a training iteration
+    Spread scan_ms{};              ///< wall time: activation, refit, forward
+    Spread step_ms{};              ///< wall time: a training iteration
     std::uint64_t memory = 0;      ///< bytes on the device while training
 
     std::uint64_t n_surfels() const;

@@ -50,13 +50,13 @@ struct LearningRates {
 /// A group of parameters: what whoever treats all parameters alike (arrays, optimiser, densification, files) has to know of it.
 struct ParameterGroup {
     const char* name;                                    ///< of its array in files
-    std::array<std::uint32_t, 2> row;                    ///< shape of a surfel's floats; a last 1 is no dimension of its own
+    std::array<std::uint32_t, 2> row;                    ///< shape of the floats of one surfel; {3, 1} is a row of 3, {1, 1} a single number
     double LearningRates::*rate;
     bool harmonics;                                      ///< the last dimension is the coefficients of the SH basis
     Array<float> SurfelArrays::*device;                  ///< [n, floats()]
-    std::span<const float> (*values)(const Surfels&);    ///< [n * floats()] of a set on the host
+    std::span<const float> (*values)(const Surfels&);    ///< [n * floats()] on the host
     std::span<float> (*mutable_values)(Surfels&);        ///< the same, to be written
-    void (*resize)(Surfels&, std::size_t n_floats);
+    void (*resize)(Surfels&, std::size_t n_floats);      ///< of the host's array
 
     constexpr std::uint32_t floats() const { return row[0] * row[1]; }   ///< a surfel
     std::vector<std::size_t> shape(std::size_t n) const;                 ///< of the array in files: [n], [n,3] or [n,3,16]
@@ -64,7 +64,8 @@ struct ParameterGroup {
 
 /// A group that the host keeps in the member kHost of Surfels.
 template <auto kHost>
-constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row, Array<float> SurfelArrays::*device, double LearningRates::*rate, bool harmonics = false) {
+constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row, Array<float> SurfelArrays::*device, double LearningRates::*rate,
+                                        bool harmonics = false) {
     using Element = typename std::remove_reference_t<decltype(std::declval<Surfels&>().*kHost)>::value_type;
     constexpr std::size_t kFloats = sizeof(Element) / sizeof(float);
     return {name, row, rate, harmonics, device,
@@ -73,21 +74,26 @@ constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32
             [](Surfels& s, std::size_t n_floats) { (s.*kHost).resize(n_floats / kFloats); }};
 }
 
-/// Every group there is. A new parameter is a member of Surfels and SurfelArrays, a pointer for kernels (shaders/shared/scene.h), and a row here.
+/// Every group there is; those that 3D Gaussians alone have come last. A new parameter is a member of Surfels and of SurfelArrays, a pointer for
+/// kernels (shaders/shared/scene.h), and a row here.
 inline constexpr std::array<ParameterGroup, 6> kParameterGroups{{
     describe_group<&Surfels::mean>("mean", {3, 1}, &SurfelArrays::mean, &LearningRates::mean),
     describe_group<&Surfels::rotation>("rotation", {4, 1}, &SurfelArrays::rotation, &LearningRates::rotation),
     describe_group<&Surfels::log_scale>("log_scale", {2, 1}, &SurfelArrays::log_scale, &LearningRates::log_scale),
     describe_group<&Surfels::opacity_logit>("opacity_logit", {1, 1}, &SurfelArrays::opacity_logit, &LearningRates::opacity_logit),
     describe_group<&Surfels::sh>("sh", {kShChannels, kShCoefficients}, &SurfelArrays::sh, &LearningRates::sh, true),
-    describe_group<&Surfels::log_scale_w>("log_scale_w", {1, 1}, &SurfelArrays::log_scale_w, &LearningRates::log_scale),   // of 3D Gaussians alone: the last
+    describe_group<&Surfels::log_scale_w>("log_scale_w", {1, 1}, &SurfelArrays::log_scale_w, &LearningRates::log_scale),
 }};
 
 /// The groups of a primitive.
-constexpr std::span<const ParameterGroup> groups_of(Primitive primitive) { return std::span(kParameterGroups).first(primitive == Primitive::gaussian ? 6 : 5); }
+constexpr std::span<const ParameterGroup> groups_of(Primitive primitive) {
+    return std::span(kParameterGroups).first(kParameterGroups.size() - (primitive == Primitive::gaussian ? 0 : 1));
+}
 /// What the arrays of a file describe, by whether an array of that name is there.
 template <class HasArray>
-Primitive primitive_of(const HasArray& has_array) { return has_array(kParameterGroups.back().name) ? Primitive::gaussian : Primitive::surfel; }
+Primitive primitive_of(const HasArray& has_array) {
+    return has_array(kParameterGroups.back().name) ? Primitive::gaussian : Primitive::surfel;
+}
 /// Parameters of a surfel.
 constexpr std::uint32_t floats_per_surfel(Primitive primitive) {
     std::uint32_t sum = 0;
