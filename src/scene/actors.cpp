@@ -200,11 +200,13 @@ std::string names_of(const std::vector<BoxTrack>& boxes) {
 }
 
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, int lidar) {
+    std::unordered_map<std::string_view, const BoxTrack*> boxes;   // there may be a thousand
+    for (const BoxTrack& box : sequence.boxes) boxes.emplace(box.id, &box);
     std::vector<InstancePose> placed;
     for (const Instance& instance : scene.instances) {
-        const auto box = std::find_if(sequence.boxes.begin(), sequence.boxes.end(), [&](const BoxTrack& b) { return b.id == instance.track; });
+        const auto box = boxes.find(instance.track);
         if (instance.track.empty()) placed.push_back({});
-        else if (box != sequence.boxes.end() && box->present(time_s)) placed.push_back(facing_pose(sequence, box->world_from_box, time_s, lidar));
+        else if (box != boxes.end() && box->second->present(time_s)) placed.push_back(facing_pose(sequence, box->second->world_from_box, time_s, lidar));
         else placed.push_back({{}, false});
     }
     return placed;

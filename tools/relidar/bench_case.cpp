@@ -66,6 +66,7 @@ BenchCase street_case(const BenchChoice& choice) {
     if (choice.street == "C") surfels.opacity_logit.assign(surfels.size(), kFaintLogit);
     bench.scene = make_background_scene(surfels.permuted(kd_order(surfels.mean)));
     bench.config = make_preset("paper");
+    bench.placed.resize(1);
     return bench;
 }
 
@@ -85,6 +86,7 @@ BenchCase run_case(const BenchChoice& choice) {
         bench.rays.origin.emplace_back(ray.origin_m);
         bench.rays.direction.emplace_back(ray.direction);
     }
+    bench.placed = place_instances(run.scene, run.sequence, frame.time_s);
     bench.scene = std::move(run.scene);
     bench.config = std::move(run.config);
     return bench;
