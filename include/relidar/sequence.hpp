@@ -168,6 +168,7 @@ struct SurfaceReturn {
     float range_m;     ///< the offset of its laser taken off; 0 where the ray was dropped
     float intensity;   ///< as the mean laser would measure it from 10 m away
 };
+/// @param ray  index of a ray of the frame
 SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray);
 
 /// The end point of a returned ray in the world, range offset and intensity response of its laser taken off, and when it was seen.
