@@ -93,7 +93,10 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
     }
     if (config.train.refine_poses != "none") refiner_.emplace(device, sequence, initial, config.train, frames_);
     make_gradients();
-    for (FrameData& frame : frames_) frame.placed = place_instances(initial, sequence, sequence.frames[std::size_t(frame.position)].time_s);
+    for (FrameData& frame : frames_) {
+        const Frame& turn = sequence.frames[std::size_t(frame.position)];
+        frame.placed = place_instances(initial, sequence, turn.time_s, turn.lidar);
+    }
     if (config.densify.strategy != DensifyStrategy::none || config.densify.prune_unseen)
         densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.size()), config.train.seed);
 }
@@ -251,7 +254,7 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
     DropCounts counts(sequence);
     for (std::size_t k = 0; k < frames_.size(); ++k) {
         const FrameData& frame = frames_[k];
-        const Scan& scan = sequence.frames[std::size_t(frame.position)].scan;
+        const Frame& turn = sequence.frames[std::size_t(frame.position)];
         const std::uint32_t stride = std::max(1u, frame.n_rays / kRays), first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
         const RayBatch rays = frame.batch(first, stride);
         place(k, model);
@@ -260,7 +263,7 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
         const Rendering r = to_rendering(rendered_.download(rays.n_rays));
         for (std::uint32_t j = 0; j < rays.n_rays; ++j) {
             const std::size_t i = first + std::size_t(j) * stride;
-            if (r.weight[j] > kSolid && r.hit_logit[j] > r.drop_logit[j]) counts.add(scan.rays.channel[i], scan.rays.direction[i], !(scan.range_m[i] > 0.0f));
+            if (r.weight[j] > kSolid && r.hit_logit[j] > r.drop_logit[j]) counts.add(turn, i);
         }
     }
     return counts.shrunk();

@@ -36,7 +36,7 @@ struct Passes {
 
     Passes(Device& d, const ImageModel& m, const RandomScene& s, const std::vector<reference::PixelGradient>& g, Proxy proxy, const TraceOptions& trace,
            const BackwardOptions& options = {})
-        : device(d), model(m), placed(to_scene(to_surfels(s.world.surfels), s.world.instances)), stream(d), scene(d, placed.scene),
+        : device(d), model(m), placed(to_scene(to_surfels(s.world.surfels), s.world.instances)), stream(d, true), scene(d, placed.scene),
           accel(d, scene, {.proxy = proxy}), forward(d, m, proxy, trace), backward(d, m, proxy, trace, options), rays(d, s.rays.size(), "rays"),
           rendered(d, s.rays.size(), "rendered"), upstream(d, s.rays.size(), "upstream"),
           gradients(d, scene, {.n_rays = static_cast<std::uint32_t>(s.rays.size()), .poses = true}), view_origin(s.view_origin) {
@@ -65,9 +65,10 @@ struct Passes {
         accel.update(stream, scene);
         forward.run(stream, scene, accel, batch(), rendered, kept.get(), geometry.get());
     }
+    void run_backward() { backward.run(stream, scene, accel, {batch(), &rendered, &upstream, kept.get(), geometry.get()}, view_origin, gradients); }
     void run() {
         run_forward();
-        backward.run(stream, scene, accel, {batch(), &rendered, &upstream, kept.get(), geometry.get()}, view_origin, gradients);
+        run_backward();
         stream.finish();
     }
     /// sum over rays of upstream . rendered, in double, geometry left out
@@ -90,6 +91,20 @@ std::vector<double> lanes(const Vector& v, int n) {
     std::vector<double> row;
     for (int k = 0; k < n; ++k) row.push_back(v[k]);
     return row;
+}
+
+/// A row for each parameter group of each surfel, harmonics by channel.
+inline void add_surfel_rows(GradientTable& table, const std::vector<reference::Surfel>& expected, const Surfels& actual) {
+    for (std::size_t i = 0; i < expected.size(); ++i) {
+        table.add_row("mean", lanes(expected[i].mean, 3), lanes(actual.mean[i], 3));
+        table.add_row("rotation", lanes(expected[i].rotation, 4), lanes(actual.rotation[i], 4));
+        table.add_row("log_scale", lanes(expected[i].log_scale, 2), lanes(actual.log_scale[i], 2));
+        if (expected[i].log_scale_w) table.add_row("log_scale_w", {*expected[i].log_scale_w}, {actual.log_scale_w[i]});
+        table.add_row("opacity_logit", {expected[i].opacity_logit}, {actual.opacity_logit[i]});
+        const char* names[] = {"sh intensity", "sh hit", "sh drop"};
+        for (int c = 0; c < kShChannels; ++c)
+            table.add_row(names[c], lanes(expected[i].sh.data() + c * kShCoefficients, kShCoefficients), lanes(actual.sh.data() + i * kShFloats + std::size_t(c * kShCoefficients), kShCoefficients));
+    }
 }
 
 }  // namespace relidar::test

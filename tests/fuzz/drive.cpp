@@ -56,7 +56,7 @@ const Drive& drive_in(const fs::path& folder) {
 
 /// Every reader of text, each alone.
 void read_texts(const Drive& drive, unsigned options) {
-    const std::vector<int> frames = kitti::list_scans(drive.folder(), 0, -1);
+    const std::vector<int> frames = kitti::list_scans(drive.folder() / "velodyne_points/data", 0, -1);
     std::exception_ptr failure;
     const auto attempt = [&](const std::function<void()>& read) {
         try {

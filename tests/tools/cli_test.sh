@@ -549,8 +549,9 @@ bench() {
     check "bench --no-backward has a backward pass" grep -q '"backward_mrays_per_s": null' render.json
     bad 3 "nowhere: no such folder" bench --run nowhere --json lost.json
     good bench --actors 1,3 --repeat 2 --json actors.json
-    says "^ +3 +30000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"
-    check "moving actors rebuilds bottom levels" test "$(grep -c '"bottom_levels_rebuilt": 0' actors.json)" = 2
+    says "^ +3 +one +1000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"
+    says "^ +3 +own +3000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"
+    check "moving actors rebuilds bottom levels" test "$(grep -c '"bottom_levels_rebuilt": 0' actors.json)" = 4
     absent lost.json
 }
 

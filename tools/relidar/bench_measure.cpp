@@ -96,7 +96,9 @@ public:
           allocated_with_accel_(device.allocated_bytes()),
           forward_(device, bench.config.image, accel_.proxy(), trace_options(bench.config)),
           rays_(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays"),
-          rendered_(device, bench.rays.size(), "rendered rays") {}
+          rendered_(device, bench.rays.size(), "rendered rays") {
+        scene_.place(stream_, bench.placed);
+    }
 
     /// The first image; with it the targets and all that training needs.
     void prepare(bool training) {
