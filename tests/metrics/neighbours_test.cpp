@@ -68,7 +68,7 @@ TEST(Neighbours, FollowTheRollingShutter) {
         const Frame& from = s.frames[k == 0 ? 1 : 3];
         const glm::dvec3 world = s.world_from_vehicle.at(from.time_s + 0.01) * glm::dvec3(from.scan.point(0));
         const glm::dvec3 seen(points.point(k));
-        const double azimuth = std::atan2(seen.y, seen.x), t_s = 0.2 - azimuth / (2.0 * kPi) * s.sensor.period_s;   // a clockwise head
+        const double azimuth = std::atan2(seen.y, seen.x), t_s = 0.2 - azimuth / (2.0 * kPi) * s.lidars[0].sensor.period_s;   // a clockwise head
         EXPECT_LT(glm::distance(s.world_from_vehicle.at(t_s) * seen, world), 2e-3);   // azimuth moves while the head gets there
         EXPECT_GT(glm::distance(s.world_from_vehicle.at(0.2) * seen, world), 0.01);
     }

@@ -14,7 +14,6 @@ class TwoLidars : public test::DeviceTest {};
 Config small_config() {
     Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
-    config.train.iterations = 60;
     config.train.rays_per_iteration = 0;
     config.train.log_every = 10;
     config.train.sensor_drop = true;

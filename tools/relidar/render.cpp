@@ -85,7 +85,7 @@ int find_lidar(const Sequence& sequence, const std::string& name) {
     std::vector<std::string> known;
     for (const Lidar& lidar : sequence.lidars) known.push_back(lidar.name);
     const auto it = std::find(known.begin(), known.end(), name);
-    if (it == known.end() && !name.empty()) throw UsageError(fmt::format("--lidar: found \"{}\", expected one of the log's: {}", name, fmt::join(known, ", ")));
+    if (it == known.end() && !name.empty()) throw UsageError(fmt::format("--lidar: found \"{}\", expected {}", name, known.size() == 1 ? "none: the log has one LiDAR" : fmt::format("one of {}", fmt::join(known, ", "))));
     return name.empty() ? 0 : static_cast<int>(it - known.begin());
 }
 
