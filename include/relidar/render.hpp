@@ -24,6 +24,7 @@ struct RenderedScan {
     std::vector<float> median_range_m;  ///< [n] t where T crosses 0.5 (0 where never), along the ray
     std::vector<float> weight;          ///< [n] accumulated alpha W
     std::vector<std::int32_t> instance; ///< [n] whose surface was met: index into Scene::instances, -1 where none was
+    std::vector<glm::vec3> normal;      ///< [n] unit, of the surface that was met, towards the sensor; 0 where none was; empty without render.normals
     std::vector<float> time_offset_s;   ///< [n] firing time of each ray
     std::vector<std::uint16_t> channel; ///< [n]
     Pose world_from_sensor;             ///< at the reference time, in the dataset's world
@@ -72,6 +73,7 @@ struct ScanRequest {
 /// is lit from where the sensor stands to it; ShDirection::ray needs one copy alone.
 class ScanRenderer {
 public:
+    /// @throws UsageError for normals of 3D Gaussians, which have none
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
     ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();

@@ -30,6 +30,23 @@ float chosen_range(const Rendering& r, std::size_t i, const std::string& which) 
 
 float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
 
+/// Unit normal in the sensor's frame.
+/// @param blended  world
+glm::vec3 seen_normal(const glm::vec3& blended, float weight, const Pose& world_from_sensor) {
+    if (weight < kMinWeight) return glm::vec3(0.0f);
+    const glm::dvec3 normal = glm::conjugate(world_from_sensor.rotation) * glm::dvec3(blended);
+    const double length = glm::length(normal);
+    return length > 0.0 ? glm::vec3(normal / length) : glm::vec3(0.0f);
+}
+
+TraceOptions traced_with(const Config& config) {
+    if (config.render.normals && config.image.primitive == Primitive::gaussian)
+        throw UsageError("setting render.normals: found image.primitive=gaussian, which has no normal, expected surfel, or false");
+    TraceOptions options = trace_options(config);
+    options.geometry = config.render.normals;
+    return options;
+}
+
 /// Whether a sensor sees the ray's surface: the dominant one, and where the range image has it.
 bool is_in_range(const RangeLimits& limits, float range_m, float median_m) {
     return limits.contains(range_m) && (!(median_m > 0.0f) || limits.contains(median_m));
@@ -86,7 +103,7 @@ struct ScanRenderer::Impl {
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
     : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_vehicle,
-                     Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image, accel_options(config), trace_options(config)),
+                     Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image, accel_options(config), traced_with(config)),
                      std::vector<bool>(scene.instances.size(), true)}) {}
 ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {}
 ScanRenderer::~ScanRenderer() = default;
@@ -166,6 +183,7 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     scan.track = std::move(track);
     scan.world_from_sensor = {pose.rotation, pose.translation + s.turn.world_offset_m};
     scan.time_s = time_s;
+    for (std::size_t i = 0; i < r.normal.size(); ++i) scan.normal.push_back(seen_normal(r.normal[i], r.weight[i], scan.world_from_firing(i)));
     if (sample) sample_returns(scan, s.turn.range_noise, *sample);
     return sensor.grid ? project_scan(scan, *sensor.grid) : scan;
 }

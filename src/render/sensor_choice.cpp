@@ -45,6 +45,7 @@ void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, 
     to.median_range_m[cell] = from.median_range_m[source] > 0.0f ? glm::length(from.image.origin[source] + from.median_range_m[source] * from.image.direction[source]) : 0.0f;
     to.weight[cell] = from.weight[source];
     to.instance[cell] = from.instance[source];
+    if (!from.normal.empty()) to.normal[cell] = from.normal[source];
     to.time_offset_s[cell] = from.time_offset_s[source];
 }
 
@@ -76,6 +77,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     result.median_range_m.assign(n, 0.0f);
     result.weight.assign(n, 0.0f);
     result.instance.assign(n, -1);
+    if (!scan.normal.empty()) result.normal.assign(n, glm::vec3(0.0f));
     result.time_offset_s.assign(n, 0.0f);
     result.channel = cells.channel;
     result.world_from_sensor = scan.world_from_sensor;

@@ -47,12 +47,6 @@ void add_rays(test::RandomScene& scene, std::size_t n, const reference::Settings
     }
 }
 
-std::vector<float> column(const std::vector<float>& rendered, std::size_t k) {
-    std::vector<float> values;
-    for (std::size_t i = k; i < rendered.size(); i += kRenderedFloats) values.push_back(rendered[i]);
-    return values;
-}
-
 /// Normalised mean squared error over all rows of a group.
 double nmse(const test::GradientGroup& group) {
     double difference = 0.0, size = 0.0;
@@ -84,12 +78,13 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
         test::GradientTable table;
         Passes passes(device(), settings.image, scene, upstream, Proxy::boxes, {});
         passes.run();
-        const std::vector<float> rendered = passes.rendered.download();
+        const std::vector<shared::RenderedRay> rendered = passes.rendered.download();
         for (std::size_t i = 0; i < scene.rays.size(); ++i) {
             const reference::Pixel pixel = reference::render(scene.world, brute, settings, scene.rays[i], 16);
             reference::backward(scene.world, brute, settings, scene.rays[i], 16, upstream[i], expected);
-            const float* r = rendered.data() + i * kRenderedFloats;
-            table.add_row("pixel", {pixel.depth, pixel.weight, pixel.intensity, pixel.hit_logit, pixel.drop_logit}, test::lanes(r, kUpstreamFloats));
+            const shared::RenderedRay& r = rendered[i];
+            table.add_row("pixel", {pixel.depth, pixel.weight, pixel.intensity, pixel.hit_logit, pixel.drop_logit},
+                          {r.depth, r.weight, r.intensity, r.hit_logit, r.drop_logit});
             EXPECT_GT(pixel.hits, 0u);
         }
         test::add_surfel_rows(table, expected.surfels, passes.gradients.surfels.download());
@@ -103,10 +98,9 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
 }
 
 /// Measured: 0.1 m behind and 0.1 brighter than what is rendered at first.
-std::vector<DeviceTarget> targets_beside(const std::vector<float>& rendered) {
-    const std::vector<float> depth = column(rendered, 0), intensity = column(rendered, 2);
-    std::vector<DeviceTarget> targets(depth.size());
-    for (std::size_t i = 0; i < targets.size(); ++i) targets[i] = {depth[i] + 0.1f, intensity[i] + 0.1f};
+std::vector<DeviceTarget> targets_beside(const std::vector<shared::RenderedRay>& rendered) {
+    std::vector<DeviceTarget> targets;
+    for (const shared::RenderedRay& r : rendered) targets.push_back({.range_m = r.depth + 0.1f, .intensity = r.intensity + 0.1f, .weight = 1.0f});
     return targets;
 }
 

@@ -286,6 +286,31 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
     }
 }
 
+/// The wall's normal is known whichever way the sensor looks, turns and is binned: it comes back in the sensor's frame, towards the sensor.
+TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
+    Sequence sequence = cross_sequence();
+    sequence.lidars[0].sensor.columns = 64;
+    sequence.rolling_shutter = true;
+    sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(1.0, glm::normalize(glm::dvec3(0.1, 0.2, 1))), {4.0, -1.0, 0.0}}}};
+    Config config;
+    const SensorChoice sensor = configured_sensor(config, sequence);
+    EXPECT_TRUE(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5).normal.empty());
+    config.render.normals = true;
+    const RenderedScan scan = ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5);
+    std::size_t met = 0;
+    for (std::size_t i = 0; i < scan.normal.size(); ++i) {
+        if (scan.instance[i] < 0) EXPECT_EQ(scan.normal[i], glm::vec3(0.0f));
+        else EXPECT_LT(glm::length(scan.world_from_firing(i).rotation * glm::dvec3(scan.normal[i]) - glm::dvec3(-1.0, 0.0, 0.0)), 1e-5) << "ray " << i;
+        met += scan.instance[i] >= 0;
+    }
+    EXPECT_GT(met, 5u);
+    const RenderedScan binned = project_scan(scan, kitti360_grid());
+    ASSERT_EQ(binned.normal.size(), binned.instance.size());
+    for (std::size_t i = 0; i < binned.normal.size(); ++i) EXPECT_NEAR(glm::length(binned.normal[i]), binned.instance[i] < 0 ? 0.0f : 1.0f, 1e-6f);
+    config.image.primitive = Primitive::gaussian;
+    EXPECT_THROW(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence), UsageError);
+}
+
 /// A wall behind the sensor's right, and a plate placed ahead and, turned to face the sensor too, behind; its brightness depends on
 /// the direction it is seen from.
 Scene two_placements(Sequence& sequence) {

@@ -208,6 +208,9 @@ foreign_readers() {
         good render run --out deskewed --format npz,ply --deskew
         "$python" "$tests/read_scans.py" scans in_world deskewed >err 2>&1
         check "read_scans.py finds faults" test $? = 0
+        good render run --out with_normals --format npz,ply,pcd,bin --set render.normals=true
+        "$python" "$tests/read_scans.py" with_normals >err 2>&1
+        check "read_scans.py finds faults with normals" test $? = 0
     fi
     if ! command -v exrheader >/dev/null; then
         echo "note: no exrheader, exr is not read by another program"

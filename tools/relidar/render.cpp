@@ -242,7 +242,8 @@ void add_render(CLI::App& app, Call& call) {
                     "pose [4,4] sensor to the dataset's world at time_s. Metres, seconds. ply, pcd, bin: points of rays with drop_prob < 0.5, of the dominant\n"
                     "surface (--set render.points=range: of the mean along the ray, which lies between two surfaces at edges). ring: laser, 0 the highest;\n"
                     "time: of the ray, seconds from time_s. VIEWPOINT of a pcd takes its points to the dataset's world.\n"
-                    "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; npz has instance_names.\n") +
+                    "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; npz has instance_names.\n"
+                    "--set render.normals=true: unit normals of surfaces, towards the sensor, in every format but bin and png.\n") +
                     kBeamTableHelp + "\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"
