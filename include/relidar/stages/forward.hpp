@@ -3,8 +3,7 @@
 #pragma once
 
 #include <cstdint>
-#include <optional>
-#include <string>
+#include <memory>
 #include <vector>
 
 #include <glm/glm.hpp>
@@ -56,6 +55,7 @@ private:
 /// Rendered rays as host arrays.
 Rendering to_rendering(const std::vector<float>& rendered, std::size_t n_rays);
 
+/// What a renderer is made with beside a scene and its image model.
 struct RendererOptions {
     AccelOptions accel{};
     TraceOptions trace{};
@@ -79,7 +79,10 @@ public:
     /// @param view_origin_m  [3] world: the sensor's position, from which SH directions start with ShDirection::surfel
     /// @throws DataError for another number of poses, UsageError where the image model is for another primitive than the scene's
     void place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
-    /// The same where no parameter has changed since place(): the trees of the models stay as they are. Records.
+    /// The same with all instances where they are; before they are placed they stand at the origin. Records.
+    void place(const glm::vec3& view_origin_m) { place(scene().poses(), view_origin_m); }
+    /// As the first where no parameter has changed since the last place() or move(): the trees of the models stay as they are. The first call does
+    /// all that place() does. Records.
     void move(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
 
     /// Renders rays. Blocks. @param rays [n] world, directions of length 1
@@ -87,10 +90,10 @@ public:
     Rendering forward(const WorldRays& rays);
     /// The same for rays on the device, which must stay there until the stream is done. Records: rendered() is there when the stream is.
     void record_forward(const RayBatch& rays);
-    /// The last batch. Its upstream is null.
+    /// The last batch; its upstream is null, and before the first one so are its rays.
     const RenderedBatch& rendered() const;
 
-    /// Active degree of the spherical harmonics from the next place() on, at most kept down to the image model's.
+    /// Active degree of the spherical harmonics, at most the image model's. To be followed by place().
     void set_sh_degree(int degree);
     const ImageModel& model() const;   ///< with the active degree
     /// Takes other values of all parameters, as many surfels as there are. Blocks. @throws DataError for another number or primitive
