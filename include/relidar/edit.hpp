@@ -11,12 +11,6 @@
 
 namespace relidar {
 
-/// A scene and the log whose box tracks place its instances; an instance has the name of its track. Scans are not looked at.
-struct DrivingScene {
-    Scene scene;
-    Sequence sequence;
-};
-
 /// Where a placed actor is at the start of the log, and how fast it drives straight ahead (box frame x) from then on, m/s.
 struct Start {
     Pose dataset_from_box;   ///< box centre in the dataset's world (relidar's world + world_offset_m)
@@ -51,7 +45,7 @@ DrivingScene keep_background(DrivingScene driving);
 DrivingScene keep_actors(DrivingScene driving);
 
 /// A trajectory as CSV: time_s, x, y, z, yaw_deg[, pitch_deg, roll_deg] a line, R = Rz(yaw) Ry(pitch) Rx(roll); the first line may be
-/// a header. @throws DataError naming line and column
+/// a header (write_trajectory() in export.hpp writes one). @throws DataError naming line and column, and for fewer than two poses
 PoseTrack read_trajectory(const std::filesystem::path& path);
 
 }  // namespace relidar

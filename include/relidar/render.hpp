@@ -16,6 +16,8 @@
 
 namespace relidar {
 
+struct Run;
+
 /// A simulated scan: a range image with the ray of each pixel, in the sensor's frame at the ray's firing time.
 struct RenderedScan {
     RangeImage image;                   ///< range as config.render.range says; drop_prob from the two logits (M6), 1 beyond the sensor's range
@@ -57,22 +59,37 @@ SensorChoice configured_sensor(const Config& config, const Sequence& sequence);
 /// "native", or a sensor by name, CSV file or grid name. "kitti360" follows config.sensor.grid_method.
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence);
 
-/// Renders scans of a trained scene. With ShDirection::surfel a model placed n times is held n times (own_models): each placement
+/// A scan to be taken, wherever its sensor was driven: by a file, or by a simulator that owns the traffic too. Poses are in the dataset's
+/// world, times in the log's (Frame::time_s).
+struct ScanRequest {
+    double time_s = 0.0;            ///< when the head faces forward
+    PoseTrack dataset_from_sensor;  ///< also through the turn: with a rolling shutter each ray is fired from where the sensor is then. One pose: it stands
+    std::optional<ActorPoses> dataset_from_actor = {};   ///< of all actors that are there; not given: where the run's tracks have them at the time
+};
+
+/// Renders scans of a trained scene. A renderer serves one thread at a time; renderers of one device may not be used at once either. With ShDirection::surfel a model placed n times is held n times (own_models): each placement
 /// is lit from where the sensor stands to it; ShDirection::ray needs one copy alone.
 class ScanRenderer {
 public:
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
+    ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();
     /// Leaves out every instance that is not shown, from the next scan on. @param shown [instances]
     void show_only(const std::vector<bool>& shown);
     /// @param sensor_offset  of the simulated sensor in the log's sensor frame (identity = where the real one was)
     /// @param sample  seed of sample_returns(); not given: the likeliest scan, free of noise
     RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {}, std::optional<std::uint64_t> sample = {});
+    /// @throws DataError for poses or times that are not finite, that lie beyond 1e10 m or s, or times that do not rise; UsageError for an actor
+    /// that is not in the scene
+    RenderedScan render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample = {});
     const KernelTimes& times() const;
 
 private:
     struct Impl;
     std::unique_ptr<Impl> impl_;
+
+    /// What a sensor sees whose path has been set.
+    RenderedScan take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed, std::optional<std::uint64_t> sample);
 };
 
 /// Bins a simulated scan into a grid as the dataset's points were: the nearest returned point wins a cell; the cell is dropped where

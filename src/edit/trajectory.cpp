@@ -60,7 +60,7 @@ PoseTrack read_trajectory(const std::filesystem::path& path) {
         track.time_s.push_back(row[0]);
         track.pose.push_back(pose_of(row));
     }
-    if (track.pose.size() < 2) throw DataError(fmt::format("{}: found {} poses, expected at least two (--copy and --move place an actor that stands)", path.string(), track.pose.size()));
+    if (track.pose.size() < 2) throw DataError(fmt::format("{}: found {} poses, expected at least two", path.string(), track.pose.size()));
     return track;
 }
 

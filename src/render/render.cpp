@@ -10,12 +10,14 @@
 
 #include <relidar/stages/accel.hpp>
 #include <relidar/error.hpp>
+#include <relidar/run.hpp>
 #include <relidar/stages/forward.hpp>
 
 namespace relidar {
 
 namespace {
 
+constexpr double kFarthest = 1e10;    // metres of any world, seconds since 1970
 constexpr float kMinWeight = 1e-3f;   ///< below this a ray met nothing that has a range
 
 float chosen_range(const Rendering& r, std::size_t i, const std::string& which) {
@@ -40,10 +42,21 @@ bool is_in_range(const RangeLimits& limits, float range_m, float median_m) {
     return limits.contains(range_m) && (!(median_m > 0.0f) || limits.contains(median_m));
 }
 
+/// @param thing  whose poses they are, for the message
+void check_track(const PoseTrack& track, const std::string& thing) {
+    const auto fail = [&](const std::string& found, const char* expected) { throw DataError(fmt::format("rendering a scan: poses of {}: found {}, expected {}", thing, found, expected)); };
+    if (track.pose.empty() || track.pose.size() != track.time_s.size()) fail(fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()), "as many of each, and one at least");
+    for (std::size_t i = 0; i < track.pose.size(); ++i) {
+        const auto& [q, t] = track.pose[i];
+        const bool is_pose = std::abs(glm::length(q) - 1.0) < 1e-3 && std::max({std::abs(t.x), std::abs(t.y), std::abs(t.z)}) <= kFarthest && std::abs(track.time_s[i]) <= kFarthest;
+        if (!is_pose || std::isnan(t.x + t.y + t.z)) fail(fmt::format("no finite pose at entry {}", i), "a unit quaternion, metres and seconds within 1e10");
+        if (i > 0 && !(track.time_s[i] > track.time_s[i - 1])) fail(fmt::format("time {} after {}", track.time_s[i], track.time_s[i - 1]), "times that rise");
+    }
+}
+
 Sequence without_scans(const Sequence& sequence, const Config& config) {
     Sequence result;
     result.sensor = sequence.sensor;
-    result.world_from_sensor = sequence.world_from_sensor;
     result.boxes = sequence.boxes;
     result.world_offset_m = sequence.world_offset_m;
     result.intensity_response = sequence.intensity_response;
@@ -69,15 +82,18 @@ std::vector<float> point_ranges(const RenderedScan& scan, const Config& config) 
 struct ScanRenderer::Impl {
     const Config config;
     Scene layout;         ///< models, instances and sensor drop; no surfels
-    Sequence sequence;    ///< sensor, poses and boxes; no scans
+    Sequence turn;        ///< sensor and boxes; no scans; where the sensor is in the scan that is taken
+    const PoseTrack log_track;   ///< where it was in the log
     Renderer renderer;
     std::vector<bool> shown;   ///< [instances]
 };
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
-    : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config),
-                     Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image, {.accel = accel_options(config), .trace = trace_options(config)}),
+    : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_sensor,
+                     Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image,
+                              {.accel = accel_options(config), .trace = trace_options(config)}),
                      std::vector<bool>(scene.instances.size(), true)}) {}
+ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {}
 ScanRenderer::~ScanRenderer() = default;
 
 void ScanRenderer::show_only(const std::vector<bool>& shown) {
@@ -88,16 +104,38 @@ void ScanRenderer::show_only(const std::vector<bool>& shown) {
 const KernelTimes& ScanRenderer::times() const { return impl_->renderer.stream().times(); }
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset, std::optional<std::uint64_t> sample) {
+    Impl& s = *impl_;
+    s.turn.world_from_sensor = moved_track(s.log_track, sensor_offset);
+    return take(sensor, time_s, place_instances(s.layout, s.turn, time_s), sample);
+}
+
+RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample) {
+    Impl& s = *impl_;
+    const auto in_world = [&](const PoseTrack& dataset_from_thing, const std::string& thing) {
+        check_track(dataset_from_thing, thing);
+        PoseTrack track = dataset_from_thing;
+        for (Pose& pose : track.pose) pose.translation -= s.turn.world_offset_m;
+        return track;
+    };
+    if (!(std::abs(request.time_s) <= kFarthest)) throw DataError(fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s", request.time_s, kFarthest));
+    s.turn.world_from_sensor = in_world(request.dataset_from_sensor, "the sensor");
+    if (!request.dataset_from_actor) return take(sensor, request.time_s, place_instances(s.layout, s.turn, request.time_s), sample);
+    ActorPoses world_from_actor;
+    for (const auto& [name, track] : *request.dataset_from_actor) world_from_actor[name] = in_world(track, "actor " + name);
+    return take(sensor, request.time_s, place_instances(s.layout, s.turn, request.time_s, world_from_actor), sample);
+}
+
+/// @param placed  instances at their moments; those that are not shown are left out
+RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed, std::optional<std::uint64_t> sample) {
     const Impl& s = *impl_;
-    PoseTrack track = moved_track(s.sequence.world_from_sensor, sensor_offset);
+    PoseTrack track = s.turn.world_from_sensor;
     WorldRays rays;
     for (std::size_t i = 0; i < sensor.rays.size(); ++i) {
-        const WorldRay w = world_ray(track, time_s, sensor.rays, i, s.sequence.rolling_shutter);
+        const WorldRay w = world_ray(track, time_s, sensor.rays, i, s.turn.rolling_shutter);
         rays.origin.push_back(glm::vec3(w.origin_m));
         rays.direction.push_back(glm::vec3(w.direction));
     }
     const Pose pose = track.at(time_s);
-    std::vector<InstancePose> placed = place_instances(s.layout, s.sequence, time_s);
     for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && s.shown[i];
     const auto start = std::chrono::steady_clock::now();
     impl_->renderer.move(placed, glm::vec3(pose.translation));
@@ -118,18 +156,18 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
         const float median_m = measured_range(laser, r.median_depth[i]);
         scan.image.range_m.push_back(range_m);
         scan.median_range_m.push_back(median_m);
-        scan.image.intensity.push_back(measured_intensity(laser, s.sequence.intensity_response.at_range(double(median_m > 0.0f ? median_m : range_m)), r.intensity[i]));
+        scan.image.intensity.push_back(measured_intensity(laser, s.turn.intensity_response.at_range(double(median_m > 0.0f ? median_m : range_m)), r.intensity[i]));
         scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
         const float never_seen = sensor.is_own ? s.layout.sensor_drop.at(sensor.rays.channel[i], sensor.rays.direction[i]) : 0.0f;
         const float returns = is_in_range(sensor.limits, range_m, median_m) ? (1.0f - drop_probability(r, i)) * (1.0f - never_seen) : 0.0f;
         scan.image.drop_prob.push_back(1.0f - returns);
     }
-    if (!s.sequence.rolling_shutter) track = {{time_s}, {pose}};
-    for (Pose& p : track.pose) p.translation += s.sequence.world_offset_m;
+    if (!s.turn.rolling_shutter) track = {{time_s}, {pose}};
+    for (Pose& p : track.pose) p.translation += s.turn.world_offset_m;
     scan.track = std::move(track);
-    scan.world_from_sensor = {pose.rotation, pose.translation + s.sequence.world_offset_m};
+    scan.world_from_sensor = {pose.rotation, pose.translation + s.turn.world_offset_m};
     scan.time_s = time_s;
-    if (sample) sample_returns(scan, s.sequence.range_noise, *sample);
+    if (sample) sample_returns(scan, s.turn.range_noise, *sample);
     return sensor.grid ? project_scan(scan, *sensor.grid) : scan;
 }
 

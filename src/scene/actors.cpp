@@ -143,9 +143,10 @@ std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& b
     return samples;
 }
 
-/// When the head faces a box, the moment its only transform of the turn is taken at.
-double box_facing_time(const Sequence& sequence, const BoxTrack& box, double time_s) {
-    return facing_time(sequence, inverse(sequence.world_from_sensor.at(time_s)) * box.world_from_box.at(time_s).translation, time_s);
+/// An actor at the moment the head faces it, the one at which its only transform of the turn is taken.
+InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_box, double time_s) {
+    const double facing_s = facing_time(sequence, inverse(sequence.world_from_sensor.at(time_s)) * world_from_box.at(time_s).translation, time_s);
+    return {world_from_box.at(facing_s), true, facing_s};
 }
 
 }  // namespace
@@ -201,13 +202,27 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
     std::vector<InstancePose> placed;
     for (const Instance& instance : scene.instances) {
         const auto box = std::find_if(sequence.boxes.begin(), sequence.boxes.end(), [&](const BoxTrack& b) { return b.id == instance.track; });
-        InstancePose& pose = placed.emplace_back();
-        if (instance.track.empty()) continue;
-        pose.present = box != sequence.boxes.end() && box->present(time_s);
-        if (!pose.present) continue;
-        pose.time_s = box_facing_time(sequence, *box, time_s);
-        pose.world_from_model = box->world_from_box.at(pose.time_s);
+        if (instance.track.empty()) placed.push_back({});
+        else if (box != sequence.boxes.end() && box->present(time_s)) placed.push_back(facing_pose(sequence, box->world_from_box, time_s));
+        else placed.push_back({{}, false});
     }
+    return placed;
+}
+
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, const ActorPoses& world_from_actor) {
+    std::vector<std::string> tracks;
+    std::vector<InstancePose> placed;
+    for (const Instance& instance : scene.instances) {
+        const auto actor = world_from_actor.find(instance.track);
+        if (instance.track.empty()) placed.push_back({});
+        else if (actor != world_from_actor.end()) placed.push_back(facing_pose(sequence, actor->second, time_s));
+        else placed.push_back({{}, false});
+        if (!instance.track.empty()) tracks.push_back(instance.track);
+    }
+    for (const auto& [track, poses] : world_from_actor)
+        if (std::find(tracks.begin(), tracks.end(), track) == tracks.end())
+            throw UsageError(fmt::format("placing actors: found a pose of \"{}\", expected a track of the scene{}", track,
+                                         tracks.empty() ? ", which has no actor" : fmt::format("; did you mean \"{}\"?", nearest_name(track, tracks))));
     return placed;
 }
 

@@ -35,6 +35,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"config", {"traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "scene", "sequence", "sensor", "gpu"}},   // options of all of them
         {"run", {"config", "export", "scene", "sequence", "sensor"}},   // a run's folder; export: safetensors
         {"render", {"config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
+        {"scan_files", {"render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
         {"train",
          {"config", "run", "differentiable_renderer", "backward", "forward", "traversal", "densify", "checkpoint", "accel", "optimizer", "loss", "metrics", "refine", "dataset",
           "registration", "scene", "sequence", "sensor", "gpu"}},
@@ -42,14 +43,14 @@ const std::map<std::string, Stages>& layer_table() {
     return table;
 }
 
-const std::string kFaces = "include/relidar/";
+const std::string kFaces = "include/relidar/", kUmbrella = kFaces + "relidar.hpp";
 const Stages kCoreFaces = {"error", "math", "progress", "version"};
 const Stages kOpenFolders = {"core", "gpu", "traversal", "shared"};   // infrastructure: its headers are included directly
 
 /// Layer of a file: a stage; "shared"; "shaders/<folder>"; "tools/<name>"; "tests/<folder>"; or empty for others.
 std::string layer_of(const std::string& path) {
     const std::string top = folder(path, 0), second = folder(path, 1);
-    if (path.starts_with(kFaces) && path.ends_with(".h")) return "shared";   // read by GLSL too
+    if (path.starts_with(kFaces + "shared/")) return "shared";
     if (path.starts_with(kFaces)) return kCoreFaces.contains(stem(path)) ? "core" : stem(path);
     if (top == "src") return second;
     if (top == "shaders") return second == "shared" ? "shared" : "shaders/" + second;
@@ -75,11 +76,12 @@ std::string judge(const std::string& from_path, const std::string& to_path) {
     const std::string from = layer_of(from_path), to = layer_of(to_path);
     const bool to_face = to_path.starts_with(kFaces);
     if (from == to) return "";
+    if (from_path == kUmbrella) return to_path.starts_with(kFaces + "stages/") || to_path.starts_with(kFaces + "measure/") ? "the umbrella holds what users need" : "";
     if (from_path.starts_with("shaders/")) return shader_may_include(from, to) ? "" : from + " may not include " + to;
     if (from.starts_with("tools/")) return to_face ? "" : "tools see only include/relidar";
     const bool is_test = stem(from_path).ends_with("_test");
     if (from == "tests/reference" && is_test && to == "tests/support") return "";
-    if (from == "tests/reference") return to_face ? "" : "the reference includes nothing of src/, shaders/ or other tests";
+    if (from == "tests/reference") return to_face && to != "shared" ? "" : "the reference includes nothing of src/, shaders/ or other tests";
     if (from.empty() || from.starts_with("tests/")) return "";
     if (!layer_table().contains(from)) return "'" + from + "' is no stage of the layer table";
     if (from_path.starts_with(kFaces) && !to_face) return "a face includes only other faces";

@@ -14,9 +14,9 @@
 #include "output_folder.hpp"
 #include "pictures.hpp"
 #include "run_report.hpp"
-#include "scan_files.hpp"
 #include "training.hpp"
 #include <relidar/run.hpp>
+#include <relidar/scan_files.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -72,7 +72,8 @@ Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptio
 
 void write_scans(const fs::path& folder, const Evaluation& evaluation, const Run& run, const Pose& offset) {
     const OutputFolder made(folder);
-    ScanFormat format = scan_format(run, configured_sensor(run.config, run.sequence), offset);
+    ScanFormat format = scan_format(run, configured_sensor(run.config, run.sequence));
+    format.offset = offset;
     format.formats = {"npz", "png", "ply", "exr"};
     ScanFolder scans(folder, format);
     for (const ScoredFrame& frame : evaluation.frames) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar export and relidar import: the surfels of a run as a PLY file that tools for 3D Gaussian splatting open, and back.
+// relidar export and relidar import: the surfels of a run as a PLY file that tools for 3D Gaussian splatting open, and back; the path of its
+// sensor as a trajectory.
 #include <memory>
 
 #include <CLI/CLI.hpp>
@@ -31,16 +32,26 @@ struct ImportOptions {
 
 std::string sizes(const Scene& scene) { return fmt::format("{} surfels, {} model{}", scene.surfels.size(), scene.models.size(), scene.models.size() == 1 ? "" : "s"); }
 
+/// Where the log's sensor was, in the dataset's world.
+PoseTrack sensor_path(const Sequence& sequence) {
+    PoseTrack track = sequence.world_from_sensor;
+    for (Pose& pose : track.pose) pose.translation += sequence.world_offset_m;
+    return track;
+}
+
 void run_export(const ExportOptions& options) {
     const std::filesystem::path out = options.out;
-    if (!known_name(out.extension().string(), {".ply"})) {
+    const std::optional<std::string> format = known_name(out.extension().string(), {".ply", ".csv"});
+    if (!format) {
         const std::string found = out.has_extension() ? "the ending " + out.extension().string() : "no ending";
-        throw UsageError(fmt::format("--out {}: found {}, expected a name that ends in .ply: that is the format", options.out, found));
+        throw UsageError(fmt::format("--out {}: found {}, expected a name that ends in .ply (surfels) or .csv (the sensor's path)", options.out, found));
     }
     const Run run = load_run(options.run);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
-    write_surfel_ply(out, run.scene);
-    if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), sizes(run.scene)));
+    if (*format == ".ply") write_surfel_ply(out, run.scene);
+    else write_trajectory(out, sensor_path(run.sequence));
+    const std::string written = *format == ".ply" ? sizes(run.scene) : fmt::format("{} poses", run.sequence.world_from_sensor.pose.size());
+    if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), written));
 }
 
 void run_import(const ImportOptions& options) {
@@ -56,14 +67,17 @@ void run_import(const ImportOptions& options) {
 }  // namespace
 
 void add_export(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("export", "write the surfels of a run as PLY, in the layout of 3D Gaussian splatting");
+    CLI::App* command = app.add_subcommand("export", "write the surfels of a run as PLY, in the layout of 3D Gaussian splatting; or the path of its sensor as CSV");
     const auto options = std::make_shared<ExportOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
-    command->add_option("--out", options->out, "file to write")->required()->type_name("FILE.ply");
+    command->add_option("--out", options->out, "file to write: surfels, or the sensor's path")->required()->type_name("FILE.ply|FILE.csv");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer("Common viewers show it: intensity as colour, flat ellipsoids. Further float properties hold hit_0..15, drop_0..15 and model, so that\n"
                     "`relidar import` gives back the same scene bit by bit. Actors are in the frames of their boxes, at the origin.\n"
-                    "Example: relidar export run --out scene.ply");
+                    "The path is time_s,x,y,z,yaw_deg,pitch_deg,roll_deg in the dataset's world, as render --trajectory and edit --trajectory read it.\n"
+                    "Examples:\n"
+                    "  relidar export run --out scene.ply\n"
+                    "  relidar export run --out way.csv");
     command->callback([&call, options] { call.run = [options] { run_export(*options); }; });
 }
 

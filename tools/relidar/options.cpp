@@ -38,7 +38,7 @@ DeviceOptions device_options(const DeviceChoice& choice) {
     if (traversal == "ray_query") options.traversal = Traversal::ray_query;
     else if (traversal == "software") options.traversal = Traversal::software;
     else if (!traversal) throw UsageError(fmt::format("--traversal: found \"{}\", expected auto, ray_query or software", choice.traversal));
-    return options;
+    return from_environment(options);
 }
 
 void add_set_option(CLI::App& command, std::vector<std::string>& sets) {

@@ -1,15 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Range images as pictures: real, rendered and error side by side for the report, and one picture a rendered scan.
+// Range images as pictures: real, rendered and error side by side for the report.
 #pragma once
 
 #include <string>
 #include <vector>
 
 #include <relidar/export.hpp>
-
-namespace relidar {
-struct RenderedScan;
-}
 
 namespace relidar::cli {
 
@@ -22,9 +18,6 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
 
 /// Writes FOLDER/{range,intensity,drop}_000123.png for each frame: real, rendered and error stacked.
 void write_strips(const std::filesystem::path& folder, const Evaluation& evaluation, double max_range_m);
-
-/// Range, intensity and drop probability stacked, for --format png.
-Image scan_picture(const RenderedScan& scan);
 
 /// Real and rendered range stacked.
 Image range_pair(const ScoredFrame& frame, double max_range_m);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar render: scans of a run, from where the sensor was or beside it, by its own sensor or another, as files.
+// relidar render: scans of a run, from where the sensor was, beside it, or along a path of one's own, by its own sensor or another, as files.
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -14,9 +14,11 @@
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
-#include "scan_files.hpp"
+#include "trajectory.hpp"
+#include <relidar/edit.hpp>
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
+#include <relidar/scan_files.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -26,6 +28,7 @@ struct Options {
     std::string out;
     std::optional<std::string> frames;
     std::string offset;
+    TrajectoryChoice trajectory;
     std::string sensor;
     std::string formats = "npz";
     std::vector<std::string> sets;
@@ -92,9 +95,30 @@ Pose parse_offset(const std::string& text) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), {v[0], v[1], v[2]}};
 }
 
+/// "npz,ply" as names, in any case, with or without spaces.
+std::vector<std::string> parse_formats(const std::string& list) {
+    const std::vector<std::string> known = scan_formats();
+    std::vector<std::string> wanted;
+    for (const std::string& word : split(list, ',')) {
+        const std::string name = without_blanks(word);
+        const std::optional<std::string> format = known_name(name, known);
+        if (!format) throw UsageError(fmt::format("--format: found \"{}\", did you mean {}? (known: {})", name, nearest_name(name, known), fmt::join(known, ", ")));
+        wanted.push_back(*format);
+    }
+    return wanted;
+}
+
+PointFrame parse_point_frame(const std::string& name) {
+    if (known_name(name, {"sensor"})) return PointFrame::sensor;
+    if (known_name(name, {"world"})) return PointFrame::world;
+    throw UsageError(fmt::format("--frame: found \"{}\", expected sensor or world (which scans are rendered is --frames)", name));
+}
+
 /// What the files hold.
 ScanFormat wanted_format(const Options& options, const Run& run, const SensorChoice& sensor, const Pose& offset) {
-    ScanFormat format = scan_format(run, sensor, offset);
+    ScanFormat format = scan_format(run, sensor);
+    format.offset = offset;
+    if (!options.trajectory.file.empty()) format.trajectory = absolute_path(options.trajectory.file);
     format.formats = parse_formats(options.formats);
     format.frame = parse_point_frame(options.point_frame);
     format.deskew = options.deskew;
@@ -107,16 +131,49 @@ ScanFormat wanted_format(const Options& options, const Run& run, const SensorCho
 void check_options(const Options& options) {
     parse_formats(options.formats);
     parse_point_frame(options.point_frame);
-    check_no_scans(options.out, options.overwrite);
+    const std::vector<std::filesystem::path> files = options.overwrite ? std::vector<std::filesystem::path>{} : scans_in(options.out);
+    if (!files.empty()) {
+        throw UsageError(fmt::format("--out {}: the folder holds another rendering ({} files, one is {}), expected a new one; --overwrite replaces it", options.out,
+                                     files.size(), files.front().filename().string()));
+    }
+    const TrajectoryChoice& t = options.trajectory;
+    if (t.file.empty() && (t.rate_hz || !t.times.empty())) throw UsageError("--rate and --times: found no --trajectory, expected one: they say when scans are taken on it");
+    if (!t.file.empty() && options.frames) throw UsageError("--frames: found --trajectory too, expected one of them; --times chooses moments on a trajectory");
+    if (t.rate_hz && !t.times.empty()) throw UsageError("--rate: found --times too, expected one of them");
+}
+
+/// A scan that is wanted: its number in file names, and the moment at which the head faces forward.
+struct Turn {
+    int number;
+    double time_s;
+};
+
+std::vector<Turn> turns_of_log(const Run& run, const Options& options) {
+    std::vector<Turn> turns;
+    for (const int position : choose_frames(run, options.frames, options.quiet)) {
+        const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
+        turns.push_back({frame.index, frame.time_s});
+    }
+    return turns;
+}
+
+std::vector<Turn> turns_along(const Run& run, const Options& options, const PoseTrack& track) {
+    const std::vector<double> times_s = scan_times(options.trajectory, track, 1.0 / run.sequence.sensor.period_s);
+    if (!options.quiet) note_beyond_log(run, track, times_s);
+    std::vector<Turn> turns;
+    for (const double t : times_s) turns.push_back({static_cast<int>(turns.size()), t});
+    return turns;
 }
 
 void run_render(const Options& options) {
     check_options(options);
     const Pose offset = parse_offset(options.offset);
+    const bool drives = !options.trajectory.file.empty();
+    const PoseTrack track = drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     const OutputFolder folder(options.out);
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
-    const std::vector<int> positions = choose_frames(run, options.frames, options.quiet);
+    const std::vector<Turn> turns = drives ? turns_along(run, options, track) : turns_of_log(run, options);
     const SensorChoice sensor = options.sensor.empty() ? configured_sensor(run.config, run.sequence) : choose_sensor(options.sensor, run.config, run.sequence);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(device_options(options.device));
@@ -129,20 +186,20 @@ void run_render(const Options& options) {
     catch_interrupts();
     Progress progress(options.quiet);
     double trace_ms = 0.0;
-    for (std::size_t done = 0; done < positions.size(); ++done) {
+    for (std::size_t done = 0; done < turns.size(); ++done) {
         stop_if_interrupted();
-        const Frame& frame = run.sequence.frames[static_cast<std::size_t>(positions[done])];
-        const RenderedScan scan = renderer.render(sensor, frame.time_s, offset, options.sample);
-        scans.write(frame.index, scan);
+        const auto [number, time_s] = turns[done];
+        const RenderedScan scan = drives ? renderer.render(sensor, {time_s, track}, options.sample) : renderer.render(sensor, time_s, offset, options.sample);
+        scans.write(number, scan);
         trace_ms += scan.trace_ms;
-        progress.count(fmt::format("rendering frame {}:", frame.index), done + 1, positions.size());
+        progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", number), done + 1, turns.size());
     }
     scans.finish();
     end_progress_line();
     if (options.quiet) return;
-    const double mrays = static_cast<double>(sensor.rays.size() * positions.size()) / 1e6;
-    print(fmt::format("{} scans of {} rays in {} ({}); tracing {:.1f} ms a scan, {:.3f} Mrays/s\n", positions.size(), sensor.rays.size(), options.out, fmt::join(format.formats, ", "),
-                      trace_ms / static_cast<double>(positions.size()), trace_ms > 0.0 ? 1000.0 * mrays / trace_ms : 0.0));
+    const double mrays = static_cast<double>(sensor.rays.size() * turns.size()) / 1e6;
+    print(fmt::format("{} scans of {} rays in {} ({}); tracing {:.1f} ms a scan, {:.3f} Mrays/s\n", turns.size(), sensor.rays.size(), options.out, fmt::join(format.formats, ", "),
+                      trace_ms / static_cast<double>(turns.size()), trace_ms > 0.0 ? 1000.0 * mrays / trace_ms : 0.0));
 }
 
 }  // namespace
@@ -154,6 +211,9 @@ void add_render(CLI::App& app, Call& call) {
     command->add_option("--out", options->out, "folder for the scans")->required()->type_name("DIR");
     command->add_option("--frames", options->frames, "first:end by the dataset's numbers, or test, train or all (default: test; all where none was held out)")->type_name("WHICH");
     command->add_option("--offset", options->offset, "move the sensor, in its own frame: forward, left, up in metres, turn left in degrees")->type_name("X,Y,Z,YAW_DEG");
+    command->add_option("--trajectory", options->trajectory.file, "drive the sensor along a path of its own: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in the dataset's world and the log's time, as `relidar export RUN --out FILE.csv` writes the log's; with --offset beside it")->type_name("FILE.csv");
+    command->add_option("--rate", options->trajectory.rate_hz, "scans a second on the trajectory (default: as the log's sensor turns)")->type_name("HZ");
+    command->add_option("--times", options->trajectory.times, "when scans are taken on the trajectory instead: from, to and every so many seconds")->type_name("FIRST:LAST:STEP");
     command->add_option("--sensor", options->sensor, "another sensor: native (the log's), kitti360, VLP-16, HDL-64E, OS1-64, OS1-128, waymo-top, or a CSV beam table as in beams.csv:1024x10, see below")->type_name("NAME|FILE");
     command->add_option("--format", options->formats, "npz, exr, ply, pcd, bin, png, parted by commas (default: npz)")->type_name("LIST");
     command->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")->type_name("WHAT")->type_size(1)->allow_extra_args(false);
@@ -164,7 +224,7 @@ void add_render(CLI::App& app, Call& call) {
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(std::string("Files are DIR/frame_000123.npz and so on, by the dataset's frame number, and DIR/scans.json: run, sensor, offset, poses, times, settings.\n"
+    command->footer(std::string("Files are DIR/frame_000123.npz and so on, by the dataset's frame number (of a trajectory: counted from 0), and DIR/scans.json: run, sensor, offset, poses, times, settings.\n"
                     "npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin [rows,columns,3];\n"
                     "pose [4,4] sensor to the dataset's world at time_s. Metres, seconds. ply, pcd, bin: points of rays with drop_prob < 0.5, of the dominant\n"
                     "surface (--set render.points=range: of the mean along the ray, which lies between two surfaces at edges). ring: laser, 0 the highest;\n"
@@ -175,6 +235,7 @@ void add_render(CLI::App& app, Call& call) {
                     "  relidar render run --out scans\n"
                     "  relidar render run --out cars --only actors --format ply\n"
                     "  relidar render run --out map --frames all --frame world --format pcd\n"
+                    "  relidar render run --out lane --trajectory way.csv --rate 20 --format pcd\n"
                     "  relidar render run --out left --frames 10:20 --offset 0,2,1,0 --format npz,ply\n"
                     "  relidar render run --out small --sensor VLP-16 --format png");
     command->callback([&call, options] { call.run = [options] { run_render(*options); }; });

@@ -1,19 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "scan_files.hpp"
+#include <relidar/scan_files.hpp>
 
 #include <algorithm>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include "options.hpp"
-#include "pictures.hpp"
-#include <relidar/error.hpp>
 #include <relidar/export.hpp>
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
 
-namespace relidar::cli {
+namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
@@ -173,37 +170,14 @@ std::vector<std::string> scan_formats() {
     return names;
 }
 
-std::vector<std::string> parse_formats(const std::string& list) {
-    const std::vector<std::string> known = scan_formats();
-    std::vector<std::string> wanted;
-    for (const std::string& word : split(list, ',')) {
-        const std::string name = without_blanks(word);
-        const std::optional<std::string> format = known_name(name, known);
-        if (!format) {
-            const std::string nearest = nearest_name(name, known);
-            throw UsageError(fmt::format("--format: found \"{}\", did you mean {}? (known: {})", name, nearest, fmt::join(known, ", ")));
-        }
-        wanted.push_back(*format);
-    }
-    return wanted;
-}
-
-PointFrame parse_point_frame(const std::string& name) {
-    if (known_name(name, {"sensor"})) return PointFrame::sensor;
-    if (known_name(name, {"world"})) return PointFrame::world;
-    throw UsageError(fmt::format("--frame: found \"{}\", expected sensor or world (which scans are rendered is --frames)", name));
-}
-
-ScanFormat scan_format(const Run& run, const SensorChoice& sensor, const Pose& offset) {
+ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
     ScanFormat format;
-    format.formats = {"npz"};
     for (const Instance& instance : run.scene.instances) {
         format.instance_names.push_back(instance.track.empty() ? "background" : instance.track);
     }
-    format.run = absolute_path(run.folder.string());
+    if (!run.folder.empty()) format.run = fs::absolute(run.folder).lexically_normal().string();
     format.sensor = sensor.name;
     format.limits = sensor.limits;
-    format.offset = offset;
     format.config = run.config;
     return format;
 }
@@ -220,4 +194,4 @@ void ScanFolder::write(int frame, const RenderedScan& scan) {
     entries_.push_back(std::move(entry));
 }
 
-}  // namespace relidar::cli
+}  // namespace relidar

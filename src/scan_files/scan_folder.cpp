@@ -1,17 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 // The folder of a rendering as a whole: what is in the way of a new one, and scans.json.
-#include "scan_files.hpp"
+#include <relidar/scan_files.hpp>
 
 #include <algorithm>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
 #include <relidar/render.hpp>
+#include <relidar/run.hpp>
 
-namespace relidar::cli {
+namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
@@ -26,16 +28,6 @@ bool is_of_rendering(const fs::path& name) {
     const std::vector<std::string> formats = scan_formats();
     return stem.starts_with(prefix) && stem.size() > prefix.size() && stem.find_first_not_of("0123456789", prefix.size()) == std::string::npos &&
            !extension.empty() && std::find(formats.begin(), formats.end(), extension.substr(1)) != formats.end();
-}
-
-/// The files of a rendering that a folder holds, by name.
-std::vector<fs::path> scans_in(const fs::path& folder) {
-    std::vector<fs::path> files;
-    std::error_code failed;
-    for (const auto& entry : fs::directory_iterator(folder, failed))
-        if (is_of_rendering(entry.path().filename())) files.push_back(entry.path());
-    std::sort(files.begin(), files.end());
-    return files;
 }
 
 Json matrix_json(const Pose& pose) {
@@ -60,6 +52,11 @@ Json settings_json(const Config& config) {
 }  // namespace
 
 ScanFolder::ScanFolder(fs::path folder, ScanFormat format) : folder_(std::move(folder)), format_(std::move(format)) {
+    const std::vector<std::string> known = scan_formats();
+    for (const std::string& name : format_.formats)
+        if (std::find(known.begin(), known.end(), name) == known.end())
+            throw UsageError(fmt::format("writing scans: found format \"{}\", did you mean {}? (known: {})", name, nearest_name(name, known), fmt::join(known, ", ")));
+    check_writable(folder_);
     for (const fs::path& file : scans_in(folder_)) {
         std::error_code failed;
         fs::remove(file, failed);
@@ -80,6 +77,7 @@ void ScanFolder::finish() const {
                  {"dataset", config.dataset.path},
                  {"sensor", {{"name", format_.sensor}, {"min_range_m", format_.limits.min_m}, {"max_range_m", format_.limits.max_m}}},
                  {"sensor_offset", matrix_json(format_.offset)},
+                 {"trajectory", format_.trajectory.empty() ? Json() : Json(format_.trajectory)},
                  {"units", "metres, seconds; time of a point in seconds from time_s; intensity and drop_prob 0 to 1"},
                  {"points", points},
                  {"instances", format_.instance_names},
@@ -97,12 +95,13 @@ void ScanFolder::finish() const {
     write_text(folder_ / kSummary, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 
-void check_no_scans(const fs::path& folder, bool overwrite) {
-    if (overwrite) return;
-    const std::vector<fs::path> files = scans_in(folder);
-    if (files.empty()) return;
-    throw UsageError(fmt::format("--out {}: the folder holds another rendering ({} files, one is {}), expected a new one; --overwrite replaces it",
-                                 folder.string(), files.size(), files.front().filename().string()));
+std::vector<fs::path> scans_in(const fs::path& folder) {
+    std::vector<fs::path> files;
+    std::error_code failed;
+    for (const auto& entry : fs::directory_iterator(folder, failed))
+        if (is_of_rendering(entry.path().filename())) files.push_back(entry.path());
+    std::sort(files.begin(), files.end());
+    return files;
 }
 
-}  // namespace relidar::cli
+}  // namespace relidar

@@ -2,37 +2,33 @@
 // Rendered scans as files other tools open, each with what its format can carry of where, when and by what it was made.
 #pragma once
 
-#include <filesystem>
 #include <cstdint>
+#include <filesystem>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include <relidar/config.hpp>
+#include <relidar/export.hpp>
 #include <relidar/math.hpp>
 #include <relidar/sensor.hpp>
 
 namespace relidar {
+
+struct RangeImage;
 struct RenderedScan;
 struct Run;
 struct SensorChoice;
-}
-
-namespace relidar::cli {
 
 /// Names of the formats, which are the files' extensions.
 std::vector<std::string> scan_formats();
-/// "npz,ply" as names, in any case, with or without spaces. @throws UsageError for an unknown one, naming the nearest
-std::vector<std::string> parse_formats(const std::string& list);
 
 /// Frame of reference of points, and of the rays in npz and exr.
 enum class PointFrame { sensor, world };
-/// @throws UsageError for another name than sensor or world
-PointFrame parse_point_frame(const std::string& name);
 
 /// What is written, and what the files say of themselves.
 struct ScanFormat {
-    std::vector<std::string> formats;
+    std::vector<std::string> formats{"npz"};   ///< of scan_formats()
     PointFrame frame = PointFrame::sensor;
     bool deskew = false;                       ///< sensor frame: of the scan's reference time for all rays, instead of each ray's firing time
     std::vector<std::string> instance_names;   ///< "background" or the track, by instance
@@ -41,11 +37,12 @@ struct ScanFormat {
     std::string run;                           ///< its folder
     std::string sensor;
     RangeLimits limits;
-    Pose offset;                               ///< of the simulated sensor in the log's sensor frame
+    Pose offset;                               ///< of the simulated sensor in the log's sensor frame, where it went along with that
+    std::string trajectory;                    ///< file it was driven by; empty: it went along with the log's sensor
     Config config;
 };
-/// Of a run by a sensor, npz in the sensor's frame.
-ScanFormat scan_format(const Run& run, const SensorChoice& sensor, const Pose& offset);
+/// Of a run by a sensor where the log's own one was: npz, in the sensor's frame.
+ScanFormat scan_format(const Run& run, const SensorChoice& sensor);
 
 /// Scans written one by one into a folder, and scans.json, which says what they are. Files of one scan are FOLDER/frame_000123.<format>:
 ///   npz  range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin [rows,columns,3];
@@ -56,10 +53,12 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor, const Pose& o
 ///   ply, pcd, bin  points of returned rays (drop_prob < 0.5); ply and pcd with ring, time and instance, notes as comments
 class ScanFolder {
 public:
-    /// Removes an earlier rendering from the folder, which must be there.
+    /// Makes the folder where it is missing, and removes an earlier rendering from it.
+    /// @throws UsageError for an unknown format, naming the nearest; DataError where the folder cannot be written
     ScanFolder(std::filesystem::path folder, ScanFormat format);
+    /// Writes the files of one scan. @param frame  its number @throws DataError as write_atomically()
     void write(int frame, const RenderedScan& scan);
-    /// Writes scans.json.
+    /// Writes scans.json: to be called after the last scan.
     void finish() const;
 
 private:
@@ -75,7 +74,19 @@ private:
     std::vector<Entry> entries_;
 };
 
-/// Refuses a folder that holds a rendering: its frames would mix with the new ones. @throws UsageError unless overwrite is set
-void check_no_scans(const std::filesystem::path& folder, bool overwrite);
+/// Names of the files of an earlier rendering in a folder, which a new ScanFolder would remove.
+std::vector<std::filesystem::path> scans_in(const std::filesystem::path& folder);
 
-}  // namespace relidar::cli
+/// Pictures of an image: ranges in false colours that run with the square root of the range, since near things are what a picture is for;
+/// intensities and drop probabilities in gray. Pixels that do not return are dark gray.
+Image range_picture(const RangeImage& image, double max_range_m);
+Image intensity_picture(const RangeImage& image);
+Image drop_picture(const RangeImage& image);
+/// Range, intensity and drop probability stacked.
+Image scan_picture(const RenderedScan& scan);
+/// By how much a stack() enlarges an image vertically: a LiDAR row is taller than its column is wide.
+int picture_stretch(const RangeImage& image);
+/// [rows*columns] 1 where a pixel returned, else 0
+std::vector<float> returned_pixels(const RangeImage& image);
+
+}  // namespace relidar
