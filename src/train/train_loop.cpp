@@ -55,7 +55,10 @@ std::uint32_t largest_batch(const std::vector<FrameData>& frames) {
 }
 
 RendererOptions renderer_options(const Config& config, const std::vector<FrameData>& frames) {
-    RendererOptions options{accel_options(config), trace_options(config), largest_batch(frames), static_cast<std::uint32_t>(config.trace.keep_hits)};
+    RendererOptions options{.accel = accel_options(config),
+                            .trace = trace_options(config),
+                            .n_rays = largest_batch(frames),
+                            .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
     options.trace.geometry = config.loss.uses_geometry();
     return options;
 }
@@ -63,7 +66,8 @@ RendererOptions renderer_options(const Config& config, const std::vector<FrameDa
 /// Terms of the surfels themselves reach those that no ray has met.
 bool all_have_gradients(const Config& config) { return config.loss.uses_surfels() && !config.train.only_touched; }
 
-std::optional<PoseRefiner> make_refiner(Device& device, const Sequence& sequence, const Scene& initial, const TrainConfig& config, std::vector<FrameData>& frames) {
+std::optional<PoseRefiner> make_refiner(Device& device, const Sequence& sequence, const Scene& initial, const TrainConfig& config,
+                                        std::vector<FrameData>& frames) {
     if (config.refine_poses == "none") return std::nullopt;
     return std::optional<PoseRefiner>(std::in_place, device, sequence, initial, config, frames);
 }
@@ -131,9 +135,11 @@ void TrainLoop::iterate(int step, bool ends_line) {
     if (refiner_) refiner_->record(stream_, frame_index, frame, batch, gradients, step);
     for (const std::unique_ptr<Loss>& loss : losses_)
         loss->regularise(stream_, scene, {&gradients.surfels, config_.train.only_touched ? &gradients.touched : nullptr}, terms);
-    if (densifier_) densifier_->observe(stream_, scene, {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), batch.rays.n_rays == frame.n_rays});
+    const bool whole_frame = batch.rays.n_rays == frame.n_rays;
+    if (densifier_) densifier_->observe(stream_, scene, {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), whole_frame});
     const LearningRates rates = rates_at(config_.train, extent_m_, step);
-    adam_.step(stream_, scene.parameters(), gradients.surfels, all_have_gradients(config_) ? nullptr : &gradients.touched, rates, step, renderer_.model().sh_degree);
+    const Array<std::uint32_t>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
+    adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree);
     reports_.add(step, frame.index);
     if (densifier_ && densifier_->due(step)) change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene, adam_, step, others_bytes); });
     if (densifier_) densifier_->after_step(stream_, scene, adam_, step, rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
