@@ -22,11 +22,11 @@ struct GradientOptions {
 
 /// dL/d(rendered) of every ray, one array for each of Rendering's that has a gradient. An empty one stands for zeros.
 struct RenderedGradients {
-    std::vector<float> depth;        ///< [n] of D = sum w t, 1/m
-    std::vector<float> weight;       ///< [n]
-    std::vector<float> intensity;    ///< [n]
-    std::vector<float> hit_logit;    ///< [n]
-    std::vector<float> drop_logit;   ///< [n]
+    std::vector<float> depth{};        ///< [n] of D = sum w t, 1/m
+    std::vector<float> weight{};       ///< [n]
+    std::vector<float> intensity{};    ///< [n]
+    std::vector<float> hit_logit{};    ///< [n]
+    std::vector<float> drop_logit{};   ///< [n]
 };
 
 /// Gradients as host arrays; what they mean is said in Gradients. Those that were not asked for are empty.
