@@ -52,6 +52,6 @@ void main() {
     float box = 0.0;
     if (is_surfel && params.box_weight > 0.0) box = box_term(i, params.models.at[find_model(params.models, params.n_models, i)], write);
     float entropy = is_surfel && params.entropy_weight > 0.0 ? entropy_term(i, write) : 0.0;
-    add_to_sum(params.terms, RELIDAR_TERM_BOX, box);
-    add_to_sum(params.terms, RELIDAR_TERM_ENTROPY, entropy);
+    add_to_sum(params.terms, kTerm_box, box);
+    add_to_sum(params.terms, kTerm_entropy, entropy);
 }

@@ -25,20 +25,20 @@ GeometryLoss::GeometryLoss(Device& device, const LossWeights& weights, std::uint
                      {device, "loss/normal_vjp"}}) {}
 GeometryLoss::~GeometryLoss() = default;
 
-void GeometryLoss::run(Stream& stream, const RayBatch& rays, const TargetBatch& batch, const Array<shared::RenderedRay>& rendered,
-                       RayGeometry& geometry, Array<shared::RayGradient>& upstream, const TermRow& terms) {
+void GeometryLoss::compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& batch, const TermRow& terms) {
     const LossWeights& w = impl_->weights;
+    RayGeometry& geometry = *rendered.geometry;
     const bool with_normals = w.normal > 0.0f;
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), geometry.gradient.size());
     RELIDAR_ASSERT_LE(with_normals ? 2 * std::size_t(batch.n_rays) : 0, impl_->d_tangents.size());
     RELIDAR_ASSERT_LE(with_normals ? 1u : 0u, batch.image.rows);
     const float per_return = static_cast<float>(1.0 / std::max(batch.n_returned, 1.0));
-    const shared::GeometryLossParams params{.rays = rays.rays->address(),
-                                            .rendered = rendered.address(),
+    const shared::GeometryLossParams params{.rays = rendered.rays.rays->address(),
+                                            .rendered = rendered.rendered->address(),
                                             .geometry = geometry.rendered.address(),
                                             .targets = batch.targets->address(),
                                             .d_tangents = impl_->d_tangents.address(),
-                                            .upstream = upstream.address(),
+                                            .upstream = rendered.upstream->address(),
                                             .d_geometry = geometry.gradient.address(),
                                             .terms = terms.address(),
                                             .distortion_weight = w.distortion * per_return,

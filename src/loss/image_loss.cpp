@@ -4,13 +4,13 @@
 
 #include <algorithm>
 
+#include <relidar/stages/traversal.hpp>
+
 #include "core/assert.hpp"
 #include "gpu/stream.hpp"
 #include "shared/loss.h"
 
 namespace relidar {
-
-static_assert(RELIDAR_LOSS_TERMS == kLossTerms);
 
 struct ImageLoss::Impl {
     LossWeights weights;
@@ -27,8 +27,9 @@ ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n
                      {device, weights.intensity_ssim > 0.0f ? std::size_t(n_rays) * RELIDAR_SSIM_FLOATS : 0, "structural similarity"}}) {}
 ImageLoss::~ImageLoss() = default;
 
-void ImageLoss::run(Stream& stream, const TargetBatch& batch, const Array<shared::RenderedRay>& rendered,
-                    Array<shared::RayGradient>& upstream, const TermRow& terms) {
+void ImageLoss::compare(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch, const TermRow& terms) {
+    const Array<shared::RenderedRay>& rendered = *rays.rendered;
+    Array<shared::RayGradient>& upstream = *rays.upstream;
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), upstream.size());
     RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.targets->size());
     const LossWeights& w = impl_->weights;

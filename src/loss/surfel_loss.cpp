@@ -26,7 +26,7 @@ SurfelLoss::SurfelLoss(Device& device, const LossWeights& weights)
     : impl_(new Impl{weights, {device, accumulating_variant(device, "loss/surfel_loss@")}}) {}
 SurfelLoss::~SurfelLoss() = default;
 
-void SurfelLoss::run(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients, const TermRow& terms) {
+void SurfelLoss::regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients, const TermRow& terms) {
     const LossWeights& w = impl_->weights;
     const std::vector<Model>& models = scene.layout().models;
     double n_boxed = 0.0;

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include <relidar/stages/scene.hpp>
+
 #include "core/assert.hpp"
 #include "gpu/stream.hpp"
 #include "shared/optimizer.h"

@@ -103,7 +103,8 @@ struct ScanRenderer::Impl {
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
     : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_vehicle,
-                     Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image, accel_options(config), traced_with(config)),
+                     Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image,
+                              {.accel = accel_options(config), .trace = traced_with(config)}),
                      std::vector<bool>(scene.instances.size(), true)}) {}
 ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {}
 ScanRenderer::~ScanRenderer() = default;
@@ -113,7 +114,7 @@ void ScanRenderer::show_only(const std::vector<bool>& shown) {
     impl_->shown = shown;
 }
 
-const KernelTimes& ScanRenderer::times() const { return impl_->renderer.times(); }
+const KernelTimes& ScanRenderer::times() const { return impl_->renderer.stream().times(); }
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset, std::optional<std::uint64_t> sample) {
     Impl& s = *impl_;
@@ -151,9 +152,9 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     }
     const Pose pose = track.at(time_s);
     for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && s.shown[i];
-    impl_->renderer.place(placed);
     const auto start = std::chrono::steady_clock::now();
-    const Rendering r = impl_->renderer.trace(rays, glm::vec3(pose.translation));
+    impl_->renderer.move(placed, glm::vec3(pose.translation));
+    const Rendering r = impl_->renderer.forward(rays);
 
     RenderedScan scan;
     scan.trace_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();

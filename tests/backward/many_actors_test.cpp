@@ -76,9 +76,9 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
         const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
         reference::Gradients expected(scene.world);
         test::GradientTable table;
-        Passes passes(device(), settings.image, scene, upstream, Proxy::boxes, {});
+        Passes passes(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}});
         passes.run();
-        const std::vector<shared::RenderedRay> rendered = passes.rendered.download();
+        const std::vector<shared::RenderedRay> rendered = passes.renderer.rendered().rendered->download();
         for (std::size_t i = 0; i < scene.rays.size(); ++i) {
             const reference::Pixel pixel = reference::render(scene.world, brute, settings, scene.rays[i], 16);
             reference::backward(scene.world, brute, settings, scene.rays[i], 16, upstream[i], expected);
@@ -87,7 +87,7 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
                           {r.depth, r.weight, r.intensity, r.hit_logit, r.drop_logit});
             EXPECT_GT(pixel.hits, 0u);
         }
-        test::add_surfel_rows(table, expected.surfels, passes.gradients.surfels.download());
+        test::add_surfel_rows(table, expected.surfels, passes.gradients().surfels.download());
         table.print(own ? "1000 models" : "1000 instances of a model");
         for (const auto& [name, group] : table.groups()) {
             EXPECT_LE(nmse(group), test::kKernelNmse) << name;   // a row has one hit or two: no sum that would hide what single precision leaves
@@ -106,26 +106,28 @@ std::vector<DeviceTarget> targets_beside(const std::vector<shared::RenderedRay>&
 
 /// Losses of twenty steps of a scene that moves a little before each.
 std::vector<float> train(Passes& passes) {
+    DifferentiableRenderer& renderer = passes.renderer;
+    Device& device = renderer.stream().device();
     passes.run_forward();
-    passes.stream.finish();
-    const std::vector<DeviceTarget> values = targets_beside(passes.rendered.download());
-    const Array<DeviceTarget> targets(passes.device, std::span<const DeviceTarget>(values), "targets");
-    const Array<float> terms(passes.device, kLossTerms, "loss terms");
+    renderer.stream().finish();
+    const std::vector<DeviceTarget> values = targets_beside(passes.renderer.rendered().rendered->download());
+    const Array<DeviceTarget> targets(device, std::span<const DeviceTarget>(values), "targets");
+    const Array<float> terms(device, kLossTerms, "loss terms");
     const auto n = static_cast<std::uint32_t>(values.size());
     constexpr LearningRates kRates{1e-3, 1e-3, 5e-3, 0.05, 0.01, 0.05};
-    ImageLoss loss(passes.device, {});
-    Adam adam(passes.device, passes.scene.size(), {});
-    std::vector<InstancePose> placed = passes.scene.poses();
+    ImageLoss loss(device, {});
+    Adam adam(device, renderer.scene().size(), {});
+    std::vector<InstancePose> placed = renderer.scene().poses();
     std::vector<float> losses;
     for (int step = 1; step <= 20; ++step) {
         for (InstancePose& pose : placed) pose.world_from_model.translation.y += 1e-4;
-        passes.scene.place(passes.stream, placed);
-        passes.stream.fill(terms);
-        passes.run_forward();
-        loss.run(passes.stream, {&targets, 0, 1, n, double(n), double(n)}, passes.rendered, passes.upstream, terms);
-        passes.run_backward();
-        adam.step(passes.stream, passes.scene.parameters(), passes.gradients.surfels, &passes.gradients.touched, kRates, step, 3);
-        passes.stream.finish();
+        renderer.place(placed, passes.view_origin);
+        renderer.stream().fill(terms);
+        renderer.record_forward(passes.batch());
+        loss.compare(renderer.stream(), renderer.batch(), {&targets, 0, 1, n, double(n), double(n)}, terms);
+        renderer.record_backward();
+        adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels, &renderer.gradients().touched, kRates, step, 3);
+        renderer.stream().finish();
         const std::vector<float> all = terms.download();
         losses.push_back(std::accumulate(all.begin(), all.end(), 0.0f));
     }
@@ -136,13 +138,13 @@ TEST_F(ManyActors, Train) {
     for (const bool own : {false, true}) {
         test::RandomScene scene = many_actors(own, kAcross * kAcross * kAcross);
         add_rays(scene, 300, nullptr);
-        Passes passes(device(), image_of(own), scene, std::vector<reference::PixelGradient>(scene.rays.size()), Proxy::boxes, {});
+        Passes passes(device(), image_of(own), scene, std::vector<reference::PixelGradient>(scene.rays.size()), {.accel = {.proxy = Proxy::boxes}});
         const std::vector<float> losses = train(passes);
         const char* what = own ? "1000 models" : "1000 instances of a model";
         std::printf("%s: loss %.5f, after 20 steps %.5f\n", what, double(losses.front()), double(losses.back()));
         EXPECT_LT(losses.back(), 0.8f * losses.front());
         for (const float l : losses) EXPECT_TRUE(std::isfinite(l));
-        const Surfels end = passes.scene.parameters().download();
+        const Surfels end = passes.renderer.scene().parameters().download();
         for (const ParameterGroup& group : groups_of(end.primitive()))
             for (const float x : group.values(end)) ASSERT_TRUE(std::isfinite(x)) << group.name;
     }
@@ -156,7 +158,7 @@ TEST_F(ManyActors, AreLaunchedTogether) {
     const auto launches = [&](int n_actors) {
         test::RandomScene scene = many_actors(true, n_actors);
         add_rays(scene, 10, nullptr);
-        Passes passes(device(), image_of(true), scene, std::vector<reference::PixelGradient>(scene.rays.size()), Proxy::boxes, {});
+        Passes passes(device(), image_of(true), scene, std::vector<reference::PixelGradient>(scene.rays.size()), {.accel = {.proxy = Proxy::boxes}});
         passes.run();   // builds the tree, whose number of launches is the logarithm of its size
         passes.stream.reset_times();
         passes.run();

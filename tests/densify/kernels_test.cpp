@@ -7,6 +7,7 @@
 
 #include <relidar/stages/densify.hpp>
 #include <relidar/stages/optimizer.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include "../reference/densify.hpp"
 #include "../support/device.hpp"

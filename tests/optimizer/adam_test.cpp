@@ -5,6 +5,7 @@
 #include <random>
 
 #include <relidar/stages/optimizer.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include "../support/device.hpp"
 #include "gpu/stream.hpp"

@@ -8,6 +8,7 @@
 #include <tuple>
 
 #include <relidar/error.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include "../support/device.hpp"
 #include "../support/floats.hpp"

@@ -32,12 +32,13 @@ const std::map<std::string, Stages>& layer_table() {
         {"checkpoint", {"export", "scene", "optimizer", "refine", "gpu"}},   // export: safetensors
         {"traversal", {"accel", "scene", "gpu"}},   // rays and hits: what forward and backward share
         {"backward", {"traversal", "forward", "accel", "scene", "gpu"}},
+        {"differentiable_renderer", {"backward", "forward", "traversal", "accel", "scene", "gpu"}},
         {"config", {"traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "scene", "sequence", "sensor", "gpu"}},   // options of all of them
         {"run", {"config", "export", "scene", "sequence", "sensor"}},   // a run's folder; export: safetensors
         {"render", {"config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
         {"scan_files", {"render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
         {"train",
-         {"config", "run", "backward", "forward", "traversal", "densify", "checkpoint", "accel", "optimizer", "loss", "metrics", "refine", "dataset",
+         {"config", "run", "differentiable_renderer", "backward", "forward", "traversal", "densify", "checkpoint", "accel", "optimizer", "loss", "metrics", "refine", "dataset",
           "registration", "scene", "sequence", "sensor", "gpu"}},
     };
     return table;

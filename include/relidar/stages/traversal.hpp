@@ -8,9 +8,7 @@
 #include <glm/glm.hpp>
 
 #include <relidar/shared/rays.h>
-#include <relidar/stages/accel.hpp>
 #include <relidar/stages/gpu.hpp>
-#include <relidar/stages/scene.hpp>
 
 namespace relidar {
 
@@ -65,6 +63,15 @@ struct RayGeometry {
     /// @param n_rays  of the largest batch
     RayGeometry(Device& device, std::size_t n_rays)
         : rendered(device, n_rays, "geometry of rays"), gradient(device, n_rays, "geometry gradients") {}
+};
+
+/// A batch that has been rendered, as losses compare it and the backward pass differentiates it.
+struct RenderedBatch {
+    RayBatch rays;
+    const Array<shared::RenderedRay>* rendered = nullptr;   ///< [n_rays] of ForwardPass::run
+    Array<shared::RayGradient>* upstream = nullptr;         ///< [n_rays] dL/d(rendered): losses write it, the backward pass reads it
+    const KeptHits* kept = nullptr;                         ///< of the same ForwardPass::run, or null
+    RayGeometry* geometry = nullptr;                        ///< of the same ForwardPass::run, with TraceOptions::geometry; its gradient is as upstream
 };
 
 /// Rays as kernels read them.
