@@ -87,7 +87,8 @@ Rendering Renderer::forward(const WorldRays& rays) {
     if (const std::uint32_t capped = r.forward.take_pass_cap_count())
         throw DeviceError(fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal stack, expected every ray to end",
                                       rays.size(), capped, RELIDAR_MAX_PASSES));
-    return to_rendering(r.rendered.download(rays.size()));
+    if (!r.geometry) return to_rendering(r.rendered.download(rays.size()));
+    return to_rendering(r.rendered.download(rays.size()), r.geometry->rendered.download(rays.size()));
 }
 
 void Renderer::set_sh_degree(int degree) {

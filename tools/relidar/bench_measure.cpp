@@ -126,7 +126,7 @@ public:
     void prepare(bool training) {
         memory_ = memory_of_parts(device_, case_, training);
         image_ = std::make_unique<Renderer>(device_, case_.scene, case_.config.image, renderer_options(case_));
-        image_->place(case_.view_origin_m);
+        image_->place(case_.placed, case_.view_origin_m);
         image_->record_forward(batch());
         image_->stream().finish();
         const Rendering rendering = to_rendering(image_->rendered().rendered->download());
@@ -149,7 +149,7 @@ public:
         stream.finish();
         take("rebuild", rebuild_kernels_);
         const Clock::time_point start = Clock::now();
-        r.place(case_.view_origin_m);
+        r.place(case_.placed, case_.view_origin_m);
         r.record_forward(batch());
         if (training_) training_->run(batch());
         stream.finish();
@@ -168,7 +168,7 @@ public:
     /// Without timestamps: forward alone between two waits.
     void repeat_by_wall_clock() {
         Renderer& r = renderer();
-        r.place(case_.view_origin_m);
+        r.place(case_.placed, case_.view_origin_m);
         r.stream().finish();
         const Clock::time_point start = Clock::now();
         r.record_forward(batch());

@@ -42,7 +42,7 @@ struct Options {
 void attach_scans(Run& run, const std::vector<int>& positions, Sequence& log) {
     for (const int position : positions) {
         Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        const auto it = std::find_if(log.frames.begin(), log.frames.end(), [&](const Frame& f) { return f.index == frame.index; });
+        const auto it = std::find_if(log.frames.begin(), log.frames.end(), [&](const Frame& f) { return f.index == frame.index && f.lidar == frame.lidar; });
         if (it == log.frames.end()) throw DataError(fmt::format("{}: frame {} is not there, expected it as when {} was trained", run.config.dataset.path, frame.index, run.folder.string()));
         if (std::abs(it->time_s - frame.time_s) > kSameTime_s) {
             throw DataError(fmt::format("{}: frame {} is of time {} s, expected {} s as when {} was trained", run.config.dataset.path, frame.index, it->time_s, frame.time_s, run.folder.string()));

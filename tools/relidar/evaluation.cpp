@@ -18,7 +18,7 @@ namespace relidar::cli {
 namespace {
 
 SensorChoice sensor_of(const Config& config, const Sequence& sequence, const Frame& frame) {
-    SensorChoice sensor = configured_sensor(config, sequence);
+    SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
     if (config.sensor.grid == "native") sensor.rays = frame.scan.rays;
     return sensor;
 }
@@ -41,6 +41,7 @@ struct RenderedFrame {
 RenderedFrame real_frame(const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
     RenderedFrame result;
     result.frame.frame = frame.index;
+    result.frame.lidar = frame.lidar;
     result.frame.time_s = frame.time_s;
     result.frame.real = real_image(config, frame.scan);
     result.moving = moving_pixels(config, sequence, frame, sensor_offset);
@@ -78,7 +79,7 @@ std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config
 }
 
 void add_tail_shares(std::vector<ScoredFrame>& frames, const Sequence& sequence, const Config& config) {
-    for (ScoredFrame& frame : frames) frame.metrics.merge(tail_shares(frame.rendered.image, frame.real, sequence, frame.time_s, config.init.actor_min_step_m));
+    for (ScoredFrame& frame : frames) frame.metrics.merge(tail_shares(frame.rendered.image, frame.real, sequence, {frame.lidar, frame.time_s}, config.init.actor_min_step_m));
 }
 
 }  // namespace
@@ -116,7 +117,7 @@ Evaluation evaluate_baseline(const std::string& name, const Config& config, cons
         const Frame& frame = sequence.frames.at(static_cast<std::size_t>(position));
         RenderedFrame result = real_frame(config, sequence, frame, {});
         Scan points = neighbour_points(sequence, position, split.train, boxes, config.init.actor_min_step_m);
-        drop_outside(points, configured_sensor(config, sequence).limits);
+        drop_outside(points, configured_sensor(config, sequence, frame.lidar).limits);
         result.frame.rendered.image = real_image(config, config.sensor.grid == "native" ? bin_onto_rays(frame.scan.rays, points) : points);
         frames.push_back(std::move(result));
         progress.count("projecting neighbours of frame", frames.size(), split.test.size());

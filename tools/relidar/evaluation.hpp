@@ -15,6 +15,7 @@ class Progress;
 /// A frame rendered on the rays of the real one, and how close it came.
 struct ScoredFrame {
     int frame = 0;          ///< the dataset's own number
+    int lidar = 0;          ///< that took it
     double time_s = 0.0;
     std::size_t n_rays = 0; ///< traced; a grid of binned points has fewer pixels or more
     RenderedScan rendered;

@@ -92,7 +92,7 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
 
 void take_poses(Run& run, TrainResult& result) {
     if (!result.poses) return;
-    run.sequence.world_from_sensor = std::move(result.poses->world_from_sensor);
+    run.sequence.world_from_vehicle = std::move(result.poses->world_from_vehicle);
     run.sequence.boxes = std::move(result.poses->boxes);
     run.refined_poses = run.config.train.refine_poses;
 }

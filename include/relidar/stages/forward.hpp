@@ -28,6 +28,7 @@ struct Rendering {
     /// Whose surface a ray meets, an index into Scene::instances: that of the surfel at which T crosses 0.5, since a faint surfel
     /// before it would give its own name to what is seen through it; where T stays above, of the nearest blended one; -1 without a hit.
     std::vector<std::int32_t> instance;
+    std::vector<glm::vec3> normal;     ///< sum w n of unit normals that face the sensor, world; empty without TraceOptions::geometry
     std::size_t size() const { return depth.size(); }
 };
 
@@ -53,8 +54,8 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Rendered rays as host arrays.
-Rendering to_rendering(const std::vector<shared::RenderedRay>& rays);
+/// Rendered rays as host arrays. @param geometry  of as many rays, where it was rendered
+Rendering to_rendering(const std::vector<shared::RenderedRay>& rays, const std::vector<shared::RenderedGeometry>& geometry = {});
 
 /// What a renderer is made with beside a scene and its image model.
 struct RendererOptions {
