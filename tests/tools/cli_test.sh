@@ -93,7 +93,7 @@ wrong_usage() {
     bad_paths
     bad 3 "nowhere: no such folder" render nowhere --out x
     bad 3 "nowhere: no such folder" eval nowhere
-    bad 2 '--baseline: found "nerest", expected nearest or nearest-actors' eval street --baseline nerest
+    bad 2 'baseline: found "nerest", expected nearest or nearest-actors' eval street --baseline nerest
     bad 3 "nowhere: no such folder" eval nowhere --baseline nearest
     bad 3 "street: no frame was held out" eval street --baseline nearest --frames 0:5
     bad 3 "nowhere: no such folder" export nowhere --out x.ply

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "tails.hpp"
+#include "evaluation/tails.hpp"
 
 #include <algorithm>
 
-namespace relidar::cli {
+namespace relidar {
 namespace {
 
 constexpr double kNowMargin_m = 0.3;   // labels fit loosely: what is just outside the box belongs to it
@@ -64,4 +64,4 @@ MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const 
     return {{"actors/tail_share", share(rendered, sequence, swept, time_s)}, {"actors/tail_share_real", share(real, sequence, swept, time_s)}};
 }
 
-}  // namespace relidar::cli
+}  // namespace relidar

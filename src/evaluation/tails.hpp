@@ -5,7 +5,7 @@
 #include <relidar/metrics.hpp>
 #include <relidar/sequence.hpp>
 
-namespace relidar::cli {
+namespace relidar {
 
 /// Share of the returned points that lie in the volume which moving boxes sweep over the log but do not occupy now (boxes as they are
 /// now grown by 0.3 m, the lowest 0.3 m of the swept ones is ground), of all returned points. Each point is taken when the head faces it.
@@ -13,4 +13,4 @@ namespace relidar::cli {
 /// @return actors/tail_share of the rendering and actors/tail_share_real; nothing where no box moves
 MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence, double time_s, double min_step_m);
 
-}  // namespace relidar::cli
+}  // namespace relidar
