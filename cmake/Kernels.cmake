@@ -10,7 +10,7 @@ set_property(GLOBAL PROPERTY RELIDAR_KERNELS "")
 function(_relidar_compile name source defines)
     string(REGEX REPLACE "[^a-zA-Z0-9]" "_" symbol ${name})
     set(header ${CMAKE_BINARY_DIR}/kernels/${symbol}.h)
-    set(flags --target-env vulkan1.3 $<$<BOOL:${RELIDAR_SHADER_DEBUG}>:-g>)
+    set(flags --target-env vulkan1.3 -I${PROJECT_SOURCE_DIR}/include $<$<BOOL:${RELIDAR_SHADER_DEBUG}>:-g>)
     set(check "")
     if(RELIDAR_SPIRV_VAL)
         set(check COMMAND ${RELIDAR_GLSLANG} --quiet ${flags} ${defines} -o ${header}.spv ${source}

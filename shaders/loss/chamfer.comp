@@ -28,5 +28,5 @@ void main() {
         }
     }
     float weight = params.weight / max(min(params.counts.at[0], params.counts.at[1]), 1.0);
-    add_to_sum(params.terms, RELIDAR_TERM_CHAMFER, weight * squares_m2);
+    add_to_sum(params.terms, kTerm_chamfer, weight * squares_m2);
 }

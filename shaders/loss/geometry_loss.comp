@@ -60,6 +60,6 @@ void main() {
         }
         params.d_geometry.at[i] = g;
     }
-    add_to_sum(params.terms, RELIDAR_TERM_DISTORTION, terms.x);
-    add_to_sum(params.terms, RELIDAR_TERM_NORMAL, terms.y);
+    add_to_sum(params.terms, kTerm_distortion, terms.x);
+    add_to_sum(params.terms, kTerm_normal, terms.y);
 }

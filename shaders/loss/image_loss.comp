@@ -59,8 +59,8 @@ void main() {
         if (target.weight > 0.0) terms = ray_terms(params.rendered.at[i], target, g);
         params.upstream.at[i] = g;
     }
-    add_to_sum(params.terms, RELIDAR_TERM_DEPTH, terms.x);
-    add_to_sum(params.terms, RELIDAR_TERM_INTENSITY, terms.y);
-    add_to_sum(params.terms, RELIDAR_TERM_DROP, terms.z);
-    add_to_sum(params.terms, RELIDAR_TERM_OPACITY, terms.w);
+    add_to_sum(params.terms, kTerm_depth, terms.x);
+    add_to_sum(params.terms, kTerm_intensity, terms.y);
+    add_to_sum(params.terms, kTerm_drop, terms.z);
+    add_to_sum(params.terms, kTerm_opacity, terms.w);
 }

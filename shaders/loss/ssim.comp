@@ -65,5 +65,5 @@ float similarity_term(uint i) {
 void main() {
     uint i = thread_index();
     float term = i < params.rows * params.columns && takes_part(target_of(i)) ? similarity_term(i) : 0.0;
-    add_to_sum(params.terms, RELIDAR_TERM_SSIM, term);
+    add_to_sum(params.terms, kTerm_ssim, term);
 }

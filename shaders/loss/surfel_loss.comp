@@ -47,6 +47,6 @@ void main() {
     bool boxed = params.box_weight > 0.0 && params.half_size.x > 0.0;
     float box = is_surfel && boxed ? box_term(i, write) : 0.0;
     float entropy = is_surfel && params.entropy_weight > 0.0 ? entropy_term(i, write) : 0.0;
-    add_to_sum(params.terms, RELIDAR_TERM_BOX, box);
-    add_to_sum(params.terms, RELIDAR_TERM_ENTROPY, entropy);
+    add_to_sum(params.terms, kTerm_box, box);
+    add_to_sum(params.terms, kTerm_entropy, entropy);
 }

@@ -3,28 +3,21 @@
 // Ray k of a launch is entry first_ray + k * ray_stride of its targets; rendered values and gradients are entry k.
 #ifndef RELIDAR_INCLUDED_SHARED_LOSS_H
 #define RELIDAR_INCLUDED_SHARED_LOSS_H
+#include "relidar/stages/loss_terms.h"
 #include "trace.h"
 
 RELIDAR_SHARED_BEGIN
 
-// Entries of `terms`, in the order of kLossTermNames.
-#define RELIDAR_TERM_DEPTH 0u
-#define RELIDAR_TERM_INTENSITY 1u
-#define RELIDAR_TERM_DROP 2u
-#define RELIDAR_TERM_OPACITY 3u
-#define RELIDAR_TERM_SSIM 4u
-#define RELIDAR_TERM_BOX 5u
-#define RELIDAR_TERM_ENTROPY 6u
-#define RELIDAR_TERM_CHAMFER 7u
-#define RELIDAR_TERM_DISTORTION 8u
-#define RELIDAR_TERM_NORMAL 9u
-#define RELIDAR_LOSS_TERMS 10
+// kTerm_depth, ...: places in `terms`, a row of which holds one weighted value a term.
+#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) const uint kTerm_##name = index;
+RELIDAR_LOSS_TERMS(RELIDAR_TERM)
+#undef RELIDAR_TERM
 
 struct ImageLossParams {
     RenderedRays rendered;     // input [n_rays]
     Targets targets;           // input
     RayGradients upstream;     // output [n_rays]
-    Floats terms;              // accumulated [RELIDAR_LOSS_TERMS] weighted loss terms
+    Floats terms;              // accumulated: a row
     float depth_weight;
     float intensity_weight;
     float drop_weight;

@@ -7,6 +7,7 @@
 #include <memory>
 
 #include <relidar/stages/accel.hpp>
+#include <relidar/stages/scene.hpp>
 
 namespace relidar {
 

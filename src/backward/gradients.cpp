@@ -4,11 +4,11 @@
 
 namespace relidar {
 
-Gradients::Gradients(Device& device, const DeviceScene& scene, const WantedGradients& wanted)
+Gradients::Gradients(Device& device, const DeviceScene& scene, const WantedGradients& wanted, std::uint32_t n_rays)
     : surfels(device, scene.size(), "gradient", scene.primitive()),
       records(device, 16 * std::size_t(scene.gradient_rows()), "record gradient"),
       touched(device, scene.size(), "touched surfels") {
-    if (wanted.n_rays) rays = Array<float>(device, 6 * std::size_t(wanted.n_rays), "ray gradient");
+    if (wanted.rays) rays = Array<float>(device, 6 * std::size_t(n_rays), "ray gradient");
     if (!wanted.poses) return;
     poses = Array<float>(device, 6 * scene.layout().instances.size(), "pose gradient");
     sensor = Array<float>(device, 6, "sensor pose gradient");

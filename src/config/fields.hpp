@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The one table of settings: key, value, what it accepts, what it means. Keys, `--set`, TOML in and out and `--help` all walk
-// it, so a new setting is a field in <relidar/config.hpp> and a line here. Private to config.
+// it, so a new setting is a field in <relidar/config.hpp> and a line here; weights of losses come from their own table. Private to config.
 #pragma once
 
 #include <limits>
@@ -92,18 +92,11 @@ void visit_scene(C& c, Visitor&& f) {
 
 template <class C, class Visitor>
 void visit_training(C& c, Visitor&& f) {
-    f("loss.depth", c.loss.depth, at_least(0), "weight of the range term, L1 on returned rays");
-    f("loss.intensity", c.loss.intensity, at_least(0), "weight of the intensity term on returned rays");
-    f("loss.intensity_ssim", c.loss.intensity_ssim, between(0, 1), "share of 1 - SSIM in the intensity term, the rest is L1; needs batches that are images (train.batch); 0: paper");
-    f("loss.drop", c.loss.drop, at_least(0), "weight of the ray-drop term, cross-entropy on all rays");
-    f("loss.opacity", c.loss.opacity, at_least(0), "weight of (1 - W)^2 on returned rays");
+#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) f("loss." #setting, c.loss.setting, accepts, meaning);
+    RELIDAR_LOSS_TERMS(RELIDAR_TERM)
+#undef RELIDAR_TERM
     f("loss.normalised_depth", c.loss.normalised_depth, anything(), "the range term compares D / W; false: D, as the paper does");
-    f("loss.chamfer", c.loss.chamfer, at_least(0), "weight of the Chamfer distance between simulated and measured points, squared metres");
-    f("loss.distortion", c.loss.distortion, at_least(0), "weight of the spread of a ray's hits, the sum over pairs of w_i w_j |t_i - t_j| in metres, mean over returned rays; 0: paper");
-    f("loss.normal", c.loss.normal, at_least(0), "weight of surfel normals disagreeing with those of the rendered range image, mean over returned rays; needs batches that are images (train.batch); 0: paper");
-    f("loss.box", c.loss.box, at_least(0), "weight of actors' surfels leaving their box; 0: paper");
     f("loss.box_scale_share", c.loss.box_scale_share, above(0), "standard deviation an actor's surfel may have, over half the diagonal of its box");
-    f("loss.opacity_entropy", c.loss.opacity_entropy, at_least(0), "weight of the entropy of opacities");
     f("train.iterations", c.train.iterations, between(0, kMaxCount), "optimiser steps; 0: keep the initial scene");
     f("train.rays_per_iteration", c.train.rays_per_iteration, between(0, kMaxCount), "rays of one step; 0: all rays of one frame");
     f("train.batch", c.train.batch, one_of({"rays", "columns"}), "rays of one step are every n-th column of the frame (every n-th ray where it has no image order), or a window of neighbouring columns, which looks as the frame does");

@@ -1,55 +1,124 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scene ready to be traced: the composition of activation, acceleration structure and forward pass for one-off rendering.
+// The composition of activation, acceleration structure and forward pass, and the arrays of what rays render.
 #include <relidar/stages/forward.hpp>
+
+#include <algorithm>
 
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
 
-#include "traversal/trace_scene.hpp"
-#include "gpu/stream.hpp"
+#include "shared/trace.h"
 
 namespace relidar {
 
 struct Renderer::Impl {
     Device& device;
+    RendererOptions options;
     ImageModel model;
+    int highest_sh_degree;
     Stream stream;
     DeviceScene scene;
-    Accel accel;
+    std::optional<Accel> accel;
     ForwardPass forward;
-    bool built = false;
-    Array<DeviceRay> rays;
+    bool placed = false;
+    glm::vec3 view_origin_m{0.0f};
+    Array<DeviceRay> host_rays;   ///< of forward()
     Array<float> rendered;
+    std::optional<KeptHits> kept;
+    std::optional<RayGeometry> geometry;
+    RenderedBatch batch;
 
-    Impl(Device& d, const Scene& s, const ImageModel& m, const AccelOptions& a, const TraceOptions& t)
-        : device(d), model(m), stream(d, true), scene(d, s), accel(d, scene, a), forward(d, m, accel.proxy(), t) {}
+    Impl(Device& d, const Scene& s, const ImageModel& m, const RendererOptions& o)
+        : device(d), options(o), model(m), highest_sh_degree(m.sh_degree), stream(d, true), scene(d, s), accel(std::in_place, d, scene, o.accel), forward(d, m, accel->proxy(), o.trace) {
+        make_room(o.n_rays);
+    }
+
+    void make_room(std::size_t n_rays) {
+        rendered = Array<float>(device, n_rays * kRenderedFloats, "rendered rays");
+        if (options.keep_hits > 0) kept.emplace(device, n_rays, options.keep_hits);
+        if (options.trace.geometry) geometry.emplace(device, n_rays);
+        batch = {{}, &rendered, nullptr, kept ? &*kept : nullptr, geometry ? &*geometry : nullptr};
+    }
+
 };
 
-Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model, const AccelOptions& accel, const TraceOptions& trace)
-    : impl_(std::make_unique<Impl>(device, scene, model, accel, trace)) {}
+Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& options) : impl_(std::make_unique<Impl>(device, scene, model, options)) {}
 Renderer::~Renderer() = default;
-void Renderer::set_poses(const std::vector<Pose>& world_from_instance) { impl_->scene.set_poses(world_from_instance); }
-void Renderer::place(const std::vector<InstancePose>& placed) { impl_->scene.place(impl_->stream, placed); }
-const KernelTimes& Renderer::times() const { return impl_->stream.times(); }
-void Renderer::reset_times() { impl_->stream.reset_times(); }
 
-Rendering Renderer::trace(const WorldRays& rays, const glm::vec3& view_origin_m) {
+void Renderer::place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
-    if (rays.size() != r.rays.size()) {
-        r.rays = Array<DeviceRay>(r.device, rays.size(), "rays");
-        r.rendered = Array<float>(r.device, rays.size() * kRenderedFloats, "rendered rays");
+    r.view_origin_m = view_origin_m;
+    r.scene.place(r.stream, placed);                        // Eq. 4-5
+    r.scene.activate(r.stream, r.model, view_origin_m);
+    r.accel->update(r.stream, r.scene);
+    r.placed = true;
+}
+
+void Renderer::move(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m) {
+    Impl& r = *impl_;
+    if (!r.placed) return place(placed, view_origin_m);
+    r.view_origin_m = view_origin_m;
+    r.scene.place(r.stream, placed);
+    if (r.model.sh_direction == ShDirection::surfel) r.scene.activate(r.stream, r.model, view_origin_m);
+    r.accel->move(r.stream, r.scene);
+}
+
+void Renderer::record_forward(const RayBatch& rays) {
+    Impl& r = *impl_;
+    if (!r.placed) throw UsageError("rendering: found a scene that is not placed, expected place() first");
+    if (std::size_t(rays.n_rays) * kRenderedFloats > r.rendered.size()) {
+        r.stream.finish();
+        r.make_room(rays.n_rays);
     }
-    r.rays.upload(to_device_rays(rays));
-    if (!r.built || r.model.sh_direction == ShDirection::surfel) r.scene.activate(r.stream, r.model, view_origin_m);
-    if (r.built) r.accel.move(r.stream, r.scene);
-    else r.accel.update(r.stream, r.scene);
-    r.built = true;
-    r.forward.run(r.stream, r.scene, r.accel, {&r.rays, 0, 1, static_cast<std::uint32_t>(rays.size())}, r.rendered);
+    r.batch.rays = rays;
+    r.forward.run(r.stream, r.scene, *r.accel, rays, r.rendered, r.kept ? &*r.kept : nullptr, r.batch.geometry);   // Eq. 2-4
+}
+
+Rendering Renderer::forward(const WorldRays& rays) {
+    Impl& r = *impl_;
+    r.stream.finish();   // nothing may still read the rays before
+    if (rays.size() > r.host_rays.size()) r.host_rays = Array<DeviceRay>(r.device, rays.size(), "rays");
+    r.host_rays.upload(to_device_rays(rays));
+    record_forward({&r.host_rays, 0, 1, static_cast<std::uint32_t>(rays.size())});
     r.stream.finish();
     if (const std::uint32_t capped = r.forward.take_pass_cap_count())
         throw DeviceError(fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal stack, expected every ray to end", rays.size(), capped, RELIDAR_MAX_PASSES));
-    return to_rendering(r.rendered.download(), rays.size());
+    return to_rendering(r.rendered.download(rays.size() * kRenderedFloats), rays.size());
 }
+
+void Renderer::set_sh_degree(int degree) {
+    impl_->model.sh_degree = std::min(impl_->highest_sh_degree, degree);
+    impl_->forward.set_sh_degree(impl_->model.sh_degree);
+}
+
+void Renderer::upload(const Surfels& surfels) {
+    if (surfels.size() != impl_->scene.size()) throw DataError(fmt::format("uploading surfels: found {}, expected {}, as many as the scene has", surfels.size(), impl_->scene.size()));
+    impl_->stream.finish();
+    impl_->scene.parameters().upload(surfels);
+}
+
+Scene Renderer::download() {
+    impl_->stream.finish();
+    Scene scene = impl_->scene.layout();
+    scene.surfels = impl_->scene.parameters().download();
+    return scene;
+}
+
+void Renderer::release_accel() {
+    impl_->accel.reset();
+    impl_->placed = false;
+}
+
+void Renderer::make_accel() { impl_->accel.emplace(impl_->device, impl_->scene, impl_->options.accel); }
+
+const RenderedBatch& Renderer::rendered() const { return impl_->batch; }
+const ImageModel& Renderer::model() const { return impl_->model; }
+Stream& Renderer::stream() { return impl_->stream; }
+DeviceScene& Renderer::scene() { return impl_->scene; }
+const DeviceScene& Renderer::scene() const { return impl_->scene; }
+Accel& Renderer::accel() { return *impl_->accel; }
+const ForwardPass& Renderer::forward_pass() const { return impl_->forward; }
+const glm::vec3& Renderer::view_origin_m() const { return impl_->view_origin_m; }
 
 }  // namespace relidar

@@ -98,13 +98,14 @@ struct ChamferLoss::Impl {
     }
 };
 
-ChamferLoss::ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays) : impl_(new Impl(device, weights, weights.chamfer > 0.0f ? n_rays : 0)) {}
+ChamferLoss::ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays) : impl_(new Impl(device, weights, n_rays)) {}
 ChamferLoss::~ChamferLoss() = default;
 
-void ChamferLoss::run(Stream& stream, const RayBatch& rays, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const TermRow& terms) {
+void ChamferLoss::compare(Stream& stream, const RenderedBatch& batch_rendered, const TargetBatch& batch, const TermRow& terms) {
     Impl& c = *impl_;
-    c.n_rays = 0;
-    if (!(c.weights.chamfer > 0.0f)) return;
+    const RayBatch& rays = batch_rendered.rays;
+    const Array<float>& rendered = *batch_rendered.rendered;
+    Array<float>& upstream = *batch_rendered.upstream;
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), c.simulated.points.size());
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kUpstreamFloats, upstream.size());
     c.n_rays = batch.n_rays;

@@ -27,15 +27,16 @@ GeometryLoss::GeometryLoss(Device& device, const LossWeights& weights, std::uint
                      {device, "loss/normal_vjp"}}) {}
 GeometryLoss::~GeometryLoss() = default;
 
-void GeometryLoss::run(Stream& stream, const RayBatch& rays, const TargetBatch& batch, const Array<float>& rendered, RayGeometry& geometry, Array<float>& upstream, const TermRow& terms) {
+void GeometryLoss::compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& batch, const TermRow& terms) {
     const LossWeights& w = impl_->weights;
+    RayGeometry& geometry = *rendered.geometry;
     const bool with_normals = w.normal > 0.0f;
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kGeometryGradientFloats, geometry.gradient.size());
     RELIDAR_ASSERT_LE(with_normals ? 2 * std::size_t(batch.n_rays) : 0, impl_->d_tangents.size());
     RELIDAR_ASSERT_LE(with_normals ? 1u : 0u, batch.image.rows);
     const float per_return = static_cast<float>(1.0 / std::max(batch.n_returned, 1.0));
-    const shared::GeometryLossParams params{rays.rays->address(), rendered.address(), geometry.rendered.address(), batch.targets->address(), impl_->d_tangents.address(),
-                                            upstream.address(), geometry.gradient.address(), terms.address(), w.distortion * per_return, w.normal * per_return,
+    const shared::GeometryLossParams params{rendered.rays.rays->address(), rendered.rendered->address(), geometry.rendered.address(), batch.targets->address(), impl_->d_tangents.address(),
+                                            rendered.upstream->address(), geometry.gradient.address(), terms.address(), w.distortion * per_return, w.normal * per_return,
                                             batch.n_rays, batch.first, batch.stride, batch.image.rows, batch.image.columns, batch.image.circular ? 1u : 0u,
                                             w.normalised_depth ? 1u : 0u};
     relidar::run(stream, impl_->loss, batch.n_rays, params);

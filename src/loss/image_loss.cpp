@@ -4,6 +4,8 @@
 
 #include <algorithm>
 
+#include <relidar/stages/traversal.hpp>
+
 #include "core/assert.hpp"
 #include "gpu/stream.hpp"
 #include "shared/loss.h"
@@ -11,7 +13,7 @@
 namespace relidar {
 
 static_assert(sizeof(shared::RayTarget) == sizeof(DeviceTarget));
-static_assert(sizeof(shared::RayGradient) == kUpstreamFloats * sizeof(float) && RELIDAR_LOSS_TERMS == kLossTerms);
+static_assert(sizeof(shared::RayGradient) == kUpstreamFloats * sizeof(float));
 
 struct ImageLoss::Impl {
     LossWeights weights;
@@ -28,7 +30,9 @@ ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n
                      {device, weights.intensity_ssim > 0.0f ? std::size_t(n_rays) * RELIDAR_SSIM_FLOATS : 0, "structural similarity"}}) {}
 ImageLoss::~ImageLoss() = default;
 
-void ImageLoss::run(Stream& stream, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const TermRow& terms) {
+void ImageLoss::compare(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch, const TermRow& terms) {
+    const Array<float>& rendered = *rays.rendered;
+    Array<float>& upstream = *rays.upstream;
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kUpstreamFloats, upstream.size());
     RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.targets->size());
     const LossWeights& w = impl_->weights;

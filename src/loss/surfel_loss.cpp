@@ -30,7 +30,7 @@ SurfelLoss::SurfelLoss(Device& device, const LossWeights& weights)
     : impl_(new Impl{weights, {device, accumulating_variant(device, "loss/surfel_loss@")}}) {}
 SurfelLoss::~SurfelLoss() = default;
 
-void SurfelLoss::run(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients, const TermRow& terms) {
+void SurfelLoss::regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients, const TermRow& terms) {
     const LossWeights& w = impl_->weights;
     double n_boxed = 0.0;
     for (const Model& m : scene.layout().models) n_boxed += has_box(m) ? m.count : 0u;

@@ -89,7 +89,7 @@ struct ScanRenderer::Impl {
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
     : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_sensor,
-                     Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image, accel_options(config), trace_options(config)),
+                     Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image, {.accel = accel_options(config), .trace = trace_options(config)}),
                      std::vector<bool>(scene.instances.size(), true)}) {}
 ScanRenderer::~ScanRenderer() = default;
 
@@ -98,7 +98,7 @@ void ScanRenderer::show_only(const std::vector<bool>& shown) {
     impl_->shown = shown;
 }
 
-const KernelTimes& ScanRenderer::times() const { return impl_->renderer.times(); }
+const KernelTimes& ScanRenderer::times() const { return impl_->renderer.stream().times(); }
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset, std::optional<std::uint64_t> sample) {
     Impl& s = *impl_;
@@ -134,9 +134,9 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     }
     const Pose pose = track.at(time_s);
     for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && s.shown[i];
-    impl_->renderer.place(placed);
     const auto start = std::chrono::steady_clock::now();
-    const Rendering r = impl_->renderer.trace(rays, glm::vec3(pose.translation));
+    impl_->renderer.move(placed, glm::vec3(pose.translation));
+    const Rendering r = impl_->renderer.forward(rays);
 
     RenderedScan scan;
     scan.trace_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();

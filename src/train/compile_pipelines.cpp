@@ -40,7 +40,7 @@ void compile(Device& device, const Sequence& street, const Config& config) {
     Split split;
     split.train = {0, 1};
     const TrainLoop loop(device, street, split, scene, config);
-    const Renderer renderer(device, scene, config.image, accel_options(config), trace_options(config));
+    const Renderer renderer(device, scene, config.image, {.accel = accel_options(config), .trace = trace_options(config)});
 }
 
 }  // namespace

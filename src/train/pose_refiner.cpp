@@ -68,7 +68,7 @@ PoseRefiner::~PoseRefiner() = default;
 
 RefinedPoses PoseRefiner::poses() const { return {poses_.world_from_sensor, poses_.boxes}; }
 
-WantedGradients PoseRefiner::wanted(std::uint32_t largest_batch) const { return {sensor_ ? largest_batch : 0u, !actors_.empty()}; }
+WantedGradients PoseRefiner::wanted() const { return {.rays = sensor_.has_value(), .poses = !actors_.empty()}; }
 
 void PoseRefiner::place(Stream& stream, std::size_t frame_index, FrameData& frame) {
     if (rays_) rays_->move(stream, *sensor_, frame_index, frame);

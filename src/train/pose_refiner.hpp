@@ -32,7 +32,7 @@ public:
     ~PoseRefiner();
 
     /// What record() needs of a backward pass.
-    WantedGradients wanted(std::uint32_t largest_batch) const;
+    WantedGradients wanted() const;
     /// Rays, actors and view origin of a frame as corrected so far. Records.
     void place(Stream& stream, std::size_t frame_index, FrameData& frame);
     /// Records the gradients of the poses that this batch has seen, on their way to take_steps().

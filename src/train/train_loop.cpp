@@ -48,15 +48,24 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
 /// Active degree of the spherical harmonics; the image's own may be lower.
 int sh_degree_at(const TrainConfig& c, int step) { return c.sh_degree_start + std::max(step - 1, 0) / std::max(1, c.sh_degree_interval); }
 
-ImageModel with_degree(ImageModel model, int degree) {
-    model.sh_degree = std::min(model.sh_degree, degree);
-    return model;
+std::uint32_t largest_batch(const std::vector<FrameData>& frames) {
+    std::uint32_t largest = 0;
+    for (const FrameData& frame : frames) largest = std::max(largest, frame.n_rays);
+    return largest;
 }
 
-TraceOptions training_options(const Config& config) {
-    TraceOptions options = trace_options(config);
-    options.geometry = config.loss.uses_geometry();
+RendererOptions renderer_options(const Config& config, const std::vector<FrameData>& frames) {
+    RendererOptions options{accel_options(config), trace_options(config), largest_batch(frames), static_cast<std::uint32_t>(config.trace.keep_hits)};
+    options.trace.geometry = config.loss.uses_geometry();
     return options;
+}
+
+/// Terms of the surfels themselves reach those that no ray has met.
+bool all_have_gradients(const Config& config) { return config.loss.uses_surfels() && !config.train.only_touched; }
+
+std::optional<PoseRefiner> make_refiner(Device& device, const Sequence& sequence, const Scene& initial, const TrainConfig& config, std::vector<FrameData>& frames) {
+    if (config.refine_poses == "none") return std::nullopt;
+    return std::optional<PoseRefiner>(std::in_place, device, sequence, initial, config, frames);
 }
 
 Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
@@ -71,28 +80,16 @@ Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene
 TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial, const Config& config)
     : config_(config),
       frames_(upload_frames(device, sequence, split.train, unknown(sequence, split, initial, config))),
-      stream_(device, true),
-      scene_(device, initial),
-      accel_(std::in_place, device, scene_, accel_options(config)),
-      forward_(device, config.image, accel_->proxy(), training_options(config)),
       batches_(device, config, frames_),
-      loss_(device, config.loss, largest_batch()),
-      chamfer_(device, config.loss, largest_batch()),
-      backward_(device, config.image, accel_->proxy(), training_options(config), backward_options(config)),
-      surfel_loss_(device, config.loss),
-      adam_(device, scene_.size(), {.only_touched = config.train.only_touched}, scene_.primitive()),
-      rendered_(device, std::size_t(largest_batch()) * kRenderedFloats, "rendered rays"),
-      kept_(device, largest_batch(), static_cast<std::uint32_t>(config.trace.keep_hits)),
-      upstream_(device, std::size_t(largest_batch()) * kUpstreamFloats, "loss gradients"),
+      refiner_(make_refiner(device, sequence, initial, config.train, frames_)),
+      renderer_(device, initial, config.image, renderer_options(config, frames_),
+                {backward_options(config), refiner_ ? refiner_->wanted() : WantedGradients{}, all_have_gradients(config)}),
+      stream_(renderer_.stream()),
+      losses_(make_losses(device, config.loss, largest_batch(frames_))),
+      adam_(device, n_surfels(), {.only_touched = config.train.only_touched}, initial.surfels.primitive()),
       reports_(device),
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.size(), config.train.seed) {
-    if (config.loss.uses_geometry()) {
-        geometry_.emplace(device, largest_batch());
-        geometry_loss_.emplace(device, config.loss, largest_batch());
-    }
-    if (config.train.refine_poses != "none") refiner_.emplace(device, sequence, initial, config.train, frames_);
-    make_gradients();
     for (FrameData& frame : frames_) frame.placed = place_instances(initial, sequence, sequence.frames[std::size_t(frame.position)].time_s);
     if (config.densify.strategy != DensifyStrategy::none || config.densify.prune_unseen)
         densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.size()), config.train.seed);
@@ -106,33 +103,17 @@ TrainLoop::~TrainLoop() {
     }
 }
 
-std::uint32_t TrainLoop::largest_batch() const {
-    std::uint32_t largest = 0;
-    for (const FrameData& frame : frames_) largest = std::max(largest, frame.n_rays);
-    return largest;
-}
-
-/// Terms of the surfels themselves reach those that no ray has met.
-bool TrainLoop::all_have_gradients() const { return config_.loss.uses_surfels() && !config_.train.only_touched; }
-
-void TrainLoop::make_gradients() {
-    gradients_.emplace(stream_.device(), scene_, refiner_ ? refiner_->wanted(largest_batch()) : WantedGradients{});
-    gradients_->zero_untouched = all_have_gradients();
-}
-
-void TrainLoop::place(std::size_t frame_index, const ImageModel& model) {
+void TrainLoop::place(std::size_t frame_index, int step) {
     FrameData& frame = frames_[frame_index];
     if (refiner_) refiner_->place(stream_, frame_index, frame);
-    scene_.place(stream_, frame.placed);                          // Eq. 4-5
-    scene_.activate(stream_, model, frame.sensor_position_m);
-    accel_->update(stream_, scene_);
+    renderer_.set_sh_degree(sh_degree_at(config_.train, step));
+    renderer_.place(frame.placed, frame.sensor_position_m);
 }
 
-void TrainLoop::render_and_compare(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms) {
-    RayGeometry* geometry = geometry_ ? &*geometry_ : nullptr;
-    forward_.run(stream_, scene_, *accel_, rays, rendered_, &kept_, geometry);                                             // Eq. 2-4
-    loss_.run(stream_, targets, rendered_, upstream_, terms);                                                              // Eq. 10
-    if (geometry) geometry_loss_->run(stream_, rays, targets, rendered_, *geometry, upstream_, terms);
+void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms) {
+    renderer_.record_forward(rays);                                                                                        // Eq. 2-4
+    for (const std::unique_ptr<Loss>& loss : losses_) loss->compare(stream_, renderer_.batch(), targets, terms);           // Eq. 10-11
+    renderer_.record_backward();                                                                                           // Eq. 9
 }
 
 void TrainLoop::iterate(int step, bool ends_line) {
@@ -140,62 +121,48 @@ void TrainLoop::iterate(int step, bool ends_line) {
     if (refiner_) refiner_->take_steps(stream_, step - kReadbackLag);
     const std::size_t frame_index = sampler_.next();
     const FrameData& frame = frames_[frame_index];
-    const ImageModel model = with_degree(config_.image, sh_degree_at(config_.train, step));
-    forward_.set_sh_degree(model.sh_degree);
-    backward_.set_sh_degree(model.sh_degree);
+    DeviceScene& scene = renderer_.scene();
 
-    place(frame_index, model);
+    place(frame_index, step);
     const SampledBatch batch = batches_.sample(stream_, frame, sampler_.random());
-    const auto& [rays, targets, window] = batch;
     const TermRow terms = reports_.row();
-    render_and_compare(rays, targets, terms);
-    chamfer_.run(stream_, rays, targets, rendered_, upstream_, terms);                                                     // Eq. 11
-    backward_.run(stream_, scene_, *accel_, rendered(rays), frame.sensor_position_m, *gradients_);                         // Eq. 9
-    if (refiner_) refiner_->record(stream_, frame_index, frame, batch, *gradients_, step);
-    surfel_loss_.run(stream_, scene_, {&gradients_->surfels, config_.train.only_touched ? &gradients_->touched : nullptr}, terms);
-    if (densifier_) densifier_->observe(stream_, scene_, {&gradients_->surfels, &gradients_->touched, static_cast<std::uint32_t>(frame_index), rays.n_rays == frame.n_rays});
+    learn_from(batch.rays, batch.targets, terms);
+    Gradients& gradients = renderer_.gradients();
+    if (refiner_) refiner_->record(stream_, frame_index, frame, batch, gradients, step);
+    for (const std::unique_ptr<Loss>& loss : losses_)
+        loss->regularise(stream_, scene, {&gradients.surfels, config_.train.only_touched ? &gradients.touched : nullptr}, terms);
+    if (densifier_) densifier_->observe(stream_, scene, {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), batch.rays.n_rays == frame.n_rays});
     const LearningRates rates = rates_at(config_.train, extent_m_, step);
-    adam_.step(stream_, scene_.parameters(), gradients_->surfels, all_have_gradients() ? nullptr : &gradients_->touched, rates, step, model.sh_degree);
+    adam_.step(stream_, scene.parameters(), gradients.surfels, all_have_gradients(config_) ? nullptr : &gradients.touched, rates, step, renderer_.model().sh_degree);
     reports_.add(step, frame.index);
-    if (densifier_ && densifier_->due(step)) change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene_, adam_, step, others_bytes); });
-    if (densifier_) densifier_->after_step(stream_, scene_, adam_, step, rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
+    if (densifier_ && densifier_->due(step)) change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene, adam_, step, others_bytes); });
+    if (densifier_) densifier_->after_step(stream_, scene, adam_, step, rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
     if (ends_line || reports_.is_full()) close_report(step, ends_line);
-    if (step % kGrowthEvery == 0) accel_->check_growth(stream_);
+    if (step % kGrowthEvery == 0) renderer_.accel().check_growth(stream_);
     submitted_ = stream_.submit();
     last_step_ = step;
 }
 
-/// What is sized for the surfels of the scene goes before they change, and comes back for the new number of them.
-template <class Change>
-void TrainLoop::change_surfels(const Change& change) {
-    Device& device = stream_.device();
-    stream_.finish();
-    const std::uint64_t before = device.allocated_bytes();
-    accel_.reset();
-    gradients_.reset();
-    const double others_bytes = double(before - device.allocated_bytes()) / std::max(scene_.size(), 1u);
-    densified_.add(change(others_bytes));
-    make_gradients();
-    accel_.emplace(device, scene_, accel_options(config_));
+void TrainLoop::change_surfels(const std::function<DensifyReport(double others_bytes)>& change) {
+    renderer_.change_surfels([&](double others_bytes) { densified_.add(change(others_bytes)); });
 }
 
 void TrainLoop::prune_unseen() {
     densifier_->forget(stream_);
-    const ImageModel model = with_degree(config_.image, sh_degree_at(config_.train, config_.train.iterations));
     for (std::size_t i = 0; i < frames_.size(); ++i) {
         const FrameData& frame = frames_[i];
-        const RayBatch rays = frame.batch(0, 1);
-        place(i, model);
-        render_and_compare(rays, {&frame.targets, 0, 1, frame.n_rays, frame.n_returned, frame.n_known, frame.image}, reports_.row());
-        backward_.run(stream_, scene_, *accel_, rendered(rays), frame.sensor_position_m, *gradients_);
-        densifier_->observe(stream_, scene_, {&gradients_->surfels, &gradients_->touched, static_cast<std::uint32_t>(i), true});
+        place(i, config_.train.iterations);
+        learn_from(frame.batch(0, 1), {&frame.targets, 0, 1, frame.n_rays, frame.n_returned, frame.n_known, frame.image}, reports_.row());
+        const Gradients& gradients = renderer_.gradients();
+        densifier_->observe(stream_, renderer_.scene(), {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(i), true});
         stream_.submit();
     }
-    change_surfels([&](double) { return densifier_->prune_unseen(stream_, scene_, adam_); });
+    change_surfels([&](double) { return densifier_->prune_unseen(stream_, renderer_.scene(), adam_); });
 }
 
 void TrainLoop::close_report(int step, bool ends_line) {
-    const DeviceCounts counts{&forward_.pass_cap_count(), config_.train.deterministic ? backward_.most_hits() : nullptr, backward_.hit_capacity()};
+    const BackwardPass& backward = renderer_.backward_pass();
+    const DeviceCounts counts{&renderer_.forward_pass().pass_cap_count(), config_.train.deterministic ? backward.most_hits() : nullptr, backward.hit_capacity()};
     reports_.close(stream_, counts, ends_line ? std::optional(LogLine{step, {}, n_surfels(), std::exchange(densified_, {})}) : std::nullopt);
 }
 
@@ -210,10 +177,10 @@ void TrainLoop::look_at_reports(int last) {
 void TrainLoop::check_room(const IterationReports::Report& report) {
     if (report.most_hits > report.hit_capacity)
         throw DeviceError(fmt::format("training, iterations {} to {}, in a fixed order: found {} hits in one of them, expected at most {}; train.gather_hits={} makes room",
-                                      report.first_step, report.last_step, report.most_hits, report.hit_capacity, report.most_hits / std::max(1u, config_.train.rays_per_iteration > 0 ? static_cast<std::uint32_t>(config_.train.rays_per_iteration) : largest_batch()) + 1));
-    if (report.most_hits <= backward_.hit_capacity() / 2) return;
+                                      report.first_step, report.last_step, report.most_hits, report.hit_capacity, report.most_hits / std::max(1u, config_.train.rays_per_iteration > 0 ? static_cast<std::uint32_t>(config_.train.rays_per_iteration) : largest_batch(frames_)) + 1));
+    if (report.most_hits <= renderer_.backward_pass().hit_capacity() / 2) return;
     close_report(last_step_, false);   // of iterations that had the room there is now
-    backward_.reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));   // before it is needed
+    renderer_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));   // before it is needed
 }
 
 void TrainLoop::settle() {
@@ -231,7 +198,7 @@ void TrainLoop::finish() {
 
 void TrainLoop::save(Checkpoint& checkpoint) {
     settle();
-    checkpoint.texts["layout"] = layout_to_json(scene_.layout());
+    checkpoint.texts["layout"] = layout_to_json(renderer_.scene().layout());
     visit_state(StateWriter(checkpoint));
 }
 
@@ -247,30 +214,22 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
 DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
     constexpr std::uint32_t kRays = 20000;   // of each frame: hundreds a bin over a log
     constexpr float kSolid = 0.9f;           // a ray must meet this much of a surface
-    const ImageModel model = with_degree(config_.image, sh_degree_at(config_.train, config_.train.iterations));
     DropCounts counts(sequence);
     for (std::size_t k = 0; k < frames_.size(); ++k) {
         const FrameData& frame = frames_[k];
         const Scan& scan = sequence.frames[std::size_t(frame.position)].scan;
         const std::uint32_t stride = std::max(1u, frame.n_rays / kRays), first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
         const RayBatch rays = frame.batch(first, stride);
-        place(k, model);
-        forward_.run(stream_, scene_, *accel_, rays, rendered_, nullptr, geometry_ ? &*geometry_ : nullptr);
+        place(k, config_.train.iterations);
+        renderer_.record_forward(rays);
         stream_.finish();
-        const Rendering r = to_rendering(rendered_.download(), rays.n_rays);
+        const Rendering r = to_rendering(renderer_.rendered().rendered->download(), rays.n_rays);
         for (std::uint32_t j = 0; j < rays.n_rays; ++j) {
             const std::size_t i = first + std::size_t(j) * stride;
             if (r.weight[j] > kSolid && r.hit_logit[j] > r.drop_logit[j]) counts.add(scan.rays.channel[i], scan.rays.direction[i], !(scan.range_m[i] > 0.0f));
         }
     }
     return counts.shrunk();
-}
-
-Scene TrainLoop::download() {
-    stream_.finish();
-    Scene scene = scene_.layout();
-    scene.surfels = scene_.parameters().download();
-    return scene;
 }
 
 }  // namespace relidar

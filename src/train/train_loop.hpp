@@ -2,13 +2,15 @@
 // One training iteration and everything it touches on the device.
 #pragma once
 
+#include <functional>
+#include <memory>
 #include <optional>
 #include <utility>
+#include <vector>
 
-#include <relidar/stages/backward.hpp>
 #include <relidar/stages/checkpoint.hpp>
 #include <relidar/stages/densify.hpp>
-#include <relidar/stages/forward.hpp>
+#include <relidar/stages/differentiable_renderer.hpp>
 #include <relidar/stages/optimizer.hpp>
 #include <relidar/train.hpp>
 
@@ -71,32 +73,21 @@ public:
     /// Poses as they are now, where they are refined.
     std::optional<RefinedPoses> refined_poses() const { return refiner_ ? std::optional(refiner_->poses()) : std::nullopt; }
     /// The scene as it is now. Blocks.
-    Scene download();
-    const KernelTimes& times() const { return stream_.times(); }
-    std::uint32_t n_surfels() const { return scene_.size(); }
+    Scene download() { return renderer_.download(); }
+    const KernelTimes& times() { return renderer_.stream().times(); }
+    std::uint32_t n_surfels() const { return renderer_.scene().size(); }
 
 private:
     const Config& config_;
     std::vector<FrameData> frames_;
-    Stream stream_;
-    DeviceScene scene_;
-    std::optional<Accel> accel_;
-    ForwardPass forward_;
     BatchSampler batches_;
-    ImageLoss loss_;
-    ChamferLoss chamfer_;
-    BackwardPass backward_;
-    SurfelLoss surfel_loss_;
-    Adam adam_;
     std::optional<PoseRefiner> refiner_;   ///< where the config wants one
-    std::optional<Gradients> gradients_;
+    DifferentiableRenderer renderer_;
+    Stream& stream_;                       ///< the renderer's
+    std::vector<std::unique_ptr<Loss>> losses_;
+    Adam adam_;
     std::optional<Densifier> densifier_;   ///< where the config wants one
     DensifyReport densified_;              ///< since the last log line
-    Array<float> rendered_;
-    KeptHits kept_;
-    std::optional<RayGeometry> geometry_;          ///< where a loss wants it, as the next
-    std::optional<GeometryLoss> geometry_loss_;
-    Array<float> upstream_;
     IterationReports reports_;
     double extent_m_;
     FrameSampler sampler_;
@@ -106,7 +97,7 @@ private:
     /// All state of the loop: what is not listed here is lost where training stops. A new kind of state is a line.
     template <class Visitor>
     void visit_state(Visitor&& visit) {
-        visit("parameters", scene_.parameters());
+        visit("parameters", renderer_.scene().parameters());
         visit("moment1", adam_.moment1());
         visit("moment2", adam_.moment2());
         visit("extent_m", extent_m_);
@@ -116,28 +107,22 @@ private:
         if (!densifier_) return;
         visit("densify/extents_m", densifier_->extents_m());
         SurfelStatistics& s = densifier_->statistics();
-        visit("densify/gradient_sum", FirstOf<float>{s.gradient_sum, scene_.size()});
-        visit("densify/n_seen", FirstOf<std::uint32_t>{s.n_seen, scene_.size()});
-        visit("densify/frames", FirstOf<std::uint32_t>{s.frames, std::size_t(scene_.size()) * s.n_words});
+        visit("densify/gradient_sum", FirstOf<float>{s.gradient_sum, renderer_.scene().size()});
+        visit("densify/n_seen", FirstOf<std::uint32_t>{s.n_seen, renderer_.scene().size()});
+        visit("densify/frames", FirstOf<std::uint32_t>{s.frames, std::size_t(renderer_.scene().size()) * s.n_words});
         for (const auto& [name, count] : kDensifyCounts) visit(std::string("densify/report/") + name, densified_.*count);
     }
 
-    std::uint32_t largest_batch() const;
-    bool all_have_gradients() const;
-    /// Gradients for the scene's present size.
-    void make_gradients();
-    /// Records the image of a batch and its losses, but for Chamfer's.
-    void render_and_compare(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
-    RenderedBatch rendered(const RayBatch& rays) const { return {rays, &rendered_, &upstream_, &kept_, geometry_ ? &*geometry_ : nullptr}; }
-    /// Records where everything is in a frame, and the surfels as they look from there.
-    void place(std::size_t frame_index, const ImageModel& model);
+    /// Records where everything is in a frame, and the surfels as they look from there at a step.
+    void place(std::size_t frame_index, int step);
+    /// Records the image of a batch, its losses, and the gradients of those.
+    void learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
     /// Looks at the reports of the iterations up to `last`.
     void look_at_reports(int last);
     void close_report(int step, bool ends_line);
     /// Hits of a report's iterations against the room for their records; makes more. @throws DeviceError where a deterministic step did not fit
     void check_room(const IterationReports::Report& report);
-    template <class Change>
-    void change_surfels(const Change& change);
+    void change_surfels(const std::function<DensifyReport(double others_bytes)>& change);
 };
 
 }  // namespace relidar

@@ -3,6 +3,8 @@
 // Infrastructure of forward and backward alike, so neither reaches into the other.
 #pragma once
 
+#include <relidar/stages/accel.hpp>
+#include <relidar/stages/scene.hpp>
 #include <relidar/stages/traversal.hpp>
 
 #include "gpu/kernel.hpp"

@@ -50,12 +50,14 @@ WorldRays rim_rays(float opacity, double factor, double alpha_min = 1.0 / 255.0)
 TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
     for (const Proxy proxy : {Proxy::triangles, Proxy::boxes})
         for (const float opacity : {0.005f, 0.1f, 0.6f, 0.999f}) {
-            Renderer renderer(device(), make_background_scene(one_surfel(opacity)), {}, {.proxy = proxy});
-            for (const std::uint32_t n : renderer.trace(rim_rays(opacity, 0.999), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 1u) << "opacity " << opacity;
-            for (const std::uint32_t n : renderer.trace(rim_rays(opacity, 1.001), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 0u) << "opacity " << opacity;
+            Renderer renderer(device(), make_background_scene(one_surfel(opacity)), {}, {.accel = {.proxy = proxy}});
+            renderer.place(glm::vec3(0.0f));
+            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 0.999)).hits) EXPECT_EQ(n, 1u) << "opacity " << opacity;
+            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 1.001)).hits) EXPECT_EQ(n, 0u) << "opacity " << opacity;
         }
     Renderer renderer(device(), make_background_scene(one_surfel(1.0f / 256.0f)), {});   // sigma under the cut has no proxy
-    for (const std::uint32_t n : renderer.trace(rim_rays(0.5f, 0.1), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 0u);
+    renderer.place(glm::vec3(0.0f));
+    for (const std::uint32_t n : renderer.forward(rim_rays(0.5f, 0.1)).hits) EXPECT_EQ(n, 0u);
 }
 
 TEST_F(Proxies, HoldEverythingOfGaussiansThatCanBeSeen) {
@@ -63,9 +65,10 @@ TEST_F(Proxies, HoldEverythingOfGaussiansThatCanBeSeen) {
     model.primitive = Primitive::gaussian;
     for (const Proxy proxy : {Proxy::triangles, Proxy::boxes})
         for (const float opacity : {0.005f, 0.1f, 0.999f}) {
-            Renderer renderer(device(), make_background_scene(one_gaussian(opacity)), model, {.proxy = proxy});
-            for (const std::uint32_t n : renderer.trace(rim_rays(opacity, 0.999), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 1u) << "opacity " << opacity;
-            for (const std::uint32_t n : renderer.trace(rim_rays(opacity, 1.001), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 0u) << "opacity " << opacity;
+            Renderer renderer(device(), make_background_scene(one_gaussian(opacity)), model, {.accel = {.proxy = proxy}});
+            renderer.place(glm::vec3(0.0f));
+            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 0.999)).hits) EXPECT_EQ(n, 1u) << "opacity " << opacity;
+            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 1.001)).hits) EXPECT_EQ(n, 0u) << "opacity " << opacity;
         }
 }
 
@@ -74,9 +77,10 @@ TEST_F(Proxies, FollowTheCutOfTheImageModel) {
         for (const float alpha_min : {1e-4f, 0.05f}) {
             ImageModel model;
             model.alpha_min = alpha_min;
-            Renderer renderer(device(), make_background_scene(one_surfel(0.6f)), model, {.proxy = proxy});
-            for (const std::uint32_t n : renderer.trace(rim_rays(0.6f, 0.999, alpha_min), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 1u) << "alpha_min " << alpha_min;
-            for (const std::uint32_t n : renderer.trace(rim_rays(0.6f, 1.001, alpha_min), glm::vec3(0.0f)).hits) EXPECT_EQ(n, 0u) << "alpha_min " << alpha_min;
+            Renderer renderer(device(), make_background_scene(one_surfel(0.6f)), model, {.accel = {.proxy = proxy}});
+            renderer.place(glm::vec3(0.0f));
+            for (const std::uint32_t n : renderer.forward(rim_rays(0.6f, 0.999, alpha_min)).hits) EXPECT_EQ(n, 1u) << "alpha_min " << alpha_min;
+            for (const std::uint32_t n : renderer.forward(rim_rays(0.6f, 1.001, alpha_min)).hits) EXPECT_EQ(n, 0u) << "alpha_min " << alpha_min;
         }
 }
 

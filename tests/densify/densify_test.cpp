@@ -318,10 +318,11 @@ TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
 TEST_F(Densify, EmptyModelsCanBeTraced) {
     for (const std::vector<std::uint32_t>& counts : {std::vector<std::uint32_t>{50, 0, 20}, std::vector<std::uint32_t>{0, 0}}) {
         Renderer renderer(device(), test::random_model_scene(counts, 20), {});
+        renderer.place(glm::vec3(0.0f));
         WorldRays rays;
         rays.origin = {glm::vec3(0.0f)};
         rays.direction = {glm::vec3(1.0f, 0.0f, 0.0f)};
-        EXPECT_EQ(renderer.trace(rays, glm::vec3(0.0f)).size(), 1u);
+        EXPECT_EQ(renderer.forward(rays).size(), 1u);
     }
 }
 

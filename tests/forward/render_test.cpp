@@ -21,6 +21,13 @@ namespace {
 
 class Forward : public test::DeviceTest {};
 
+/// All instances at the origin, as is the sensor.
+Rendering render_once(Device& device, const Scene& scene, const ImageModel& model, const WorldRays& rays, const RendererOptions& options = {}) {
+    Renderer renderer(device, scene, model, options);
+    renderer.place(glm::vec3(0.0f));
+    return renderer.forward(rays);
+}
+
 /// Normalised mean squared error of one output over the rays.
 double nmse(const std::vector<float>& actual, const std::vector<double>& expected) {
     double error = 0.0, power = 0.0;
@@ -67,9 +74,10 @@ TEST_F(Forward, AgreesWithDoubleReference) {
         EXPECT_TRUE(on_actors >= 10 && on_actors <= 290) << on_actors << " of 300 rays meet an actor first: the scene does not test labels";
         test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
         for (const Proxy proxy : {Proxy::triangles, Proxy::boxes}) {
-            Renderer renderer(device(), placed.scene, settings.image, {.proxy = proxy}, {.chunk = 5});
-            renderer.set_poses(placed.world_from_instance);
-            const Rendering r = renderer.trace(test::to_world_rays(scene.rays), glm::vec3(scene.view_origin));
+            Renderer renderer(device(), placed.scene, settings.image, {.accel = {.proxy = proxy}, .trace = {.chunk = 5}});
+            renderer.scene().set_poses(placed.world_from_instance);
+            renderer.place(glm::vec3(scene.view_origin));
+            const Rendering r = renderer.forward(test::to_world_rays(scene.rays));
             EXPECT_EQ(r.hits, e.hits);
             EXPECT_EQ(r.instance, e.instance);
             EXPECT_LE(nmse(r.depth, e.depth), test::kKernelNmse);
@@ -95,8 +103,8 @@ TEST_F(Forward, MovedInstanceIsSeenWhereItStands) {
     for (const double x : {5.0, 9.0, 2.5}) {
         Pose pose;
         pose.translation = {x, 0.0, 0.0};
-        renderer.set_poses({pose});
-        const Rendering r = renderer.trace(ray, glm::vec3(0.0f));
+        renderer.move({{pose}}, glm::vec3(0.0f));
+        const Rendering r = renderer.forward(ray);
         ASSERT_EQ(r.hits[0], 1u);
         EXPECT_NEAR(r.depth[0] / r.weight[0], x, 1e-5);
     }
@@ -116,13 +124,14 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
         settings.view_origin = scene.view_origin;
         const Expected e = render_reference(scene, settings);
         const test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
-        Renderer renderer(device(), placed.scene, settings.image, {}, {.chunk = 5});
-        renderer.set_poses(placed.world_from_instance);
-        const Rendering r = renderer.trace(test::to_world_rays(scene.rays), glm::vec3(scene.view_origin));
+        Renderer renderer(device(), placed.scene, settings.image, {.trace = {.chunk = 5}});
+        renderer.scene().set_poses(placed.world_from_instance);
+        renderer.place(glm::vec3(scene.view_origin));
+        const Rendering r = renderer.forward(test::to_world_rays(scene.rays));
         EXPECT_EQ(r.hit_logit, std::vector<float>(scene.rays.size(), 0.0f));
         EXPECT_LE(nmse(r.drop_logit, e.drop_logit), test::kKernelNmse);
         EXPECT_LE(nmse(r.depth, e.depth), test::kKernelNmse);
-        const Rendering empty = Renderer(device(), make_background_scene({}), settings.image).trace({{{0, 0, 0}}, {{1, 0, 0}}}, glm::vec3(0.0f));
+        const Rendering empty = render_once(device(), make_background_scene({}), settings.image, {{{0, 0, 0}}, {{1, 0, 0}}});
         EXPECT_GT(empty.drop_logit[0], empty.hit_logit[0]);
     }
 }
@@ -138,8 +147,9 @@ TEST_F(Forward, ThinGaussiansApproachSurfels) {
         ImageModel model;
         model.primitive = scene.surfels.primitive();
         Renderer renderer(device(), scene, model);
-        renderer.set_poses(placed.world_from_instance);
-        return renderer.trace(rays, glm::vec3(0.0f));
+        renderer.scene().set_poses(placed.world_from_instance);
+        renderer.place(glm::vec3(0.0f));
+        return renderer.forward(rays);
     };
     const Rendering flat = rendered(placed.scene);
     const std::vector<double> depth(flat.depth.begin(), flat.depth.end()), weight(flat.weight.begin(), flat.weight.end());
@@ -162,10 +172,10 @@ TEST_F(Forward, SceneOfAnotherPrimitiveIsRefused) {
     ImageModel gaussians;
     gaussians.primitive = Primitive::gaussian;
     const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
-    EXPECT_THROW(Renderer(device(), scene, gaussians).trace(ray, glm::vec3(0.0f)), UsageError);
+    EXPECT_THROW(render_once(device(), scene, gaussians, ray), UsageError);
     make_gaussians(scene.surfels, 1.0);
-    EXPECT_THROW(Renderer(device(), scene, {}).trace(ray, glm::vec3(0.0f)), UsageError);
-    EXPECT_NO_THROW(Renderer(device(), scene, gaussians).trace(ray, glm::vec3(0.0f)));
+    EXPECT_THROW(render_once(device(), scene, {}, ray), UsageError);
+    EXPECT_NO_THROW(render_once(device(), scene, gaussians, ray));
 }
 
 /// A faint floater before a wall does not give its name to the wall; alone, it is what the ray meets.
@@ -182,17 +192,16 @@ TEST_F(Forward, LabelIsThatOfTheSurfaceNotOfAFloater) {
     Renderer renderer(device(), scene, {});
     const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
     const auto at = [](double x, bool present) { return InstancePose{Pose{{1, 0, 0, 0}, {x, 0, 0}}, present}; };
-    renderer.place({at(9, true), at(3, true)});
-    EXPECT_EQ(renderer.trace(ray, glm::vec3(0.0f)).instance[0], 0);
-    renderer.place({at(9, false), at(3, true)});
-    EXPECT_EQ(renderer.trace(ray, glm::vec3(0.0f)).instance[0], 1);
-    renderer.place({at(9, false), at(3, false)});
-    EXPECT_EQ(renderer.trace(ray, glm::vec3(0.0f)).instance[0], -1);
+    renderer.move({at(9, true), at(3, true)}, glm::vec3(0.0f));
+    EXPECT_EQ(renderer.forward(ray).instance[0], 0);
+    renderer.move({at(9, false), at(3, true)}, glm::vec3(0.0f));
+    EXPECT_EQ(renderer.forward(ray).instance[0], 1);
+    renderer.move({at(9, false), at(3, false)}, glm::vec3(0.0f));
+    EXPECT_EQ(renderer.forward(ray).instance[0], -1);
 }
 
 TEST_F(Forward, EmptySceneIsBackground) {
-    Renderer renderer(device(), make_background_scene({}), {});
-    const Rendering r = renderer.trace({{{0, 0, 0}}, {{1, 0, 0}}}, glm::vec3(0.0f));
+    const Rendering r = render_once(device(), make_background_scene({}), {}, {{{0, 0, 0}}, {{1, 0, 0}}});
     EXPECT_EQ(r.hits[0], 0u);
     EXPECT_EQ(r.drop_logit[0], 1.0f);
     EXPECT_EQ(r.transmittance[0], 1.0f);
@@ -217,8 +226,8 @@ void expect_unharmed(Device& device, const Surfels& good, const WorldRays& rays)
         ImageModel model;
         model.sh_direction = direction;
         model.primitive = good.primitive();
-        const Rendering expected = Renderer(device, make_background_scene(good), model).trace(rays, glm::vec3(0.0f));
-        const Rendering actual = Renderer(device, make_background_scene(poisoned), model).trace(rays, glm::vec3(0.0f));
+        const Rendering expected = render_once(device, make_background_scene(good), model, rays);
+        const Rendering actual = render_once(device, make_background_scene(poisoned), model, rays);
         EXPECT_EQ(actual.hits, expected.hits);
         EXPECT_EQ(actual.depth, expected.depth);
         EXPECT_EQ(actual.intensity, expected.intensity);
@@ -259,7 +268,7 @@ TEST_F(Forward, StreetEqualsImageByOthers) {
     }
     Surfels street = make_benchmark_street(100000);
     street = street.permuted(kd_order(street.mean));
-    const Rendering r = Renderer(device(), make_background_scene(street), {}, {}, {.chunk = 64}).trace(rays, glm::vec3(0.0f));
+    const Rendering r = render_once(device(), make_background_scene(street), {}, rays, {.trace = {.chunk = 64}});
     const std::vector<float> depth = find(arrays, "depth").as_float(), intensity = find(arrays, "intensity").as_float(), t = find(arrays, "T").as_float();
     std::size_t equal = 0;
     for (std::size_t i = 0; i < rays.size(); ++i)

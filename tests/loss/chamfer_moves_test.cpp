@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Chamfer's gradient is used: a wall of surfels that stands beside where it was measured is moved back by that term alone, through
 // the backward pass and Adam. It stays where it is when the gradient is cut off.
-#include <relidar/stages/backward.hpp>
-#include <relidar/stages/forward.hpp>
+#include <relidar/stages/differentiable_renderer.hpp>
 #include <relidar/stages/loss.hpp>
 #include <relidar/stages/optimizer.hpp>
 
@@ -46,36 +45,28 @@ double distance_after(Device& device, float shift, bool cut_gradient, bool image
     measure_wall(kSide, rays, targets);
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(rays), "rays");
     const Array<DeviceTarget> device_targets(device, std::span<const DeviceTarget>(targets), "targets");
-    Stream stream(device);
-    DeviceScene scene(device, wall(shift));
-    Accel accel(device, scene, {});
     LossWeights weights;
     weights.depth = weights.intensity = weights.drop = 0.0f;
     weights.chamfer = 1.0f;
     weights.normalised_depth = true;
-    ForwardPass forward(device, {}, accel.proxy(), {});
-    BackwardPass backward(device, {}, accel.proxy(), {});
-    ImageLoss other_terms(device, weights);
-    ChamferLoss chamfer(device, weights, kRays);
-    Adam adam(device, scene.size(), {});
-    Gradients gradients(device, scene);
-    Array<float> rendered(device, kRays * kRenderedFloats, "rendered"), upstream(device, kRays * kUpstreamFloats, "upstream");
+    DifferentiableRenderer renderer(device, wall(shift), {}, {.n_rays = kRays});
+    const std::vector<std::unique_ptr<Loss>> losses = make_losses(device, weights, kRays);
+    Adam adam(device, renderer.scene().size(), {});
     const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
     const RayBatch batch{&device_rays, 0, 1, kRays};
     const TargetBatch measured{&device_targets, 0, 1, kRays, kRays, kRays, image ? ImageShape{kSide, kSide, false} : ImageShape{}};
     for (int step = 1; step <= 60; ++step) {
-        scene.activate(stream, {}, glm::vec3(0.0f));
-        accel.update(stream, scene);
-        forward.run(stream, scene, accel, batch, rendered);
-        other_terms.run(stream, measured, rendered, upstream, terms);
-        chamfer.run(stream, batch, measured, rendered, upstream, terms);
-        if (cut_gradient) stream.fill(upstream);
-        backward.run(stream, scene, accel, {batch, &rendered, &upstream}, glm::vec3(0.0f), gradients);
-        adam.step(stream, scene.parameters(), gradients.surfels, &gradients.touched, {0.02, 0.0, 0.0, 0.0, 0.0, 1.0}, step, 3);
-        stream.finish();
+        renderer.place(glm::vec3(0.0f));
+        renderer.record_forward(batch);
+        for (const std::unique_ptr<Loss>& loss : losses) loss->compare(renderer.stream(), renderer.batch(), measured, terms);
+        if (cut_gradient) renderer.stream().fill(*renderer.batch().upstream);
+        renderer.record_backward();
+        const Gradients& gradients = renderer.gradients();
+        adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched, {0.02, 0.0, 0.0, 0.0, 0.0, 1.0}, step, 3);
+        renderer.stream().finish();
     }
     double sum = 0.0, n = 0.0;
-    for (const glm::vec3& m : scene.parameters().download().mean) {
+    for (const glm::vec3& m : renderer.download().surfels.mean) {
         if (std::abs(m.y) > 1.5f || std::abs(m.z) > 1.5f) continue;   // beyond the rays
         sum += std::abs(m.x - kWall_m);
         n += 1.0;

@@ -79,9 +79,10 @@ Found device_chamfer(Device& device, const Clouds& c, const Setting& s = {}) {
     const Array<DeviceTarget> t(device, std::span<const DeviceTarget>(targets), "targets");
     Array<float> upstream(device, n * kUpstreamFloats, "upstream");
     stream.fill(upstream);
-    loss.run(stream, {&device_rays, 0, s.stride, static_cast<std::uint32_t>(n)}, {&t, 0, s.stride, static_cast<std::uint32_t>(n), 0, 0, s.image ? c.image : ImageShape{}}, r, upstream, terms);
+    loss.compare(stream, {{&device_rays, 0, s.stride, static_cast<std::uint32_t>(n)}, &r, &upstream},
+                 {&t, 0, s.stride, static_cast<std::uint32_t>(n), 0, 0, s.image ? c.image : ImageShape{}}, terms);
     stream.finish();
-    return {loss.nearest(), terms.download()[7], upstream.download()};
+    return {loss.nearest(), terms.download()[loss_term::chamfer], upstream.download()};
 }
 
 /// Points as the device sees them, relative to the first ray's origin; infinite where there is none.

@@ -73,10 +73,10 @@ Found device_terms(Device& device, const RangeImage& image, const LossWeights& w
     Stream stream(device);
     const bool is_image = weights.normal > 0.0f;
     const ImageShape shape{is_image ? std::uint32_t(image.rows) : 0, is_image ? std::uint32_t(image.columns) : 0, image.circular};
-    loss.run(stream, {&device_rays, 0, stride, std::uint32_t(n)}, {&device_targets, 0, stride, std::uint32_t(n), n_returned, double(n), shape}, r, q, upstream, terms);
+    loss.compare(stream, {{&device_rays, 0, stride, std::uint32_t(n)}, &r, &upstream, nullptr, &q}, {&device_targets, 0, stride, std::uint32_t(n), n_returned, double(n), shape}, terms);
     stream.finish();
     const std::vector<float> t = terms.download();
-    return {t[8], t[9], upstream.download(), q.gradient.download()};
+    return {t[loss_term::distortion], t[loss_term::normal], upstream.download(), q.gradient.download()};
 }
 
 /// Points 10 m away, 0.2 m from each other, give normals that are good to 1e-5; rows are sums over four neighbours, which may cancel.

@@ -61,12 +61,12 @@ TEST_F(ImageLossTest, AgreesWithReference) {
             stream.fill(upstream, 0x7fc00000u);
             double returned = 0.0;
             for (const DeviceTarget& t : d.targets) returned += t.range_m > 0.0f;
-            loss.run(stream, {&targets, 0, 1, static_cast<std::uint32_t>(n), returned, double(n)}, rendered, upstream, sums);
+            loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 0, 1, static_cast<std::uint32_t>(n), returned, double(n)}, sums);
             stream.finish();
             const std::vector<float> g = upstream.download(), s = sums.download();
-            EXPECT_NEAR(s[0], weights.depth * terms.depth, 1e-4 * weights.depth * terms.depth);
-            EXPECT_NEAR(s[1], weights.intensity * terms.intensity, 1e-4 * weights.intensity * terms.intensity);
-            EXPECT_NEAR(s[2], weights.drop * terms.drop, 1e-4 * weights.drop * terms.drop);
+            EXPECT_NEAR(s[loss_term::depth], weights.depth * terms.depth, 1e-4 * weights.depth * terms.depth);
+            EXPECT_NEAR(s[loss_term::intensity], weights.intensity * terms.intensity, 1e-4 * weights.intensity * terms.intensity);
+            EXPECT_NEAR(s[loss_term::drop], weights.drop * terms.drop, 1e-4 * weights.drop * terms.drop);
             for (std::size_t i = 0; i < n; ++i) {
                 const double row[] = {expected[i].depth, expected[i].weight, expected[i].intensity, expected[i].hit_logit, expected[i].drop_logit};
                 for (std::size_t k = 0; k < kUpstreamFloats; ++k) EXPECT_NEAR(g[i * kUpstreamFloats + k], row[k], 1e-6 * (std::abs(row[k]) + 1.0 / double(n))) << "ray " << i << " lane " << k;
@@ -84,13 +84,13 @@ TEST_F(ImageLossTest, MaskedRaysTakeNoPartAndStrideSelects) {
     const Array<float> rendered(device(), std::span<const float>(d.rendered), "rendered");
     const Array<float> sums(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
     Array<float> upstream(device(), 16 * kUpstreamFloats, "upstream");
-    loss.run(stream, {&targets, 0, 4, 16, 16.0, 16.0}, rendered, upstream, sums);   // targets 0, 4, 8, ...: all masked
+    loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 0, 4, 16, 16.0, 16.0}, sums);   // targets 0, 4, 8, ...: all masked
     stream.finish();
     for (const float x : upstream.download()) EXPECT_EQ(x, 0.0f);
     for (const float x : sums.download()) EXPECT_EQ(x, 0.0f);
-    loss.run(stream, {&targets, 1, 4, 16, 16.0, 16.0}, rendered, upstream, sums);   // targets 1, 5, 9, ...: all known
+    loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 1, 4, 16, 16.0, 16.0}, sums);   // targets 1, 5, 9, ...: all known
     stream.finish();
-    EXPECT_GT(sums.download()[2], 0.0f);
+    EXPECT_GT(sums.download()[loss_term::drop], 0.0f);
 }
 
 }  // namespace

@@ -55,9 +55,9 @@ Result device_ssim(Device& device, const Image& image, float share, std::uint32_
     const Array<DeviceTarget> t(device, std::span<const DeviceTarget>(targets), "targets");
     Array<float> upstream(device, n * kUpstreamFloats, "upstream");
     const ImageShape shape{static_cast<std::uint32_t>(image.rows), static_cast<std::uint32_t>(image.columns), image.circular};
-    loss.run(stream, {&t, 0, stride, static_cast<std::uint32_t>(n), known, double(n), shape}, r, upstream, terms);
+    loss.compare(stream, {{}, &r, &upstream}, {&t, 0, stride, static_cast<std::uint32_t>(n), known, double(n), shape}, terms);
     stream.finish();
-    Result result{terms.download()[4], terms.download()[1], {}};
+    Result result{terms.download()[loss_term::ssim], terms.download()[loss_term::intensity], {}};
     const std::vector<float> g = upstream.download();
     for (std::size_t i = 0; i < n; ++i) result.d_x.push_back(g[i * kUpstreamFloats + 2]);
     return result;

@@ -53,7 +53,7 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
         const Array<std::uint32_t> rows(device(), std::span<const std::uint32_t>(touched), "touched");
         const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
         SurfelLoss loss(device(), weights);
-        loss.run(stream, on_device, {&d, all ? nullptr : &rows}, terms);
+        loss.regularise(stream, on_device, {&d, all ? nullptr : &rows}, terms);
         stream.finish();
 
         double box = 0.0, entropy = 0.0;
@@ -77,8 +77,8 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
             if (is_gaussian) table.add_row("log_scale_w", {expected.log_scale_w.value_or(0.0)}, {found.log_scale_w[i]});
             table.add_row("opacity", {write ? 0.7 / double(n) * slope : 0.0}, {found.opacity_logit[i]});
         }
-        EXPECT_NEAR(terms.download()[5], 0.3 * box / (2 * kActor), 1e-5 * box);
-        EXPECT_NEAR(terms.download()[6], 0.7 * entropy / double(n), 1e-5);
+        EXPECT_NEAR(terms.download()[loss_term::box], 0.3 * box / (2 * kActor), 1e-5 * box);
+        EXPECT_NEAR(terms.download()[loss_term::entropy], 0.7 * entropy / double(n), 1e-5);
         EXPECT_LE(table.worst_error(), test::kKernelGradient);
         for (const auto& [name, group] : table.groups()) EXPECT_EQ(group.missing_rows(), 0u) << name;
     }
@@ -96,7 +96,7 @@ TEST_F(SurfelLossTest, ActorsComeBackIntoTheirBoxAndTheBackgroundStays) {
     Adam adam(device(), on_device.size(), {});
     for (int step = 1; step <= 150; ++step) {
         d.fill_zero(stream);
-        loss.run(stream, on_device, {&d, nullptr}, terms);
+        loss.regularise(stream, on_device, {&d, nullptr}, terms);
         adam.step(stream, on_device.parameters(), d, nullptr, {0.03, 0.0, 0.03, 0.0, 0.0, 1.0}, step, 3);
         stream.finish();
     }

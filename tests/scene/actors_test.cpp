@@ -173,16 +173,16 @@ TEST_F(ActorsOnDevice, AbsentInstancesAreNotSeenByAnyTraversal) {
     scene.instances = {{0, ""}, {1, "car"}, {1, "copy"}};
     const auto at = [](double x, bool present) { return InstancePose{Pose{{1, 0, 0, 0}, {x, 0, 0}}, present}; };
     for (const bool brute_force : {false, true}) {
-        Renderer renderer(device(), scene, {}, {}, {.brute_force = brute_force});
+        Renderer renderer(device(), scene, {}, {.trace = {.brute_force = brute_force}});
         const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
-        renderer.place({at(20, true), at(5, true), at(8, true)});
-        EXPECT_NEAR(renderer.trace(ray, glm::vec3(0.0f)).median_depth[0], 5.0f, 1e-5f);
-        renderer.place({at(20, true), at(5, false), at(8, true)});
-        EXPECT_NEAR(renderer.trace(ray, glm::vec3(0.0f)).median_depth[0], 8.0f, 1e-5f);
-        renderer.place({at(20, true), at(5, false), at(8, false)});
-        EXPECT_NEAR(renderer.trace(ray, glm::vec3(0.0f)).median_depth[0], 20.0f, 1e-5f);
-        renderer.place({at(20, true), at(3, true), at(8, false)});
-        EXPECT_NEAR(renderer.trace(ray, glm::vec3(0.0f)).median_depth[0], 3.0f, 1e-5f);
+        renderer.move({at(20, true), at(5, true), at(8, true)}, glm::vec3(0.0f));
+        EXPECT_NEAR(renderer.forward(ray).median_depth[0], 5.0f, 1e-5f);
+        renderer.move({at(20, true), at(5, false), at(8, true)}, glm::vec3(0.0f));
+        EXPECT_NEAR(renderer.forward(ray).median_depth[0], 8.0f, 1e-5f);
+        renderer.move({at(20, true), at(5, false), at(8, false)}, glm::vec3(0.0f));
+        EXPECT_NEAR(renderer.forward(ray).median_depth[0], 20.0f, 1e-5f);
+        renderer.move({at(20, true), at(3, true), at(8, false)}, glm::vec3(0.0f));
+        EXPECT_NEAR(renderer.forward(ray).median_depth[0], 3.0f, 1e-5f);
     }
 }
 

@@ -31,13 +31,14 @@ const std::map<std::string, Stages>& layer_table() {
         {"checkpoint", {"export", "scene", "optimizer", "refine", "gpu"}},   // export: safetensors
         {"traversal", {"accel", "scene", "gpu"}},   // rays and hits: what forward and backward share
         {"backward", {"traversal", "forward", "accel", "scene", "gpu"}},
+        {"differentiable_renderer", {"backward", "forward", "traversal", "accel", "scene", "gpu"}},
         {"config", {"traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "scene", "sequence", "sensor", "gpu"}},   // options of all of them
         {"run", {"config", "export", "scene", "sequence", "sensor"}},   // a run's folder; export: safetensors
         {"render", {"config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
         {"scan_files", {"render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
         {"evaluation", {"render", "run", "config", "export", "metrics", "scene", "sequence", "sensor", "gpu"}},   // export: weights of LPIPS
         {"train",
-         {"config", "run", "backward", "forward", "traversal", "densify", "checkpoint", "accel", "optimizer", "loss", "metrics", "refine", "dataset",
+         {"config", "run", "differentiable_renderer", "backward", "forward", "traversal", "densify", "checkpoint", "accel", "optimizer", "loss", "metrics", "refine", "dataset",
           "registration", "scene", "sequence", "sensor", "gpu"}},
     };
     return table;
@@ -50,6 +51,7 @@ const Stages kOpenFolders = {"core", "gpu", "traversal", "shared"};   // infrast
 /// Layer of a file: a stage; "shared"; "shaders/<folder>"; "tools/<name>"; "tests/<folder>"; or empty for others.
 std::string layer_of(const std::string& path) {
     const std::string top = folder(path, 0), second = folder(path, 1);
+    if (path.starts_with(kFaces) && path.ends_with(".h")) return "shared";   // read by GLSL too
     if (path.starts_with(kFaces)) return kCoreFaces.contains(stem(path)) ? "core" : stem(path);
     if (top == "src") return second;
     if (top == "shaders") return second == "shared" ? "shared" : "shaders/" + second;

@@ -8,16 +8,17 @@
 #include <memory>
 #include <numeric>
 #include <random>
+#include <utility>
 
 #include <fmt/format.h>
 
 #include "bench_case.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
-#include <relidar/stages/backward.hpp>
 #include <relidar/error.hpp>
 #include <relidar/measure/forward.hpp>
-#include <relidar/stages/forward.hpp>
+#include <relidar/stages/differentiable_renderer.hpp>
+#include <relidar/stages/optimizer.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -54,54 +55,71 @@ std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normali
     return targets;
 }
 
-/// What training has beside a scene and its image.
-struct TrainingState {
-    Gradients gradients;
-    Adam adam;
-    std::uint64_t allocated_with_moments;
+RendererOptions renderer_options(const BenchCase& bench) {
+    return {.accel = accel_options(bench.config), .trace = trace_options(bench.config), .n_rays = static_cast<std::uint32_t>(bench.rays.size())};
+}
+
+RendererOptions training_options(const BenchCase& bench) {
+    RendererOptions options = renderer_options(bench);
+    options.keep_hits = static_cast<std::uint32_t>(bench.config.trace.keep_hits);
+    return options;
+}
+
+/// What one step of training runs.
+struct TrainingStep {
+    DifferentiableRenderer renderer;
     ImageLoss loss;
-    BackwardPass backward;
+    Adam adam;
     Array<DeviceTarget> targets;
-    Array<float> upstream, terms;
-    KeptHits kept;
+    Array<float> terms;
     double n_returned = 0.0;
     int step = 0;
 
-    TrainingState(Device& device, const BenchCase& bench, const DeviceScene& scene, Proxy proxy, const std::vector<DeviceTarget>& wanted)
-        : gradients(device, scene),
-          adam(device, static_cast<std::uint32_t>(bench.scene.surfels.size()), {.only_touched = bench.config.train.only_touched}, scene.primitive()),
-          allocated_with_moments(device.allocated_bytes()),
+    TrainingStep(Device& device, const BenchCase& bench, const std::vector<DeviceTarget>& wanted)
+        : renderer(device, bench.scene, bench.config.image, training_options(bench), {.sums = backward_options(bench.config), .zero_untouched = false}),   // Adam takes the others for zero
           loss(device, bench.config.loss),
-          backward(device, bench.config.image, proxy, trace_options(bench.config), backward_options(bench.config)),
+          adam(device, renderer.scene().size(), {.only_touched = bench.config.train.only_touched}, renderer.scene().primitive()),
           targets(device, std::span<const DeviceTarget>(wanted), "targets"),
-          upstream(device, wanted.size() * kUpstreamFloats, "loss gradients"),
-          terms(device, std::vector<float>(kLossTerms, 0.0f), "loss terms"),
-          kept(device, wanted.size(), static_cast<std::uint32_t>(bench.config.trace.keep_hits)) {
-        gradients.zero_untouched = false;   // Adam takes the others for zero
+          terms(device, std::vector<float>(kLossTerms, 0.0f), "loss terms") {
         for (const DeviceTarget& target : wanted) n_returned += target.range_m > 0.0f;
+    }
+
+    void run(const RayBatch& rays) {
+        constexpr LearningRates kStandStill{0.0, 0.0, 0.0, 0.0, 0.0, 0.05};
+        Stream& stream = renderer.stream();
+        loss.compare(stream, renderer.batch(), {&targets, 0, 1, rays.n_rays, n_returned, static_cast<double>(rays.n_rays)}, terms);
+        renderer.record_backward();
+        adam.step(stream, renderer.scene().parameters(), renderer.gradients().surfels, &renderer.gradients().touched, kStandStill, ++step, renderer.model().sh_degree);
     }
 };
 
+/// Memory of the parts of a case, each made once for it.
+BenchMemory memory_of_parts(Device& device, const BenchCase& bench, bool training) {
+    auto since_last = [&device, last = device.allocated_bytes()]() mutable { return device.allocated_bytes() - std::exchange(last, device.allocated_bytes()); };
+    BenchMemory memory;
+    const DeviceScene scene(device, bench.scene);
+    memory.scene = since_last();
+    const Accel accel(device, scene, accel_options(bench.config));
+    memory.accel = since_last();
+    if (!training) return memory;
+    const Gradients gradients(device, scene);
+    const Adam adam(device, scene.size(), {}, scene.primitive());
+    memory.training = since_last();
+    return memory;
+}
+
 class Bench {
 public:
-    Bench(Device& device, const BenchCase& bench)
-        : device_(device),
-          case_(bench),
-          stream_(device, true),
-          allocated_before_(device.allocated_bytes()),
-          scene_(device, bench.scene),
-          allocated_with_scene_(device.allocated_bytes()),
-          accel_(device, scene_, accel_options(bench.config)),
-          allocated_with_accel_(device.allocated_bytes()),
-          forward_(device, bench.config.image, accel_.proxy(), trace_options(bench.config)),
-          rays_(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays"),
-          rendered_(device, bench.rays.size() * kRenderedFloats, "rendered rays") {}
+    Bench(Device& device, const BenchCase& bench) : device_(device), case_(bench), allocated_before_(device.allocated_bytes()), rays_(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays") {}
 
     /// The first image; with it the targets and all that training needs.
     void prepare(bool training) {
-        frame();
-        stream_.finish();
-        const Rendering rendering = to_rendering(rendered_.download(), rays_.size());
+        memory_ = memory_of_parts(device_, case_, training);
+        image_ = std::make_unique<Renderer>(device_, case_.scene, case_.config.image, renderer_options(case_));
+        image_->place(case_.view_origin_m);
+        image_->record_forward(batch());
+        image_->stream().finish();
+        const Rendering rendering = to_rendering(image_->rendered().rendered->download(), rays_.size());
         const double keep = training ? case_.config.trace.keep_hits : 0;
         for (const std::uint32_t hits : rendering.hits) {
             sizes_.n_hits += hits;
@@ -109,94 +127,79 @@ public:
             sizes_.n_hits_kept += hits <= keep ? hits : 0.0;
         }
         if (!training) return;
-        const std::uint64_t before = device_.allocated_bytes();
-        training_ = std::make_unique<TrainingState>(device_, case_, scene_, accel_.proxy(), noisy_targets(rendering, case_.config.loss.normalised_depth));
-        training_bytes_ = training_->allocated_with_moments - before;
+        image_.reset();
+        training_ = std::make_unique<TrainingStep>(device_, case_, noisy_targets(rendering, case_.config.loss.normalised_depth));
     }
 
     /// One repetition: rebuild, a whole iteration, an instance moved and put back.
     void repeat() {
-        accel_.update(stream_, scene_, true);
-        stream_.finish();
+        Renderer& r = renderer();
+        Stream& stream = r.stream();
+        r.accel().update(stream, r.scene(), true);
+        stream.finish();
         take("rebuild", rebuild_kernels_);
         const Clock::time_point start = Clock::now();
-        frame();
-        if (training_) learn(*training_);
-        stream_.finish();
+        r.place(case_.view_origin_m);
+        r.record_forward(batch());
+        if (training_) training_->run(batch());
+        stream.finish();
         phases_["iteration_wall"].push_back(ms_since(start));
         take("iteration", kernels_);
-        const std::vector<InstancePose> before = scene_.poses();
+        const std::vector<InstancePose> before = r.scene().poses();
         std::vector<InstancePose> moved = before;
         moved.back().world_from_model.translation.x += 1.0;
-        scene_.place(stream_, moved);
-        accel_.move(stream_, scene_);
-        stream_.finish();
+        r.scene().place(stream, moved);
+        r.accel().move(stream, r.scene());
+        stream.finish();
         take("move", rebuild_kernels_);
-        scene_.place(stream_, before);   // takes effect in the next iteration
+        r.scene().place(stream, before);   // takes effect in the next iteration
     }
 
     /// Without timestamps: forward alone between two waits.
     void repeat_by_wall_clock() {
-        scene_.activate(stream_, case_.config.image, case_.view_origin_m);
-        accel_.update(stream_, scene_);
-        stream_.finish();
+        Renderer& r = renderer();
+        r.place(case_.view_origin_m);
+        r.stream().finish();
         const Clock::time_point start = Clock::now();
-        forward_.run(stream_, scene_, accel_, batch(), rendered_);
-        stream_.finish();
+        r.record_forward(batch());
+        r.stream().finish();
         kernels_["forward/trace"].push_back(ms_since(start));
     }
 
     void forget_times() {
-        stream_.reset_times();
+        renderer().stream().reset_times();
         for (Samples* samples : {&kernels_, &rebuild_kernels_, &phases_}) samples->clear();
     }
 
     BenchResult result();
-    FloorSizes sizes(const BenchResult& result) const;
+    FloorSizes sizes(const BenchResult& result);
 
 private:
     Device& device_;
     const BenchCase& case_;
-    Stream stream_;
     std::uint64_t allocated_before_;
-    DeviceScene scene_;
-    std::uint64_t allocated_with_scene_;
-    Accel accel_;
-    std::uint64_t allocated_with_accel_;
-    ForwardPass forward_;
     Array<DeviceRay> rays_;
-    Array<float> rendered_;
-    std::unique_ptr<TrainingState> training_;
-    std::uint64_t training_bytes_ = 0;
+    BenchMemory memory_;   ///< of the parts
+    std::unique_ptr<Renderer> image_;          ///< one of the two
+    std::unique_ptr<TrainingStep> training_;
     FloorSizes sizes_;
     Samples kernels_, rebuild_kernels_, phases_;
 
+    Renderer& renderer() { return training_ ? training_->renderer : *image_; }
     RayBatch batch() const { return {&rays_, 0, 1, static_cast<std::uint32_t>(rays_.size()), static_cast<std::uint32_t>(case_.columns)}; }
-    void frame() {
-        scene_.activate(stream_, case_.config.image, case_.view_origin_m);
-        accel_.update(stream_, scene_);
-        forward_.run(stream_, scene_, accel_, batch(), rendered_, training_ ? &training_->kept : nullptr);
-    }
-
-    void learn(TrainingState& t) {
-        constexpr LearningRates kStandStill{0.0, 0.0, 0.0, 0.0, 0.0, 0.05};
-        const RayBatch rays = batch();
-        t.loss.run(stream_, {&t.targets, 0, 1, rays.n_rays, t.n_returned, static_cast<double>(rays.n_rays)}, rendered_, t.upstream, t.terms);
-        t.backward.run(stream_, scene_, accel_, {rays, &rendered_, &t.upstream, &t.kept}, case_.view_origin_m, t.gradients);
-        t.adam.step(stream_, scene_.parameters(), t.gradients.surfels, &t.gradients.touched, kStandStill, ++t.step, case_.config.image.sh_degree);
-    }
 
     /// Sums the times since the last call by kernel.
     void take(const std::string& phase, Samples& kernels) {
         double total = 0.0;
         std::map<std::string, double> sums;
-        for (const auto& [kernel, times] : stream_.times().milliseconds) sums[row_of(kernel, phase)] += std::accumulate(times.begin(), times.end(), 0.0);
+        Stream& stream = renderer().stream();
+        for (const auto& [kernel, times] : stream.times().milliseconds) sums[row_of(kernel, phase)] += std::accumulate(times.begin(), times.end(), 0.0);
         for (const auto& [row, ms] : sums) {
             kernels[row].push_back(ms);
             total += ms;
         }
         phases_[phase].push_back(total);
-        stream_.reset_times();
+        stream.reset_times();
     }
 };
 
@@ -212,10 +215,11 @@ std::vector<BenchRow> rows_of(const Samples& samples, std::vector<std::string> o
 }
 
 BenchResult Bench::result() {
-    if (const std::uint32_t capped = forward_.take_pass_cap_count()) throw DeviceError(fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, expected every ray to end", rays_.size(), capped));
+    Renderer& r = renderer();
+    if (const std::uint32_t capped = r.forward_pass().pass_cap_count().download()[0]) throw DeviceError(fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, expected every ray to end", rays_.size(), capped));
     kernels_.merge(rebuild_kernels_);   // those that an iteration has not
     BenchResult result;
-    result.proxy = accel_.proxy() == Proxy::boxes ? "boxes" : "triangles";
+    result.proxy = r.accel().proxy() == Proxy::boxes ? "boxes" : "triangles";
     result.kernels = rows_of(kernels_, {std::begin(kOrder), std::end(kOrder)});
     result.phases = rows_of(phases_, {"rebuild", "iteration", "iteration_wall", "move"});
     const double krays = static_cast<double>(rays_.size()) / 1000.0;
@@ -224,16 +228,18 @@ BenchResult Bench::result() {
         if (row.name == "backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
     }
     result.hits_per_ray = sizes_.n_hits / static_cast<double>(rays_.size());
-    if (const auto visits = count_visits(device_, scene_, accel_, batch(), case_.config.image, trace_options(case_.config))) result.visits = BenchVisits{visits->nodes, visits->surfels};
-    result.memory = {allocated_with_scene_ - allocated_before_, allocated_with_accel_ - allocated_with_scene_, training_bytes_, device_.allocated_bytes() - allocated_with_accel_ - training_bytes_, device_.peak_bytes()};
+    if (const auto visits = count_visits(device_, r.scene(), r.accel(), batch(), case_.config.image, trace_options(case_.config))) result.visits = BenchVisits{visits->nodes, visits->surfels};
+    result.memory = memory_;
+    result.memory.rays = device_.allocated_bytes() - allocated_before_ - memory_.scene - memory_.accel - memory_.training;
+    result.memory.peak = device_.peak_bytes();
     result.sizes = sizes(result);
     return result;
 }
 
 /// What the floors of this case follow from.
-FloorSizes Bench::sizes(const BenchResult& result) const {
+FloorSizes Bench::sizes(const BenchResult& result) {
     FloorSizes s = sizes_;
-    s.n_surfels = scene_.size();
+    s.n_surfels = renderer().scene().size();
     s.n_models = static_cast<double>(case_.scene.models.size());
     s.n_rays = static_cast<double>(rays_.size());
     s.n_sh = (case_.config.image.sh_degree + 1) * (case_.config.image.sh_degree + 1);
@@ -241,14 +247,14 @@ FloorSizes Bench::sizes(const BenchResult& result) const {
     s.training = training_ != nullptr;
     s.gather = kernels_.contains("backward/gather");
     s.only_touched = case_.config.train.only_touched;
-    s.boxes = accel_.proxy() == Proxy::boxes;
+    s.boxes = renderer().accel().proxy() == Proxy::boxes;
     s.software = device_.traversal() == Traversal::software;
     if (result.visits) {
         s.nodes_opened = result.visits->nodes * s.n_rays;
         s.surfels_tested = result.visits->surfels * s.n_rays;
     }
     if (training_)
-        for (const std::uint32_t touched : training_->gradients.touched.download(scene_.size())) s.n_touched += touched;
+        for (const std::uint32_t touched : training_->renderer.gradients().touched.download(renderer().scene().size())) s.n_touched += touched;
     return s;
 }
 

@@ -7,9 +7,10 @@
 #include <memory>
 
 #include <relidar/stages/gpu.hpp>
-#include <relidar/stages/scene.hpp>
 
 namespace relidar {
+
+class DeviceScene;
 
 /// What stands for a surfel in the driver's tree. Both propose the same hits; `boxes` are faster on lavapipe, `triangles` (two a surfel, an
 /// icosahedron a 3D Gaussian) on ray-tracing hardware. The software tree is always over boxes.

@@ -15,8 +15,8 @@ namespace relidar {
 
 /// What is wanted beside the gradients of the surfels.
 struct WantedGradients {
-    std::uint32_t n_rays = 0;   ///< > 0: of so many rays, at most
-    bool poses = false;         ///< of all instances and of the sensor
+    bool rays = false;    ///< of every ray
+    bool poses = false;   ///< of all instances and of the sensor
 };
 
 /// Gradients of everything the image depends on.
@@ -36,22 +36,14 @@ struct Gradients {
     /// direction, c = view_origin_m, which moves along. With a rolling shutter that is one correction for the whole frame. Empty unless asked for.
     Array<float> sensor;
 
-    Gradients(Device& device, const DeviceScene& scene, const WantedGradients& wanted = {});
+    /// @param n_rays  of the largest batch
+    Gradients(Device& device, const DeviceScene& scene, const WantedGradients& wanted = {}, std::uint32_t n_rays = 0);
     ~Gradients();
     Gradients(Gradients&&) noexcept;
     Gradients& operator=(Gradients&&) noexcept;
 
     struct PoseSums;
     std::unique_ptr<PoseSums> pose_sums;   ///< what poses and sensor are summed from
-};
-
-/// A batch that has been rendered and compared.
-struct RenderedBatch {
-    RayBatch rays;
-    const Array<float>* rendered = nullptr;   ///< [n_rays, kRenderedFloats] of ForwardPass::run with the same scene
-    const Array<float>* upstream = nullptr;   ///< [n_rays, kUpstreamFloats] of ImageLoss::run
-    const KeptHits* kept = nullptr;           ///< of the same ForwardPass::run, or null
-    const RayGeometry* geometry = nullptr;    ///< of the same ForwardPass::run and of GeometryLoss::run, with TraceOptions::geometry
 };
 
 /// How the gradients of hits are summed.

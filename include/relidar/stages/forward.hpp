@@ -3,8 +3,7 @@
 #pragma once
 
 #include <cstdint>
-#include <optional>
-#include <string>
+#include <memory>
 #include <vector>
 
 #include <glm/glm.hpp>
@@ -33,7 +32,6 @@ struct Rendering {
 };
 
 /// The forward kernel with its settings. Rendered rays stay on the device: kRenderedFloats floats a ray.
-inline constexpr int kRenderedFloats = 9;
 class ForwardPass {
 public:
     ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options);
@@ -57,19 +55,64 @@ private:
 /// Rendered rays as host arrays.
 Rendering to_rendering(const std::vector<float>& rendered, std::size_t n_rays);
 
-/// A scene ready to be traced: parameters on the device, records, acceleration structure, forward kernel.
+/// What a renderer is made with beside a scene and its image model.
+struct RendererOptions {
+    AccelOptions accel{};
+    TraceOptions trace{};
+    std::uint32_t n_rays = 0;      ///< room for the largest batch; where one has more, the renderer waits once and makes room
+    std::uint32_t keep_hits = 0;   ///< first hits of a ray kept for a backward pass, 8 bytes each; 0 = it casts every ray again
+};
+
+/// A scene ready to be rendered: parameters, acceleration structure, forward pass and what rays render, on one device and in one stream of its
+/// own. place() first, then forward() or record_forward() as often as wanted.
+/// The device must outlive it; one thread at a time may use it. Several renderers of one device do not know of each other.
 class Renderer {
 public:
-    Renderer(Device& device, const Scene& scene, const ImageModel& model, const AccelOptions& accel = {}, const TraceOptions& trace = {});
+    /// @param scene  is copied to the device: parameters() and upload() change the copy
+    /// @throws DataError where models or instances of the scene are out of range
+    Renderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& options = {});
     ~Renderer();
-    /// Poses of all instances, world_from_model. Takes effect with the next trace.
-    void set_poses(const std::vector<Pose>& world_from_instance);
-    void place(const std::vector<InstancePose>& placed);
-    /// @param view_origin_m  where SH directions start with ShDirection::surfel: the sensor's position
-    /// @throws DeviceError where a ray reaches the cap of passes
-    Rendering trace(const WorldRays& rays, const glm::vec3& view_origin_m);
-    const KernelTimes& times() const;
-    void reset_times();
+
+    /// Where everything is: poses, parameters made ready for tracing as seen from there, and the structure refitted. To be called again whenever
+    /// poses, the view or parameters have changed. Records; takes effect with what is recorded next.
+    /// @param placed         [instances] world_from_model each, in the order of Scene::instances; instance 0 is the background
+    /// @param view_origin_m  [3] world: the sensor's position, from which SH directions start with ShDirection::surfel
+    /// @throws DataError for another number of poses, UsageError where the image model is for another primitive than the scene's
+    void place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
+    /// The same with all instances where they are; before they are placed they stand at the origin. Records.
+    void place(const glm::vec3& view_origin_m) { place(scene().poses(), view_origin_m); }
+    /// As the first where no parameter has changed since the last place() or move(): the trees of the models stay as they are. The first call does
+    /// all that place() does. Records.
+    void move(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
+
+    /// Renders rays. Blocks. @param rays [n] world, directions of length 1
+    /// @throws UsageError before place(), DeviceError where a ray reaches the cap of passes
+    Rendering forward(const WorldRays& rays);
+    /// The same for rays on the device, which must stay there until the stream is done. Records: rendered() is there when the stream is.
+    void record_forward(const RayBatch& rays);
+    /// The last batch; its upstream is null, and before the first one so are its rays.
+    const RenderedBatch& rendered() const;
+
+    /// Active degree of the spherical harmonics, at most the image model's. To be followed by place().
+    void set_sh_degree(int degree);
+    const ImageModel& model() const;   ///< with the active degree
+    /// Takes other values of all parameters, as many surfels as there are. Blocks. @throws DataError for another number or primitive
+    void upload(const Surfels& surfels);
+    /// The scene as it is now. Blocks.
+    Scene download();
+
+    /// What is recorded here comes after all that the renderer has recorded so far, and before what it records next.
+    Stream& stream();
+    DeviceScene& scene();
+    const DeviceScene& scene() const;
+    Accel& accel();
+    const ForwardPass& forward_pass() const;
+    const glm::vec3& view_origin_m() const;   ///< of the last place() or move()
+
+protected:
+    /// Lets go of the acceleration structure before surfels are added or removed, and makes one for those there are then.
+    void release_accel();
+    void make_accel();
 
 private:
     struct Impl;

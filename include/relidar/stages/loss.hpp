@@ -11,11 +11,11 @@
 #include <glm/glm.hpp>
 
 #include <relidar/stages/gpu.hpp>
+#include <relidar/stages/loss_terms.h>
 
 namespace relidar {
 
-struct RayBatch;
-struct RayGeometry;
+struct RenderedBatch;
 struct SurfelArrays;
 class DeviceScene;
 
@@ -46,27 +46,29 @@ struct TargetBatch {
     ImageShape image{};        ///< of the rays, where the batch is an image
 };
 
-/// Weights of the terms; each is a mean over its pixels.
+/// Weights of the terms (loss_terms.h says what they weigh), each a mean over its pixels, points or surfels; and what else there is to choose.
 struct LossWeights {
-    float depth = 0.1f;             ///< L1 on returned rays, metres
-    float intensity = 0.1f;         ///< (1 - intensity_ssim) L1 + intensity_ssim (1 - SSIM) on returned rays
-    float intensity_ssim = 0.0f;    ///< share of structural similarity, 11 x 11 Gaussian window of 1.5 pixels (0 = paper's text)
-    float drop = 0.01f;             ///< cross-entropy on all known rays
-    float opacity = 0.0f;           ///< (1 - W)^2 on returned rays (not in the paper)
-    bool normalised_depth = false;  ///< compare D / W instead of D (paper)
-    float chamfer = 0.01f;          ///< squared distances both ways between simulated and measured points, m^2
-    float distortion = 0.0f;        ///< spread of each returned ray's hits, metres (not in the paper)
-    float normal = 0.0f;            ///< disagreement of surfel normals with the normals of the rendered range image (not in the paper)
-    float box = 0.0f;               ///< actors' surfels outside their box, or larger than box_scale_share of it
-    float box_scale_share = 0.2f;   ///< standard deviation an actor's surfel may have, over half the diagonal of its box
-    float opacity_entropy = 0.0f;   ///< entropy of opacities: drives them to 0 or 1 (not in the paper)
+#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) float setting = standard;
+    RELIDAR_LOSS_TERMS(RELIDAR_TERM)
+#undef RELIDAR_TERM
+    bool normalised_depth = false;   ///< compare D / W instead of D (paper)
+    float box_scale_share = 0.2f;    ///< standard deviation an actor's surfel may have, over half the diagonal of its box
 
     bool uses_geometry() const { return distortion > 0.0f || normal > 0.0f; }
     bool uses_surfels() const { return box > 0.0f || opacity_entropy > 0.0f; }
 };
 
-inline constexpr int kLossTerms = 10;
-inline constexpr std::array<const char*, kLossTerms> kLossTermNames{"depth", "intensity", "drop", "opacity", "ssim", "box", "entropy", "chamfer", "distortion", "normal"};
+#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) #name,
+inline constexpr std::array kLossTermNames{RELIDAR_LOSS_TERMS(RELIDAR_TERM)};
+#undef RELIDAR_TERM
+inline constexpr int kLossTerms = kLossTermNames.size();
+
+/// Place of each term in a row of terms: loss_term::depth, ...
+namespace loss_term {
+#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) inline constexpr std::size_t name = index;
+RELIDAR_LOSS_TERMS(RELIDAR_TERM)
+#undef RELIDAR_TERM
+}  // namespace loss_term
 
 /// Where the terms of a batch are added up: a row of an array that may hold those of several batches.
 struct TermRow {
@@ -77,20 +79,39 @@ struct TermRow {
     std::uint64_t address() const { return terms.address() + std::uint64_t(row) * kLossTerms * sizeof(float); }
 };
 
-inline constexpr int kUpstreamFloats = 5;   ///< d_depth, d_weight, d_intensity, d_hit_logit, d_drop_logit
+/// Gradients of a scene's parameters, as the backward pass leaves them.
+struct SurfelGradients {
+    SurfelArrays* d_surfels = nullptr;               ///< accumulated
+    const Array<std::uint32_t>* touched = nullptr;   ///< rows that hold a gradient; null = all do
+};
 
-/// Depth, intensity and ray-drop, pixel by pixel, and the structural similarity of intensity.
-class ImageLoss {
+/// A loss: one term or several, recorded together. One of your own derives from it, overrides one of the two, and joins the list.
+class Loss {
+public:
+    virtual ~Loss() = default;
+    /// Records terms of what rays render; between the forward and the backward pass.
+    /// @param rendered  its upstream, and the gradient of its geometry, are accumulated; those of ImageLoss, which comes first, and of
+    ///                  GeometryLoss are output
+    /// @param terms     accumulated
+    virtual void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets, const TermRow& terms);
+    /// Records terms of the parameters themselves; after the backward pass.
+    /// @param terms     accumulated
+    virtual void regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients, const TermRow& terms);
+};
+
+/// The losses that weights ask for, in the order in which they are to be recorded. Always begins with an ImageLoss.
+/// @param n_rays  most rays of a batch
+std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights, std::uint32_t n_rays);
+
+/// Depth, intensity and ray-drop, pixel by pixel, and the structural similarity of intensity. The batch must be an image where
+/// intensity_ssim > 0. A window of structural similarity holds its known, returned pixels only: what rendered and measured intensity
+/// are at dropped or unknown pixels plays no part.
+class ImageLoss final : public Loss {
 public:
     /// @param n_rays  most rays of a batch; used by structural similarity only
     ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays = 0);
-    ~ImageLoss();
-    /// Records the loss of a batch, which must be an image where intensity_ssim > 0. A window of structural similarity holds its
-    /// known, returned pixels only: what rendered and measured intensity are at dropped or unknown pixels plays no part.
-    /// @param rendered    [n_rays, kRenderedFloats] input
-    /// @param upstream    [n_rays, kUpstreamFloats] output
-    /// @param terms       accumulated
-    void run(Stream& stream, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const TermRow& terms);
+    ~ImageLoss() override;
+    void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets, const TermRow& terms) override;
 
 private:
     struct Impl;
@@ -103,16 +124,12 @@ private:
 /// of known rays that returned. The derivative goes to the range of a, as query and as the point found, with the pairs, the choice
 /// of A and the rays themselves held fixed. Points are found through boxes over tiles of neighbouring rays and over groups of tiles,
 /// in image order where the batch is an image, else along the list; the order decides how fast a search is, never what it finds.
-class ChamferLoss {
+class ChamferLoss final : public Loss {
 public:
     /// @param n_rays  most rays of a batch
     ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
-    ~ChamferLoss();
-    /// Records the loss of a batch; to follow ImageLoss::run.
-    /// @param rendered  [n_rays, kRenderedFloats] input
-    /// @param upstream  [n_rays, kUpstreamFloats] accumulated
-    /// @param terms     accumulated
-    void run(Stream& stream, const RayBatch& rays, const TargetBatch& batch, const Array<float>& rendered, Array<float>& upstream, const TermRow& terms);
+    ~ChamferLoss() override;
+    void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets, const TermRow& terms) override;
     /// Of the last batch, by ray: the nearest measured point of each simulated one and the reverse, ~0 where there is none. Blocks.
     std::array<std::vector<std::uint32_t>, 2> nearest() const;
 
@@ -129,39 +146,27 @@ private:
 /// r / r_left + r / r_right, and above and below, differ from 2 by less than 0.1 (a plane has 2), and where the two chords are not
 /// nearly parallel; others have no normal term. The derivative goes to B, W and, through N, to the ranges of the pixels beside and to
 /// their rays; which pixels have a normal is held fixed.
-class GeometryLoss {
+/// The batch must be rendered with TraceOptions::geometry, and be an image where normal > 0.
+class GeometryLoss final : public Loss {
 public:
     /// @param n_rays  most rays of a batch
     GeometryLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
-    ~GeometryLoss();
-    /// Records the loss of a batch, which must be an image where normal > 0; to follow ImageLoss::run.
-    /// @param rendered  [n_rays, kRenderedFloats] input
-    /// @param geometry  of the same ForwardPass::run; its gradient is output
-    /// @param upstream  [n_rays, kUpstreamFloats] accumulated
-    /// @param terms     accumulated
-    void run(Stream& stream, const RayBatch& rays, const TargetBatch& batch, const Array<float>& rendered, RayGeometry& geometry, Array<float>& upstream, const TermRow& terms);
+    ~GeometryLoss() override;
+    void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets, const TermRow& terms) override;
 
 private:
     struct Impl;
     std::unique_ptr<Impl> impl_;
 };
 
-/// Gradients of a scene's parameters, as the backward pass leaves them.
-struct SurfelGradients {
-    SurfelArrays* d_surfels = nullptr;               ///< accumulated
-    const Array<std::uint32_t>* touched = nullptr;   ///< rows that hold a gradient; null = all do
-};
-
 /// Terms of the parameters themselves, with mu the mean in the box frame, h the Model::half_size_m, s a standard deviation and sigma an opacity:
 ///   box      mean over actors' surfels of  sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)
 ///   entropy  mean over all surfels of  -sigma ln sigma - (1 - sigma) ln(1 - sigma)
-class SurfelLoss {
+class SurfelLoss final : public Loss {
 public:
     SurfelLoss(Device& device, const LossWeights& weights);
-    ~SurfelLoss();
-    /// Records both terms; to follow the backward pass.
-    /// @param terms  accumulated
-    void run(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients, const TermRow& terms);
+    ~SurfelLoss() override;
+    void regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients, const TermRow& terms) override;
 
 private:
     struct Impl;

@@ -7,9 +7,7 @@
 
 #include <glm/glm.hpp>
 
-#include <relidar/stages/accel.hpp>
 #include <relidar/stages/gpu.hpp>
-#include <relidar/stages/scene.hpp>
 
 namespace relidar {
 
@@ -57,6 +55,9 @@ struct KeptHits {
     KeptHits(Device& device, std::size_t n_rays, std::uint32_t hits_per_ray) : hits(device, 2 * n_rays * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
 };
 
+inline constexpr int kRenderedFloats = 9;   ///< what a ray renders: see Rendering, in that order
+inline constexpr int kUpstreamFloats = 5;   ///< d_depth, d_weight, d_intensity, d_hit_logit, d_drop_logit
+
 inline constexpr int kGeometryFloats = 5;           ///< normal B [3], distortion, moment
 inline constexpr int kGeometryGradientFloats = 8;   ///< d_normal [3], d_distortion, d_point [3], range
 
@@ -68,6 +69,15 @@ struct RayGeometry {
     /// @param n_rays  of the largest batch
     RayGeometry(Device& device, std::size_t n_rays)
         : rendered(device, n_rays * kGeometryFloats, "geometry of rays"), gradient(device, n_rays * kGeometryGradientFloats, "geometry gradients") {}
+};
+
+/// A batch that has been rendered, as losses compare it and the backward pass differentiates it.
+struct RenderedBatch {
+    RayBatch rays;
+    const Array<float>* rendered = nullptr;   ///< [n_rays, kRenderedFloats] of ForwardPass::run
+    Array<float>* upstream = nullptr;         ///< [n_rays, kUpstreamFloats] dL/d(rendered): losses write it, the backward pass reads it
+    const KeptHits* kept = nullptr;           ///< of the same ForwardPass::run, or null
+    RayGeometry* geometry = nullptr;          ///< of the same ForwardPass::run, with TraceOptions::geometry; its gradient is as upstream
 };
 
 /// Rays as kernels read them.
