@@ -11,12 +11,6 @@
 
 namespace relidar {
 
-/// A scene and the log whose box tracks place its instances; an instance has the name of its track. Scans are not looked at.
-struct DrivingScene {
-    Scene scene;
-    Sequence sequence;
-};
-
 /// Where a placed actor is at the start of the log, and how fast it drives straight ahead (box frame x) from then on, m/s.
 struct Start {
     Pose dataset_from_box;   ///< box centre in the dataset's world (relidar's world + world_offset_m)

@@ -16,6 +16,8 @@
 
 namespace relidar {
 
+struct Run;
+
 /// A simulated scan: a range image with the ray of each pixel, in the sensor's frame at the ray's firing time.
 struct RenderedScan {
     RangeImage image;                   ///< range as config.render.range says; drop_prob from the two logits (M6), 1 beyond the sensor's range
@@ -70,6 +72,7 @@ struct ScanRequest {
 class ScanRenderer {
 public:
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
+    ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();
     /// Leaves out every instance that is not shown, from the next scan on. @param shown [instances]
     void show_only(const std::vector<bool>& shown);

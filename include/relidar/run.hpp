@@ -5,6 +5,7 @@
 
 #include <filesystem>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <relidar/config.hpp>
@@ -28,6 +29,13 @@ struct Run {
     Scene scene;
     std::vector<RunEdit> edits{};   ///< oldest first; empty for a run as it was trained
     std::string refined_poses{};    ///< which poses training has corrected, as train.refine_poses says it; empty: none, they are the log's
+
+    /// The scene with the tracks of its actors, as edits take it and give it back: run.replace(remove_track(run.driving(), "0")).
+    DrivingScene driving() const { return {scene, sequence}; }
+    void replace(DrivingScene driving) {
+        scene = std::move(driving.scene);
+        sequence = std::move(driving.sequence);
+    }
 };
 
 /// Writes config.toml, scene.json and model.safetensors, each atomically. The folder is made where missing.

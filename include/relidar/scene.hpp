@@ -72,6 +72,12 @@ struct Scene {
     DropTable sensor_drop;   ///< of the log's own sensor; empty where it was not estimated
 };
 
+/// A scene and the log whose box tracks place its instances; an instance has the name of its track. Scans are not looked at.
+struct DrivingScene {
+    Scene scene;
+    Sequence sequence;
+};
+
 /// A scene of one model, the background, with one instance.
 Scene make_background_scene(Surfels surfels);
 

@@ -10,6 +10,7 @@
 
 #include <relidar/stages/accel.hpp>
 #include <relidar/error.hpp>
+#include <relidar/run.hpp>
 #include <relidar/stages/forward.hpp>
 
 namespace relidar {
@@ -91,6 +92,7 @@ ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& con
     : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_sensor,
                      Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image, {.accel = accel_options(config), .trace = trace_options(config)}),
                      std::vector<bool>(scene.instances.size(), true)}) {}
+ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {}
 ScanRenderer::~ScanRenderer() = default;
 
 void ScanRenderer::show_only(const std::vector<bool>& shown) {

@@ -44,7 +44,7 @@ const std::map<std::string, Stages>& layer_table() {
     return table;
 }
 
-const std::string kFaces = "include/relidar/";
+const std::string kFaces = "include/relidar/", kUmbrella = kFaces + "relidar.hpp";
 const Stages kCoreFaces = {"error", "math", "progress", "version"};
 const Stages kOpenFolders = {"core", "gpu", "traversal", "shared"};   // infrastructure: its headers are included directly
 
@@ -77,6 +77,7 @@ std::string judge(const std::string& from_path, const std::string& to_path) {
     const std::string from = layer_of(from_path), to = layer_of(to_path);
     const bool to_face = to_path.starts_with(kFaces);
     if (from == to) return "";
+    if (from_path == kUmbrella) return to_path.starts_with(kFaces + "stages/") || to_path.starts_with(kFaces + "measure/") ? "the umbrella holds what users need" : "";
     if (from_path.starts_with("shaders/")) return shader_may_include(from, to) ? "" : from + " may not include " + to;
     if (from.starts_with("tools/")) return to_face ? "" : "tools see only include/relidar";
     const bool is_test = stem(from_path).ends_with("_test");

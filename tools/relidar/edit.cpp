@@ -43,8 +43,7 @@ void run_edit(const Options& options) {
         run.edits.push_back({origin, fmt::format("{} {}", edit.option, edit.value)});
         text += applied.said + "\n" + (applied.note.empty() ? "" : "note: " + applied.note + "\n");
     }
-    run.scene = std::move(driving.scene);
-    run.sequence = std::move(driving.sequence);
+    run.replace(std::move(driving));
     remove_run_files(folder.path());
     run.folder = folder.path();
     save_run(run);

@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+// Another sensor on another path: what an Ouster OS1-64 sees that is driven along a trajectory, without the first actor of the log.
+#include <cstdio>
+#include <exception>
+
+#include <relidar/relidar.hpp>
+
+using namespace relidar;
+
+int main(int argc, char** argv) try {
+    if (argc != 4) return std::fprintf(stderr, "usage: %s RUN TRAJECTORY.csv OUT\n", argv[0]), 2;
+    Run run = load_run(argv[1]);
+    if (run.scene.instances.size() > 1) run.replace(remove_track(run.driving(), run.scene.instances[1].track));   // instance 0 is the background
+    const PoseTrack way = read_trajectory(argv[2]);
+    const SensorChoice sensor = choose_sensor("OS1-64", run.config, run.sequence);
+
+    Device device;
+    ScanRenderer renderer(device, run);
+    ScanFormat format = scan_format(run, sensor);
+    format.formats = {"pcd", "png"};
+    format.trajectory = argv[2];
+    ScanFolder scans(argv[3], format);
+    int n = 0;
+    for (double t = way.time_s.front(); t <= way.time_s.back(); t += 0.1) scans.write(n++, renderer.render(sensor, {t, way}));
+    scans.finish();
+    std::printf("%d scans of %zu rays in %s\n", n, sensor.rays.size(), argv[3]);
+} catch (const std::exception& error) {
+    std::fprintf(stderr, "%s\n", error.what());
+    return 1;
+}
