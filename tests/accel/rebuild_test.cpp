@@ -2,6 +2,7 @@
 // When a structure is built anew instead of refitted: the first time, when told, after so many refits, and, software tree alone, when it
 // has outgrown its build.
 #include <relidar/stages/accel.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include "../support/device.hpp"
 #include "../support/surfels.hpp"

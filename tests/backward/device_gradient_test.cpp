@@ -68,12 +68,12 @@ protected:
         for (std::size_t i = 0; i < scene.rays.size(); ++i) d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], how.chunk, upstream[i], expected));
 
         for (const Way& way : std::span(kWays).first(how.brute_force ? 2 : std::size(kWays))) {   // other ways of finding hits change nothing there
-            Passes passes(device(), settings.image, scene, upstream, how.proxy, {.chunk = how.chunk, .brute_force = how.brute_force, .geometry = how.outputs != Outputs::image}, way.options);
-            if (way.kept) passes.kept = std::make_unique<KeptHits>(device(), scene.rays.size(), way.kept);
+            const TraceOptions trace{.chunk = how.chunk, .brute_force = how.brute_force, .geometry = how.outputs != Outputs::image};
+            Passes passes(device(), settings.image, scene, upstream, {.accel = {.proxy = how.proxy}, .trace = trace, .keep_hits = way.kept}, way.options);
             passes.run();
-            const GatheredHits hits = passes.backward.take_gathered_hits();
+            const GatheredHits hits = passes.renderer.backward_pass().take_gathered_hits();
             EXPECT_EQ(hits.most > hits.capacity, way.options.hits_per_ray == 2) << title;
-            expect_rows(image, expected, d_rays, passes.gradients, title + ", " + way.name, how);
+            expect_rows(image, expected, d_rays, passes.gradients(), title + ", " + way.name, how);
         }
     }
 
@@ -166,10 +166,10 @@ TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
     options.seed = 35;
     options.primitive = GetParam();
     const test::RandomScene scene = test::make_random_scene(options, settings);
-    Passes passes(device(), settings.image, scene, random_upstream(scene.rays.size(), 3), Proxy::boxes, {.chunk = 16});
+    Passes passes(device(), settings.image, scene, random_upstream(scene.rays.size(), 3), {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}});
     passes.run();
-    const Surfels d = passes.gradients.surfels.download();
-    const Surfels start = passes.scene.parameters().download();
+    const Surfels d = passes.gradients().surfels.download();
+    const Surfels start = passes.renderer.download().surfels;
     std::size_t strongest = 0;
     for (std::size_t i = 0; i < d.size(); ++i)
         if (glm::length(d.mean[i]) > glm::length(d.mean[strongest])) strongest = i;
@@ -177,9 +177,9 @@ TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
         Surfels above = start, below = start;
         move(above, h);
         move(below, -h);
-        passes.scene.parameters().upload(above);
+        passes.renderer.upload(above);
         const double high = passes.loss();
-        passes.scene.parameters().upload(below);
+        passes.renderer.upload(below);
         return (high - passes.loss()) / (2.0 * h);
     };
     const auto near_enough = [](double actual, double expected, double scale) { EXPECT_NEAR(actual, expected, 0.01 * std::abs(expected) + 2e-3 * scale); };

@@ -43,16 +43,16 @@ TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
         settings.image.primitive = primitive;
         const test::RandomScene scene = crowded(settings);
         const std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 5);
-        Passes passes(device(), settings.image, scene, upstream, Proxy::boxes, {.chunk = 16}, {.reduction = Reduction::gather});
+        Passes passes(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}}, {.reduction = Reduction::gather});
         passes.run();
-        const std::vector<float> first = all_gradients(passes.gradients);
+        const std::vector<float> first = all_gradients(passes.gradients());
         for (int i = 0; i < 3; ++i) {
             passes.run();
-            EXPECT_EQ(all_gradients(passes.gradients), first);
+            EXPECT_EQ(all_gradients(passes.gradients()), first);
         }
-        Passes triangles(device(), settings.image, scene, upstream, Proxy::triangles, {.chunk = 16}, {.reduction = Reduction::gather});
+        Passes triangles(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::triangles}, .trace = {.chunk = 16}}, {.reduction = Reduction::gather});
         triangles.run();
-        EXPECT_EQ(all_gradients(triangles.gradients), first) << "the same hits found another way";
+        EXPECT_EQ(all_gradients(triangles.gradients()), first) << "the same hits found another way";
     }
 }
 
@@ -64,10 +64,10 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
         test::RandomScene scene = crowded(settings);
         std::vector<PixelGradient> upstream = test::random_upstream(20, 6);
         for (int i = 1; i < 100; ++i) upstream.insert(upstream.end(), upstream.begin(), upstream.begin() + 20);
-        Passes many(device(), settings.image, scene, upstream, Proxy::boxes, {.chunk = 16}, {.reduction = Reduction::gather});
+        Passes many(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}}, {.reduction = Reduction::gather});
         many.run();
         scene.rays.resize(20);
-        Passes once(device(), settings.image, scene, upstream, Proxy::boxes, {.chunk = 16}, {.reduction = Reduction::atomics});
+        Passes once(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}}, {.reduction = Reduction::atomics});
         once.run();
         test::GradientTable table;
         const auto add = [&](const char* name, const Array<float>& expected, const Array<float>& actual, std::size_t n) {
@@ -78,21 +78,21 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
                 table.add_row(name, row, test::lanes(a.data() + i, int(n)));
             }
         };
-        add("records", once.gradients.records, many.gradients.records, 16);
-        if (direction == ShDirection::ray) add("sh", once.gradients.surfels.sh, many.gradients.surfels.sh, 16);
-        add("poses", once.gradients.poses, many.gradients.poses, 3);
-        add("sensor", once.gradients.sensor, many.gradients.sensor, 3);
+        add("records", once.gradients().records, many.gradients().records, 16);
+        if (direction == ShDirection::ray) add("sh", once.gradients().surfels.sh, many.gradients().surfels.sh, 16);
+        add("poses", once.gradients().poses, many.gradients().poses, 3);
+        add("sensor", once.gradients().sensor, many.gradients().sensor, 3);
         for (const auto& [name, group] : table.groups()) {
             EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
             EXPECT_EQ(group.missing_rows(), 0u) << name;
         }
-        const GatheredHits hits = many.backward.take_gathered_hits();
+        const GatheredHits hits = many.renderer.backward_pass().take_gathered_hits();
         EXPECT_EQ(hits.capacity, 64u * many.rays.size());
         std::uint64_t n_hits = 0;
-        for (const std::uint32_t n : to_rendering(many.rendered.download(), many.rays.size()).hits) n_hits += n;
+        for (const std::uint32_t n : to_rendering(many.renderer.rendered().rendered->download(), many.rays.size()).hits) n_hits += n;
         EXPECT_EQ(hits.most, n_hits);
         EXPECT_GT(n_hits, 5000u);
-        EXPECT_EQ(many.backward.take_gathered_hits().most, 0u);
+        EXPECT_EQ(many.renderer.backward_pass().take_gathered_hits().most, 0u);
     }
 }
 
@@ -103,22 +103,21 @@ TEST_F(Gather, EmptySlotsAndSmallerBatches) {
     std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 7);
     for (std::size_t i = 0; i < upstream.size(); ++i)
         if (i >= 20) upstream[i] = {};
-    Passes many(device(), settings.image, scene, upstream, Proxy::boxes, {.chunk = 16}, {.reduction = Reduction::gather});
+    Passes many(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}}, {.reduction = Reduction::gather});
     many.run();
     test::RandomScene few = scene;
     few.rays.resize(20);
-    Passes once(device(), settings.image, few, upstream, Proxy::boxes, {.chunk = 16}, {.reduction = Reduction::gather});
+    Passes once(device(), settings.image, few, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}}, {.reduction = Reduction::gather});
     once.run();
-    EXPECT_EQ(many.gradients.records.download(), once.gradients.records.download());
-    many.scene.activate(many.stream, many.model, many.view_origin);
-    many.forward.run(many.stream, many.scene, many.accel, {&many.rays, 0, 1, 20}, many.rendered);
-    many.backward.run(many.stream, many.scene, many.accel, {{&many.rays, 0, 1, 20}, &many.rendered, &many.upstream}, many.view_origin, many.gradients);
-    many.stream.finish();
-    EXPECT_EQ(many.gradients.records.download(), once.gradients.records.download());
-    many.backward.reserve_hits(many.stream, 1u << 20);
+    EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());
+    many.renderer.record_forward({&many.rays, 0, 1, 20});
+    many.renderer.record_backward();
+    many.renderer.stream().finish();
+    EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());
+    many.renderer.backward_pass().reserve_hits(many.renderer.stream(), 1u << 20);
     many.run();
-    EXPECT_EQ(many.gradients.records.download(), once.gradients.records.download()) << "room does not matter";
-    EXPECT_EQ(many.backward.take_gathered_hits().capacity, 1u << 20);
+    EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download()) << "room does not matter";
+    EXPECT_EQ(many.renderer.backward_pass().take_gathered_hits().capacity, 1u << 20);
 }
 
 TEST_F(Gather, RoomForNothingIsRefused) {

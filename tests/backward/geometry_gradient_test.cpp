@@ -9,6 +9,8 @@
 
 #include <glm/gtc/quaternion.hpp>
 
+#include <relidar/stages/loss.hpp>
+
 #include "../reference/geometry_loss.hpp"
 #include "../reference/loss.hpp"
 #include "../support/surfels.hpp"
@@ -113,14 +115,14 @@ struct Problem {
 /// The same on the device.
 struct DevicePasses : test::Passes {
     Array<DeviceTarget> targets;
-    ImageLoss image_loss;
-    GeometryLoss geometry_loss;
+    std::vector<std::unique_ptr<Loss>> losses;
     Array<float> loss_terms;
     double n_returned = 0.0;
 
-    DevicePasses(Device& d, const Problem& p, int chunk, const BackwardOptions& options)
-        : Passes(d, p.settings.image, p.scene, std::vector<reference::PixelGradient>(p.scene.rays.size()), Proxy::boxes, {.chunk = chunk, .geometry = true}, options),
-          targets(d, p.scene.rays.size(), "targets"), image_loss(d, p.weights), geometry_loss(d, p.weights, std::uint32_t(p.scene.rays.size())),
+    DevicePasses(Device& d, const Problem& p, std::uint32_t keep_hits, const BackwardOptions& options)
+        : Passes(d, p.settings.image, p.scene, std::vector<reference::PixelGradient>(p.scene.rays.size()),
+                 {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 3, .geometry = true}, .keep_hits = keep_hits}, options),
+          targets(d, p.scene.rays.size(), "targets"), losses(make_losses(d, p.weights, std::uint32_t(p.scene.rays.size()))),
           loss_terms(d, std::vector<float>(kLossTerms, 0.0f), "terms") {
         std::vector<DeviceTarget> t;
         for (const reference::Target& target : p.targets) t.push_back({float(target.range_m), float(target.intensity), 1.0f});
@@ -130,10 +132,9 @@ struct DevicePasses : test::Passes {
     void run_all() {
         const TargetBatch measured{&targets, 0, 1, kRows * kColumns, n_returned, double(kRows * kColumns), {kRows, kColumns, false}};
         run_forward();
-        image_loss.run(stream, measured, rendered, upstream, loss_terms);
-        geometry_loss.run(stream, batch(), measured, rendered, *geometry, upstream, loss_terms);
-        backward.run(stream, scene, accel, {batch(), &rendered, &upstream, kept.get(), geometry.get()}, view_origin, gradients);
-        stream.finish();
+        for (const std::unique_ptr<Loss>& loss : losses) loss->compare(renderer.stream(), renderer.batch(), measured, loss_terms);
+        renderer.record_backward();
+        renderer.stream().finish();
     }
 };
 
@@ -193,13 +194,12 @@ protected:
         const auto expected = expected_rows(p);
         for (const Reduction reduction : {Reduction::atomics, Reduction::gather})
             for (const std::uint32_t kept : {0u, 4u}) {
-                DevicePasses passes(device(), p, 3, {.reduction = reduction});
-                if (kept) passes.kept = std::make_unique<KeptHits>(device(), p.scene.rays.size(), kept);
+                DevicePasses passes(device(), p, kept, {.reduction = reduction});
                 passes.run_all();
                 const std::vector<double> terms = p.terms();
                 const std::vector<float> found = passes.loss_terms.download();
                 EXPECT_NEAR(std::accumulate(found.begin(), found.end(), 0.0), std::accumulate(terms.begin(), terms.end(), 0.0), 1e-5);
-                const std::vector<std::vector<double>> actual = actual_rows(passes.gradients);
+                const std::vector<std::vector<double>> actual = actual_rows(passes.gradients());
                 ASSERT_EQ(actual.size(), expected.size());
                 GradientTable table;
                 for (std::size_t k = 0; k < actual.size(); ++k) table.add_row(expected[k].first, expected[k].second, actual[k]);
@@ -216,7 +216,7 @@ protected:
 LossWeights geometry_weights(float image, float distortion, float normal) {
     LossWeights w;
     w.depth = w.intensity = w.drop = image;
-    w.distortion = distortion, w.normal = normal;
+    w.distortion = distortion, w.normal = normal, w.chamfer = 0.0f;
     w.normalised_depth = true;
     return w;
 }
@@ -255,12 +255,12 @@ TEST_F(GeometryGradient, TwoSurfelsInClosedForm) {
         scene.rays = {{{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}}};
         std::vector<reference::PixelGradient> upstream(1);
         upstream[0].distortion = 1.0;
-        test::Passes passes(device(), {}, scene, upstream, Proxy::boxes, {.geometry = true});
+        test::Passes passes(device(), {}, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.geometry = true}});
         passes.run();
         const double between = double(float(t[1])) - double(float(t[0])), w0 = 0.6, w1 = 0.4 * 0.5;
-        EXPECT_NEAR(passes.geometry->rendered.download()[3], w0 * w1 * between, 1e-6 * between);
-        EXPECT_NEAR(passes.geometry->rendered.download()[0], -(w0 + w1), 1e-6) << "towards the sensor";
-        const Surfels d = passes.gradients.surfels.download();
+        EXPECT_NEAR(passes.renderer.batch().geometry->rendered.download()[3], w0 * w1 * between, 1e-6 * between);
+        EXPECT_NEAR(passes.renderer.batch().geometry->rendered.download()[0], -(w0 + w1), 1e-6) << "towards the sensor";
+        const Surfels d = passes.gradients().surfels.download();
         EXPECT_NEAR(d.mean[0].x, -w0 * w1, 1e-6);
         EXPECT_NEAR(d.mean[1].x, w0 * w1, 1e-6);
         // Dist = s_0 (1 - s_0) s_1 between, by the opacities s
@@ -273,10 +273,10 @@ TEST_F(GeometryGradient, GatheredTheSameBitsInEveryRun) {
     const Problem p(geometry_weights(0.1f, 0.5f, 0.5f));
     std::vector<float> first;
     for (int i = 0; i < 3; ++i) {
-        DevicePasses passes(device(), p, 3, {.reduction = Reduction::gather});
+        DevicePasses passes(device(), p, 0, {.reduction = Reduction::gather});
         passes.run_all();
         std::vector<float> all;
-        for (const Array<float>* array : {&passes.gradients.records, &passes.gradients.surfels.rotation, &passes.gradients.rays, &passes.gradients.poses})
+        for (const Array<float>* array : {&passes.gradients().records, &passes.gradients().surfels.rotation, &passes.gradients().rays, &passes.gradients().poses})
             for (const float x : array->download()) all.push_back(x);
         if (i == 0) first = all;
         EXPECT_EQ(all, first);

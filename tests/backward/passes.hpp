@@ -4,9 +4,7 @@
 
 #include <vector>
 
-#include <relidar/stages/backward.hpp>
-#include <relidar/stages/forward.hpp>
-#include <relidar/stages/loss.hpp>
+#include <relidar/stages/differentiable_renderer.hpp>
 
 #include "../support/device.hpp"
 #include "../support/gradient_check.hpp"
@@ -16,59 +14,51 @@
 
 namespace relidar::test {
 
-/// Everything one forward and backward pass needs, on the device.
+inline RendererOptions with_room(RendererOptions options, std::size_t n_rays) {
+    options.n_rays = static_cast<std::uint32_t>(n_rays);
+    return options;
+}
+
+/// A scene with rays, ready to be rendered and differentiated.
 struct Passes {
-    Device& device;
-    ImageModel model;
     SceneAndPoses placed;
-    Stream stream;
-    DeviceScene scene;
-    Accel accel;
-    ForwardPass forward;
-    BackwardPass backward;
+    DifferentiableRenderer renderer;
     Array<DeviceRay> rays;
-    Array<float> rendered, upstream;
-    std::unique_ptr<KeptHits> kept;           ///< null: cast again
-    std::unique_ptr<RayGeometry> geometry;    ///< where trace.geometry
-    Gradients gradients;
     glm::vec3 view_origin;
 
-    Passes(Device& d, const ImageModel& m, const RandomScene& s, const std::vector<reference::PixelGradient>& g, Proxy proxy, const TraceOptions& trace,
-           const BackwardOptions& options = {})
-        : device(d), model(m), placed(to_scene(to_surfels(s.world.surfels), s.world.instances)), stream(d), scene(d, placed.scene),
-          accel(d, scene, {.proxy = proxy}), forward(d, m, proxy, trace), backward(d, m, proxy, trace, options), rays(d, s.rays.size(), "rays"),
-          rendered(d, s.rays.size() * kRenderedFloats, "rendered"), upstream(d, s.rays.size() * kUpstreamFloats, "upstream"),
-          gradients(d, scene, {.n_rays = static_cast<std::uint32_t>(s.rays.size()), .poses = true}), view_origin(s.view_origin) {
-        scene.set_poses(placed.world_from_instance);
-        if (trace.geometry) geometry = std::make_unique<RayGeometry>(d, s.rays.size());
-        std::vector<DeviceRay> r;
+    /// @param g  of every ray, until a loss writes others
+    Passes(Device& device, const ImageModel& model, const RandomScene& s, const std::vector<reference::PixelGradient>& g, const RendererOptions& options,
+           const BackwardOptions& sums = {})
+        : placed(to_scene(to_surfels(s.world.surfels), s.world.instances)),
+          renderer(device, placed.scene, model, with_room(options, s.rays.size()), {.sums = sums, .wanted = {.rays = true, .poses = true}}),
+          rays(device, std::span<const DeviceRay>(to_device_rays(to_world_rays(s.rays))), "rays"),
+          view_origin(s.view_origin) {
+        renderer.scene().set_poses(placed.world_from_instance);
         std::vector<float> u, q;
-        for (std::size_t i = 0; i < s.rays.size(); ++i) {
-            r.push_back({glm::vec3(s.rays[i].origin), glm::vec3(s.rays[i].direction)});
-            for (const double x : {g[i].depth, g[i].weight, g[i].intensity, g[i].hit_logit, g[i].drop_logit}) u.push_back(static_cast<float>(x));
-            for (const double x : {g[i].normal.x, g[i].normal.y, g[i].normal.z, g[i].distortion, 0.0, 0.0, 0.0, 0.0}) q.push_back(static_cast<float>(x));
+        for (const reference::PixelGradient& d : g) {
+            for (const double x : {d.depth, d.weight, d.intensity, d.hit_logit, d.drop_logit}) u.push_back(static_cast<float>(x));
+            for (const double x : {d.normal.x, d.normal.y, d.normal.z, d.distortion, 0.0, 0.0, 0.0, 0.0}) q.push_back(static_cast<float>(x));
         }
-        rays.upload(r);
-        upstream.upload(u);
-        if (geometry) geometry->gradient.upload(q);
+        renderer.batch().upstream->upload(u);
+        if (RayGeometry* geometry = renderer.batch().geometry) geometry->gradient.upload(q);
     }
 
     RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size())}; }
+    Gradients& gradients() { return renderer.gradients(); }
     void run_forward() {
-        scene.activate(stream, model, view_origin);
-        accel.update(stream, scene);
-        forward.run(stream, scene, accel, batch(), rendered, kept.get(), geometry.get());
+        renderer.place(view_origin);
+        renderer.record_forward(batch());
     }
     void run() {
         run_forward();
-        backward.run(stream, scene, accel, {batch(), &rendered, &upstream, kept.get(), geometry.get()}, view_origin, gradients);
-        stream.finish();
+        renderer.record_backward();
+        renderer.stream().finish();
     }
     /// sum over rays of upstream . rendered, in double, geometry left out
     double loss() {
         run_forward();
-        stream.finish();
-        const std::vector<float> r = rendered.download(), u = upstream.download();
+        renderer.stream().finish();
+        const std::vector<float> r = renderer.batch().rendered->download(), u = renderer.batch().upstream->download();
         double sum = 0.0;
         for (std::size_t i = 0; i < rays.size(); ++i)
             for (int k = 0; k < kUpstreamFloats; ++k) sum += double(r[i * kRenderedFloats + std::size_t(k)]) * u[i * kUpstreamFloats + std::size_t(k)];

@@ -77,9 +77,9 @@ protected:
         const reference::BruteForce brute(p.scene.world, p.settings.image, reference::Precision::double_record);
         reference::Gradients expected(p.scene.world);
         for (std::size_t i = 0; i < p.scene.rays.size(); ++i) reference::backward(p.scene.world, brute, p.settings, p.scene.rays[i], 16, p.upstream[i], expected);
-        Passes passes(device(), p.settings.image, p.scene, p.upstream, Proxy::boxes, {.chunk = 16});
+        Passes passes(device(), p.settings.image, p.scene, p.upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}});
         passes.run();
-        const std::vector<float> poses = passes.gradients.poses.download();
+        const std::vector<float> poses = passes.gradients().poses.download();
         GradientTable table;
         for (std::size_t k = 0; k < expected.instances.size(); ++k) {
             std::vector<double> row = lanes(expected.instances[k].translation, 3);
@@ -95,7 +95,7 @@ protected:
             add_twist(table, "differences, pose", differences, lanes(poses.data() + 6 * k, 6));
         }
         add_twist(table, "differences, sensor", twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) { return p.terms_of_moved_sensor(v, w); }),
-                  lanes(passes.gradients.sensor.download().data(), 6));
+                  lanes(passes.gradients().sensor.download().data(), 6));
         table.print(title);
         for (const auto& [name, group] : table.groups()) {
             EXPECT_LE(group.worst_error(), test::kKernelGradient) << name << ", " << title;
@@ -190,13 +190,13 @@ TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
     test::RandomSceneOptions options;
     options.seed = 44, options.actor_instances = 3;
     Problem p(ShDirection::ray, options);
-    Passes passes(device(), p.settings.image, p.scene, p.upstream, Proxy::boxes, {.chunk = 16});
-    std::vector<InstancePose> placed = passes.scene.poses();
+    Passes passes(device(), p.settings.image, p.scene, p.upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}});
+    std::vector<InstancePose> placed = passes.renderer.scene().poses();
     placed[1].world_from_model.translation = {-20.0, 0.0, 0.0};
     placed[2].present = false;
-    passes.scene.place(passes.stream, placed);
+    passes.renderer.scene().place(passes.renderer.stream(), placed);
     passes.run();
-    const std::vector<float> poses = passes.gradients.poses.download();
+    const std::vector<float> poses = passes.gradients().poses.download();
     double met = 0.0;
     for (std::size_t k = 0; k < 6; ++k) {
         EXPECT_EQ(poses[6 + k], 0.0f) << "behind the sensor";
@@ -204,10 +204,10 @@ TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
         met += std::abs(poses[18 + k]);
     }
     EXPECT_GT(met, 0.0);
-    passes.upstream.upload(std::vector<float>(passes.upstream.size(), 0.0f));
+    passes.renderer.stream().fill(*passes.renderer.batch().upstream);
     passes.run();
-    for (const float x : passes.gradients.poses.download()) EXPECT_EQ(x, 0.0f);
-    for (const float x : passes.gradients.sensor.download()) EXPECT_EQ(x, 0.0f);
+    for (const float x : passes.gradients().poses.download()) EXPECT_EQ(x, 0.0f);
+    for (const float x : passes.gradients().sensor.download()) EXPECT_EQ(x, 0.0f);
 }
 
 }  // namespace

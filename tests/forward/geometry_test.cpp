@@ -16,25 +16,20 @@ protected:
     /// Renders a scene's rays. @param geometry  if given, receives [n, kGeometryFloats]
     std::vector<float> trace(const test::RandomScene& random, const ImageModel& model, int chunk, std::vector<float>* geometry) {
         const test::SceneAndPoses placed = test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
-        Stream stream(device());
-        DeviceScene scene(device(), placed.scene);
-        scene.set_poses(placed.world_from_instance);
-        Accel accel(device(), scene, {});
-        ForwardPass forward(device(), model, accel.proxy(), {.chunk = chunk, .geometry = geometry != nullptr});
-        const std::vector<DeviceRay> rays = to_device_rays(test::to_world_rays(random.rays));
-        const Array<DeviceRay> device_rays(device(), std::span<const DeviceRay>(rays), "rays");
-        Array<float> rendered(device(), rays.size() * kRenderedFloats, "rendered");
-        RayGeometry wanted(device(), rays.size() + 1);   // a guard behind
-        wanted.rendered.upload(std::vector<float>(wanted.rendered.size(), -7.0f));
-        scene.activate(stream, model, glm::vec3(random.view_origin));
-        accel.update(stream, scene);
-        forward.run(stream, scene, accel, {&device_rays, 0, 1, std::uint32_t(rays.size())}, rendered, nullptr, geometry ? &wanted : nullptr);
-        stream.finish();
+        const std::uint32_t n_rays = std::uint32_t(random.rays.size());
+        Renderer renderer(device(), placed.scene, model, {.trace = {.chunk = chunk, .geometry = geometry != nullptr}, .n_rays = n_rays + 1});   // a guard behind
+        renderer.scene().set_poses(placed.world_from_instance);
+        const Array<DeviceRay> rays(device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(random.rays))), "rays");
+        RayGeometry* wanted = renderer.rendered().geometry;
+        if (wanted) wanted->rendered.upload(std::vector<float>(wanted->rendered.size(), -7.0f));
+        renderer.place(glm::vec3(random.view_origin));
+        renderer.record_forward({&rays, 0, 1, n_rays});
+        renderer.stream().finish();
         if (geometry) {
-            *geometry = wanted.rendered.download();
+            *geometry = wanted->rendered.download();
             for (int k = 0; k < kGeometryFloats; ++k, geometry->pop_back()) EXPECT_EQ(geometry->back(), -7.0f) << "wrote past the end";
         }
-        return rendered.download();
+        return renderer.rendered().rendered->download(n_rays * std::size_t(kRenderedFloats));
     }
 };
 

@@ -7,6 +7,8 @@
 #include <random>
 #include <tuple>
 
+#include <relidar/stages/scene.hpp>
+
 #include "../support/device.hpp"
 #include "../support/gradient_check.hpp"
 #include "../support/random_scene.hpp"

@@ -6,6 +6,7 @@
 #include <memory>
 
 #include <relidar/stages/accel.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include "shared/bvh.h"
 

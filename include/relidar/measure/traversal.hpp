@@ -5,8 +5,8 @@
 #include <cstdint>
 #include <vector>
 
-#include <relidar/scene.hpp>
 #include <relidar/stages/accel.hpp>
+#include <relidar/stages/scene.hpp>
 #include <relidar/stages/traversal.hpp>
 
 namespace relidar {

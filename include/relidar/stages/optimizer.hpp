@@ -6,10 +6,12 @@
 #include <memory>
 #include <optional>
 
+#include <relidar/scene.hpp>
 #include <relidar/stages/gpu.hpp>
-#include <relidar/stages/scene.hpp>
 
 namespace relidar {
+
+struct SurfelArrays;
 
 /// Learning rates of one step.
 struct LearningRates {
