@@ -24,6 +24,7 @@ function(relidar_dependency name)
         return()
     endif()
     add_library(${target} INTERFACE IMPORTED GLOBAL)
+    set_target_properties(${target} PROPERTIES RELIDAR_DEBIAN_PACKAGE ${dep_APT} RELIDAR_BUILD_ONLY ${dep_BUILD_ONLY})   # cmake/Package.cmake reads them
     target_compile_definitions(${target} INTERFACE ${dep_DEFINE})
     target_link_libraries(${target} INTERFACE ${dep_LINK})
 
@@ -105,7 +106,6 @@ relidar_dependency(nanoflann APT libnanoflann-dev BUILD_ONLY PACKAGE nanoflann T
     FETCH https://github.com/jlblancoc/nanoflann.git v1.4.3 include)
 relidar_dependency(eigen APT libeigen3-dev BUILD_ONLY PACKAGE Eigen3 TARGETS Eigen3::Eigen HEADER Eigen/Core
     FETCH https://gitlab.com/libeigen/eigen.git 3.4.0 .)
-relidar_dependency(tbb APT libtbb-dev PACKAGE TBB COMPONENTS tbb TARGETS TBB::tbb)
 relidar_dependency(nlohmann_json APT nlohmann-json3-dev BUILD_ONLY PACKAGE nlohmann_json TARGETS nlohmann_json::nlohmann_json
     HEADER nlohmann/json.hpp FETCH https://github.com/nlohmann/json.git v3.11.2 include)
 relidar_dependency(tomlplusplus APT libtomlplusplus-dev PACKAGE tomlplusplus TARGETS tomlplusplus::tomlplusplus
@@ -117,7 +117,7 @@ relidar_dependency(zlib APT zlib1g-dev PACKAGE ZLIB TARGETS ZLIB::ZLIB)
 
 # --- the command line tool -------------------------------------------------------------------------------------------
 if(RELIDAR_BUILD_TOOLS AND NOT RELIDAR_FOR_PACKAGE)
-    relidar_dependency(cli11 APT libcli11-dev PACKAGE CLI11 TARGETS CLI11::CLI11 HEADER CLI/CLI.hpp
+    relidar_dependency(cli11 APT libcli11-dev BUILD_ONLY PACKAGE CLI11 TARGETS CLI11::CLI11 HEADER CLI/CLI.hpp
         FETCH https://github.com/CLIUtils/CLI11.git v2.3.1 include)
 endif()
 

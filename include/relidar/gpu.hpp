@@ -4,9 +4,9 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <filesystem>
 #include <map>
 #include <memory>
-#include <span>
 #include <string>
 #include <vector>
 
@@ -57,12 +57,18 @@ struct PipelineStatistics {
 struct DeviceOptions {
     int index = -1;                              ///< of list_devices; -1 = the first GPU, one with ray query before others, else a CPU device
     Traversal traversal = Traversal::automatic;
-    bool validation = false;                     ///< Khronos validation layer; also RELIDAR_VALIDATION=1
-    std::uint64_t memory_limit_bytes = 0;        ///< device-local memory it may hold, 0 = all there is; also RELIDAR_MEMORY_LIMIT_MIB=n
+    bool validation = false;                     ///< Khronos validation layer
+    std::uint64_t memory_limit_bytes = 0;        ///< device-local memory it may hold, 0 = all there is
     /// Compile every kernel that is made, each distinct pipeline once, keep what the driver says of it (Device::pipelines), and run none:
     /// what is opened so is for looking at, and may be a driver without hardware.
     bool compile_only = false;
+    std::filesystem::path pipeline_cache;        ///< folder that keeps compiled pipelines from one process to the next; empty: compiled each time
 };
+
+/// What a user's environment says, on top of the given options: RELIDAR_VALIDATION=1, RELIDAR_MEMORY_LIMIT_MIB=n (where no limit is given),
+/// RELIDAR_PIPELINE_CACHE=FOLDER (0: none; else $XDG_CACHE_HOME/relidar or $HOME/.cache/relidar). For programs that run on a user's machine;
+/// nothing else of the library reads the environment. @throws UsageError for a limit that is no number
+DeviceOptions from_environment(DeviceOptions options = {});
 
 /// An open device. Everything made from it must be destroyed first.
 class Device {

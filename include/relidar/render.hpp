@@ -88,6 +88,7 @@ private:
     struct Impl;
     std::unique_ptr<Impl> impl_;
 
+    /// What a sensor sees whose path has been set.
     RenderedScan take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed, std::optional<std::uint64_t> sample);
 };
 

@@ -10,7 +10,7 @@
 #include "../common/kernel.glsl"
 #include "../shared/bvh_build.h"
 #include "bvh_binary.glsl"
-layout(constant_id = 2) const uint UNTIL_DONE = 0u;
+RELIDAR_CONSTANT(uint, UNTIL_DONE, 0u);
 RELIDAR_PARAMS(BvhWideParams);
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 

@@ -8,8 +8,8 @@
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
 #include "../shared/accel.h"
-layout(constant_id = 2) const uint BOXES = 0u;   // 1: for a driver, 2: for the software structure
-layout(constant_id = 9) const uint GAUSSIANS = 0u;
+RELIDAR_CONSTANT(uint, BOXES, 0u);
+RELIDAR_CONSTANT(uint, GAUSSIANS, 0u);
 RELIDAR_PARAMS(ProxyParams);
 
 const float kPhi = 1.618033988749895;               // corners of an icosahedron: even permutations of (0, +-1, +-phi)

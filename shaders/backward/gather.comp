@@ -16,7 +16,7 @@ RELIDAR_PARAMS(GatherParams);
 uint sum_hit(TraceScene scene, uint i, uint row) {
     HitRecord h = params.hits.at[params.slots.at[i]];
     InstanceEntry m = scene.instances.at[h.instance];
-    RayEntry entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
+    DeviceRay entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
     entered_instance = kNoInstance;   // another ray
     ray_basis_instance = kNoInstance;
     if (GEOMETRY != 0u) {

@@ -18,9 +18,9 @@
 #include "blend.glsl"
 RELIDAR_PARAMS(BackwardParams);
 
-layout(constant_id = 6) const uint GATHER = 0u;   // 1: write a record of each hit, for backward/gather; 0: add its gradient with atomics
+RELIDAR_CONSTANT(uint, GATHER, 0u);
 
-layout(constant_id = 7) const uint SUBGROUP_SUMS = 0u;   // 1: lanes that hit the same surfel are summed before the atomics
+RELIDAR_CONSTANT(uint, SUBGROUP_SUMS, 0u);
 
 vec3 d_ray_origin;      // world
 vec3 d_ray_direction;
@@ -162,7 +162,7 @@ bool take_geometry(uint ray_index, RenderedRay final) {
 void main() {
     uint i = traced_ray(params.scene);
     if (i >= params.scene.n_rays) return;
-    RayEntry entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
+    DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
     d_ray_origin = vec3(0.0);
     d_ray_direction = vec3(0.0);
     ray_basis_instance = kNoInstance;

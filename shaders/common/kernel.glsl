@@ -2,7 +2,12 @@
 // What every kernel starts with: one 8-byte push constant, the address of its parameter struct, and one thread an element.
 #ifndef RELIDAR_INCLUDED_COMMON_KERNEL_GLSL
 #define RELIDAR_INCLUDED_COMMON_KERNEL_GLSL
-layout(local_size_x_id = 0) in;
+#include "../shared/constants.h"
+#define RELIDAR_CONSTANT_ID(name, id) const uint RELIDAR_ID_##name = id;
+RELIDAR_CONSTANTS(RELIDAR_CONSTANT_ID)
+/// Declares a specialisation constant by its name in shared/constants.h.
+#define RELIDAR_CONSTANT(type, name, value) layout(constant_id = RELIDAR_ID_##name) const type name = value
+layout(local_size_x_id = RELIDAR_ID_WORKGROUP_SIZE) in;
 
 /// Index of this thread. Launches of more workgroups than a device takes in one dimension are folded into two (src/gpu/stream.cpp).
 uint thread_index() { return gl_GlobalInvocationID.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x + gl_GlobalInvocationID.x; }

@@ -63,6 +63,6 @@ RenderedRay render(TraceScene scene, Ray ray, uint ray_index) {
 void main() {
     uint i = traced_ray(params.scene);
     if (i >= params.scene.n_rays) return;
-    RayEntry entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
+    DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
     params.rendered.at[i] = render(params.scene, Ray(entry.origin, entry.direction), i);
 }

@@ -5,7 +5,7 @@
 #define RELIDAR_INCLUDED_GAUSSIAN_PRIMITIVE_GLSL
 #include "surfel.glsl"
 #include "gaussian3d.glsl"
-layout(constant_id = 9) const uint GAUSSIANS = 0u;   // 0: surfels, 1: 3D Gaussians
+RELIDAR_CONSTANT(uint, GAUSSIANS, 0u);
 
 /// @return whether the ray meets it; alpha is not compared with anything
 bool intersect(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {

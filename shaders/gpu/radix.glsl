@@ -2,7 +2,7 @@
 // What the kernels of a radix pass share. Include after RELIDAR_PARAMS.
 #ifndef RELIDAR_INCLUDED_GPU_RADIX_GLSL
 #define RELIDAR_INCLUDED_GPU_RADIX_GLSL
-layout(constant_id = 1) const uint KEY_WORDS = 1u;
+RELIDAR_CONSTANT(uint, KEY_WORDS, 1u);
 
 uint n_keys() { return !is_null(params.n_keys) ? min(params.n_keys.at[0], params.capacity) : params.capacity; }
 uint n_tiles() { return (n_keys() + RELIDAR_TILE_SIZE - 1u) / RELIDAR_TILE_SIZE; }

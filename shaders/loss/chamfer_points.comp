@@ -23,8 +23,8 @@ void main() {
     vec2 is_point = vec2(0.0);
     if (k < params.n_rays) {
         uint i = params.first_ray + k * params.ray_stride;
-        RayTarget target = params.targets.at[i];
-        RayEntry ray = params.rays.at[i];
+        DeviceTarget target = params.targets.at[i];
+        DeviceRay ray = params.rays.at[i];
         vec3 origin = ray.origin - params.rays.at[params.first_ray].origin;   // small numbers keep their digits
         vec2 range = target.weight > 0.0 ? vec2(simulated_range(params.rendered.at[k]), target.range_m) : vec2(0.0);
         if (range.x > 0.0) is_point.x = 1.0;

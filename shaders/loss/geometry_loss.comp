@@ -23,7 +23,7 @@ bool continues(uint a, uint i, uint b) {
 }
 
 vec3 chord(uint from, uint to) {
-    RayEntry a = ray_of(from), b = ray_of(to);
+    DeviceRay a = ray_of(from), b = ray_of(to);
     return (b.origin - a.origin) + (image_range(to) * b.direction - image_range(from) * a.direction);
 }
 

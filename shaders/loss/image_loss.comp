@@ -34,7 +34,7 @@ float drop_term(RenderedRay r, bool dropped, inout RayGradient g) {
 }
 
 /// All terms of a known ray: depth, intensity, drop, opacity.
-vec4 ray_terms(RenderedRay r, RayTarget target, inout RayGradient g) {
+vec4 ray_terms(RenderedRay r, DeviceTarget target, inout RayGradient g) {
     vec4 terms = vec4(0.0);
     bool dropped = !(target.range_m > 0.0);
     if (!dropped) {
@@ -54,7 +54,7 @@ void main() {
     uint i = thread_index();
     vec4 terms = vec4(0.0);
     if (i < params.n_rays) {
-        RayTarget target = params.targets.at[params.first_ray + i * params.ray_stride];
+        DeviceTarget target = params.targets.at[params.first_ray + i * params.ray_stride];
         RayGradient g = RayGradient(0.0, 0.0, 0.0, 0.0, 0.0);
         if (target.weight > 0.0) terms = ray_terms(params.rendered.at[i], target, g);
         params.upstream.at[i] = g;

@@ -6,11 +6,11 @@
 const uint kNoPixel = 0xffffffffu;
 const float kLeastWeight = 0.5;   // W of a surface: less is the range of hardly anything
 
-RayEntry ray_of(uint i) { return params.rays.at[params.first_ray + i * params.ray_stride]; }
+DeviceRay ray_of(uint i) { return params.rays.at[params.first_ray + i * params.ray_stride]; }
 
 /// Whether ray i is known to have returned.
 bool returned(uint i) {
-    RayTarget t = params.targets.at[params.first_ray + i * params.ray_stride];
+    DeviceTarget t = params.targets.at[params.first_ray + i * params.ray_stride];
     return t.weight > 0.0 && t.range_m > 0.0;
 }
 

@@ -32,7 +32,7 @@ Window window_around(uint i) {
         for (int column = -kSsimRadius; column <= kSsimRadius; ++column) {
             uint j = window_pixel(i, row, column);
             if (j == kNoPixel) continue;
-            RayTarget t = target_of(j);
+            DeviceTarget t = target_of(j);
             if (!takes_part(t)) continue;
             float w = window_weight(row, column);
             vec2 v = vec2(params.rendered.at[j].intensity, t.intensity) - centre;

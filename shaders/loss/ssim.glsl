@@ -19,6 +19,6 @@ uint window_pixel(uint i, int row_offset, int column_offset) {
 
 float window_weight(int row_offset, int column_offset) { return kGaussian[abs(row_offset)] * kGaussian[abs(column_offset)]; }
 
-RayTarget target_of(uint i) { return params.targets.at[params.first_ray + i * params.ray_stride]; }
-bool takes_part(RayTarget t) { return t.weight > 0.0 && t.range_m > 0.0; }
+DeviceTarget target_of(uint i) { return params.targets.at[params.first_ray + i * params.ray_stride]; }
+bool takes_part(DeviceTarget t) { return t.weight > 0.0 && t.range_m > 0.0; }
 #endif

@@ -7,7 +7,7 @@
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
 #include "../shared/optimizer.h"
-layout(constant_id = 1) const bool PER_FLOAT = false;
+RELIDAR_CONSTANT(bool, PER_FLOAT, false);
 RELIDAR_PARAMS(AdamParams);
 
 void update(uint row, uint column, bool has_gradient) {

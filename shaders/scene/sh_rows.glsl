@@ -4,7 +4,7 @@
 // neighbours at neighbouring addresses, and hand it over in shared memory. Include after kernel.glsl and shared/scene.h.
 #ifndef RELIDAR_INCLUDED_SCENE_SH_ROWS_GLSL
 #define RELIDAR_INCLUDED_SCENE_SH_ROWS_GLSL
-layout(constant_id = 1) const bool STAGED = false;
+RELIDAR_CONSTANT(bool, STAGED, false);
 
 const uint kChannelPitch = 17u;   // floats a surfel: odd, so that the same coefficient of neighbouring surfels lies in different banks
 shared float staged_channel[gl_WorkGroupSize.x * kChannelPitch];

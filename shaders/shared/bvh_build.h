@@ -4,7 +4,7 @@
 // for another workgroup of its own launch.
 #ifndef RELIDAR_INCLUDED_SHARED_BVH_BUILD_H
 #define RELIDAR_INCLUDED_SHARED_BVH_BUILD_H
-#include "bvh.h"
+#include "relidar/shared/bvh.h"
 #include "scene.h"
 
 RELIDAR_SHARED_BEGIN

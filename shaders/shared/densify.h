@@ -2,7 +2,7 @@
 // Densification (docs/method.md section 6): statistics, what becomes of each surfel, and the move into the new order.
 #ifndef RELIDAR_INCLUDED_SHARED_DENSIFY_H
 #define RELIDAR_INCLUDED_SHARED_DENSIFY_H
-#include "lang.h"
+#include "relidar/shared/lang.h"
 #include "scene.h"
 
 RELIDAR_SHARED_BEGIN

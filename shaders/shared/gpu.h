@@ -3,7 +3,7 @@
 // Their workgroups have 256 threads and take a tile of 4096 elements each.
 #ifndef RELIDAR_INCLUDED_SHARED_GPU_H
 #define RELIDAR_INCLUDED_SHARED_GPU_H
-#include "lang.h"
+#include "relidar/shared/lang.h"
 
 RELIDAR_SHARED_BEGIN
 

@@ -3,7 +3,8 @@
 // Ray k of a launch is entry first_ray + k * ray_stride of its targets; rendered values and gradients are entry k.
 #ifndef RELIDAR_INCLUDED_SHARED_LOSS_H
 #define RELIDAR_INCLUDED_SHARED_LOSS_H
-#include "relidar/stages/loss_terms.h"
+#include "relidar/shared/loss_terms.h"
+#include "scene.h"
 #include "trace.h"
 
 RELIDAR_SHARED_BEGIN

@@ -2,7 +2,7 @@
 // Adam over one parameter group.
 #ifndef RELIDAR_INCLUDED_SHARED_OPTIMIZER_H
 #define RELIDAR_INCLUDED_SHARED_OPTIMIZER_H
-#include "lang.h"
+#include "relidar/shared/lang.h"
 
 RELIDAR_SHARED_BEGIN
 

@@ -3,37 +3,9 @@
 // Quaternions are w, x, y, z everywhere.
 #ifndef RELIDAR_INCLUDED_SHARED_SCENE_H
 #define RELIDAR_INCLUDED_SHARED_SCENE_H
-#include "lang.h"
+#include "relidar/shared/surfels.h"
 
 RELIDAR_SHARED_BEGIN
-
-#define RELIDAR_SH_COEFFICIENTS 16
-#define RELIDAR_SH_FLOATS 48
-
-/// One surfel in its model's own frame, activated: 64 bytes, one cache line a hit. Never-hit surfels have opacity 0.
-struct SurfelRecord {
-    vec3 mean;         // m
-    float opacity;     // sigma, 0..1
-    vec3 axis_u;       // a_u / s_u, 1/m
-    float intensity;   // channel values where SH are evaluated once a surfel
-    vec3 axis_v;       // a_v / s_v, 1/m
-    float hit_logit;
-    vec3 normal;       // unit; of 3D Gaussians a_w / s_w, 1/m
-    float drop_logit;
-};
-RELIDAR_POINTER(Records, SurfelRecord);
-
-/// A model placed in the world.
-struct InstanceEntry {
-    vec4 row0;            // model_from_world, rows of a 3x4 matrix
-    vec4 row1;
-    vec4 row2;
-    uint first_surfel;    // of the model, in the scene's surfel arrays
-    uint n_surfels;
-    uint first_row;       // of its record gradients: a model's first placement has those of its surfels, others follow after all surfels
-    uint unused;          // 64 bytes: a row is loaded in pieces of 16
-};
-RELIDAR_POINTER(Instances, InstanceEntry);
 
 /// Parameters, gradients or moments of all surfels: one array a group.
 struct SurfelPointers {

@@ -21,6 +21,6 @@ void main() {
     uint i = thread_index();
     if (i >= params.n_rays) return;
     PoseKnot knot = knot_at(params.knots, params.places.at[i]);
-    RayEntry ray = params.rays.at[i];
-    params.moved.at[i] = RayEntry(knot.position + turned(knot.rotation, ray.origin - knot.position) + knot.translation, normalize(turned(knot.rotation, ray.direction)));
+    DeviceRay ray = params.rays.at[i];
+    params.moved.at[i] = DeviceRay(knot.position + turned(knot.rotation, ray.origin - knot.position) + knot.translation, normalize(turned(knot.rotation, ray.direction)));
 }

@@ -9,7 +9,7 @@ RELIDAR_PARAMS(CollectHitsParams);
 void main() {
     uint ray_index = traced_ray(params.scene);
     if (ray_index >= params.scene.n_rays) return;
-    RayEntry entry = params.scene.rays.at[params.scene.first_ray + ray_index * params.scene.ray_stride];
+    DeviceRay entry = params.scene.rays.at[params.scene.first_ray + ray_index * params.scene.ray_stride];
     Ray ray = Ray(entry.origin, entry.direction);
     Key after = first_key(params.scene);
     uint count = 0u;

@@ -2,7 +2,7 @@
 // Normals of hits, for the kernels that are built for the geometric losses (docs/method.md section 5). Include after includes.glsl.
 #ifndef RELIDAR_INCLUDED_TRAVERSAL_FACING_NORMAL_GLSL
 #define RELIDAR_INCLUDED_TRAVERSAL_FACING_NORMAL_GLSL
-layout(constant_id = 10) const uint GEOMETRY = 0u;   // 1: blended normal and distortion too
+RELIDAR_CONSTANT(uint, GEOMETRY, 0u);
 
 /// @return -1 where a surfel's normal points along the ray, 1 where it faces the sensor; a constant as far as gradients go
 /// @param direction  of the ray, in the model's frame as the normal

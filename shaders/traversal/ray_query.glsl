@@ -7,7 +7,7 @@
 // may begin before the start or hold the sensor. A hit that is offered at both crossings is known the second time.
 #ifndef RELIDAR_INCLUDED_TRAVERSAL_RAY_QUERY_GLSL
 #define RELIDAR_INCLUDED_TRAVERSAL_RAY_QUERY_GLSL
-layout(constant_id = 2) const uint BOXES = 0u;   // 0: triangles, two a surfel, twenty a 3D Gaussian; 1: one axis-aligned box
+RELIDAR_CONSTANT(uint, BOXES, 0u);
 
 void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
     reset_hits(budget);

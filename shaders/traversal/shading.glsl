@@ -3,8 +3,8 @@
 // coefficients in the direction of the ray in the model's frame (docs/method.md section 3).
 #ifndef RELIDAR_INCLUDED_TRAVERSAL_SHADING_GLSL
 #define RELIDAR_INCLUDED_TRAVERSAL_SHADING_GLSL
-layout(constant_id = 3) const uint SH_PER_SURFEL = 1u;
-layout(constant_id = 8) const uint SINGLE_DROP_LOGIT = 0u;   // 1: hit logits are 0, whatever the scene holds
+RELIDAR_CONSTANT(uint, SH_PER_SURFEL, 1u);
+RELIDAR_CONSTANT(uint, SINGLE_DROP_LOGIT, 0u);
 
 const uint kNoInstance = 0xffffffffu;
 float ray_basis[16];              // SH basis of the current ray in the frame of ray_basis_instance

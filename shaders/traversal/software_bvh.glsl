@@ -23,8 +23,8 @@
 #extension GL_KHR_shader_subgroup_vote : enable
 #extension GL_KHR_shader_subgroup_ballot : enable
 #extension GL_KHR_shader_subgroup_arithmetic : enable
-layout(constant_id = 4) const uint TOGETHER = 0u;       // rays of a subgroup walk the tree together
-layout(constant_id = 5) const uint COUNT_VISITS = 0u;
+RELIDAR_CONSTANT(uint, TOGETHER, 0u);
+RELIDAR_CONSTANT(uint, COUNT_VISITS, 0u);
 
 // At most 7 entries stay behind a level: enough for 9 levels of full nodes, 8^9 surfels. A tree as deep and as wide as to need more makes
 // the ray end early, and be counted as an error.

@@ -4,7 +4,7 @@
 // intersection, order, de-duplication and insertion are here, so backends cannot disagree. See README.md beside this file.
 #ifndef RELIDAR_INCLUDED_TRAVERSAL_TRAVERSAL_GLSL
 #define RELIDAR_INCLUDED_TRAVERSAL_TRAVERSAL_GLSL
-layout(constant_id = 1) const uint CHUNK = 16u;
+RELIDAR_CONSTANT(uint, CHUNK, 16u);
 
 struct Key {
     float t;

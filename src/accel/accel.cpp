@@ -74,9 +74,8 @@ void Accel::check_growth(Stream& stream) {
 }
 
 AccelAddresses Accel::addresses() const {
-    if (impl_->hardware) return {impl_->hardware->tlas_address(), 0, 0, 0, 0, 0, impl_->hardware->reach_address()};
-    const shared::BvhPointers p = impl_->software->pointers();
-    return {0, p.nodes.value, p.order.value, p.roots.value, p.top_nodes.value, p.top_order.value, 0};
+    if (impl_->software) return {.tlas = {}, .proxy_reach = {}, .bvh = impl_->software->pointers()};
+    return {.tlas = impl_->hardware->tlas(), .proxy_reach = impl_->hardware->reach_address(), .bvh = {}};
 }
 
 Proxy Accel::proxy() const { return impl_->proxy; }

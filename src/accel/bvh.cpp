@@ -22,7 +22,7 @@ static_assert(sizeof(shared::BvhNode) == 80);
 namespace {
 
 constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
-constexpr Constant kShares{0u, kWorkgroup};   // kernels that share memory
+constexpr Constant kShares{ConstantId::WORKGROUP_SIZE, kWorkgroup};   // kernels that share memory
 
 /// Arrays of the scratch hold so many entries, of 4 bytes or more, so that each begins at a multiple of 16 bytes.
 std::uint32_t padded(std::uint32_t n) { return (n + 3) / 4 * 4; }
@@ -69,10 +69,11 @@ std::uint32_t top_nodes(std::uint32_t n) {
 
 }  // namespace
 
-/// The scratch, in bytes times the number of surfels, padded. Keys, boxes and costs are needed no more when the collapse begins; it puts its own there.
-constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 8, kValuesAt = 12, kDemandsAt = 16, kKeysAt = 20, kBoxesAt = 28, kCostsAt = 52, kSparesAt = 80, kOtherEndsAt = 84,
-                        kClustersAt = 88;
-constexpr std::uint32_t kOffsetsAt = kKeysAt, kPlacesAt = kBoxesAt, kSlotsAt = kBoxesAt + 4;
+/// The scratch, in words times the number of surfels, padded. Keys, boxes and costs are needed no more when the collapse begins; it puts
+/// its own there.
+constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5, kBoxesAt = 7, kCostsAt = 13,
+                        kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22, kScratchWords = 23;
+constexpr std::uint32_t kOffsetsAt = kKeysAt, kPlacesAt = kBoxesAt, kSlotsAt = kBoxesAt + 1;
 
 struct Bvh::Impl {
     std::uint32_t n, n_models, n_instances, bound;
@@ -89,7 +90,7 @@ struct Bvh::Impl {
     Array<std::uint32_t> model_of;          ///< [n_instances]
     Array<float> boxes;                     ///< [n,6] of surfels
     Array<std::uint32_t> bounds;            ///< [n_models,6]
-    Buffer scratch;                         ///< binary trees, and the keys being sorted
+    Array<std::uint32_t> scratch;           ///< binary trees, and the keys being sorted
     Array<std::uint32_t> queue;             ///< [bound] binary nodes that become wide
     Array<std::uint32_t> level_sizes;       ///< of the queue
     Array<glm::uvec2> tiles;
@@ -107,9 +108,12 @@ struct Bvh::Impl {
 
     Impl(Device& device, const DeviceScene& scene);
     shared::BvhBinary binary() const;
-    shared::BvhWide wide() const { return {nodes.address(), order.address(), links.address(), node_boxes.address(), arrivals.address(), count.address()}; }
+    shared::BvhWide wide() const;
+    template <class T>
+    Address<T> at(std::uint32_t words_a_surfel) const { return scratch.address_as<T>(words_a_surfel * std::size_t(padded(n))); }
+    /// Where keys are sorted: set 0 keeps the result, set 1 is overwritten by the costs of the binary nodes.
+    std::uint32_t keys_at(int set) const { return set == 0 ? kKeysAt : kCostsAt; }
     SortSet sort_set(int set) const;
-    std::uint64_t at(std::uint32_t bytes_a_surfel) const;
     std::uint32_t levels() const;
     void collapse(Stream& stream);
     std::uint32_t key_bits() const { return 3 * RELIDAR_BVH_MORTON_BITS + static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1)); }
@@ -123,13 +127,13 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       n_models(static_cast<std::uint32_t>(scene.layout().models.size())),
       n_instances(static_cast<std::uint32_t>(scene.layout().instances.size())),
       bound(node_bound(n, n_models)),
-      proxies(d, "accel/proxies", {{2u, 2u}, {9u, scene.primitive() == Primitive::gaussian ? 1u : 0u}}),
+      proxies(d, "accel/proxies", {{ConstantId::BOXES, 2u}, {ConstantId::GAUSSIANS, scene.primitive() == Primitive::gaussian ? 1u : 0u}}),
       bounds_kernel(d, "accel/bvh_bounds", {kShares}, Subgroups::full),
       keys_kernel(d, "accel/bvh_keys"),
       sort(d, n, 2),
-      cluster(d, "accel/bvh_cluster", {{0u, subgroup_size(d)}}, Subgroups::full),
+      cluster(d, "accel/bvh_cluster", {{ConstantId::WORKGROUP_SIZE, subgroup_size(d)}}, Subgroups::full),
       wide_mark(d, "accel/bvh_wide_mark"),
-      wide_mark_rest(d, "accel/bvh_wide_mark", {kShares, {2u, 1u}}),
+      wide_mark_rest(d, "accel/bvh_wide_mark", {kShares, {ConstantId::UNTIL_DONE, 1u}}),
       wide_count(d, "accel/bvh_wide_count", {kShares}, Subgroups::full),
       wide_scan(d, "accel/bvh_wide_scan", {kShares}, Subgroups::full),
       wide_place(d, "accel/bvh_wide_place"),
@@ -141,7 +145,8 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       model_of(d, std::span<const std::uint32_t>(model_of_instances(scene)), "models of the instances"),
       boxes(d, 6 * std::size_t(n), "surfel boxes"),
       bounds(d, 6 * std::size_t(n_models), "model bounds"),
-      scratch(d, std::max({92 * std::size_t(padded(n)), kSlotsAt * std::size_t(padded(n)) + 32 * std::size_t(bound), std::size_t(4)}), "acceleration structure scratch"),
+      scratch(d, std::max(kScratchWords * std::size_t(padded(n)), kSlotsAt * std::size_t(padded(n)) + 8 * std::size_t(bound)),
+              "acceleration structure scratch"),
       queue(d, bound, "collapse queue"),
       level_sizes(d, levels() + 1, "collapse levels"),
       tiles(d, tiles_of(n), "collapse sums"),
@@ -159,8 +164,6 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       cost_sums(d, groups_of(bound), "cost sums"),
       costs(d, groups_of(bound) * sizeof(float), "cost sums") {}
 
-std::uint64_t Bvh::Impl::at(std::uint32_t bytes_a_surfel) const { return scratch.address() + bytes_a_surfel * std::uint64_t(padded(n)); }
-
 /// Launches of bvh_wide_mark that are as wide as the level may be; a full tree of this bound is not deeper than 4 levels less.
 std::uint32_t Bvh::Impl::levels() const {
     std::uint32_t n_levels = 4;
@@ -168,28 +171,74 @@ std::uint32_t Bvh::Impl::levels() const {
     return n_levels;
 }
 
-shared::BvhBinary Bvh::Impl::binary() const { return {at(kChildrenAt), at(kBoxesAt), at(kCostsAt), at(kDecisionsAt), at(kSparesAt)}; }
+shared::BvhBinary Bvh::Impl::binary() const {
+    return {.children = at<glm::uvec2>(kChildrenAt),
+            .boxes = at<float>(kBoxesAt),
+            .costs = at<float>(kCostsAt),
+            .decisions = at<std::uint32_t>(kDecisionsAt),
+            .spares = at<std::uint32_t>(kSparesAt)};
+}
 
-/// Where keys are sorted: set 0 keeps the result, set 1 is overwritten by the costs of the binary nodes.
-SortSet Bvh::Impl::sort_set(int set) const { return set == 0 ? SortSet{at(kKeysAt), at(kValuesAt)} : SortSet{at(kCostsAt), at(kCostsAt + 8)}; }
+shared::BvhWide Bvh::Impl::wide() const {
+    return {.nodes = nodes.address(),
+            .order = order.address(),
+            .links = links.address(),
+            .boxes = node_boxes.address(),
+            .arrivals = arrivals.address(),
+            .count = count.address()};
+}
+
+SortSet Bvh::Impl::sort_set(int set) const {
+    return {.keys = at<std::uint32_t>(keys_at(set)), .order = at<std::uint32_t>(set == 0 ? kValuesAt : kCostsAt + 2)};
+}
 
 void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
-    run(stream, proxies, n, {scene.records().address(), 0, boxes.address(), 0, scene.alpha_min(), options.margin_m, options.margin_scale, n});
+    run(stream, proxies, n,
+        {.records = scene.records().address(),
+         .vertices = {},
+         .boxes = boxes.address(),
+         .reach = {},
+         .alpha_min = scene.alpha_min(),
+         .margin_m = options.margin_m,
+         .margin_scale = options.margin_scale,
+         .n_surfels = n});
 }
 
 SortSet Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
     stream.fill(bounds, 0xffffffffu);
-    run(stream, bounds_kernel, std::size_t(tiles_of(n)) * kWorkgroup, {boxes.address(), models.address(), bounds.address(), n, n_models});
+    run(stream, bounds_kernel, std::size_t(tiles_of(n)) * kWorkgroup, 
+        {.boxes = boxes.address(), .models = models.address(), .bounds = bounds.address(), .n_surfels = n, .n_models = n_models});
     const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);   // so that the result is set 0
-    const SortSet from = sort_set(first_set);
-    run(stream, keys_kernel, n, {scene.records().address(), models.address(), bounds.address(), from.keys, at(kOtherEndsAt), at(kDemandsAt), n, n_models});
-    return sort.run(stream, from, sort_set(1 - first_set), key_bits());
+    run(stream, keys_kernel, n,
+        {.records = scene.records().address(),
+         .models = models.address(),
+         .bounds = bounds.address(),
+         .keys = at<glm::uvec2>(keys_at(first_set)),
+         .other_ends = at<std::uint32_t>(kOtherEndsAt),
+         .demands = at<std::uint32_t>(kDemandsAt),
+         .n_surfels = n,
+         .n_models = n_models});
+    return sort.run(stream, sort_set(first_set), sort_set(1 - first_set), key_bits());
 }
 
 void Bvh::Impl::collapse(Stream& stream) {
     stream.fill(level_sizes);
-    shared::BvhWideParams params{binary(), wide(), queue.address(), at(kSlotsAt), level_sizes.address(), at(kDemandsAt), at(kOffsetsAt), tiles.address(), at(kPlacesAt),
-                                 at(kValuesAt), models.address(), n, tiles_of(n), n_models, bound, 0};
+    shared::BvhWideParams params{.tree = binary(),
+                                 .wide = wide(),
+                                 .queue = queue.address(),
+                                 .slots = at<std::uint32_t>(kSlotsAt),
+                                 .level_sizes = level_sizes.address(),
+                                 .demands = at<std::uint32_t>(kDemandsAt),
+                                 .offsets = at<glm::uvec2>(kOffsetsAt),
+                                 .tiles = tiles.address(),
+                                 .places = at<std::uint32_t>(kPlacesAt),
+                                 .surfels = at<std::uint32_t>(kValuesAt),
+                                 .models = models.address(),
+                                 .n_surfels = n,
+                                 .n_tiles = tiles_of(n),
+                                 .n_models = n_models,
+                                 .bound = bound,
+                                 .level = 0};
     for (std::uint64_t width = n_models; params.level < levels() - 1; ++params.level, width = std::min<std::uint64_t>(width * RELIDAR_BVH_WIDTH, bound)) run(stream, wide_mark, width, params);
     run(stream, wide_mark_rest, kWorkgroup, params);
     run(stream, wide_count, std::size_t(tiles_of(n)) * kWorkgroup, params);
@@ -199,7 +248,7 @@ void Bvh::Impl::collapse(Stream& stream) {
 }
 
 void Bvh::Impl::fit_nodes(Stream& stream) {
-    run(stream, refit_kernel, bound, {wide(), boxes.address(), bound});
+    run(stream, refit_kernel, bound, {.wide = wide(), .boxes = boxes.address(), .bound = bound});
 }
 
 Bvh::Bvh(Device& device, const DeviceScene& scene) {
@@ -217,7 +266,16 @@ void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& op
     b.make_boxes(stream, scene, options);
     const SortSet sorted = b.sorted_surfels(stream, scene);
     run(stream, b.cluster, b.n,
-        {b.binary(), b.boxes.address(), sorted.keys, sorted.order, b.models.address(), b.at(kOtherEndsAt), b.at(kClustersAt), b.queue.address(), b.n, b.n_models});
+        {.tree = b.binary(),
+         .boxes = b.boxes.address(),
+         .keys = b.at<glm::uvec2>(kKeysAt),
+         .surfels = sorted.order,
+         .models = b.models.address(),
+         .other_ends = b.at<std::uint32_t>(kOtherEndsAt),
+         .clusters = b.at<std::uint32_t>(kClustersAt),
+         .roots = b.queue.address(),
+         .n_surfels = b.n,
+         .n_models = b.n_models});
     b.collapse(stream);
     b.fit_nodes(stream);
     move(stream, scene);
@@ -232,19 +290,30 @@ void Bvh::refit(Stream& stream, const DeviceScene& scene, const AccelOptions& op
 void Bvh::move(Stream& stream, const DeviceScene& scene) {
     Impl& b = *impl_;
     run(stream, b.top, kWorkgroup,
-        {pointers(), scene.instances_address(), b.model_of.address(), b.models.address(), b.node_boxes.address(), b.top_boxes.address(), b.top_keys.address(), b.n_instances,
-         static_cast<std::uint32_t>(b.top_keys.size())});
+        {.bvh = pointers(),
+         .instances = scene.instances().address(),
+         .model_of = b.model_of.address(),
+         .models = b.models.address(),
+         .model_boxes = b.node_boxes.address(),
+         .boxes = b.top_boxes.address(),
+         .keys = b.top_keys.address(),
+         .n_instances = b.n_instances,
+         .n_padded = static_cast<std::uint32_t>(b.top_keys.size())});
 }
 
 shared::BvhPointers Bvh::pointers() const {
     const Impl& b = *impl_;
-    return {b.nodes.address(), b.order.address(), b.roots.address(), b.top_node_array.address(), b.top_order.address()};
+    return {.nodes = b.nodes.address(),
+            .order = b.order.address(),
+            .roots = b.roots.address(),
+            .top_nodes = b.top_node_array.address(),
+            .top_order = b.top_order.address()};
 }
 
 std::uint64_t Bvh::memory_bytes() const {
     const Impl& b = *impl_;
     std::uint64_t bytes = b.sort.memory_bytes();
-    for (const Buffer* buffer : {&b.models.buffer(), &b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch, &b.queue.buffer(), &b.level_sizes.buffer(), &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(),
+    for (const Buffer* buffer : {&b.models.buffer(), &b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch.buffer(), &b.queue.buffer(), &b.level_sizes.buffer(), &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(),
                                  &b.links.buffer(), &b.node_boxes.buffer(), &b.arrivals.buffer(), &b.count.buffer(), &b.roots.buffer(), &b.top_order.buffer(),
                                  &b.top_node_array.buffer(), &b.top_boxes.buffer(), &b.top_keys.buffer(), &b.cost_sums.buffer()})
         bytes += buffer->size_bytes();
@@ -260,7 +329,7 @@ BvhOnHost Bvh::download() const {
 
 void Bvh::record_cost(Stream& stream) {
     Impl& b = *impl_;
-    run(stream, b.cost_kernel, b.bound, {b.wide(), b.boxes.address(), b.cost_sums.address(), b.bound});
+    run(stream, b.cost_kernel, b.bound, {.wide = b.wide(), .boxes = b.boxes.address(), .partial = b.cost_sums.address(), .bound = b.bound});
     b.costs.record(stream, b.cost_sums.buffer(), b.cost_sums.size() * sizeof(float));
 }
 

@@ -13,8 +13,6 @@
 #include <relidar/stages/accel.hpp>
 #include <relidar/stages/scene.hpp>
 
-#include "shared/bvh.h"
-
 namespace relidar {
 
 /// All of a structure on the host, for tests and measurements.

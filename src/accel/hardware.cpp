@@ -113,7 +113,10 @@ struct HardwareAccel::Impl {
     std::uint64_t scratch_address = 0;
 
     Impl(Device& device, Proxy p, bool gaussians)
-        : proxy(p), mesh(gaussians ? kIcosahedron : kRectangle), proxies(device, "accel/proxies", {{2u, proxy == Proxy::boxes ? 1u : 0u}, {9u, gaussians ? 1u : 0u}}) {
+        : proxy(p),
+          mesh(gaussians ? kIcosahedron : kRectangle),
+          proxies(device, "accel/proxies",
+                  {{ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u}, {ConstantId::GAUSSIANS, gaussians ? 1u : 0u}}) {
         if (gaussians && proxy == Proxy::triangles) reach = Array<std::uint32_t>(device, 1, "reach of proxies");
     }
 
@@ -126,18 +129,18 @@ void HardwareAccel::Impl::describe_model(const Model& model) {
     BuildInput& input = blas_input.emplace_back();
     if (proxy == Proxy::boxes) {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_AABBS_KHR;
-        input.geometry.geometry.aabbs = {VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_AABBS_DATA_KHR, nullptr, {geometry.address() + 24ull * model.first}, 24};
+        input.geometry.geometry.aabbs = {VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_AABBS_DATA_KHR, nullptr, {impl_of(geometry.buffer()).address + 24ull * model.first}, 24};
     } else {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_TRIANGLES_KHR;
         auto& t = input.geometry.geometry.triangles;
         t = {};
         t.sType = VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_TRIANGLES_DATA_KHR;
         t.vertexFormat = VK_FORMAT_R32G32B32_SFLOAT;
-        t.vertexData.deviceAddress = geometry.address() + 12ull * mesh.n_corners * model.first;
+        t.vertexData.deviceAddress = impl_of(geometry.buffer()).address + 12ull * mesh.n_corners * model.first;
         t.vertexStride = 12;
         t.maxVertex = mesh.n_corners * std::max(model.count, 1u) - 1;
         t.indexType = VK_INDEX_TYPE_UINT32;
-        t.indexData.deviceAddress = indices.address();
+        t.indexData.deviceAddress = impl_of(indices.buffer()).address;
     }
     input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR;
     input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR | VK_BUILD_ACCELERATION_STRUCTURE_ALLOW_UPDATE_BIT_KHR;
@@ -196,7 +199,7 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
     a.tlas = std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR, sizes.accelerationStructureSize, "top level");
     scratch_bytes = std::max(scratch_bytes, sizes.buildScratchSize);
     a.scratch = Buffer(device, scratch_bytes + alignment, "acceleration structure scratch");
-    a.scratch_address = (a.scratch.address() + alignment - 1) / alignment * alignment;
+    a.scratch_address = (impl_of(a.scratch).address + alignment - 1) / alignment * alignment;
 }
 
 HardwareAccel::~HardwareAccel() = default;
@@ -206,7 +209,14 @@ void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const Accel
     Stream::Impl& s = impl_of(stream);
     if (a.reach.size()) stream.fill(a.reach);
     run(stream, a.proxies, scene.size(),
-        {scene.records().address(), a.geometry.address(), a.geometry.address(), a.reach.address(), scene.alpha_min(), options.margin_m, options.margin_scale, scene.size()});
+        {.records = scene.records().address(),
+         .vertices = a.geometry.address(),
+         .boxes = a.geometry.address(),
+         .reach = a.reach.address(),
+         .alpha_min = scene.alpha_min(),
+         .margin_m = options.margin_m,
+         .margin_scale = options.margin_scale,
+         .n_surfels = scene.size()});
     std::vector<const BuildInput*> inputs;
     for (std::size_t i = 0; i < a.blas.size(); ++i) {
         if (!a.blas[i]) continue;
@@ -231,9 +241,9 @@ void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
     s.end_timing();
 }
 
-std::uint64_t HardwareAccel::tlas_address() const { return impl_->tlas->address; }
+shared::TlasHandle HardwareAccel::tlas() const { return {impl_->tlas->address}; }
 
-std::uint64_t HardwareAccel::reach_address() const { return impl_->reach.address(); }
+Address<float> HardwareAccel::reach_address() const { return impl_->reach.address_as<float>(); }   // of bits that grow as the float does
 
 std::uint64_t HardwareAccel::memory_bytes() const {
     std::uint64_t bytes = impl_->geometry.buffer().size_bytes() + impl_->indices.buffer().size_bytes() + impl_->scratch.size_bytes() + impl_->tlas->storage->size_bytes();

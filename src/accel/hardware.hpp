@@ -22,9 +22,9 @@ public:
     /// Records the top level alone.
     void move(Stream& stream, const DeviceScene& scene);
 
-    std::uint64_t tlas_address() const;
-    /// Of how far behind a hit an icosahedron may end (shared::TraceScene); 0 where there is none.
-    std::uint64_t reach_address() const;
+    shared::TlasHandle tlas() const;
+    /// Of how far behind a hit an icosahedron may end (shared::TraceScene); nowhere where there is none.
+    Address<float> reach_address() const;
     std::uint64_t memory_bytes() const;
 
 private:

@@ -40,8 +40,8 @@ struct BackwardPass::Impl {
 
     static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options, const BackwardOptions& backward) {
         std::vector<Constant> all = trace_constants(device, proxy, options, m);
-        all.push_back({6u, gathers(device, backward.reduction, m.sh_direction) ? 1u : 0u});
-        all.push_back({7u, backward.subgroup_sums.value_or(sums_in_subgroups(device)) ? 1u : 0u});
+        all.push_back({ConstantId::GATHER, gathers(device, backward.reduction, m.sh_direction) ? 1u : 0u});
+        all.push_back({ConstantId::SUBGROUP_SUMS, backward.subgroup_sums.value_or(sums_in_subgroups(device)) ? 1u : 0u});
         return all;
     }
 
@@ -73,7 +73,7 @@ void BackwardPass::reserve_hits(Stream& stream, std::uint64_t n_hits) {
 }
 
 void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch, const glm::vec3& view_origin_m, Gradients& gradients) {
-    RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays) * kRenderedFloats, batch.rendered->size());
+    RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.rendered->size());
     RELIDAR_ASSERT_LE(16 * std::size_t(scene.gradient_rows()), gradients.records.size());
     const ImageModel& model = impl_->model;
     const bool wants_poses = gradients.poses.size() > 0;
@@ -83,14 +83,14 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
     params.upstream = batch.upstream->address();
     params.d_records = gradients.records.address();
     params.d_sh = gradients.surfels.sh.address();
-    params.d_rays = gradients.rays.size() ? gradients.rays.address() : 0;
+    params.d_rays = gradients.rays.address();
     if (batch.kept) {
-        RELIDAR_ASSERT_LE(2 * std::size_t(batch.rays.n_rays) * batch.kept->per_ray, batch.kept->hits.size());
+        RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays) * batch.kept->per_ray, batch.kept->hits.size());
         params.kept = batch.kept->hits.address();
         params.n_kept = batch.kept->per_ray;
     }
     if (impl_->with_geometry) {
-        RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays) * kGeometryGradientFloats, batch.geometry ? batch.geometry->gradient.size() : 0);
+        RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.geometry ? batch.geometry->gradient.size() : 0);
         params.geometry = batch.geometry->rendered.address();
         params.d_geometry = batch.geometry->gradient.address();
     }
@@ -108,7 +108,11 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
     relidar::run(stream, impl_->trace, trace_threads(batch.rays), params);
     if (impl_->gather) impl_->gather->run(stream, params);
     scene.activate_vjp(stream, model, view_origin_m,
-                       {&gradients.records, &gradients.surfels, &gradients.touched, wants_poses ? &gradients.pose_sums->d_view : nullptr, gradients.zero_untouched});
+                       {.d_records = &gradients.records,
+                        .d_surfels = &gradients.surfels,
+                        .touched = &gradients.touched,
+                        .d_view = wants_poses ? &gradients.pose_sums->d_view : nullptr,
+                        .zero_untouched = gradients.zero_untouched});
     if (wants_poses) impl_->poses.run(stream, scene, model, view_origin_m, gradients);
 }
 

@@ -9,13 +9,23 @@
 #include "gpu/stream.hpp"
 
 namespace relidar {
+namespace {
+
+std::vector<Constant> constants(const ImageModel& model, bool geometry) {
+    return {{ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
+            {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
+            {ConstantId::GAUSSIANS, model.primitive == Primitive::gaussian ? 1u : 0u},
+            {ConstantId::GEOMETRY, geometry ? 1u : 0u}};
+}
+
+}  // namespace
 
 HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray, bool geometry)
     : device_(device),
       hits_per_ray_(hits_per_ray),
       head_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
-      gather_(device, accumulating_variant(device, "backward/gather@"), {{3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}, {8u, model.single_drop_logit ? 1u : 0u}, {9u, model.primitive == Primitive::gaussian ? 1u : 0u}, {10u, geometry ? 1u : 0u}}),
-      heads_kernel_(device, accumulating_variant(device, "backward/gather_heads@"), {{3u, model.sh_direction == ShDirection::surfel ? 1u : 0u}}),
+      gather_(device, accumulating_variant(device, "backward/gather@"), constants(model, geometry)),
+      heads_kernel_(device, accumulating_variant(device, "backward/gather_heads@"), constants(model, geometry)),
       most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch"),
       n_hits_(device, 1, "hits of a batch"),
       prefix_sum_(device) {}
@@ -42,7 +52,9 @@ void HitGather::assign_slots(Stream& stream, const RenderedBatch& batch) {
         prefix_sum_.reserve(device_, n_rays_);
         reserve(std::uint64_t(n_rays_) * hits_per_ray_);
     }
-    const StridedCounts hits{batch.rendered->address(), offsetof(shared::RenderedRay, n_hits) / 4, sizeof(shared::RenderedRay) / 4};
+    const StridedCounts hits{.address = batch.rendered->address_as<std::uint32_t>(),
+                             .offset = offsetof(shared::RenderedRay, n_hits) / 4,
+                             .stride = sizeof(shared::RenderedRay) / 4};
     prefix_sum_.run(stream, hits, first_hit_.address(), n_rays_, n_hits_.address());
 }
 
@@ -54,10 +66,22 @@ void HitGather::fill(shared::BackwardParams& params) const {
 }
 
 void HitGather::run(Stream& stream, const shared::BackwardParams& params) {
-    const auto set = [&](int i) { return SortSet{rows_[i].address(), slots_[i].address()}; };
+    const auto set = [&](int i) { return SortSet{.keys = rows_[i].address(), .order = slots_[i].address()}; };
     const SortSet sorted = sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)), n_hits_.address());
-    const shared::GatherParams gather{params.scene, params.upstream, hits_.address(), sorted.keys, sorted.order, n_hits_.address(), heads_.address(),
-                                      params.d_records, params.d_sh, most_hits_.address(), params.rendered, params.d_geometry, sort_->capacity(), params.n_rows};
+    const shared::GatherParams gather{.scene = params.scene,
+                                      .upstream = params.upstream,
+                                      .hits = hits_.address(),
+                                      .rows = sorted.keys,
+                                      .slots = sorted.order,
+                                      .n_hits = n_hits_.address(),
+                                      .heads = heads_.address(),
+                                      .d_records = params.d_records,
+                                      .d_sh = params.d_sh,
+                                      .most_hits = most_hits_.address(),
+                                      .rendered = params.rendered,
+                                      .d_geometry = params.d_geometry,
+                                      .capacity = sort_->capacity(),
+                                      .n_rows = params.n_rows};
     const std::uint32_t n_blocks = sort_->capacity() / RELIDAR_GATHER_BLOCK + 1;
     relidar::run(stream, gather_, n_blocks, gather);
     relidar::run(stream, heads_kernel_, n_blocks, gather);

@@ -43,18 +43,36 @@ Gradients::PoseSums::PoseSums(Device& device, const DeviceScene& scene) {
     d_view = Array<float>(device, 3 * std::size_t(scene.size()), "view gradient");
 }
 
-PoseGradients::PoseGradients(Device& device) : blocks_(device, "backward/pose_blocks", {{0u, kThreads}}), poses_(device, "backward/poses", {{0u, kThreads}}), sensor_(device, "backward/sensor_pose") {}
+PoseGradients::PoseGradients(Device& device)
+    : blocks_(device, "backward/pose_blocks", {{ConstantId::WORKGROUP_SIZE, kThreads}}),
+      poses_(device, "backward/poses", {{ConstantId::WORKGROUP_SIZE, kThreads}}),
+      sensor_(device, "backward/sensor_pose") {}
 
 void PoseGradients::run(Stream& stream, const DeviceScene& scene, const ImageModel& model, const glm::vec3& view_origin_m, Gradients& gradients) {
     const Gradients::PoseSums& sums = *gradients.pose_sums;
     const auto n_instances = static_cast<std::uint32_t>(scene.layout().instances.size()), n_blocks = static_cast<std::uint32_t>(sums.blocks.size());
     RELIDAR_ASSERT_LE(std::size_t(n_instances) + 1, sums.first_block.size());
     relidar::run(stream, blocks_, kThreads * std::size_t(n_blocks),
-                 {scene.records().address(), gradients.records.address(), sums.d_view.address(), sums.blocks.address(), sums.sums.address(), n_blocks,
-                  model.sh_direction == ShDirection::surfel ? 1u : 0u});
+                 {.records = scene.records().address(),
+                  .d_records = gradients.records.address(),
+                  .d_view = sums.d_view.address(),
+                  .blocks = sums.blocks.address(),
+                  .sums = sums.sums.address(),
+                  .n_blocks = n_blocks,
+                  .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
     relidar::run(stream, poses_, kThreads * std::size_t(n_instances),
-                 {scene.instances_address(), sums.sums.address(), sums.first_block.address(), gradients.poses.address(), view_origin_m, n_instances});
-    relidar::run(stream, sensor_, 1, {scene.instances_address(), gradients.poses.address(), gradients.sensor.address(), view_origin_m, n_instances});
+                 {.instances = scene.instances().address(),
+                  .sums = sums.sums.address(),
+                  .first_block = sums.first_block.address(),
+                  .d_poses = gradients.poses.address(),
+                  .view_origin = view_origin_m,
+                  .n_instances = n_instances});
+    relidar::run(stream, sensor_, 1,
+                 {.instances = scene.instances().address(),
+                  .d_poses = gradients.poses.address(),
+                  .d_sensor = gradients.sensor.address(),
+                  .view_origin = view_origin_m,
+                  .n_instances = n_instances});
 }
 
 }  // namespace relidar

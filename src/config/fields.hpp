@@ -35,7 +35,7 @@ inline constexpr double kMaxSeed = 9007199254740992.0;   // 2^53: a TOML integer
 
 template <class C, class Visitor>
 void visit_dataset(C& c, Visitor&& f) {
-    f("dataset.path", c.dataset.path, anything(), "dataset: a path, or kind:path; `relidar train` fills it in");
+    f("dataset.path", c.dataset.path, anything(), "dataset: a path, or kind:path; training fills it in");
     f("dataset.frames_begin", c.dataset.frames_begin, between(0, kMaxCount), "first frame, by the dataset's own number");
     f("dataset.frames_end", c.dataset.frames_end, between(-1, kMaxCount), "frame after the last one; -1: to the end of the log");
     f("dataset.test_every", c.dataset.test_every, between(0, kMaxCount), "every so many frames one is held out for testing; 0: none");

@@ -95,10 +95,24 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
         const Model& m = models[i];
         const float extent = static_cast<float>(extents_m[i]);
         relidar::run(stream, classify, m.count,
-            {pointers(scene.parameters()), s.gradient_sum.address(), s.n_seen.address(), s.frames.address(), arrays.action.address(), arrays.weight.address(),
-             counters.address() + i * sizeof(ModelCounts), rules.boxes ? m.half_size_m : glm::vec3(0.0f), rules.min_opacity, rules.max_extent_share * extent,
-             static_cast<float>(options.clone_extent_share) * extent, static_cast<float>(options.gradient_threshold), rules.growth, rules.drop_unseen ? 1u : 0u,
-             m.first, m.count, s.n_words, key});
+            {.surfels = pointers(scene.parameters()),
+             .gradient_sum = s.gradient_sum.address(),
+             .n_seen = s.n_seen.address(),
+             .frames = s.frames.address(),
+             .action = arrays.action.address(),
+             .weight = arrays.weight.address(),
+             .counters = counters.address(i * RELIDAR_DENSIFY_COUNTERS),
+             .half_size = rules.boxes ? m.half_size_m : glm::vec3(0.0f),
+             .min_opacity = rules.min_opacity,
+             .max_scale = rules.max_extent_share * extent,
+             .clone_scale = static_cast<float>(options.clone_extent_share) * extent,
+             .gradient_threshold = static_cast<float>(options.gradient_threshold),
+             .growth = rules.growth,
+             .drop_unseen = rules.drop_unseen ? 1u : 0u,
+             .first_surfel = m.first,
+             .n_surfels = m.count,
+             .n_words = s.n_words,
+             .key = key});
     }
     stream.finish();
     const std::vector<std::uint32_t> values = counters.download();
@@ -160,8 +174,14 @@ DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& a
     arrays.move(stream, scene.parameters(), false, plan.size());
     arrays.move(stream, adam.moment1(), true, plan.size());
     arrays.move(stream, adam.moment2(), true, plan.size());
-    relidar::run(stream, spawn, before, {pointers(scene.parameters()), arrays.action.address(), arrays.n_rows.address(), arrays.starts.address(), rules.min_opacity, before,
-                                static_cast<std::uint32_t>(random(Draw::classify, step))});
+    relidar::run(stream, spawn, before,
+                 {.surfels = pointers(scene.parameters()),
+                  .action = arrays.action.address(),
+                  .n_rows = arrays.n_rows.address(),
+                  .starts = arrays.starts.address(),
+                  .min_opacity = rules.min_opacity,
+                  .n_surfels = before,
+                  .key = static_cast<std::uint32_t>(random(Draw::classify, step))});
     arrays.move_statistics(stream);
     stream.finish();
     scene.set_models(plan.ranges(scene.layout().models, counted));
@@ -180,8 +200,15 @@ void Densifier::observe(Stream& stream, const DeviceScene& scene, const Observed
     RELIDAR_ASSERT_LE(batch.frame / 32 + 1, s.n_words);
     RELIDAR_ASSERT_LE(std::size_t(scene.size()) * s.n_words, s.frames.size());
     relidar::run(stream, impl_->observe, scene.size(),
-        {batch.gradients->mean.address(), batch.touched->address(), s.gradient_sum.address(), s.n_seen.address(), s.frames.address(), scene.size(), s.n_words, batch.frame,
-         batch.whole_frame ? 1u : 0u});
+        {.d_mean = batch.gradients->mean.address(),
+         .touched = batch.touched->address(),
+         .gradient_sum = s.gradient_sum.address(),
+         .n_seen = s.n_seen.address(),
+         .frames = s.frames.address(),
+         .n_surfels = scene.size(),
+         .n_words = s.n_words,
+         .frame = batch.frame,
+         .whole_frame = batch.whole_frame ? 1u : 0u});
 }
 
 bool Densifier::due(int step) const {
@@ -196,10 +223,16 @@ DensifyReport Densifier::run(Stream& stream, DeviceScene& scene, Adam& adam, int
 void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step, double rate_share) {
     const DensifyOptions& o = impl_->options;
     if (o.strategy == DensifyStrategy::mcmc && o.noise > 0.0)
-        relidar::run(stream, impl_->jitter, scene.size(), {pointers(scene.parameters()), static_cast<float>(o.noise * rate_share), scene.size(),
-                                                  static_cast<std::uint32_t>(impl_->random(Draw::noise, step))});
+        relidar::run(stream, impl_->jitter, scene.size(),
+                     {.surfels = pointers(scene.parameters()),
+                      .amount = static_cast<float>(o.noise * rate_share),
+                      .n_surfels = scene.size(),
+                      .key = static_cast<std::uint32_t>(impl_->random(Draw::noise, step))});
     if (o.strategy != DensifyStrategy::adaptive || o.opacity_reset_every <= 0 || step >= o.until || step % o.opacity_reset_every != 0) return;
-    relidar::run(stream, impl_->reset_opacity, scene.size(), {scene.parameters().opacity_logit.address(), static_cast<float>(logit(o.reset_opacity)), scene.size()});
+    relidar::run(stream, impl_->reset_opacity, scene.size(),
+                 {.opacity_logit = scene.parameters().opacity_logit.address(),
+                  .max_logit = static_cast<float>(logit(o.reset_opacity)),
+                  .n_surfels = scene.size()});
     stream.fill(adam.moment1().opacity_logit);
     stream.fill(adam.moment2().opacity_logit);
 }

@@ -43,14 +43,30 @@ std::size_t Rearrangement::bytes_per_surfel() const { return 4 * (floats_per_sur
 void Rearrangement::allot(Stream& stream, const GrowthPlan& plan, std::uint32_t before) {
     RELIDAR_ASSERT_LE(std::max(before, plan.size()), capacity());
     before_ = before;
-    prefix_sum_.run(stream, {weight.address()}, starts.address(), before);
-    run(stream, allot_, before, {weight.address(), starts.address(), action.address(), n_rows.address(), before, plan.n_new, plan.total_weight, plan.phase});
-    prefix_sum_.run(stream, {n_rows.address()}, starts.address(), before);
+    prefix_sum_.run(stream, {.address = weight.address()}, starts.address(), before);
+    run(stream, allot_, before,
+        {.weight = weight.address(),
+         .cumulative = starts.address(),
+         .action = action.address(),
+         .n_rows = n_rows.address(),
+         .n_surfels = before,
+         .n_new = plan.n_new,
+         .total_weight = plan.total_weight,
+         .phase = plan.phase});
+    prefix_sum_.run(stream, {.address = n_rows.address()}, starts.address(), before);
 }
 
 template <class T>
 void Rearrangement::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, std::uint32_t stride, bool fresh) {
-    run(stream, move_, before_, {rows.address(), spare.address(), action.address(), n_rows.address(), starts.address(), before_, stride, fresh ? 1u : 0u});
+    run(stream, move_, before_,
+        {.from = rows.template address_as<std::uint32_t>(),
+         .to = spare.template address_as<std::uint32_t>(),
+         .action = action.address(),
+         .n_rows = n_rows.address(),
+         .starts = starts.address(),
+         .n_surfels = before_,
+         .stride = stride,
+         .fresh = fresh ? 1u : 0u});
     std::swap(rows, spare);
 }
 

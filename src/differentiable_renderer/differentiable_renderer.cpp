@@ -3,9 +3,7 @@
 #include <relidar/stages/differentiable_renderer.hpp>
 
 #include <algorithm>
-#include <array>
 #include <optional>
-#include <utility>
 
 #include <fmt/format.h>
 
@@ -16,21 +14,29 @@ namespace relidar {
 namespace {
 
 /// Rays that a renderer has room for.
-std::uint32_t room(const Renderer& renderer) { return static_cast<std::uint32_t>(renderer.rendered().rendered->size() / kRenderedFloats); }
+std::uint32_t room(const Renderer& renderer) { return static_cast<std::uint32_t>(renderer.rendered().rendered->size()); }
 
-/// Values as the backward pass reads them. @return [n_rays, kUpstreamFloats]
-std::vector<float> interleaved(const RenderedGradients& d, std::size_t n_rays) {
-    const std::array<std::pair<const char*, const std::vector<float>*>, kUpstreamFloats> lanes{
-        {{"depth", &d.depth}, {"weight", &d.weight}, {"intensity", &d.intensity}, {"hit_logit", &d.hit_logit}, {"drop_logit", &d.drop_logit}}};
-    std::vector<float> result(n_rays * kUpstreamFloats, 0.0f);
-    for (std::size_t lane = 0; lane < lanes.size(); ++lane) {
-        const auto& [name, values] = lanes[lane];
-        if (values->empty()) continue;
-        if (values->size() != n_rays) throw DataError(fmt::format("gradients of rendered {}: found {}, expected {}, one a ray, or none", name, values->size(), n_rays));
-        for (std::size_t i = 0; i < n_rays; ++i) result[i * kUpstreamFloats + lane] = (*values)[i];
+struct Lane {
+    const char* name;
+    const std::vector<float>& values;
+    float shared::RayGradient::*at;
+};
+
+/// As the backward pass reads them.
+std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& d, std::size_t n_rays) {
+    std::vector<shared::RayGradient> result(n_rays);
+    for (const auto& [name, values, at] : {Lane{"depth", d.depth, &shared::RayGradient::depth}, Lane{"weight", d.weight, &shared::RayGradient::weight},
+                                           Lane{"intensity", d.intensity, &shared::RayGradient::intensity}, Lane{"hit_logit", d.hit_logit, &shared::RayGradient::hit_logit},
+                                           Lane{"drop_logit", d.drop_logit, &shared::RayGradient::drop_logit}}) {
+        if (values.empty()) continue;
+        if (values.size() != n_rays) throw DataError(fmt::format("gradients of rendered {}: found {}, expected {}, one a ray, or none", name, values.size(), n_rays));
+        for (std::size_t i = 0; i < n_rays; ++i) result[i].*at = values[i];
     }
     return result;
 }
+
+/// An array's values, or none where it was not asked for.
+std::vector<float> values_of(const Array<float>& array, std::size_t n) { return array.size() ? array.download(n) : std::vector<float>{}; }
 
 }  // namespace
 
@@ -38,7 +44,7 @@ struct DifferentiableRenderer::Impl {
     GradientOptions options;
     BackwardPass backward;
     std::optional<Gradients> gradients;   ///< none while surfels are added or removed
-    Array<float> upstream;
+    Array<shared::RayGradient> upstream;
 
     void make_gradients(Renderer& renderer) {
         gradients.emplace(renderer.stream().device(), renderer.scene(), options.wanted, room(renderer));
@@ -51,7 +57,7 @@ DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scen
       impl_(new Impl{gradients,
                      BackwardPass(device, model, accel().proxy(), options.trace, gradients.sums),
                      std::nullopt,
-                     {device, std::size_t(options.n_rays) * kUpstreamFloats, "loss gradients"}}) {
+                     {device, options.n_rays, "loss gradients"}}) {
     impl_->make_gradients(*this);
 }
 
@@ -60,9 +66,9 @@ DifferentiableRenderer::~DifferentiableRenderer() = default;
 RenderedBatch DifferentiableRenderer::batch() {
     Device& device = stream().device();
     const std::size_t n_rays = room(*this);
-    if (impl_->upstream.size() < n_rays * kUpstreamFloats) {   // the renderer has made room for more rays
+    if (impl_->upstream.size() < n_rays) {   // the renderer has made room for more rays
         stream().finish();
-        impl_->upstream = Array<float>(device, n_rays * kUpstreamFloats, "loss gradients");
+        impl_->upstream = Array<shared::RayGradient>(device, n_rays, "loss gradients");
         if (impl_->options.wanted.rays) impl_->gradients->rays = Array<float>(device, 6 * n_rays, "ray gradient");
     }
     RenderedBatch result = rendered();
@@ -80,13 +86,12 @@ HostGradients DifferentiableRenderer::backward(const RenderedGradients& d_render
     const std::size_t n_rays = last.rays.n_rays;
     if (last.rays.rays == nullptr) throw UsageError("gradients of a rendering: found none, expected forward() first");
     stream().finish();
-    impl_->upstream.upload(interleaved(d_rendered, n_rays));
+    impl_->upstream.upload(ray_gradients(d_rendered, n_rays));
     if (last.geometry) stream().fill(last.geometry->gradient);
     record_backward();
     stream().finish();
     const Gradients& g = *impl_->gradients;
-    return {g.surfels.download(), g.touched.download(scene().size()), g.poses.size() ? g.poses.download() : std::vector<float>{}, g.sensor.size() ? g.sensor.download() : std::vector<float>{},
-            g.rays.size() ? g.rays.download(6 * n_rays) : std::vector<float>{}};
+    return {g.surfels.download(), g.touched.download(scene().size()), values_of(g.poses, g.poses.size()), values_of(g.sensor, g.sensor.size()), values_of(g.rays, 6 * n_rays)};
 }
 
 void DifferentiableRenderer::change_surfels(const std::function<void(double others_bytes)>& change) {

@@ -19,8 +19,8 @@ namespace {
 std::string without_surfels(const std::string& track, std::vector<std::string> actors) {
     actors.push_back(track);
     return fmt::format("editing track \"{}\": the log has its box, but it has no surfels of its own: it is parked, of a class that "
-                       "init.actor_classes leaves out, or has fewer points than init.actor_min_points; train with --set "
-                       "init.actor_tracks={}, which makes actors of these tracks whether they move or not",
+                       "init.actor_classes leaves out, or has fewer points than init.actor_min_points; train with "
+                       "init.actor_tracks = {}, which makes actors of these tracks whether they move or not",
                        track, fmt::join(actors, ","));
 }
 

@@ -161,7 +161,7 @@ Columns find_columns(const Layout& layout, Primitive primitive) {
     for (const Property& p : properties(primitive)) {
         if (!p.read) continue;
         const auto it = std::find_if(layout.fields.begin(), layout.fields.end(), [&](const Layout::Field& f) { return f.name == p.name; });
-        if (it == layout.fields.end()) throw DataError(fmt::format("property {}: missing, expected it as `relidar export` writes it", p.name));
+        if (it == layout.fields.end()) throw DataError(fmt::format("property {}: missing, expected it as write_surfel_ply() writes it", p.name));
         if (!it->is_float) throw DataError(fmt::format("property {}: found another type, expected float", p.name));
         columns.property.push_back(p);
         columns.offset.push_back(it->offset);

@@ -10,14 +10,14 @@ namespace relidar {
 std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model, const TraceOptions& options) {
     if (device.traversal() != Traversal::software || options.brute_force) return std::nullopt;
     std::vector<Constant> constants = trace_constants(device, accel.proxy(), options, model);
-    constants.push_back({5u, 1u});
+    constants.push_back({ConstantId::COUNT_VISITS, 1u});
     const Kernel<shared::ForwardParams> trace(device, "forward/trace@software_bvh", constants);
-    const Array<float> rendered(device, std::size_t(batch.n_rays) * kRenderedFloats, "rendered rays");
+    const Array<shared::RenderedRay> rendered(device, batch.n_rays, "rendered rays");
     const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"), visits(device, std::vector<std::uint32_t>{0u, 0u}, "visits");
     shared::TraceScene traced = trace_scene(scene, accel, batch, model, pass_cap.address());
     traced.visits = visits.address();
     Stream stream(device);
-    run(stream, trace, trace_threads(batch), {traced, rendered.address(), 0, 0, 0});
+    run(stream, trace, trace_threads(batch), {.scene = traced, .rendered = rendered.address(), .kept = {}, .geometry = {}, .n_kept = 0});
     stream.finish();
     const std::vector<std::uint32_t> sums = visits.download();
     return VisitCounts{double(sums[0]) / batch.n_rays, double(sums[1]) / batch.n_rays};

@@ -2,8 +2,6 @@
 // Binding of forward/trace: rays in, rendered rays out (Eq. 2-4).
 #include <relidar/stages/forward.hpp>
 
-#include <cstring>
-
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
@@ -13,10 +11,6 @@
 #include "gpu/stream.hpp"
 
 namespace relidar {
-
-static_assert(sizeof(shared::RenderedRay) == kRenderedFloats * sizeof(float));
-static_assert(sizeof(shared::RenderedGeometry) == kGeometryFloats * sizeof(float));
-static_assert(sizeof(shared::RayEntry) == sizeof(DeviceRay));
 
 struct ForwardPass::Impl {
     ImageModel model;
@@ -39,15 +33,19 @@ ForwardPass::ForwardPass(Device& device, const ImageModel& model, Proxy proxy, c
 ForwardPass::~ForwardPass() = default;
 void ForwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 
-void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered, KeptHits* kept, RayGeometry* geometry) {
-    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kRenderedFloats, rendered.size());
+void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<shared::RenderedRay>& rendered,
+                      KeptHits* kept, RayGeometry* geometry) {
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered.size());
     RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.rays->size());
-    RELIDAR_ASSERT_LE(kept ? 2 * std::size_t(batch.n_rays) * kept->per_ray : 0, kept ? kept->hits.size() : 0);
+    RELIDAR_ASSERT_LE(kept ? std::size_t(batch.n_rays) * kept->per_ray : 0, kept ? kept->hits.size() : 0);
     RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);   // whole rows
-    RELIDAR_ASSERT_LE(impl_->with_geometry ? std::size_t(batch.n_rays) * kGeometryFloats : 0, geometry ? geometry->rendered.size() : 0);
+    RELIDAR_ASSERT_LE(impl_->with_geometry ? std::size_t(batch.n_rays) : 0, geometry ? geometry->rendered.size() : 0);
     relidar::run(stream, impl_->trace, trace_threads(batch),
-                 {trace_scene(scene, accel, batch, impl_->model, impl_->pass_cap.address()), rendered.address(), kept ? kept->hits.address() : 0,
-                  geometry ? geometry->rendered.address() : 0, kept ? kept->per_ray : 0});
+                 {.scene = trace_scene(scene, accel, batch, impl_->model, impl_->pass_cap.address()),
+                  .rendered = rendered.address(),
+                  .kept = address_of(kept ? &kept->hits : nullptr),
+                  .geometry = address_of(geometry ? &geometry->rendered : nullptr),
+                  .n_kept = kept ? kept->per_ray : 0});
 }
 
 const Array<std::uint32_t>& ForwardPass::pass_cap_count() const { return impl_->pass_cap; }
@@ -58,11 +56,9 @@ std::uint32_t ForwardPass::take_pass_cap_count() {
     return count;
 }
 
-Rendering to_rendering(const std::vector<float>& rendered, std::size_t n_rays) {
+Rendering to_rendering(const std::vector<shared::RenderedRay>& rays) {
     Rendering r;
-    for (std::size_t i = 0; i < n_rays; ++i) {
-        shared::RenderedRay ray;
-        std::memcpy(&ray, rendered.data() + i * kRenderedFloats, sizeof(ray));
+    for (const shared::RenderedRay& ray : rays) {
         r.depth.push_back(ray.depth);
         r.weight.push_back(ray.weight);
         r.intensity.push_back(ray.intensity);

@@ -24,7 +24,7 @@ struct Renderer::Impl {
     bool placed = false;
     glm::vec3 view_origin_m{0.0f};
     Array<DeviceRay> host_rays;   ///< of forward()
-    Array<float> rendered;
+    Array<shared::RenderedRay> rendered;
     std::optional<KeptHits> kept;
     std::optional<RayGeometry> geometry;
     RenderedBatch batch;
@@ -35,7 +35,7 @@ struct Renderer::Impl {
     }
 
     void make_room(std::size_t n_rays) {
-        rendered = Array<float>(device, n_rays * kRenderedFloats, "rendered rays");
+        rendered = Array<shared::RenderedRay>(device, n_rays, "rendered rays");
         if (options.keep_hits > 0) kept.emplace(device, n_rays, options.keep_hits);
         if (options.trace.geometry) geometry.emplace(device, n_rays);
         batch = {{}, &rendered, nullptr, kept ? &*kept : nullptr, geometry ? &*geometry : nullptr};
@@ -67,7 +67,7 @@ void Renderer::move(const std::vector<InstancePose>& placed, const glm::vec3& vi
 void Renderer::record_forward(const RayBatch& rays) {
     Impl& r = *impl_;
     if (!r.placed) throw UsageError("rendering: found a scene that is not placed, expected place() first");
-    if (std::size_t(rays.n_rays) * kRenderedFloats > r.rendered.size()) {
+    if (rays.n_rays > r.rendered.size()) {
         r.stream.finish();
         r.make_room(rays.n_rays);
     }
@@ -84,7 +84,7 @@ Rendering Renderer::forward(const WorldRays& rays) {
     r.stream.finish();
     if (const std::uint32_t capped = r.forward.take_pass_cap_count())
         throw DeviceError(fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal stack, expected every ray to end", rays.size(), capped, RELIDAR_MAX_PASSES));
-    return to_rendering(r.rendered.download(rays.size() * kRenderedFloats), rays.size());
+    return to_rendering(r.rendered.download(rays.size()));
 }
 
 void Renderer::set_sh_degree(int degree) {

@@ -3,9 +3,7 @@
 // pipeline layout that every kernel shares.
 #include "gpu/context.hpp"
 
-#include <charconv>
 #include <cstdio>
-#include <cstdlib>
 #include <cstring>
 
 #include <fmt/format.h>
@@ -105,33 +103,18 @@ namespace relidar {
 
 namespace {
 
-bool validation_wanted(const DeviceOptions& options) {
-    const char* text = std::getenv("RELIDAR_VALIDATION");
-    return options.validation || (text && std::strcmp(text, "1") == 0);
-}
-
 std::vector<DeviceInfo> describe_all(const std::vector<VkPhysicalDevice>& physical) {
     std::vector<DeviceInfo> infos;
     for (std::size_t i = 0; i < physical.size(); ++i) infos.push_back(gpu::describe(physical[i], static_cast<int>(i)));
     return infos;
 }
 
-std::uint64_t memory_limit(const DeviceOptions& options) {
-    const char* text = std::getenv("RELIDAR_MEMORY_LIMIT_MIB");
-    if (options.memory_limit_bytes || !text || !*text) return options.memory_limit_bytes;
-    std::uint64_t mib = 0;
-    const char* end = text + std::strlen(text);
-    const auto [parsed, failed] = std::from_chars(text, end, mib);
-    if (failed != std::errc() || parsed != end || mib == 0 || mib > (1u << 30)) throw UsageError(fmt::format("RELIDAR_MEMORY_LIMIT_MIB: found '{}', expected a number of MiB above 0", text));
-    return mib << 20;
-}
-
 /// The device asked for, or the best one: a GPU before a CPU, one with ray query before others.
 int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
-    if (infos.empty()) throw DeviceError("opening a device: found no Vulkan device, expected at least one; `tools/dev/setup` installs a software driver");
+    if (infos.empty()) throw DeviceError("opening a device: found no Vulkan device, expected at least one, such as Mesa's software driver");
     const int n = static_cast<int>(infos.size());
     if (options.index >= n)
-        throw DeviceError(fmt::format("opening device {}: found {} devices (0 to {}), expected a number `relidar devices` lists", options.index, n, n - 1));
+        throw DeviceError(fmt::format("opening device {}: found {} devices (0 to {}), expected the number of one of them", options.index, n, n - 1));
     if (options.index >= 0) return options.index;
     int best = 0, best_score = -1;
     for (const DeviceInfo& d : infos) {
@@ -146,9 +129,9 @@ void require(const DeviceInfo& info, Traversal wanted) {
     if (!info.why_not_usable.empty())
         throw DeviceError(fmt::format("opening device {} ({}): it lacks {}, expected all of them", info.index, info.name, info.why_not_usable));
     if (wanted == Traversal::ray_query && !info.ray_query)
-        throw DeviceError(fmt::format("opening device {} ({}) with ray query: it lacks {}, expected them, or --traversal auto", info.index, info.name, info.why_not_ray_query));
+        throw DeviceError(fmt::format("opening device {} ({}) with ray query: it lacks {}, expected them, or that the choice is left to relidar", info.index, info.name, info.why_not_ray_query));
     if (wanted == Traversal::software && !info.software)
-        throw DeviceError(fmt::format("opening device {} ({}) with software traversal: it lacks {}, expected them, or --traversal auto", info.index, info.name, info.why_not_software));
+        throw DeviceError(fmt::format("opening device {} ({}) with software traversal: it lacks {}, expected them, or that the choice is left to relidar", info.index, info.name, info.why_not_software));
     if (wanted == Traversal::automatic && best_traversal(info) == Traversal::automatic)
         throw DeviceError(fmt::format("opening device {} ({}): for ray query it lacks {}, for software traversal {}, expected all of one of them", info.index, info.name,
                                       info.why_not_ray_query, info.why_not_software));
@@ -173,8 +156,7 @@ Traversal best_traversal(const DeviceInfo& info) {
 }
 
 Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
-    const bool validation = validation_wanted(options);
-    impl_->instance = std::make_unique<gpu::Instance>(validation);
+    impl_->instance = std::make_unique<gpu::Instance>(options.validation);
     const std::vector<VkPhysicalDevice> physical = impl_->instance->physical_devices();
     const std::vector<DeviceInfo> infos = describe_all(physical);
     const int index = choose(infos, options);
@@ -182,9 +164,9 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     require(impl_->info, options.traversal);
     impl_->traversal = options.traversal == Traversal::automatic ? best_traversal(impl_->info) : options.traversal;
     impl_->physical = physical[static_cast<std::size_t>(index)];
-    impl_->memory_limit_bytes = memory_limit(options);
+    impl_->memory_limit_bytes = options.memory_limit_bytes;
     impl_->compile_only = options.compile_only;
-    impl_->open();
+    impl_->open(options.pipeline_cache);
 }
 
 Device::~Device() = default;
@@ -196,14 +178,14 @@ std::uint64_t Device::peak_bytes() const { return impl_->peak; }
 std::size_t Device::validation_messages() const { return impl_->instance->n_messages; }
 const std::vector<PipelineStatistics>& Device::pipelines() const { return impl_->compiled; }
 
-void Device::Impl::open() {
+void Device::Impl::open(const std::filesystem::path& cache_folder) {
     find_compute_queues();
     make_device();
     vkGetDeviceQueue(device, queue_family, 0, &queue);
     read_limits();
     make_pipeline_layout();
     if (compile_only) return;   // what a driver without hardware lacks
-    pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device);
+    pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device, cache_folder);
     memory = std::make_unique<gpu::MemoryPools>(physical, device);
     transfers = std::make_unique<gpu::Transfers>(*this);
 }

@@ -90,7 +90,8 @@ struct Device::Impl {
 
     Impl();
     ~Impl();
-    void open();
+    /// @param cache_folder  of pipelines, or empty
+    void open(const std::filesystem::path& cache_folder);
     void find_compute_queues();
     void make_device();
     void read_limits();

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <set>
 
 #include <fmt/format.h>
 
@@ -45,7 +46,8 @@ VkResult make_pipeline(Device::Impl& device, std::span<const std::uint32_t> word
     gpu::check(vkCreateShaderModule(device.device, &module_info, nullptr, &module), "vkCreateShaderModule");
     std::vector<VkSpecializationMapEntry> map;
     for (std::size_t i = 0; i < constants.size(); ++i)
-        map.push_back({constants[i].id, static_cast<std::uint32_t>(i * sizeof(Constant) + offsetof(Constant, value)), sizeof(std::uint32_t)});
+        map.push_back({static_cast<std::uint32_t>(constants[i].id),
+                       static_cast<std::uint32_t>(i * sizeof(Constant) + offsetof(Constant, value)), sizeof(std::uint32_t)});
     const VkSpecializationInfo specialisation{static_cast<std::uint32_t>(map.size()), map.data(), constants.size() * sizeof(Constant), constants.data()};
     VkComputePipelineCreateInfo info{VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO};
     info.flags = device.pipeline_statistics ? VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR : 0;
@@ -67,16 +69,25 @@ VkResult make_pipeline(Device::Impl& device, std::span<const std::uint32_t> word
 
 std::string constants_text(std::span<const std::uint32_t> words, std::vector<Constant> constants) {
     std::sort(constants.begin(), constants.end(), [](const Constant& a, const Constant& b) { return a.id < b.id; });
-    const std::map<std::uint32_t, std::string> names = gpu::constant_names(words);
+    const std::set<std::uint32_t> of_module = gpu::constant_ids(words);
     std::string text;
     for (const Constant& c : constants) {
-        const auto name = names.find(c.id);
-        if (c.id != 0 && name != names.end()) text += fmt::format("{}{}={}", text.empty() ? "" : " ", name->second, c.value);   // 0: the workgroup's size
+        if (c.id == ConstantId::WORKGROUP_SIZE || !of_module.contains(static_cast<std::uint32_t>(c.id))) continue;
+        text += fmt::format("{}{}={}", text.empty() ? "" : " ", name_of(c.id), c.value);
     }
     return text;
 }
 
 }  // namespace
+
+const char* name_of(ConstantId id) {
+    switch (id) {
+#define RELIDAR_CONSTANT_ID(name, number) case ConstantId::name: return #name;
+        RELIDAR_CONSTANTS(RELIDAR_CONSTANT_ID)
+#undef RELIDAR_CONSTANT_ID
+    }
+    return "";
+}
 
 KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups) : impl_(std::make_unique<Impl>()) {
     Device::Impl& device = impl_of(owner);
@@ -84,9 +95,9 @@ KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<C
     impl_->name = std::string(name.substr(0, name.find('@')));
     const std::vector<std::uint32_t> words = module_words(device, name, impl_->name);
     std::vector<Constant> all(constants);
-    const auto size = std::find_if(all.begin(), all.end(), [](const Constant& c) { return c.id == 0u; });
+    const auto size = std::find_if(all.begin(), all.end(), [](const Constant& c) { return c.id == ConstantId::WORKGROUP_SIZE; });
     impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
-    if (size == all.end()) all.push_back({0u, device.workgroup_size});
+    if (size == all.end()) all.push_back({ConstantId::WORKGROUP_SIZE, device.workgroup_size});
     if (device.compile_only) {
         compile_only(name, words, all, subgroups);
         return;

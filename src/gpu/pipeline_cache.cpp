@@ -7,7 +7,6 @@
 #include <array>
 #include <atomic>
 #include <cstdint>
-#include <cstdlib>
 #include <cstring>
 #include <fstream>
 #include <string_view>
@@ -36,18 +35,6 @@ FileHeader header_of(std::string_view bytes) {
     header.n_bytes = bytes.size();
     header.hash = hash_of(bytes);
     return header;
-}
-
-std::filesystem::path folder() {
-    const auto value = [](const char* name) -> std::string {
-        const char* text = std::getenv(name);
-        return text ? text : "";
-    };
-    const std::string own = value("RELIDAR_PIPELINE_CACHE"), cache = value("XDG_CACHE_HOME"), home = value("HOME");
-    if (own == "0") return {};
-    if (!own.empty()) return own;
-    if (!cache.empty()) return std::filesystem::path(cache) / "relidar";
-    return home.empty() ? std::filesystem::path() : std::filesystem::path(home) / ".cache" / "relidar";
 }
 
 /// What the driver gave once, or nothing where the file is absent, cut, changed, or of another driver.
@@ -84,13 +71,12 @@ void write_file(const std::filesystem::path& path, std::string_view bytes) {
 
 }  // namespace
 
-PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device) : device_(device) {
+PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder) : device_(device) {
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(physical, &properties);
     std::string uuid;
     for (const std::uint8_t byte : properties.pipelineCacheUUID) uuid += fmt::format("{:02x}", byte);
-    const std::filesystem::path in = folder();
-    if (!in.empty()) path_ = in / fmt::format("pipelines_{:04x}_{:04x}_{}", properties.vendorID, properties.deviceID, uuid);
+    if (!folder.empty()) path_ = folder / fmt::format("pipelines_{:04x}_{:04x}_{}", properties.vendorID, properties.deviceID, uuid);
 
     const std::string bytes = path_.empty() ? std::string() : read_file(path_, properties);
     read_bytes_ = bytes.size();

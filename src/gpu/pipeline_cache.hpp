@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compiled pipelines, kept on disk from one process to the next: a card's compiler takes seconds for the heaviest kernels. A file a
-// device and driver, in RELIDAR_PIPELINE_CACHE, $XDG_CACHE_HOME/relidar or $HOME/.cache/relidar; RELIDAR_PIPELINE_CACHE=0 is none. A file
-// that is damaged or of another driver counts as absent, and a folder that cannot be written is no error.
+// device and driver. A file that is damaged or of another driver counts as absent, and a folder that cannot be written is no error.
 #pragma once
 
 #include <filesystem>
@@ -13,7 +12,8 @@ namespace relidar::gpu {
 
 class PipelineCache {
 public:
-    PipelineCache(VkPhysicalDevice physical, VkDevice device);
+    /// @param folder  of the file; empty: nothing is kept
+    PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder);
     /// Writes the file where there is more to keep than was read.
     ~PipelineCache();
     PipelineCache(const PipelineCache&) = delete;

@@ -8,7 +8,7 @@
 namespace relidar {
 namespace {
 
-constexpr Constant kWorkgroup{0u, RELIDAR_TILE_THREADS};
+constexpr Constant kWorkgroup{ConstantId::WORKGROUP_SIZE, RELIDAR_TILE_THREADS};
 
 std::size_t tiles_of(std::size_t n) { return (n + RELIDAR_TILE_SIZE - 1) / RELIDAR_TILE_SIZE; }
 
@@ -24,8 +24,17 @@ void PrefixSum::reserve(Device& device, std::size_t n) {
     }
 }
 
-void PrefixSum::run(Stream& stream, const StridedCounts& counts, std::uint64_t prefix, std::uint32_t n, std::uint64_t total) const {
-    run_level(stream, {counts.address, 0, prefix, total, n, counts.offset, counts.stride}, 0);
+void PrefixSum::run(Stream& stream, const StridedCounts& counts, Address<std::uint32_t> prefix, std::uint32_t n,
+                    Address<std::uint32_t> total) const {
+    run_level(stream,
+              {.counts = counts.address,
+               .tile_sums = {},
+               .prefix = prefix,
+               .total = total,
+               .n = n,
+               .offset = counts.offset,
+               .stride = counts.stride},
+              0);
 }
 
 void PrefixSum::run_level(Stream& stream, shared::ScanParams params, std::size_t level) const {
@@ -36,7 +45,16 @@ void PrefixSum::run_level(Stream& stream, shared::ScanParams params, std::size_t
         RELIDAR_ASSERT_LE(n_tiles, levels_[level].size());
         params.tile_sums = levels_[level].address();
         relidar::run(stream, sums_, n_threads, params);
-        run_level(stream, {params.tile_sums, 0, params.tile_sums, 0, static_cast<std::uint32_t>(n_tiles), 0, 1}, level + 1);
+        const Address<std::uint32_t> sums = params.tile_sums;
+        run_level(stream,
+                  {.counts = sums,
+                   .tile_sums = {},
+                   .prefix = sums,
+                   .total = {},
+                   .n = static_cast<std::uint32_t>(n_tiles),
+                   .offset = 0,
+                   .stride = 1},
+                  level + 1);
     }
     relidar::run(stream, write_, n_threads, params);
 }

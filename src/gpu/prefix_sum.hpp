@@ -9,7 +9,7 @@ namespace relidar {
 
 /// Counts as they lie in memory: element i at offset + i * stride.
 struct StridedCounts {
-    std::uint64_t address = 0;
+    Address<std::uint32_t> address;
     std::uint32_t offset = 0;
     std::uint32_t stride = 1;
 };
@@ -20,8 +20,9 @@ public:
     /// Makes room for n counts. Nothing may be in flight.
     void reserve(Device& device, std::size_t n);
     /// Records prefix[i] = sum of the counts before i, i < n; in place where prefix is the counts. The sum of all must fit into 32 bits.
-    /// @param total  device address where the sum of all goes, 0 = nowhere; not written where n is 0
-    void run(Stream& stream, const StridedCounts& counts, std::uint64_t prefix, std::uint32_t n, std::uint64_t total = 0) const;
+    /// @param total  where the sum of all goes, if anywhere; not written where n is 0
+    void run(Stream& stream, const StridedCounts& counts, Address<std::uint32_t> prefix, std::uint32_t n,
+             Address<std::uint32_t> total = {}) const;
 
 private:
     Kernel<shared::ScanParams> sums_, write_;

@@ -13,7 +13,7 @@
 namespace relidar {
 namespace {
 
-constexpr Constant kWorkgroup{0u, RELIDAR_TILE_THREADS};
+constexpr Constant kWorkgroup{ConstantId::WORKGROUP_SIZE, RELIDAR_TILE_THREADS};
 constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;   // 128 to 2048 subgroups, for 256 digits
 
 std::size_t tiles_of(std::uint32_t n) { return (std::size_t(n) + RELIDAR_TILE_SIZE - 1) / RELIDAR_TILE_SIZE; }
@@ -25,9 +25,9 @@ static_assert(RELIDAR_SORT_DIGITS == 1u << RELIDAR_SORT_BITS && RELIDAR_SORT_BIT
 
 RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_words)
     : capacity_(capacity),
-      count_(device, "gpu/radix_count", {kWorkgroup, {1u, key_words}}, Subgroups::full),
+      count_(device, "gpu/radix_count", {kWorkgroup, {ConstantId::KEY_WORDS, key_words}}, Subgroups::full),
       scan_(device, "gpu/radix_scan", {kWorkgroup}, Subgroups::full),
-      scatter_(device, "gpu/radix_scatter", {kWorkgroup, {1u, key_words}}, Subgroups::full),
+      scatter_(device, "gpu/radix_scatter", {kWorkgroup, {ConstantId::KEY_WORDS, key_words}}, Subgroups::full),
       counts_(device, RELIDAR_SORT_DIGITS * tiles_of(capacity), "sort counts"),
       totals_(device, RELIDAR_SORT_DIGITS, "sort totals") {
     if (const int lanes = device.info().subgroup_size; lanes < 4 || lanes > 64)
@@ -36,10 +36,18 @@ RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_w
         throw DeviceError(fmt::format("making a sort on {}: found subgroups of varying size, expected subgroupSizeControl and computeFullSubgroups", device.info().name));
 }
 
-SortSet RadixSort::run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits, std::uint64_t n_keys) const {
+SortSet RadixSort::run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits, Address<std::uint32_t> n_keys) const {
     const std::size_t n_threads = tiles_of(capacity_) * RELIDAR_TILE_THREADS;
     for (std::uint32_t pass = 0; pass < passes(key_bits); ++pass) {
-        const shared::RadixSortParams params{n_keys, from.keys, pass == 0 ? 0 : from.order, other.keys, other.order, counts_.address(), totals_.address(), capacity_, RELIDAR_SORT_BITS * pass};
+        const shared::RadixSortParams params{.n_keys = n_keys,
+                                             .keys = from.keys,
+                                             .order = pass == 0 ? Address<std::uint32_t>() : from.order,
+                                             .sorted_keys = other.keys,
+                                             .sorted_order = other.order,
+                                             .counts = counts_.address(),
+                                             .totals = totals_.address(),
+                                             .capacity = capacity_,
+                                             .shift = RELIDAR_SORT_BITS * pass};
         relidar::run(stream, count_, n_threads, params);
         relidar::run(stream, scan_, kScanThreads, params);
         relidar::run(stream, scatter_, n_threads, params);

@@ -10,8 +10,8 @@ namespace relidar {
 
 /// Addresses of one set of keys.
 struct SortSet {
-    std::uint64_t keys = 0;    ///< [n,key_words] low word first
-    std::uint64_t order = 0;   ///< [n] the place each key had before
+    Address<std::uint32_t> keys;    ///< [n,key_words] low word first
+    Address<std::uint32_t> order;   ///< [n] the place each key had before
 };
 
 class RadixSort {
@@ -24,9 +24,10 @@ public:
     /// Passes that keys of so many bits take. After an odd number the sorted keys lie in the other set.
     static std::uint32_t passes(std::uint32_t key_bits) { return key_bits > 8 ? (key_bits + 7) / 8 : 1; }
     /// Records a sort by the low key_bits bits; equal keys keep their order. Both sets are overwritten.
-    /// @param from    its order is not read @param n_keys  device address of their number, 0 = the capacity; keys beyond the capacity are left out
+    /// @param from    its order is not read
+    /// @param n_keys  where their number is; nowhere = the capacity; keys beyond the capacity are left out
     /// @return the set that holds the sorted keys
-    SortSet run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits, std::uint64_t n_keys = 0) const;
+    SortSet run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits, Address<std::uint32_t> n_keys = {}) const;
     std::uint64_t memory_bytes() const { return counts_.buffer().size_bytes() + totals_.buffer().size_bytes(); }
 
 private:

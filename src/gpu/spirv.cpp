@@ -64,13 +64,12 @@ std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32
     return result;
 }
 
-std::map<std::uint32_t, std::string> constant_names(std::span<const std::uint32_t> words) {
-    std::map<std::uint32_t, std::string> name_of_result, name_of_constant;   // names come before decorations
+std::set<std::uint32_t> constant_ids(std::span<const std::uint32_t> words) {
+    std::set<std::uint32_t> ids;
     for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
-        if (opcode == kOpName) name_of_result[instruction[1]] = name_in(instruction);
-        if (opcode == kOpDecorate && instruction[2] == kSpecId) name_of_constant[instruction[3]] = name_of_result[instruction[1]];
+        if (opcode == kOpDecorate && instruction[2] == kSpecId) ids.insert(instruction[3]);
     });
-    return name_of_constant;
+    return ids;
 }
 
 }  // namespace relidar::gpu

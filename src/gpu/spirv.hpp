@@ -4,9 +4,8 @@
 #pragma once
 
 #include <cstdint>
-#include <map>
+#include <set>
 #include <span>
-#include <string>
 #include <string_view>
 #include <vector>
 
@@ -29,7 +28,7 @@ std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> wo
 /// The module with its block of parameters (RELIDAR_PARAMS) decorated NonWritable.
 std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32_t> words);
 
-/// Name of each specialisation constant, by its id (OpDecorate SpecId, OpName).
-std::map<std::uint32_t, std::string> constant_names(std::span<const std::uint32_t> words);
+/// Ids of the module's specialisation constants.
+std::set<std::uint32_t> constant_ids(std::span<const std::uint32_t> words);
 
 }  // namespace relidar::gpu

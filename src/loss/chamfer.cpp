@@ -37,7 +37,13 @@ struct Cloud {
           tile_high(device, n / 4 + 1, what + " tiles"),
           group_low(device, n / 16 + 2, what + " groups"),
           group_high(device, n / 16 + 2, what + " groups") {}
-    shared::ChamferCloud pointers() const { return {points.address(), tile_low.address(), tile_high.address(), group_low.address(), group_high.address()}; }
+    shared::ChamferCloud pointers() const {
+        return {.points = points.address(),
+                .tile_low = tile_low.address(),
+                .tile_high = tile_high.address(),
+                .group_low = group_low.address(),
+                .group_high = group_high.address()};
+    }
 };
 
 }  // namespace
@@ -70,15 +76,36 @@ struct ChamferLoss::Impl {
     void bound_tiles(Stream& stream, const Cloud& cloud, const Levels& l) const {
         RELIDAR_ASSERT_LE(std::size_t(l.tiles.x) * l.tiles.y, cloud.tile_low.size());
         relidar::run(stream, boxes, std::size_t(l.tiles.x) * l.tiles.y,
-                     {cloud.points.address(), cloud.points.address(), cloud.tile_low.address(), cloud.tile_high.address(), l.points.x, l.points.y, l.tile.x, l.tile.y});
+                     {.low = cloud.points.address(),
+                      .high = cloud.points.address(),
+                      .tile_low = cloud.tile_low.address(),
+                      .tile_high = cloud.tile_high.address(),
+                      .rows = l.points.x,
+                      .columns = l.points.y,
+                      .tile_rows = l.tile.x,
+                      .tile_columns = l.tile.y});
     }
     void bound_groups(Stream& stream, const Cloud& cloud, const Levels& l) const {
         RELIDAR_ASSERT_LE(std::size_t(l.groups.x) * l.groups.y, cloud.group_low.size());
         relidar::run(stream, boxes, std::size_t(l.groups.x) * l.groups.y,
-                     {cloud.tile_low.address(), cloud.tile_high.address(), cloud.group_low.address(), cloud.group_high.address(), l.tiles.x, l.tiles.y, l.tile.x, l.tile.y});
+                     {.low = cloud.tile_low.address(),
+                      .high = cloud.tile_high.address(),
+                      .tile_low = cloud.group_low.address(),
+                      .tile_high = cloud.group_high.address(),
+                      .rows = l.tiles.x,
+                      .columns = l.tiles.y,
+                      .tile_rows = l.tile.x,
+                      .tile_columns = l.tile.y});
     }
     void search(Stream& stream, const Cloud& from, const Cloud& to, const Array<std::uint32_t>& found, const Levels& l) const {
-        relidar::run(stream, nearest, n_rays, {from.points.address(), to.pointers(), found.address(), l.points.x, l.points.y, l.tile.x, l.tile.y});
+        relidar::run(stream, nearest, n_rays,
+                     {.queries = from.points.address(),
+                      .cloud = to.pointers(),
+                      .nearest = found.address(),
+                      .rows = l.points.x,
+                      .columns = l.points.y,
+                      .tile_rows = l.tile.x,
+                      .tile_columns = l.tile.y});
     }
     /// Nearest points, both ways: neither cloud waits for the other.
     void search(Stream& stream, const Levels& l) const {
@@ -104,10 +131,10 @@ ChamferLoss::~ChamferLoss() = default;
 void ChamferLoss::compare(Stream& stream, const RenderedBatch& batch_rendered, const TargetBatch& batch, const TermRow& terms) {
     Impl& c = *impl_;
     const RayBatch& rays = batch_rendered.rays;
-    const Array<float>& rendered = *batch_rendered.rendered;
-    Array<float>& upstream = *batch_rendered.upstream;
+    const Array<shared::RenderedRay>& rendered = *batch_rendered.rendered;
+    Array<shared::RayGradient>& upstream = *batch_rendered.upstream;
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), c.simulated.points.size());
-    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kUpstreamFloats, upstream.size());
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), upstream.size());
     c.n_rays = batch.n_rays;
     const Levels levels(batch);
     const std::uint32_t normalised = c.weights.normalised_depth ? 1u : 0u;
@@ -117,12 +144,32 @@ void ChamferLoss::compare(Stream& stream, const RenderedBatch& batch_rendered, c
         stream.fill(c.d_found);
     }
     relidar::run(stream, c.points, batch.n_rays,
-                 {rays.rays->address(), rendered.address(), batch.targets->address(), c.simulated.points.address(), c.measured.points.address(), c.counts.address(), batch.n_rays,
-                  batch.first, batch.stride, normalised});
+                 {.rays = rays.rays->address(),
+                  .rendered = rendered.address(),
+                  .targets = batch.targets->address(),
+                  .simulated = c.simulated.points.address(),
+                  .measured = c.measured.points.address(),
+                  .counts = c.counts.address(),
+                  .n_rays = batch.n_rays,
+                  .first_ray = batch.first,
+                  .ray_stride = batch.stride,
+                  .normalised_depth = normalised});
     c.search(stream, levels);
-    const shared::ChamferParams chamfer{rays.rays->address(), rendered.address(), c.simulated.points.address(), c.measured.points.address(), c.nearest_measured.address(),
-                                        c.nearest_simulated.address(), c.counts.address(), c.d_found.address(), upstream.address(), terms.address(), c.weights.chamfer,
-                                        batch.n_rays, batch.first, batch.stride, normalised};
+    const shared::ChamferParams chamfer{.rays = rays.rays->address(),
+                                        .rendered = rendered.address(),
+                                        .simulated = c.simulated.points.address(),
+                                        .measured = c.measured.points.address(),
+                                        .nearest_measured = c.nearest_measured.address(),
+                                        .nearest_simulated = c.nearest_simulated.address(),
+                                        .counts = c.counts.address(),
+                                        .d_found = c.d_found.address(),
+                                        .upstream = upstream.address(),
+                                        .terms = terms.address(),
+                                        .weight = c.weights.chamfer,
+                                        .n_rays = batch.n_rays,
+                                        .first_ray = batch.first,
+                                        .ray_stride = batch.stride,
+                                        .normalised_depth = normalised};
     relidar::run(stream, c.chamfer, batch.n_rays, chamfer);
     relidar::run(stream, c.vjp, batch.n_rays, chamfer);
 }

@@ -12,8 +12,6 @@
 
 namespace relidar {
 
-static_assert(sizeof(shared::GeometryGradient) == kGeometryGradientFloats * sizeof(float));
-
 struct GeometryLoss::Impl {
     LossWeights weights;
     Array<glm::vec3> d_tangents;
@@ -31,14 +29,27 @@ void GeometryLoss::compare(Stream& stream, const RenderedBatch& rendered, const 
     const LossWeights& w = impl_->weights;
     RayGeometry& geometry = *rendered.geometry;
     const bool with_normals = w.normal > 0.0f;
-    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kGeometryGradientFloats, geometry.gradient.size());
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), geometry.gradient.size());
     RELIDAR_ASSERT_LE(with_normals ? 2 * std::size_t(batch.n_rays) : 0, impl_->d_tangents.size());
     RELIDAR_ASSERT_LE(with_normals ? 1u : 0u, batch.image.rows);
     const float per_return = static_cast<float>(1.0 / std::max(batch.n_returned, 1.0));
-    const shared::GeometryLossParams params{rendered.rays.rays->address(), rendered.rendered->address(), geometry.rendered.address(), batch.targets->address(), impl_->d_tangents.address(),
-                                            rendered.upstream->address(), geometry.gradient.address(), terms.address(), w.distortion * per_return, w.normal * per_return,
-                                            batch.n_rays, batch.first, batch.stride, batch.image.rows, batch.image.columns, batch.image.circular ? 1u : 0u,
-                                            w.normalised_depth ? 1u : 0u};
+    const shared::GeometryLossParams params{.rays = rendered.rays.rays->address(),
+                                            .rendered = rendered.rendered->address(),
+                                            .geometry = geometry.rendered.address(),
+                                            .targets = batch.targets->address(),
+                                            .d_tangents = impl_->d_tangents.address(),
+                                            .upstream = rendered.upstream->address(),
+                                            .d_geometry = geometry.gradient.address(),
+                                            .terms = terms.address(),
+                                            .distortion_weight = w.distortion * per_return,
+                                            .normal_weight = w.normal * per_return,
+                                            .n_rays = batch.n_rays,
+                                            .first_ray = batch.first,
+                                            .ray_stride = batch.stride,
+                                            .rows = batch.image.rows,
+                                            .columns = batch.image.columns,
+                                            .circular = batch.image.circular ? 1u : 0u,
+                                            .normalised_depth = w.normalised_depth ? 1u : 0u};
     relidar::run(stream, impl_->loss, batch.n_rays, params);
     if (with_normals) relidar::run(stream, impl_->normal_vjp, batch.n_rays, params);
 }

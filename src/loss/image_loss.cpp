@@ -12,9 +12,6 @@
 
 namespace relidar {
 
-static_assert(sizeof(shared::RayTarget) == sizeof(DeviceTarget));
-static_assert(sizeof(shared::RayGradient) == kUpstreamFloats * sizeof(float));
-
 struct ImageLoss::Impl {
     LossWeights weights;
     Kernel<shared::ImageLossParams> kernel;
@@ -31,23 +28,40 @@ ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n
 ImageLoss::~ImageLoss() = default;
 
 void ImageLoss::compare(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch, const TermRow& terms) {
-    const Array<float>& rendered = *rays.rendered;
-    Array<float>& upstream = *rays.upstream;
-    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * kUpstreamFloats, upstream.size());
+    const Array<shared::RenderedRay>& rendered = *rays.rendered;
+    Array<shared::RayGradient>& upstream = *rays.upstream;
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), upstream.size());
     RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.targets->size());
     const LossWeights& w = impl_->weights;
     const float per_return = static_cast<float>(1.0 / std::max(batch.n_returned, 1.0)), per_ray = static_cast<float>(1.0 / std::max(batch.n_known, 1.0));
     relidar::run(stream, impl_->kernel, batch.n_rays,
-                 {rendered.address(), batch.targets->address(), upstream.address(), terms.address(), w.depth * per_return, (1.0f - w.intensity_ssim) * w.intensity * per_return,
-                  w.drop * per_ray, w.opacity * per_return, batch.n_rays, batch.first, batch.stride, w.normalised_depth ? 1u : 0u});
+                 {.rendered = rendered.address(),
+                  .targets = batch.targets->address(),
+                  .upstream = upstream.address(),
+                  .terms = terms.address(),
+                  .depth_weight = w.depth * per_return,
+                  .intensity_weight = (1.0f - w.intensity_ssim) * w.intensity * per_return,
+                  .drop_weight = w.drop * per_ray,
+                  .opacity_weight = w.opacity * per_return,
+                  .n_rays = batch.n_rays,
+                  .first_ray = batch.first,
+                  .ray_stride = batch.stride,
+                  .normalised_depth = w.normalised_depth ? 1u : 0u});
     if (!(w.intensity_ssim * w.intensity > 0.0f)) return;
     const ImageShape& image = batch.image;
     RELIDAR_ASSERT_LE(1u, image.rows);
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * RELIDAR_SSIM_FLOATS, impl_->statistics.size());
-    const shared::SsimParams ssim{rendered.address(),   batch.targets->address(), impl_->statistics.address(),
-                                  upstream.address(),   terms.address(),          w.intensity_ssim * w.intensity * per_return,
-                                  batch.first,          batch.stride,             image.rows,
-                                  image.columns,        image.circular ? 1u : 0u};
+    const shared::SsimParams ssim{.rendered = rendered.address(),
+                                  .targets = batch.targets->address(),
+                                  .statistics = impl_->statistics.address(),
+                                  .upstream = upstream.address(),
+                                  .terms = terms.address(),
+                                  .weight = w.intensity_ssim * w.intensity * per_return,
+                                  .first_ray = batch.first,
+                                  .ray_stride = batch.stride,
+                                  .rows = image.rows,
+                                  .columns = image.columns,
+                                  .circular = image.circular ? 1u : 0u};
     relidar::run(stream, impl_->ssim, batch.n_rays, ssim);
     relidar::run(stream, impl_->ssim_vjp, batch.n_rays, ssim);
 }

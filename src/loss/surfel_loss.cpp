@@ -40,8 +40,16 @@ void SurfelLoss::regularise(Stream& stream, const DeviceScene& scene, const Surf
         const glm::vec3 half = has_box(m) ? m.half_size_m : glm::vec3(0.0f);
         if (!(w.opacity_entropy > 0.0f) && !(w.box > 0.0f && has_box(m))) continue;
         relidar::run(stream, impl_->kernel, m.count,
-                     {pointers(scene.parameters()), pointers(*gradients.d_surfels), gradients.touched ? gradients.touched->address() : 0, terms.address(), half,
-                      w.box_scale_share * glm::length(half), box_weight, entropy_weight, m.first, m.count});
+                     {.surfels = pointers(scene.parameters()),
+                      .d_surfels = pointers(*gradients.d_surfels),
+                      .touched = address_of(gradients.touched),
+                      .terms = terms.address(),
+                      .half_size = half,
+                      .largest_scale = w.box_scale_share * glm::length(half),
+                      .box_weight = box_weight,
+                      .entropy_weight = entropy_weight,
+                      .first_surfel = m.first,
+                      .n_surfels = m.count});
     }
 }
 

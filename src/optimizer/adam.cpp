@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include <relidar/stages/scene.hpp>
+
 #include "core/assert.hpp"
 #include "gpu/stream.hpp"
 #include "shared/optimizer.h"
@@ -21,8 +23,8 @@ namespace {
 constexpr std::uint32_t kStreamingThreads = 128;   // of a workgroup: with 32 a GPU could not fill itself
 
 std::vector<Constant> constants(bool per_float) {
-    std::vector<Constant> all{{1u, per_float ? 1u : 0u}};
-    if (per_float) all.push_back({0u, kStreamingThreads});
+    std::vector<Constant> all{{ConstantId::PER_FLOAT, per_float ? 1u : 0u}};
+    if (per_float) all.push_back({ConstantId::WORKGROUP_SIZE, kStreamingThreads});
     return all;
 }
 
@@ -62,9 +64,23 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
     const auto update = [&](Array<float>& value, const Array<float>& gradient, Array<float>& m, Array<float>& v, double rate, double first_scale, std::uint32_t stride,
                             std::uint32_t block, std::uint32_t active) {
         run(stream, a.kernel, std::size_t(p.n) * (a.per_float ? stride : 1u),
-            {value.address(), gradient.address(), m.address(), v.address(), touched ? touched->address() : 0, static_cast<float>(rate),
-             static_cast<float>(a.options.beta1), static_cast<float>(a.options.beta2), static_cast<float>(a.options.epsilon), correction1, correction2,
-             static_cast<float>(first_scale), p.n, stride, block, active, a.options.only_touched ? 1u : 0u});
+            {.values = value.address(),
+             .gradients = gradient.address(),
+             .moment1 = m.address(),
+             .moment2 = v.address(),
+             .touched = address_of(touched),
+             .learning_rate = static_cast<float>(rate),
+             .beta1 = static_cast<float>(a.options.beta1),
+             .beta2 = static_cast<float>(a.options.beta2),
+             .epsilon = static_cast<float>(a.options.epsilon),
+             .correction1 = correction1,
+             .correction2 = correction2,
+             .first_scale = static_cast<float>(first_scale),
+             .n_rows = p.n,
+             .stride = stride,
+             .block = block,
+             .n_active = active,
+             .only_touched = a.options.only_touched ? 1u : 0u});
     };
     SurfelArrays &m = a.moment1, &v = a.moment2;
     const std::uint32_t active = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));

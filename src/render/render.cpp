@@ -90,7 +90,8 @@ struct ScanRenderer::Impl {
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
     : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_sensor,
-                     Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image, {.accel = accel_options(config), .trace = trace_options(config)}),
+                     Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image,
+                              {.accel = accel_options(config), .trace = trace_options(config)}),
                      std::vector<bool>(scene.instances.size(), true)}) {}
 ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {}
 ScanRenderer::~ScanRenderer() = default;

@@ -48,9 +48,9 @@ void save_run(const Run& run) {
 }
 
 Run load_run(const fs::path& folder) {
-    check_folder(folder, "a run of `relidar train`");
+    check_folder(folder, "a run folder");
     for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
-        if (!path_exists(folder / name)) throw DataError(fmt::format("{}: no such file, expected it in a run of `relidar train`", (folder / name).string()));
+        if (!path_exists(folder / name)) throw DataError(fmt::format("{}: no such file, expected it in a run folder", (folder / name).string()));
     }
     Run run;
     run.folder = folder;

@@ -204,7 +204,7 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
         const auto box = std::find_if(sequence.boxes.begin(), sequence.boxes.end(), [&](const BoxTrack& b) { return b.id == instance.track; });
         if (instance.track.empty()) placed.push_back({});
         else if (box != sequence.boxes.end() && box->present(time_s)) placed.push_back(facing_pose(sequence, box->world_from_box, time_s));
-        else placed.push_back({.present = false});
+        else placed.push_back({{}, false});
     }
     return placed;
 }
@@ -216,7 +216,7 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
         const auto actor = world_from_actor.find(instance.track);
         if (instance.track.empty()) placed.push_back({});
         else if (actor != world_from_actor.end()) placed.push_back(facing_pose(sequence, actor->second, time_s));
-        else placed.push_back({.present = false});
+        else placed.push_back({{}, false});
         if (!instance.track.empty()) tracks.push_back(instance.track);
     }
     for (const auto& [track, poses] : world_from_actor)

@@ -94,8 +94,8 @@ void check_layout(const Scene& scene) {
 }
 
 std::vector<Constant> activation_constants(bool stage_harmonics) {
-    std::vector<Constant> all{{1u, stage_harmonics ? 1u : 0u}};
-    if (stage_harmonics) all.push_back({0u, 64u});   // threads that share 4.4 kB: one wave, or two
+    std::vector<Constant> all{{ConstantId::STAGED, stage_harmonics ? 1u : 0u}};
+    if (stage_harmonics) all.push_back({ConstantId::WORKGROUP_SIZE, 64u});   // threads that share 4.4 kB: one wave, or two
     return all;
 }
 
@@ -129,7 +129,7 @@ struct DeviceScene::Impl {
     GradientRows rows;
     Array<std::uint32_t> more_rows;
     SurfelArrays parameters;
-    Array<float> records;
+    Array<shared::SurfelRecord> records;
     Array<shared::InstanceEntry> instances;
     std::vector<InstancePose> poses;
     float alpha_min = ImageModel{}.alpha_min;
@@ -141,7 +141,7 @@ struct DeviceScene::Impl {
           rows(scene, static_cast<std::uint32_t>(scene.surfels.size())),
           more_rows(device, rows.more, "rows of further placements"),
           parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel", scene.surfels.primitive()),
-          records(device, 16 * scene.surfels.size(), "surfel records"),
+          records(device, scene.surfels.size(), "surfel records"),
           instances(device, scene.instances.size(), "instance table"),
           activate(device, "scene/activate", activation_constants(stage_harmonics)),
           activate_vjp(device, "scene/activate_vjp", activation_constants(stage_harmonics)) {}
@@ -194,8 +194,14 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
     for (std::size_t i = 0; i < impl_->layout.models.size(); ++i) {
         const Model& range = impl_->layout.models[i];
         run(stream, impl_->activate, range.count,
-            {pointers(impl_->parameters), impl_->records.address(), impl_->view_origin(i, view_origin_m), model.alpha_min, range.first, range.count,
-             static_cast<std::uint32_t>(model.sh_degree), model.sh_direction == ShDirection::surfel ? 1u : 0u});
+            {.surfels = pointers(impl_->parameters),
+             .records = impl_->records.address(),
+             .view_origin = impl_->view_origin(i, view_origin_m),
+             .alpha_min = model.alpha_min,
+             .first_surfel = range.first,
+             .n_surfels = range.count,
+             .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
+             .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
     }
 }
 
@@ -204,22 +210,31 @@ void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const gl
     for (std::size_t i = 0; i < impl_->layout.models.size(); ++i) {
         const Model& range = impl_->layout.models[i];
         run(stream, impl_->activate_vjp, range.count,
-            {pointers(impl_->parameters), g.d_records->address(), impl_->more_rows.address() + sizeof(std::uint32_t) * rows.first_of_model[i], pointers(*g.d_surfels),
-             g.touched->address(), g.d_view ? g.d_view->address() : 0, impl_->view_origin(i, view_origin_m), range.first, range.count,
-             rows.first_of_model[i + 1] - rows.first_of_model[i], static_cast<std::uint32_t>(model.sh_degree),
-             model.sh_direction == ShDirection::surfel ? 1u : 0u, g.zero_untouched ? 1u : 0u});
+            {.surfels = pointers(impl_->parameters),
+             .d_records = g.d_records->address(),
+             .more_rows = impl_->more_rows.address(rows.first_of_model[i]),
+             .d_surfels = pointers(*g.d_surfels),
+             .touched = g.touched->address(),
+             .d_view = address_of(g.d_view),
+             .view_origin = impl_->view_origin(i, view_origin_m),
+             .first_surfel = range.first,
+             .n_surfels = range.count,
+             .n_more = rows.first_of_model[i + 1] - rows.first_of_model[i],
+             .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
+             .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u,
+             .zero_untouched = g.zero_untouched ? 1u : 0u});
     }
 }
 
 void DeviceScene::reserve(Device& device, std::uint32_t capacity) {
     impl_->parameters.reserve(device, capacity, "surfel");
-    impl_->records.reserve(device, 16 * std::size_t(capacity), "surfel records");
+    impl_->records.reserve(device, capacity, "surfel records");
 }
 
 void DeviceScene::set_models(const std::vector<Model>& models) {
     const std::uint32_t n = models.empty() ? 0u : models.back().first + models.back().count;
     RELIDAR_ASSERT_LE(n, impl_->parameters.capacity());
-    RELIDAR_ASSERT_LE(16 * std::size_t(n), impl_->records.size());
+    RELIDAR_ASSERT_LE(std::size_t(n), impl_->records.size());
     impl_->layout.models = models;
     impl_->parameters.n = n;
     impl_->rows = GradientRows(impl_->layout, n);
@@ -230,8 +245,8 @@ const std::vector<InstancePose>& DeviceScene::poses() const { return impl_->pose
 const Scene& DeviceScene::layout() const { return impl_->layout; }
 SurfelArrays& DeviceScene::parameters() { return impl_->parameters; }
 const SurfelArrays& DeviceScene::parameters() const { return impl_->parameters; }
-const Array<float>& DeviceScene::records() const { return impl_->records; }
-std::uint64_t DeviceScene::instances_address() const { return impl_->instances.address(); }
+const Array<shared::SurfelRecord>& DeviceScene::records() const { return impl_->records; }
+const Array<shared::InstanceEntry>& DeviceScene::instances() const { return impl_->instances; }
 float DeviceScene::alpha_min() const { return impl_->alpha_min; }
 Primitive DeviceScene::primitive() const { return impl_->parameters.primitive; }
 std::uint32_t DeviceScene::size() const { return impl_->parameters.n; }

@@ -14,8 +14,6 @@
 
 namespace relidar {
 
-static_assert(sizeof(shared::RayEntry) == sizeof(DeviceRay) && sizeof(shared::RayTarget) == sizeof(DeviceTarget));
-
 struct BatchSampler::Impl {
     TrainConfig config;
     Array<DeviceRay> rays;
@@ -94,7 +92,15 @@ SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random
         const std::uint32_t first = static_cast<std::uint32_t>(random.next() % (wraps ? image.columns : image.columns - columns.n + 1));
         const std::uint32_t n = image.rows * columns.n;
         run(stream, b.gather, n,
-            {frame.rays.address(), frame.targets.address(), b.rays.address(), b.targets.address(), image.rows, image.columns, first, columns.stride, columns.n});
+            {.rays = frame.rays.address(),
+             .targets = frame.targets.address(),
+             .batch_rays = b.rays.address(),
+             .batch_targets = b.targets.address(),
+             .rows = image.rows,
+             .columns = image.columns,
+             .first_column = first,
+             .column_stride = columns.stride,
+             .n_columns = columns.n});
         const double share = double(n) / frame.n_rays;   // of the whole frame's count: unbiased, and no sector counts more for being empty
         return {{&b.rays, 0, 1, n, columns.n}, {&b.targets, 0, 1, n, share * frame.n_returned, share * frame.n_known, {image.rows, columns.n, false}}, {image.columns, first, columns.stride, columns.n}};
     }

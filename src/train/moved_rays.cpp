@@ -42,7 +42,7 @@ MovedRays::MovedRays(Device& device, const Sequence& sequence, std::vector<Frame
       knots_(device, most_knots_, "sensor poses"),
       rows_(device, std::size_t(kRows) * 6 * most_knots_, "pose gradients"),
       move_(device, "train/move_rays"),
-      gradients_(device, "train/knot_gradients", {{0u, RELIDAR_KNOT_WORKGROUP}}) {}
+      gradients_(device, "train/knot_gradients", {{ConstantId::WORKGROUP_SIZE, RELIDAR_KNOT_WORKGROUP}}) {}
 
 void MovedRays::move(Stream& stream, const TrackCorrection& sensor, std::size_t frame_index, FrameData& frame) {
     const Source& source = sources_[frame_index];
@@ -52,14 +52,31 @@ void MovedRays::move(Stream& stream, const TrackCorrection& sensor, std::size_t 
         knots.push_back({glm::vec3(sensor.uncorrected().pose[k].translation), glm::vec3(c[0], c[1], c[2]), glm::vec3(c[3], c[4], c[5])});
     }
     impl_of(stream).write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
-    run(stream, move_, frame.n_rays, {source.rays.address(), source.places.address(), knots_.address(), frame.rays.address(), frame.n_rays});
+    run(stream, move_, frame.n_rays,
+        {.rays = source.rays.address(),
+         .places = source.places.address(),
+         .knots = knots_.address(),
+         .moved = frame.rays.address(),
+         .n_rays = frame.n_rays});
 }
 
 void MovedRays::sum_gradients(Stream& stream, std::size_t frame_index, const SampledBatch& batch, const Array<float>& d_rays) {
     RELIDAR_ASSERT_LE(std::size_t(6) * batch.rays.n_rays, d_rays.size());
     run(stream, gradients_, std::size_t(RELIDAR_KNOT_WORKGROUP) * kRows * most_knots_,
-        {batch.rays.rays->address(), sources_[frame_index].places.address(), knots_.address(), d_rays.address(), rows_.address(), batch.rays.n_rays, batch.rays.first, batch.rays.stride,
-         batch.window.columns, batch.window.first, batch.window.stride, batch.window.n_columns, most_knots_, kRows});
+        {.moved = batch.rays.rays->address(),
+         .places = sources_[frame_index].places.address(),
+         .knots = knots_.address(),
+         .d_rays = d_rays.address(),
+         .rows = rows_.address(),
+         .n_rays = batch.rays.n_rays,
+         .first_ray = batch.rays.first,
+         .ray_stride = batch.rays.stride,
+         .columns = batch.window.columns,
+         .first_column = batch.window.first,
+         .column_stride = batch.window.stride,
+         .n_columns = batch.window.n_columns,
+         .n_knots = most_knots_,
+         .n_rows = kRows});
 }
 
 std::vector<PoseGradient> MovedRays::gradients_in(std::span<const float> gradient_rows, std::size_t frame_index) const {

@@ -223,7 +223,7 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
         place(k, config_.train.iterations);
         renderer_.record_forward(rays);
         stream_.finish();
-        const Rendering r = to_rendering(renderer_.rendered().rendered->download(), rays.n_rays);
+        const Rendering r = to_rendering(renderer_.rendered().rendered->download(rays.n_rays));
         for (std::uint32_t j = 0; j < rays.n_rays; ++j) {
             const std::size_t i = first + std::size_t(j) * stride;
             if (r.weight[j] > kSolid && r.hit_logit[j] > r.drop_logit[j]) counts.add(scan.rays.channel[i], scan.rays.direction[i], !(scan.range_m[i] > 0.0f));

@@ -31,7 +31,12 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
     on_device.activate(stream, placed.model, glm::vec3(0.0f));
     accel.update(stream, on_device);
     run(stream, kernel, n,
-        {trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)}, placed.model, pass_cap.address()), counts.address(), t.address(), instance.address(), surfel.address(), max_hits});
+        {.scene = trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)}, placed.model, pass_cap.address()),
+         .counts = counts.address(),
+         .t = t.address(),
+         .instance = instance.address(),
+         .surfel = surfel.address(),
+         .max_hits = max_hits});
     stream.finish();
     if (const std::uint32_t capped = pass_cap.download()[0])
         throw DeviceError(fmt::format("collecting hits of {} rays: {} reached the cap of {} passes or filled the traversal stack, expected every ray to end", n, capped, RELIDAR_MAX_PASSES));

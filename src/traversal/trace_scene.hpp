@@ -19,12 +19,28 @@ inline std::size_t trace_threads(const RayBatch& batch) {
     return (rows + 3) / 4 * ((std::size_t(batch.columns) + 7) / 8) * 32;
 }
 
-inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model, std::uint64_t pass_cap_address) {
+inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model,
+                                      Address<std::uint32_t> pass_cap_count) {
     const AccelAddresses a = accel.addresses();
-    return {a.tlas, a.reach, {a.nodes, a.order, a.roots, a.top_nodes, a.top_order}, batch.rays->address(), scene.records().address(), scene.instances_address(),
-            scene.parameters().sh.address(), pass_cap_address, 0,
-            model.near_m, model.alpha_min, model.alpha_max, model.transmittance_min, static_cast<std::uint32_t>(scene.layout().instances.size()),
-            static_cast<std::uint32_t>(model.sh_degree), batch.n_rays, batch.first, batch.stride, batch.columns};
+    return {.tlas = a.tlas,
+            .proxy_reach = a.proxy_reach,
+            .bvh = a.bvh,
+            .rays = batch.rays->address(),
+            .records = scene.records().address(),
+            .instances = scene.instances().address(),
+            .sh = scene.parameters().sh.address(),
+            .pass_cap_count = pass_cap_count,
+            .visits = {},
+            .near_m = model.near_m,
+            .alpha_min = model.alpha_min,
+            .alpha_max = model.alpha_max,
+            .transmittance_min = model.transmittance_min,
+            .n_instances = static_cast<std::uint32_t>(scene.instances().size()),
+            .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
+            .n_rays = batch.n_rays,
+            .first_ray = batch.first,
+            .ray_stride = batch.stride,
+            .columns = batch.columns};
 }
 
 /// Which build of a tracing kernel a device runs.
@@ -40,9 +56,13 @@ inline bool walks_together(const Device& device, const TraceOptions& options) {
 
 /// Specialisation constants of the tracing kernels (shaders/traversal).
 inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, const TraceOptions& options, const ImageModel& model) {
-    return {{1u, static_cast<std::uint32_t>(options.chunk)}, {2u, proxy == Proxy::boxes ? 1u : 0u}, {3u, model.sh_direction == ShDirection::surfel ? 1u : 0u},
-            {4u, walks_together(device, options) ? 1u : 0u}, {8u, model.single_drop_logit ? 1u : 0u},
-            {9u, model.primitive == Primitive::gaussian ? 1u : 0u}, {10u, options.geometry ? 1u : 0u}};
+    return {{ConstantId::CHUNK, static_cast<std::uint32_t>(options.chunk)},
+            {ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u},
+            {ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
+            {ConstantId::TOGETHER, walks_together(device, options) ? 1u : 0u},
+            {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
+            {ConstantId::GAUSSIANS, model.primitive == Primitive::gaussian ? 1u : 0u},
+            {ConstantId::GEOMETRY, options.geometry ? 1u : 0u}};
 }
 
 }  // namespace relidar

@@ -91,12 +91,12 @@ TEST_F(Proxies, RefitFollowsMovedSurfelsAndMovingInstancesBuildsNothing) {
         Accel accel(device(), scene, {.proxy = proxy});
         ForwardPass forward(device(), {}, accel.proxy(), {});
         const Array<DeviceRay> ray(device(), std::vector<DeviceRay>{{{0, 0, 0}, {1, 0, 0}}}, "ray");
-        Array<float> rendered(device(), kRenderedFloats, "rendered");
+        Array<shared::RenderedRay> rendered(device(), 1, "rendered");
         const auto depth = [&] {
             forward.run(stream, scene, accel, {&ray, 0, 1, 1}, rendered);
             stream.finish();
-            const std::vector<float> r = rendered.download();
-            return r[0] / r[1];
+            const shared::RenderedRay r = rendered.download()[0];
+            return r.depth / r.weight;
         };
         scene.activate(stream, {}, glm::vec3(0.0f));
         accel.update(stream, scene);

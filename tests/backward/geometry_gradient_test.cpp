@@ -258,8 +258,9 @@ TEST_F(GeometryGradient, TwoSurfelsInClosedForm) {
         test::Passes passes(device(), {}, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.geometry = true}});
         passes.run();
         const double between = double(float(t[1])) - double(float(t[0])), w0 = 0.6, w1 = 0.4 * 0.5;
-        EXPECT_NEAR(passes.renderer.batch().geometry->rendered.download()[3], w0 * w1 * between, 1e-6 * between);
-        EXPECT_NEAR(passes.renderer.batch().geometry->rendered.download()[0], -(w0 + w1), 1e-6) << "towards the sensor";
+        const shared::RenderedGeometry rendered = passes.renderer.rendered().geometry->rendered.download()[0];
+        EXPECT_NEAR(rendered.distortion, w0 * w1 * between, 1e-6 * between);
+        EXPECT_NEAR(rendered.normal.x, -(w0 + w1), 1e-6) << "towards the sensor";
         const Surfels d = passes.gradients().surfels.download();
         EXPECT_NEAR(d.mean[0].x, -w0 * w1, 1e-6);
         EXPECT_NEAR(d.mean[1].x, w0 * w1, 1e-6);

@@ -27,17 +27,22 @@ struct Passes {
     glm::vec3 view_origin;
 
     /// @param g  of every ray, until a loss writes others
-    Passes(Device& device, const ImageModel& model, const RandomScene& s, const std::vector<reference::PixelGradient>& g, const RendererOptions& options,
-           const BackwardOptions& sums = {})
+    Passes(Device& device, const ImageModel& model, const RandomScene& s, const std::vector<reference::PixelGradient>& g,
+           const RendererOptions& options, const BackwardOptions& sums = {})
         : placed(to_scene(to_surfels(s.world.surfels), s.world.instances)),
           renderer(device, placed.scene, model, with_room(options, s.rays.size()), {.sums = sums, .wanted = {.rays = true, .poses = true}}),
           rays(device, std::span<const DeviceRay>(to_device_rays(to_world_rays(s.rays))), "rays"),
           view_origin(s.view_origin) {
         renderer.scene().set_poses(placed.world_from_instance);
-        std::vector<float> u, q;
+        std::vector<shared::RayGradient> u;
+        std::vector<shared::GeometryGradient> q;
         for (const reference::PixelGradient& d : g) {
-            for (const double x : {d.depth, d.weight, d.intensity, d.hit_logit, d.drop_logit}) u.push_back(static_cast<float>(x));
-            for (const double x : {d.normal.x, d.normal.y, d.normal.z, d.distortion, 0.0, 0.0, 0.0, 0.0}) q.push_back(static_cast<float>(x));
+            u.push_back({.depth = float(d.depth),
+                         .weight = float(d.weight),
+                         .intensity = float(d.intensity),
+                         .hit_logit = float(d.hit_logit),
+                         .drop_logit = float(d.drop_logit)});
+            q.push_back({.normal = glm::vec3(d.normal), .distortion = float(d.distortion), .point = glm::vec3(0.0f), .range = 0.0f});
         }
         renderer.batch().upstream->upload(u);
         if (RayGeometry* geometry = renderer.batch().geometry) geometry->gradient.upload(q);
@@ -58,10 +63,13 @@ struct Passes {
     double loss() {
         run_forward();
         renderer.stream().finish();
-        const std::vector<float> r = renderer.batch().rendered->download(), u = renderer.batch().upstream->download();
+        const std::vector<shared::RenderedRay> r = renderer.rendered().rendered->download();
+        const std::vector<shared::RayGradient> u = renderer.batch().upstream->download();
         double sum = 0.0;
-        for (std::size_t i = 0; i < rays.size(); ++i)
-            for (int k = 0; k < kUpstreamFloats; ++k) sum += double(r[i * kRenderedFloats + std::size_t(k)]) * u[i * kUpstreamFloats + std::size_t(k)];
+        for (std::size_t i = 0; i < rays.size(); ++i) {
+            sum += double(r[i].depth) * u[i].depth + double(r[i].weight) * u[i].weight + double(r[i].intensity) * u[i].intensity;
+            sum += double(r[i].hit_logit) * u[i].hit_logit + double(r[i].drop_logit) * u[i].drop_logit;
+        }
         return sum;
     }
 };

@@ -158,7 +158,7 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
         PoseGradients kernels(device());
         kernels.run(stream, scene, model, glm::vec3(view_origin), gradients);
         stream.finish();
-        const std::vector<float> poses = gradients.poses.download(), records = scene.records().download();
+        const std::vector<float> poses = gradients.poses.download(), records = test::floats_of(scene.records().download());
         const auto three = [](const std::vector<float>& v, std::size_t i) { return glm::dvec3(v[i], v[i + 1], v[i + 2]); };
         GradientTable table;
         for (std::size_t k = 0; k < 2; ++k) {

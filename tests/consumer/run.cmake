@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-# Installs a built relidar into an empty folder and builds and runs the consumer project against it.
-#   cmake -DBUILD_DIR=<built relidar> -DWORK_DIR=<scratch> [-DGENERATOR=...] [-DCXX_COMPILER=...] [-DCXX_FLAGS=...] -P run.cmake
+# Installs a built relidar into an empty folder, or takes PREFIX, where it is installed, and builds and runs the consumer project against it.
+# Where it installs, and a device is promised (RELIDAR_REQUIRE_GPU), also the programs of tools/examples, on a small street that the installed
+# relidar trains.
+#   cmake -DBUILD_DIR=<built relidar> -DWORK_DIR=<scratch> [-DPREFIX=...] [-DGENERATOR=...] [-DCXX_COMPILER=...] [-DCXX_FLAGS=...] -P run.cmake
 cmake_minimum_required(VERSION 3.25)
 foreach(needed BUILD_DIR WORK_DIR)
     if(NOT ${needed})
@@ -17,10 +19,13 @@ function(run)
     set(output "${output}" PARENT_SCOPE)
 endfunction()
 
-set(prefix ${WORK_DIR}/prefix)
 set(build ${WORK_DIR}/build)
 file(REMOVE_RECURSE ${WORK_DIR})
-run(${CMAKE_COMMAND} --install ${BUILD_DIR} --prefix ${prefix})
+if(NOT PREFIX)
+    set(installs YES)
+    set(PREFIX ${WORK_DIR}/prefix)
+    run(${CMAKE_COMMAND} --install ${BUILD_DIR} --prefix ${PREFIX})
+endif()
 set(options "")
 if(GENERATOR)
     list(APPEND options -G ${GENERATOR})
@@ -28,16 +33,38 @@ endif()
 if(CXX_COMPILER)
     list(APPEND options -DCMAKE_CXX_COMPILER=${CXX_COMPILER})
 endif()
-run(${CMAKE_COMMAND} -S ${CMAKE_CURRENT_LIST_DIR} -B ${build} ${options}
-    -DCMAKE_PREFIX_PATH=${prefix} -DCMAKE_CXX_FLAGS=${CXX_FLAGS} -DCMAKE_BUILD_TYPE=Release)
+list(APPEND options -DCMAKE_PREFIX_PATH=${PREFIX} -DCMAKE_CXX_FLAGS=${CXX_FLAGS} -DCMAKE_BUILD_TYPE=Release)
+run(${CMAKE_COMMAND} -S ${CMAKE_CURRENT_LIST_DIR} -B ${build} ${options})
 run(${CMAKE_COMMAND} --build ${build})
 run(${build}/consumer)
 if(NOT output MATCHES "67980 rays")
     message(FATAL_ERROR "consumer test: expected 67980 rays (66 x 1030), the program said:\n${output}")
 endif()
-file(GLOB_RECURSE config ${prefix}/*relidarConfig.cmake)
+file(GLOB_RECURSE config ${PREFIX}/*relidarConfig.cmake)
 file(STRINGS ${config} paths REGEX "${BUILD_DIR}")
 if(paths)
     message(FATAL_ERROR "consumer test: the installed package refers to the build folder: ${paths}")
 endif()
 message(STATUS "consumer test: ${output}")
+if(NOT installs)
+    return()
+endif()
+
+run(${CMAKE_COMMAND} -S ${CMAKE_CURRENT_LIST_DIR}/../../tools/examples -B ${build}_examples ${options})
+run(${CMAKE_COMMAND} --build ${build}_examples)
+if(NOT EXISTS ${PREFIX}/bin/relidar OR NOT "$ENV{RELIDAR_REQUIRE_GPU}" STREQUAL "1")
+    return()
+endif()
+file(WRITE ${WORK_DIR}/street/street.toml "seed = 1\nn_frames = 20\nrows = 16\ncolumns = 256\n")
+run(${PREFIX}/bin/relidar train ${WORK_DIR}/street --out ${WORK_DIR}/run --preset quick --set train.iterations=60 --quiet)
+file(WRITE ${WORK_DIR}/way.csv "time_s,x,y,z,yaw_deg\n0,0,0,1.8,0\n0.5,4,1,1.8,10\n")
+run(${build}_examples/new_sensor ${WORK_DIR}/run ${WORK_DIR}/way.csv ${WORK_DIR}/scans)
+file(GLOB scans ${WORK_DIR}/scans/frame_*.pcd)
+list(LENGTH scans n_scans)
+if(NOT n_scans EQUAL 6 OR NOT EXISTS ${WORK_DIR}/scans/scans.json)
+    message(FATAL_ERROR "consumer test: expected 6 scans of new_sensor and scans.json, found ${n_scans}:\n${output}")
+endif()
+run(${build}_examples/closed_loop ${WORK_DIR}/run)   # fails unless it stops behind the actor
+message(STATUS "closed_loop: ${output}")
+run(${build}_examples/own_loss ${WORK_DIR}/street)   # fails unless the loss falls
+message(STATUS "own_loss: ${output}")

@@ -7,6 +7,7 @@
 
 #include <relidar/stages/densify.hpp>
 #include <relidar/stages/optimizer.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include "../reference/densify.hpp"
 #include "../support/device.hpp"
@@ -38,7 +39,9 @@ void expect_allotted(Device& device, std::uint32_t largest) {
         const Array<std::uint32_t> w(device, std::span<const std::uint32_t>(weight), "weight"), c(device, std::span<const std::uint32_t>(cumulative), "cumulative");
         const Array<std::uint32_t> a(device, std::span<const std::uint32_t>(action), "action"), rows(device, n, "rows");
         Stream stream(device);
-        run(stream, allot, n, {w.address(), c.address(), a.address(), rows.address(), n, n_new, total, plan.phase});
+        run(stream, allot, n,
+            {.weight = w.address(), .cumulative = c.address(), .action = a.address(), .n_rows = rows.address(),
+             .n_surfels = n, .n_new = n_new, .total_weight = total, .phase = plan.phase});
         stream.finish();
         const std::vector<std::uint32_t> copies = reference::copies_of(weight, n_new, plan.phase), actual = rows.download(), fate = a.download();
         for (std::uint32_t i = 0; i < n; ++i) {

@@ -2,6 +2,7 @@
 // Growth and its ends: capacity is taken in steps, device memory that runs out caps the scene and harms nothing.
 #include <relidar/stages/densify.hpp>
 #include <relidar/stages/optimizer.hpp>
+#include <relidar/stages/scene.hpp>
 #include <relidar/error.hpp>
 
 #include "../support/device.hpp"

@@ -169,7 +169,7 @@ TEST(Edit, UnknownTracksNameTheNearest) {
     const auto message = [](const std::string& track) { return error_message<UsageError>([&] { move_track(example(), track, {}); }); };
     EXPECT_NE(message("vam").find("found no such track, did you mean \"van\"? (actors: van, car)"), std::string::npos) << message("vam");
     EXPECT_NE(message("walker").find("the log has its box, but it has no surfels of its own"), std::string::npos);
-    EXPECT_NE(message("walker").find("train with --set init.actor_tracks=van,car,walker"), std::string::npos) << message("walker");
+    EXPECT_NE(message("walker").find("train with init.actor_tracks = van,car,walker"), std::string::npos) << message("walker");
     EXPECT_NE(message("").find("found no such track"), std::string::npos) << "the background is no track";
     EXPECT_NE(error_message<UsageError>([] { remove_track(keep_background(example()), "van"); }).find("no actor at all"), std::string::npos);
     EXPECT_NE(error_message<UsageError>([] { insert_track(example(), example(), "bus", {}); }).find("did you mean"), std::string::npos);

@@ -4,6 +4,7 @@
 #include <relidar/stages/forward.hpp>
 
 #include "../support/device.hpp"
+#include "../support/floats.hpp"
 #include "../support/placed.hpp"
 #include "../support/random_scene.hpp"
 #include "../support/tolerances.hpp"
@@ -13,7 +14,7 @@ namespace {
 
 class Geometry : public test::DeviceTest {
 protected:
-    /// Renders a scene's rays. @param geometry  if given, receives [n, kGeometryFloats]
+    /// Renders a scene's rays. @param geometry  if given, receives [n,5]
     std::vector<float> trace(const test::RandomScene& random, const ImageModel& model, int chunk, std::vector<float>* geometry) {
         const test::SceneAndPoses placed = test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
         const std::uint32_t n_rays = std::uint32_t(random.rays.size());
@@ -21,15 +22,15 @@ protected:
         renderer.scene().set_poses(placed.world_from_instance);
         const Array<DeviceRay> rays(device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(random.rays))), "rays");
         RayGeometry* wanted = renderer.rendered().geometry;
-        if (wanted) wanted->rendered.upload(std::vector<float>(wanted->rendered.size(), -7.0f));
+        if (wanted) wanted->rendered.upload(std::vector<shared::RenderedGeometry>(n_rays + 1, {.normal = glm::vec3(-7.0f), .distortion = -7.0f, .moment = -7.0f}));
         renderer.place(glm::vec3(random.view_origin));
         renderer.record_forward({&rays, 0, 1, n_rays});
         renderer.stream().finish();
         if (geometry) {
-            *geometry = wanted->rendered.download();
-            for (int k = 0; k < kGeometryFloats; ++k, geometry->pop_back()) EXPECT_EQ(geometry->back(), -7.0f) << "wrote past the end";
+            *geometry = test::floats_of(wanted->rendered.download());
+            for (int k = 0; k < 5; ++k, geometry->pop_back()) EXPECT_EQ(geometry->back(), -7.0f) << "wrote past the end";
         }
-        return renderer.rendered().rendered->download(n_rays * std::size_t(kRenderedFloats));
+        return test::floats_of(renderer.rendered().rendered->download(n_rays));
     }
 };
 
@@ -46,7 +47,7 @@ TEST_F(Geometry, AgreesWithDoubleReference) {
         double most = 0.0;
         for (std::size_t i = 0; i < scene.rays.size(); ++i) {
             const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
-            const float* q = &found[i * kGeometryFloats];
+            const float* q = &found[5 * i];
             EXPECT_LE(glm::length(glm::dvec3(q[0], q[1], q[2]) - p.normal), 1e-5) << "ray " << i;
             EXPECT_NEAR(q[3], p.distortion, 1e-5 * p.distortion + 1e-7) << "ray " << i;
             most = std::max(most, p.distortion);

@@ -50,7 +50,7 @@ TEST_F(Gpu, GrowingKeepsWhatThereWas) {
     array.reserve(device(), 5000, "test");
     EXPECT_EQ(array.size(), 5000u);
     EXPECT_EQ(array.download(1000), values);
-    const std::uint64_t address = array.address();
+    const Address<std::uint32_t> address = array.address();
     array.reserve(device(), 10, "test");
     EXPECT_EQ(array.address(), address) << "there is room already";
 }
@@ -68,9 +68,10 @@ TEST_F(Gpu, MemoryLimitIsKept) {
     first = {};
     EXPECT_NO_THROW(Array<float>(limited, 3 << 19, "what fits now"));
     ::setenv("RELIDAR_MEMORY_LIMIT_MIB", "1", 1);
-    Device by_environment;
+    Device by_environment(from_environment());
     ::setenv("RELIDAR_MEMORY_LIMIT_MIB", "much", 1);
-    EXPECT_THROW(Device(DeviceOptions{}), UsageError);
+    EXPECT_THROW(from_environment(), UsageError);
+    EXPECT_NO_THROW(Device()) << "nobody asked for the environment";
     ::unsetenv("RELIDAR_MEMORY_LIMIT_MIB");
     EXPECT_THROW(Array<float>(by_environment, 1 << 19, "2 MiB"), DeviceError);
 }

@@ -82,7 +82,7 @@ protected:
         const Array<std::uint32_t> first_order(device(), Words(capacity, kGuard), "order"), second_order(device(), Words(capacity, kGuard), "order");
         const RadixSort sort(device(), capacity, key_words);
         Stream stream(device());
-        const SortSet result = sort.run(stream, {first.address(), first_order.address()}, {second.address(), second_order.address()}, key_bits, n_keys ? count.address() : 0);
+        const SortSet result = sort.run(stream, {first.address(), first_order.address()}, {second.address(), second_order.address()}, key_bits, n_keys ? count.address() : Address<std::uint32_t>());
         stream.finish();
 
         const std::uint64_t mask = key_bits == 64 ? ~std::uint64_t(0) : (std::uint64_t(1) << (key_bits + 7) / 8 * 8) - 1;

@@ -57,7 +57,7 @@ protected:
     };
     /// Opens a device, makes pipelines and closes it.
     static Opened open() {
-        Device opened;
+        Device opened(from_environment());
         const PrefixSum prefix_sum(opened);
         return {impl_of(opened).pipeline_cache->path(), impl_of(opened).pipeline_cache->read_bytes()};
     }

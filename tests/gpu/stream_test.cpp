@@ -29,7 +29,7 @@ TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
         std::iota(values.begin(), values.end(), 1000u * s);
         impl_of(stream).write(words.buffer(), values.data(), 4 * kWords);
         sums.emplace_back(device(), kLaunches, "sums");
-        for (std::uint32_t i = 0; i < kLaunches; ++i) prefix_sum.run(stream, {words.address(), i, 1}, prefix.address(), 1, sums.back().address() + 4 * i);
+        for (std::uint32_t i = 0; i < kLaunches; ++i) prefix_sum.run(stream, {words.address(), i, 1}, prefix.address(), 1, sums.back().address(i));
         stream.submit();
     }
     stream.finish();

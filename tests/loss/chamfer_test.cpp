@@ -12,6 +12,7 @@
 
 #include "../reference/chamfer.hpp"
 #include "../support/device.hpp"
+#include "../support/floats.hpp"
 #include "../support/gradient_check.hpp"
 
 namespace relidar {
@@ -48,7 +49,7 @@ Clouds lattice_scan(std::uint32_t rows, std::uint32_t columns, float missing) {
 struct Found {
     std::array<std::vector<std::uint32_t>, 2> nearest;
     double loss = 0.0;
-    std::vector<float> upstream;
+    std::vector<float> upstream;   ///< [n,5]
 };
 
 struct Setting {
@@ -60,12 +61,14 @@ struct Setting {
 
 Found device_chamfer(Device& device, const Clouds& c, const Setting& s = {}) {
     const std::size_t n = c.rays.size();
-    std::vector<float> rendered;
+    std::vector<shared::RenderedRay> rendered;
     std::vector<DeviceRay> rays(n * s.stride);
     std::vector<DeviceTarget> targets(n * s.stride);
     for (std::size_t i = 0; i < n; ++i) {
         const bool dropped = c.simulated[i] == 0.0f;
-        for (const float x : {c.simulated[i] * (s.normalised ? s.weight : 1.0f), s.weight, 0.5f, dropped ? 0.0f : 1.0f, dropped ? 1.0f : 0.0f, 0.0f, 0.0f, 0.0f, 0.0f}) rendered.push_back(x);
+        shared::RenderedRay& ray = rendered.emplace_back();
+        ray.depth = c.simulated[i] * (s.normalised ? s.weight : 1.0f), ray.weight = s.weight, ray.intensity = 0.5f;
+        ray.hit_logit = dropped ? 0.0f : 1.0f, ray.drop_logit = dropped ? 1.0f : 0.0f;
         rays[i * s.stride] = c.rays[i];
         targets[i * s.stride] = {c.measured[i], 0.5f, 1.0f};
     }
@@ -74,15 +77,16 @@ Found device_chamfer(Device& device, const Clouds& c, const Setting& s = {}) {
     weights.normalised_depth = s.normalised;
     ChamferLoss loss(device, weights, static_cast<std::uint32_t>(n));
     Stream stream(device);
-    const Array<float> r(device, std::span<const float>(rendered), "rendered"), terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
+    const Array<shared::RenderedRay> r(device, rendered, "rendered");
+    const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(rays), "rays");
     const Array<DeviceTarget> t(device, std::span<const DeviceTarget>(targets), "targets");
-    Array<float> upstream(device, n * kUpstreamFloats, "upstream");
+    Array<shared::RayGradient> upstream(device, n, "upstream");
     stream.fill(upstream);
     loss.compare(stream, {{&device_rays, 0, s.stride, static_cast<std::uint32_t>(n)}, &r, &upstream},
                  {&t, 0, s.stride, static_cast<std::uint32_t>(n), 0, 0, s.image ? c.image : ImageShape{}}, terms);
     stream.finish();
-    return {loss.nearest(), terms.download()[loss_term::chamfer], upstream.download()};
+    return {loss.nearest(), terms.download()[loss_term::chamfer], test::floats_of(upstream.download())};
 }
 
 /// Points as the device sees them, relative to the first ray's origin; infinite where there is none.
@@ -195,11 +199,11 @@ TEST_F(Chamfer, AgreesWithReference) {
         EXPECT_NEAR(found.loss, loss, 1e-4 * loss);
         std::vector<double> expected, actual;   // of the norm of all: differences of points 10 m away hold 1e-6 m
         for (std::size_t i = 0; i < rays.size(); ++i) {
-            const float* row = &found.upstream[i * kUpstreamFloats];
+            const float* row = &found.upstream[5 * i];
             expected.insert(expected.end(), {normalised ? d_range[i] / weight : d_range[i], normalised ? -d_range[i] * c.simulated[i] / weight : 0.0});
             actual.insert(actual.end(), {row[0], row[1]});
             EXPECT_EQ(d_range[i] != 0.0, row[0] != 0.0f) << "ray " << i;
-            for (std::size_t k = 2; k < kUpstreamFloats; ++k) EXPECT_EQ(row[k], 0.0f);
+            for (std::size_t k = 2; k < 5; ++k) EXPECT_EQ(row[k], 0.0f);
         }
         EXPECT_EQ(device_chamfer(device(), c, {.normalised = normalised, .weight = weight}).upstream, found.upstream) << "the same bits every time";
         test::GradientTable table;

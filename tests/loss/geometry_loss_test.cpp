@@ -11,6 +11,7 @@
 
 #include "../reference/geometry_loss.hpp"
 #include "../support/device.hpp"
+#include "../support/floats.hpp"
 #include "../support/gradient_check.hpp"
 
 namespace relidar {
@@ -46,29 +47,33 @@ RangeImage random_image(int rows, int columns, bool circular, bool normalised) {
 
 struct Found {
     double distortion = 0.0, normal = 0.0;
-    std::vector<float> upstream, gradient;   ///< [n, kUpstreamFloats], [n, kGeometryGradientFloats]
+    std::vector<shared::RayGradient> upstream;        ///< [n]
+    std::vector<shared::GeometryGradient> gradient;   ///< [n]
 };
 
 Found device_terms(Device& device, const RangeImage& image, const LossWeights& weights, std::uint32_t stride) {
     const std::size_t n = image.pixels.size();
-    std::vector<float> rendered, geometry;
+    std::vector<shared::RenderedRay> rendered;
+    std::vector<shared::RenderedGeometry> geometry;
     std::vector<DeviceRay> rays(n * stride);
     std::vector<DeviceTarget> targets(n * stride);
     double n_returned = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
         const reference::Pixel& p = image.pixels[i];
-        for (const double x : {p.depth, p.weight, 0.0, 0.0, 0.0, 1.0 - p.weight, p.depth, 0.0, 0.0}) rendered.push_back(float(x));
-        for (const double x : {p.normal.x, p.normal.y, p.normal.z, p.distortion, 0.0}) geometry.push_back(float(x));
+        shared::RenderedRay& ray = rendered.emplace_back();
+        ray.depth = float(p.depth), ray.weight = float(p.weight);
+        geometry.push_back({.normal = glm::vec3(p.normal), .distortion = float(p.distortion), .moment = 0.0f});
         rays[i * stride] = {glm::vec3(image.rays[i].origin), glm::vec3(image.rays[i].direction)};
         targets[i * stride] = image.returned[i] ? DeviceTarget{5.0f, 0.5f, 1.0f} : i % 2 ? DeviceTarget{0.0f, 0.5f, 1.0f} : DeviceTarget{5.0f, 0.5f, 0.0f};
         n_returned += image.returned[i];
     }
-    const Array<float> r(device, std::span<const float>(rendered), "rendered"), terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
+    const Array<shared::RenderedRay> r(device, rendered, "rendered");
+    const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(rays), "rays");
     const Array<DeviceTarget> device_targets(device, std::span<const DeviceTarget>(targets), "targets");
     RayGeometry q(device, n);
     q.rendered.upload(geometry);
-    Array<float> upstream(device, std::vector<float>(n * kUpstreamFloats, 0.0f), "upstream");
+    Array<shared::RayGradient> upstream(device, std::vector<shared::RayGradient>(n), "upstream");
     GeometryLoss loss(device, weights, std::uint32_t(n));
     Stream stream(device);
     const bool is_image = weights.normal > 0.0f;
@@ -86,13 +91,14 @@ constexpr double kTolerance = 10.0 * test::kKernelGradient;
 void add_differences(RangeImage image, const Found& found, test::GradientTable& table) {
     const auto terms = [&] { return normal_terms(image, image_normals(image)); };
     for (std::size_t i = 0; i < image.pixels.size(); ++i) {
-        const float *u = &found.upstream[i * kUpstreamFloats], *g = &found.gradient[i * kGeometryGradientFloats];
+        const shared::RayGradient& u = found.upstream[i];
+        const shared::GeometryGradient& g = found.gradient[i];
         const auto add = [&](const char* name, double* x, int n, const std::vector<double>& actual) { table.add_row(name, test::central_differences(x, n, terms), actual); };
-        add("depth", &image.pixels[i].depth, 1, {u[0]});
-        add("weight", &image.pixels[i].weight, 1, {u[1]});
-        add("normal", &image.pixels[i].normal.x, 3, {g[0], g[1], g[2]});
-        add("origin", &image.rays[i].origin.x, 3, {g[4], g[5], g[6]});
-        add("direction", &image.rays[i].direction.x, 3, {g[7] * g[4], g[7] * g[5], g[7] * g[6]});
+        add("depth", &image.pixels[i].depth, 1, {u.depth});
+        add("weight", &image.pixels[i].weight, 1, {u.weight});
+        add("normal", &image.pixels[i].normal.x, 3, {g.normal.x, g.normal.y, g.normal.z});
+        add("origin", &image.rays[i].origin.x, 3, {g.point.x, g.point.y, g.point.z});
+        add("direction", &image.rays[i].direction.x, 3, {g.range * g.point.x, g.range * g.point.y, g.range * g.point.z});
     }
 }
 
@@ -128,7 +134,7 @@ TEST_F(GeometryTerms, AgreeWithReference) {
             EXPECT_GT(group.nonzero_rows(), 20u) << name;
         }
         for (std::size_t i = 0; i < image.pixels.size(); ++i)
-            EXPECT_FLOAT_EQ(found.gradient[i * kGeometryGradientFloats + 3], image.returned[i] ? float(0.5 / n_returned) : 0.0f);
+            EXPECT_FLOAT_EQ(found.gradient[i].distortion, image.returned[i] ? float(0.5 / n_returned) : 0.0f);
     }
 }
 
@@ -140,9 +146,11 @@ TEST_F(GeometryTerms, DistortionIsARaysOwn) {
     const Found found = device_terms(device(), image, weights, 1);
     EXPECT_GT(found.distortion, 0.01);
     EXPECT_EQ(found.normal, 0.0);
-    EXPECT_EQ(found.upstream, std::vector<float>(found.upstream.size(), 0.0f));
-    for (std::size_t i = 0; i < image.pixels.size(); ++i)
-        for (std::size_t k : {0u, 1u, 2u, 4u, 5u, 6u}) EXPECT_EQ(found.gradient[i * kGeometryGradientFloats + k], 0.0f);
+    for (const float x : test::floats_of(found.upstream)) EXPECT_EQ(x, 0.0f);
+    for (const shared::GeometryGradient& g : found.gradient) {
+        EXPECT_EQ(g.normal, glm::vec3(0.0f));
+        EXPECT_EQ(g.point, glm::vec3(0.0f));
+    }
 }
 
 /// A plane has its own normal however it is inclined: the rule for edges does not cut what a grazing ray sees of the ground.
@@ -167,7 +175,7 @@ TEST_F(GeometryTerms, APlaneHasItsOwnNormalFarAway) {
     const Found found = device_terms(device(), image, weights, 1);
     EXPECT_LT(found.normal, 1e-4);
     int with_normal = 0;
-    for (std::size_t i = 0; i < 200; ++i) with_normal += found.gradient[i * kGeometryGradientFloats + 2] != 0.0f;
+    for (std::size_t i = 0; i < 200; ++i) with_normal += found.gradient[i].normal.z != 0.0f;
     EXPECT_EQ(with_normal, n);
 }
 

@@ -9,6 +9,7 @@
 
 #include "../reference/loss.hpp"
 #include "../support/device.hpp"
+#include "../support/floats.hpp"
 #include "../support/tolerances.hpp"
 
 namespace relidar {
@@ -17,7 +18,7 @@ namespace {
 class ImageLossTest : public test::DeviceTest {};
 
 struct Data {
-    std::vector<float> rendered;
+    std::vector<shared::RenderedRay> rendered;
     std::vector<DeviceTarget> targets;
     std::vector<reference::Pixel> pixels;
     std::vector<reference::Target> expected_targets;
@@ -32,8 +33,8 @@ Data random_data(std::size_t n, std::uint64_t seed) {
         const float spread = i % 7 == 0 ? 80.0f : 3.0f;   // extreme logits, too
         const float hit = spread * (unit(random) - 0.5f), drop = spread * (unit(random) - 0.5f), intensity = unit(random);
         const bool dropped = unit(random) < 0.3f;
-        for (const float x : {depth, weight, intensity, hit, drop, 1.0f - weight, range}) d.rendered.push_back(x);
-        for (int unused = 0; unused < 2; ++unused) d.rendered.push_back(0.0f);   // hits, instance
+        shared::RenderedRay& ray = d.rendered.emplace_back();
+        ray.depth = depth, ray.weight = weight, ray.intensity = intensity, ray.hit_logit = hit, ray.drop_logit = drop;
         d.targets.push_back({dropped ? 0.0f : range, dropped ? 0.0f : unit(random), 1.0f});
         reference::Pixel p;
         p.depth = depth, p.weight = weight, p.intensity = intensity, p.hit_logit = hit, p.drop_logit = drop;
@@ -54,24 +55,24 @@ TEST_F(ImageLossTest, AgreesWithReference) {
                                                                         normalised ? reference::DepthKind::normalised : reference::DepthKind::blended, &expected);
             ImageLoss loss(device(), weights);
             Stream stream(device());
-            const Array<float> rendered(device(), std::span<const float>(d.rendered), "rendered");
+            const Array<shared::RenderedRay> rendered(device(), d.rendered, "rendered");
             const Array<DeviceTarget> targets(device(), std::span<const DeviceTarget>(d.targets), "targets");
-            Array<float> upstream(device(), n * kUpstreamFloats + 4, "upstream");   // four guard words behind
+            Array<shared::RayGradient> upstream(device(), n + 1, "upstream");   // a guard behind
             const Array<float> sums(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
             stream.fill(upstream, 0x7fc00000u);
             double returned = 0.0;
             for (const DeviceTarget& t : d.targets) returned += t.range_m > 0.0f;
             loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 0, 1, static_cast<std::uint32_t>(n), returned, double(n)}, sums);
             stream.finish();
-            const std::vector<float> g = upstream.download(), s = sums.download();
+            const std::vector<float> g = test::floats_of(upstream.download()), s = sums.download();
             EXPECT_NEAR(s[loss_term::depth], weights.depth * terms.depth, 1e-4 * weights.depth * terms.depth);
             EXPECT_NEAR(s[loss_term::intensity], weights.intensity * terms.intensity, 1e-4 * weights.intensity * terms.intensity);
             EXPECT_NEAR(s[loss_term::drop], weights.drop * terms.drop, 1e-4 * weights.drop * terms.drop);
             for (std::size_t i = 0; i < n; ++i) {
                 const double row[] = {expected[i].depth, expected[i].weight, expected[i].intensity, expected[i].hit_logit, expected[i].drop_logit};
-                for (std::size_t k = 0; k < kUpstreamFloats; ++k) EXPECT_NEAR(g[i * kUpstreamFloats + k], row[k], 1e-6 * (std::abs(row[k]) + 1.0 / double(n))) << "ray " << i << " lane " << k;
+                for (std::size_t k = 0; k < 5; ++k) EXPECT_NEAR(g[5 * i + k], row[k], 1e-6 * (std::abs(row[k]) + 1.0 / double(n))) << "ray " << i << " lane " << k;
             }
-            for (std::size_t k = 0; k < 4; ++k) EXPECT_TRUE(std::isnan(g[n * kUpstreamFloats + k])) << "wrote past the end";
+            for (std::size_t k = 0; k < 5; ++k) EXPECT_TRUE(std::isnan(g[5 * n + k])) << "wrote past the end";
         }
 }
 
@@ -81,12 +82,12 @@ TEST_F(ImageLossTest, MaskedRaysTakeNoPartAndStrideSelects) {
     ImageLoss loss(device(), {});
     Stream stream(device());
     const Array<DeviceTarget> targets(device(), std::span<const DeviceTarget>(d.targets), "targets");
-    const Array<float> rendered(device(), std::span<const float>(d.rendered), "rendered");
+    const Array<shared::RenderedRay> rendered(device(), d.rendered, "rendered");
     const Array<float> sums(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
-    Array<float> upstream(device(), 16 * kUpstreamFloats, "upstream");
+    Array<shared::RayGradient> upstream(device(), 16, "upstream");
     loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 0, 4, 16, 16.0, 16.0}, sums);   // targets 0, 4, 8, ...: all masked
     stream.finish();
-    for (const float x : upstream.download()) EXPECT_EQ(x, 0.0f);
+    for (const float x : test::floats_of(upstream.download())) EXPECT_EQ(x, 0.0f);
     for (const float x : sums.download()) EXPECT_EQ(x, 0.0f);
     loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 1, 4, 16, 16.0, 16.0}, sums);   // targets 1, 5, 9, ...: all known
     stream.finish();

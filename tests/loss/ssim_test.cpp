@@ -38,12 +38,13 @@ struct Result {
 /// The device's loss; every pixel that is not known is dropped or unknown by turns, and holds nonsense.
 Result device_ssim(Device& device, const Image& image, float share, std::uint32_t stride = 1) {
     const std::size_t n = image.x.size();
-    std::vector<float> rendered;
+    std::vector<shared::RenderedRay> rendered;
     std::vector<DeviceTarget> targets(n * stride);
     double known = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
         known += image.known[i];
-        for (const float x : {10.0f, 1.0f, image.known[i] ? float(image.x[i]) : 7.0f, 0.0f, 0.0f, 0.0f, 10.0f, 0.0f, 0.0f}) rendered.push_back(x);
+        shared::RenderedRay& ray = rendered.emplace_back();
+        ray.depth = 10.0f, ray.weight = 1.0f, ray.intensity = image.known[i] ? float(image.x[i]) : 7.0f;
         targets[i * stride] = image.known[i] ? DeviceTarget{10.0f, float(image.y[i]), 1.0f} : i % 2 ? DeviceTarget{0.0f, 5.0f, 1.0f} : DeviceTarget{10.0f, 5.0f, 0.0f};
     }
     LossWeights weights;
@@ -51,15 +52,15 @@ Result device_ssim(Device& device, const Image& image, float share, std::uint32_
     weights.intensity_ssim = share;
     ImageLoss loss(device, weights, static_cast<std::uint32_t>(n));
     Stream stream(device);
-    const Array<float> r(device, std::span<const float>(rendered), "rendered"), terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
+    const Array<shared::RenderedRay> r(device, rendered, "rendered");
+    const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
     const Array<DeviceTarget> t(device, std::span<const DeviceTarget>(targets), "targets");
-    Array<float> upstream(device, n * kUpstreamFloats, "upstream");
+    Array<shared::RayGradient> upstream(device, n, "upstream");
     const ImageShape shape{static_cast<std::uint32_t>(image.rows), static_cast<std::uint32_t>(image.columns), image.circular};
     loss.compare(stream, {{}, &r, &upstream}, {&t, 0, stride, static_cast<std::uint32_t>(n), known, double(n), shape}, terms);
     stream.finish();
     Result result{terms.download()[loss_term::ssim], terms.download()[loss_term::intensity], {}};
-    const std::vector<float> g = upstream.download();
-    for (std::size_t i = 0; i < n; ++i) result.d_x.push_back(g[i * kUpstreamFloats + 2]);
+    for (const shared::RayGradient& g : upstream.download()) result.d_x.push_back(g.intensity);
     return result;
 }
 

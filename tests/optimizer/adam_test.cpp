@@ -5,6 +5,7 @@
 #include <random>
 
 #include <relidar/stages/optimizer.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include "../support/device.hpp"
 #include "gpu/stream.hpp"
@@ -95,7 +96,10 @@ TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
     Stream stream(device());
     for (Array<float>* array : {&value, &m, &v}) stream.fill(*array);
     stream.fill(gradient, 0x3f800000u);   // 1
-    run(stream, kernel, n, {value.address(), gradient.address(), m.address(), v.address(), 0, 1.0f, 0.9f, 0.999f, 1e-15f, 10.0f, 1000.0f, 1.0f, n, 1, 1, 1, 0});
+    run(stream, kernel, n,
+        {.values = value.address(), .gradients = gradient.address(), .moment1 = m.address(), .moment2 = v.address(), .touched = {},
+         .learning_rate = 1.0f, .beta1 = 0.9f, .beta2 = 0.999f, .epsilon = 1e-15f, .correction1 = 10.0f, .correction2 = 1000.0f,
+         .first_scale = 1.0f, .n_rows = n, .stride = 1, .block = 1, .n_active = 1, .only_touched = 0});
     stream.finish();
     const std::vector<float> values = value.download();
     EXPECT_EQ(std::count_if(values.begin(), values.end(), [](float x) { return std::abs(x + 1.0f) < 1e-4f; }), std::ptrdiff_t(n));

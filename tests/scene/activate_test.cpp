@@ -10,6 +10,7 @@
 #include <relidar/stages/scene.hpp>
 
 #include "../support/device.hpp"
+#include "../support/floats.hpp"
 #include "../support/gradient_check.hpp"
 #include "../support/random_scene.hpp"
 #include "../support/surfels.hpp"
@@ -66,7 +67,7 @@ TEST_P(Activate, RecordsAgreeWithReference) {
         Stream stream(device());
         scene.activate(stream, image_model(degree), view);
         stream.finish();
-        const std::vector<float> actual = scene.records().download();
+        const std::vector<float> actual = test::floats_of(scene.records().download());
         for (std::size_t i = 0; i < surfels.size(); ++i) {
             const std::vector<double> expected = record_of(surfels[i], glm::dvec3(view), degree);
             for (std::size_t k = 0; k < 16; ++k) EXPECT_NEAR(actual[16 * i + k], expected[k], 2e-6 * (1.0 + std::abs(expected[k]))) << "surfel " << i << " lane " << k;
@@ -83,8 +84,8 @@ TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
     Stream stream(device());
     scene.activate(stream, image_model(1), glm::vec3(0.0f));
     stream.finish();
-    const std::vector<float> records = scene.records().download();
-    for (std::size_t i = 0; i < surfels.size(); ++i) EXPECT_EQ(records[16 * i + 3] == 0.0f, i == 5 || i == 99) << "surfel " << i;
+    const std::vector<shared::SurfelRecord> records = scene.records().download();
+    for (std::size_t i = 0; i < surfels.size(); ++i) EXPECT_EQ(records[i].opacity == 0.0f, i == 5 || i == 99) << "surfel " << i;
 }
 
 /// Record gradients of all surfels but every third.

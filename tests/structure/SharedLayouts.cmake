@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-# relidar_write_shared_layouts(<file> <headers...>): a C++ table of every member of every struct of shaders/shared, with its
+# relidar_write_shared_layouts(<file> <headers...>): a C++ table of every member of every struct of both languages, with its
 # offset on the host. Read from the headers' text, so that a new member is compared without anyone listing it.
 function(relidar_write_shared_layouts out)
     set(includes "")
     set(rows "")
     foreach(header IN LISTS ARGN)
         set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${header})
-        cmake_path(GET header FILENAME name)
-        string(APPEND includes "#include \"shared/${name}\"\n")
+        string(APPEND includes "#include \"${header}\"\n")
         file(READ ${header} lines)
         string(REGEX REPLACE "//[^\n]*" "" lines "${lines}")
         string(REPLACE ";" "!" lines "${lines}")   # a semicolon would split a list

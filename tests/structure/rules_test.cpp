@@ -77,6 +77,20 @@ TEST(Rules, InfrastructureMayBeIncludedDirectly) {
     EXPECT_THAT(check_include_edges(tree), IsEmpty());
 }
 
+TEST(Rules, FacesAndShadersShareStructsButNotParameters) {
+    const SourceTree tree = make_tree({{"include/relidar/stages/forward.hpp", "#include <relidar/shared/rays.h>\n"},
+                                       {"shaders/shared/trace.h", "#include \"relidar/shared/rays.h\"\n"},
+                                       {"shaders/forward/a.comp", "#include \"../shared/trace.h\"\n"},
+                                       {"include/relidar/shared/rays.h", ""}});
+    EXPECT_THAT(check_include_edges(tree), IsEmpty());
+    const SourceTree wrong = make_tree({{"include/relidar/stages/forward.hpp", "#include \"shared/trace.h\"\n"},
+                                        {"tests/reference/a.cpp", "#include <relidar/shared/rays.h>\n"},
+                                        {"include/relidar/shared/rays.h", "#include <relidar/error.hpp>\n"},
+                                        {"include/relidar/error.hpp", ""},
+                                        {"shaders/shared/trace.h", ""}});
+    EXPECT_EQ(check_include_edges(wrong).size(), 3u);
+}
+
 TEST(Rules, ReferenceAndShadersAndToolsKeepApart) {
     const SourceTree tree = make_tree({{"tests/reference/a.cpp", "#include \"shared/forward.h\"\n"},
                                        {"shaders/loss/a.comp", "#include \"../forward/b.glsl\"\n"},

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host and shaders see the same bytes: every struct of shaders/shared, in every kernel that uses it. And no kernel needs what not every
+// Host and shaders see the same bytes: every struct of include/relidar/shared and shaders/shared, in every kernel that uses it. And no kernel needs what not every
 // device has.
 #include <cstddef>
 #include <map>
@@ -36,13 +36,13 @@ TEST(SharedLayout, KernelsSeeWhatTheHostWrites) {
             unseen.erase(type);
         }
     }
-    EXPECT_THAT(unseen, testing::IsEmpty()) << "structs of shaders/shared that no kernel uses";
+    EXPECT_THAT(unseen, testing::IsEmpty()) << "shared structs that no kernel uses";
 }
 
 TEST(Kernels, HaveNo64BitIntegers) {
     ASSERT_FALSE(embedded_kernels().empty());
     for (const EmbeddedKernel& kernel : embedded_kernels())
-        EXPECT_FALSE(read_spirv_capabilities(kernel.words).contains(kCapabilityInt64)) << kernel.name << ": see is_null() in shaders/shared/lang.h";
+        EXPECT_FALSE(read_spirv_capabilities(kernel.words).contains(kCapabilityInt64)) << kernel.name << ": see is_null() in relidar/shared/lang.h";
 }
 
 }  // namespace

@@ -35,7 +35,7 @@ public:
 private:
     void open() {
         try {
-            device_ = std::make_unique<Device>(DeviceOptions{.traversal = wanted_traversal()});
+            device_ = std::make_unique<Device>(from_environment({.traversal = wanted_traversal()}));
         } catch (const Error& error) {
             failure_ = error.what();
         }

@@ -117,10 +117,19 @@ private:
 /// Boxes of all surfels, in their models' frames.
 std::vector<Box> surfel_boxes(Device& device, const DeviceScene& scene) {
     Stream stream(device);
-    const Kernel<shared::ProxyParams> proxies(device, "accel/proxies", {{2u, 1u}, {9u, scene.primitive() == Primitive::gaussian ? 1u : 0u}});
+    const std::vector<Constant> constants{{ConstantId::BOXES, 1u}, {ConstantId::GAUSSIANS, scene.primitive() == Primitive::gaussian ? 1u : 0u}};
+    const Kernel<shared::ProxyParams> proxies(device, "accel/proxies", constants);
     const Array<float> boxes(device, 6 * std::size_t(scene.size()), "boxes");
     const AccelOptions margin;
-    run(stream, proxies, scene.size(), {scene.records().address(), boxes.address(), boxes.address(), 0, scene.alpha_min(), margin.margin_m, margin.margin_scale, scene.size()});
+    run(stream, proxies, scene.size(),
+        {.records = scene.records().address(),
+         .vertices = {},
+         .boxes = boxes.address(),
+         .reach = {},
+         .alpha_min = scene.alpha_min(),
+         .margin_m = margin.margin_m,
+         .margin_scale = margin.margin_scale,
+         .n_surfels = scene.size()});
     stream.finish();
     const std::vector<float> values = boxes.download();
     std::vector<Box> result;
@@ -174,6 +183,12 @@ HostBvh::HostBvh(Device& device, const DeviceScene& scene) {
     top_order_ = Array<std::uint32_t>(device, std::span<const std::uint32_t>(top_order), "top order");
 }
 
-shared::BvhPointers HostBvh::pointers() const { return {nodes_.address(), order_.address(), roots_.address(), top_nodes_.address(), top_order_.address()}; }
+shared::BvhPointers HostBvh::pointers() const {
+    return {.nodes = nodes_.address(),
+            .order = order_.address(),
+            .roots = roots_.address(),
+            .top_nodes = top_nodes_.address(),
+            .top_order = top_order_.address()};
+}
 
 }  // namespace relidar::test

@@ -8,8 +8,6 @@
 #include <relidar/stages/accel.hpp>
 #include <relidar/stages/scene.hpp>
 
-#include "shared/bvh.h"
-
 namespace relidar::test {
 
 class HostBvh {

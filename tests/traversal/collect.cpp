@@ -9,9 +9,25 @@
 namespace relidar::test {
 
 shared::TraceScene to_trace_scene(const DeviceScene& scene, const ImageModel& model, const AccelAddresses& a) {
-    return {a.tlas, a.reach, {a.nodes, a.order, a.roots, a.top_nodes, a.top_order}, 0, scene.records().address(), scene.instances_address(), scene.parameters().sh.address(), 0, 0,
-            model.near_m, model.alpha_min, model.alpha_max, model.transmittance_min, static_cast<std::uint32_t>(scene.layout().instances.size()),
-            static_cast<std::uint32_t>(model.sh_degree), 0, 0, 1, 0};
+    return {.tlas = a.tlas,
+            .proxy_reach = a.proxy_reach,
+            .bvh = a.bvh,
+            .rays = {},
+            .records = scene.records().address(),
+            .instances = scene.instances().address(),
+            .sh = scene.parameters().sh.address(),
+            .pass_cap_count = {},
+            .visits = {},
+            .near_m = model.near_m,
+            .alpha_min = model.alpha_min,
+            .alpha_max = model.alpha_max,
+            .transmittance_min = model.transmittance_min,
+            .n_instances = static_cast<std::uint32_t>(scene.instances().size()),
+            .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
+            .n_rays = 0,
+            .first_ray = 0,
+            .ray_stride = 1,
+            .columns = 0};
 }
 
 CollectedHits collect(Device& device, const std::string& kernel, const std::vector<Constant>& constants, shared::TraceScene scene, const WorldRays& rays, std::uint32_t max_hits) {
@@ -25,7 +41,13 @@ CollectedHits collect(Device& device, const std::string& kernel, const std::vect
     scene.pass_cap_count = pass_cap.address();
     scene.n_rays = static_cast<std::uint32_t>(n);
     Stream stream(device);
-    run(stream, collect_hits, n, {scene, counts.address(), t.address(), instance.address(), surfel.address(), max_hits});
+    run(stream, collect_hits, n,
+        {.scene = scene,
+         .counts = counts.address(),
+         .t = t.address(),
+         .instance = instance.address(),
+         .surfel = surfel.address(),
+         .max_hits = max_hits});
     stream.finish();
     EXPECT_EQ(pass_cap.download()[0], 0u) << kernel << ": rays that did not end";
     return {max_hits, counts.download(), t.download(), instance.download(), surfel.download()};

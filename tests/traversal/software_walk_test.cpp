@@ -22,10 +22,10 @@ protected:
         scene.activate(stream, model, glm::vec3(0.0f));
         stream.finish();
         const test::HostBvh bvh(device(), scene);
-        const shared::BvhPointers p = bvh.pointers();
-        const AccelAddresses addresses{0, p.nodes.value, p.order.value, p.roots.value, p.top_nodes.value, p.top_order.value};
-        const shared::TraceScene trace = test::to_trace_scene(scene, model, addresses);
-        return test::in_world(test::collect(device(), "traversal/collect_hits@software_bvh", {{1u, chunk}, {4u, packet}, {9u, c.surfels.primitive() == Primitive::gaussian ? 1u : 0u}}, trace, c.rays, test::kMaxHits), placed);
+        const shared::TraceScene trace = test::to_trace_scene(scene, model, {.tlas = {}, .proxy_reach = {}, .bvh = bvh.pointers()});
+        const std::uint32_t gaussians = c.surfels.primitive() == Primitive::gaussian ? 1u : 0u;
+        const std::vector<Constant> constants{{ConstantId::CHUNK, chunk}, {ConstantId::TOGETHER, packet}, {ConstantId::GAUSSIANS, gaussians}};
+        return test::in_world(test::collect(device(), "traversal/collect_hits@software_bvh", constants, trace, c.rays, test::kMaxHits), placed);
     }
 };
 

@@ -45,7 +45,7 @@ std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normali
     constexpr float kRangeNoise_m = 0.1f, kIntensityNoise = 0.05f, kSolid = 0.5f;
     std::mt19937 random(1);
     const auto noise = [&] { return static_cast<float>(random()) / 2147483648.0f - 1.0f; };
-    std::vector<DeviceTarget> targets(rendering.size());
+    std::vector<DeviceTarget> targets(rendering.size(), {.range_m = 0.0f, .intensity = 0.0f, .weight = 1.0f});
     for (std::size_t i = 0; i < targets.size(); ++i) {
         if (!(rendering.weight[i] > kSolid)) continue;
         const float range_m = rendering.depth[i] / (normalised_depth ? rendering.weight[i] : 1.0f);
@@ -119,7 +119,7 @@ public:
         image_->place(case_.view_origin_m);
         image_->record_forward(batch());
         image_->stream().finish();
-        const Rendering rendering = to_rendering(image_->rendered().rendered->download(), rays_.size());
+        const Rendering rendering = to_rendering(image_->rendered().rendered->download());
         const double keep = training ? case_.config.trace.keep_hits : 0;
         for (const std::uint32_t hits : rendering.hits) {
             sizes_.n_hits += hits;

@@ -36,7 +36,7 @@ DeviceOptions device_options(const DeviceChoice& choice) {
     if (choice.index < -1) throw UsageError(fmt::format("--device: found {}, expected a number that `relidar devices` lists", choice.index));
     options.index = choice.index;
     options.traversal = find_traversal(choice.traversal);
-    return options;
+    return from_environment(options);
 }
 
 void add_set_option(CLI::App& command, std::vector<std::string>& sets) {

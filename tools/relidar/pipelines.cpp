@@ -30,7 +30,7 @@ std::vector<PipelineStatistics> compiled(int index, Traversal traversal) {
 
 /// Those of the traversals asked for, of "both" those that the device has; each pipeline once.
 std::vector<PipelineStatistics> all_compiled(const Options& options) {
-    const DeviceInfo info = Device({.index = options.device, .compile_only = true}).info();
+    const DeviceInfo info = Device(from_environment({.index = options.device, .compile_only = true})).info();
     std::vector<PipelineStatistics> all;
     std::set<std::string> known;
     const auto add = [&](const char* name, Traversal traversal, bool has) {

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <memory>
 
+#include <relidar/shared/bvh.h>
 #include <relidar/stages/gpu.hpp>
 
 namespace relidar {
@@ -27,11 +28,11 @@ struct AccelOptions {
     float rebuild_growth = 1.3f;
 };
 
-/// Device addresses of the structure that a device's traversal searches; the others are 0.
+/// The structure that a device's traversal searches; the others are nowhere.
 struct AccelAddresses {
-    std::uint64_t tlas = 0;                                                       ///< ray query
-    std::uint64_t nodes = 0, order = 0, roots = 0, top_nodes = 0, top_order = 0;   ///< software
-    std::uint64_t reach = 0;                                                      ///< ray query over icosahedra: how far behind a hit one may end
+    shared::TlasHandle tlas;       ///< ray query
+    Address<float> proxy_reach;    ///< [1] ray query over icosahedra: how far behind a hit one may end
+    shared::BvhPointers bvh;       ///< software
 };
 
 /// Proxy that suits a device where none is chosen.

@@ -31,16 +31,17 @@ struct Rendering {
     std::size_t size() const { return depth.size(); }
 };
 
-/// The forward kernel with its settings. Rendered rays stay on the device: kRenderedFloats floats a ray.
+/// The forward kernel with its settings. Rendered rays stay on the device.
 class ForwardPass {
 public:
     ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options);
     ~ForwardPass();
     /// Records the trace of a batch. The scene must be activated and accel updated before, in the same stream.
-    /// @param rendered  [>= n_rays * kRenderedFloats] output
+    /// @param rendered  [>= n_rays] output
     /// @param kept      output, for the backward pass of the same batch; null where it shall cast the rays again
     /// @param geometry  output, with TraceOptions::geometry
-    void run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<float>& rendered, KeptHits* kept = nullptr, RayGeometry* geometry = nullptr);
+    void run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<shared::RenderedRay>& rendered,
+             KeptHits* kept = nullptr, RayGeometry* geometry = nullptr);
     /// Rays that reached the cap of passes since the last call (they end early, which is an error). Blocks.
     std::uint32_t take_pass_cap_count();
     /// [1] The same on the device, counting until it is set to 0: to be read back without a wait.
@@ -53,7 +54,7 @@ private:
 };
 
 /// Rendered rays as host arrays.
-Rendering to_rendering(const std::vector<float>& rendered, std::size_t n_rays);
+Rendering to_rendering(const std::vector<shared::RenderedRay>& rays);
 
 /// What a renderer is made with beside a scene and its image model.
 struct RendererOptions {

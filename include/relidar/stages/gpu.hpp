@@ -10,10 +10,11 @@
 #include <vector>
 
 #include <relidar/gpu.hpp>
+#include <relidar/shared/lang.h>
 
 namespace relidar {
 
-/// A piece of device memory with an address. Move-only.
+/// A piece of device memory. Move-only.
 class Buffer {
 public:
     Buffer();
@@ -23,7 +24,6 @@ public:
     Buffer(Buffer&&) noexcept;
     Buffer& operator=(Buffer&&) noexcept;
 
-    std::uint64_t address() const;
     std::size_t size_bytes() const;
     explicit operator bool() const { return impl_ != nullptr; }
     /// Blocking copies through staging memory. @throws DeviceError on a lost device
@@ -36,7 +36,11 @@ public:
 
 private:
     friend Impl& impl_of(const Buffer& buffer);   ///< what the library itself works with
+    template <class T>
+    friend class Array;
     std::unique_ptr<Impl> impl_;
+
+    std::uint64_t address() const;
 };
 
 /// Device array of trivially copyable values.
@@ -48,7 +52,16 @@ public:
     Array(Device& device, std::span<const T> values, const std::string& what) : Array(device, values.size(), what) { upload(values); }
 
     std::size_t size() const { return n_; }
-    std::uint64_t address() const { return buffer_.address(); }
+    /// What kernels are given: the whole array, or the part of it that begins at an entry. Arrays begin at multiples of 16 bytes, so
+    /// that kernels load a record in pieces of 16 bytes; a part that begins elsewhere is indexed at run time, or by atomics, and
+    /// nothing else.
+    Address<T> address(std::size_t first = 0) const { return address_as<T>(first); }
+    /// The same memory for a kernel that takes it for entries of another type. `first` counts entries of T.
+    template <class U>
+    Address<U> address_as(std::size_t first = 0) const {
+        static_assert(sizeof(T) % sizeof(U) == 0 || sizeof(U) % sizeof(T) == 0);
+        return Address<U>(buffer_.address() + first * sizeof(T));
+    }
     const Buffer& buffer() const { return buffer_; }
     void upload(std::span<const T> values, std::size_t first = 0) { if (!values.empty()) buffer_.upload(values.data(), values.size_bytes(), first * sizeof(T)); }
     std::vector<T> download() const { return download(n_); }
@@ -71,6 +84,10 @@ private:
     Buffer buffer_;
     std::size_t n_ = 0;
 };
+
+/// Of an array that need not be there: null is nowhere.
+template <class T>
+Address<T> address_of(const Array<T>* array) { return array ? array->address() : Address<T>(); }
 
 /// Records kernels and submits them. Each launch sees the results of all earlier ones, but of the same Concurrent scope.
 class Stream {

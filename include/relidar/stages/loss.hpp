@@ -10,8 +10,9 @@
 
 #include <glm/glm.hpp>
 
+#include <relidar/shared/loss_terms.h>
+#include <relidar/shared/rays.h>
 #include <relidar/stages/gpu.hpp>
-#include <relidar/stages/loss_terms.h>
 
 namespace relidar {
 
@@ -19,12 +20,7 @@ struct RenderedBatch;
 struct SurfelArrays;
 class DeviceScene;
 
-/// What a ray measured.
-struct DeviceTarget {
-    float range_m = 0.0f;     ///< 0 = dropped
-    float intensity = 0.0f;
-    float weight = 1.0f;      ///< 0 = unknown: takes no part in any loss
-};
+using shared::DeviceTarget;
 
 /// How the rays of a batch lie as an image, row by row. rows = 0: they do not.
 struct ImageShape {
@@ -76,7 +72,7 @@ struct TermRow {
     std::uint32_t row = 0;
 
     TermRow(const Array<float>& array, std::uint32_t at = 0) : terms(array), row(at) {}
-    std::uint64_t address() const { return terms.address() + std::uint64_t(row) * kLossTerms * sizeof(float); }
+    Address<float> address() const { return terms.address(std::size_t(row) * kLossTerms); }
 };
 
 /// Gradients of a scene's parameters, as the backward pass leaves them.

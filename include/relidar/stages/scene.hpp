@@ -9,6 +9,7 @@
 #include <vector>
 
 #include <relidar/scene.hpp>
+#include <relidar/shared/surfels.h>
 #include <relidar/stages/gpu.hpp>
 
 namespace relidar {
@@ -72,9 +73,9 @@ public:
     const Scene& layout() const;   ///< models and instances; its surfels are empty
     SurfelArrays& parameters();
     const SurfelArrays& parameters() const;
-    const Array<float>& records() const;      ///< [n,16]
+    const Array<shared::SurfelRecord>& records() const;        ///< [n]
     float alpha_min() const;                  ///< the records were activated for: where a surfel ends
-    std::uint64_t instances_address() const;  ///< of the instance table
+    const Array<shared::InstanceEntry>& instances() const;     ///< [instances] as placed last
     std::uint32_t size() const;               ///< surfels
     Primitive primitive() const;
     std::uint32_t first_gradient_row(std::size_t instance) const;   ///< of the record gradients of an instance's surfels

@@ -7,6 +7,7 @@
 
 #include <glm/glm.hpp>
 
+#include <relidar/shared/rays.h>
 #include <relidar/stages/gpu.hpp>
 
 namespace relidar {
@@ -18,11 +19,7 @@ struct WorldRays {
     std::size_t size() const { return direction.size(); }
 };
 
-/// Rays on a device, ready to be traced in batches.
-struct DeviceRay {
-    glm::vec3 origin;      ///< metres, world
-    glm::vec3 direction;   ///< unit, world
-};
+using shared::DeviceRay;
 
 /// Ray k of a batch is entry first + k * stride.
 struct RayBatch {
@@ -48,36 +45,31 @@ struct TraceOptions {
 
 /// The first hits of each ray of a batch, as the forward pass blended them, so that the backward pass need not search them again.
 struct KeptHits {
-    Array<std::uint32_t> hits;    ///< [n_rays, per_ray, 2] instance, surfel
-    std::uint32_t per_ray = 0;    ///< a ray with more hits is cast again
+    Array<shared::KeptHit> hits;   ///< [n_rays, per_ray]
+    std::uint32_t per_ray = 0;     ///< a ray with more hits is cast again
 
     /// @param n_rays  of the largest batch
-    KeptHits(Device& device, std::size_t n_rays, std::uint32_t hits_per_ray) : hits(device, 2 * n_rays * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
+    KeptHits(Device& device, std::size_t n_rays, std::uint32_t hits_per_ray)
+        : hits(device, n_rays * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
 };
-
-inline constexpr int kRenderedFloats = 9;   ///< what a ray renders: see Rendering, in that order
-inline constexpr int kUpstreamFloats = 5;   ///< d_depth, d_weight, d_intensity, d_hit_logit, d_drop_logit
-
-inline constexpr int kGeometryFloats = 5;           ///< normal B [3], distortion, moment
-inline constexpr int kGeometryGradientFloats = 8;   ///< d_normal [3], d_distortion, d_point [3], range
 
 /// What the geometric losses want of each ray of a batch beside its image, and what they give back.
 struct RayGeometry {
-    Array<float> rendered;   ///< [n_rays, kGeometryFloats] of the forward pass
-    Array<float> gradient;   ///< [n_rays, kGeometryGradientFloats] of GeometryLoss
+    Array<shared::RenderedGeometry> rendered;   ///< [n_rays] of the forward pass
+    Array<shared::GeometryGradient> gradient;   ///< [n_rays] of GeometryLoss
 
     /// @param n_rays  of the largest batch
     RayGeometry(Device& device, std::size_t n_rays)
-        : rendered(device, n_rays * kGeometryFloats, "geometry of rays"), gradient(device, n_rays * kGeometryGradientFloats, "geometry gradients") {}
+        : rendered(device, n_rays, "geometry of rays"), gradient(device, n_rays, "geometry gradients") {}
 };
 
 /// A batch that has been rendered, as losses compare it and the backward pass differentiates it.
 struct RenderedBatch {
     RayBatch rays;
-    const Array<float>* rendered = nullptr;   ///< [n_rays, kRenderedFloats] of ForwardPass::run
-    Array<float>* upstream = nullptr;         ///< [n_rays, kUpstreamFloats] dL/d(rendered): losses write it, the backward pass reads it
-    const KeptHits* kept = nullptr;           ///< of the same ForwardPass::run, or null
-    RayGeometry* geometry = nullptr;          ///< of the same ForwardPass::run, with TraceOptions::geometry; its gradient is as upstream
+    const Array<shared::RenderedRay>* rendered = nullptr;   ///< [n_rays] of ForwardPass::run
+    Array<shared::RayGradient>* upstream = nullptr;         ///< [n_rays] dL/d(rendered): losses write it, the backward pass reads it
+    const KeptHits* kept = nullptr;                         ///< of the same ForwardPass::run, or null
+    RayGeometry* geometry = nullptr;                        ///< of the same ForwardPass::run, with TraceOptions::geometry; its gradient is as upstream
 };
 
 /// Rays as kernels read them.

@@ -29,6 +29,8 @@ struct BvhNode {
 };
 RELIDAR_POINTER(BvhNodes, BvhNode);
 
+RELIDAR_HANDLE(TlasHandle);   // of the driver's top level
+
 /// A two-level structure as a traversal reads it.
 struct BvhPointers {
     BvhNodes nodes;        // of all models

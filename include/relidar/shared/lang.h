@@ -9,20 +9,32 @@
 #define RELIDAR_SHARED_BEGIN namespace relidar::shared {
 #define RELIDAR_SHARED_END }
 #define RELIDAR_POINTER(name, type) using name = Address<type>
+#define RELIDAR_HANDLE(name) struct name { std::uint64_t value = 0; }
+namespace relidar {
+template <class T>
+class Array;
+
+/// Where entries of an array of T begin on the device: nothing but 8 bytes, and nowhere unless an Array<T> has made it. Addresses of
+/// different types are not each other, so that a kernel never gets one array for another of another type.
+template <class T>
+class Address {
+public:
+    Address() = default;
+    friend bool operator==(const Address&, const Address&) = default;
+
+private:
+    template <class>
+    friend class Array;
+    explicit Address(std::uint64_t value) : value_(value) {}
+    std::uint64_t value_ = 0;
+};
+}  // namespace relidar
 namespace relidar::shared {
 using glm::uvec2;
 using glm::vec2;
 using glm::vec3;
 using glm::vec4;
 using uint = std::uint32_t;
-/// Device address of an array of T; nothing but 8 bytes on the host. Arrays begin at multiples of 16 bytes, so that kernels load a record in
-/// pieces of 16 bytes. A part of one that begins elsewhere (a row of counters) is indexed at run time, or by atomics, and nothing else.
-template <class T>
-struct Address {
-    std::uint64_t value = 0;
-    Address() = default;
-    Address(std::uint64_t address) : value(address) {}
-};
 }  // namespace relidar::shared
 #else
 #extension GL_EXT_scalar_block_layout : require
@@ -33,6 +45,8 @@ struct Address {
 #define RELIDAR_SHARED_END
 #define RELIDAR_POINTER(name, type) \
     layout(buffer_reference, scalar, buffer_reference_align = 16) buffer name { type at[]; }
+// What the driver alone reads through.
+#define RELIDAR_HANDLE(name) RELIDAR_POINTER(name, uint)
 // Addresses are never numbers here: not every device has 64-bit integers. A pointer becomes one of another type through uvec2, as not
 // every compiler (SwiftShader's) casts pointers.
 /// Whether a pointer is address 0: how the host says that there is no such array.

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+# `cpack` makes a Debian package of all that `cmake --install` installs: build/<preset>/package/relidar_<version>_<arch>.deb.
+# It is one package. The Debian way would be relidar and librelidar-dev, but the library is static: what compiling against it
+# needs is recommended here, so it comes with `apt install` and stays away with --no-install-recommends.
+# With SOURCE_DATE_EPOCH set, the same build gives the same bytes.
+find_program(RELIDAR_DPKG dpkg)
+if(NOT RELIDAR_DPKG)
+    return()   # not a Debian system
+endif()
+
+# Debian packages of what our targets link: their code may be in the program; who links the library needs those in to_link.
+set(compiled_in "")
+set(to_link "")
+foreach(target IN ITEMS relidar relidar_cli relidar_python)
+    set(libraries "")
+    if(TARGET ${target})
+        get_target_property(libraries ${target} LINK_LIBRARIES)
+        list(FILTER libraries INCLUDE REGEX "^relidar::dep_")
+    endif()
+    foreach(library IN LISTS libraries)
+        get_target_property(package ${library} RELIDAR_DEBIAN_PACKAGE)
+        get_target_property(build_only ${library} RELIDAR_BUILD_ONLY)
+        list(APPEND compiled_in ${package})
+        if(NOT build_only)
+            list(APPEND to_link ${package})
+        endif()
+    endforeach()
+endforeach()
+list(REMOVE_DUPLICATES compiled_in)
+list(REMOVE_DUPLICATES to_link)
+
+# Our licence, then that of all whose code may be compiled in, as the packages used for this build state it.
+set(copyright ${PROJECT_BINARY_DIR}/copyright)
+configure_file(${PROJECT_SOURCE_DIR}/cmake/debian/copyright ${copyright} COPYONLY)
+foreach(package IN LISTS compiled_in)
+    if(EXISTS /usr/share/doc/${package}/copyright)
+        file(READ /usr/share/doc/${package}/copyright text)
+        file(APPEND ${copyright} "\n======== ${package} ========\n\n${text}")
+    endif()
+endforeach()
+execute_process(COMMAND gzip -9nc ${PROJECT_SOURCE_DIR}/cmake/debian/changelog   # -n: no time inside
+    OUTPUT_FILE ${PROJECT_BINARY_DIR}/changelog.gz COMMAND_ERROR_IS_FATAL ANY)
+install(FILES ${copyright} ${PROJECT_BINARY_DIR}/changelog.gz DESTINATION ${CMAKE_INSTALL_DOCDIR})
+
+set(CPACK_GENERATOR DEB)
+set(CPACK_PACKAGE_DIRECTORY ${PROJECT_BINARY_DIR}/package)
+set(CPACK_PACKAGE_CONTACT "relidar maintainers <maintainers@relidar.invalid>")
+set(CPACK_PACKAGE_DESCRIPTION
+"Makes a scene of 2D Gaussians (surfels) from the scans of a driving log, and
+new scans from it: from other places, for other sensors, with actors moved or
+removed. Compute shaders with ray queries, or with a tree walked in software.
+.
+This package holds the program, the static library with its headers, and what
+find_package(relidar) reads.")
+set(CPACK_STRIP_FILES ON)
+set(CPACK_PRE_BUILD_SCRIPTS ${PROJECT_SOURCE_DIR}/cmake/debian/permissions.cmake)
+
+set(depends libvulkan1)   # opened at run time, so dpkg-shlibdeps does not see it
+if(RELIDAR_PYTHON)        # the module is made for one version of Python
+    find_package(Python3 REQUIRED COMPONENTS Interpreter)
+    math(EXPR next_minor "${Python3_VERSION_MINOR} + 1")
+    list(APPEND depends python3-numpy "python3 (>= ${Python3_VERSION_MAJOR}.${Python3_VERSION_MINOR})" "python3 (<< ${Python3_VERSION_MAJOR}.${next_minor})")
+endif()
+set(recommends "mesa-vulkan-drivers (>= 24.1)" ${to_link})   # the first software driver that runs every kernel
+set(CPACK_DEBIAN_COMPRESSION_TYPE xz)
+set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
+set(CPACK_DEBIAN_PACKAGE_SECTION science)
+set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
+list(JOIN depends ", " CPACK_DEBIAN_PACKAGE_DEPENDS)
+list(JOIN recommends ", " CPACK_DEBIAN_PACKAGE_RECOMMENDS)
+include(CPack)

@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+// The only place that reads the environment, and only where a program asks for it.
+#include <relidar/gpu.hpp>
+
+#include <charconv>
+#include <cstdlib>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar {
+
+namespace {
+
+std::string value_of(const char* name) {
+    const char* text = std::getenv(name);
+    return text ? text : "";
+}
+
+std::uint64_t memory_limit(const std::string& text) {
+    std::uint64_t mib = 0;
+    const char* end = text.data() + text.size();
+    const auto [parsed, failed] = std::from_chars(text.data(), end, mib);
+    if (failed != std::errc() || parsed != end || mib == 0 || mib > (1u << 30)) {
+        throw UsageError(fmt::format("RELIDAR_MEMORY_LIMIT_MIB: found '{}', expected a number of MiB above 0", text));
+    }
+    return mib << 20;
+}
+
+std::filesystem::path cache_folder() {
+    const std::string own = value_of("RELIDAR_PIPELINE_CACHE"), cache = value_of("XDG_CACHE_HOME"), home = value_of("HOME");
+    if (own == "0") return {};
+    if (!own.empty()) return own;
+    if (!cache.empty()) return std::filesystem::path(cache) / "relidar";
+    return home.empty() ? std::filesystem::path() : std::filesystem::path(home) / ".cache" / "relidar";
+}
+
+}  // namespace
+
+DeviceOptions from_environment(DeviceOptions options) {
+    if (value_of("RELIDAR_VALIDATION") == "1") options.validation = true;
+    const std::string limit = value_of("RELIDAR_MEMORY_LIMIT_MIB");
+    if (!limit.empty() && options.memory_limit_bytes == 0) options.memory_limit_bytes = memory_limit(limit);
+    if (options.pipeline_cache.empty()) options.pipeline_cache = cache_folder();
+    return options;
+}
+
+}  // namespace relidar

@@ -1,0 +1,18 @@
+// SPDX-License-Identifier: Apache-2.0
+// Structs that kernels fill as the numbers they hold, one behind the other: to compare them, lane by lane.
+#pragma once
+
+#include <cstring>
+#include <vector>
+
+namespace relidar::test {
+
+template <class T>
+std::vector<float> floats_of(const std::vector<T>& rows) {
+    static_assert(sizeof(T) % sizeof(float) == 0);
+    std::vector<float> floats(rows.size() * sizeof(T) / sizeof(float));
+    if (!rows.empty()) std::memcpy(floats.data(), rows.data(), floats.size() * sizeof(float));
+    return floats;
+}
+
+}  // namespace relidar::test

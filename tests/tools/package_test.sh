@@ -1,0 +1,66 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+#
+# The Debian package as `cpack` makes it of a built tree: what it holds, what it says of itself, and that the program and the
+# library in it work.
+#
+#   package_test.sh BUILD_FOLDER WORK_FOLDER [CMAKE_OPTIONS of tests/consumer...]
+#
+# Exits 77 (skipped) where the programs that make a Debian package are missing.
+set -euo pipefail
+build=$(realpath "${1:?usage: package_test.sh BUILD_FOLDER WORK_FOLDER}")
+work=${2:?usage: package_test.sh BUILD_FOLDER WORK_FOLDER}
+shift 2
+tests=$(realpath "$(dirname "${BASH_SOURCE[0]}")/..")
+rm -rf "$work" && mkdir -p "$work" && cd "$work"
+export LC_ALL=C
+
+fail() { printf 'package: %s\n' "$*" >&2; exit 1; }
+for program in dpkg-deb dpkg-shlibdeps file readelf; do
+    command -v "$program" >/dev/null || { echo "package: no $program"; exit 77; }
+done
+
+# make_package FOLDER: prints the path of the one package made there. Gzip, because xz takes longer than everything else here.
+make_package() {
+    (umask 077 && cpack --config "$build/CPackConfig.cmake" -B "$PWD/$1" -D CPACK_DEBIAN_COMPRESSION_TYPE=gzip) >"$1.log" 2>&1 \
+        || fail "cpack failed: $(cat "$1.log")"
+    ls "$PWD/$1"/*.deb
+}
+
+export SOURCE_DATE_EPOCH=1700000000
+deb=$(make_package first)
+[[ $(basename "$deb") =~ ^relidar_[0-9.]+_[a-z0-9]+\.deb$ ]] || fail "the package is $deb, expected one relidar_<version>_<architecture>.deb"
+cmp "$deb" "$(make_package second)" || fail "two packages of the same build differ"
+dpkg-deb -x "$deb" root
+
+# What it holds: exactly what cmake --install installs, owned by root, writable by nobody else.
+cmake --install "$build" --prefix "$PWD/prefix/usr" >/dev/null
+diff <(cd prefix && find . | sort) <(cd root && find . | sort) || fail "the package (>) holds other files than cmake --install (<) makes"
+foreign=$(dpkg-deb -c "$deb" | awk '!($1 ~ /^(drwxr-xr-x|-rwxr-xr-x|-rw-r--r--|lrwxrwxrwx)$/ && $2 == "root/root")')
+[[ -z $foreign ]] || fail "wrong owner or mode: $foreign"
+for path in bin/relidar lib/librelidar.a include/relidar lib/cmake/relidar/relidarConfig.cmake share/doc/relidar/copyright; do
+    [[ -e root/usr/$path ]] || fail "/usr/$path is missing"
+done
+relidar=$PWD/root/usr/bin/relidar
+! readelf -S "$relidar" | grep '\.symtab' >/dev/null || fail "the program is not stripped"
+for library in volk eigen3 nanoflann nlohmann-json3 glm cli11; do   # compiled in: their licences want to be told
+    grep -q "^=* .*$library-dev =*$" root/usr/share/doc/relidar/copyright || fail "the copyright file lacks $library"
+done
+
+# What it says of itself.
+field() { dpkg-deb -f "$deb" "$1"; }
+version=$("$relidar" --version)
+[[ "relidar $(field Version)" == "$version" ]] || fail "Version is $(field Version), the program says $version"
+[[ $(zcat root/usr/share/doc/relidar/changelog.gz) == "relidar ($(field Version)) "* ]] || fail "the newest entry of the changelog is not of $(field Version)"
+readelf -d "$relidar" | sed -n 's/.*(NEEDED).*\[\(.*\)\]/\1/p' >needed
+[[ -s needed ]] || fail "the program needs no shared library"
+while read -r library; do
+    owners=$(dpkg -S "*/$library" | sed 's/:.*//' | sort -u)   # more than one where other architectures are installed too
+    field Depends | tr ',' '\n' | sed 's/(.*//; s/ //g' | grep -xF "$owners" >/dev/null || fail "Depends has none of $owners for $library: $(field Depends)"
+done <needed
+[[ " $(field Depends)," == *" libvulkan1,"* ]] || fail "Depends lacks libvulkan1: $(field Depends)"
+
+# What it does.
+"$relidar" devices >devices.log || fail "devices failed: $(cat devices.log)"
+cmake -DBUILD_DIR="$build" -DPREFIX="$PWD/root/usr" -DWORK_DIR="$PWD/consumer" "$@" -P "$tests/consumer/run.cmake" || fail "nothing can be built with the library of the package"
+printf 'package: %s, %d bytes, %d files\n' "$(basename "$deb")" "$(stat -c %s "$deb")" "$(find root -type f | wc -l)"

@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: Apache-2.0
+// Training with a loss of one's own: ranges by a robust loss that forgives outliers, log(1 + (error / 0.2 m)^2), and drops by cross-entropy.
+// relidar renders and differentiates, Adam steps.
+#include <cmath>
+#include <cstdio>
+#include <exception>
+
+#include <relidar/relidar.hpp>
+#include <relidar/stages/differentiable_renderer.hpp>
+#include <relidar/stages/optimizer.hpp>
+
+using namespace relidar;
+
+/// Mean loss of all rays, and its derivative with respect to what they rendered.
+double compare(const Rendering& image, const Scan& scan, RenderedGradients& d) {
+    const std::size_t n = image.size();
+    d = {std::vector<float>(n), std::vector<float>(n), {}, std::vector<float>(n), std::vector<float>(n)};
+    double loss = 0.0;
+    for (std::size_t i = 0; i < n; ++i) {
+        const bool returned = scan.range_m[i] > 0.0f;
+        const float weight = image.weight[i], drop = 1.0f / (1.0f + std::exp(image.hit_logit[i] - image.drop_logit[i]));
+        loss -= std::log(std::max(returned ? 1.0f - drop : drop, 1e-6f)) / double(n);
+        d.drop_logit[i] = (drop - (returned ? 0.0f : 1.0f)) / float(n);
+        d.hit_logit[i] = -d.drop_logit[i];
+        if (!returned || weight < 0.1f) continue;
+        const float error = (image.depth[i] / weight - scan.range_m[i]) / 0.2f;   // range D / W
+        const float d_range = 2.0f * error / (1.0f + error * error) / 0.2f / float(n);
+        loss += std::log1p(double(error) * double(error)) / double(n);
+        d.depth[i] = d_range / weight;
+        d.weight[i] = -d_range * image.depth[i] / (weight * weight);
+    }
+    return loss;
+}
+
+int main(int argc, char** argv) try {
+    if (argc != 2) return std::fprintf(stderr, "usage: %s DRIVE\n", argv[0]), 2;
+    const Sequence log = load_sequence(argv[1], {});
+    const Split split = split_frames(log, 10);
+    const Scene scene = initialise_scene(log, split.train, {});
+    Device device;
+    DifferentiableRenderer renderer(device, scene, ImageModel{});
+    Adam adam(device, static_cast<std::uint32_t>(scene.surfels.size()), {});
+    double first = 0.0, last = 0.0;
+    for (int step = 1; step <= 40; ++step) {
+        const Frame& frame = log.frames[std::size_t(split.train[std::size_t(step / 10) % split.train.size()])];   // ten steps a frame
+        WorldRays rays;
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            const WorldRay ray = world_ray(log.world_from_sensor, frame.time_s, frame.scan.rays, i, log.rolling_shutter);
+            rays.origin.push_back(glm::vec3(ray.origin_m)), rays.direction.push_back(glm::vec3(ray.direction));
+        }
+        renderer.place(place_instances(scene, log, frame.time_s), glm::vec3(log.world_from_sensor.at(frame.time_s).translation));
+        RenderedGradients d;
+        last = compare(renderer.forward(rays), frame.scan, d);
+        renderer.backward(d);
+        adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels, &renderer.gradients().touched, {}, step, 3);
+        if (step == 1) first = last;
+        if (step % 10 == 1) std::printf("step %2d  loss %.4f\n", step, last);
+    }
+    std::printf("loss %.4f -> %.4f\n", first, last);
+    return last < first ? 0 : 1;
+} catch (const std::exception& error) {
+    return std::fprintf(stderr, "%s\n", error.what()), 1;
+}
