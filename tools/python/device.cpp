@@ -24,7 +24,7 @@ SharedDevice open_device(int index, const std::string& traversal, std::uint64_t 
     options.memory_limit_bytes = memory_limit_bytes;
     options.validation = validation;
     const py::gil_scoped_release others_run;
-    return std::make_shared<OpenDevice>(options);
+    return std::make_shared<OpenDevice>(from_environment(options));
 }
 
 const char* name_of(Traversal traversal) { return traversal == Traversal::software ? "software" : "ray_query"; }
@@ -67,7 +67,8 @@ void add_device(py::module_& module) {
              "index: of devices(); -1: the first GPU, one with ray query before others, else a CPU device\n"
              "traversal: how rays find surfels: \"auto\", \"ray_query\" or \"software\"\n"
              "memory_limit_bytes: device memory it may hold; 0: all there is\n"
-             "validation: with the Khronos validation layer\n\n"
+             "validation: with the Khronos validation layer\n"
+             "The environment is asked too: RELIDAR_VALIDATION, RELIDAR_MEMORY_LIMIT_MIB, RELIDAR_PIPELINE_CACHE.\n\n"
              "Raises DeviceError naming what is missing.")
         .def_property_readonly("info", [](const OpenDevice& open) { return open.device.info(); })
         .def_property_readonly("traversal", [](const OpenDevice& open) { return name_of(open.device.traversal()); }, "\"ray_query\" or \"software\".")
