@@ -19,7 +19,7 @@ struct FrameRange {
 };
 
 /// DatasetOptions::poses_file of a log without poses: all are identity, for a registration of the scans to find. Boxes stand where their
-/// labels have them in the sensor's frame, and go along with set_sensor_poses(). A file of this name is given as "./none".
+/// labels have them in the sensor's frame, and go along with set_vehicle_poses(). A file of this name is given as "./none".
 inline constexpr const char* kNoPoses = "none";
 
 /// What to read of a log.

@@ -15,9 +15,10 @@ namespace relidar {
 
 /// A frame rendered on the rays of the real one, and how close it came.
 struct ScoredFrame {
-    int frame = 0;          ///< the dataset's own number
+    int frame = 0;  ///< the dataset's own number
+    int lidar = 0;  ///< that took it
     double time_s = 0.0;
-    std::size_t n_rays = 0; ///< traced; a grid of binned points has fewer pixels or more
+    std::size_t n_rays = 0;  ///< traced; a grid of binned points has fewer pixels or more
     RenderedScan rendered;
     RangeImage real;
     MetricRow metrics;
@@ -25,11 +26,11 @@ struct ScoredFrame {
 
 /// Scored frames and what they are on average.
 struct Evaluation {
-    std::string title = "rendered";   ///< what was scored
+    std::string title = "rendered";  ///< what was scored
     std::vector<ScoredFrame> frames;
     MetricRow mean;
-    MetricRow kernel_ms;       ///< mean of one launch
-    double trace_ms = 0.0;     ///< mean of one frame, with transfers
+    MetricRow kernel_ms;    ///< mean of one launch
+    double trace_ms = 0.0;  ///< mean of one frame, with transfers
     double mrays_per_s = 0.0;
 };
 
@@ -41,12 +42,14 @@ void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& l
 /// Renders a frame at the place of the real sensor and compares. With the native grid the rays are those of the real scan;
 /// a grid compares simulated points binned as the real ones were.
 /// @param sequence  of the renderer @param frame with its scan @param sensor_offset of the sensor that made frame.scan
-ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset = {});
+ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame,
+                        const Pose& sensor_offset = {});
 
 /// Scores frames of `sequence` by their positions in it.
 /// @param progress  called before each frame and after the last; what it throws ends the evaluation
 /// @throws DataError where an LPIPS file is named and cannot be read
-Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const std::vector<int>& positions, const Progress& progress = {});
+Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const std::vector<int>& positions,
+                           const Progress& progress = {});
 
 /// Means of scored frames. @param times of the renderer that made them
 Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times);
@@ -58,7 +61,8 @@ MetricRow mean_times(const KernelTimes& times);
 /// @param name  "nearest" or "nearest-actors" @throws UsageError for another name
 BoxMotion find_baseline(const std::string& name);
 /// A baseline on the held-out frames of a log with its scans. @param progress as evaluate_frames() @throws as find_baseline()
-Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence, const Split& split, const Progress& progress = {});
+Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence, const Split& split,
+                             const Progress& progress = {});
 
 /// The file with the weights of LPIPS: eval.lpips_weights, else what RELIDAR_LPIPS_WEIGHTS names, else none.
 std::string lpips_file(const Config& config);

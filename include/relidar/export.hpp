@@ -79,10 +79,12 @@ struct PointCloud {
     std::optional<std::vector<std::uint16_t>> ring = {};      ///< [n] number of the laser, 0 = highest
     std::optional<std::vector<float>> time = {};              ///< [n] seconds from the scan's reference time
     std::optional<std::vector<std::int32_t>> instance = {};   ///< [n] whose surface, index into Scene::instances
+    std::optional<std::vector<glm::vec3>> normal = {};        ///< [n] unit
     Pose world_from_points = {};                              ///< takes the points to the world: VIEWPOINT of a PCD
     FileNotes notes = {};                                     ///< comments of PLY and PCD
 };
-/// Point cloud files: x y z intensity (float32), ring (uint16), time (float32), instance (int32).
+/// Point cloud files: x y z intensity (float32), ring (uint16), time (float32), instance (int32),
+/// normals (float32; nx ny nz of PLY, normal_x normal_y normal_z of PCD).
 /// @throws DataError where lengths differ, as for write_atomically
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud);         ///< binary little-endian
 void write_pcd(const std::filesystem::path& path, const PointCloud& cloud);         ///< PCD 0.7, binary

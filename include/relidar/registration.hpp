@@ -31,7 +31,7 @@ struct RegisterRound {
 };
 
 struct Registration {
-    PoseTrack world_from_sensor;        ///< corrected; the log's own where stopped
+    PoseTrack world_from_vehicle;       ///< corrected; the log's own where stopped
     std::vector<RegisterRound> rounds;
     std::vector<std::size_t> lost;      ///< frames that their own scan did not place, by position: moved as their neighbours were
     double on_planes = 0.0;             ///< share of a training scan's points that lie on common planes, the median over scans
@@ -45,7 +45,8 @@ struct Registration {
 /// cannot be seen: the mean correction is zero, or without given motion the pose in the middle stays.
 /// Held-out scans shape no plane and move no other pose than their own, which is found last, on the planes of the training scans.
 /// Deterministic, whatever the number of threads. One training scan is left where it is.
-/// @throws DataError where no two training scans see a common surface
+/// Of a log with one LiDAR: scans of several would need a pose each at one time.
+/// @throws DataError where no two training scans see a common surface, UsageError for a log of several LiDARs
 Registration register_scans(const Sequence& sequence, const Split& split, const RegisterOptions& options);
 
 }  // namespace relidar

@@ -24,6 +24,7 @@ struct RenderedScan {
     std::vector<float> median_range_m;  ///< [n] t where T crosses 0.5 (0 where never), along the ray
     std::vector<float> weight;          ///< [n] accumulated alpha W
     std::vector<std::int32_t> instance; ///< [n] whose surface was met: index into Scene::instances, -1 where none was
+    std::vector<glm::vec3> normal;      ///< [n] unit, of the surface that was met, towards the sensor; 0 where none was; empty without render.normals
     std::vector<float> time_offset_s;   ///< [n] firing time of each ray
     std::vector<std::uint16_t> channel; ///< [n]
     Pose world_from_sensor;             ///< at the reference time, in the dataset's world
@@ -47,17 +48,18 @@ void sample_returns(RenderedScan& scan, const RangeNoise& noise, std::uint64_t s
 struct SensorChoice {
     RayTable rays;
     std::optional<RangeGrid> grid;   ///< bin the simulated points into this grid afterwards
-    bool is_own = false;             ///< the log's own sensor: its sensor-level ray-drop applies
+    bool is_own = false;             ///< a LiDAR of the log: its sensor-level ray-drop applies
     std::vector<Beam> beams = {};    ///< of the rays' channels, for what their lasers add to ranges and make of intensities; none: they measure what is there
     RangeLimits limits = {};         ///< of measured ranges
     std::string name = "";
+    int lidar = 0;                   ///< of the log, which it is or in whose place it stands
 };
 
-/// What config.sensor says: the log's own sensor, or the grid by projection or by casting. The log's sensor sees what lies within its own
-/// range limits and those of config.dataset.
-SensorChoice configured_sensor(const Config& config, const Sequence& sequence);
+/// What config.sensor says: a LiDAR of the log, or the grid in its place by projection or by casting. The log's LiDAR sees what lies within
+/// its own range limits and those of config.dataset. Of one that does not spin there are no rays: those of a scan have to be put in.
+SensorChoice configured_sensor(const Config& config, const Sequence& sequence, int lidar = 0);
 /// "native", or a sensor by name, CSV file or grid name. "kitti360" follows config.sensor.grid_method.
-SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence);
+SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence, int lidar = 0);
 
 /// A scan to be taken, wherever its sensor was driven: by a file, or by a simulator that owns the traffic too. Poses are in the dataset's
 /// world, times in the log's (Frame::time_s).
@@ -71,12 +73,13 @@ struct ScanRequest {
 /// is lit from where the sensor stands to it; ShDirection::ray needs one copy alone.
 class ScanRenderer {
 public:
+    /// @throws UsageError for normals of 3D Gaussians, which have none
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
     ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();
     /// Leaves out every instance that is not shown, from the next scan on. @param shown [instances]
     void show_only(const std::vector<bool>& shown);
-    /// @param sensor_offset  of the simulated sensor in the log's sensor frame (identity = where the real one was)
+    /// @param sensor_offset  of the simulated sensor in the frame of the log's LiDAR (identity = where the real one was)
     /// @param sample  seed of sample_returns(); not given: the likeliest scan, free of noise
     RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {}, std::optional<std::uint64_t> sample = {});
     /// @throws DataError for poses or times that are not finite, that lie beyond 1e10 m or s, or times that do not rise; UsageError for an actor

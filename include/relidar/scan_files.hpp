@@ -45,7 +45,8 @@ struct ScanFormat {
 ScanFormat scan_format(const Run& run, const SensorChoice& sensor);
 
 /// Scans written one by one into a folder, and scans.json, which says what they are. Files of one scan are FOLDER/frame_000123.<format>:
-///   npz  range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin [rows,columns,3];
+///   npz  range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin, and with render.normals
+///        normals [rows,columns,3];
 ///        instance [rows,columns] int32, -1 where nothing was met, and instance_names [instances] its meaning, bytes;
 ///        pose [4,4] world_from_sensor at time_s; time_s, frame_number, frame, deskewed, sensor, run, units
 ///   exr  the images as float channels, notes as string attributes

@@ -39,9 +39,19 @@ struct Beam {
     double origin_offset_m = 0.0;  ///< along the head direction
     double origin_up_m = 0.0;      ///< at right angles to the beam, in its vertical plane
     double origin_left_m = 0.0;    ///< to the left of the beam
-    double intensity_gain = 1.0;   ///< measured intensity = gain * intensity of the surface + offset, cut to 0..1
+    double intensity_gain = 1.0;
     double intensity_offset = 0.0;
-    double range_offset_m = 0.0;   ///< measured range = range of the surface + this
+    double range_offset_m = 0.0;
+
+    /// What the laser measures of a surface and back (src/sensor/laser.cpp):
+    ///   measured range = range of the surface + range_offset,
+    ///   measured intensity = gain * fall * intensity of the surface + offset, cut to 0..1
+    /// A range of 0, no return, stays 0. The two directions are inverse where nothing is cut.
+    /// @param fall  of the log's IntensityResponse at the range of the surface
+    double measured_range(double surface_m) const;
+    double surface_range(double measured_m) const;   ///< at least 1 mm
+    double measured_intensity(double of_surface, double fall) const;
+    double surface_intensity(double measured, double fall) const;
 };
 
 /// The laser of a channel; one that measures what is there where there is no such laser.
@@ -62,7 +72,7 @@ struct SpinningSensor {
     std::string name;
     std::vector<Beam> beams;           ///< highest first
     int columns = 0;                   ///< azimuth steps a turn
-    double period_s = 0.1;             ///< time of one turn
+    double period_s = 0.1;             ///< time of one turn; 0: it does not turn
     bool clockwise = true;             ///< seen from above
     double first_azimuth_rad = 0.0;    ///< azimuth of the centre of column 0 (pi - pi/columns: bins centred on half steps)
     double min_range_m = 0.0;
@@ -80,6 +90,9 @@ struct BeamRay {
 
 /// Ray of one beam while the head stands at an azimuth, by the equation of Beam.
 BeamRay beam_ray(const Beam& beam, double head_azimuth_rad);
+
+/// Azimuth of the head at which a beam meets a point: the inverse of beam_ray(). @param point_m [3] metres, sensor frame @return not wrapped
+double head_azimuth(const Beam& beam, const glm::dvec3& point_m);
 
 /// Columns by which a beam's firings are moved in the image, so that a column keeps one azimuth: image column j holds
 /// firing (j + shift) mod columns, shift = azimuth_offset in columns, rounded.

@@ -26,30 +26,47 @@ struct PoseTrack {
     /// Interpolated pose (slerp, lerp). Outside the first and last time the end segment's velocity continues.
     /// @throws DataError where the track is empty
     Pose at(double t_s) const;
+    /// Of something that rides along: as moved_track(*this, mounted).at(t_s).
+    Pose at(double t_s, const Pose& mounted) const;
     /// Between which poses at(t_s) interpolates. @throws DataError where the track is empty
     TrackPlace place(double t_s) const;
     bool covers(double t_s) const { return !time_s.empty() && t_s >= time_s.front() && t_s <= time_s.back(); }
 };
 
+/// One more return of the rays of a scan.
+struct FurtherReturn {
+    std::vector<float> range_m;      ///< [n] along the ray from its origin; 0 = none
+    std::vector<float> intensity;    ///< [n] 0..1; 0 where there is none
+};
+
 /// One measured (or simulated) turn: its rays and what came back along each.
 struct Scan {
     RayTable rays;                   ///< a returned ray carries its own direction and origin
-    std::vector<float> range_m;      ///< [n] along the ray from its origin; 0 = dropped
+    std::vector<float> range_m;      ///< [n] of the strongest return, along the ray from its origin; 0 = dropped
     std::vector<float> intensity;    ///< [n] 0..1; 0 where dropped
+    std::vector<FurtherReturn> further = {};   ///< second, third ... return of the rays, none of a dropped one; not trained on
 
     /// End point of a ray. @return [3] metres, sensor frame at the ray's firing time
     glm::vec3 point(std::size_t ray) const { return rays.origin[ray] + range_m[ray] * rays.direction[ray]; }
     std::size_t count_returns() const;
 };
 
-/// Drops the returns of a scan whose range lies outside the limits.
+/// Drops the rays of a scan whose range lies outside the limits, and their further returns that do.
 void drop_outside(Scan& scan, const RangeLimits& limits);
 
-/// One turn of the log.
+/// One turn of one LiDAR of the log.
 struct Frame {
-    int index = 0;          ///< the dataset's own frame number
+    int index = 0;          ///< the dataset's own frame number; LiDARs that turn together share it
     double time_s = 0.0;    ///< reference time: the head faces forward
     Scan scan;
+    int lidar = 0;          ///< in Sequence::lidars
+};
+
+/// One LiDAR of a log.
+struct Lidar {
+    std::string name;           ///< the dataset's own, unique in the log; empty where there is one LiDAR alone
+    SpinningSensor sensor;      ///< nominal: for rays of frames without a scan of their own. No beams, period 0: it does not spin
+    Pose vehicle_from_sensor;   ///< where it is mounted; identity where the log has one: the vehicle's frame is then the sensor's
 };
 
 /// Category of boxes that no dataset labelled (discover_tracks() in scene.hpp).
@@ -77,7 +94,7 @@ struct BoxTrack {
     bool holds(const glm::dvec3& point_m, double t_s, double margin_m) const;
 };
 
-/// How the intensities of a sensor's lasers fall alike with range and incidence:
+/// How the intensities of a log's lasers fall alike with range and incidence:
 ///   measured by the mean laser = albedo * at_range(range) * at_cosine(cos),   1 at 10 m and square incidence
 struct IntensityResponse {
     std::vector<double> range_m;   ///< knots, ascending; none: 1 at every range
@@ -98,28 +115,39 @@ struct RangeNoise {
     double at(double at_m, double at_cosine) const;
 };
 
-/// A LiDAR log, recentred: the world origin is the sensor position in the middle frame.
+/// A LiDAR log, recentred: the world origin is the vehicle's position in the middle frame.
 struct Sequence {
     std::string name;
     std::string source;                   ///< path it was read from
-    SpinningSensor sensor;                ///< nominal sensor: for rays of frames that have no scan of their own
-    std::vector<Frame> frames;            ///< ascending time
-    PoseTrack world_from_sensor;          ///< one entry a frame, at Frame::time_s
+    std::vector<Lidar> lidars = std::vector<Lidar>(1);   ///< at least one
+    std::vector<Frame> frames;            ///< of all LiDARs, ascending time
+    PoseTrack world_from_vehicle;         ///< one entry for each time at which there are frames
     std::vector<BoxTrack> boxes;
     glm::dvec3 world_offset_m{0.0};       ///< add to relidar's world to get the dataset's world
-    IntensityResponse intensity_response; ///< of the sensor on these surfaces; 1 unless estimated
-    RangeNoise range_noise;               ///< of the sensor; none unless measured
+    IntensityResponse intensity_response; ///< of all LiDARs on these surfaces; 1 unless estimated
+    RangeNoise range_noise;               ///< of all LiDARs; none unless measured
     std::string conventions;              ///< one line a human reads: frames, units, time reference
     std::vector<std::string> notes;       ///< what the log lacks, as it was read: a line each
     bool rolling_shutter = true;          ///< rays were fired at their own times (scans are not motion-compensated)
+
+    const Lidar& lidar_of(const Frame& frame) const { return lidars[std::size_t(frame.lidar)]; }
+    /// Poses of a LiDAR: those of the vehicle, at the same times, with its mounting.
+    PoseTrack world_from_sensor(int lidar) const;
+    /// Beams of all LiDARs.
+    std::size_t count_lasers() const;
+    /// Number of a laser where those of all LiDARs are counted through, in the order of `lidars`; nothing where the LiDAR has no such beam.
+    std::optional<std::uint16_t> laser_number(int lidar, std::uint16_t channel) const;
 };
 
-/// Poses of a sensor that stands beside another one. @param sensor_from_moved in the frame of the sensor of `track`
+/// Position of a LiDAR in Sequence::lidars, by its name; the first for an empty one. @throws UsageError for a name that none has
+int find_lidar(const Sequence& sequence, const std::string& name);
+
+/// Poses of something that rides along. @param sensor_from_moved in the frame of what `track` has the poses of
 PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved);
 
-/// Gives the sensor other poses at the same times. Boxes go along: they were labelled on the scans, so each stays where it was as seen
-/// from the sensor at its label's time.
-void set_sensor_poses(Sequence& sequence, PoseTrack world_from_sensor);
+/// Gives the vehicle other poses at the same times. Boxes go along: they were labelled on the scans, so each stays where it was as seen
+/// from the vehicle at its label's time.
+void set_vehicle_poses(Sequence& sequence, PoseTrack world_from_vehicle);
 
 /// A ray in the world at the moment it was fired.
 struct WorldRay {
@@ -133,16 +161,25 @@ struct WorldRay {
 /// @param ray           index into rays
 WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter);
 
-/// When the head faces a point: the moment of the turn at which a static or moving thing there is seen.
-/// @param point_m [3] metres, sensor frame @param time_s reference time of the turn @return time_s itself without a rolling shutter
-double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s);
+/// When the head of a LiDAR faces a point: the moment of the turn at which a static or moving thing there is seen.
+/// @param point_m [3] metres, sensor frame @param time_s reference time of the turn
+/// @return time_s itself without a rolling shutter
+double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s, int lidar = 0);
+
+/// What a ray returned from. The angle of incidence is left in the intensity.
+struct SurfaceReturn {
+    float range_m;     ///< the offset of its laser taken off; 0 where the ray was dropped
+    float intensity;   ///< as the mean laser would measure it from 10 m away
+};
+/// @param ray  index of a ray of the frame
+SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray);
 
 /// The end point of a returned ray in the world, range offset and intensity response of its laser taken off, and when it was seen.
 struct WorldReturn {
     glm::dvec3 point_m;
     glm::dvec3 direction;
     double time_s;
-    float intensity;   ///< of the surface, see surface_intensity()
+    float intensity;   ///< of the surface, see SurfaceReturn
 };
 /// @param ray  index of a returned ray of the frame
 WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray);
@@ -152,19 +189,12 @@ WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size
 /// between observations allowed, for the rays of the turn in which they were labelled.
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m);
 
-/// Intensity of what a ray returned from as the mean laser would measure it from 10 m away: (measured - offset) / gain / at_range(range).
-/// The angle of incidence is left in.
-float surface_intensity(const Sequence& sequence, const Scan& scan, std::size_t ray);
-
-/// Range of what a ray returned from, the offset of its laser taken off, metres; 0 where the ray was dropped.
-float surface_range(const SpinningSensor& sensor, const Scan& scan, std::size_t ray);
-
 /// How well lasers agree on planes that several of them have seen.
 struct LaserCalibration {
     std::size_t returns = 0;    ///< that were compared
     double rms_before = 0.0;    ///< of points about their plane, metres
     double rms_after = 0.0;     ///< with an offset for each laser
-    bool adopted = false;       ///< whether the sensor has them now
+    bool adopted = false;       ///< whether the lasers have them now
 };
 /// What was found of intensities.
 struct IntensityCalibration {
@@ -172,7 +202,7 @@ struct IntensityCalibration {
     double rms_before = 0.0;    ///< of intensities about the mean of their place
     double rms_after = 0.0;     ///< with what was adopted
     bool shared = false;        ///< whether the log has an IntensityResponse now
-    bool lasers = false;        ///< whether the sensor's lasers have gains and offsets now
+    bool lasers = false;        ///< whether the lasers have gains and offsets now
 };
 /// Finds how intensities fall with range and incidence (Sequence::intensity_response), and gain and offset of each laser (Beam), from returns of
 /// the given frames that fall into the same 0.1 m of a surface, by least squares. Of the two, and of both together, only what brings
@@ -188,8 +218,8 @@ std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& posi
 /// nominal ranges; offsets of all lasers average 0, and are 0 where they make the planes less than 3 % thinner. Datasets keep offsets of centimetres between lasers. (Not in the paper.)
 LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions);
 
-/// Frames for training and for testing. Every `test_every`-th position is held out, the first one excepted
-/// (frames 10, 20, ... of 0:50 with test_every = 10).
+/// Frames for training and for testing. Every `test_every`-th turn is held out, the first one excepted, with the frames of all LiDARs that
+/// share its index (frames 10, 20, ... of 0:50 with test_every = 10).
 struct Split {
     std::vector<int> train;   ///< positions in Sequence::frames
     std::vector<int> test;

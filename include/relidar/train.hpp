@@ -40,7 +40,7 @@ struct TrainProgress {
 /// neighbouring turns see that were fired between, or, without a rolling shutter, from the corrections before and after, interpolated.
 /// Where the sensor was registered, all boxes went along; gradients leave them where refine_poses names no actors.
 struct RefinedPoses {
-    PoseTrack world_from_sensor;
+    PoseTrack world_from_vehicle;
     std::vector<BoxTrack> boxes;
 };
 

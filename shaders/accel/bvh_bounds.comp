@@ -4,6 +4,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
+#include "../common/find_model.glsl"
 #include "../shared/bvh_build.h"
 #include "../common/workgroup_scan.glsl"
 #include "bvh_forest.glsl"
@@ -24,8 +25,8 @@ void main() {
     for (uint i = base; i < min(base - scan_thread() + RELIDAR_BVH_TILE, params.n_surfels); i += RELIDAR_BVH_WORKGROUP) {
         Box b = load_box(params.boxes, i);
         if (is_empty(b)) continue;
-        uvec2 range = params.models.at[model];
-        if (i - range.x >= range.y) {   // wraps where the surfel lies before
+        uint first_surfel = params.models.at[model].first_surfel;
+        if (i - first_surfel >= params.models.at[model].n_surfels) {   // wraps where the surfel lies before
             if (!is_empty(bounds)) add_to_model(model, bounds.low, bounds.high);
             bounds = empty_box();
             model = find_model(params.models, params.n_models, i);

@@ -9,6 +9,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
+#include "../common/find_model.glsl"
 #include "../shared/bvh_build.h"
 #include "bvh_forest.glsl"
 #include "bvh_binary.glsl"
@@ -144,7 +145,7 @@ void main() {
     uint position = thread_index();
     bool climbing = position < params.n_surfels;
     int model = climbing ? int(find_model(params.models, params.n_models, position)) : 0;
-    int first = int(params.models.at[model].x), last = first + int(params.models.at[model].y) - 1;
+    int first = int(params.models.at[model].first_surfel), last = first + int(params.models.at[model].n_surfels) - 1;
     int from = int(position), to = from, split = from;
     if (climbing) SharedUints(uvec2(params.clusters)).at[position] = position | RELIDAR_BVH_LEAF;
     if (climbing && first == last) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which model a surfel belongs to, and boxes as six floats.
+// Boxes as six floats, and values that workgroups of a launch share.
 #ifndef RELIDAR_INCLUDED_ACCEL_BVH_FOREST_GLSL
 #define RELIDAR_INCLUDED_ACCEL_BVH_FOREST_GLSL
 
@@ -50,17 +50,6 @@ const float SURFEL_COST = 0.3;   // of a surfel test, in visits of a node: 64 B 
 float half_area(Box b) {
     vec3 e = clamp(b.high - b.low, vec3(0.0), vec3(1e18));
     return e.x * e.y + e.y * e.z + e.z * e.x;
-}
-
-/// The last model that starts at or before a surfel; models without surfels are never found.
-uint find_model(Uvec2s models, uint n_models, uint surfel) {
-    uint low = 0u, high = n_models;
-    while (high - low > 1u) {
-        uint middle = (low + high) / 2u;
-        if (models.at[middle].x <= surfel) low = middle;
-        else high = middle;
-    }
-    return low;
 }
 
 /// Unsigned numbers in the order of the floats.

@@ -5,6 +5,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
+#include "../common/find_model.glsl"
 #include "../shared/bvh_build.h"
 #include "bvh_forest.glsl"
 #include "bvh_morton.glsl"

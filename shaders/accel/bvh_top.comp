@@ -44,7 +44,7 @@ Box place_instances() {
         if (i < params.n_instances) {
             uint model = params.model_of.at[i];
             InstanceEntry m = params.instances.at[i];
-            bool placed = m.n_surfels > 0u && params.models.at[model].y > 0u;
+            bool placed = m.n_surfels > 0u && params.models.at[model].n_surfels > 0u;
             params.bvh.roots.at[i] = placed ? model : RELIDAR_BVH_NO_NODE;
             Box b = placed ? load_box(params.model_boxes, model) : empty_box();
             if (!is_empty(b)) b = world_box(m, b);

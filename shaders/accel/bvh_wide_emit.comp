@@ -5,6 +5,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
+#include "../common/find_model.glsl"
 #include "../shared/bvh_build.h"
 #include "bvh_forest.glsl"
 #include "bvh_binary.glsl"
@@ -18,7 +19,8 @@ void main() {
     uint place = entry < params.n_models ? entry : params.places.at[node];
     node &= ~RELIDAR_BVH_LEAF;
     uvec2 start = params.offsets.at[node] + params.tiles.at[node / RELIDAR_BVH_TILE];
-    uint first_surfel = params.models.at[find_model(params.models, params.n_models, node)].x;   // a node's number is a position of its model
+    uint model = find_model(params.models, params.n_models, node);   // a node's number is a position of its model
+    uint first_surfel = params.models.at[model].first_surfel;
     uint first_child = params.n_models + start.x;
     uint inner_mask = 0u, n_inner = 0u, n_entries = 0u;
     uint leaves[2] = uint[](0u, 0u);

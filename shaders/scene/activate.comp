@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // Records of surfels from their parameters (docs/method.md section 2): normalised rotation, exp scale, sigmoid opacity; channel
-// values where SH are evaluated once a surfel, in the direction view_origin -> mean. One thread a surfel.
-// Input: surfels. Output: records. A surfel with a non-finite value, or too faint to be seen, gets opacity 0 and is never hit.
+// values where SH are evaluated once a surfel, in the direction view origin -> mean. One thread a surfel of any model.
+// Input: surfels, models, view_origins. Output: records. A surfel with a non-finite value, or too faint to be seen, gets opacity 0 and is
+// never hit.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
+#include "../common/find_model.glsl"
 #include "../shared/scene.h"
 #include "../gaussian/quaternion.glsl"
 #include "../gaussian/sh.glsl"
@@ -38,7 +40,7 @@ void main() {
     uint i = thread_index();
     bool is_surfel = i < params.n_surfels;
     if (!STAGED && !is_surfel) return;   // else its threads load for others
-    uint surfel = params.first_surfel + (is_surfel ? i : 0u);
+    uint surfel = is_surfel ? i : 0u;
     Floats mean = params.surfels.mean, rotation = params.surfels.rotation, log_scale = params.surfels.log_scale;
     SurfelRecord s;
     s.mean = vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]);
@@ -51,7 +53,8 @@ void main() {
     if (!is_null(params.surfels.log_scale_w)) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);   // 3D Gaussians
     s.opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     vec3 values;
-    bool finite_sh = channels(params.first_surfel + i, is_surfel, normalize(s.mean - params.view_origin), values);
+    vec3 view_origin = params.view_origins.at[find_model(params.models, params.n_models, surfel)];
+    bool finite_sh = channels(i, is_surfel, normalize(s.mean - view_origin), values);
     bool evaluate = params.sh_per_surfel != 0u;
     s.intensity = evaluate ? max(values.x, 0.0) : 0.0;
     s.hit_logit = evaluate ? values.y : 0.0;

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Parameter gradients from record gradients: the chain rule of activate.comp, once a frame instead of once a hit (docs/method.md
-// section 4, reduction a). One thread a surfel.
-// Input: surfels, d_records, more_rows. Output: d_surfels (sh only where SH are evaluated a surfel), touched, d_view.
+// section 4, reduction a). One thread a surfel of any model.
+// Input: surfels, d_records, models, more_rows, view_origins. Output: d_surfels (sh only where SH are evaluated a surfel), touched, d_view.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
+#include "../common/find_model.glsl"
 #include "../shared/scene.h"
 #include "../gaussian/quaternion.glsl"
 #include "../gaussian/sh.glsl"
@@ -44,10 +45,10 @@ void store_view(uint surfel, vec3 g) {
 }
 
 /// Record gradient of a surfel, summed over the placements of its model. @return whether it is not zero
-bool load_row(uint i, out float row[16]) {
-    for (uint k = 0u; k < 16u; ++k) row[k] = params.d_records.at[16u * (params.first_surfel + i) + k];
-    for (uint p = 0u; p < params.n_more; ++p) {
-        uint first = 16u * (params.more_rows.at[p] + i);
+bool load_row(uint surfel, ModelEntry model, out float row[16]) {
+    for (uint k = 0u; k < 16u; ++k) row[k] = params.d_records.at[16u * surfel + k];
+    for (uint p = 0u; p < model.n_more; ++p) {
+        uint first = 16u * (params.more_rows.at[model.first_more + p] + surfel - model.first_surfel);
         for (uint k = 0u; k < 16u; ++k) row[k] += params.d_records.at[first + k];
     }
     bool any_gradient = false;
@@ -87,17 +88,17 @@ void store_geometry(uint surfel, vec3 d_mean, float row[16]) {
 }
 
 void main() {
-    uint i = thread_index();
-    bool is_surfel = i < params.n_surfels;
+    uint surfel = thread_index();
+    bool is_surfel = surfel < params.n_surfels;
     if (!STAGED && !is_surfel) return;   // else its threads move rows of others
-    uint surfel = params.first_surfel + i;
+    uint model = find_model(params.models, params.n_models, surfel);
     float row[16];
-    bool any_gradient = is_surfel && load_row(i, row);
+    bool any_gradient = is_surfel && load_row(surfel, params.models.at[model], row);
     if (is_surfel) params.touched.at[surfel] = any_gradient ? 1u : 0u;
 
     vec3 d_to_mean = vec3(0.0);
     if (params.sh_per_surfel != 0u && (STAGED || any_gradient)) {
-        vec3 to_mean = any_gradient ? load3(params.surfels.mean, 3 * surfel) - params.view_origin : vec3(1.0);
+        vec3 to_mean = any_gradient ? load3(params.surfels.mean, 3 * surfel) - params.view_origins.at[model] : vec3(1.0);
         float inverse_length = inversesqrt(dot(to_mean, to_mean));
         vec3 direction = to_mean * inverse_length;
         choose_moves(any_gradient, is_surfel && (any_gradient || params.zero_untouched != 0u));

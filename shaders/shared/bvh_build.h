@@ -19,7 +19,7 @@ RELIDAR_POINTER(Uvec2s, uvec2);
 /// Bounds of the means of each model that can be hit (accel/bvh_bounds.comp).
 struct BvhBoundsParams {
     Floats boxes;       // input [n,6] m: surfel boxes, empty where never hit
-    Uvec2s models;      // input [n_models] first surfel, number of surfels
+    Models models;      // input [n_models]
     Uints bounds;       // accumulated [n_models,6]: least ordered bits of the centres' x, y, z, then of -x, -y, -z
     uint n_surfels;
     uint n_models;
@@ -28,7 +28,7 @@ struct BvhBoundsParams {
 /// Sort keys (accel/bvh_keys.comp).
 struct BvhKeysParams {
     Records records;    // input [n]
-    Uvec2s models;      // input [n_models]
+    Models models;      // input [n_models]
     Uints bounds;       // input [n_models,6]
     Uvec2s keys;        // output [n] low, high: Morton code, then model
     Uints other_ends;   // output [n] NO_NODE, for bvh_cluster
@@ -53,7 +53,7 @@ struct BvhClusterParams {
     Floats boxes;        // input [n,6] of surfels
     Uvec2s keys;         // input [n] sorted
     Uints surfels;       // input [n] surfel at a sorted position
-    Uvec2s models;       // input [n_models]
+    Models models;       // input [n_models]
     Uints other_ends;    // [n] NO_NODE before: other end of the range that first arrived at the split behind a position
     Uints clusters;      // [n] roots within a range, from its first position on; fewer than there is room for end with NO_NODE
     Uints roots;         // output [n_models] root of each model
@@ -83,7 +83,7 @@ struct BvhWideParams {
     Uvec2s tiles;       // [n_tiles] the same of the tiles before
     Uints places;       // [n] wide node made of a binary node
     Uints surfels;      // input [n] surfel at a sorted position
-    Uvec2s models;      // input [n_models]
+    Models models;      // input [n_models]
     uint n_surfels;
     uint n_tiles;
     uint n_models;
@@ -102,7 +102,7 @@ struct BvhTopParams {
     BvhPointers bvh;       // output: roots, top_nodes, top_order
     Instances instances;   // input [n_instances]
     Uints model_of;        // input [n_instances]
-    Uvec2s models;         // input [n_models]
+    Models models;         // input [n_models]
     Floats model_boxes;    // input [n_models,6] m, model frame: boxes of the first wide nodes, which are the roots
     Floats boxes;          // scratch [n_instances + nodes,6] m, world
     Uvec2s keys;           // scratch [power of two >= n_instances]

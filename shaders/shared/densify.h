@@ -44,7 +44,7 @@ struct ObserveParams {
     uint whole_frame;      // 1: the batch holds all rays of the frame
 };
 
-/// What becomes of each surfel of a model (densify/classify.comp).
+/// What becomes of each surfel (densify/classify.comp).
 struct ClassifyParams {
     SurfelPointers surfels;     // input
     Floats gradient_sum;        // input [n]
@@ -52,16 +52,18 @@ struct ClassifyParams {
     Uints frames;               // input [n,n_words]
     Uints action;               // output [n] RELIDAR_DENSIFY_DROP ... SHARE
     Uints weight;               // output [n] share in the growth, 0 where it does not grow
-    Uints counters;             // accumulated [RELIDAR_DENSIFY_COUNTERS]
-    vec3 half_size;             // of the model's box, m; 0 = unbounded
+    Uints counters;             // accumulated [n_models,RELIDAR_DENSIFY_COUNTERS]
+    Models models;              // input [n_models]
+    Floats extents;             // input [n_models] m
     float min_opacity;          // below: dropped
-    float max_scale;            // above: dropped, m
-    float clone_scale;          // max scale below: cloned, else split, m
+    float max_extent_share;     // scale over the model's extent above: dropped
+    float clone_extent_share;   // max scale over the model's extent below: cloned, else split
     float gradient_threshold;   // mean norm above: grows
     uint growth;                // RELIDAR_DENSIFY_BY_*
+    uint bounded;               // 1: outside the box of the model: dropped
     uint drop_unseen;           // 1: no bit of `frames` set: dropped
-    uint first_surfel;
     uint n_surfels;
+    uint n_models;
     uint n_words;
     uint key;                   // of the random numbers
 };

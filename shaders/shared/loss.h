@@ -114,18 +114,19 @@ struct ChamferParams {
     uint normalised_depth;
 };
 
-/// Terms of a model's parameters themselves: actors that leave their box, opacities between 0 and 1.
+/// Terms of the parameters themselves: actors that leave their box, opacities between 0 and 1.
 struct SurfelLossParams {
     SurfelPointers surfels;     // input
     SurfelPointers d_surfels;   // accumulated: mean, log_scale, opacity_logit
     Uints touched;              // input [n] rows whose gradients are defined, or address 0 = all
     Floats terms;               // accumulated
-    vec3 half_size;             // of the model's box, m; 0: it has none
-    float largest_scale;        // m: standard deviations beyond it count as outside
+    Models models;              // input [n_models]
+    float box_scale_share;      // standard deviations beyond this share of a box's half diagonal count as outside
     float box_weight;
     float entropy_weight;
-    uint first_surfel;          // of the model
-    uint n_surfels;
+    uint first_surfel;          // of the launch
+    uint n_surfels;             // of the launch
+    uint n_models;
 };
 
 RELIDAR_SHARED_END

@@ -21,10 +21,11 @@ struct SurfelPointers {
 struct ActivateParams {
     SurfelPointers surfels;   // input
     Records records;          // output [n]
-    vec3 view_origin;         // where SH directions start, model frame, m (SH a surfel only)
+    Models models;            // input [n_models]
+    Vec3s view_origins;       // input [n_models] where SH directions start, model frame, m (SH a surfel only)
     float alpha_min;          // surfels of lower opacity get opacity 0
-    uint first_surfel;        // of the model whose view_origin this is
     uint n_surfels;
+    uint n_models;
     uint sh_degree;           // active degree 0..3
     uint sh_per_surfel;       // 1: evaluate channels here, 0: a hit does
 };
@@ -33,14 +34,14 @@ struct ActivateParams {
 struct ActivateVjpParams {
     SurfelPointers surfels;     // input
     Floats d_records;           // input [n_rows,16], laid out as SurfelRecord
-    Uints more_rows;            // input [n_more] first row of each further placement of the model
+    Models models;              // input [n_models]
+    Uints more_rows;            // input first row of each further placement, model by model
+    Vec3s view_origins;         // input [n_models] as of the activation
     SurfelPointers d_surfels;   // output; sh is accumulated where SH are evaluated a hit
     Uints touched;              // output [n] 1 where any record gradient is not zero
-    Floats d_view;              // output [n,3] dL/d(view_origin) by way of each surfel (SH a surfel only), or address 0
-    vec3 view_origin;
-    uint first_surfel;
+    Floats d_view;              // output [n,3] dL/d(view origin) by way of each surfel (SH a surfel only), or address 0
     uint n_surfels;
-    uint n_more;
+    uint n_models;
     uint sh_degree;
     uint sh_per_surfel;
     uint zero_untouched;        // 1: write zeros where touched is 0

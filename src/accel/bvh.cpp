@@ -37,20 +37,6 @@ std::uint32_t subgroup_size(const Device& device) {
     return static_cast<std::uint32_t>(info.subgroup_size);
 }
 
-/// First surfel and number of surfels of each model, which together are all surfels in order.
-std::vector<glm::uvec2> model_ranges(const DeviceScene& scene) {
-    std::vector<glm::uvec2> ranges;
-    std::uint32_t next = 0;
-    for (const Model& model : scene.layout().models) {
-        if (model.first != next)
-            throw DataError(fmt::format("making the acceleration structure: model {} starts at surfel {}, expected {}", model.name, model.first, next));
-        ranges.push_back({model.first, model.count});
-        next += model.count;
-    }
-    if (next != scene.size()) throw DataError(fmt::format("making the acceleration structure: the models end at surfel {}, expected {}", next, scene.size()));
-    return ranges;
-}
-
 std::vector<std::uint32_t> model_of_instances(const DeviceScene& scene) {
     std::vector<std::uint32_t> models;
     for (const Instance& instance : scene.layout().instances) models.push_back(instance.model);
@@ -86,7 +72,6 @@ struct Bvh::Impl {
     Kernel<shared::BvhRefitParams> refit_kernel;
     Kernel<shared::BvhTopParams> top;
     Kernel<shared::BvhCostParams> cost_kernel;
-    Array<glm::uvec2> models;               ///< [n_models]
     Array<std::uint32_t> model_of;          ///< [n_instances]
     Array<float> boxes;                     ///< [n,6] of surfels
     Array<std::uint32_t> bounds;            ///< [n_models,6]
@@ -115,7 +100,7 @@ struct Bvh::Impl {
     std::uint32_t keys_at(int set) const { return set == 0 ? kKeysAt : kCostsAt; }
     SortSet sort_set(int set) const;
     std::uint32_t levels() const;
-    void collapse(Stream& stream);
+    void collapse(Stream& stream, const DeviceScene& scene);
     std::uint32_t key_bits() const { return 3 * RELIDAR_BVH_MORTON_BITS + static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1)); }
     void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
     SortSet sorted_surfels(Stream& stream, const DeviceScene& scene);
@@ -141,7 +126,6 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       refit_kernel(d, "accel/bvh_refit"),
       top(d, "accel/bvh_top", {kShares}, Subgroups::full),
       cost_kernel(d, "accel/bvh_cost", {kShares}, Subgroups::full),
-      models(d, std::span<const glm::uvec2>(model_ranges(scene)), "models of the acceleration structure"),
       model_of(d, std::span<const std::uint32_t>(model_of_instances(scene)), "models of the instances"),
       boxes(d, 6 * std::size_t(n), "surfel boxes"),
       bounds(d, 6 * std::size_t(n_models), "model bounds"),
@@ -207,11 +191,11 @@ void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const Accel
 SortSet Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
     stream.fill(bounds, 0xffffffffu);
     run(stream, bounds_kernel, std::size_t(tiles_of(n)) * kWorkgroup, 
-        {.boxes = boxes.address(), .models = models.address(), .bounds = bounds.address(), .n_surfels = n, .n_models = n_models});
+        {.boxes = boxes.address(), .models = scene.models().address(), .bounds = bounds.address(), .n_surfels = n, .n_models = n_models});
     const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);   // so that the result is set 0
     run(stream, keys_kernel, n,
         {.records = scene.records().address(),
-         .models = models.address(),
+         .models = scene.models().address(),
          .bounds = bounds.address(),
          .keys = at<glm::uvec2>(keys_at(first_set)),
          .other_ends = at<std::uint32_t>(kOtherEndsAt),
@@ -221,7 +205,7 @@ SortSet Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
     return sort.run(stream, sort_set(first_set), sort_set(1 - first_set), key_bits());
 }
 
-void Bvh::Impl::collapse(Stream& stream) {
+void Bvh::Impl::collapse(Stream& stream, const DeviceScene& scene) {
     stream.fill(level_sizes);
     shared::BvhWideParams params{.tree = binary(),
                                  .wide = wide(),
@@ -233,7 +217,7 @@ void Bvh::Impl::collapse(Stream& stream) {
                                  .tiles = tiles.address(),
                                  .places = at<std::uint32_t>(kPlacesAt),
                                  .surfels = at<std::uint32_t>(kValuesAt),
-                                 .models = models.address(),
+                                 .models = scene.models().address(),
                                  .n_surfels = n,
                                  .n_tiles = tiles_of(n),
                                  .n_models = n_models,
@@ -270,13 +254,13 @@ void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& op
          .boxes = b.boxes.address(),
          .keys = b.at<glm::uvec2>(kKeysAt),
          .surfels = sorted.order,
-         .models = b.models.address(),
+         .models = scene.models().address(),
          .other_ends = b.at<std::uint32_t>(kOtherEndsAt),
          .clusters = b.at<std::uint32_t>(kClustersAt),
          .roots = b.queue.address(),
          .n_surfels = b.n,
          .n_models = b.n_models});
-    b.collapse(stream);
+    b.collapse(stream, scene);
     b.fit_nodes(stream);
     move(stream, scene);
 }
@@ -293,7 +277,7 @@ void Bvh::move(Stream& stream, const DeviceScene& scene) {
         {.bvh = pointers(),
          .instances = scene.instances().address(),
          .model_of = b.model_of.address(),
-         .models = b.models.address(),
+         .models = scene.models().address(),
          .model_boxes = b.node_boxes.address(),
          .boxes = b.top_boxes.address(),
          .keys = b.top_keys.address(),
@@ -313,7 +297,7 @@ shared::BvhPointers Bvh::pointers() const {
 std::uint64_t Bvh::memory_bytes() const {
     const Impl& b = *impl_;
     std::uint64_t bytes = b.sort.memory_bytes();
-    for (const Buffer* buffer : {&b.models.buffer(), &b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch.buffer(), &b.queue.buffer(), &b.level_sizes.buffer(), &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(),
+    for (const Buffer* buffer : {&b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch.buffer(), &b.queue.buffer(), &b.level_sizes.buffer(), &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(),
                                  &b.links.buffer(), &b.node_boxes.buffer(), &b.arrivals.buffer(), &b.count.buffer(), &b.roots.buffer(), &b.top_order.buffer(),
                                  &b.top_node_array.buffer(), &b.top_boxes.buffer(), &b.top_keys.buffer(), &b.cost_sums.buffer()})
         bytes += buffer->size_bytes();

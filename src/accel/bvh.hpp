@@ -28,7 +28,6 @@ struct BvhOnHost {
 class Bvh {
 public:
     /// Room for the surfels, models and instances of a scene. Nothing is built yet.
-    /// @throws DataError where the models are not consecutive ranges of the surfels
     /// @throws DeviceError where the device has no subgroup arithmetic and ballots in compute, or subgroups of fewer than 4
     Bvh(Device& device, const DeviceScene& scene);
     ~Bvh();

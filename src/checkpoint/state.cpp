@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <span>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -14,36 +13,6 @@
 
 namespace relidar {
 namespace {
-
-/// One group of a set of surfels: its floats, and the shape of a row.
-struct Group {
-    const char* name;
-    std::vector<std::size_t> row_shape;
-    std::span<float> values;
-};
-
-template <class V>
-std::span<float> floats(std::vector<V>& values) {
-    return {reinterpret_cast<float*>(values.data()), values.size() * sizeof(V) / sizeof(float)};
-}
-
-constexpr const char* kThird = "log_scale_w";   ///< there for 3D Gaussians alone
-
-std::vector<Group> groups(Surfels& s, Primitive primitive) {
-    std::vector<Group> all{{"mean", {3}, floats(s.mean)},
-            {"rotation", {4}, floats(s.rotation)},
-            {"log_scale", {2}, floats(s.log_scale)},
-            {"opacity_logit", {}, floats(s.opacity_logit)},
-            {"sh", {kShChannels, kShCoefficients}, floats(s.sh)}};
-    if (primitive == Primitive::gaussian) all.push_back({kThird, {}, floats(s.log_scale_w)});
-    return all;
-}
-
-std::vector<std::size_t> with_rows(std::size_t n, const std::vector<std::size_t>& row_shape) {
-    std::vector<std::size_t> shape{n};
-    shape.insert(shape.end(), row_shape.begin(), row_shape.end());
-    return shape;
-}
 
 template <class T>
 void check_finite(const NamedArray& array) {
@@ -78,8 +47,9 @@ void StateWriter::put(const std::string& name, const char* dtype, std::vector<st
 }
 
 void StateWriter::operator()(const std::string& name, const SurfelArrays& surfels) {
-    Surfels host = surfels.download();
-    for (const Group& group : groups(host, surfels.primitive)) put(name + "/" + group.name, "f4", with_rows(host.size(), group.row_shape), group.values.data());
+    const Surfels host = surfels.download();
+    for (const ParameterGroup& group : groups_of(surfels.primitive))
+        put(name + "/" + group.name, "f4", group.shape(host.size()), group.values(host).data());
 }
 
 const NamedArray& StateReader::find(const std::string& name, const char* dtype, const std::vector<std::size_t>& shape) const {
@@ -98,12 +68,15 @@ Surfels StateReader::surfels(const std::string& name) const {
 }
 
 Surfels StateReader::surfels_of(const std::string& name, std::size_t n) const {
+    const Primitive primitive = primitive_of([&](const char* group) {
+        return std::ranges::any_of(checkpoint_.arrays, [&](const NamedArray& a) { return a.name == name + "/" + group; });
+    });
+    for (const ParameterGroup& group : groups_of(primitive))   // before anything is allocated
+        find(name + "/" + group.name, "f4", group.shape(n));
     Surfels host;
-    const bool has_third = std::ranges::any_of(checkpoint_.arrays, [&](const NamedArray& a) { return a.name == name + "/" + kThird; });
-    const Primitive primitive = has_third ? Primitive::gaussian : Primitive::surfel;
-    for (const Group& group : groups(host, primitive)) find(name + "/" + group.name, "f4", with_rows(n, group.row_shape));   // before anything is allocated
     host.resize(n, primitive);
-    for (const Group& group : groups(host, primitive)) copy(checkpoint_.array(name + "/" + group.name), group.values.data());
+    for (const ParameterGroup& group : groups_of(primitive))
+        copy(checkpoint_.array(name + "/" + group.name), group.mutable_values(host).data());
     return host;
 }
 

@@ -163,6 +163,7 @@ void visit(C& c, Visitor&& f) {
     visit_training(c, f);
     visit_densify(c, f);
     f("render.range", c.render.range, one_of({"expected", "normalised", "median"}), "range of a ray in range images: D (paper), D / W, or where the transmittance crosses 0.5");
+    f("render.normals", c.render.normals, anything(), "unit normals of the surfaces that rays meet: normals of npz, normal of exr, nx ny nz of ply, normal_x ... of pcd");
     f("render.points", c.render.points, one_of({"median", "range"}), "points of point clouds lie where the transmittance crosses 0.5, on the dominant surface, or at render.range, which has points between two surfaces");
     f("eval.lpips_weights", c.eval.lpips_weights, anything(), "safetensors file with the weights of LPIPS (AlexNet, v0.1); empty: the file that RELIDAR_LPIPS_WEIGHTS names, or no LPIPS");
     f("trace.chunk", c.trace.chunk, between(1, 64), "hits sorted at a time");

@@ -129,7 +129,9 @@ using Ticks = std::vector<std::vector<int>>;  ///< of each laser in one scan, be
 Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
     Ticks ticks(kRings);
     for (std::size_t i = 0; i < scan.points.size(); ++i) {
-        ticks[scan.ring[i]].push_back(lattice.tick(lattice.head_azimuth(scan.points[i], scan.ring[i])));
+        const std::size_t k = scan.ring[i];
+        const Beam laser{.azimuth_offset_rad = lattice.offset_rad[k], .origin_left_m = lattice.left_m[k]};
+        ticks[k].push_back(lattice.head.tick(head_azimuth(laser, glm::dvec3(scan.points[i]))));
     }
     return ticks;
 }
@@ -198,39 +200,31 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
 void centre(FiringLattice& lattice) {
     const double mean = std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
     for (double& offset : lattice.offset_rad) offset -= mean;
-    lattice.zero_rad += mean;
+    lattice.head.zero_rad += mean;
 }
 
 }  // namespace
 
-double FiringLattice::head_azimuth(const glm::vec4& point, int ring) const {
-    const glm::dvec4 p(point);
-    const double rho = std::max(std::hypot(p.x, p.y), 0.1);
-    const std::size_t k = static_cast<std::size_t>(ring);
-    return std::atan2(p.y, p.x) - std::asin(glm::clamp(left_m[k] / rho, -1.0, 1.0)) - offset_rad[k];
-}
-
-int FiringLattice::tick(double head_azimuth_rad) const {
-    const long t = std::lround((head_azimuth_rad - zero_rad) / tick_rad) % n_ticks;
-    return static_cast<int>(t < 0 ? t + n_ticks : t);
-}
-
-double FiringLattice::azimuth_of(int tick) const {
-    return std::remainder(zero_rad + tick * tick_rad, 2.0 * kPi);
+std::vector<Beam> FiringLattice::beams(const Cones& cones) const {
+    std::vector<Beam> beams(kRings);
+    for (std::size_t k = 0; k < kRings; ++k) {
+        const double elevation = std::atan(cones[k].tan_el);
+        beams[k] = {elevation, offset_rad[k], 0.0, cones[k].z0_m * std::cos(elevation), left_m[k]};
+    }
+    return beams;
 }
 
 FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
     constexpr double kFound = 0.8;  // mean concentration: 0.98 on KITTI, 0 for azimuths off the lattice
     const std::array<Polar, kRings> polar = polar_of(scans);
     FiringLattice lattice;
-    lattice.n_ticks = kEncoderTicks;
+    lattice.head.n_ticks = kEncoderTicks;
     Phases phases = find_phases(polar, 2.0 * kPi / kEncoderTicks);
     if (phases.concentration < kFound) {
-        lattice.n_ticks = mean_steps(scans);
+        lattice.head.n_ticks = mean_steps(scans);
         lattice.every_tick = true;
-        phases = find_phases(polar, 2.0 * kPi / lattice.n_ticks);
+        phases = find_phases(polar, 2.0 * kPi / lattice.head.n_ticks);
     }
-    lattice.tick_rad = 2.0 * kPi / lattice.n_ticks;
     if (phases.concentration < kFound) return lattice;
 
     for (std::size_t k = 0; k < kRings; ++k) {
@@ -240,20 +234,20 @@ FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
     if (!lattice.every_tick) {
         std::vector<Ticks> ticks;
         for (const RawScan* scan : scans) ticks.push_back(ticks_of(*scan, lattice));
-        const std::vector<int> shift = find_shifts(ticks, lattice.n_ticks);
-        for (std::size_t k = 0; k < kRings; ++k) lattice.offset_rad[k] += shift[k] * lattice.tick_rad;
+        const std::vector<int> shift = find_shifts(ticks, lattice.head.n_ticks);
+        for (std::size_t k = 0; k < kRings; ++k) lattice.offset_rad[k] += shift[k] * lattice.head.tick_rad();
     }
     centre(lattice);
     return lattice;
 }
 
 std::vector<int> find_firings(const RawScan& scan, const FiringLattice& lattice) {
-    const auto pattern = fired({ticks_of(scan, lattice)}, std::vector<int>(kRings, 0), lattice.n_ticks, kMinLasers);
+    const auto pattern = fired({ticks_of(scan, lattice)}, std::vector<int>(kRings, 0), lattice.head.n_ticks, kMinLasers);
     std::vector<int> firings;
-    for (int t = 0; t < lattice.n_ticks; ++t) {
+    for (int t = 0; t < lattice.head.n_ticks; ++t) {
         if (lattice.every_tick || pattern[0][static_cast<std::size_t>(t)]) firings.push_back(t);
     }
-    std::sort(firings.begin(), firings.end(), [&](int a, int b) { return lattice.azimuth_of(a) > lattice.azimuth_of(b); });
+    std::sort(firings.begin(), firings.end(), [&](int a, int b) { return lattice.head.azimuth_of(a) > lattice.head.azimuth_of(b); });
     return firings;
 }
 

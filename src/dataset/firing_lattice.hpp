@@ -9,25 +9,21 @@
 #include <array>
 #include <vector>
 
+#include <relidar/reader.hpp>
+
 #include "dataset/hdl64_rings.hpp"
 
 namespace relidar::kitti {
 
 /// The lattice of head angles and every laser's place in it.
 struct FiringLattice {
-    double tick_rad = 0.0;
-    int n_ticks = 0;                          ///< a turn
-    double zero_rad = 0.0;                    ///< head azimuth of tick 0
+    HeadLattice head;
     bool every_tick = false;                  ///< fires at every tick (no encoder ticks were found)
     std::array<double, kRings> offset_rad{};  ///< azimuth of the beam relative to the head, mean 0
     std::array<double, kRings> left_m{};      ///< the beam passes the spin axis this far to its left
 
-    /// Head azimuth at which laser `ring` saw a point.
-    double head_azimuth(const glm::vec4& point, int ring) const;
-    /// Tick nearest to a head azimuth, in [0, n_ticks).
-    int tick(double head_azimuth_rad) const;
-    /// Head azimuth of a tick in (-pi, pi].
-    double azimuth_of(int tick) const;
+    /// Beams of the cones and the lattice: elevation, azimuth offset, origin up = z0 cos(elevation), origin left.
+    std::vector<Beam> beams(const Cones& cones) const;
 };
 
 /// Finds the lattice in a few scans. Where azimuths follow none (a resampled log), the steps are even and offsets 0.

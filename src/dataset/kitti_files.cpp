@@ -23,7 +23,7 @@ std::string describe_stranger(const fs::path& folder, const std::string& marker)
     std::error_code failed;
     const auto has = [&](const char* name) { return fs::exists(folder / name, failed); };
     if ((has("velodyne") && (has("times.txt") || has("calib.txt"))) || has("sequences"))
-        return "a KITTI odometry sequence, whose scans are motion-compensated; expected the drive of KITTI raw that it was cut from";
+        return "a KITTI odometry sequence, whose scans are motion-compensated; expected its calib.txt there too, or the drive of KITTI raw that it was cut from";
     for (fs::path up = fs::canonical(folder, failed).parent_path(); !failed && up.has_relative_path(); up = up.parent_path()) {
         if (fs::exists(up / marker, failed)) return fmt::format("a folder within a dataset; expected {}", up.string());
     }
@@ -48,8 +48,7 @@ std::string describe_gaps(const std::vector<int>& frames) {
     return fmt::format("{} of the scans {} to {} missing ({}{})", n, frames.front(), frames.back(), fmt::join(shown, ", "), n > kShown ? ", ..." : "");
 }
 
-std::vector<int> list_scans(const fs::path& drive, int begin, int end) {
-    const fs::path folder = drive / "velodyne_points/data";
+std::vector<int> list_scans(const fs::path& folder, int begin, int end) {
     check_folder(folder, "KITTI raw scans %010d.bin in it");
     std::vector<int> all, frames;
     bool text_scans = false;
@@ -67,7 +66,7 @@ std::vector<int> list_scans(const fs::path& drive, int begin, int end) {
     std::copy_if(all.begin(), all.end(), std::back_inserter(frames), [&](int f) { return f >= begin && (end < 0 || f < end); });
     if (frames.empty()) {
         throw UsageError(fmt::format("frames {}:{}: no scan of {} lies in it, expected numbers in [{}, {}]", begin,
-                                     end < 0 ? "" : std::to_string(end), drive.string(), all.front(), all.back()));
+                                     end < 0 ? "" : std::to_string(end), folder.string(), all.front(), all.back()));
     }
     return frames;
 }

@@ -12,9 +12,9 @@
 
 namespace relidar::kitti {
 
-/// Frame numbers of the scans in velodyne_points/data within [begin, end), ascending; end -1 = open.
+/// Frame numbers of the scans in a folder within [begin, end), ascending; end -1 = open.
 /// @throws DataError without that folder or any scan, UsageError where none lies in the range
-std::vector<int> list_scans(const std::filesystem::path& drive, int begin, int end);
+std::vector<int> list_scans(const std::filesystem::path& folder, int begin, int end);
 
 /// Points of a scan: x, y, z (metres, sensor frame), reflectance. @throws DataError for a truncated, empty or impossible scan
 std::vector<glm::vec4> read_scan(const std::filesystem::path& file);
@@ -35,6 +35,9 @@ double read_period(const std::filesystem::path& drive);
 
 /// Rigid transform with the keys R (9 numbers, row-major) and T (3).
 Pose read_calibration(const std::filesystem::path& file);
+
+/// Rigid transform of a line "key: 12 numbers", 3x4 row-major, of a file of such lines.
+Pose read_transform(const std::filesystem::path& file, const std::string& key);
 
 /// world_from_sensor of the given frames from OXTS: Mercator about the latitude of the log's first frame, x east, y north.
 /// Dataset's world: origin at the IMU in the log's first frame.

@@ -58,6 +58,12 @@ std::vector<double> finite_numbers(const std::string& line, std::size_t n, const
     return *numbers;
 }
 
+/// 3x4, row-major.
+Pose parse_matrix(const std::string& line, const std::string& where) {
+    const std::vector<double> m = finite_numbers(line, 12, where);
+    return make_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]), {m[3], m[7], m[11]}, where);
+}
+
 fs::path oxts_file(const fs::path& drive, int frame) {
     return drive / "oxts/data" / fmt::format("{:010d}.txt", frame);
 }
@@ -118,6 +124,12 @@ Pose read_calibration(const fs::path& file) {
     return make_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]), {t[0], t[1], t[2]}, file.string());
 }
 
+Pose read_transform(const fs::path& file, const std::string& key) {
+    for (const std::string& line : split_lines(read_file(file)))
+        if (line.rfind(key + ":", 0) == 0) return parse_matrix(line.substr(key.size() + 1), fmt::format("{} key {}", file.string(), key));
+    throw DataError(fmt::format("{}: no line '{}:', expected the key with 12 numbers", file.string(), key));
+}
+
 std::vector<Pose> read_oxts_poses(const fs::path& drive, const std::vector<int>& frames) {
     std::optional<double> scale;
     const glm::dvec3 origin = read_oxts(oxts_file(drive, first_oxts(drive)), scale).translation;
@@ -141,8 +153,7 @@ std::vector<Pose> read_pose_file(const fs::path& file, const std::vector<int>& f
             throw DataError(fmt::format("{}: {} lines, frame {} needs line {}", file.string(), lines.size(), frame, line + 1));
         }
         const std::string where = fmt::format("{} line {}", file.string(), line + 1);
-        const std::vector<double> m = finite_numbers(lines[line], 12, where);
-        poses.push_back(make_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]), {m[3], m[7], m[11]}, where));
+        poses.push_back(parse_matrix(lines[line], where));
     }
     check_extent(poses, frames, file.string());
     return poses;

@@ -8,8 +8,10 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include <relidar/reader.hpp>
 #include "core/files.hpp"
 #include "dataset/kitti_files.hpp"
+#include "dataset/kitti_odometry.hpp"
 #include "dataset/kitti_raw.hpp"
 #include "dataset/synthetic.hpp"
 
@@ -27,6 +29,7 @@ struct Kind {
 
 constexpr Kind kKinds[] = {
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
+    {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_kitti_odometry},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
 };
 
@@ -44,12 +47,14 @@ const Kind& find_kind(const std::string& name) {
                                  fmt::join(kind_names(), ", ")));
 }
 
-/// The sensor sees nothing beyond its limits and the given ones.
+/// No LiDAR sees anything beyond its own limits and the given ones.
 void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
-    const RangeLimits limits = overlap(sequence.sensor.range_limits(), wanted);
-    sequence.sensor.min_range_m = limits.min_m;
-    sequence.sensor.max_range_m = limits.max_m;
-    for (Frame& frame : sequence.frames) drop_outside(frame.scan, limits);
+    for (Lidar& lidar : sequence.lidars) {
+        const RangeLimits limits = overlap(lidar.sensor.range_limits(), wanted);
+        lidar.sensor.min_range_m = limits.min_m;
+        lidar.sensor.max_range_m = limits.max_m;
+    }
+    for (Frame& frame : sequence.frames) drop_outside(frame.scan, sequence.lidar_of(frame).sensor.range_limits());
 }
 
 /// "kind:path" as kind and path; the kind is empty where none is named.
@@ -102,6 +107,7 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
     const auto [kind, path] = parted(dataset);
     Sequence sequence = find_kind(kind.empty() ? recognise_dataset(path) : kind).load(path, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
+    check_sequence(sequence);
     apply_limits(sequence, {options.min_range_m, options.max_range_m});
     return sequence;
 }

@@ -10,6 +10,7 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include <relidar/reader.hpp>
 #include "core/parallel.hpp"
 #include "core/random.hpp"
 #include "dataset/street.hpp"
@@ -82,7 +83,7 @@ Scan measure(const SyntheticOptions& options, const street::Street& street, cons
     Scan scan = empty_scan(rays);
     const std::uint64_t seed = hash64(options.seed, static_cast<std::uint64_t>(frame));
     const double time_s = street::frame_time_s(frame);
-    cast_rays(street, sequence.world_offset_m, sequence.world_from_sensor, time_s, rays, [&](std::size_t ray, const Hit& hit) {
+    cast_rays(street, sequence.world_offset_m, sequence.world_from_vehicle, time_s, rays, [&](std::size_t ray, const Hit& hit) {
         Random random(hash64(seed, ray));
         if (random.uniform() < drop_probability(hit)) return;
         const double range = hit.range_m + options.range_noise_m * random.normal();
@@ -92,20 +93,14 @@ Scan measure(const SyntheticOptions& options, const street::Street& street, cons
     return scan;
 }
 
-void add_boxes(Sequence& sequence, const street::Street& street, const std::vector<int>& frames) {
-    for (std::size_t c = 0; c < street.cars.size(); ++c) {
-        BoxTrack box;
-        box.id = std::to_string(c);
-        box.category = street.cars[c].category;
-        box.size_m = street.cars[c].size_m;
-        for (const int frame : frames) {
-            Pose pose = street.cars[c].world_from_box(street::frame_time_s(frame));
-            pose.translation -= sequence.world_offset_m;
-            box.world_from_box.time_s.push_back(street::frame_time_s(frame));
-            box.world_from_box.pose.push_back(pose);
+std::vector<BoxTrack> boxes_of(const street::Street& street, const std::vector<Frame>& frames) {
+    std::vector<BoxLabel> labels;
+    for (const Frame& frame : frames)
+        for (std::size_t c = 0; c < street.cars.size(); ++c) {
+            const street::MovingCar& car = street.cars[c];
+            labels.push_back({std::to_string(c), car.category, car.size_m, frame.time_s, car.world_from_box(frame.time_s)});
         }
-        sequence.boxes.push_back(std::move(box));
-    }
+    return tracks_of(labels);
 }
 
 }  // namespace
@@ -121,19 +116,11 @@ Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int e
     sequence.conventions =
         "sensor x forward, y left, z up; metres; time = head faces forward, seconds after frame 0; exact poses; "
         "each ray cast at its own time";
-    sequence.sensor = make_sensor(options);
-    sequence.world_offset_m = origin_of(options);
-    std::vector<int> frames;
-    for (int frame = begin; frame < end; ++frame) {
-        frames.push_back(frame);
-        Pose pose = street::sensor_pose(options, street::frame_time_s(frame));
-        pose.translation -= sequence.world_offset_m;
-        sequence.world_from_sensor.time_s.push_back(street::frame_time_s(frame));
-        sequence.world_from_sensor.pose.push_back(pose);
-        sequence.frames.push_back({.index = frame, .time_s = street::frame_time_s(frame), .scan = {}});
-    }
-    add_boxes(sequence, street, frames);
-    const RayTable rays = make_rays(sequence.sensor);
+    sequence.lidars[0].sensor = make_sensor(options);
+    for (int frame = begin; frame < end; ++frame) add_frame(sequence, frame, street::frame_time_s(frame), street::sensor_pose(options, street::frame_time_s(frame)));
+    sequence.boxes = boxes_of(street, sequence.frames);
+    recentre(sequence, origin_of(options));
+    const RayTable rays = make_rays(sequence.lidars[0].sensor);
     run_parallel(end - begin, [&](int i) {
         Frame& frame = sequence.frames[static_cast<std::size_t>(i)];
         frame.scan = measure(options, street, sequence, rays, frame.index);

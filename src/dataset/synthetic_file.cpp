@@ -36,12 +36,12 @@ void read_value(const toml::table& table, const char* key, const char* type, con
 void take_poses(Sequence& sequence, const fs::path& poses_file) {
     std::vector<int> frames;
     for (const Frame& frame : sequence.frames) frames.push_back(frame.index);
-    PoseTrack track{sequence.world_from_sensor.time_s, std::vector<Pose>(frames.size())};
+    PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
     if (poses_file != kNoPoses) {
         track.pose = kitti::read_pose_file(poses_file, frames);
         for (Pose& pose : track.pose) pose.translation -= sequence.world_offset_m;
     }
-    set_sensor_poses(sequence, std::move(track));
+    set_vehicle_poses(sequence, std::move(track));
     sequence.conventions += poses_file == kNoPoses ? "; but no poses: the sensor is at the origin in every frame" : "; but poses from " + poses_file.string();
 }
 

@@ -24,10 +24,6 @@ constexpr float kUnbounded = std::numeric_limits<float>::infinity();
 
 double logit(double p) { return std::log(p / (1.0 - p)); }
 
-shared::SurfelPointers pointers(const SurfelArrays& arrays) {
-    return {arrays.mean.address(), arrays.rotation.address(), arrays.log_scale.address(), arrays.opacity_logit.address(), arrays.sh.address(), arrays.log_scale_w.address()};
-}
-
 double extent_of(const Scene& scene, std::size_t model) {
     const glm::vec3 half_size = scene.models[model].half_size_m;
     return half_size.x > 0.0f ? 8.0 * double(glm::length(half_size)) : model_extent(scene, model);
@@ -87,36 +83,33 @@ Rules Densifier::Impl::rules_at(int step) const {
 }
 
 std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceScene& scene, const Rules& rules, int step) {
-    const std::vector<Model>& models = scene.layout().models;
     const SurfelStatistics& s = arrays.statistics;
-    const std::uint32_t key = static_cast<std::uint32_t>(random(Draw::classify, step));
+    const std::vector<float> extents(extents_m.begin(), extents_m.end());
     stream.fill(counters);
-    for (std::size_t i = 0; i < models.size(); ++i) {
-        const Model& m = models[i];
-        const float extent = static_cast<float>(extents_m[i]);
-        relidar::run(stream, classify, m.count,
-            {.surfels = pointers(scene.parameters()),
-             .gradient_sum = s.gradient_sum.address(),
-             .n_seen = s.n_seen.address(),
-             .frames = s.frames.address(),
-             .action = arrays.action.address(),
-             .weight = arrays.weight.address(),
-             .counters = counters.address(i * RELIDAR_DENSIFY_COUNTERS),
-             .half_size = rules.boxes ? m.half_size_m : glm::vec3(0.0f),
-             .min_opacity = rules.min_opacity,
-             .max_scale = rules.max_extent_share * extent,
-             .clone_scale = static_cast<float>(options.clone_extent_share) * extent,
-             .gradient_threshold = static_cast<float>(options.gradient_threshold),
-             .growth = rules.growth,
-             .drop_unseen = rules.drop_unseen ? 1u : 0u,
-             .first_surfel = m.first,
-             .n_surfels = m.count,
-             .n_words = s.n_words,
-             .key = key});
-    }
+    relidar::run(stream, classify, scene.size(),
+                 {.surfels = pointers_of(scene.parameters()),
+                  .gradient_sum = s.gradient_sum.address(),
+                  .n_seen = s.n_seen.address(),
+                  .frames = s.frames.address(),
+                  .action = arrays.action.address(),
+                  .weight = arrays.weight.address(),
+                  .counters = counters.address(),
+                  .models = scene.models().address(),
+                  .extents = impl_of(stream).values(extents),
+                  .min_opacity = rules.min_opacity,
+                  .max_extent_share = rules.max_extent_share,
+                  .clone_extent_share = static_cast<float>(options.clone_extent_share),
+                  .gradient_threshold = static_cast<float>(options.gradient_threshold),
+                  .growth = rules.growth,
+                  .bounded = rules.boxes ? 1u : 0u,
+                  .drop_unseen = rules.drop_unseen ? 1u : 0u,
+                  .n_surfels = scene.size(),
+                  .n_models = static_cast<std::uint32_t>(extents.size()),
+                  .n_words = s.n_words,
+                  .key = static_cast<std::uint32_t>(random(Draw::classify, step))});
     stream.finish();
     const std::vector<std::uint32_t> values = counters.download();
-    std::vector<ModelCounts> result(models.size());
+    std::vector<ModelCounts> result(extents.size());
     for (std::size_t i = 0; i < values.size(); ++i) result[i / RELIDAR_DENSIFY_COUNTERS][i % RELIDAR_DENSIFY_COUNTERS] = values[i];
     return result;
 }
@@ -124,7 +117,8 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
 /// @return the largest size tried, at most `wanted`, for which there is memory; the arrays then have room for it
 std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted, double others_bytes, std::string& why) {
     const std::uint32_t before = scene.size();
-    const double bytes = double(arrays.bytes_per_surfel()) + 4.0 * (3.0 * arrays.floats_per_surfel() + 16.0);   // with parameters, records and moments
+    const double others = 4.0 * (3.0 * floats_per_surfel(scene.primitive()) + 16.0);   // parameters, moments and records
+    const double bytes = double(arrays.bytes_per_surfel()) + others;
     const auto fits = [&](std::uint32_t target, double capacity) {
         const std::uint32_t now = arrays.capacity();
         const bool grows = capacity > now;
@@ -175,7 +169,7 @@ DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& a
     arrays.move(stream, adam.moment1(), true, plan.size());
     arrays.move(stream, adam.moment2(), true, plan.size());
     relidar::run(stream, spawn, before,
-                 {.surfels = pointers(scene.parameters()),
+                 {.surfels = pointers_of(scene.parameters()),
                   .action = arrays.action.address(),
                   .n_rows = arrays.n_rows.address(),
                   .starts = arrays.starts.address(),
@@ -224,7 +218,7 @@ void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int s
     const DensifyOptions& o = impl_->options;
     if (o.strategy == DensifyStrategy::mcmc && o.noise > 0.0)
         relidar::run(stream, impl_->jitter, scene.size(),
-                     {.surfels = pointers(scene.parameters()),
+                     {.surfels = pointers_of(scene.parameters()),
                       .amount = static_cast<float>(o.noise * rate_share),
                       .n_surfels = scene.size(),
                       .key = static_cast<std::uint32_t>(impl_->random(Draw::noise, step))});

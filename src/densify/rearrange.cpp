@@ -38,7 +38,7 @@ std::uint32_t Rearrangement::capacity() const {
     return std::min(spare_.capacity(), static_cast<std::uint32_t>(std::min(n, n_frames)));
 }
 
-std::size_t Rearrangement::bytes_per_surfel() const { return 4 * (floats_per_surfel() + 6 + 2 * statistics.n_words); }
+std::size_t Rearrangement::bytes_per_surfel() const { return 4 * (floats_per_surfel(spare_.primitive) + 6 + 2 * statistics.n_words); }
 
 void Rearrangement::allot(Stream& stream, const GrowthPlan& plan, std::uint32_t before) {
     RELIDAR_ASSERT_LE(std::max(before, plan.size()), capacity());
@@ -71,12 +71,8 @@ void Rearrangement::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, s
 }
 
 void Rearrangement::move(Stream& stream, SurfelArrays& set, bool fresh, std::uint32_t after) {
-    move_rows(stream, set.mean, spare_.mean, 3, fresh);
-    move_rows(stream, set.rotation, spare_.rotation, 4, fresh);
-    move_rows(stream, set.log_scale, spare_.log_scale, 2, fresh);
-    move_rows(stream, set.opacity_logit, spare_.opacity_logit, 1, fresh);
-    move_rows(stream, set.sh, spare_.sh, kShFloats, fresh);
-    if (set.primitive == Primitive::gaussian) move_rows(stream, set.log_scale_w, spare_.log_scale_w, 1, fresh);
+    for (const ParameterGroup& group : groups_of(set.primitive))
+        move_rows(stream, set.*group.device, spare_.*group.device, group.floats(), fresh);
     set.n = after;
 }
 

@@ -17,8 +17,6 @@ public:
     /// Makes room for so many surfels. Nothing may be in flight. @throws DeviceError where memory is exhausted: nothing is lost
     void reserve(std::uint32_t capacity);
     std::uint32_t capacity() const;
-    /// Parameters of a surfel.
-    std::size_t floats_per_surfel() const { return 10 + kShFloats + (spare_.primitive == Primitive::gaussian ? 1 : 0); }
     /// Bytes held a surfel.
     std::size_t bytes_per_surfel() const;
     /// Records who gets copies and where each row goes, from `action` and `weight`.

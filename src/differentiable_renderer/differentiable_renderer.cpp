@@ -24,12 +24,17 @@ struct Lane {
 
 /// As the backward pass reads them.
 std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& d, std::size_t n_rays) {
-    std::vector<shared::RayGradient> result(n_rays);
-    for (const auto& [name, values, at] : {Lane{"depth", d.depth, &shared::RayGradient::depth}, Lane{"weight", d.weight, &shared::RayGradient::weight},
-                                           Lane{"intensity", d.intensity, &shared::RayGradient::intensity}, Lane{"hit_logit", d.hit_logit, &shared::RayGradient::hit_logit},
-                                           Lane{"drop_logit", d.drop_logit, &shared::RayGradient::drop_logit}}) {
+    using shared::RayGradient;
+    const Lane lanes[] = {{"depth", d.depth, &RayGradient::depth},
+                          {"weight", d.weight, &RayGradient::weight},
+                          {"intensity", d.intensity, &RayGradient::intensity},
+                          {"hit_logit", d.hit_logit, &RayGradient::hit_logit},
+                          {"drop_logit", d.drop_logit, &RayGradient::drop_logit}};
+    std::vector<RayGradient> result(n_rays);
+    for (const auto& [name, values, at] : lanes) {
         if (values.empty()) continue;
-        if (values.size() != n_rays) throw DataError(fmt::format("gradients of rendered {}: found {}, expected {}, one a ray, or none", name, values.size(), n_rays));
+        if (values.size() != n_rays)
+            throw DataError(fmt::format("gradients of rendered {}: found {}, expected {}, one a ray, or none", name, values.size(), n_rays));
         for (std::size_t i = 0; i < n_rays; ++i) result[i].*at = values[i];
     }
     return result;
@@ -52,7 +57,8 @@ struct DifferentiableRenderer::Impl {
     }
 };
 
-DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& options, const GradientOptions& gradients)
+DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& options,
+                                               const GradientOptions& gradients)
     : Renderer(device, scene, model, options),
       impl_(new Impl{gradients,
                      BackwardPass(device, model, accel().proxy(), options.trace, gradients.sums),
@@ -91,7 +97,8 @@ HostGradients DifferentiableRenderer::backward(const RenderedGradients& d_render
     record_backward();
     stream().finish();
     const Gradients& g = *impl_->gradients;
-    return {g.surfels.download(), g.touched.download(scene().size()), values_of(g.poses, g.poses.size()), values_of(g.sensor, g.sensor.size()), values_of(g.rays, 6 * n_rays)};
+    return {g.surfels.download(), g.touched.download(scene().size()), values_of(g.poses, g.poses.size()), values_of(g.sensor, g.sensor.size()),
+            values_of(g.rays, 6 * n_rays)};
 }
 
 void DifferentiableRenderer::change_surfels(const std::function<void(double others_bytes)>& change) {

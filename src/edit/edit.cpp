@@ -156,7 +156,7 @@ DrivingScene replace_trajectory(DrivingScene driving, const std::string& track, 
     check_trajectory(dataset_from_box, track);
     PoseTrack in_world = dataset_from_box;
     for (Pose& pose : in_world.pose) pose.translation -= driving.sequence.world_offset_m;
-    box.world_from_box = refined(in_world, std::max(driving.sequence.sensor.period_s, 1e-3));
+    box.world_from_box = refined(in_world, std::max(driving.sequence.lidars[0].sensor.period_s, 1e-3));
     return driving;
 }
 

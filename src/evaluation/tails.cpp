@@ -6,7 +6,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kNowMargin_m = 0.3;   // labels fit loosely: what is just outside the box belongs to it
+constexpr double kNowMargin_m = 0.3;  // labels fit loosely: what is just outside the box belongs to it
 constexpr double kGround_m = 0.3;
 constexpr float kDropThreshold = 0.5f;
 
@@ -14,7 +14,7 @@ constexpr float kDropThreshold = 0.5f;
 struct Swept {
     const BoxTrack* box;
     std::vector<Pose> box_from_world;
-    glm::dvec3 low{1e30}, high{-1e30};   ///< of the centres
+    glm::dvec3 low{1e30}, high{-1e30};  ///< of the centres
 };
 
 std::vector<Swept> swept_boxes(const Sequence& sequence, double min_step_m) {
@@ -42,15 +42,17 @@ bool is_swept(const Swept& s, const glm::dvec3& point_m) {
     });
 }
 
-double share(const RangeImage& image, const Sequence& sequence, const std::vector<Swept>& swept, double time_s) {
+double share(const RangeImage& image, const Sequence& sequence, const std::vector<Swept>& swept, const Turn& seen) {
     double n_points = 0.0, n_tail = 0.0;
     for (std::size_t i = 0; i < image.range_m.size(); ++i) {
         if (!(image.range_m[i] > 0.0f) || !(image.drop_prob[i] < kDropThreshold)) continue;
         n_points += 1.0;
         const glm::dvec3 in_sensor(image.origin[i] + image.range_m[i] * image.direction[i]);
-        const double t_s = facing_time(sequence, in_sensor, time_s);
-        const glm::dvec3 point_m = sequence.world_from_sensor.at(t_s) * in_sensor;
-        const bool occupied = std::any_of(swept.begin(), swept.end(), [&](const Swept& s) { return s.box->present(t_s) && s.box->holds(point_m, t_s, kNowMargin_m); });
+        const double t_s = facing_time(sequence, in_sensor, seen.time_s, seen.lidar);
+        const glm::dvec3 point_m =
+            sequence.world_from_vehicle.at(t_s, sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor) * in_sensor;
+        const bool occupied = std::any_of(swept.begin(), swept.end(),
+                                          [&](const Swept& s) { return s.box->present(t_s) && s.box->holds(point_m, t_s, kNowMargin_m); });
         n_tail += !occupied && std::any_of(swept.begin(), swept.end(), [&](const Swept& s) { return is_swept(s, point_m); });
     }
     return n_points > 0.0 ? n_tail / n_points : 0.0;
@@ -58,10 +60,10 @@ double share(const RangeImage& image, const Sequence& sequence, const std::vecto
 
 }  // namespace
 
-MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence, double time_s, double min_step_m) {
+MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence, const Turn& seen, double min_step_m) {
     const std::vector<Swept> swept = swept_boxes(sequence, min_step_m);
     if (swept.empty()) return {};
-    return {{"actors/tail_share", share(rendered, sequence, swept, time_s)}, {"actors/tail_share_real", share(real, sequence, swept, time_s)}};
+    return {{"actors/tail_share", share(rendered, sequence, swept, seen)}, {"actors/tail_share_real", share(real, sequence, swept, seen)}};
 }
 
 }  // namespace relidar

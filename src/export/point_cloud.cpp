@@ -25,6 +25,7 @@ struct Field {
     const char* ply_type;
     int bytes;
     char pcd_type;
+    const char* pcd_name = name;
 };
 
 std::vector<Field> fields_of(const PointCloud& cloud) {
@@ -33,6 +34,8 @@ std::vector<Field> fields_of(const PointCloud& cloud) {
     if (cloud.ring) fields.push_back({"ring", "uint16", 2, 'U'});
     if (cloud.time) fields.push_back({"time", "float", 4, 'F'});
     if (cloud.instance) fields.push_back({"instance", "int", 4, 'I'});
+    if (!cloud.normal) return fields;
+    fields.insert(fields.end(), {{"nx", "float", 4, 'F', "normal_x"}, {"ny", "float", 4, 'F', "normal_y"}, {"nz", "float", 4, 'F', "normal_z"}});
     return fields;
 }
 
@@ -46,6 +49,7 @@ void check_cloud(const PointCloud& cloud) {
     if (cloud.ring) check("ring", cloud.ring->size());
     if (cloud.time) check("time", cloud.time->size());
     if (cloud.instance) check("instance", cloud.instance->size());
+    if (cloud.normal) check("normal", cloud.normal->size());
 }
 
 /// A record a point, in the order of fields_of().
@@ -58,6 +62,7 @@ std::string packed_records(const PointCloud& cloud) {
         if (cloud.ring) append(bytes, (*cloud.ring)[i]);
         if (cloud.time) append(bytes, (*cloud.time)[i]);
         if (cloud.instance) append(bytes, (*cloud.instance)[i]);
+        for (int axis = 0; cloud.normal && axis < 3; ++axis) append(bytes, (*cloud.normal)[i][axis]);
     }
     return bytes;
 }
@@ -94,7 +99,7 @@ void write_pcd(const std::filesystem::path& path, const PointCloud& cloud) {
     std::string header = "# .PCD v0.7 - Point Cloud Data file format\n", names, sizes, types, counts;
     for (const auto& note : cloud.notes) header += fmt::format("# {}\n", note_line(note));
     for (const Field& field : fields_of(cloud)) {
-        names += fmt::format(" {}", field.name);
+        names += fmt::format(" {}", field.pcd_name);
         sizes += fmt::format(" {}", field.bytes);
         types += fmt::format(" {}", field.pcd_type);
         counts += " 1";

@@ -17,39 +17,47 @@
 #include "file_io.hpp"
 #include <relidar/error.hpp>
 #include <relidar/scene.hpp>
+#include <relidar/stages/scene.hpp>
 
 namespace relidar {
 namespace {
 
-constexpr int kColours = 3;
-constexpr int kRest = kShCoefficients - 1;
+constexpr std::uint32_t kColours = 3;
+constexpr std::uint32_t kRest = kShCoefficients - 1;
 const float kFlat = std::log(1e-4f);            // thickness of a surfel for viewers of ellipsoids, metres
 constexpr std::string_view kEndOfHeader = "\nend_header";   // and a line end, which may be that of Windows
 constexpr std::size_t kMaxHeader = 65536;
 constexpr std::size_t kMaxSurfels = 4294967295;
 constexpr std::size_t kMaxModels = 1u << 24;    // an index is stored as a float
 
-/// Where a stored value of a surfel lives. Read properties have one place each; colours two and three repeat the first.
+const auto& [kMean, kRotation, kLogScale, kOpacityLogit, kSh, kLogScaleW] = kParameterGroups;
+
+/// What a property is: a float of a group of parameters, or one of those that other tools want. Colours two and three repeat the first.
 struct Property {
     std::string name;
-    enum Kind { mean, normal, sh, opacity, scale, thickness, rotation, model } kind;
-    int index = 0;      ///< component, or place in the row of sh
+    const ParameterGroup* group = nullptr;   ///< of a parameter
+    std::uint32_t index = 0;                 ///< float of the group's row, or component of the normal
     bool read = true;
+    enum Kind { parameter, normal, thickness, model } kind = parameter;
 };
 
 std::vector<Property> properties(Primitive primitive) {
-    std::vector<Property> list{{"x", Property::mean, 0}, {"y", Property::mean, 1}, {"z", Property::mean, 2},
-                               {"nx", Property::normal, 0, false}, {"ny", Property::normal, 1, false}, {"nz", Property::normal, 2, false}};
-    for (int c = 0; c < kColours; ++c) list.push_back({fmt::format("f_dc_{}", c), Property::sh, 0, c == 0});
-    for (int k = 0; k < kColours * kRest; ++k) list.push_back({fmt::format("f_rest_{}", k), Property::sh, k % kRest + 1, k < kRest});
-    list.push_back({"opacity", Property::opacity});
-    list.push_back({"scale_0", Property::scale, 0});
-    list.push_back({"scale_1", Property::scale, 1});
-    list.push_back({"scale_2", Property::thickness, 0, primitive == Primitive::gaussian});
-    for (int k = 0; k < 4; ++k) list.push_back({fmt::format("rot_{}", k), Property::rotation, k});
-    for (int k = 0; k < kShCoefficients; ++k) list.push_back({fmt::format("hit_{}", k), Property::sh, kShCoefficients + k});
-    for (int k = 0; k < kShCoefficients; ++k) list.push_back({fmt::format("drop_{}", k), Property::sh, 2 * kShCoefficients + k});
-    list.push_back({"model", Property::model});
+    std::vector<Property> list;
+    const auto add = [&](const std::string& prefix, std::uint32_t n, const ParameterGroup& group, std::uint32_t first) {
+        for (std::uint32_t k = 0; k < n; ++k) list.push_back({fmt::format("{}{}", prefix, k), &group, first + k});
+    };
+    for (std::uint32_t k = 0; k < 3; ++k) list.push_back({std::string(1, "xyz"[k]), &kMean, k});
+    for (std::uint32_t k = 0; k < 3; ++k) list.push_back({std::string("n") + "xyz"[k], nullptr, k, false, Property::normal});
+    for (std::uint32_t c = 0; c < kColours; ++c) list.push_back({fmt::format("f_dc_{}", c), &kSh, 0, c == 0});
+    for (std::uint32_t k = 0; k < kColours * kRest; ++k) list.push_back({fmt::format("f_rest_{}", k), &kSh, k % kRest + 1, k < kRest});
+    list.push_back({"opacity", &kOpacityLogit});
+    add("scale_", 2, kLogScale, 0);
+    if (primitive == Primitive::gaussian) list.push_back({"scale_2", &kLogScaleW});
+    else list.push_back({"scale_2", nullptr, 0, false, Property::thickness});
+    add("rot_", 4, kRotation, 0);
+    add("hit_", kShCoefficients, kSh, kShCoefficients);
+    add("drop_", kShCoefficients, kSh, 2 * kShCoefficients);
+    list.push_back({"model", nullptr, 0, true, Property::model});
     return list;
 }
 
@@ -63,29 +71,18 @@ glm::vec3 normal_of(const glm::vec4& wxyz) {
 
 float value_of(const Property& p, const Surfels& s, std::size_t i, std::size_t model) {
     switch (p.kind) {
-        case Property::mean: return s.mean[i][p.index];
-        case Property::normal: return normal_of(s.rotation[i])[p.index];
-        case Property::sh: return s.sh[i * kShFloats + std::size_t(p.index)];
-        case Property::opacity: return s.opacity_logit[i];
-        case Property::scale: return s.log_scale[i][p.index];
-        case Property::thickness: return s.log_scale_w.empty() ? kFlat : s.log_scale_w[i];
-        case Property::rotation: return s.rotation[i][p.index];
+        case Property::parameter: return p.group->values(s)[i * p.group->floats() + p.index];
+        case Property::normal: return normal_of(s.rotation[i])[static_cast<int>(p.index)];
+        case Property::thickness: return kFlat;
         case Property::model: return float(model);
     }
     return 0.0f;
 }
 
+/// @param p one that is read
 void set_value(const Property& p, Surfels& s, std::size_t i, std::uint32_t& model, float value) {
-    switch (p.kind) {
-        case Property::mean: s.mean[i][p.index] = value; break;
-        case Property::sh: s.sh[i * kShFloats + std::size_t(p.index)] = value; break;
-        case Property::opacity: s.opacity_logit[i] = value; break;
-        case Property::scale: s.log_scale[i][p.index] = value; break;
-        case Property::rotation: s.rotation[i][p.index] = value; break;
-        case Property::model: model = static_cast<std::uint32_t>(value); break;
-        case Property::thickness: s.log_scale_w[i] = value; break;
-        case Property::normal: break;
-    }
+    if (p.kind == Property::model) model = static_cast<std::uint32_t>(value);
+    else p.group->mutable_values(s)[i * p.group->floats() + p.index] = value;
 }
 
 /// What a header says of the one element: its count, and name and byte offset of each property.

@@ -56,7 +56,7 @@ std::uint32_t ForwardPass::take_pass_cap_count() {
     return count;
 }
 
-Rendering to_rendering(const std::vector<shared::RenderedRay>& rays) {
+Rendering to_rendering(const std::vector<shared::RenderedRay>& rays, const std::vector<shared::RenderedGeometry>& geometry) {
     Rendering r;
     for (const shared::RenderedRay& ray : rays) {
         r.depth.push_back(ray.depth);
@@ -69,6 +69,7 @@ Rendering to_rendering(const std::vector<shared::RenderedRay>& rays) {
         r.hits.push_back(ray.n_hits);
         r.instance.push_back(ray.instance == RELIDAR_NO_INSTANCE ? -1 : static_cast<std::int32_t>(ray.instance));
     }
+    for (const shared::RenderedGeometry& of_ray : geometry) r.normal.push_back(of_ray.normal);
     return r;
 }
 

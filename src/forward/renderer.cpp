@@ -30,7 +30,8 @@ struct Renderer::Impl {
     RenderedBatch batch;
 
     Impl(Device& d, const Scene& s, const ImageModel& m, const RendererOptions& o)
-        : device(d), options(o), model(m), highest_sh_degree(m.sh_degree), stream(d, true), scene(d, s), accel(std::in_place, d, scene, o.accel), forward(d, m, accel->proxy(), o.trace) {
+        : device(d), options(o), model(m), highest_sh_degree(m.sh_degree), stream(d, true), scene(d, s),
+          accel(std::in_place, d, scene, o.accel), forward(d, m, accel->proxy(), o.trace) {
         make_room(o.n_rays);
     }
 
@@ -43,7 +44,8 @@ struct Renderer::Impl {
 
 };
 
-Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& options) : impl_(std::make_unique<Impl>(device, scene, model, options)) {}
+Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& options)
+    : impl_(std::make_unique<Impl>(device, scene, model, options)) {}
 Renderer::~Renderer() = default;
 
 void Renderer::place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m) {
@@ -83,8 +85,10 @@ Rendering Renderer::forward(const WorldRays& rays) {
     record_forward({&r.host_rays, 0, 1, static_cast<std::uint32_t>(rays.size())});
     r.stream.finish();
     if (const std::uint32_t capped = r.forward.take_pass_cap_count())
-        throw DeviceError(fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal stack, expected every ray to end", rays.size(), capped, RELIDAR_MAX_PASSES));
-    return to_rendering(r.rendered.download(rays.size()));
+        throw DeviceError(fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal stack, expected every ray to end",
+                                      rays.size(), capped, RELIDAR_MAX_PASSES));
+    if (!r.geometry) return to_rendering(r.rendered.download(rays.size()));
+    return to_rendering(r.rendered.download(rays.size()), r.geometry->rendered.download(rays.size()));
 }
 
 void Renderer::set_sh_degree(int degree) {
@@ -93,7 +97,8 @@ void Renderer::set_sh_degree(int degree) {
 }
 
 void Renderer::upload(const Surfels& surfels) {
-    if (surfels.size() != impl_->scene.size()) throw DataError(fmt::format("uploading surfels: found {}, expected {}, as many as the scene has", surfels.size(), impl_->scene.size()));
+    if (surfels.size() != impl_->scene.size())
+        throw DataError(fmt::format("uploading surfels: found {}, expected {}, as many as the scene has", surfels.size(), impl_->scene.size()));
     impl_->stream.finish();
     impl_->scene.parameters().upload(surfels);
 }

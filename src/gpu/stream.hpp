@@ -69,6 +69,9 @@ struct Stream::Impl {
     };
     /// Keeps a copy of host values that kernels and copies of this submission read.
     Stored store(const void* bytes, std::size_t n_bytes);
+    /// The same as an array of them.
+    template <class T>
+    Address<T> values(const std::vector<T>& values) { return Address<T>(store(values.data(), values.size() * sizeof(T)).address); }
     /// Records a copy from host memory into a buffer.
     void write(const Buffer& buffer, const void* bytes, std::size_t n_bytes);
     /// Records a copy into memory that the host reads when the submission is done, and keeps that memory until then.

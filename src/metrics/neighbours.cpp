@@ -16,10 +16,12 @@ namespace {
 
 constexpr int kColumnSearch = 4;   // columns between a ray and where its azimuth would put it: an HDL-64E log has up to 2.8
 
-/// The nearest training frame before and after a position; one of them where the other does not exist.
-std::vector<int> neighbours_of(int position, const std::vector<int>& train) {
+/// The nearest training frame of the same LiDAR before and after a position; one of them where the other does not exist.
+std::vector<int> neighbours_of(const Sequence& sequence, int position, const std::vector<int>& train) {
+    const auto lidar_of = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
     int before = -1, after = -1;
     for (const int p : train) {
+        if (lidar_of(p) != lidar_of(position)) continue;
         if (p < position) before = std::max(before, p);
         if (p > position && (after < 0 || p < after)) after = p;
     }
@@ -36,10 +38,11 @@ const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dv
     return it == moving.end() ? nullptr : *it;
 }
 
-/// A world point as the sensor sees it in a turn: in the sensor's frame at the moment its head faces the point.
-glm::dvec3 seen_in_turn(const Sequence& sequence, const glm::dvec3& world_m, double time_s) {
-    const double facing_s = facing_time(sequence, inverse(sequence.world_from_sensor.at(time_s)) * world_m, time_s);
-    return inverse(sequence.world_from_sensor.at(facing_s)) * world_m;
+/// A world point as the LiDAR of a frame sees it in that turn: in the sensor's frame at the moment its head faces the point.
+glm::dvec3 seen_in_turn(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
+    const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
+    const double facing_s = facing_time(sequence, inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m, frame.time_s, frame.lidar);
+    return inverse(sequence.world_from_vehicle.at(facing_s, mounted)) * world_m;
 }
 
 void append_point(Scan& points, const glm::dvec3& sensor_m, float intensity) {
@@ -101,24 +104,24 @@ struct Beams {
 }  // namespace
 
 Scan neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train, BoxMotion boxes, double min_step_m) {
-    const double time_s = sequence.frames.at(std::size_t(position)).time_s;
+    const Frame& turn = sequence.frames.at(std::size_t(position));
     std::vector<const BoxTrack*> moving;
     for (const BoxTrack& box : sequence.boxes)
         if (boxes == BoxMotion::follow && box.mean_step_m() > min_step_m) moving.push_back(&box);
     Scan points;
-    for (const int neighbour : neighbours_of(position, train)) {
+    for (const int neighbour : neighbours_of(sequence, position, train)) {
         const Frame& frame = sequence.frames.at(std::size_t(neighbour));
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
             WorldReturn w = world_return(sequence, frame, ray);
-            w.point_m += double(frame.scan.range_m[ray] - surface_range(sequence.sensor, frame.scan, ray)) * w.direction;   // as it was measured
+            w.point_m += double(frame.scan.range_m[ray] - surface_return(sequence, frame, ray).range_m) * w.direction;   // as it was measured
             glm::dvec3 world_m = w.point_m;
             if (const BoxTrack* box = box_of(moving, w.point_m, w.time_s)) {
-                const double then_s = time_s + (w.time_s - frame.time_s);   // about the same part of the turn
+                const double then_s = turn.time_s + (w.time_s - frame.time_s);   // about the same part of the turn
                 if (!box->present(then_s)) continue;
                 world_m = box->world_from_box.at(then_s) * (inverse(box->world_from_box.at(w.time_s)) * w.point_m);
             }
-            append_point(points, seen_in_turn(sequence, world_m, time_s), frame.scan.intensity[ray]);
+            append_point(points, seen_in_turn(sequence, world_m, turn), frame.scan.intensity[ray]);
         }
     }
     points.rays.rows = 1;

@@ -61,7 +61,7 @@ std::vector<Region> standard_regions(const RangeImage& real, const std::vector<b
 }
 
 std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame, double min_step_m, const Pose& sensor_offset) {
-    const PoseTrack track = moved_track(sequence.world_from_sensor, sensor_offset);
+    const PoseTrack track = moved_track(sequence.world_from_sensor(frame.lidar), sensor_offset);
     std::vector<BoxTrack> labelled = sequence.boxes;
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
     Mask moving(frame.scan.range_m.size());

@@ -61,35 +61,29 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
     RELIDAR_ASSERT_LE(p.n, g.n);
     const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step)));
     const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step)));
-    const auto update = [&](Array<float>& value, const Array<float>& gradient, Array<float>& m, Array<float>& v, double rate, double first_scale, std::uint32_t stride,
-                            std::uint32_t block, std::uint32_t active) {
+    const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
+    for (const ParameterGroup& group : groups_of(p.primitive)) {
+        const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
+        const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;   // of all but the first float of a block
         run(stream, a.kernel, std::size_t(p.n) * (a.per_float ? stride : 1u),
-            {.values = value.address(),
-             .gradients = gradient.address(),
-             .moment1 = m.address(),
-             .moment2 = v.address(),
+            {.values = (p.*group.device).address(),
+             .gradients = (g.*group.device).address(),
+             .moment1 = (a.moment1.*group.device).address(),
+             .moment2 = (a.moment2.*group.device).address(),
              .touched = address_of(touched),
-             .learning_rate = static_cast<float>(rate),
+             .learning_rate = static_cast<float>(rates.*group.rate * rest_factor),
              .beta1 = static_cast<float>(a.options.beta1),
              .beta2 = static_cast<float>(a.options.beta2),
              .epsilon = static_cast<float>(a.options.epsilon),
              .correction1 = correction1,
              .correction2 = correction2,
-             .first_scale = static_cast<float>(first_scale),
+             .first_scale = static_cast<float>(1.0 / std::max(rest_factor, 1e-12)),
              .n_rows = p.n,
              .stride = stride,
              .block = block,
-             .n_active = active,
+             .n_active = group.harmonics ? active_harmonics : block,
              .only_touched = a.options.only_touched ? 1u : 0u});
-    };
-    SurfelArrays &m = a.moment1, &v = a.moment2;
-    const std::uint32_t active = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
-    update(p.mean, g.mean, m.mean, v.mean, rates.mean, 1.0, 3, 3, 3);
-    update(p.rotation, g.rotation, m.rotation, v.rotation, rates.rotation, 1.0, 4, 4, 4);
-    update(p.log_scale, g.log_scale, m.log_scale, v.log_scale, rates.log_scale, 1.0, 2, 2, 2);
-    if (p.primitive == Primitive::gaussian) update(p.log_scale_w, g.log_scale_w, m.log_scale_w, v.log_scale_w, rates.log_scale, 1.0, 1, 1, 1);
-    update(p.opacity_logit, g.opacity_logit, m.opacity_logit, v.opacity_logit, rates.opacity_logit, 1.0, 1, 1, 1);
-    update(p.sh, g.sh, m.sh, v.sh, rates.sh * rates.sh_rest_factor, 1.0 / std::max(rates.sh_rest_factor, 1e-12), kShFloats, kShCoefficients, active);
+    }
 }
 
 }  // namespace relidar

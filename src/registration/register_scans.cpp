@@ -68,7 +68,8 @@ double median_share(const PlaneAdjustment& adjustment, const PlaneMap& map, cons
 }  // namespace
 
 Registration register_scans(const Sequence& sequence, const Split& split, const RegisterOptions& options) {
-    Registration result{sequence.world_from_sensor, {}, {}, 0.0, false};
+    if (sequence.lidars.size() > 1) throw UsageError(fmt::format("registering the scans of {}: found {} LiDARs, expected one; train.pose_register=false keeps the log's own poses", sequence.name, sequence.lidars.size()));
+    Registration result{sequence.world_from_vehicle, {}, {}, 0.0, false};
     if (split.train.size() < 2) return result;
     const auto proceed = [&](const char* what) {
         return [&, what](double done) {
@@ -82,11 +83,11 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     const std::vector<std::vector<ThinPoint>> scans = thin_scans(sequence, split.train, options, kThin_m);
     std::vector<std::vector<ThinPoint>> by_pose(sequence.frames.size());
     for (std::size_t i = 0; i < scans.size(); ++i) by_pose[std::size_t(split.train[i])] = scans[i];
-    const PoseTrack followed = follow_scans(sequence.world_from_sensor, by_pose, {first, kLastFollowed, options.given_motion, proceed("following the scans")});
+    const PoseTrack followed = follow_scans(sequence.world_from_vehicle, by_pose, {first, kLastFollowed, options.given_motion, proceed("following the scans")});
     if (result.stopped) return result;
 
     const std::vector<bool> gauge = options.given_motion ? is_train : marked({split.train[split.train.size() / 2]}, sequence.frames.size());
-    PlaneAdjustment adjustment(sequence.world_from_sensor, followed, joined(scans), gauge);
+    PlaneAdjustment adjustment(sequence.world_from_vehicle, followed, joined(scans), gauge);
     result.rounds = adjustment.run(first, kLast, proceed("registering all scans together"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)
@@ -97,7 +98,7 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     const std::vector<std::size_t> lost = place_held_out(adjustment, split, is_train, thin_scans(sequence, split.test, options, kThin_m), first, options.largest_m);
     result.lost.insert(result.lost.end(), lost.begin(), lost.end());
     std::sort(result.lost.begin(), result.lost.end());
-    result.world_from_sensor = adjustment.track();
+    result.world_from_vehicle = adjustment.track();
     return result;
 }
 

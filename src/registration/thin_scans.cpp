@@ -27,7 +27,7 @@ std::vector<ThinPoint> thin(const Sequence& sequence, int position, const Regist
         const WorldReturn w = world_return(sequence, frame, ray);
         if (is_mover(options, w)) continue;
         taken.insert(cell_key(point, cell_m));
-        const TrackPlace at = sequence.world_from_sensor.place(w.time_s);
+        const TrackPlace at = sequence.world_from_vehicle.place(w.time_s);
         points.push_back({point, static_cast<float>(at.s), static_cast<std::uint32_t>(at.left), static_cast<std::uint32_t>(position)});
     }
     return points;

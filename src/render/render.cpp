@@ -30,11 +30,21 @@ float chosen_range(const Rendering& r, std::size_t i, const std::string& which) 
 
 float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
 
-float measured_range(const Beam& beam, float range_m) { return range_m > 0.0f ? std::max(range_m + static_cast<float>(beam.range_offset_m), 0.0f) : range_m; }
+/// Unit normal in the sensor's frame.
+/// @param blended  world
+glm::vec3 seen_normal(const glm::vec3& blended, float weight, const Pose& world_from_sensor) {
+    if (weight < kMinWeight) return glm::vec3(0.0f);
+    const glm::dvec3 normal = glm::conjugate(world_from_sensor.rotation) * glm::dvec3(blended);
+    const double length = glm::length(normal);
+    return length > 0.0 ? glm::vec3(normal / length) : glm::vec3(0.0f);
+}
 
-/// @param at_range  of the sensor's response
-float measured_intensity(const Beam& beam, double at_range, float intensity) {
-    return std::clamp(static_cast<float>(beam.intensity_gain * at_range * double(intensity) + beam.intensity_offset), 0.0f, 1.0f);
+TraceOptions traced_with(const Config& config) {
+    if (config.render.normals && config.image.primitive == Primitive::gaussian)
+        throw UsageError("setting render.normals: found image.primitive=gaussian, which has no normal, expected surfel, or false");
+    TraceOptions options = trace_options(config);
+    options.geometry = config.render.normals;
+    return options;
 }
 
 /// Whether a sensor sees the ray's surface: the dominant one, and where the range image has it.
@@ -56,7 +66,7 @@ void check_track(const PoseTrack& track, const std::string& thing) {
 
 Sequence without_scans(const Sequence& sequence, const Config& config) {
     Sequence result;
-    result.sensor = sequence.sensor;
+    result.lidars = sequence.lidars;
     result.boxes = sequence.boxes;
     result.world_offset_m = sequence.world_offset_m;
     result.intensity_response = sequence.intensity_response;
@@ -82,16 +92,19 @@ std::vector<float> point_ranges(const RenderedScan& scan, const Config& config) 
 struct ScanRenderer::Impl {
     const Config config;
     Scene layout;         ///< models, instances and sensor drop; no surfels
-    Sequence turn;        ///< sensor and boxes; no scans; where the sensor is in the scan that is taken
-    const PoseTrack log_track;   ///< where it was in the log
+    Sequence turn;        ///< LiDARs and boxes, no scans; where the vehicle is in the scan that is taken
+    const PoseTrack log_world_from_vehicle;   ///< where it was in the log
     Renderer renderer;
     std::vector<bool> shown;   ///< [instances]
+
+    /// The vehicle is where it has to be for the sensor to be here.
+    void drive(PoseTrack world_from_sensor, int lidar) { turn.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(turn.lidars[std::size_t(lidar)].vehicle_from_sensor)); }
 };
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
-    : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_sensor,
+    : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_vehicle,
                      Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image,
-                              {.accel = accel_options(config), .trace = trace_options(config)}),
+                              {.accel = accel_options(config), .trace = traced_with(config)}),
                      std::vector<bool>(scene.instances.size(), true)}) {}
 ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {}
 ScanRenderer::~ScanRenderer() = default;
@@ -105,8 +118,9 @@ const KernelTimes& ScanRenderer::times() const { return impl_->renderer.stream()
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset, std::optional<std::uint64_t> sample) {
     Impl& s = *impl_;
-    s.turn.world_from_sensor = moved_track(s.log_track, sensor_offset);
-    return take(sensor, time_s, place_instances(s.layout, s.turn, time_s), sample);
+    s.turn.world_from_vehicle = s.log_world_from_vehicle;
+    if (sensor_offset.rotation != Pose{}.rotation || sensor_offset.translation != Pose{}.translation) s.drive(moved_track(s.turn.world_from_sensor(sensor.lidar), sensor_offset), sensor.lidar);
+    return take(sensor, time_s, place_instances(s.layout, s.turn, time_s, sensor.lidar), sample);
 }
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample) {
@@ -118,17 +132,18 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
         return track;
     };
     if (!(std::abs(request.time_s) <= kFarthest)) throw DataError(fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s", request.time_s, kFarthest));
-    s.turn.world_from_sensor = in_world(request.dataset_from_sensor, "the sensor");
-    if (!request.dataset_from_actor) return take(sensor, request.time_s, place_instances(s.layout, s.turn, request.time_s), sample);
+    s.drive(in_world(request.dataset_from_sensor, "the sensor"), sensor.lidar);
+    if (!request.dataset_from_actor) return take(sensor, request.time_s, place_instances(s.layout, s.turn, request.time_s, sensor.lidar), sample);
     ActorPoses world_from_actor;
     for (const auto& [name, track] : *request.dataset_from_actor) world_from_actor[name] = in_world(track, "actor " + name);
-    return take(sensor, request.time_s, place_instances(s.layout, s.turn, request.time_s, world_from_actor), sample);
+    return take(sensor, request.time_s, place_instances(s.layout, s.turn, request.time_s, world_from_actor, sensor.lidar), sample);
 }
 
 /// @param placed  instances at their moments; those that are not shown are left out
 RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed, std::optional<std::uint64_t> sample) {
     const Impl& s = *impl_;
-    PoseTrack track = s.turn.world_from_sensor;
+    if (sensor.rays.size() == 0) throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
+    PoseTrack track = s.turn.world_from_sensor(sensor.lidar);
     WorldRays rays;
     for (std::size_t i = 0; i < sensor.rays.size(); ++i) {
         const WorldRay w = world_ray(track, time_s, sensor.rays, i, s.turn.rolling_shutter);
@@ -152,13 +167,15 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     scan.channel = sensor.rays.channel;
     for (std::size_t i = 0; i < r.size(); ++i) {
         const Beam& laser = laser_of(sensor.beams, sensor.rays.channel[i]);
-        const float range_m = measured_range(laser, chosen_range(r, i, s.config.render.range));
-        const float median_m = measured_range(laser, r.median_depth[i]);
+        const double surface_m = chosen_range(r, i, s.config.render.range), median_surface_m = r.median_depth[i];
+        const auto range_m = static_cast<float>(laser.measured_range(surface_m)), median_m = static_cast<float>(laser.measured_range(median_surface_m));
+        const double fall = s.turn.intensity_response.at_range(median_surface_m > 0.0 ? median_surface_m : surface_m);
         scan.image.range_m.push_back(range_m);
         scan.median_range_m.push_back(median_m);
-        scan.image.intensity.push_back(measured_intensity(laser, s.turn.intensity_response.at_range(double(median_m > 0.0f ? median_m : range_m)), r.intensity[i]));
+        scan.image.intensity.push_back(static_cast<float>(laser.measured_intensity(r.intensity[i], fall)));
         scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
-        const float never_seen = sensor.is_own ? s.layout.sensor_drop.at(sensor.rays.channel[i], sensor.rays.direction[i]) : 0.0f;
+        const auto own_laser = sensor.is_own ? s.turn.laser_number(sensor.lidar, sensor.rays.channel[i]) : std::nullopt;
+        const float never_seen = own_laser ? s.layout.sensor_drop.at(*own_laser, sensor.rays.direction[i]) : 0.0f;
         const float returns = is_in_range(sensor.limits, range_m, median_m) ? (1.0f - drop_probability(r, i)) * (1.0f - never_seen) : 0.0f;
         scan.image.drop_prob.push_back(1.0f - returns);
     }
@@ -167,6 +184,7 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     scan.track = std::move(track);
     scan.world_from_sensor = {pose.rotation, pose.translation + s.turn.world_offset_m};
     scan.time_s = time_s;
+    for (std::size_t i = 0; i < r.normal.size(); ++i) scan.normal.push_back(seen_normal(r.normal[i], r.weight[i], scan.world_from_firing(i)));
     if (sample) sample_returns(scan, s.turn.range_noise, *sample);
     return sensor.grid ? project_scan(scan, *sensor.grid) : scan;
 }

@@ -18,19 +18,20 @@ constexpr float kMinWeight = 0.05f;   ///< a simulated ray that met less than th
 
 RangeLimits configured_limits(const Config& config) { return {config.dataset.min_range_m, config.dataset.max_range_m}; }
 
-SensorChoice own_sensor(const Config& config, const Sequence& sequence) {
-    const RangeLimits limits = overlap(sequence.sensor.range_limits(), configured_limits(config));
-    return {make_rays(sequence.sensor), std::nullopt, true, sequence.sensor.beams, limits, sequence.sensor.name};
+SensorChoice own_sensor(const Config& config, const Sequence& sequence, int lidar) {
+    const SpinningSensor& sensor = sequence.lidars[std::size_t(lidar)].sensor;
+    const RangeLimits limits = overlap(sensor.range_limits(), configured_limits(config));
+    return {sensor.beams.empty() ? RayTable{} : make_rays(sensor), std::nullopt, true, sensor.beams, limits, sensor.name, lidar};
 }
 
-SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequence& sequence) {
+SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequence& sequence, int lidar) {
     const std::string& method = config.sensor.grid_method;
     const RangeLimits limits = overlap({0.0, grid.max_range_m}, configured_limits(config));
-    if (method == "cast") return {make_rays(grid), std::nullopt, false, {}, limits, grid.name};
+    if (method == "cast") return {make_rays(grid), std::nullopt, false, {}, limits, grid.name, lidar};
     if (method != "project") {
         throw UsageError(fmt::format("choosing the sensor: found sensor.grid_method = \"{}\", expected project or cast", method));
     }
-    SensorChoice choice = own_sensor(config, sequence);
+    SensorChoice choice = own_sensor(config, sequence, lidar);
     choice.grid = grid;
     choice.limits = overlap(choice.limits, limits);
     choice.name = grid.name;
@@ -44,21 +45,22 @@ void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, 
     to.median_range_m[cell] = from.median_range_m[source] > 0.0f ? glm::length(from.image.origin[source] + from.median_range_m[source] * from.image.direction[source]) : 0.0f;
     to.weight[cell] = from.weight[source];
     to.instance[cell] = from.instance[source];
+    if (!from.normal.empty()) to.normal[cell] = from.normal[source];
     to.time_offset_s[cell] = from.time_offset_s[source];
 }
 
 }  // namespace
 
-SensorChoice configured_sensor(const Config& config, const Sequence& sequence) {
-    if (config.sensor.grid == "native") return own_sensor(config, sequence);
-    return grid_choice(find_grid(config.sensor.grid), config, sequence);
+SensorChoice configured_sensor(const Config& config, const Sequence& sequence, int lidar) {
+    if (config.sensor.grid == "native") return own_sensor(config, sequence, lidar);
+    return grid_choice(find_grid(config.sensor.grid), config, sequence, lidar);
 }
 
-SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence) {
-    if (known_name(name_or_file, {"native"})) return own_sensor(config, sequence);
-    if (known_name(name_or_file, {kitti360_grid().name})) return grid_choice(kitti360_grid(), config, sequence);
+SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence, int lidar) {
+    if (known_name(name_or_file, {"native"})) return own_sensor(config, sequence, lidar);
+    if (known_name(name_or_file, {kitti360_grid().name})) return grid_choice(kitti360_grid(), config, sequence, lidar);
     const SpinningSensor sensor = find_sensor(name_or_file, {"native"});
-    return {make_rays(sensor), std::nullopt, false, sensor.beams, sensor.range_limits(), sensor.name};
+    return {make_rays(sensor), std::nullopt, false, sensor.beams, sensor.range_limits(), sensor.name, lidar};
 }
 
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
@@ -75,6 +77,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     result.median_range_m.assign(n, 0.0f);
     result.weight.assign(n, 0.0f);
     result.instance.assign(n, -1);
+    if (!scan.normal.empty()) result.normal.assign(n, glm::vec3(0.0f));
     result.time_offset_s.assign(n, 0.0f);
     result.channel = cells.channel;
     result.world_from_sensor = scan.world_from_sensor;

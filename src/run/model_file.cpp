@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// model.safetensors: the parameters of all surfels as five arrays of the whole scene (and a sixth, log_scale_w, of 3D Gaussians), and which range of them is which model
-// placed by which instance, as JSON in the metadata. Everything is checked on the way in: a run may have been edited.
+// model.safetensors: the parameters of all surfels, an array a group for the whole scene, and which range of them is which model placed by
+// which instance, as JSON in the metadata. Everything is checked on the way in: a run may have been edited.
 #include <relidar/run.hpp>
 
 #include <algorithm>
@@ -16,6 +16,7 @@
 #include "run/json_field.hpp"
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
+#include <relidar/stages/scene.hpp>
 
 namespace relidar {
 namespace {
@@ -26,37 +27,11 @@ constexpr const char* kFormat = "relidar model";
 constexpr const char* kVersion = "1";
 constexpr std::int64_t kMaxSurfels = 4294967295;
 
-/// One array: where its values live in Surfels, and its shape after the first dimension.
-struct Group {
-    const char* name;
-    std::vector<std::size_t> row_shape;
-    std::span<float> values;
-
-    std::size_t row_size() const {
-        std::size_t size = 1;
-        for (const std::size_t n : row_shape) size *= n;
-        return size;
-    }
-};
-
-template <class V>
-std::span<float> floats(std::vector<V>& values) {
-    return {reinterpret_cast<float*>(values.data()), values.size() * sizeof(V) / sizeof(float)};
-}
-
-constexpr const char* kThird = "log_scale_w";
-
-std::vector<Group> groups(Surfels& s, Primitive primitive) {
-    std::vector<Group> all{Group{"mean", {3}, floats(s.mean)}, Group{"rotation", {4}, floats(s.rotation)}, Group{"log_scale", {2}, floats(s.log_scale)},
-            Group{"opacity_logit", {}, floats(s.opacity_logit)}, Group{"sh", {kShChannels, kShCoefficients}, floats(s.sh)}};
-    if (primitive == Primitive::gaussian) all.push_back({kThird, {}, floats(s.log_scale_w)});
-    return all;
-}
-
-void check_finite(const Group& group, const std::string& file) {
-    const auto bad = std::find_if(group.values.begin(), group.values.end(), [](float v) { return !std::isfinite(v); });
-    if (bad == group.values.end()) return;
-    const auto row = static_cast<std::size_t>(bad - group.values.begin()) / group.row_size();
+void check_finite(const ParameterGroup& group, const Surfels& surfels, const std::string& file) {
+    const std::span<const float> values = group.values(surfels);
+    const auto bad = std::ranges::find_if(values, [](float v) { return !std::isfinite(v); });
+    if (bad == values.end()) return;
+    const auto row = static_cast<std::size_t>(bad - values.begin()) / group.floats();
     throw DataError(fmt::format("{}: array {}: row {} holds {}, expected finite numbers", file, group.name, row, *bad));
 }
 
@@ -66,15 +41,14 @@ const NamedArray& find_array(const std::vector<NamedArray>& arrays, std::string_
     return *it;
 }
 
-void read_group(const Group& group, const NamedArray& array, std::size_t n, const std::string& file) {
-    std::vector<std::size_t> expected{n};
-    expected.insert(expected.end(), group.row_shape.begin(), group.row_shape.end());
+void read_group(const ParameterGroup& group, const NamedArray& array, Surfels& surfels, const std::string& file) {
+    const std::vector<std::size_t> expected = group.shape(surfels.size());
     if (array.shape != expected || array.dtype != "f4") {
         throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [{}]", file, group.name, array.dtype, fmt::join(array.shape, ", "), fmt::join(expected, ", ")));
     }
     const std::vector<float> values = array.as_float();
-    std::copy(values.begin(), values.end(), group.values.begin());
-    check_finite(group, file);
+    std::ranges::copy(values, group.mutable_values(surfels).begin());
+    check_finite(group, surfels, file);
 }
 
 /// Of a model's box; absent in the files of earlier versions: unbounded.
@@ -144,14 +118,11 @@ void read_layout_json(const std::string& text, const std::string& where, Scene& 
 
 void save_model(const std::filesystem::path& path, const Scene& scene) {
     scene.surfels.check_shapes();
-    Surfels surfels = scene.surfels;
-    const std::size_t n = surfels.size();
     std::vector<NamedArray> arrays;
-    for (const Group& group : groups(surfels, surfels.primitive())) {
-        check_finite(group, path.string());
-        std::vector<std::size_t> shape{n};
-        shape.insert(shape.end(), group.row_shape.begin(), group.row_shape.end());
-        arrays.push_back(make_array(group.name, shape, static_cast<const float*>(group.values.data()), group.values.size()));
+    for (const ParameterGroup& group : groups_of(scene.surfels.primitive())) {
+        check_finite(group, scene.surfels, path.string());
+        const std::span<const float> values = group.values(scene.surfels);
+        arrays.push_back(make_array(group.name, group.shape(scene.surfels.size()), values.data(), values.size()));
     }
     const DropTable& drop = scene.sensor_drop;
     if (!drop.empty()) arrays.push_back(make_array(kSensorDrop, {std::size_t(drop.channels), std::size_t(drop.bins)}, drop.probability.data(), drop.probability.size()));
@@ -167,17 +138,16 @@ Scene load_model(const std::filesystem::path& path) {
     const NamedArray& mean = find_array(arrays, "mean", file);
     if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
         throw DataError(fmt::format("{}: array mean: found shape [{}], expected [n, 3]", file, fmt::join(mean.shape, ", ")));
-    Surfels none;
-    const bool has_third = std::ranges::any_of(arrays, [](const NamedArray& a) { return a.name == kThird; });
-    const Primitive primitive = has_third ? Primitive::gaussian : Primitive::surfel;
-    for (const Group& group : groups(none, primitive)) {   // row counts first: nothing is allocated for a file that lies
+    const auto has_array = [&](const char* name) { return std::ranges::any_of(arrays, [&](const NamedArray& a) { return a.name == name; }); };
+    const Primitive primitive = primitive_of(has_array);
+    for (const ParameterGroup& group : groups_of(primitive)) {   // row counts first: nothing is allocated for a file that lies
         const NamedArray& array = find_array(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])
             throw DataError(fmt::format("{}: array {}: found shape [{}], expected {} rows as in mean", file, group.name, fmt::join(array.shape, ", "), mean.shape[0]));
     }
     Scene scene;
     scene.surfels.resize(mean.shape[0], primitive);
-    for (const Group& group : groups(scene.surfels, primitive)) read_group(group, find_array(arrays, group.name, file), mean.shape[0], file);
+    for (const ParameterGroup& group : groups_of(primitive)) read_group(group, find_array(arrays, group.name, file), scene.surfels, file);
     read_layout_json(metadata.at("layout"), file + ": metadata layout", scene);
     read_sensor_drop(arrays, scene, file);
     return scene;

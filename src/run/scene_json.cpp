@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// scene.json, format version 1. Numbers are written in the shortest form that reads back to the same double. A pose is seven
+// scene.json, format version 2 (version 1 had one LiDAR, in whose frame the poses were, and is read as well). Numbers are written in the shortest form that reads back to the same double. A pose is seven
 // numbers, translation x y z then unit quaternion w x y z: p_world = R(q) p + t, in the recentred world.
 #include "run/scene_json.hpp"
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
@@ -18,7 +19,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr const char* kFormat = "relidar scene";
-constexpr int kVersion = 1;
+constexpr int kVersion = 2, kOldest = 1;
 constexpr double kHuge = 1e12;   // of any length or time in a log: beyond it a value is damage
 constexpr double kFarthest_m = 1e6;      // of any place from the world's origin, the sensor in the middle frame
 constexpr double kFarthestWorld_m = 1e9; // of that origin in the dataset's world
@@ -28,7 +29,7 @@ constexpr std::size_t kMostRays = 100'000'000;
 constexpr std::int64_t kMaxInt = 2147483647, kMaxFrame = 99999999;
 constexpr const char* kUnits = "metres, seconds, radians";
 constexpr const char* kConventions =
-    "Sensor frame: x forward, y left, z up. World: the dataset's world minus world_offset_m. A pose a_from_b is translation x y z and unit "
+    "Sensor and vehicle frames: x forward, y left, z up. World: the dataset's world minus world_offset_m. A pose a_from_b is translation x y z and unit "
     "quaternion w x y z: p_a = R(q) p_b + t. Box frame: x along the length, y along the width, z up, origin at the centre. Image row 0 is the "
     "highest beam, column 0 azimuth +180 degrees, falling. frames[].time_s: the head faces forward. beams: one row a beam, highest first.";
 
@@ -59,13 +60,29 @@ Json to_json(const BoxTrack& box) {
     return json;
 }
 
+Json lidars_json(const Sequence& sequence) {
+    Json json = Json::array();
+    for (const Lidar& lidar : sequence.lidars) json.push_back({{"name", lidar.name}, {"vehicle_from_sensor", to_json(lidar.vehicle_from_sensor)}, {"sensor", to_json(lidar.sensor)}});
+    return json;
+}
+
+/// Entry of the vehicle's poses at the time of a frame.
+std::size_t pose_of(const Sequence& sequence, const Frame& frame) {
+    const std::vector<double>& times = sequence.world_from_vehicle.time_s;
+    const auto at = std::find(times.begin(), times.end(), frame.time_s);
+    if (at == times.end() || times.size() != sequence.world_from_vehicle.pose.size())
+        throw DataError(fmt::format("writing scene.json: {} vehicle poses at {} times, none of frame {} at {} s, expected one", sequence.world_from_vehicle.pose.size(), times.size(), frame.index, frame.time_s));
+    return std::size_t(at - times.begin());
+}
+
 Json frames_json(const Sequence& sequence, const Split& split) {
     Json frames = Json::array();
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         const auto in = [&](const std::vector<int>& positions) { return std::find(positions.begin(), positions.end(), static_cast<int>(i)) != positions.end(); };
         const char* part = in(split.train) ? "train" : in(split.test) ? "test" : "unused";
         const Frame& frame = sequence.frames[i];
-        frames.push_back({{"index", frame.index}, {"time_s", frame.time_s}, {"split", part}, {"world_from_sensor", to_json(sequence.world_from_sensor.pose[i])}});
+        const Pose& pose = sequence.world_from_vehicle.pose[pose_of(sequence, frame)];
+        frames.push_back({{"index", frame.index}, {"time_s", frame.time_s}, {"lidar", frame.lidar}, {"split", part}, {"world_from_vehicle", to_json(pose)}});
     }
     return frames;
 }
@@ -94,7 +111,7 @@ glm::dvec3 read_vector(const JsonField& field, double limit) {
 SpinningSensor read_sensor(const JsonField& field) {
     SpinningSensor sensor;
     sensor.name = field.at("name").text();
-    sensor.columns = static_cast<int>(field.at("columns").integer(1, 1000000));
+    sensor.columns = static_cast<int>(field.at("columns").integer(0, 1000000));
     sensor.period_s = field.at("period_s").number(0.0, 3600.0);
     sensor.clockwise = field.at("clockwise").boolean();
     sensor.first_azimuth_rad = field.at("first_azimuth_rad").number(-10.0, 10.0);
@@ -114,9 +131,18 @@ SpinningSensor read_sensor(const JsonField& field) {
         check_within(beam, {v[5], v[6], v[7]}, kLargestResponse);
         sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]});
     }
-    if (sensor.beams.empty()) beams.fail("found no beam", "expected at least one");
+    if (sensor.beams.empty() != (sensor.columns == 0)) beams.fail(fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns), "expected some of both, or none where the LiDAR does not spin");
     if (sensor.beams.size() * std::size_t(sensor.columns) > kMostRays) beams.fail(fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns), fmt::format("expected at most {} rays", kMostRays));
     return sensor;
+}
+
+std::vector<Lidar> read_lidars(const JsonField& root) {
+    if (root.has("sensor")) return {{"", read_sensor(root.at("sensor")), {}}};   // version 1
+    const JsonField field = root.at("lidars");
+    std::vector<Lidar> lidars;
+    for (std::size_t i = 0; i < field.size(); ++i) lidars.push_back({field.at(i).at("name").text(), read_sensor(field.at(i).at("sensor")), read_pose(field.at(i).at("vehicle_from_sensor"))});
+    if (lidars.empty()) field.fail("found no LiDAR", "expected at least one");
+    return lidars;
 }
 
 /// Runs whose intensities do not fall with range have none.
@@ -136,19 +162,29 @@ RangeNoise read_range_noise(const JsonField& field) {
     return n;
 }
 
+/// Frames at one time share its pose.
+void read_pose_of(const JsonField& entry, double time_s, PoseTrack& track) {
+    const Pose pose = read_pose(entry.at(entry.has("world_from_sensor") ? "world_from_sensor" : "world_from_vehicle"));   // version 1, version 2
+    if (!track.time_s.empty() && track.time_s.back() == time_s) return;
+    track.time_s.push_back(time_s);
+    track.pose.push_back(pose);
+}
+
 void read_frames(const JsonField& field, SceneFile& scene) {
+    const auto last_lidar = static_cast<std::int64_t>(scene.sequence.lidars.size()) - 1;
     for (std::size_t i = 0; i < field.size(); ++i) {
         const JsonField entry = field.at(i);
         Frame frame;
         frame.index = static_cast<int>(entry.at("index").integer(0, kMaxFrame));
         frame.time_s = entry.at("time_s").number(-kHuge, kHuge);
-        if (i > 0 && frame.time_s <= scene.sequence.frames.back().time_s) entry.at("time_s").fail(fmt::format("found {}", frame.time_s), "expected times that rise");
+        if (!entry.has("world_from_sensor")) frame.lidar = static_cast<int>(entry.at("lidar").integer(0, last_lidar));
+        if (i > 0 && std::pair(frame.time_s, frame.lidar) <= std::pair(scene.sequence.frames.back().time_s, scene.sequence.frames.back().lidar))
+            entry.at("time_s").fail(fmt::format("found {}", frame.time_s), "expected times that rise, or the next LiDAR at the same time");
         const std::string part = entry.at("split").text();
         if (part == "train") scene.split.train.push_back(static_cast<int>(i));
         else if (part == "test") scene.split.test.push_back(static_cast<int>(i));
         else if (part != "unused") entry.at("split").fail("found \"" + part + "\"", "expected train, test or unused");
-        scene.sequence.world_from_sensor.time_s.push_back(frame.time_s);
-        scene.sequence.world_from_sensor.pose.push_back(read_pose(entry.at("world_from_sensor")));
+        read_pose_of(entry, frame.time_s, scene.sequence.world_from_vehicle);
         scene.sequence.frames.push_back(std::move(frame));
     }
     if (scene.sequence.frames.empty()) field.fail("found no frame", "expected at least one");
@@ -189,8 +225,6 @@ void check_counts(const JsonField& root, const SceneFile& scene) {
 
 std::string to_scene_json(const Run& run) {
     const Sequence& s = run.sequence;
-    if (s.world_from_sensor.pose.size() != s.frames.size())
-        throw DataError(fmt::format("writing scene.json: {} sensor poses for {} frames, expected one a frame", s.world_from_sensor.pose.size(), s.frames.size()));
     Json boxes = Json::array();
     for (const BoxTrack& box : s.boxes) boxes.push_back(to_json(box));
     Json json = {{"format", kFormat},
@@ -204,7 +238,7 @@ std::string to_scene_json(const Run& run) {
                  {"counts", {{"frames", s.frames.size()}, {"boxes", s.boxes.size()}, {"surfels", run.scene.surfels.size()}}},
                  {"world_offset_m", to_json(s.world_offset_m)},
                  {"rolling_shutter", s.rolling_shutter},
-                 {"sensor", to_json(s.sensor)},
+                 {"lidars", lidars_json(s)},
                  {"frames", frames_json(s, run.split)},
                  {"boxes", boxes}};
     if (const IntensityResponse& r = s.intensity_response; !r.factor.empty())
@@ -221,8 +255,8 @@ SceneFile parse_scene_json(const std::string& text, const std::string& file) {
     const nlohmann::json json = parse_json(text, file);
     const JsonField root(json, file, "");
     if (const std::string format = root.at("format").text(); format != kFormat) root.at("format").fail("found \"" + format + "\"", fmt::format("expected \"{}\"", kFormat));
-    if (const std::int64_t version = root.at("version").integer(0, kMaxInt); version != kVersion)
-        root.at("version").fail(fmt::format("found {}", version), fmt::format("this relidar ({}) reads version {}", RELIDAR_VERSION, kVersion));
+    if (const std::int64_t version = root.at("version").integer(0, kMaxInt); version < kOldest || version > kVersion)
+        root.at("version").fail(fmt::format("found {}", version), fmt::format("this relidar ({}) reads versions {} to {}", RELIDAR_VERSION, kOldest, kVersion));
     SceneFile scene;
     Sequence& s = scene.sequence;
     s.name = root.at("name").text();
@@ -230,7 +264,7 @@ SceneFile parse_scene_json(const std::string& text, const std::string& file) {
     s.conventions = root.at("source_conventions").text();
     s.world_offset_m = read_vector(root.at("world_offset_m"), kFarthestWorld_m);
     s.rolling_shutter = root.at("rolling_shutter").boolean();
-    s.sensor = read_sensor(root.at("sensor"));
+    s.lidars = read_lidars(root);
     read_frames(root.at("frames"), scene);
     const JsonField boxes = root.at("boxes");
     for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box(boxes.at(i)));

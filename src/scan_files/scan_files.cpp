@@ -23,7 +23,7 @@ struct PlacedScan {
     const RenderedScan& scan;
     const ScanFormat& format;
     int frame;                                  ///< the dataset's number
-    std::vector<glm::vec3> origin, direction;   ///< [n]
+    std::vector<glm::vec3> origin, direction, normal;   ///< [n], normals where they were rendered
     FileNotes notes;
 
     const RangeImage& image() const { return scan.image; }
@@ -32,6 +32,7 @@ struct PlacedScan {
 void place_rays(PlacedScan& placed) {
     placed.origin = placed.image().origin;
     placed.direction = placed.image().direction;
+    placed.normal = placed.scan.normal;
     const bool world = placed.format.frame == PointFrame::world;
     if (!world && !placed.format.deskew) return;
     const Pose target_from_world = world ? Pose{} : inverse(placed.scan.world_from_sensor);
@@ -39,6 +40,7 @@ void place_rays(PlacedScan& placed) {
         const Pose target_from_firing = target_from_world * placed.scan.world_from_firing(i);
         placed.origin[i] = glm::vec3(target_from_firing * glm::dvec3(placed.origin[i]));
         placed.direction[i] = glm::vec3(glm::normalize(target_from_firing.rotation * glm::dvec3(placed.direction[i])));
+        if (!placed.normal.empty()) placed.normal[i] = glm::vec3(target_from_firing.rotation * glm::dvec3(placed.normal[i]));
     }
 }
 
@@ -84,25 +86,27 @@ std::vector<NamedArray> arrays_of(const PlacedScan& placed) {
     const std::vector<double> pose = matrix_of(scan.world_from_sensor);
     const bool world = placed.format.frame == PointFrame::world;
     const std::int32_t number = placed.frame, deskewed = world || placed.format.deskew ? 1 : 0;
-    return {image_array("range", image, image.range_m),
-            image_array("median_range", image, scan.median_range_m),
-            image_array("intensity", image, image.intensity),
-            image_array("drop_prob", image, image.drop_prob),
-            image_array("weight", image, scan.weight),
-            image_array("time", image, scan.time_offset_s),
-            image_array("ring", image, scan.channel),
-            image_array("instance", image, scan.instance),
-            make_text_array("instance_names", placed.format.instance_names),
-            vector_array("directions", image, placed.direction),
-            vector_array("origin", image, placed.origin),
-            make_array("pose", {4, 4}, pose.data(), pose.size()),
-            make_array("time_s", {}, &scan.time_s, 1),
-            make_array("frame_number", {}, &number, 1),
-            make_text("frame", world ? "world" : "sensor"),
-            make_array("deskewed", {}, &deskewed, 1),
-            make_text("sensor", placed.format.sensor),
-            make_text("run", placed.format.run),
-            make_text("units", kUnits)};
+    std::vector<NamedArray> arrays{image_array("range", image, image.range_m),
+                                   image_array("median_range", image, scan.median_range_m),
+                                   image_array("intensity", image, image.intensity),
+                                   image_array("drop_prob", image, image.drop_prob),
+                                   image_array("weight", image, scan.weight),
+                                   image_array("time", image, scan.time_offset_s),
+                                   image_array("ring", image, scan.channel),
+                                   image_array("instance", image, scan.instance),
+                                   make_text_array("instance_names", placed.format.instance_names),
+                                   vector_array("directions", image, placed.direction),
+                                   vector_array("origin", image, placed.origin),
+                                   make_array("pose", {4, 4}, pose.data(), pose.size()),
+                                   make_array("time_s", {}, &scan.time_s, 1),
+                                   make_array("frame_number", {}, &number, 1),
+                                   make_text("frame", world ? "world" : "sensor"),
+                                   make_array("deskewed", {}, &deskewed, 1),
+                                   make_text("sensor", placed.format.sensor),
+                                   make_text("run", placed.format.run),
+                                   make_text("units", kUnits)};
+    if (!placed.normal.empty()) arrays.push_back(vector_array("normals", image, placed.normal));
+    return arrays;
 }
 
 void exr(const fs::path& path, const PlacedScan& placed) {
@@ -114,9 +118,10 @@ void exr(const fs::path& path, const PlacedScan& placed) {
                                                        {"instance", {scan.instance.begin(), scan.instance.end()}}};
     constexpr const char* kAxes = "xyz";
     for (int axis = 0; axis < 3; ++axis) {
-        auto &origin = channels[fmt::format("origin.{}", kAxes[axis])], &direction = channels[fmt::format("direction.{}", kAxes[axis])];
-        for (const glm::vec3& v : placed.origin) origin.push_back(v[axis]);
-        for (const glm::vec3& v : placed.direction) direction.push_back(v[axis]);
+        const auto add = [&](const char* name, const std::vector<glm::vec3>& vectors) {
+            for (const glm::vec3& v : vectors) channels[fmt::format("{}.{}", name, kAxes[axis])].push_back(v[axis]);
+        };
+        add("origin", placed.origin), add("direction", placed.direction), add("normal", placed.normal);
     }
     write_exr(path, image.rows, image.columns, channels, placed.notes);
 }
@@ -131,6 +136,7 @@ PointCloud cloud_of(const PlacedScan& placed) {
     const std::vector<float> range_m = point_ranges(scan, placed.format.config);
     PointCloud cloud;
     cloud.ring.emplace(), cloud.time.emplace(), cloud.instance.emplace();
+    if (!placed.normal.empty()) cloud.normal.emplace();
     cloud.notes = placed.notes;
     if (placed.format.frame == PointFrame::sensor) cloud.world_from_points = scan.world_from_sensor;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
@@ -140,6 +146,7 @@ PointCloud cloud_of(const PlacedScan& placed) {
         cloud.ring->push_back(scan.channel[i]);
         cloud.time->push_back(scan.time_offset_s[i]);
         cloud.instance->push_back(scan.instance[i]);
+        if (cloud.normal) cloud.normal->push_back(placed.normal[i]);
     }
     return cloud;
 }
@@ -184,13 +191,13 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
 }
 
 std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format) {
-    PlacedScan placed{scan, format, frame, {}, {}, {}};
+    PlacedScan placed{scan, format, frame, {}, {}, {}, {}};
     place_rays(placed);
     return arrays_of(placed);
 }
 
 void ScanFolder::write(int frame, const RenderedScan& scan) {
-    PlacedScan placed{scan, format_, frame, {}, {}, notes_of(format_, frame, scan)};
+    PlacedScan placed{scan, format_, frame, {}, {}, {}, notes_of(format_, frame, scan)};
     place_rays(placed);
     Entry entry{frame, scan.time_s, scan.world_from_sensor, scan.image.range_m.size(), count_points(scan, format_.config), {}};
     for (const Format& format : kFormats) {

@@ -143,9 +143,10 @@ std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& b
     return samples;
 }
 
-/// An actor at the moment the head faces it, the one at which its only transform of the turn is taken.
-InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_box, double time_s) {
-    const double facing_s = facing_time(sequence, inverse(sequence.world_from_sensor.at(time_s)) * world_from_box.at(time_s).translation, time_s);
+/// An actor at the moment the head of a LiDAR faces it, the one at which its only transform of the turn is taken.
+InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_box, double time_s, int lidar) {
+    const Pose world_from_sensor = sequence.world_from_vehicle.at(time_s, sequence.lidars[std::size_t(lidar)].vehicle_from_sensor);
+    const double facing_s = facing_time(sequence, inverse(world_from_sensor) * world_from_box.at(time_s).translation, time_s, lidar);
     return {world_from_box.at(facing_s), true, facing_s};
 }
 
@@ -198,24 +199,26 @@ std::string names_of(const std::vector<BoxTrack>& boxes) {
     return fmt::format("{}{}", fmt::join(names, ", "), boxes.size() > kMost ? fmt::format(" and {} more", boxes.size() - kMost) : "");
 }
 
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s) {
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, int lidar) {
+    std::unordered_map<std::string_view, const BoxTrack*> boxes;   // there may be a thousand
+    for (const BoxTrack& box : sequence.boxes) boxes.emplace(box.id, &box);
     std::vector<InstancePose> placed;
     for (const Instance& instance : scene.instances) {
-        const auto box = std::find_if(sequence.boxes.begin(), sequence.boxes.end(), [&](const BoxTrack& b) { return b.id == instance.track; });
+        const auto box = boxes.find(instance.track);
         if (instance.track.empty()) placed.push_back({});
-        else if (box != sequence.boxes.end() && box->present(time_s)) placed.push_back(facing_pose(sequence, box->world_from_box, time_s));
+        else if (box != boxes.end() && box->second->present(time_s)) placed.push_back(facing_pose(sequence, box->second->world_from_box, time_s, lidar));
         else placed.push_back({{}, false});
     }
     return placed;
 }
 
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, const ActorPoses& world_from_actor) {
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, const ActorPoses& world_from_actor, int lidar) {
     std::vector<std::string> tracks;
     std::vector<InstancePose> placed;
     for (const Instance& instance : scene.instances) {
         const auto actor = world_from_actor.find(instance.track);
         if (instance.track.empty()) placed.push_back({});
-        else if (actor != world_from_actor.end()) placed.push_back(facing_pose(sequence, actor->second, time_s));
+        else if (actor != world_from_actor.end()) placed.push_back(facing_pose(sequence, actor->second, time_s, lidar));
         else placed.push_back({{}, false});
         if (!instance.track.empty()) tracks.push_back(instance.track);
     }

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// The scene on the device: parameter arrays, records, the instance table, and the activation kernels between them.
+// The scene on the device: parameter arrays, records, the tables of models and instances, and the activation kernels between them.
 #include <relidar/stages/scene.hpp>
 
 #include <algorithm>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -14,68 +15,9 @@
 
 namespace relidar {
 
-static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry) == 64);
-static_assert(RELIDAR_SH_COEFFICIENTS == kShCoefficients && RELIDAR_SH_FLOATS == kShFloats);
-
-SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& what, Primitive kind)
-    : mean(device, 3 * std::size_t(count), what + " mean"),
-      rotation(device, 4 * std::size_t(count), what + " rotation"),
-      log_scale(device, 2 * std::size_t(count), what + " log_scale"),
-      opacity_logit(device, count, what + " opacity"),
-      sh(device, kShFloats * std::size_t(count), what + " sh"),
-      n(count),
-      primitive(kind) {
-    if (kind == Primitive::gaussian) log_scale_w = Array<float>(device, count, what + " log_scale_w");
-}
-
-void SurfelArrays::upload(const Surfels& s) {
-    s.check_shapes();
-    if (s.size() > 0 && s.primitive() != primitive) throw DataError("uploading surfels: found another primitive than the arrays are for, expected the same");
-    mean.upload({&s.mean.data()->x, 3 * s.size()});
-    rotation.upload({&s.rotation.data()->x, 4 * s.size()});
-    log_scale.upload({&s.log_scale.data()->x, 2 * s.size()});
-    opacity_logit.upload(s.opacity_logit);
-    sh.upload(s.sh);
-    if (primitive == Primitive::gaussian) log_scale_w.upload(s.log_scale_w);
-}
-
-std::uint32_t SurfelArrays::capacity() const {
-    const std::size_t of_all = std::min({mean.size() / 3, rotation.size() / 4, log_scale.size() / 2, opacity_logit.size(), sh.size() / kShFloats});
-    return static_cast<std::uint32_t>(primitive == Primitive::gaussian ? std::min(of_all, log_scale_w.size()) : of_all);
-}
-
-void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::string& what) {
-    mean.reserve(device, 3 * std::size_t(count), what + " mean");
-    rotation.reserve(device, 4 * std::size_t(count), what + " rotation");
-    log_scale.reserve(device, 2 * std::size_t(count), what + " log_scale");
-    opacity_logit.reserve(device, count, what + " opacity");
-    sh.reserve(device, kShFloats * std::size_t(count), what + " sh");
-    if (primitive == Primitive::gaussian) log_scale_w.reserve(device, count, what + " log_scale_w");
-}
-
-Surfels SurfelArrays::download() const {
-    Surfels s;
-    s.resize(n, primitive);
-    if (n == 0) return s;
-    mean.buffer().download(s.mean.data(), s.mean.size() * sizeof(glm::vec3));
-    rotation.buffer().download(s.rotation.data(), s.rotation.size() * sizeof(glm::vec4));
-    log_scale.buffer().download(s.log_scale.data(), s.log_scale.size() * sizeof(glm::vec2));
-    s.opacity_logit = opacity_logit.download(n);
-    s.sh = sh.download(kShFloats * std::size_t(n));
-    if (primitive == Primitive::gaussian) s.log_scale_w = log_scale_w.download(n);
-    return s;
-}
-
-void SurfelArrays::fill_zero(Stream& stream) {
-    for (Array<float>* array : {&mean, &rotation, &log_scale, &opacity_logit, &sh}) stream.fill(*array);
-    if (primitive == Primitive::gaussian) stream.fill(log_scale_w);
-}
+static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry) == 64 && sizeof(shared::ModelEntry) == 32);
 
 namespace {
-
-shared::SurfelPointers pointers(const SurfelArrays& arrays) {
-    return {arrays.mean.address(), arrays.rotation.address(), arrays.log_scale.address(), arrays.opacity_logit.address(), arrays.sh.address(), arrays.log_scale_w.address()};
-}
 
 void check_primitive(Primitive found, const ImageModel& model) {
     if (found == model.primitive) return;
@@ -85,9 +27,14 @@ void check_primitive(Primitive found, const ImageModel& model) {
 }
 
 void check_layout(const Scene& scene) {
-    for (const Model& model : scene.models)
-        if (std::size_t(model.first) + model.count > scene.surfels.size())
-            throw DataError(fmt::format("loading scene: model {} ends at surfel {}, expected at most {}", model.name, model.first + model.count, scene.surfels.size()));
+    std::size_t next = 0;   // kernels find the model of a surfel among ranges in order
+    for (const Model& model : scene.models) {
+        if (model.first != next)
+            throw DataError(fmt::format("loading scene: model {} starts at surfel {}, expected {}, where the model before ends", model.name, model.first, next));
+        next += model.count;
+    }
+    if (next != scene.surfels.size())
+        throw DataError(fmt::format("loading scene: the models end at surfel {}, expected {}", next, scene.surfels.size()));
     for (const Instance& instance : scene.instances)
         if (instance.model >= scene.models.size())
             throw DataError(fmt::format("loading scene: an instance places model {}, expected one of {}", instance.model, scene.models.size()));
@@ -99,34 +46,59 @@ std::vector<Constant> activation_constants(bool stage_harmonics) {
     return all;
 }
 
-/// Where the record gradients of each placement lie: those of a model's first placement are its surfels' own rows, further ones follow
-/// after all surfels.
-struct GradientRows {
-    std::vector<std::uint32_t> first;           ///< [instances]
-    std::vector<std::uint32_t> more;            ///< further placements, by model
-    std::vector<std::uint32_t> first_of_model;  ///< [models + 1] into `more`
-    std::uint32_t n = 0;
+/// Where the placements of each model are, and their record gradients: those of a model's first placement are its surfels' own rows,
+/// further ones follow after all surfels, model by model.
+struct Placements {
+    std::vector<std::uint32_t> first_row;        ///< [instances]
+    std::vector<std::int64_t> first_instance;    ///< [models] -1: never placed
+    std::vector<std::uint32_t> more;             ///< first rows of further placements, by model
+    std::vector<std::uint32_t> first_more;       ///< [models + 1] into `more`
+    std::uint32_t n_rows;
 
-    GradientRows(const Scene& scene, std::uint32_t n_surfels) : first(scene.instances.size()), n(n_surfels) {
-        for (std::uint32_t model = 0; model < scene.models.size(); ++model) {
-            first_of_model.push_back(static_cast<std::uint32_t>(more.size()));
-            bool placed = false;
-            for (std::size_t i = 0; i < scene.instances.size(); ++i) {
-                if (scene.instances[i].model != model) continue;
-                first[i] = placed ? n : scene.models[model].first;
-                if (placed) more.push_back(n), n += scene.models[model].count;
-                placed = true;
-            }
+    Placements(const Scene& scene, std::uint32_t n_surfels)
+        : first_row(scene.instances.size()),
+          first_instance(scene.models.size(), -1),
+          first_more(scene.models.size() + 1, 0),
+          n_rows(n_surfels) {
+        std::vector<std::uint32_t> placed(scene.models.size(), 0);
+        for (const Instance& instance : scene.instances) ++placed[instance.model];
+        std::vector<std::uint32_t> next_row(scene.models.size());
+        for (std::size_t model = 0; model < scene.models.size(); ++model) {
+            const std::uint32_t n_more = std::max(placed[model], 1u) - 1;
+            first_more[model + 1] = first_more[model] + n_more;
+            next_row[model] = n_rows;
+            n_rows += n_more * scene.models[model].count;
+            for (std::uint32_t k = 0; k < n_more; ++k) more.push_back(next_row[model] + k * scene.models[model].count);
         }
-        first_of_model.push_back(static_cast<std::uint32_t>(more.size()));
+        for (std::size_t i = 0; i < scene.instances.size(); ++i) {
+            const std::uint32_t model = scene.instances[i].model;
+            first_row[i] = scene.models[model].first;
+            if (first_instance[model] < 0) first_instance[model] = static_cast<std::int64_t>(i);
+            else first_row[i] = std::exchange(next_row[model], next_row[model] + scene.models[model].count);
+        }
     }
 };
+
+std::vector<shared::ModelEntry> model_table(const Scene& scene, const Placements& placements) {
+    std::vector<shared::ModelEntry> entries;
+    for (std::size_t i = 0; i < scene.models.size(); ++i) {
+        const Model& model = scene.models[i];
+        entries.push_back({.first_surfel = model.first,
+                           .n_surfels = model.count,
+                           .half_size = model.half_size_m,
+                           .half_diagonal = glm::length(model.half_size_m),
+                           .first_more = placements.first_more[i],
+                           .n_more = placements.first_more[i + 1] - placements.first_more[i]});
+    }
+    return entries;
+}
 
 }  // namespace
 
 struct DeviceScene::Impl {
     Scene layout;
-    GradientRows rows;
+    Placements placements;
+    Array<shared::ModelEntry> models;
     Array<std::uint32_t> more_rows;
     SurfelArrays parameters;
     Array<shared::SurfelRecord> records;
@@ -138,13 +110,16 @@ struct DeviceScene::Impl {
 
     Impl(Device& device, const Scene& scene, bool stage_harmonics)
         : layout(layout_of(scene)),
-          rows(scene, static_cast<std::uint32_t>(scene.surfels.size())),
-          more_rows(device, rows.more, "rows of further placements"),
+          placements(scene, static_cast<std::uint32_t>(scene.surfels.size())),
+          models(device, model_table(scene, placements), "model table"),
+          more_rows(device, placements.more, "rows of further placements"),
           parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel", scene.surfels.primitive()),
           records(device, scene.surfels.size(), "surfel records"),
           instances(device, scene.instances.size(), "instance table"),
           activate(device, "scene/activate", activation_constants(stage_harmonics)),
           activate_vjp(device, "scene/activate_vjp", activation_constants(stage_harmonics)) {}
+
+    std::uint32_t n_models() const { return static_cast<std::uint32_t>(layout.models.size()); }
 
     /// Takes the poses. @return the table hits are moved into their models with; an absent instance has no surfels
     std::vector<shared::InstanceEntry> instance_table(const std::vector<InstancePose>& placed) {
@@ -155,16 +130,17 @@ struct DeviceScene::Impl {
         for (std::size_t i = 0; i < placed.size(); ++i) {
             const glm::mat4 m(to_matrix(inverse(placed[i].world_from_model)));
             const Model& model = layout.models[layout.instances[i].model];
-            entries.push_back({{m[0].x, m[1].x, m[2].x, m[3].x}, {m[0].y, m[1].y, m[2].y, m[3].y}, {m[0].z, m[1].z, m[2].z, m[3].z}, model.first, placed[i].present ? model.count : 0u, rows.first[i], 0});
+            entries.push_back({{m[0].x, m[1].x, m[2].x, m[3].x}, {m[0].y, m[1].y, m[2].y, m[3].y}, {m[0].z, m[1].z, m[2].z, m[3].z}, model.first, placed[i].present ? model.count : 0u, placements.first_row[i], 0});
         }
         return entries;
     }
 
-    /// View origin in the frame of a model, as its first instance sees it.
-    glm::vec3 view_origin(std::size_t model, const glm::vec3& world) const {
-        for (std::size_t i = 0; i < layout.instances.size(); ++i)
-            if (layout.instances[i].model == model) return glm::vec3(inverse(poses[i].world_from_model) * glm::dvec3(world));
-        return world;
+    /// View origin in the frame of each model, as its first instance sees it. @return [models], valid for the next submission
+    Address<glm::vec3> view_origins(Stream& stream, const glm::vec3& world) const {
+        std::vector<glm::vec3> origins;
+        for (const std::int64_t i : placements.first_instance)
+            origins.push_back(i < 0 ? world : glm::vec3(inverse(poses[static_cast<std::size_t>(i)].world_from_model) * glm::dvec3(world)));
+        return impl_of(stream).values(origins);
     }
 };
 
@@ -189,41 +165,37 @@ void DeviceScene::place(Stream& stream, const std::vector<InstancePose>& placed)
 }
 
 void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m) {
-    if (size() > 0) check_primitive(primitive(), model);
     impl_->alpha_min = model.alpha_min;
-    for (std::size_t i = 0; i < impl_->layout.models.size(); ++i) {
-        const Model& range = impl_->layout.models[i];
-        run(stream, impl_->activate, range.count,
-            {.surfels = pointers(impl_->parameters),
-             .records = impl_->records.address(),
-             .view_origin = impl_->view_origin(i, view_origin_m),
-             .alpha_min = model.alpha_min,
-             .first_surfel = range.first,
-             .n_surfels = range.count,
-             .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
-             .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
-    }
+    if (size() == 0) return;
+    check_primitive(primitive(), model);
+    run(stream, impl_->activate, size(),
+        {.surfels = pointers_of(impl_->parameters),
+         .records = impl_->records.address(),
+         .models = impl_->models.address(),
+         .view_origins = impl_->view_origins(stream, view_origin_m),
+         .alpha_min = model.alpha_min,
+         .n_surfels = size(),
+         .n_models = impl_->n_models(),
+         .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
+         .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
 }
 
 void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m, const ActivationGradients& g) {
-    const GradientRows& rows = impl_->rows;
-    for (std::size_t i = 0; i < impl_->layout.models.size(); ++i) {
-        const Model& range = impl_->layout.models[i];
-        run(stream, impl_->activate_vjp, range.count,
-            {.surfels = pointers(impl_->parameters),
-             .d_records = g.d_records->address(),
-             .more_rows = impl_->more_rows.address(rows.first_of_model[i]),
-             .d_surfels = pointers(*g.d_surfels),
-             .touched = g.touched->address(),
-             .d_view = address_of(g.d_view),
-             .view_origin = impl_->view_origin(i, view_origin_m),
-             .first_surfel = range.first,
-             .n_surfels = range.count,
-             .n_more = rows.first_of_model[i + 1] - rows.first_of_model[i],
-             .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
-             .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u,
-             .zero_untouched = g.zero_untouched ? 1u : 0u});
-    }
+    if (size() == 0) return;
+    run(stream, impl_->activate_vjp, size(),
+        {.surfels = pointers_of(impl_->parameters),
+         .d_records = g.d_records->address(),
+         .models = impl_->models.address(),
+         .more_rows = impl_->more_rows.address(),
+         .view_origins = impl_->view_origins(stream, view_origin_m),
+         .d_surfels = pointers_of(*g.d_surfels),
+         .touched = g.touched->address(),
+         .d_view = address_of(g.d_view),
+         .n_surfels = size(),
+         .n_models = impl_->n_models(),
+         .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
+         .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u,
+         .zero_untouched = g.zero_untouched ? 1u : 0u});
 }
 
 void DeviceScene::reserve(Device& device, std::uint32_t capacity) {
@@ -237,8 +209,9 @@ void DeviceScene::set_models(const std::vector<Model>& models) {
     RELIDAR_ASSERT_LE(std::size_t(n), impl_->records.size());
     impl_->layout.models = models;
     impl_->parameters.n = n;
-    impl_->rows = GradientRows(impl_->layout, n);
-    impl_->more_rows.upload(impl_->rows.more);   // as many as before: instances do not change
+    impl_->placements = Placements(impl_->layout, n);   // as many as before: instances do not change
+    impl_->models.upload(model_table(impl_->layout, impl_->placements));
+    impl_->more_rows.upload(impl_->placements.more);
 }
 
 const std::vector<InstancePose>& DeviceScene::poses() const { return impl_->poses; }
@@ -246,11 +219,12 @@ const Scene& DeviceScene::layout() const { return impl_->layout; }
 SurfelArrays& DeviceScene::parameters() { return impl_->parameters; }
 const SurfelArrays& DeviceScene::parameters() const { return impl_->parameters; }
 const Array<shared::SurfelRecord>& DeviceScene::records() const { return impl_->records; }
+const Array<shared::ModelEntry>& DeviceScene::models() const { return impl_->models; }
 const Array<shared::InstanceEntry>& DeviceScene::instances() const { return impl_->instances; }
 float DeviceScene::alpha_min() const { return impl_->alpha_min; }
 Primitive DeviceScene::primitive() const { return impl_->parameters.primitive; }
 std::uint32_t DeviceScene::size() const { return impl_->parameters.n; }
-std::uint32_t DeviceScene::first_gradient_row(std::size_t instance) const { return impl_->rows.first[instance]; }
-std::uint32_t DeviceScene::gradient_rows() const { return impl_->rows.n; }
+std::uint32_t DeviceScene::first_gradient_row(std::size_t instance) const { return impl_->placements.first_row[instance]; }
+std::uint32_t DeviceScene::gradient_rows() const { return impl_->placements.n_rows; }
 
 }  // namespace relidar

@@ -67,7 +67,7 @@ double mismatch(const Track& track, const MoverCluster& cluster) {
 }
 
 /// Links clusters of ascending frames, the best fits of a frame first.
-std::vector<Track> link(const std::vector<std::vector<MoverCluster>>& clusters, const std::vector<double>& frame_times_s, const PoseTrack& world_from_sensor) {
+std::vector<Track> link(const std::vector<std::vector<MoverCluster>>& clusters, const std::vector<double>& frame_times_s, const PoseTrack& world_from_vehicle) {
     struct Fit {
         double mismatch;
         std::size_t track, cluster;
@@ -81,7 +81,7 @@ std::vector<Track> link(const std::vector<std::vector<MoverCluster>>& clusters, 
             for (std::size_t c = 0; c < clusters[f].size(); ++c)
                 if (const double m = mismatch(tracks[t], clusters[f][c]); m < 1.0) fits.push_back({m, t, c});
         std::sort(fits.begin(), fits.end(), [](const Fit& a, const Fit& b) { return std::tie(a.mismatch, a.track, a.cluster) < std::tie(b.mismatch, b.track, b.cluster); });
-        const auto observation = [&](std::size_t c) { return Observation{frame_times_s[f], world_from_sensor.at(clusters[f][c].time_s).translation, clusters[f][c]}; };
+        const auto observation = [&](std::size_t c) { return Observation{frame_times_s[f], world_from_vehicle.at(clusters[f][c].time_s).translation, clusters[f][c]}; };
         std::vector<char> track_taken(tracks.size(), 0), cluster_taken(clusters[f].size(), 0);
         for (const Fit& fit : fits) {
             if (track_taken[fit.track] || cluster_taken[fit.cluster]) continue;
@@ -147,9 +147,9 @@ bool moves(const Track& track) {
 }
 
 /// Whether it stays where it is as seen from the sensor, close by: a part of the vehicle that carries the sensor.
-bool rides_along(const Track& track, const PoseTrack& world_from_sensor) {
+bool rides_along(const Track& track, const PoseTrack& world_from_vehicle) {
     std::vector<glm::dvec3> places;
-    for (const Observation& o : track.seen) places.push_back(inverse(world_from_sensor.at(o.cluster.time_s)) * o.cluster.centre_m);
+    for (const Observation& o : track.seen) places.push_back(inverse(world_from_vehicle.at(o.cluster.time_s)) * o.cluster.centre_m);
     const auto is_near = [&](const glm::dvec3& p) { return glm::distance(p, places[places.size() / 2]) < kRides_m; };
     return glm::length(places[places.size() / 2]) < kOwnVehicle_m && std::count_if(places.begin(), places.end(), is_near) > std::ptrdiff_t(places.size() * 3 / 4);
 }
@@ -396,11 +396,13 @@ std::vector<BoxTrack> without_parts(std::vector<BoxTrack> boxes) {
 }  // namespace
 
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress& progress) {
+    std::vector<int> positions = train_positions;   // of the first LiDAR: two at one time would see a mover twice
+    std::erase_if(positions, [&](int position) { return sequence.frames[std::size_t(position)].lidar != 0; });
     std::vector<double> times;
-    for (const int position : train_positions) times.push_back(sequence.frames[std::size_t(position)].time_s);
-    const Visibility visibility(sequence, train_positions);
-    std::vector<Track> tracks = link(find_mover_clusters(sequence, train_positions, visibility, options, progress), times, sequence.world_from_sensor);
-    std::erase_if(tracks, [&](const Track& track) { return !moves(track) || rides_along(track, sequence.world_from_sensor); });
+    for (const int position : positions) times.push_back(sequence.frames[std::size_t(position)].time_s);
+    const Visibility visibility(sequence, positions);
+    std::vector<Track> tracks = link(find_mover_clusters(sequence, positions, visibility, options, progress), times, sequence.world_from_vehicle);
+    std::erase_if(tracks, [&](const Track& track) { return !moves(track) || rides_along(track, sequence.world_from_vehicle); });
     join_parts(tracks);
     std::vector<std::optional<BoxTrack>> found(tracks.size());
     for_each_told(tracks.size(), progress, "paths of movers", [&](std::size_t i) { found[i] = proven_box(visibility, tracks[i]); });

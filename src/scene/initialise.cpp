@@ -68,7 +68,10 @@ std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame, 
 class SensorPlaces {
 public:
     SensorPlaces(const Sequence& sequence, const std::vector<int>& positions) {
-        for (const int position : positions) places_.m.push_back(glm::vec3(sequence.world_from_sensor.at(sequence.frames[std::size_t(position)].time_s).translation));
+        for (const int position : positions) {
+            const Frame& frame = sequence.frames[std::size_t(position)];
+            places_.m.push_back(glm::vec3(sequence.world_from_vehicle.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation));
+        }
         tree_.emplace(3, places_, nanoflann::KDTreeSingleIndexAdaptorParams(8));
     }
     float nearest2(const glm::vec3& p) const {

@@ -9,48 +9,43 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include <relidar/stages/scene.hpp>
 
 namespace relidar {
 
 void Surfels::resize(std::size_t n, Primitive primitive) {
-    mean.resize(n);
-    rotation.resize(n);
-    log_scale.resize(n);
-    opacity_logit.resize(n);
-    sh.resize(n * kShFloats);
-    log_scale_w.resize(primitive == Primitive::gaussian ? n : 0);
+    const std::span<const ParameterGroup> groups = groups_of(primitive);
+    for (const ParameterGroup& group : groups) group.resize(*this, n * group.floats());
+    for (const ParameterGroup& group : std::span(kParameterGroups).subspan(groups.size())) group.resize(*this, 0);   // not of this primitive
 }
 
 void Surfels::check_shapes() const {
-    const std::size_t n = mean.size();
-    if (rotation.size() != n || log_scale.size() != n || opacity_logit.size() != n || sh.size() != n * kShFloats)
-        throw DataError(fmt::format("reading surfels: mean has {} rows, rotation {}, log_scale {}, opacity_logit {}, sh {} values, expected equal rows and {} sh values a row",
-                                    n, rotation.size(), log_scale.size(), opacity_logit.size(), sh.size(), kShFloats));
-    if (!log_scale_w.empty() && log_scale_w.size() != n) throw DataError(fmt::format("reading 3D Gaussians: mean has {} rows, log_scale_w {}, expected equal rows", n, log_scale_w.size()));
+    for (const ParameterGroup& group : groups_of(primitive())) {
+        const std::size_t found = group.values(*this).size(), expected = size() * group.floats();
+        if (found != expected)
+            throw DataError(fmt::format("reading surfels: {} has {} values, expected {}: {} for each of the {} means", group.name, found, expected, group.floats(), size()));
+    }
 }
 
 void Surfels::append(const Surfels& other) {
     if (size() > 0 && other.size() > 0 && primitive() != other.primitive())
         throw DataError(fmt::format("joining {} surfels and {}: found 3D Gaussians beside surfels, expected one primitive (image.primitive)", size(), other.size()));
-    mean.insert(mean.end(), other.mean.begin(), other.mean.end());
-    rotation.insert(rotation.end(), other.rotation.begin(), other.rotation.end());
-    log_scale.insert(log_scale.end(), other.log_scale.begin(), other.log_scale.end());
-    opacity_logit.insert(opacity_logit.end(), other.opacity_logit.begin(), other.opacity_logit.end());
-    sh.insert(sh.end(), other.sh.begin(), other.sh.end());
-    log_scale_w.insert(log_scale_w.end(), other.log_scale_w.begin(), other.log_scale_w.end());
+    for (const ParameterGroup& group : kParameterGroups) {
+        const std::size_t before = group.values(*this).size();
+        const std::span<const float> more = group.values(other);
+        group.resize(*this, before + more.size());
+        std::ranges::copy(more, group.mutable_values(*this).begin() + static_cast<std::ptrdiff_t>(before));
+    }
 }
 
 Surfels Surfels::permuted(const std::vector<std::uint32_t>& order) const {
     Surfels result;
     result.resize(order.size(), primitive());
-    for (std::size_t i = 0; i < order.size(); ++i) {
-        const std::size_t from = order[i];
-        result.mean[i] = mean[from];
-        result.rotation[i] = rotation[from];
-        result.log_scale[i] = log_scale[from];
-        result.opacity_logit[i] = opacity_logit[from];
-        if (!log_scale_w.empty()) result.log_scale_w[i] = log_scale_w[from];
-        std::copy_n(sh.begin() + static_cast<std::ptrdiff_t>(from * kShFloats), kShFloats, result.sh.begin() + static_cast<std::ptrdiff_t>(i * kShFloats));
+    for (const ParameterGroup& group : groups_of(primitive())) {
+        const std::span<const float> from = group.values(*this);
+        const std::span<float> to = group.mutable_values(result);
+        const std::size_t n = group.floats();
+        for (std::size_t i = 0; i < order.size(); ++i) std::ranges::copy(from.subspan(order[i] * n, n), to.subspan(i * n).begin());
     }
     return result;
 }

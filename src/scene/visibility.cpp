@@ -44,7 +44,8 @@ void thin_out(std::vector<std::uint32_t>& views) {
 }  // namespace
 
 Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positions)
-    : grid_(grid_over(sequence.sensor)), views_(positions.size()) {
+    : views_(positions.size()) {
+    for (const Lidar& lidar : sequence.lidars) grids_.push_back(grid_over(lidar.sensor));
     run_parallel(static_cast<int>(positions.size()), [&](int i) { views_[std::size_t(i)] = make_view(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])]); });
     sort_by_tile(sequence);
 }
@@ -52,27 +53,30 @@ Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positio
 Visibility::View Visibility::make_view(const Sequence& sequence, const Frame& frame) const {
     View view;
     view.time_s = frame.time_s;
+    view.lidar = frame.lidar;
+    const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const int n_sectors = sequence.rolling_shutter ? kSectors : 1;
     for (int sector = 0; sector < n_sectors; ++sector) {
         const double azimuth = 2.0 * kPi * ((sector + 0.5) / n_sectors - 0.5);
-        view.sensor_from_world.push_back(inverse(sequence.world_from_sensor.at(facing_time(sequence, {std::cos(azimuth), std::sin(azimuth), 0.0}, frame.time_s))));
+        view.sensor_from_world.push_back(inverse(sequence.world_from_vehicle.at(facing_time(sequence, {std::cos(azimuth), std::sin(azimuth), 0.0}, frame.time_s, frame.lidar), mounted)));
     }
     std::vector<glm::vec3> points;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
         if (frame.scan.range_m[ray] > 0.0f) points.push_back(frame.scan.point(ray));
-    view.range_m = project_points(grid_, points, std::vector<float>(points.size(), 0.0f)).range_m;
+    view.range_m = project_points(grids_[std::size_t(frame.lidar)], points, std::vector<float>(points.size(), 0.0f)).range_m;
     return view;
 }
 
 void Visibility::sort_by_tile(const Sequence& sequence) {
-    const double farthest = sequence.sensor.max_range_m + kTile_m;
     struct Seen {
         std::uint32_t view;
         double distance_m;
     };
     std::unordered_map<std::uint64_t, std::vector<Seen>> tiles;
     for (std::uint32_t v = 0; v < views_.size(); ++v) {
-        glm::dvec3 sensor = sequence.world_from_sensor.at(views_[v].time_s).translation;
+        const Lidar& lidar = sequence.lidars[std::size_t(views_[v].lidar)];
+        const double farthest = lidar.sensor.max_range_m + kTile_m;
+        glm::dvec3 sensor = sequence.world_from_vehicle.at(views_[v].time_s, lidar.vehicle_from_sensor).translation;
         sensor.z = 0.0;
         for (double dx = -farthest; dx <= farthest; dx += kTile_m)
             for (double dy = -farthest; dy <= farthest; dy += kTile_m) {
@@ -101,13 +105,14 @@ Visibility::Surroundings Visibility::around(const View& view, const glm::dvec3& 
     const int sector = static_cast<int>((0.5 + std::atan2(roughly.y, roughly.x) / (2.0 * kPi)) * n_sectors);
     const glm::dvec3 p = view.sensor_from_world[std::size_t(std::clamp(sector, 0, n_sectors - 1))] * point_m;
     Surroundings result;
-    const std::optional<int> pixel = project(grid_, p);
+    const RangeGrid& grid = grids_[std::size_t(view.lidar)];
+    const std::optional<int> pixel = project(grid, p);
     if (!pixel) return result;
     result.range_m = glm::length(p);
-    const int row = *pixel / grid_.columns, column = *pixel % grid_.columns;
-    for (int r = std::max(row - 1, 0); r <= std::min(row + 1, grid_.rows - 1); ++r)
+    const int row = *pixel / grid.columns, column = *pixel % grid.columns;
+    for (int r = std::max(row - 1, 0); r <= std::min(row + 1, grid.rows - 1); ++r)
         for (int c = column - 1; c <= column + 1; ++c)
-            if (const float value = view.range_m[std::size_t(r * grid_.columns + (c + grid_.columns) % grid_.columns)]; value > 0.0f) result.returned_m[result.n++] = value;
+            if (const float value = view.range_m[std::size_t(r * grid.columns + (c + grid.columns) % grid.columns)]; value > 0.0f) result.returned_m[result.n++] = value;
     return result;
 }
 

@@ -39,6 +39,7 @@ public:
 private:
     struct View {
         double time_s;
+        int lidar;
         std::vector<Pose> sensor_from_world;   ///< one a sector of the turn, when the head faces the middle of it
         std::vector<float> range_m;            ///< [rows*columns] nearest return, 0 where there is none
     };
@@ -48,7 +49,7 @@ private:
         float returned_m[9];
         int n = 0;
     };
-    RangeGrid grid_;
+    std::vector<RangeGrid> grids_;   ///< [lidars]
     std::vector<View> views_;
     std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> near_;   ///< by tile of the ground
 

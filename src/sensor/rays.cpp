@@ -61,11 +61,6 @@ double wrapped(double azimuth_rad) {
 
 RangeLimits overlap(const RangeLimits& a, const RangeLimits& b) { return {std::max(a.min_m, b.min_m), std::min(a.max_m, b.max_m)}; }
 
-const Beam& laser_of(const std::vector<Beam>& beams, std::size_t channel) {
-    static const Beam ideal;
-    return channel < beams.size() ? beams[channel] : ideal;
-}
-
 BeamRay beam_ray(const Beam& beam, double head_azimuth_rad) {
     const double azimuth = head_azimuth_rad + beam.azimuth_offset_rad;
     const double c = std::cos(azimuth), s = std::sin(azimuth);
@@ -76,6 +71,12 @@ BeamRay beam_ray(const Beam& beam, double head_azimuth_rad) {
                               beam.origin_offset_m * std::sin(head_azimuth_rad) + forward * s + left * c, beam.origin_up_m * ce);
     ray.direction = glm::dvec3(ce * c, ce * s, se);
     return ray;
+}
+
+double head_azimuth(const Beam& beam, const glm::dvec3& point_m) {
+    const double reach = std::max(std::hypot(point_m.x, point_m.y), 1e-3);
+    const double left = beam.origin_left_m - beam.origin_offset_m * std::sin(beam.azimuth_offset_rad);   // of the beam from the axis
+    return std::atan2(point_m.y, point_m.x) - std::asin(glm::clamp(left / reach, -1.0, 1.0)) - beam.azimuth_offset_rad;
 }
 
 int column_shift(const Beam& beam, int columns) {

@@ -28,9 +28,10 @@ std::vector<Seen> returns_of(const Sequence& sequence, const Frame& frame) {
     std::vector<Seen> result;
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
-        if (!is_of_laser(sequence, scan, ray, sequence.sensor.max_range_m)) continue;
+        const auto laser = laser_that_saw(sequence, frame, ray, sequence.lidar_of(frame).sensor.max_range_m);
+        if (!laser) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
-        result.push_back({w.point_m, glm::vec3(w.direction), {0, scan.rays.channel[ray], surface_range(sequence.sensor, scan, ray), 0.0f, scan.intensity[ray]}});
+        result.push_back({w.point_m, glm::vec3(w.direction), {0, *laser, surface_return(sequence, frame, ray).range_m, 0.0f, scan.intensity[ray]}});
     }
     return result;
 }

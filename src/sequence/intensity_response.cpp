@@ -13,6 +13,7 @@
 #include <relidar/sequence.hpp>
 
 #include "sequence/intensity_places.hpp"
+#include "sequence/laser_returns.hpp"
 
 namespace relidar {
 namespace {
@@ -231,12 +232,13 @@ double IntensityResponse::at_range(double at_m) const {
 
 IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions) {
     sequence.intensity_response = {};
-    for (Beam& beam : sequence.sensor.beams) beam.intensity_gain = 1.0, beam.intensity_offset = 0.0;
+    const std::vector<Beam*> beams = lasers_of(sequence);
+    for (Beam* laser : beams) laser->intensity_gain = 1.0, laser->intensity_offset = 0.0;
     const PlaceReturns returns = returns_of_places(sequence, positions);
     IntensityCalibration result;
     result.returns = returns.seen.size();
     if (returns.seen.empty()) return result;
-    const std::size_t n = sequence.sensor.beams.size();
+    const std::size_t n = beams.size();
     const auto better = [](const Model& a, const Model& b) { return a.rms < kLeastGain * b.rms; };
     Model best = fitted(returns, n, {false, false});
     result.rms_before = best.rms;
@@ -248,16 +250,10 @@ IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<i
     result.rms_after = best.rms;
     if (result.shared) sequence.intensity_response = best.shared;
     for (std::size_t b = 0; b < n && result.lasers; ++b) {
-        sequence.sensor.beams[b].intensity_gain = best.lasers[b].gain;
-        sequence.sensor.beams[b].intensity_offset = best.lasers[b].offset;
+        beams[b]->intensity_gain = best.lasers[b].gain;
+        beams[b]->intensity_offset = best.lasers[b].offset;
     }
     return result;
-}
-
-float surface_intensity(const Sequence& sequence, const Scan& scan, std::size_t ray) {
-    const Beam& beam = laser_of(sequence.sensor.beams, scan.rays.channel[ray]);
-    const double mean_laser = (double(scan.intensity[ray]) - beam.intensity_offset) / beam.intensity_gain;
-    return static_cast<float>(mean_laser / sequence.intensity_response.at_range(double(surface_range(sequence.sensor, scan, ray))));
 }
 
 }  // namespace relidar

@@ -2,6 +2,7 @@
 // Returns of a log for comparing lasers. Private to sequence.
 #pragma once
 
+#include <optional>
 #include <vector>
 
 #include <relidar/sequence.hpp>
@@ -10,9 +11,18 @@
 
 namespace relidar {
 
-/// Whether a ray returned from within max_range_m and was fired by a laser that the sensor knows.
-inline bool is_of_laser(const Sequence& sequence, const Scan& scan, std::size_t ray, double max_range_m) {
-    return scan.range_m[ray] > 0.0f && scan.range_m[ray] < max_range_m && scan.rays.channel[ray] < sequence.sensor.beams.size();
+/// The laser (Sequence::laser_number) of a ray that returned from within max_range_m; nothing of any other.
+inline std::optional<std::uint16_t> laser_that_saw(const Sequence& sequence, const Frame& frame, std::size_t ray, double max_range_m) {
+    const float range_m = frame.scan.range_m[ray];
+    return range_m > 0.0f && range_m < max_range_m ? sequence.laser_number(frame.lidar, frame.scan.rays.channel[ray]) : std::nullopt;
+}
+
+/// The lasers of all LiDARs, as Sequence::laser_number() counts them.
+inline std::vector<Beam*> lasers_of(Sequence& sequence) {
+    std::vector<Beam*> lasers;
+    for (Lidar& lidar : sequence.lidars)
+        for (Beam& beam : lidar.sensor.beams) lasers.push_back(&beam);
+    return lasers;
 }
 
 /// read(frame) of the frames at some positions; of every n-th, where all of them have more than most_rays rays.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Range offsets of the lasers of one sensor: what each adds to every range, from planes that several lasers have seen.
+// Range offsets of the lasers of a log: what each adds to every range, from planes that several lasers have seen.
 #include <algorithm>
 #include <cmath>
 #include <unordered_map>
@@ -34,11 +34,11 @@ struct Observation {
 
 std::vector<Observation> returns_of(const Sequence& sequence, const Frame& frame) {
     std::vector<Observation> result;
-    const Scan& scan = frame.scan;
-    for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
-        if (!is_of_laser(sequence, scan, ray, kMaxRange_m)) continue;
+    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+        const auto laser = laser_that_saw(sequence, frame, ray, kMaxRange_m);
+        if (!laser) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
-        result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), 0, scan.rays.channel[ray]});
+        result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), 0, *laser});
     }
     return result;
 }
@@ -120,12 +120,13 @@ std::pair<std::size_t, double> fit_offsets(const std::vector<Observation>& seen,
 }  // namespace
 
 LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions) {
-    for (Beam& beam : sequence.sensor.beams) beam.range_offset_m = 0.0;
+    const std::vector<Beam*> lasers = lasers_of(sequence);
+    for (Beam* laser : lasers) laser->range_offset_m = 0.0;
     std::size_t n_cells = 0;
     const std::vector<Observation> seen = gather(sequence, positions, n_cells);
     LaserCalibration result;
     if (seen.empty()) return result;
-    std::vector<double> offset_m(sequence.sensor.beams.size(), 0.0);
+    std::vector<double> offset_m(lasers.size(), 0.0);
     for (int round = 0; round < kRounds; ++round) {
         const auto [n, mean_square] = fit_offsets(seen, planes_of(seen, offset_m, n_cells), offset_m);
         result.returns = n;
@@ -134,13 +135,8 @@ LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& po
     }
     if (result.rms_after > kLeastGain * result.rms_before) return result;
     result.adopted = true;
-    for (std::size_t b = 0; b < offset_m.size(); ++b) sequence.sensor.beams[b].range_offset_m = offset_m[b];
+    for (std::size_t b = 0; b < offset_m.size(); ++b) lasers[b]->range_offset_m = offset_m[b];
     return result;
-}
-
-float surface_range(const SpinningSensor& sensor, const Scan& scan, std::size_t ray) {
-    if (!(scan.range_m[ray] > 0.0f)) return scan.range_m[ray];
-    return static_cast<float>(std::max(double(scan.range_m[ray]) - laser_of(sensor.beams, scan.rays.channel[ray]).range_offset_m, 1e-3));
 }
 
 }  // namespace relidar

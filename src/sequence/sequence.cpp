@@ -5,8 +5,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
+#include <numeric>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <relidar/error.hpp>
 
@@ -69,13 +72,45 @@ Pose PoseTrack::at(double t_s) const {
     return pose.size() == 1 ? pose.front() : interpolate(pose[left], pose[left + 1], s);
 }
 
+Pose PoseTrack::at(double t_s, const Pose& mounted) const {
+    const auto [left, s] = place(t_s);
+    return pose.size() == 1 ? pose.front() * mounted : interpolate(pose[left] * mounted, pose[left + 1] * mounted, s);
+}
+
 std::size_t Scan::count_returns() const {
     return static_cast<std::size_t>(std::count_if(range_m.begin(), range_m.end(), [](float r) { return r > 0.0f; }));
 }
 
 void drop_outside(Scan& scan, const RangeLimits& limits) {
-    for (std::size_t i = 0; i < scan.range_m.size(); ++i)
+    for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         if (scan.range_m[i] > 0.0f && !limits.contains(scan.range_m[i])) scan.range_m[i] = scan.intensity[i] = 0.0f;
+        for (FurtherReturn& f : scan.further)
+            if (scan.range_m[i] == 0.0f || !limits.contains(f.range_m[i])) f.range_m[i] = f.intensity[i] = 0.0f;
+    }
+}
+
+PoseTrack Sequence::world_from_sensor(int lidar) const { return moved_track(world_from_vehicle, lidars[std::size_t(lidar)].vehicle_from_sensor); }
+
+int find_lidar(const Sequence& sequence, const std::string& name) {
+    std::vector<std::string> known;
+    for (const Lidar& lidar : sequence.lidars) known.push_back(lidar.name);
+    const auto it = std::find(known.begin(), known.end(), name);
+    if (it == known.end() && !name.empty()) {
+        const std::string expected = known.size() == 1 ? "none: the log has one LiDAR" : fmt::format("one of {}", fmt::join(known, ", "));
+        throw UsageError(fmt::format("lidar: found \"{}\", expected {}", name, expected));
+    }
+    return name.empty() ? 0 : static_cast<int>(it - known.begin());
+}
+
+std::size_t Sequence::count_lasers() const {
+    return std::accumulate(lidars.begin(), lidars.end(), std::size_t(0), [](std::size_t n, const Lidar& lidar) { return n + lidar.sensor.beams.size(); });
+}
+
+std::optional<std::uint16_t> Sequence::laser_number(int lidar, std::uint16_t channel) const {
+    std::size_t number = channel;
+    if (number >= lidars[std::size_t(lidar)].sensor.beams.size()) return std::nullopt;
+    for (int i = 0; i < lidar; ++i) number += lidars[std::size_t(i)].sensor.beams.size();
+    return static_cast<std::uint16_t>(number);
 }
 
 PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved) {
@@ -115,31 +150,50 @@ bool BoxTrack::is_parked() const {
     return farthest_m < std::max(kJitter_m, drift_m);
 }
 
-void set_sensor_poses(Sequence& sequence, PoseTrack world_from_sensor) {
+void set_vehicle_poses(Sequence& sequence, PoseTrack world_from_vehicle) {
     for (BoxTrack& box : sequence.boxes)
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
-            box.world_from_box.pose[k] = world_from_sensor.at(t_s) * (inverse(sequence.world_from_sensor.at(t_s)) * box.world_from_box.pose[k]);
+            box.world_from_box.pose[k] = world_from_vehicle.at(t_s) * (inverse(sequence.world_from_vehicle.at(t_s)) * box.world_from_box.pose[k]);
         }
-    sequence.world_from_sensor = std::move(world_from_sensor);
+    sequence.world_from_vehicle = std::move(world_from_vehicle);
 }
 
-WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter) {
-    const double t_s = rolling_shutter ? time_s + static_cast<double>(rays.time_offset_s[ray]) : time_s;
-    const Pose pose = world_from_sensor.at(t_s);
+namespace {
+
+double firing_time(double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter) {
+    return rolling_shutter ? time_s + static_cast<double>(rays.time_offset_s[ray]) : time_s;
+}
+
+WorldRay placed_ray(const Pose& pose, const RayTable& rays, std::size_t ray) {
     return {pose * glm::dvec3(rays.origin[ray]), glm::normalize(pose.rotation * glm::dvec3(rays.direction[ray]))};
 }
 
-double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s) {
+}  // namespace
+
+WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter) {
+    return placed_ray(world_from_sensor.at(firing_time(time_s, rays, ray, rolling_shutter)), rays, ray);
+}
+
+double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s, int lidar) {
+    const SpinningSensor& sensor = sequence.lidars[std::size_t(lidar)].sensor;
     if (!sequence.rolling_shutter) return time_s;
-    const double turn = std::atan2(point_m.y, point_m.x) / (2.0 * kPi) * sequence.sensor.period_s;
-    return time_s + (sequence.sensor.clockwise ? -turn : turn);
+    const double turn = std::atan2(point_m.y, point_m.x) / (2.0 * kPi) * sensor.period_s;
+    return time_s + (sensor.clockwise ? -turn : turn);
+}
+
+SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray) {
+    const Scan& scan = frame.scan;
+    const Beam& laser = laser_of(sequence.lidar_of(frame).sensor.beams, scan.rays.channel[ray]);
+    const float range_m = static_cast<float>(laser.surface_range(double(scan.range_m[ray])));
+    return {range_m, static_cast<float>(laser.surface_intensity(double(scan.intensity[ray]), sequence.intensity_response.at_range(double(range_m))))};
 }
 
 WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray) {
-    const WorldRay w = world_ray(sequence.world_from_sensor, frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
-    const double t_s = frame.time_s + (sequence.rolling_shutter ? static_cast<double>(frame.scan.rays.time_offset_s[ray]) : 0.0);
-    return {w.origin_m + static_cast<double>(surface_range(sequence.sensor, frame.scan, ray)) * w.direction, w.direction, t_s, surface_intensity(sequence, frame.scan, ray)};
+    const double t_s = firing_time(frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
+    const WorldRay w = placed_ray(sequence.world_from_vehicle.at(t_s, sequence.lidar_of(frame).vehicle_from_sensor), frame.scan.rays, ray);
+    const SurfaceReturn surface = surface_return(sequence, frame, ray);
+    return {w.origin_m + static_cast<double>(surface.range_m) * w.direction, w.direction, t_s, surface.intensity};
 }
 
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m) {
@@ -153,8 +207,10 @@ Split split_frames(const Sequence& sequence, int test_every) {
         throw UsageError(fmt::format("test_every: {}, expected 0 (hold out nothing) or at least 2", test_every));
     }
     Split split;
+    std::map<int, int> turn_of;   // by index: the how many-th turn it is
     for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i) {
-        const bool held_out = test_every > 0 && i > 0 && i % test_every == 0;
+        const int turn = turn_of.try_emplace(sequence.frames[std::size_t(i)].index, static_cast<int>(turn_of.size())).first->second;
+        const bool held_out = test_every > 0 && turn > 0 && turn % test_every == 0;
         (held_out ? split.test : split.train).push_back(i);
     }
     return split;

@@ -59,12 +59,15 @@ bool is_unknown(const std::vector<PlacedBox>& boxes, const WorldRay& ray, double
 void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& masks, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
     const Scan& scan = frame.scan;
     const std::vector<PlacedBox> boxes = masked_boxes_at(sequence, frame.time_s, masks);   // moved less than the margin within a turn
+    const PoseTrack track = sequence.world_from_sensor(frame.lidar);
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        const WorldRay w = world_ray(sequence.world_from_sensor, frame.time_s, scan.rays, i, sequence.rolling_shutter);
-        const bool blind = masks.blind.at(scan.rays.channel[i], scan.rays.direction[i]) >= kBlindFrequency;
+        const WorldRay w = world_ray(track, frame.time_s, scan.rays, i, sequence.rolling_shutter);
+        const auto laser = sequence.laser_number(frame.lidar, scan.rays.channel[i]);
+        const bool blind = laser && masks.blind.at(*laser, scan.rays.direction[i]) >= kBlindFrequency;
         const bool unknown = blind || is_unknown(boxes, w, scan.range_m[i]);
         rays.push_back({glm::vec3(w.origin_m), glm::vec3(w.direction)});
-        targets.push_back({surface_range(sequence.sensor, scan, i), surface_intensity(sequence, scan, i), unknown ? 0.0f : 1.0f});
+        const SurfaceReturn surface = surface_return(sequence, frame, i);
+        targets.push_back({surface.range_m, surface.intensity, unknown ? 0.0f : 1.0f});
     }
 }
 
@@ -96,7 +99,7 @@ std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, c
             data.n_known += t.weight > 0.0f;
             data.n_returned += t.weight > 0.0f && t.range_m > 0.0f;
         }
-        data.sensor_position_m = glm::vec3(sequence.world_from_sensor.at(frame.time_s).translation);
+        data.sensor_position_m = glm::vec3(sequence.world_from_vehicle.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation);
     }
     return frames;
 }

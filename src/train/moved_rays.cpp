@@ -13,10 +13,10 @@ namespace {
 /// Where each ray of a frame was fired in the track of the sensor; `first` becomes the first pose that takes part, `n` how many do.
 std::vector<shared::RayPlace> places_of(const Sequence& sequence, const Frame& frame, std::size_t& first, std::uint32_t& n) {
     std::vector<TrackPlace> places;
-    for (const float offset_s : frame.scan.rays.time_offset_s) places.push_back(sequence.world_from_sensor.place(frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0)));
+    for (const float offset_s : frame.scan.rays.time_offset_s) places.push_back(sequence.world_from_vehicle.place(frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0)));
     const auto [low, high] = std::minmax_element(places.begin(), places.end(), [](const TrackPlace& a, const TrackPlace& b) { return a.left < b.left; });
     first = low->left;
-    n = static_cast<std::uint32_t>(std::min(high->left + 2, sequence.world_from_sensor.pose.size()) - first);
+    n = static_cast<std::uint32_t>(std::min(high->left + 2, sequence.world_from_vehicle.pose.size()) - first);
     std::vector<shared::RayPlace> result;
     for (const TrackPlace& p : places) result.push_back({static_cast<std::uint32_t>(p.left - first), static_cast<float>(p.s)});
     return result;

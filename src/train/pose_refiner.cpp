@@ -19,11 +19,11 @@ constexpr double kFinalShare = 0.1;   // of the rates, at the end of training
 
 Sequence without_scans(const Sequence& sequence) {
     Sequence result;
-    result.sensor = sequence.sensor;
-    result.world_from_sensor = sequence.world_from_sensor;
+    result.lidars = sequence.lidars;
+    result.world_from_vehicle = sequence.world_from_vehicle;
     result.boxes = sequence.boxes;
     result.rolling_shutter = sequence.rolling_shutter;
-    for (const Frame& frame : sequence.frames) result.frames.push_back({frame.index, frame.time_s, {}});
+    for (const Frame& frame : sequence.frames) result.frames.push_back({frame.index, frame.time_s, {}, frame.lidar});
     return result;
 }
 
@@ -49,7 +49,7 @@ PoseStep step_at(const TrainConfig& c, double rate_m, double rate_rad, int step)
 PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config, std::vector<FrameData>& frames)
     : config_(config), n_frames_(frames.size()), layout_(layout_of(layout)), poses_(without_scans(sequence)) {
     if (wants(config, "sensor")) {
-        sensor_.emplace(sequence.world_from_sensor);
+        sensor_.emplace(sequence.world_from_vehicle);
         rays_ = std::make_unique<MovedRays>(device, sequence, frames);
         floats_of_rays_ = rays_->gradient_rows().size();
         make_room(of_rays_, device, floats_of_rays_, "pose gradients of rays");
@@ -66,15 +66,15 @@ PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& 
 
 PoseRefiner::~PoseRefiner() = default;
 
-RefinedPoses PoseRefiner::poses() const { return {poses_.world_from_sensor, poses_.boxes}; }
+RefinedPoses PoseRefiner::poses() const { return {poses_.world_from_vehicle, poses_.boxes}; }
 
 WantedGradients PoseRefiner::wanted() const { return {.rays = sensor_.has_value(), .poses = !actors_.empty()}; }
 
 void PoseRefiner::place(Stream& stream, std::size_t frame_index, FrameData& frame) {
     if (rays_) rays_->move(stream, *sensor_, frame_index, frame);
-    const double time_s = poses_.frames[std::size_t(frame.position)].time_s;
-    frame.placed = place_instances(layout_, poses_, time_s);
-    frame.sensor_position_m = glm::vec3(poses_.world_from_sensor.at(time_s).translation);
+    const Frame& turn = poses_.frames[std::size_t(frame.position)];
+    frame.placed = place_instances(layout_, poses_, turn.time_s, turn.lidar);
+    frame.sensor_position_m = glm::vec3(poses_.world_from_vehicle.at(turn.time_s, poses_.lidar_of(turn).vehicle_from_sensor).translation);
 }
 
 void PoseRefiner::record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch, const Gradients& gradients, int step) {
@@ -130,7 +130,7 @@ void PoseRefiner::take_steps(Stream& stream, int last) {
 }
 
 void PoseRefiner::update_poses() {
-    if (sensor_) poses_.world_from_sensor = sensor_->corrected();
+    if (sensor_) poses_.world_from_vehicle = sensor_->corrected();
     for (const Actor& actor : actors_) poses_.boxes[actor.box].world_from_box = actor.correction.corrected();
 }
 

@@ -83,13 +83,13 @@ void register_sensor(Sequence& sequence, const Split& split, const Config& confi
     if (found.stopped) throw Error(ExitCode::interrupted, "interrupted while scans were registered: nothing is trained yet");
     if (found.rounds.empty()) return;
     session.tell(fmt::format("scans registered: {:.0f} % of their points lie on common planes, {:.3f} m from them; {}", 100.0 * found.on_planes, found.rounds.back().residual_m,
-                             config.dataset.poses == kNoPoses ? way_text(found.world_from_sensor) : corrections_text(sequence.world_from_sensor, found.world_from_sensor)));
+                             config.dataset.poses == kNoPoses ? way_text(found.world_from_vehicle) : corrections_text(sequence.world_from_vehicle, found.world_from_vehicle)));
     tell_lost(sequence, found, config, session);
-    set_sensor_poses(sequence, found.world_from_sensor);
+    set_vehicle_poses(sequence, found.world_from_vehicle);
 }
 
 void calibrate_lasers(Sequence& sequence, const Split& split, const SensorConfig& config, const PrepareSession& session) {
-    const std::size_t n = sequence.sensor.beams.size();
+    const std::size_t n = sequence.count_lasers();
     if (n > 1 && config.calibrate_range) {
         const LaserCalibration found = calibrate_ranges(sequence, split.train);
         session.tell(fmt::format("ranges of {} lasers compared on {:.1f} million returns: {:.1f} mm from common planes, {:.1f} mm with an offset each{}", n, double(found.returns) * 1e-6,
@@ -133,7 +133,9 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
     if (!session.tell) session.tell = [](const std::string&) {};
     if (config.dataset.poses == kNoPoses && !registers_sensor(config.train))
         throw UsageError("dataset.poses=none: the poses have to be found from the scans; expected train.refine_poses=sensor and train.pose_register=true");
-    if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
+    if (registers_sensor(config.train) && sequence.lidars.size() > 1 && config.dataset.poses != kNoPoses)
+        session.tell(fmt::format("scans of {} LiDARs are not registered: training starts from the log's own poses", sequence.lidars.size()));
+    else if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
     calibrate_lasers(sequence, split, config.sensor, session);
     if (measure_range_noise(sequence, split.train) > 0)
         session.tell(fmt::format("ranges scatter by {:.0f} mm at 10 m and by {:.0f} mm at 40 m where surfaces are met squarely", 1e3 * sequence.range_noise.at(10.0, 1.0), 1e3 * sequence.range_noise.at(40.0, 1.0)));

@@ -82,7 +82,7 @@ std::string hash_boxes(const Sequence& sequence) {
 
 std::string hash_poses(const Sequence& sequence) {
     Hash hash;
-    hash.add(sequence.world_from_sensor);
+    hash.add(sequence.world_from_vehicle);
     return hash.hex();
 }
 

@@ -11,25 +11,26 @@ namespace {
 constexpr int kColumnsPerBin = 3;
 constexpr std::uint32_t kPriorRays = 8;   ///< returns assumed before anything was seen
 
-int channels_of(const Sequence& sequence) {
-    int channels = 0;
-    for (const Frame& frame : sequence.frames)
-        for (const std::uint16_t c : frame.scan.rays.channel) channels = std::max(channels, c + 1);
-    return channels;
+int bins_of(const Sequence& sequence) {
+    int columns = 0;
+    for (const Lidar& lidar : sequence.lidars) columns = std::max(columns, lidar.sensor.columns);
+    return std::max(1, columns / kColumnsPerBin);
 }
 
 }  // namespace
 
 DropCounts::DropCounts(const Sequence& sequence)
-    : index_{channels_of(sequence), std::max(1, sequence.sensor.columns / kColumnsPerBin), {}},
+    : sequence_(sequence),
+      index_{int(sequence.count_lasers()), bins_of(sequence), {}},
       rays_(std::size_t(index_.channels) * std::size_t(index_.bins), 0),
       drops_(rays_.size(), 0) {}
 
-void DropCounts::add(std::uint16_t channel, const glm::vec3& direction, bool dropped) {
-    if (channel >= index_.channels) return;
-    const std::size_t slot = index_.index(channel, direction);
+void DropCounts::add(const Frame& frame, std::size_t ray) {
+    const auto laser = sequence_.laser_number(frame.lidar, frame.scan.rays.channel[ray]);
+    if (!laser) return;
+    const std::size_t slot = index_.index(*laser, frame.scan.rays.direction[ray]);
     ++rays_[slot];
-    drops_[slot] += dropped;
+    drops_[slot] += !(frame.scan.range_m[ray] > 0.0f);
 }
 
 DropTable DropCounts::frequency(int min_rays) const {
@@ -48,8 +49,8 @@ DropTable DropCounts::shrunk() const {
 DropTable observed_drops(const Sequence& sequence, const std::vector<int>& positions) {
     DropCounts counts(sequence);
     for (const int position : positions) {
-        const Scan& scan = sequence.frames[std::size_t(position)].scan;
-        for (std::size_t i = 0; i < scan.range_m.size(); ++i) counts.add(scan.rays.channel[i], scan.rays.direction[i], !(scan.range_m[i] > 0.0f));
+        const Frame& frame = sequence.frames[std::size_t(position)];
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add(frame, i);
     }
     return counts.frequency(static_cast<int>(positions.size()));
 }

@@ -11,18 +11,20 @@
 
 namespace relidar {
 
-/// Rays and drops counted by beam and azimuth bin.
+/// Rays and drops counted by laser (Sequence::laser_number) and azimuth bin.
 class DropCounts {
 public:
-    /// Geometry for the sensor of a log: its channels, and azimuth bins of about three of its columns.
+    /// Geometry for the LiDARs of a log, which has to outlive this: a row a laser, and azimuth bins of about three columns.
     explicit DropCounts(const Sequence& sequence);
-    void add(std::uint16_t channel, const glm::vec3& direction, bool dropped);
+    /// A ray of a frame of the log.
+    void add(const Frame& frame, std::size_t ray);
     /// Share of drops, 0 where fewer than `min_rays` were counted.
     DropTable frequency(int min_rays) const;
     /// The same, drawn towards 0 as if kPriorRays more rays had returned.
     DropTable shrunk() const;
 
 private:
+    const Sequence& sequence_;
     DropTable index_;   ///< for its geometry
     std::vector<std::uint32_t> rays_, drops_;
 };

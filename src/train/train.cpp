@@ -100,7 +100,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
 void take_result(Run& run, TrainResult& result) {
     run.scene = std::move(result.scene);
     if (!result.poses) return;
-    run.sequence.world_from_sensor = std::move(result.poses->world_from_sensor);
+    run.sequence.world_from_vehicle = std::move(result.poses->world_from_vehicle);
     run.sequence.boxes = std::move(result.poses->boxes);
     run.refined_poses = run.config.train.refine_poses;
 }

@@ -55,7 +55,10 @@ std::uint32_t largest_batch(const std::vector<FrameData>& frames) {
 }
 
 RendererOptions renderer_options(const Config& config, const std::vector<FrameData>& frames) {
-    RendererOptions options{accel_options(config), trace_options(config), largest_batch(frames), static_cast<std::uint32_t>(config.trace.keep_hits)};
+    RendererOptions options{.accel = accel_options(config),
+                            .trace = trace_options(config),
+                            .n_rays = largest_batch(frames),
+                            .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
     options.trace.geometry = config.loss.uses_geometry();
     return options;
 }
@@ -63,7 +66,8 @@ RendererOptions renderer_options(const Config& config, const std::vector<FrameDa
 /// Terms of the surfels themselves reach those that no ray has met.
 bool all_have_gradients(const Config& config) { return config.loss.uses_surfels() && !config.train.only_touched; }
 
-std::optional<PoseRefiner> make_refiner(Device& device, const Sequence& sequence, const Scene& initial, const TrainConfig& config, std::vector<FrameData>& frames) {
+std::optional<PoseRefiner> make_refiner(Device& device, const Sequence& sequence, const Scene& initial, const TrainConfig& config,
+                                        std::vector<FrameData>& frames) {
     if (config.refine_poses == "none") return std::nullopt;
     return std::optional<PoseRefiner>(std::in_place, device, sequence, initial, config, frames);
 }
@@ -90,7 +94,10 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       reports_(device),
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.size(), config.train.seed) {
-    for (FrameData& frame : frames_) frame.placed = place_instances(initial, sequence, sequence.frames[std::size_t(frame.position)].time_s);
+    for (FrameData& frame : frames_) {
+        const Frame& turn = sequence.frames[std::size_t(frame.position)];
+        frame.placed = place_instances(initial, sequence, turn.time_s, turn.lidar);
+    }
     if (config.densify.strategy != DensifyStrategy::none || config.densify.prune_unseen)
         densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.size()), config.train.seed);
 }
@@ -131,9 +138,11 @@ void TrainLoop::iterate(int step, bool ends_line) {
     if (refiner_) refiner_->record(stream_, frame_index, frame, batch, gradients, step);
     for (const std::unique_ptr<Loss>& loss : losses_)
         loss->regularise(stream_, scene, {&gradients.surfels, config_.train.only_touched ? &gradients.touched : nullptr}, terms);
-    if (densifier_) densifier_->observe(stream_, scene, {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), batch.rays.n_rays == frame.n_rays});
+    const bool whole_frame = batch.rays.n_rays == frame.n_rays;
+    if (densifier_) densifier_->observe(stream_, scene, {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), whole_frame});
     const LearningRates rates = rates_at(config_.train, extent_m_, step);
-    adam_.step(stream_, scene.parameters(), gradients.surfels, all_have_gradients(config_) ? nullptr : &gradients.touched, rates, step, renderer_.model().sh_degree);
+    const Array<std::uint32_t>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
+    adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree);
     reports_.add(step, frame.index);
     if (densifier_ && densifier_->due(step)) change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene, adam_, step, others_bytes); });
     if (densifier_) densifier_->after_step(stream_, scene, adam_, step, rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
@@ -217,7 +226,7 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
     DropCounts counts(sequence);
     for (std::size_t k = 0; k < frames_.size(); ++k) {
         const FrameData& frame = frames_[k];
-        const Scan& scan = sequence.frames[std::size_t(frame.position)].scan;
+        const Frame& turn = sequence.frames[std::size_t(frame.position)];
         const std::uint32_t stride = std::max(1u, frame.n_rays / kRays), first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
         const RayBatch rays = frame.batch(first, stride);
         place(k, config_.train.iterations);
@@ -226,7 +235,7 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
         const Rendering r = to_rendering(renderer_.rendered().rendered->download(rays.n_rays));
         for (std::uint32_t j = 0; j < rays.n_rays; ++j) {
             const std::size_t i = first + std::size_t(j) * stride;
-            if (r.weight[j] > kSolid && r.hit_logit[j] > r.drop_logit[j]) counts.add(scan.rays.channel[i], scan.rays.direction[i], !(scan.range_m[i] > 0.0f));
+            if (r.weight[j] > kSolid && r.hit_logit[j] > r.drop_logit[j]) counts.add(turn, i);
         }
     }
     return counts.shrunk();

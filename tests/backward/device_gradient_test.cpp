@@ -17,19 +17,6 @@ using test::Outputs;
 using test::Passes;
 using test::random_upstream;
 
-void add_surfel_rows(GradientTable& table, const std::vector<reference::Surfel>& expected, const Surfels& actual) {
-    for (std::size_t i = 0; i < expected.size(); ++i) {
-        table.add_row("mean", lanes(expected[i].mean, 3), lanes(actual.mean[i], 3));
-        table.add_row("rotation", lanes(expected[i].rotation, 4), lanes(actual.rotation[i], 4));
-        table.add_row("log_scale", lanes(expected[i].log_scale, 2), lanes(actual.log_scale[i], 2));
-        if (expected[i].log_scale_w) table.add_row("log_scale_w", {*expected[i].log_scale_w}, {actual.log_scale_w[i]});
-        table.add_row("opacity_logit", {expected[i].opacity_logit}, {actual.opacity_logit[i]});
-        const char* names[] = {"sh intensity", "sh hit", "sh drop"};
-        for (int c = 0; c < kShChannels; ++c)
-            table.add_row(names[c], lanes(expected[i].sh.data() + c * kShCoefficients, kShCoefficients), lanes(actual.sh.data() + i * kShFloats + std::size_t(c * kShCoefficients), kShCoefficients));
-    }
-}
-
 /// Every way the gradients of hits are found and summed.
 struct Way {
     const char* name;
@@ -79,7 +66,7 @@ protected:
 
     void expect_rows(const ImageModel& image, const reference::Gradients& expected, const std::vector<reference::RayGradient>& d_rays, const Gradients& actual, const std::string& title, const How& how) {
         GradientTable table;
-        add_surfel_rows(table, expected.surfels, actual.surfels.download());
+        test::add_surfel_rows(table, expected.surfels, actual.surfels.download());
         const std::vector<float> rays = actual.rays.download();
         for (std::size_t i = 0; i < d_rays.size(); ++i) {
             table.add_row("ray origin", lanes(d_rays[i].origin, 3), lanes(rays.data() + 6 * i, 3));

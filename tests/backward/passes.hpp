@@ -81,4 +81,18 @@ std::vector<double> lanes(const Vector& v, int n) {
     return row;
 }
 
+/// A row for each parameter group of each surfel, harmonics by channel.
+inline void add_surfel_rows(GradientTable& table, const std::vector<reference::Surfel>& expected, const Surfels& actual) {
+    for (std::size_t i = 0; i < expected.size(); ++i) {
+        table.add_row("mean", lanes(expected[i].mean, 3), lanes(actual.mean[i], 3));
+        table.add_row("rotation", lanes(expected[i].rotation, 4), lanes(actual.rotation[i], 4));
+        table.add_row("log_scale", lanes(expected[i].log_scale, 2), lanes(actual.log_scale[i], 2));
+        if (expected[i].log_scale_w) table.add_row("log_scale_w", {*expected[i].log_scale_w}, {actual.log_scale_w[i]});
+        table.add_row("opacity_logit", {expected[i].opacity_logit}, {actual.opacity_logit[i]});
+        const char* names[] = {"sh intensity", "sh hit", "sh drop"};
+        for (int c = 0; c < kShChannels; ++c)
+            table.add_row(names[c], lanes(expected[i].sh.data() + c * kShCoefficients, kShCoefficients), lanes(actual.sh.data() + i * kShFloats + std::size_t(c * kShCoefficients), kShCoefficients));
+    }
+}
+
 }  // namespace relidar::test

@@ -8,6 +8,7 @@
 
 #include <relidar/measure/scene.hpp>
 #include "backward/pose_gradients.hpp"
+#include "../support/floats.hpp"
 #include "passes.hpp"
 
 namespace relidar {

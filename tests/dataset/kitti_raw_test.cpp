@@ -25,11 +25,11 @@ using test::KittiDrive;
 TEST(KittiRaw, RecoversTheSensorFromItsScans) {
     const KittiDrive drive("sensor");
     const Sequence log = load_sequence("kitti_raw:" + drive.folder.string(), {});
-    EXPECT_EQ(log.sensor.columns, KittiDrive::kFirings);
-    EXPECT_NEAR(log.sensor.period_s, 0.1, 1e-9);
-    ASSERT_EQ(log.sensor.beams.size(), 64u);
+    EXPECT_EQ(log.lidars[0].sensor.columns, KittiDrive::kFirings);
+    EXPECT_NEAR(log.lidars[0].sensor.period_s, 0.1, 1e-9);
+    ASSERT_EQ(log.lidars[0].sensor.beams.size(), 64u);
     for (std::size_t k = 0; k < 64; ++k) {
-        const Beam &found = log.sensor.beams[k], &truth = drive.beams[k];
+        const Beam &found = log.lidars[0].sensor.beams[k], &truth = drive.beams[k];
         EXPECT_NEAR(found.elevation_rad, truth.elevation_rad, 1e-4) << k;
         EXPECT_NEAR(found.origin_up_m / std::cos(found.elevation_rad), truth.origin_up_m / std::cos(truth.elevation_rad), 1e-3) << k;
         EXPECT_NEAR(found.azimuth_offset_rad, truth.azimuth_offset_rad, 2e-4) << k;
@@ -59,7 +59,7 @@ TEST(KittiRaw, EveryPointAndEveryDropHasItsRay) {
     // Times follow the head, columns the azimuth.
     for (std::size_t i = 0; i < scan.rays.size(); ++i) {
         const double azimuth = std::atan2(scan.rays.direction[i].y, scan.rays.direction[i].x);
-        const double head = azimuth - log.sensor.beams[scan.rays.channel[i]].azimuth_offset_rad;
+        const double head = azimuth - log.lidars[0].sensor.beams[scan.rays.channel[i]].azimuth_offset_rad;
         const double late = std::remainder(scan.rays.time_offset_s[i] + head / (2 * kPi) * 0.1, 0.1);
         ASSERT_LT(std::abs(late), 2e-4);  // the left offset turns a ray by 26 mm over its range
         const double column_azimuth = kPi - (static_cast<double>(i % KittiDrive::kFirings) + 0.5) * 2 * kPi / KittiDrive::kFirings;
@@ -70,10 +70,10 @@ TEST(KittiRaw, EveryPointAndEveryDropHasItsRay) {
 TEST(KittiRaw, WithoutEncoderTicksStepsAreEven) {
     const KittiDrive even("even", test::Heads::even), jittered("jittered", test::Heads::jittered);
     Sequence log = load_sequence(even.folder.string(), {});
-    EXPECT_EQ(log.sensor.columns, KittiDrive::kFirings);
+    EXPECT_EQ(log.lidars[0].sensor.columns, KittiDrive::kFirings);
     EXPECT_EQ(log.frames[0].scan.count_returns(), even.n_points);
     log = load_sequence(jittered.folder.string(), {});
-    EXPECT_NEAR(log.sensor.columns, KittiDrive::kFirings, 15);
+    EXPECT_NEAR(log.lidars[0].sensor.columns, KittiDrive::kFirings, 15);
     EXPECT_GT(static_cast<double>(log.frames[0].scan.count_returns()), 0.99 * static_cast<double>(jittered.n_points));
 }
 
@@ -100,7 +100,7 @@ TEST(KittiRaw, PosesTimesAndBoxes) {
     EXPECT_NEAR(log.frames[2].time_s, 0.2, 1e-9);  // over midnight and New Year
     // Mercator: s R dlon with s = cos 60; the sensor keeps its place on the car.
     const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;
-    const PoseTrack& track = log.world_from_sensor;
+    const PoseTrack& track = log.world_from_vehicle;
     EXPECT_NEAR(track.pose[1].translation.x, 0.0, 1e-9);
     EXPECT_NEAR(track.pose[2].translation.x - track.pose[1].translation.x, step, 1e-6);
     EXPECT_NEAR(track.pose[2].translation.y, 0.0, 1e-6);
@@ -142,7 +142,7 @@ TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
     EXPECT_NEAR(log.frames[1].time_s, 0.2, 1e-9);
     EXPECT_TRUE(log.boxes.empty());
     EXPECT_EQ(log.world_offset_m, glm::dvec3(5, 6, 7));
-    const glm::dvec3 x = log.world_from_sensor.pose[1].rotation * glm::dvec3(1, 0, 0);
+    const glm::dvec3 x = log.world_from_vehicle.pose[1].rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(x.y, 1.0, 1e-12);
     options.frames = {2, -1};
     EXPECT_EQ(load_sequence(drive.folder.string(), options).frames.size(), 1u);
@@ -166,10 +166,10 @@ TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[1].index, 2);
     EXPECT_NEAR(log.frames[1].time_s - log.frames[0].time_s, 0.2, 1e-9);
-    EXPECT_NEAR(log.sensor.period_s, 0.1, 1e-9);
+    EXPECT_NEAR(log.lidars[0].sensor.period_s, 0.1, 1e-9);
     EXPECT_THAT(log.notes, testing::ElementsAre("1 of the scans 0 to 2 missing (1): left out"));
     const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;   // of OXTS, by number and not by count
-    EXPECT_NEAR(log.world_from_sensor.pose[1].translation.x - log.world_from_sensor.pose[0].translation.x, 2 * step, 1e-6);
+    EXPECT_NEAR(log.world_from_vehicle.pose[1].translation.x - log.world_from_vehicle.pose[0].translation.x, 2 * step, 1e-6);
     ASSERT_EQ(log.boxes.size(), 1u);
     ASSERT_EQ(log.boxes[0].world_from_box.pose.size(), 1u);   // labelled in frames 1 and 2
     EXPECT_DOUBLE_EQ(log.boxes[0].world_from_box.time_s[0], log.frames[1].time_s);
@@ -205,13 +205,13 @@ TEST(KittiRaw, WithoutPosesAndTracklets) {
     Sequence log = load_sequence(drive.folder.string(), options);
     EXPECT_THAT(log.notes, testing::ElementsAre(testing::HasSubstr("no poses are read")));
     for (std::size_t i = 0; i < 3; ++i) {
-        EXPECT_EQ(log.world_from_sensor.pose[i].translation, glm::dvec3(0.0));
-        EXPECT_EQ(log.world_from_sensor.pose[i].rotation, glm::dquat(1, 0, 0, 0));
-        EXPECT_EQ(log.world_from_sensor.time_s[i], whole.world_from_sensor.time_s[i]);
+        EXPECT_EQ(log.world_from_vehicle.pose[i].translation, glm::dvec3(0.0));
+        EXPECT_EQ(log.world_from_vehicle.pose[i].rotation, glm::dquat(1, 0, 0, 0));
+        EXPECT_EQ(log.world_from_vehicle.time_s[i], whole.world_from_vehicle.time_s[i]);
         EXPECT_EQ(log.frames[i].scan.range_m, whole.frames[i].scan.range_m);
     }
     EXPECT_EQ(log.boxes[0].world_from_box.pose[0].translation, glm::dvec3(10, 2, -0.5));   // as labelled
-    set_sensor_poses(log, whole.world_from_sensor);
+    set_vehicle_poses(log, whole.world_from_vehicle);
     for (std::size_t k = 0; k < 2; ++k)
         EXPECT_NEAR(glm::distance(log.boxes[0].world_from_box.pose[k].translation, whole.boxes[0].world_from_box.pose[k].translation), 0.0, 1e-9);
     std::filesystem::remove(drive.file("tracklet_labels.xml"));
@@ -236,10 +236,10 @@ TEST(KittiRaw, RealDrive) {
     options.frames = {0, 12};
     const Sequence log = load_sequence(folder, options);
     ASSERT_EQ(log.frames.size(), 12u);
-    EXPECT_NEAR(log.sensor.columns, 2152, 10);
-    EXPECT_NEAR(log.sensor.beams[0].elevation_rad * 180 / kPi, 1.94, 0.02);
-    EXPECT_NEAR(log.sensor.beams[63].elevation_rad * 180 / kPi, -25.0, 0.05);
-    const RayTable nominal = make_rays(log.sensor);
+    EXPECT_NEAR(log.lidars[0].sensor.columns, 2152, 10);
+    EXPECT_NEAR(log.lidars[0].sensor.beams[0].elevation_rad * 180 / kPi, 1.94, 0.02);
+    EXPECT_NEAR(log.lidars[0].sensor.beams[63].elevation_rad * 180 / kPi, -25.0, 0.05);
+    const RayTable nominal = make_rays(log.lidars[0].sensor);
     for (const Frame& frame : log.frames) {
         const Scan& scan = frame.scan;
         ASSERT_EQ(scan.rays.size(), nominal.size());

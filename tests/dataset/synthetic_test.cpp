@@ -50,10 +50,10 @@ std::vector<StreetCar> own_cars(const SyntheticOptions& options) {
 TEST(Synthetic, StreetCastAgainWithItsOwnCarsIsTheSame) {
     const SyntheticOptions options = small();
     const Sequence street = make_synthetic_street(options);
-    const RayTable rays = make_rays(street.sensor);
-    const Scan plain = cast_synthetic_street(options, rays, street.world_from_sensor, 0.3), again = cast_synthetic_street(options, own_cars(options), rays, street.world_from_sensor, 0.3);
+    const RayTable rays = make_rays(street.lidars[0].sensor);
+    const Scan plain = cast_synthetic_street(options, rays, street.world_from_vehicle, 0.3), again = cast_synthetic_street(options, own_cars(options), rays, street.world_from_vehicle, 0.3);
     std::size_t on_cars = 0;
-    const Scan without = cast_synthetic_street(options, {}, rays, street.world_from_sensor, 0.3);
+    const Scan without = cast_synthetic_street(options, {}, rays, street.world_from_vehicle, 0.3);
     for (std::size_t i = 0; i < rays.size(); ++i) {
         ASSERT_NEAR(plain.range_m[i], again.range_m[i], 1e-4);
         on_cars += std::abs(plain.range_m[i] - without.range_m[i]) > 0.01f;
@@ -104,9 +104,9 @@ TEST(Synthetic, LogAgreesWithTheCastUpToNoiseAndDrops) {
     SyntheticOptions options = small();
     options.range_noise_m = 0.0;
     const Sequence log = make_synthetic_street(options);
-    EXPECT_NEAR(glm::length(log.world_from_sensor.pose[2].translation), 0.0, 1e-12);
+    EXPECT_NEAR(glm::length(log.world_from_vehicle.pose[2].translation), 0.0, 1e-12);
     for (const Frame& frame : log.frames) {
-        const Scan exact = cast_synthetic_street(options, frame.scan.rays, log.world_from_sensor, frame.time_s);
+        const Scan exact = cast_synthetic_street(options, frame.scan.rays, log.world_from_vehicle, frame.time_s);
         std::size_t agree = 0;
         for (std::size_t i = 0; i < exact.range_m.size(); ++i) {
             const bool hit = exact.range_m[i] > 0.0f, measured = frame.scan.range_m[i] > 0.0f;
@@ -126,8 +126,8 @@ TEST(Synthetic, ReturnsOutsideTheLimitsAreDrops) {
     options.min_range_m = 5.0;
     options.max_range_m = 20.0;
     const Sequence all = load_sequence(folder.string(), {}), some = load_sequence(folder.string(), options);
-    EXPECT_EQ(some.sensor.min_range_m, 5.0);
-    EXPECT_EQ(some.sensor.max_range_m, 20.0);
+    EXPECT_EQ(some.lidars[0].sensor.min_range_m, 5.0);
+    EXPECT_EQ(some.lidars[0].sensor.max_range_m, 20.0);
     std::size_t near = 0, far = 0;
     for (std::size_t f = 0; f < all.frames.size(); ++f)
         for (std::size_t i = 0; i < all.frames[f].scan.range_m.size(); ++i) {
@@ -152,7 +152,7 @@ TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     {
         std::ofstream out(file);
         out.precision(17);
-        for (const Pose& pose : exact.world_from_sensor.pose) {   // the same places, but 0.5 m further left in the street's world
+        for (const Pose& pose : exact.world_from_vehicle.pose) {   // the same places, but 0.5 m further left in the street's world
             const glm::dmat4 m = to_matrix(pose);
             const glm::dvec3 t = pose.translation + exact.world_offset_m + glm::dvec3(0.0, 0.5, 0.0);
             for (int r = 0; r < 3; ++r) out << m[0][r] << ' ' << m[1][r] << ' ' << m[2][r] << ' ' << t[r] << (r == 2 ? '\n' : ' ');
@@ -165,7 +165,7 @@ TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
         ASSERT_EQ(from.pose.size(), to.pose.size());
         for (std::size_t k = 0; k < from.pose.size(); ++k) EXPECT_LT(glm::length(to.pose[k].translation - from.pose[k].translation - glm::dvec3(0.0, 0.5, 0.0)), 1e-9);
     };
-    expect_moved(exact.world_from_sensor, moved.world_from_sensor);
+    expect_moved(exact.world_from_vehicle, moved.world_from_vehicle);
     for (std::size_t b = 0; b < exact.boxes.size(); ++b) expect_moved(exact.boxes[b].world_from_box, moved.boxes[b].world_from_box);
     EXPECT_EQ(exact.frames[2].scan.range_m, moved.frames[2].scan.range_m) << "scans are what the sensor saw from the exact poses";
     fs::remove_all(folder);
@@ -200,10 +200,10 @@ TEST(Synthetic, WithoutPosesBoxesStandWhereTheSensorSawThem) {
     DatasetOptions options;
     options.poses_file = kNoPoses;
     Sequence log = load_sequence(folder.string(), options);
-    for (const Pose& pose : log.world_from_sensor.pose) EXPECT_EQ(pose.translation, glm::dvec3(0.0));
-    const glm::dvec3 as_seen = inverse(exact.world_from_sensor.pose[0]) * exact.boxes[0].world_from_box.pose[0].translation;
+    for (const Pose& pose : log.world_from_vehicle.pose) EXPECT_EQ(pose.translation, glm::dvec3(0.0));
+    const glm::dvec3 as_seen = inverse(exact.world_from_vehicle.pose[0]) * exact.boxes[0].world_from_box.pose[0].translation;
     EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation, as_seen), 1e-9);
-    set_sensor_poses(log, exact.world_from_sensor);
+    set_vehicle_poses(log, exact.world_from_vehicle);
     EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation, exact.boxes[0].world_from_box.pose[0].translation), 1e-9);
     fs::remove_all(folder);
 }
@@ -220,7 +220,7 @@ TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
         const Scan &scan = log.frames[f].scan, &bare = empty.frames[f].scan;
         for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
             const double t = log.frames[f].time_s + static_cast<double>(scan.rays.time_offset_s[i]);
-            const glm::dvec3 world = log.world_from_sensor.at(t) * glm::dvec3(scan.point(i));
+            const glm::dvec3 world = log.world_from_vehicle.at(t) * glm::dvec3(scan.point(i));
             const bool changed = scan.range_m[i] > 0.0f && scan.range_m[i] != bare.range_m[i];
             on_cars += changed;
             if (scan.range_m[i] == 0.0f) continue;

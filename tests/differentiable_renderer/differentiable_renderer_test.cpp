@@ -36,12 +36,13 @@ RenderedGradients to_arrays(const std::vector<reference::PixelGradient>& d) {
 }
 
 /// The reference's gradients of a scene's rays.
-reference::Gradients expected_gradients(const test::RandomScene& scene, reference::Settings settings, const std::vector<reference::PixelGradient>& d_rendered,
-                                        std::vector<reference::RayGradient>& d_rays) {
+reference::Gradients expected_gradients(const test::RandomScene& scene, reference::Settings settings,
+                                        const std::vector<reference::PixelGradient>& d_rendered, std::vector<reference::RayGradient>& d_rays) {
     settings.view_origin = scene.view_origin;
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
     reference::Gradients expected(scene.world);
-    for (std::size_t i = 0; i < scene.rays.size(); ++i) d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], 16, d_rendered[i], expected));
+    for (std::size_t i = 0; i < scene.rays.size(); ++i)
+        d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], 16, d_rendered[i], expected));
     return expected;
 }
 
@@ -61,7 +62,8 @@ TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
         EXPECT_EQ(found.touched[i] != 0, glm::length(found.surfels.mean[i]) > 0.0f) << "surfel " << i;
     }
     ASSERT_EQ(found.rays.size(), 6 * rays.size());
-    for (std::size_t i = 0; i < d_rays.size(); ++i) table.add_row("ray direction", lanes(d_rays[i].direction, 3), lanes(&found.rays[6 * i + 3], 3));
+    for (std::size_t i = 0; i < d_rays.size(); ++i)
+        table.add_row("ray direction", lanes(d_rays[i].direction, 3), lanes(&found.rays[6 * i + 3], 3));
     ASSERT_EQ(found.poses.size(), 12u);
     table.add_row("pose", lanes(expected.instances[1].translation, 3), lanes(&found.poses[6], 3));
     EXPECT_EQ(found.sensor.size(), 6u);
@@ -74,10 +76,12 @@ TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
 TEST_F(Differentiable, LanesThatAreEmptyAreZeroAndNothingUnaskedComesBack) {
     std::vector<reference::PixelGradient> d_rendered = test::random_upstream(scene.rays.size(), 6);
     for (reference::PixelGradient& g : d_rendered) g = {.depth = g.depth};
-    DifferentiableRenderer renderer(device(), placed.scene, settings.image, {.keep_hits = 8}, {.sums = {.reduction = Reduction::gather}});   // bit-equal sums
+    const GradientOptions bit_equal{.sums = {.reduction = Reduction::gather}};
+    DifferentiableRenderer renderer(device(), placed.scene, settings.image, {.keep_hits = 8}, bit_equal);
     place(renderer);
     renderer.forward(rays);
-    const HostGradients all = renderer.backward(to_arrays(d_rendered)), depth_alone = renderer.backward({.depth = to_arrays(d_rendered).depth});
+    const HostGradients all = renderer.backward(to_arrays(d_rendered));
+    const HostGradients depth_alone = renderer.backward({.depth = to_arrays(d_rendered).depth});
     EXPECT_EQ(depth_alone.surfels.mean, all.surfels.mean);
     EXPECT_EQ(depth_alone.surfels.sh, std::vector<float>(all.surfels.sh.size(), 0.0f));
     EXPECT_TRUE(all.poses.empty() && all.sensor.empty() && all.rays.empty());
@@ -114,7 +118,8 @@ TEST_F(Differentiable, ALossOfOnesOwnLearns) {
             d.intensity[i] = 2.0f * error;
         }
         renderer.backward(d);
-        adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels, &renderer.gradients().touched, {0.0, 0.0, 0.0, 0.0, 0.05, 0.05}, step, 3);
+        const Gradients& gradients = renderer.gradients();
+        adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched, {0.0, 0.0, 0.0, 0.0, 0.05, 0.05}, step, 3);
     }
     EXPECT_LT(losses.back(), 0.1 * losses.front());
 }

@@ -32,7 +32,7 @@ DrivingScene example() {
     d.scene.models = {{"background", 0, 3, {}}, {"van", 3, 2, {2.6f, 1.1f, 1.1f}}, {"car", 5, 4, {2.1f, 1.1f, 0.85f}}};
     d.scene.instances = {{0, ""}, {1, "van"}, {2, "car"}};
     d.scene.sensor_drop = {1, 1, {0.25f}};
-    d.sequence.sensor.period_s = 0.1;
+    d.sequence.lidars[0].sensor.period_s = 0.1;
     d.sequence.world_offset_m = {1000.0, -50.0, 2.0};
     BoxTrack van{"van", "Van", {5, 2, 2}, {}}, car{"car", "Car", {4, 2, 1.5}, {}}, walker{"walker", "Pedestrian", {1, 1, 2}, {}};
     for (int i = 0; i < 10; ++i) {
@@ -184,9 +184,9 @@ TEST_F(EditedRun, IsSavedAndLoadedLikeAnyOther) {
     for (const DrivingScene& d : {copy_track(example(), "van", {}), keep_actors(example()), keep_background(example())}) {
         relidar::Run run{folder / "run", make_preset("quick"), d.sequence, {{0}, {1}}, d.scene, {{"/a", "--copy"}}};
         for (glm::vec4& q : run.scene.surfels.rotation) q = {1, 0, 0, 0};
-        run.sequence.sensor.beams = {{0.0}};
-        run.sequence.sensor.columns = 4;
-        for (const Frame& f : run.sequence.frames) run.sequence.world_from_sensor.time_s.push_back(f.time_s), run.sequence.world_from_sensor.pose.push_back({});
+        run.sequence.lidars[0].sensor.beams = {{0.0}};
+        run.sequence.lidars[0].sensor.columns = 4;
+        for (const Frame& f : run.sequence.frames) run.sequence.world_from_vehicle.time_s.push_back(f.time_s), run.sequence.world_from_vehicle.pose.push_back({});
         save_run(run);
         const relidar::Run read = load_run(run.folder);
         EXPECT_EQ(tracks({read.scene, read.sequence}), tracks(d));

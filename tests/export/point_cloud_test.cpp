@@ -99,6 +99,23 @@ TEST_F(PointCloudFile, LeavesOutFieldsThatAreMissing) {
     expect_records(pcd.body, cloud, 16);
 }
 
+TEST_F(PointCloudFile, WritesNormalsByTheNamesOfEachFormat) {
+    PointCloud cloud = some_cloud();
+    cloud.ring.reset(), cloud.time.reset(), cloud.instance.reset();
+    cloud.normal = {{1.0f, 0.0f, 0.0f}, {0.0f, -1.0f, 0.0f}, {0.6f, 0.0f, 0.8f}};
+    write_ply(folder / "a.ply", cloud);
+    write_pcd(folder / "a.pcd", cloud);
+    const Parsed ply = parse(contents(folder / "a.ply"), "end_header"), pcd = parse(contents(folder / "a.pcd"), "DATA binary");
+    EXPECT_NE(contents(folder / "a.ply").find("property float nx\nproperty float ny\nproperty float nz\nend_header"), std::string::npos);
+    EXPECT_NE(contents(folder / "a.pcd").find("\nFIELDS x y z intensity normal_x normal_y normal_z\n"), std::string::npos);
+    EXPECT_EQ(ply.body, pcd.body);
+    ASSERT_EQ(ply.body.size(), 3u * 28u);
+    for (std::size_t i = 0; i < 3; ++i)
+        for (int axis = 0; axis < 3; ++axis) EXPECT_EQ(value_at<float>(ply.body, 28 * i + 16 + 4 * std::size_t(axis)), (*cloud.normal)[i][axis]);
+    cloud.normal->pop_back();
+    data_error([&] { write_ply(folder / "b", cloud); });
+}
+
 TEST_F(PointCloudFile, WritesKittiBin) {
     write_kitti_bin(folder / "a.bin", some_cloud());
     expect_records(contents(folder / "a.bin"), some_cloud(), 16);

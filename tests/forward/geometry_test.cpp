@@ -60,5 +60,24 @@ TEST_F(Geometry, AgreesWithDoubleReference) {
     }
 }
 
+TEST_F(Geometry, OfARenderer) {
+    test::RandomSceneOptions options;
+    options.seed = 26, options.rays = 100;
+    const reference::Settings settings;
+    const test::RandomScene scene = test::make_random_scene(options, settings);
+    const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
+    const test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+    for (const bool wanted : {true, false}) {
+        Renderer renderer(device(), placed.scene, settings.image, {}, {.geometry = wanted});
+        renderer.set_poses(placed.world_from_instance);
+        const Rendering found = renderer.trace(test::to_world_rays(scene.rays), glm::vec3(scene.view_origin));
+        ASSERT_EQ(found.normal.size(), wanted ? scene.rays.size() : 0u);
+        for (std::size_t i = 0; i < found.normal.size(); ++i) {
+            const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
+            EXPECT_LE(glm::length(glm::dvec3(found.normal[i]) - p.normal), 1e-5) << "ray " << i;
+        }
+    }
+}
+
 }  // namespace
 }  // namespace relidar

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// A whole small KITTI drive: an input says what other bytes some of its files hold, so that each reader is reached whatever another one would
+// A whole small KITTI drive, and an odometry sequence of its scans: an input says what other bytes some of its files hold, so that each reader is reached whatever another one would
 // have said before. Input: options, then sections of file number, length (2 bytes, little-endian), bytes; the last may be cut.
 #include "harness.hpp"
 
 #include <cstdlib>
 #include <functional>
+
+#include <fmt/format.h>
 
 #include <relidar/dataset.hpp>
 
@@ -30,9 +32,17 @@ public:
             put(drive_.scan(frame), some);
         }
         put(drive_.file("poses.txt"), "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n1 0 0 2 0 1 0 0 0 0 1 0\n");
+        for (int frame = 0; frame < 3; ++frame) {
+            fs::create_directories(odometry() / "velodyne");
+            put(odometry() / "velodyne" / fmt::format("{:06d}.bin", frame), contents(drive_.scan(frame)));
+        }
+        put(odometry() / "calib.txt", "P0: 1 0 0 0 0 1 0 0 0 0 1 0\nTr: 0 -1 0 0 0 0 -1 -0.1 1 0 0 -0.3\n");
+        put(odometry() / "times.txt", "0.0e+00\n1.0e-01\n2.0e-01\n");
+        put(odometry() / "poses.txt", contents(drive_.file("poses.txt")));
         files_ = {drive_.file("velodyne_points/timestamps.txt"), drive_.file("velodyne_points/timestamps_start.txt"), drive_.file("velodyne_points/timestamps_end.txt"),
                   drive_.file("oxts/data/0000000000.txt"), drive_.file("oxts/data/0000000001.txt"), drive_.calibration(), drive_.file("tracklet_labels.xml"),
-                  drive_.file("poses.txt"), drive_.scan(0), drive_.scan(2)};
+                  drive_.file("poses.txt"), drive_.scan(0), drive_.scan(2),
+                  odometry() / "calib.txt", odometry() / "times.txt", odometry() / "poses.txt", odometry() / "velodyne/000000.bin"};
         for (const fs::path& file : files_) usual_.push_back(contents(file));
     }
 
@@ -40,6 +50,7 @@ public:
     const std::string& usual(std::size_t file) const { return usual_[file]; }
     const fs::path& folder() const { return drive_.folder; }
     fs::path scan() const { return drive_.scan(0); }
+    fs::path odometry() const { return drive_.file("odometry"); }
     fs::path poses() const { return drive_.file("poses.txt"); }
     void write(std::size_t file, std::string_view bytes) const { put(files_[file], bytes); }
 
@@ -56,7 +67,7 @@ const Drive& drive_in(const fs::path& folder) {
 
 /// Every reader of text, each alone.
 void read_texts(const Drive& drive, unsigned options) {
-    const std::vector<int> frames = kitti::list_scans(drive.folder(), 0, -1);
+    const std::vector<int> frames = kitti::list_scans(drive.folder() / "velodyne_points/data", 0, -1);
     std::exception_ptr failure;
     const auto attempt = [&](const std::function<void()>& read) {
         try {
@@ -82,6 +93,13 @@ void read_whole(const Drive& drive, unsigned options) {
     dataset.allow_missing_scans = !(options & kAllScans);
     if (!(options & kAllFrames)) dataset.frames = {0, 1};
     load_sequence("kitti_raw:" + drive.folder().string(), dataset);
+}
+
+void read_odometry(const Drive& drive, unsigned options) {
+    DatasetOptions dataset;
+    if (options & kNone) dataset.poses_file = kNoPoses;
+    if (!(options & kAllFrames)) dataset.frames = {0, 1};
+    load_sequence("kitti_odometry:" + drive.odometry().string(), dataset);
 }
 
 /// Writes what an input says, reads, and puts back what was there.
@@ -127,6 +145,7 @@ std::vector<Harness> drive_harnesses() {
     return {
         {"drive_texts", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_texts); }, false},   // a piece of a scan is none
         {"drive", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_whole); }, false},
+        {"odometry", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_odometry); }, false},
     };
 }
 

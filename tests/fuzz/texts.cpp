@@ -43,7 +43,7 @@ void read_scene(std::string_view input, const fs::path& folder) {
     }();
     put(run.folder / "scene.json", input);
     const Run read = load_run(run.folder);
-    if (read.sequence.sensor.beams.size() * std::size_t(read.sequence.sensor.columns) < 10000) make_rays(read.sequence.sensor);
+    if (read.sequence.lidars[0].sensor.beams.size() * std::size_t(read.sequence.lidars[0].sensor.columns) < 10000) make_rays(read.sequence.lidars[0].sensor);
     for (const BoxTrack& box : read.sequence.boxes) (void)box.present(read.sequence.frames[0].time_s);
     split_frames(read.sequence, 10);
 }

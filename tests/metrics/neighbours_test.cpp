@@ -38,8 +38,8 @@ Sequence drive(bool rolling_shutter) {
     s.rolling_shutter = rolling_shutter;
     for (int i = 0; i < 5; ++i) {
         s.frames.push_back(frame_of(i, 0.1 * i, {{10.0f + float(i), 2.0f, 1.0f}}, rolling_shutter ? 0.01f : 0.0f));
-        s.world_from_sensor.time_s.push_back(0.1 * i);
-        s.world_from_sensor.pose.push_back(turned(0.05 * i, {1.5 * i, 0.1 * i, 0.0}));
+        s.world_from_vehicle.time_s.push_back(0.1 * i);
+        s.world_from_vehicle.pose.push_back(turned(0.05 * i, {1.5 * i, 0.1 * i, 0.0}));
     }
     return s;
 }
@@ -51,7 +51,7 @@ TEST(Neighbours, AreTheNearestTrainingFramesMovedByThePoses) {
     const int frames[] = {1, 4};
     for (std::size_t k = 0; k < 2; ++k) {
         const auto f = std::size_t(frames[k]);
-        const glm::dvec3 expected = inverse(s.world_from_sensor.pose[2]) * (s.world_from_sensor.pose[f] * glm::dvec3(s.frames[f].scan.point(0)));
+        const glm::dvec3 expected = inverse(s.world_from_vehicle.pose[2]) * (s.world_from_vehicle.pose[f] * glm::dvec3(s.frames[f].scan.point(0)));
         EXPECT_LT(glm::distance(glm::dvec3(points.point(k)), expected), 1e-5);
         EXPECT_EQ(points.intensity[k], float(frames[k]) + 0.25f);
     }
@@ -66,17 +66,17 @@ TEST(Neighbours, FollowTheRollingShutter) {
     ASSERT_EQ(points.range_m.size(), 2u);
     for (std::size_t k = 0; k < 2; ++k) {
         const Frame& from = s.frames[k == 0 ? 1 : 3];
-        const glm::dvec3 world = s.world_from_sensor.at(from.time_s + 0.01) * glm::dvec3(from.scan.point(0));
+        const glm::dvec3 world = s.world_from_vehicle.at(from.time_s + 0.01) * glm::dvec3(from.scan.point(0));
         const glm::dvec3 seen(points.point(k));
-        const double azimuth = std::atan2(seen.y, seen.x), t_s = 0.2 - azimuth / (2.0 * kPi) * s.sensor.period_s;   // a clockwise head
-        EXPECT_LT(glm::distance(s.world_from_sensor.at(t_s) * seen, world), 2e-3);   // azimuth moves while the head gets there
-        EXPECT_GT(glm::distance(s.world_from_sensor.at(0.2) * seen, world), 0.01);
+        const double azimuth = std::atan2(seen.y, seen.x), t_s = 0.2 - azimuth / (2.0 * kPi) * s.lidars[0].sensor.period_s;   // a clockwise head
+        EXPECT_LT(glm::distance(s.world_from_vehicle.at(t_s) * seen, world), 2e-3);   // azimuth moves while the head gets there
+        EXPECT_GT(glm::distance(s.world_from_vehicle.at(0.2) * seen, world), 0.01);
     }
 }
 
 TEST(Neighbours, MoveWithTheirBoxes) {
     Sequence s = drive(false);
-    for (Pose& pose : s.world_from_sensor.pose) pose = {};
+    for (Pose& pose : s.world_from_vehicle.pose) pose = {};
     BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};   // drives 1 m a frame; the points of frames 1 and 3 lie in it
     for (int i = 0; i < 5; ++i) {
         box.world_from_box.time_s.push_back(0.1 * i);
@@ -168,7 +168,7 @@ TEST(Regions, KnowWhatMoves) {
     BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};   // around the point of frame 2 at the time it was fired
     for (int i = 0; i < 5; ++i) {
         box.world_from_box.time_s.push_back(0.1 * i);
-        box.world_from_box.pose.push_back({s.world_from_sensor.at(0.21).rotation, s.world_from_sensor.at(0.21) * glm::dvec3(12.0, 2.0 + 2.0 * (i - 2.1), 1.0)});
+        box.world_from_box.pose.push_back({s.world_from_vehicle.at(0.21).rotation, s.world_from_vehicle.at(0.21) * glm::dvec3(12.0, 2.0 + 2.0 * (i - 2.1), 1.0)});
     }
     s.boxes = {box};
     EXPECT_EQ(moving_returns(s, s.frames[2], 0.01), std::vector<bool>{true});

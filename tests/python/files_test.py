@@ -25,15 +25,17 @@ class Poses(TestCase):
 class Logs(TestCase):
     def test_scan(self):
         scan = log().scan(2)
-        self.assertEqual({name: array.dtype.name for name, array in scan.items()},
-                         {"directions": "float32", "origin": "float32", "time": "float32", "ring": "uint16", "range": "float32", "intensity": "float32"})
+        self.assertEqual(list(scan), ["directions", "origin", "time", "ring", "range", "intensity"])
+        self.assertEqual([array.dtype.name for array in scan.values()], ["float32"] * 3 + ["uint16"] + ["float32"] * 2)
         self.assertEqual(scan["range"].shape, (16, 256))
         self.assertTrue(np.all(scan["intensity"][scan["range"] == 0] == 0))
         self.assertEqual(len(log()), 8)
         times, poses = log().trajectory
         self.assert_same(times, log().times)
         np.testing.assert_allclose(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1), 0.8, rtol=0.05)   # 8 m/s at 10 Hz
-        self.assertEqual(set(log().boxes) >= set(run().actors), True)
+        self.assertGreaterEqual(set(log().boxes), set(run().actors))
+        self.assertEqual(log().frame_lidars, [""] * 8)
+        np.testing.assert_array_equal(log().mountings[""], np.eye(4))
 
     def test_settings_choose_frames(self):
         part = relidar.load_sequence(street(), relidar.Config("quick", {"dataset.frames_begin": 2, "dataset.frames_end": 5}))
@@ -48,8 +50,9 @@ class Logs(TestCase):
 
 class Settings(TestCase):
     def test_values(self):
-        settings = relidar.Config("quick", {"train.iterations": 7, "sensor.rolling_shutter": False, "loss.depth": 0.25, "dataset.poses": pathlib.Path("p.txt")})
-        self.assertEqual([settings[k] for k in ("train.iterations", "sensor.rolling_shutter", "loss.depth", "dataset.poses")], ["7", "false", "0.25", "p.txt"])
+        given = {"train.iterations": 7, "sensor.rolling_shutter": False, "loss.depth": 0.25, "dataset.poses": pathlib.Path("p.txt")}
+        settings = relidar.Config("quick", given)
+        self.assertEqual([settings[key] for key in given], ["7", "false", "0.25", "p.txt"])
         (FOLDER / "settings.toml").write_text(settings.to_toml())
         self.assertEqual(relidar.Config.load(FOLDER / "settings.toml").values(), settings.values())
         self.assertTrue(settings.help("loss.depth"))
@@ -84,7 +87,8 @@ class Runs(TestCase):
         self.assert_fails(relidar.DataError, "expected", run().with_surfels, {name: array[:-1] for name, array in surfels.items()})
         self.assert_fails(relidar.UsageError, 'did you mean "mean"', run().with_surfels, dict(surfels, maen=surfels["mean"]))
         self.assert_fails(relidar.DataError, 'no array "sh"', run().with_surfels, {k: v for k, v in surfels.items() if k != "sh"})
-        self.assert_fails(relidar.DataError, "surfels: mean: found float64", run().with_surfels, dict(surfels, mean=surfels["mean"].astype(float)))
+        doubles = dict(surfels, mean=surfels["mean"].astype(float))
+        self.assert_fails(relidar.DataError, "surfels: mean: found float64", run().with_surfels, doubles)
         self.assert_fails(relidar.DataError, "in C order", run().with_surfels, dict(surfels, mean=np.asfortranarray(surfels["mean"])))
 
     def test_settings_of_a_run(self):
@@ -92,7 +96,8 @@ class Runs(TestCase):
         scan = median.render(time=median.times[0])
         met = scan["median_range"] > 0
         self.assert_same(scan["range"][met], scan["median_range"][met])
-        self.assert_fails(relidar.UsageError, "did you mean render.range", relidar.Run.load, run().folder, settings={"render.rnge": "median"})
+        wrong = {"render.rnge": "median"}
+        self.assert_fails(relidar.UsageError, "did you mean render.range", relidar.Run.load, run().folder, settings=wrong)
 
     def test_bad_files(self):
         self.assert_fails(relidar.DataError, "nowhere: no such folder", relidar.Run.load, "nowhere")
@@ -107,8 +112,9 @@ class Runs(TestCase):
         self.assert_fails(relidar.DataError, "model.safetensors", relidar.Run.load, cut)
 
     def test_errors_are_also_built_in_ones(self):
-        self.assertTrue(issubclass(relidar.UsageError, ValueError) and issubclass(relidar.DataError, ValueError) and issubclass(relidar.DeviceError, RuntimeError))
-        self.assertEqual([e.code for e in (relidar.UsageError, relidar.DataError, relidar.DeviceError)], [2, 3, 4])
+        errors = {relidar.UsageError: (ValueError, 2), relidar.DataError: (ValueError, 3), relidar.DeviceError: (RuntimeError, 4)}
+        for error, (built_in, code) in errors.items():
+            self.assertEqual((error.__bases__, error.code), ((relidar.Error, built_in), code))
         self.assert_fails(relidar.DeviceError, "99", relidar.Device, 99)
         self.assert_fails(relidar.UsageError, "expected auto, ray_query or software", relidar.Device, traversal="fast")
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a random scene, its rays, dL/d(rendered), and what the double reference makes of them: image and gradients. The Python test renders and
-// differentiates the same scene through numpy and compares.
+// Writes a random scene, its rays, dL/d(rendered), and what the double reference makes of them: image and gradients. The Python test
+// renders and differentiates the same scene through numpy and compares.
 //   gradient_fixture OUT.npz ray|surfel
 #include <cstdio>
 #include <string>
@@ -26,9 +26,7 @@ public:
         column.width = n;
         for (std::size_t k = 0; k < n; ++k) column.values.push_back(double(row[static_cast<int>(k)]));
     }
-    void add(const std::string& name, double value) {
-        columns_[name].values.push_back(value);
-    }
+    void add(const std::string& name, double value) { columns_[name].values.push_back(value); }
     std::vector<NamedArray> arrays() const {
         std::vector<NamedArray> result;
         for (const auto& [name, column] : columns_) {
@@ -42,7 +40,7 @@ public:
 private:
     struct Column {
         std::vector<double> values;
-        std::size_t width = 0;   ///< 0: one number a row, no second axis
+        std::size_t width = 0;  ///< 0: one number a row, no second axis
     };
     std::map<std::string, Column> columns_;
 };
@@ -84,7 +82,7 @@ void add_scene(Table& table, const test::RandomScene& scene, const test::SceneAn
     }
     for (std::size_t i = 0; i < placed.scene.instances.size(); ++i) {
         table.add("instance/model", placed.scene.instances[i].model);
-        const glm::dmat4 rows = glm::transpose(to_matrix(placed.world_from_instance[i]));   // GLM holds columns
+        const glm::dmat4 rows = glm::transpose(to_matrix(placed.world_from_instance[i]));  // GLM holds columns
         table.add("instance/pose", &rows[0][0], 16);
     }
     table.add("view_origin", scene.view_origin, 3);
@@ -93,7 +91,8 @@ void add_scene(Table& table, const test::RandomScene& scene, const test::SceneAn
 void write_fixture(const std::string& path, ShDirection direction) {
     reference::Settings settings;
     settings.image.sh_direction = direction;
-    const test::RandomSceneOptions options{.seed = 31, .actor_instances = direction == ShDirection::ray ? 2 : 1, .rays = 60};   // those of DeviceGradient
+    const test::RandomSceneOptions options{
+        .seed = 31, .actor_instances = direction == ShDirection::ray ? 2 : 1, .rays = 60};  // those of DeviceGradient
     const test::RandomScene scene = test::make_random_scene(options, settings);
     settings.view_origin = scene.view_origin;
     const test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);

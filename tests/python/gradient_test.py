@@ -41,7 +41,8 @@ class Case:
             self.arrays = dict(file)
         a = self.arrays
         self.surfels = {name: a["scene/" + name].reshape(-1, *shape).astype(np.float32) for name, shape in PARAMETERS.items()}
-        models = [{"name": f"model {i}", "first": int(f), "count": int(c)} for i, (f, c) in enumerate(zip(a["model/first"], a["model/count"]))]
+        ranges = zip(a["model/first"].astype(int), a["model/count"].astype(int))
+        models = [{"name": f"model {i}", "first": first, "count": count} for i, (first, count) in enumerate(ranges)]
         instances = [{"model": int(m), "track": "" if i == 0 else f"track {i}"} for i, m in enumerate(a["instance/model"])]
         config = relidar.Config("paper", {"image.sh_direction": direction})
         self.renderer = relidar.DifferentiableRenderer(relidar.Scene(self.surfels, models, instances), config, poses=True, rays=True)
@@ -72,7 +73,8 @@ class Gradient(TestCase):
         for name in PARAMETERS:
             reference = expected["gradient/" + name].reshape(gradients[name].shape)
             self.assertTrue(np.any(reference))
-            groups = [reference[:, c] for c in range(3)] if name == "sh" else [reference]   # harmonics channel by channel, as the C++ test has them
+            # Harmonics channel by channel, as the C++ test has them.
+            groups = [reference[:, c] for c in range(3)] if name == "sh" else [reference]
             found = [gradients[name][:, c] for c in range(3)] if name == "sh" else [gradients[name]]
             for r, f in zip(groups, found):
                 self.assertLessEqual(worst_error(r, f), limit, f"{name}, SH along {direction}")
@@ -83,12 +85,13 @@ class Gradient(TestCase):
     def test_harmonics_along_the_ray(self):
         case, gradients = self.check("ray")
         a = case.arrays
-        self.assertLessEqual(worst_error(a["gradient/pose_translation"], gradients["poses"][:, :3]), tolerance("kKernelGradient"))
-        self.assertLessEqual(worst_error(a["gradient/pose_rotation"], gradients["poses"][:, 3:]), tolerance("kKernelGradient"))
+        limit = tolerance("kKernelGradient")
+        self.assertLessEqual(worst_error(a["gradient/pose_translation"], gradients["poses"][:, :3]), limit)
+        self.assertLessEqual(worst_error(a["gradient/pose_rotation"], gradients["poses"][:, 3:]), limit)
         # All rays move as one body about the view origin.
         turn = np.cross(a["ray/origin"] - case.view, a["gradient/ray_origin"]) + np.cross(a["ray/direction"], a["gradient/ray_direction"])
-        self.assertLessEqual(worst_error(a["gradient/ray_origin"].sum(0)[None], gradients["sensor"][None, :3]), tolerance("kKernelGradient"))
-        self.assertLessEqual(worst_error(turn.sum(0)[None], gradients["sensor"][None, 3:]), tolerance("kKernelGradient"))
+        self.assertLessEqual(worst_error(a["gradient/ray_origin"].sum(0)[None], gradients["sensor"][None, :3]), limit)
+        self.assertLessEqual(worst_error(turn.sum(0)[None], gradients["sensor"][None, 3:]), limit)
 
     def test_harmonics_along_the_surfel(self):
         self.check("surfel")
@@ -101,7 +104,7 @@ class Gradient(TestCase):
         step = {name: np.float32(1e-3 / np.linalg.norm(gradients[name])) * gradients[name] for name in ("opacity_logit", "sh")}
 
         def loss_at(sign):
-            case.renderer.upload({name: np.ascontiguousarray(x + sign * step[name]) if name in step else x for name, x in case.surfels.items()})
+            case.renderer.upload({name: x + sign * step[name] if name in step else x for name, x in case.surfels.items()})
             case.renderer.place(case.poses, case.view)
             return case.loss()
 
@@ -122,17 +125,19 @@ class Gradient(TestCase):
         self.assert_fails(relidar.UsageError, "place", fresh.forward, origins, directions)
         self.assert_fails(relidar.UsageError, "forward", fresh.backward, {})
         forward(origins, directions)
-        self.assert_fails(relidar.DataError, "origins: found float64 [60,3], expected an array of float32 [n,3]", forward, origins.astype(float), directions)
+        doubles, three = origins.astype(float), np.zeros(3, np.float32)
+        expected = "origins: found float64 [60,3], expected an array of float32 [n,3]"
+        self.assert_fails(relidar.DataError, expected, forward, doubles, directions)
         self.assert_fails(relidar.DataError, "directions: found float32 [3,60]", forward, origins, directions.T)
         self.assert_fails(relidar.DataError, "in C order", forward, np.asfortranarray(origins), directions)
         self.assert_fails(relidar.DataError, "in C order", forward, origins[::2], directions[::2])
         self.assert_fails(relidar.DataError, "found 59 beside 60 origins", forward, origins, directions[:59])
         self.assert_fails(relidar.DataError, "found an object of type list", forward, origins.tolist(), directions)
         self.assert_fails(relidar.DataError, ">f4", forward, origins.astype(">f4"), directions)
-        self.assert_fails(relidar.DataError, "d_rendered: depth: found float32 [3], expected an array of float32 [60]", backward, {"depth": np.zeros(3, np.float32)})
+        self.assert_fails(relidar.DataError, "depth: found float32 [3], expected an array of float32 [60]", backward, {"depth": three})
         self.assert_fails(relidar.UsageError, 'found "range"', backward, {"range": np.zeros(60, np.float32)})
         self.assert_fails(relidar.DataError, "poses: found 1, expected 3", case.renderer.place, np.eye(4)[None])
-        self.assert_fails(relidar.DataError, "view_origin: found float32", case.renderer.place, None, np.zeros(3, np.float32))
+        self.assert_fails(relidar.DataError, "view_origin: found float32", case.renderer.place, None, three)
         overlapping = relidar.Scene(case.surfels, [{"name": "a", "first": 0, "count": 10**6}])
         self.assert_fails(relidar.DataError, "", relidar.DifferentiableRenderer, overlapping)
 

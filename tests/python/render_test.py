@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scans of a run: the same as the command line tool writes; along poses, of actors and by sensors of the caller's own; lifetimes of arrays."""
+"""Scans of a run: the same as the command line tool writes; poses, actors and sensors of the caller's own; lifetimes of arrays."""
 import gc
 import unittest
 
@@ -62,7 +62,8 @@ class Render(TestCase):
         ahead = poses[3] @ relidar.pose(8.0, 0, 0)   # a car in front of the sensor
         name = next(iter(run().actors))
         scan = run().render(time=time, actors={name: ahead})
-        points = (scan["origin"] + scan["median_range"][..., None] * scan["directions"])[(scan["instance"] > 0) & (scan["median_range"] > 0)]
+        met = (scan["instance"] > 0) & (scan["median_range"] > 0)
+        points = (scan["origin"] + scan["median_range"][..., None] * scan["directions"])[met]
         self.assertGreater(len(points), 10)
         self.assertLess(np.abs(np.median(points, axis=0) - [8.0, 0.0, 0.0])[:2].max(), 3.0)
 
@@ -114,7 +115,9 @@ class Render(TestCase):
     def test_bad_input(self):
         time = run().times[0]
         render = run().render
-        self.assert_fails(relidar.DataError, "pose: found float32 [4,4], expected an array of float64 [4,4]", render, time=time, pose=np.eye(4, dtype=np.float32))
+        single = np.eye(4, dtype=np.float32)
+        expected = "pose: found float32 [4,4], expected an array of float64 [4,4]"
+        self.assert_fails(relidar.DataError, expected, render, time=time, pose=single)
         self.assert_fails(relidar.DataError, "pose: found float64 [3,4]", render, time=time, pose=np.eye(4)[:3])
         self.assert_fails(relidar.DataError, "pose: found an object of type list", render, time=time, pose=np.eye(4).tolist())
         self.assert_fails(relidar.DataError, "in C order", render, time=time, pose=np.asfortranarray(relidar.pose(1, 2, 3)))
@@ -127,13 +130,15 @@ class Render(TestCase):
         self.assert_fails(relidar.UsageError, "nobody", render, time=time, actors={"nobody": np.eye(4)})
         self.assert_fails(relidar.UsageError, 'did you mean "', render, time=time, only=["backgrund"])
         self.assert_fails(relidar.UsageError, "VLP-16", render, "VLP16", time=time)
+        self.assert_fails(relidar.UsageError, 'lidar: found "rear"', render, time=time, lidar="rear")
         self.assert_fails(relidar.UsageError, "expected sensor or world", render, time=time, frame="map")
         directions = run().rays()["directions"]
         self.assert_fails(relidar.DataError, 'without "directions"', render, {}, time=time)
         self.assert_fails(relidar.DataError, "found float64", render, {"directions": directions.astype(np.float64)}, time=time)
         self.assert_fails(relidar.DataError, "in C order", render, {"directions": directions[:, ::2]}, time=time)
         self.assert_fails(relidar.DataError, "found length", render, {"directions": 2 * directions}, time=time)
-        self.assert_fails(relidar.DataError, "sensor: time: found float32 [3]", render, {"directions": directions, "time": np.zeros(3, np.float32)}, time=time)
+        three_times = {"directions": directions, "time": np.zeros(3, np.float32)}
+        self.assert_fails(relidar.DataError, "sensor: time: found float32 [3]", render, three_times, time=time)
 
 
 if __name__ == "__main__":

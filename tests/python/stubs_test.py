@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stubs name what the module has, with the same arguments in the same order and the same defaults, and every public thing has a docstring."""
+"""The stubs name what the module has, with the same arguments and defaults in the same order, and every public thing has a docstring."""
 import ast
 import pathlib
 import re

@@ -99,11 +99,11 @@ SpinningSensor sensor() {
 Sequence drive_around_block(int n_frames) {
     Sequence drive;
     drive.name = "drive around a block";
-    drive.sensor = sensor();
-    const RayTable rays = make_rays(drive.sensor);
+    drive.lidars[0].sensor = sensor();
+    const RayTable rays = make_rays(drive.lidars[0].sensor);
     for (int k = 0; k < n_frames; ++k) {
-        drive.world_from_sensor.time_s.push_back(0.1 * k);
-        drive.world_from_sensor.pose.push_back(sensor_at(driven_m(0.1 * k, 0.1 * n_frames)));
+        drive.world_from_vehicle.time_s.push_back(0.1 * k);
+        drive.world_from_vehicle.pose.push_back(sensor_at(driven_m(0.1 * k, 0.1 * n_frames)));
         drive.frames.push_back({.index = k, .time_s = 0.1 * k, .scan = {rays, std::vector<float>(rays.size(), 0.0f), std::vector<float>(rays.size(), 0.0f)}});
     }
     const street::Street town = make_town();
@@ -111,7 +111,7 @@ Sequence drive_around_block(int n_frames) {
         Frame& frame = drive.frames[std::size_t(k)];
         Random random(hash64(11, std::uint64_t(k)));
         for (std::size_t ray = 0; ray < rays.size(); ++ray) {
-            const auto hit = street::cast(town, world_ray(drive.world_from_sensor, frame.time_s, rays, ray, true), frame.time_s, 80.0);
+            const auto hit = street::cast(town, world_ray(drive.world_from_vehicle, frame.time_s, rays, ray, true), frame.time_s, 80.0);
             const double noise_m = 0.01 * random.normal();
             if (hit) frame.scan.range_m[ray] = static_cast<float>(hit->range_m + noise_m);
         }

@@ -17,7 +17,7 @@ const Sequence& drive() {
 
 Registration registered(const PoseTrack& given, bool given_motion, const Split& split) {
     Sequence wrong = drive();
-    set_sensor_poses(wrong, given);
+    set_vehicle_poses(wrong, given);
     RegisterOptions options;
     options.given_motion = given_motion;
     return register_scans(wrong, split, options);
@@ -27,7 +27,7 @@ Registration registered(const PoseTrack& given, bool given_motion, const Split& 
 void expect_found(const Registration& found, const char* what) {
     std::vector<int> all;
     for (std::size_t k = 0; k < drive().frames.size(); ++k) all.push_back(static_cast<int>(k));
-    const test::PoseError error = test::error_of(found.world_from_sensor, drive().world_from_sensor, all);
+    const test::PoseError error = test::error_of(found.world_from_vehicle, drive().world_from_vehicle, all);
     EXPECT_LT(error.rms_m, 0.02) << what;
     EXPECT_LT(error.worst_m, 0.05) << what;
     EXPECT_LT(error.median_deg, 0.02) << what;
@@ -37,20 +37,20 @@ void expect_found(const Registration& found, const char* what) {
 }
 
 TEST(WholeDrive, FindsPosesBackFromDriftAndJumps) {
-    const PoseTrack given = test::with_drift_and_jumps(drive().world_from_sensor);
-    EXPECT_GT(test::error_of(given, drive().world_from_sensor, {0, 100, 200, 299}).worst_m, 1.0) << "the start is far off";
+    const PoseTrack given = test::with_drift_and_jumps(drive().world_from_vehicle);
+    EXPECT_GT(test::error_of(given, drive().world_from_vehicle, {0, 100, 200, 299}).worst_m, 1.0) << "the start is far off";
     expect_found(registered(given, true, split_frames(drive(), 10)), "drift and jumps");
 }
 
-TEST(WholeDrive, ExactPosesStay) { expect_found(registered(drive().world_from_sensor, true, split_frames(drive(), 10)), "exact"); }
+TEST(WholeDrive, ExactPosesStay) { expect_found(registered(drive().world_from_vehicle, true, split_frames(drive(), 10)), "exact"); }
 
 TEST(WholeDrive, NeedsNoPoses) {
-    PoseTrack none = drive().world_from_sensor;
+    PoseTrack none = drive().world_from_vehicle;
     for (Pose& pose : none.pose) pose = {};
     const Registration found = registered(none, false, split_frames(drive(), 10));
     expect_found(found, "no poses");
     const Split split = split_frames(drive(), 10);
-    EXPECT_EQ(found.world_from_sensor.pose[std::size_t(split.train[split.train.size() / 2])].translation, glm::dvec3(0.0)) << "the middle pose stays";
+    EXPECT_EQ(found.world_from_vehicle.pose[std::size_t(split.train[split.train.size() / 2])].translation, glm::dvec3(0.0)) << "the middle pose stays";
 }
 
 }  // namespace

@@ -135,11 +135,11 @@ Surfels wall_ahead() {
 TEST_F(Render, WallIsWhereItStands) {
     const Surfels wall = wall_ahead();
     Sequence sequence;
-    sequence.sensor.beams = {{0.0}};
-    sequence.sensor.columns = 8;
-    sequence.sensor.first_azimuth_rad = kPi;
-    sequence.world_from_sensor.time_s = {0.0, 1.0};
-    sequence.world_from_sensor.pose = {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}};   // 2 m/s towards the wall
+    sequence.lidars[0].sensor.beams = {{0.0}};
+    sequence.lidars[0].sensor.columns = 8;
+    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
+    sequence.world_from_vehicle.time_s = {0.0, 1.0};
+    sequence.world_from_vehicle.pose = {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}};   // 2 m/s towards the wall
     Config config;
     ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
     const SensorChoice sensor = configured_sensor(config, sequence);
@@ -160,12 +160,12 @@ TEST_F(Render, WallIsWhereItStands) {
 /// Four rays, one a quarter turn, from the origin.
 Sequence cross_sequence() {
     Sequence sequence;
-    sequence.sensor.beams = {{0.0}};
-    sequence.sensor.columns = 4;
-    sequence.sensor.first_azimuth_rad = kPi;
+    sequence.lidars[0].sensor.beams = {{0.0}};
+    sequence.lidars[0].sensor.columns = 4;
+    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
     sequence.rolling_shutter = false;
-    sequence.world_from_sensor.time_s = {0.0};
-    sequence.world_from_sensor.pose = {Pose{}};
+    sequence.world_from_vehicle.time_s = {0.0};
+    sequence.world_from_vehicle.pose = {Pose{}};
     return sequence;
 }
 
@@ -180,9 +180,9 @@ std::size_t ray_towards(const RayTable& rays, const glm::vec3& direction) {
 TEST_F(Render, LasersMeasureInTheirOwnWay) {
     const Surfels wall = wall_ahead();
     Sequence sequence = cross_sequence();
-    sequence.sensor.beams = {{.elevation_rad = 0.1}, {.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
-    sequence.sensor.beams[1] = {.intensity_gain = 1.4, .intensity_offset = -0.1, .range_offset_m = 0.07};
-    sequence.sensor.beams[2] = {.elevation_rad = -0.1, .intensity_gain = 3.0};
+    sequence.lidars[0].sensor.beams = {{.elevation_rad = 0.1}, {.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
+    sequence.lidars[0].sensor.beams[1] = {.intensity_gain = 1.4, .intensity_offset = -0.1, .range_offset_m = 0.07};
+    sequence.lidars[0].sensor.beams[2] = {.elevation_rad = -0.1, .intensity_gain = 3.0};
     Config config;
     config.render.range = "normalised";
     ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
@@ -218,20 +218,20 @@ TEST_F(Render, RangesBeyondTheSensorAreDrops) {
         sensor.limits = {min_m, max_m};
         const RenderedScan scan = renderer.render(sensor, 0.0);
         const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0});
-        EXPECT_NEAR(scan.image.range_m[ahead], 10.0 + sequence.sensor.beams[0].range_offset_m, 1e-4);
+        EXPECT_NEAR(scan.image.range_m[ahead], 10.0 + sequence.lidars[0].sensor.beams[0].range_offset_m, 1e-4);
         return scan.image.drop_prob[ahead] == 1.0f;
     };
     EXPECT_FALSE(dropped(9.9, 10.1));
     EXPECT_TRUE(dropped(0.0, 9.9));
     EXPECT_TRUE(dropped(10.1, 80.0));
-    sequence.sensor.beams[0].range_offset_m = 0.2;   // limits are of what is measured
+    sequence.lidars[0].sensor.beams[0].range_offset_m = 0.2;   // limits are of what is measured
     EXPECT_TRUE(dropped(0.0, 10.1));
 }
 
 TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
     Sequence sequence = cross_sequence();
-    sequence.sensor.min_range_m = 0.5;
-    sequence.sensor.max_range_m = 60.0;
+    sequence.lidars[0].sensor.min_range_m = 0.5;
+    sequence.lidars[0].sensor.max_range_m = 60.0;
     Config config;
     EXPECT_EQ(configured_sensor(config, sequence).limits.min_m, 0.5);
     EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 60.0);
@@ -242,7 +242,7 @@ TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
     EXPECT_EQ(choose_sensor("VLP-16", config, sequence).limits.max_m, 100.0) << "another sensor has its own";
     config.sensor.grid = "kitti360";
     EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 30.0);
-    config.dataset.max_range_m = sequence.sensor.max_range_m = 200.0;
+    config.dataset.max_range_m = sequence.lidars[0].sensor.max_range_m = 200.0;
     EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
 }
 
@@ -267,8 +267,8 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
 /// The place of a wall that stands still, from a sensor that moves while it turns: every ray's own pose puts its point on the wall.
 TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
     Sequence sequence = cross_sequence();
-    sequence.sensor.columns = 64;
-    sequence.world_from_sensor = {{0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {4.0, -1.0, 0.0}}}};
+    sequence.lidars[0].sensor.columns = 64;
+    sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {4.0, -1.0, 0.0}}}};
     sequence.world_offset_m = {100.0, 0.0, 0.0};
     for (const bool rolling : {true, false}) {
         sequence.rolling_shutter = rolling;
@@ -284,6 +284,31 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
         EXPECT_GT(met, 5u);
         EXPECT_NEAR(glm::length(scan.track.at(0.5).translation - scan.world_from_sensor.translation), 0.0, 1e-12);
     }
+}
+
+/// The wall's normal is known whichever way the sensor looks, turns and is binned: it comes back in the sensor's frame, towards the sensor.
+TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
+    Sequence sequence = cross_sequence();
+    sequence.lidars[0].sensor.columns = 64;
+    sequence.rolling_shutter = true;
+    sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(1.0, glm::normalize(glm::dvec3(0.1, 0.2, 1))), {4.0, -1.0, 0.0}}}};
+    Config config;
+    const SensorChoice sensor = configured_sensor(config, sequence);
+    EXPECT_TRUE(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5).normal.empty());
+    config.render.normals = true;
+    const RenderedScan scan = ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5);
+    std::size_t met = 0;
+    for (std::size_t i = 0; i < scan.normal.size(); ++i) {
+        if (scan.instance[i] < 0) EXPECT_EQ(scan.normal[i], glm::vec3(0.0f));
+        else EXPECT_LT(glm::length(scan.world_from_firing(i).rotation * glm::dvec3(scan.normal[i]) - glm::dvec3(-1.0, 0.0, 0.0)), 1e-5) << "ray " << i;
+        met += scan.instance[i] >= 0;
+    }
+    EXPECT_GT(met, 5u);
+    const RenderedScan binned = project_scan(scan, kitti360_grid());
+    ASSERT_EQ(binned.normal.size(), binned.instance.size());
+    for (std::size_t i = 0; i < binned.normal.size(); ++i) EXPECT_NEAR(glm::length(binned.normal[i]), binned.instance[i] < 0 ? 0.0f : 1.0f, 1e-6f);
+    config.image.primitive = Primitive::gaussian;
+    EXPECT_THROW(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence), UsageError);
 }
 
 /// A wall behind the sensor's right, and a plate placed ahead and, turned to face the sensor too, behind; its brightness depends on

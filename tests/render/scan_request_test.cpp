@@ -32,10 +32,10 @@ Scene wall_and_car() {
 /// A log in which sensor and car stand still for a second.
 Sequence standing_log() {
     Sequence sequence;
-    sequence.sensor.beams = {{0.0}};
-    sequence.sensor.columns = 8;
-    sequence.sensor.first_azimuth_rad = kPi;
-    sequence.world_from_sensor = {{0.0, 1.0}, {Pose{}, Pose{}}};
+    sequence.lidars[0].sensor.beams = {{0.0}};
+    sequence.lidars[0].sensor.columns = 8;
+    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
+    sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{}}};
     sequence.world_offset_m = kDatasetOrigin_m;
     sequence.boxes = {{"car", "Car", {1, 2, 2}, {{0.0, 1.0}, {Pose{{1, 0, 0, 0}, {4, 0, 0}}, Pose{{1, 0, 0, 0}, {4, 0, 0}}}}}};
     return sequence;

@@ -63,8 +63,8 @@ TEST_F(RunFolder, RoundTripsExactly) {
     for (std::size_t i = 0; i < a.frames.size(); ++i) {
         EXPECT_EQ(a.frames[i].index, b.frames[i].index);
         EXPECT_EQ(a.frames[i].time_s, b.frames[i].time_s);
-        EXPECT_EQ(a.world_from_sensor.time_s[i], b.world_from_sensor.time_s[i]);
-        expect_equal(a.world_from_sensor.pose[i], b.world_from_sensor.pose[i]);
+        EXPECT_EQ(a.world_from_vehicle.time_s[i], b.world_from_vehicle.time_s[i]);
+        expect_equal(a.world_from_vehicle.pose[i], b.world_from_vehicle.pose[i]);
     }
     ASSERT_EQ(a.boxes.size(), 2u);
     EXPECT_EQ(a.boxes[0].size_m, b.boxes[0].size_m);
@@ -79,7 +79,7 @@ TEST_F(RunFolder, RoundTripsExactly) {
 }
 
 TEST_F(RunFolder, SensorRoundTripsExactly) {
-    const SpinningSensor a = load_run(run.folder).sequence.sensor, &b = run.sequence.sensor;
+    const SpinningSensor a = load_run(run.folder).sequence.lidars[0].sensor, &b = run.sequence.lidars[0].sensor;
     EXPECT_EQ(a.name, b.name);
     EXPECT_EQ(a.columns, b.columns);
     EXPECT_EQ(a.period_s, b.period_s);
@@ -99,6 +99,40 @@ TEST_F(RunFolder, SensorRoundTripsExactly) {
     }
 }
 
+TEST_F(RunFolder, SceneOfVersion1StillLoads) {
+    Json old = Json::parse(scene);
+    old["version"] = 1;
+    old["sensor"] = old["lidars"][0]["sensor"];
+    old.erase("lidars");
+    for (Json& frame : old["frames"]) {
+        frame["world_from_sensor"] = frame["world_from_vehicle"];
+        frame.erase("world_from_vehicle");
+        frame.erase("lidar");
+    }
+    put(run.folder / "scene.json", old.dump());
+    const Sequence read = load_run(run.folder).sequence;
+    ASSERT_EQ(read.lidars.size(), 1u);
+    EXPECT_EQ(read.lidars[0].sensor.beams[1].intensity_gain, 0.9);
+    for (std::size_t i = 0; i < 4; ++i) expect_equal(read.world_from_vehicle.pose[i], run.sequence.world_from_vehicle.pose[i]);
+}
+
+TEST_F(RunFolder, TwoLidarsAtOneTimeShareAPose) {
+    Sequence& s = run.sequence;
+    s.lidars.push_back({"rear", s.lidars[0].sensor, example_pose(0.3)});
+    s.lidars[0].name = "front";
+    s.frames.insert(s.frames.begin() + 2, {11, s.frames[1].time_s, {}, 1});
+    save_run(run);
+    const Sequence read = load_run(run.folder).sequence;
+    ASSERT_EQ(read.lidars.size(), 2u);
+    EXPECT_EQ(read.lidars[1].name, "rear");
+    expect_equal(read.lidars[1].vehicle_from_sensor, example_pose(0.3));
+    ASSERT_EQ(read.frames.size(), 5u);
+    EXPECT_EQ(read.frames[2].lidar, 1);
+    EXPECT_EQ(read.world_from_vehicle.time_s, s.world_from_vehicle.time_s);
+    std::swap(s.frames[1], s.frames[2]);
+    EXPECT_NE(data_error([&] { save_run(run); }).find("frames[2].time_s"), std::string::npos) << "in the order of LiDARs";
+}
+
 TEST_F(RunFolder, TruncatedSceneIsRefused) {
     for (std::size_t keep = 0; keep < scene.size() - 2; keep += 97) {
         put(run.folder / "scene.json", scene.substr(0, keep));
@@ -109,7 +143,7 @@ TEST_F(RunFolder, TruncatedSceneIsRefused) {
 
 TEST_F(RunFolder, EveryFieldIsNeeded) {
     const Json whole = Json::parse(scene);
-    const std::vector<std::string> told = {"/relidar", "/units", "/conventions", "/sensor/beam_fields", "/edits"};   // for people only; edits: a run as trained has none
+    const std::vector<std::string> told = {"/relidar", "/units", "/conventions", "/lidars/0/sensor/beam_fields", "/edits"};   // for people only; edits: a run as trained has none
     int n_tried = 0;
     const Json flat = whole.flatten();
     for (const auto& [pointer, value] : flat.items()) {
@@ -137,26 +171,26 @@ TEST_F(RunFolder, WrongKindsAreRefused) {
     EXPECT_NE(replaced("/frames/2/time_s", nullptr).find("frames[2].time_s: found null, expected a finite number"), std::string::npos);
     EXPECT_NE(replaced("/frames/2/time_s", 0.0).find("frames[2].time_s: found 0, expected times that rise"), std::string::npos);
     EXPECT_NE(replaced("/frames/1/split", "tset").find("frames[1].split: found \"tset\""), std::string::npos);
-    EXPECT_NE(replaced("/frames/1/world_from_sensor", {1, 2, 3}).find("found 3 numbers, expected 7"), std::string::npos);
-    EXPECT_NE(replaced("/frames/1/world_from_sensor/4", 5.0).find("quaternion of length"), std::string::npos);
-    EXPECT_NE(replaced("/frames/1/world_from_sensor/0", 1e308).find("frames[1].world_from_sensor: found 1e+308, expected numbers within 1000000"), std::string::npos);
+    EXPECT_NE(replaced("/frames/1/world_from_vehicle", {1, 2, 3}).find("found 3 numbers, expected 7"), std::string::npos);
+    EXPECT_NE(replaced("/frames/1/world_from_vehicle/4", 5.0).find("quaternion of length"), std::string::npos);
+    EXPECT_NE(replaced("/frames/1/world_from_vehicle/0", 1e308).find("frames[1].world_from_vehicle: found 1e+308, expected numbers within 1000000"), std::string::npos);
     EXPECT_NE(replaced("/boxes/0/world_from_box/1/2", -1e7).find("boxes[0].world_from_box[1]: found -10000000"), std::string::npos);
     EXPECT_NE(replaced("/world_offset_m/1", 1e308).find("world_offset_m: found 1e+308"), std::string::npos);
-    EXPECT_NE(replaced("/sensor/beams/1/7", 1e308).find("sensor.beams[1]: found 1e+308, expected numbers within 1000"), std::string::npos);
-    EXPECT_NE(replaced("/sensor/beams/1/3", 1e308).find("sensor.beams[1]: found 1e+308, expected numbers within 100"), std::string::npos);
+    EXPECT_NE(replaced("/lidars/0/sensor/beams/1/7", 1e308).find("lidars[0].sensor.beams[1]: found 1e+308, expected numbers within 1000"), std::string::npos);
+    EXPECT_NE(replaced("/lidars/0/sensor/beams/1/3", 1e308).find("lidars[0].sensor.beams[1]: found 1e+308, expected numbers within 100"), std::string::npos);
     Json many = whole;
-    many["sensor"]["columns"] = 1000000;
-    for (int i = 0; i < 200; ++i) many["sensor"]["beams"].push_back(many["sensor"]["beams"][0]);
+    many["lidars"][0]["sensor"]["columns"] = 1000000;
+    for (int i = 0; i < 200; ++i) many["lidars"][0]["sensor"]["beams"].push_back(many["lidars"][0]["sensor"]["beams"][0]);
     EXPECT_NE(error_with(many).find("beams x 1000000 columns, expected at most 100000000 rays"), std::string::npos) << "sizes are bounded by their product too";
     EXPECT_NE(replaced("/frames", Json::array()).find("frames: found no frame"), std::string::npos);
-    EXPECT_NE(replaced("/version", 2).find("version: found 2, this relidar"), std::string::npos);
+    EXPECT_NE(replaced("/version", 3).find("version: found 3, this relidar"), std::string::npos);
     EXPECT_NE(replaced("/format", "other").find("format: found \"other\""), std::string::npos);
     EXPECT_NE(replaced("/counts/boxes", 3).find("counts.boxes: found 3, expected 2"), std::string::npos);
     EXPECT_NE(replaced("/counts/surfels", 3).find("counts.surfels: found 3, but model.safetensors holds 5"), std::string::npos);
     EXPECT_NE(replaced("/boxes/0/time_s", {1.0}).find("boxes[0].world_from_box: found 2 poses, expected 1"), std::string::npos);
-    EXPECT_NE(replaced("/sensor/columns", 0).find("sensor.columns: found 0, expected an integer in 1.."), std::string::npos);
-    EXPECT_NE(replaced("/sensor/beams/1", {0.0, 0.0, 0.0, 0.0, 0.0, 1.0}).find("sensor.beams[1]: found 6 numbers, expected 8"), std::string::npos);
-    EXPECT_NE(replaced("/sensor/beams/1", "x").find("sensor.beams[1]: found \"x\", expected an array"), std::string::npos);
+    EXPECT_NE(replaced("/lidars/0/sensor/columns", -1).find("lidars[0].sensor.columns: found -1, expected an integer in 0.."), std::string::npos);
+    EXPECT_NE(replaced("/lidars/0/sensor/beams/1", {0.0, 0.0, 0.0, 0.0, 0.0, 1.0}).find("lidars[0].sensor.beams[1]: found 6 numbers, expected 8"), std::string::npos);
+    EXPECT_NE(replaced("/lidars/0/sensor/beams/1", "x").find("lidars[0].sensor.beams[1]: found \"x\", expected an array"), std::string::npos);
     EXPECT_NE(replaced("/boxes/0/size_m/1", 0.0).find("boxes[0].size_m: found 4.2 x 0 x 1.5 m, expected all above 0"), std::string::npos);
     EXPECT_NE(replaced("/edits/1", 3).find("edits[1]: found 3, expected an object"), std::string::npos);
     EXPECT_NE(replaced("/rolling_shutter", 1).find("rolling_shutter: found 1, expected true or false"), std::string::npos);
@@ -187,12 +221,12 @@ TEST_F(RunFolder, WrongSettingIsDamage) {
 
 TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
     run.folder = folder / "second";
-    run.sequence.world_from_sensor.pose[1].translation.x = std::numeric_limits<double>::quiet_NaN();
-    EXPECT_NE(data_error([&] { save_run(run); }).find("frames[1].world_from_sensor[0]"), std::string::npos);
+    run.sequence.world_from_vehicle.pose[1].translation.x = std::numeric_limits<double>::quiet_NaN();
+    EXPECT_NE(data_error([&] { save_run(run); }).find("frames[1].world_from_vehicle[0]"), std::string::npos);
     EXPECT_FALSE(is_run(run.folder));
     run = example_run(folder / "second");
-    run.sequence.world_from_sensor.pose.pop_back();
-    EXPECT_NE(data_error([&] { save_run(run); }).find("3 sensor poses for 4 frames"), std::string::npos);
+    run.sequence.world_from_vehicle.pose.pop_back();
+    EXPECT_NE(data_error([&] { save_run(run); }).find("3 vehicle poses at 4 times"), std::string::npos);
 }
 
 TEST_F(RunFolder, UnwritableFoldersFailEarly) {

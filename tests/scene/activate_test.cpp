@@ -7,6 +7,7 @@
 #include <random>
 #include <tuple>
 
+#include <relidar/error.hpp>
 #include <relidar/stages/scene.hpp>
 
 #include "../support/device.hpp"
@@ -72,6 +73,17 @@ TEST_P(Activate, RecordsAgreeWithReference) {
             const std::vector<double> expected = record_of(surfels[i], glm::dvec3(view), degree);
             for (std::size_t k = 0; k < 16; ++k) EXPECT_NEAR(actual[16 * i + k], expected[k], 2e-6 * (1.0 + std::abs(expected[k]))) << "surfel " << i << " lane " << k;
         }
+    }
+}
+
+/// Kernels search the model of a surfel among ranges in order.
+TEST_P(Activate, ModelsThatAreNoConsecutiveRangesAreRefused) {
+    Scene scene = make_background_scene(test::to_surfels(some_surfels(primitive())));
+    const auto n = static_cast<std::uint32_t>(scene.surfels.size());
+    using Ranges = std::vector<Model>;
+    for (const Ranges& ranges : {Ranges{{"a", 0, 70}, {"b", 71, n - 71}}, Ranges{{"a", 0, 70}, {"b", 69, n - 69}}, Ranges{{"b", 70, n - 70}, {"a", 0, 70}}, Ranges{{"a", 0, n - 1}}}) {
+        scene.models = ranges;
+        EXPECT_THROW(DeviceScene(device(), scene), DataError);
     }
 }
 

@@ -44,12 +44,12 @@ TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
 /// Flat ground of one albedo, seen from 2 m above it: intensity = 0.4 (0.3 + 0.7 cos), which degree 1 holds exactly.
 TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
     Sequence ground;
-    for (int b = 0; b < 64; ++b) ground.sensor.beams.push_back({.elevation_rad = -0.5 - 0.01 * b});
-    ground.sensor.columns = 720;
+    for (int b = 0; b < 64; ++b) ground.lidars[0].sensor.beams.push_back({.elevation_rad = -0.5 - 0.01 * b});
+    ground.lidars[0].sensor.columns = 720;
     ground.rolling_shutter = false;
-    ground.world_from_sensor = {{0.0}, {{}}};
+    ground.world_from_vehicle = {{0.0}, {{}}};
     ground.intensity_response.incidence = 0.7;
-    Frame frame{0, 0.0, {make_rays(ground.sensor), {}, {}}};
+    Frame frame{0, 0.0, {make_rays(ground.lidars[0].sensor), {}, {}}};
     for (const glm::vec3& d : frame.scan.rays.direction) {
         frame.scan.range_m.push_back(-2.0f / d.z);
         frame.scan.intensity.push_back(0.4f * (0.3f - 0.7f * d.z));

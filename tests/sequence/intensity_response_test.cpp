@@ -19,12 +19,12 @@ double brightness(const glm::dvec3& p) { return (int(std::floor(p.x * 2.0)) + in
 /// A sensor of n lasers 2 m above a plane that it looks down on while it drives forward, so that every laser comes to see the same tiles.
 Sequence drive(const std::vector<Beam>& beams, double noise_size) {
     Sequence sequence;
-    sequence.sensor.beams = beams;
-    sequence.sensor.columns = 1440;
+    sequence.lidars[0].sensor.beams = beams;
+    sequence.lidars[0].sensor.columns = 1440;
     sequence.rolling_shutter = false;
     std::uint64_t k = 0;
     for (int f = 0; f < 12; ++f) {
-        Frame frame{f, 0.1 * f, {make_rays(sequence.sensor), {}, {}}};
+        Frame frame{f, 0.1 * f, {make_rays(sequence.lidars[0].sensor), {}, {}}};
         Pose pose;
         pose.translation = {0.37 * f, 0.0, 2.0};
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
@@ -36,8 +36,8 @@ Sequence drive(const std::vector<Beam>& beams, double noise_size) {
             frame.scan.intensity.push_back(float(value));
         }
         sequence.frames.push_back(frame);
-        sequence.world_from_sensor.time_s.push_back(frame.time_s);
-        sequence.world_from_sensor.pose.push_back(pose);
+        sequence.world_from_vehicle.time_s.push_back(frame.time_s);
+        sequence.world_from_vehicle.pose.push_back(pose);
     }
     return sequence;
 }
@@ -69,15 +69,15 @@ TEST(IntensityResponse, ComesBackFromSharedPlaces) {
     EXPECT_GT(found.rms_before, 3.0 * found.rms_after);
     // Up to the common scale and shift, which no data tell: what two lasers report of the same surface is compared.
     for (const double surface : {0.3, 0.6}) {
-        const Beam &a = truth[0], &b = sequence.sensor.beams[0];
+        const Beam &a = truth[0], &b = sequence.lidars[0].sensor.beams[0];
         const double common = (a.intensity_gain * surface + a.intensity_offset - b.intensity_offset) / b.intensity_gain;
         for (std::size_t k = 1; k < truth.size(); ++k) {
-            const Beam& laser = sequence.sensor.beams[k];
+            const Beam& laser = sequence.lidars[0].sensor.beams[k];
             EXPECT_NEAR(laser.intensity_gain * common + laser.intensity_offset, truth[k].intensity_gain * surface + truth[k].intensity_offset, 0.02) << k << " at " << surface;
         }
     }
     double gain = 0.0, offset = 0.0;
-    for (const Beam& beam : sequence.sensor.beams) gain += beam.intensity_gain, offset += beam.intensity_offset;
+    for (const Beam& beam : sequence.lidars[0].sensor.beams) gain += beam.intensity_gain, offset += beam.intensity_offset;
     EXPECT_NEAR(gain / 8.0, 1.0, 0.05);
     EXPECT_NEAR(offset / 8.0, 0.0, 0.03);
 }
@@ -87,7 +87,7 @@ TEST(IntensityResponse, EqualLasersStayEqual) {
     for (Beam& beam : beams) beam.intensity_gain = 1.0, beam.intensity_offset = 0.0;
     Sequence sequence = drive(beams, 0.02);
     calibrate_intensity(sequence, kAll);
-    for (const Beam& beam : sequence.sensor.beams)
+    for (const Beam& beam : sequence.lidars[0].sensor.beams)
         for (const double surface : {0.3, 0.6}) EXPECT_NEAR(beam.intensity_gain * surface + beam.intensity_offset, surface, 0.015);
 }
 
@@ -109,7 +109,7 @@ TEST(IntensityResponse, FallWithRangeAndIncidenceIsNotTheLasers) {
     const IntensityCalibration found = calibrate_intensity(sequence, split_frames(sequence, 0).train);
     EXPECT_TRUE(found.shared);
     EXPECT_FALSE(found.lasers);
-    for (const Beam& beam : sequence.sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
+    for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
     expect_the_streets_fall(sequence.intensity_response, 0.04);
 }
 
@@ -117,16 +117,16 @@ TEST(IntensityResponse, FallAndLasersAreToldApart) {
     Sequence sequence = street();
     std::vector<double> gains;
     double mean = 0.0;
-    for (std::size_t b = 0; b < sequence.sensor.beams.size(); ++b) gains.push_back(1.0 + 0.25 * noise(b + 5)), mean += gains.back() / double(sequence.sensor.beams.size());
+    for (std::size_t b = 0; b < sequence.lidars[0].sensor.beams.size(); ++b) gains.push_back(1.0 + 0.25 * noise(b + 5)), mean += gains.back() / double(sequence.lidars[0].sensor.beams.size());
     for (Frame& frame : sequence.frames)
         for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i) frame.scan.intensity[i] *= float(gains[frame.scan.rays.channel[i]]);
     const IntensityCalibration found = calibrate_intensity(sequence, split_frames(sequence, 0).train);
     EXPECT_TRUE(found.shared && found.lasers);
     expect_the_streets_fall(sequence.intensity_response, 0.06);   // what a laser sees on the ground, it sees at one range
     double ratio = 0.0;   // the mean laser is one by returns
-    for (std::size_t b = 0; b < gains.size(); ++b) ratio += sequence.sensor.beams[b].intensity_gain / gains[b] / double(gains.size());
+    for (std::size_t b = 0; b < gains.size(); ++b) ratio += sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / double(gains.size());
     for (std::size_t b = 4; b < gains.size(); ++b)   // the first lasers look into the sky and see little
-        EXPECT_NEAR(sequence.sensor.beams[b].intensity_gain / gains[b] / ratio, 1.0, 0.08) << b;
+        EXPECT_NEAR(sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / ratio, 1.0, 0.08) << b;
 }
 
 TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
@@ -136,8 +136,8 @@ TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
     calibrate_intensity(whole, without);
     calibrate_intensity(changed, without);
     for (std::size_t b = 0; b < 8; ++b) {
-        EXPECT_EQ(whole.sensor.beams[b].intensity_gain, changed.sensor.beams[b].intensity_gain);
-        EXPECT_EQ(whole.sensor.beams[b].intensity_offset, changed.sensor.beams[b].intensity_offset);
+        EXPECT_EQ(whole.lidars[0].sensor.beams[b].intensity_gain, changed.lidars[0].sensor.beams[b].intensity_gain);
+        EXPECT_EQ(whole.lidars[0].sensor.beams[b].intensity_offset, changed.lidars[0].sensor.beams[b].intensity_offset);
     }
 }
 
@@ -145,7 +145,7 @@ TEST(IntensityResponse, NothingSharedLeavesTheSensorAlone) {
     Sequence sequence = drive(unequal_beams(), 0.0);
     const IntensityCalibration found = calibrate_intensity(sequence, {});
     EXPECT_EQ(found.returns, 0u);
-    for (const Beam& beam : sequence.sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
+    for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
 }
 
 TEST(IntensityResponse, SurfaceIntensityUndoesTheResponse) {
@@ -153,13 +153,13 @@ TEST(IntensityResponse, SurfaceIntensityUndoesTheResponse) {
     const Frame& frame = sequence.frames[3];
     for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 7) {
         const WorldReturn w = world_return(sequence, frame, i);
-        EXPECT_NEAR(w.intensity, surface_intensity(sequence, frame.scan, i), 0.0);
-        const Beam& beam = sequence.sensor.beams[frame.scan.rays.channel[i]];
+        EXPECT_NEAR(w.intensity, surface_return(sequence, frame, i).intensity, 0.0);
+        const Beam& beam = sequence.lidars[0].sensor.beams[frame.scan.rays.channel[i]];
         EXPECT_NEAR(beam.intensity_gain * double(w.intensity) + beam.intensity_offset, double(frame.scan.intensity[i]), 1e-6);
     }
-    const float near_by = surface_intensity(sequence, frame.scan, 3);
+    const float near_by = surface_return(sequence, frame, 3).intensity;
     sequence.intensity_response = {{0.0, 100.0}, {0.5, 0.5}, 0.0};
-    EXPECT_NEAR(surface_intensity(sequence, frame.scan, 3), 2.0f * near_by, 1e-6f) << "what falls to half was twice as bright";
+    EXPECT_NEAR(surface_return(sequence, frame, 3).intensity, 2.0f * near_by, 1e-6f) << "what falls to half was twice as bright";
 }
 
 }  // namespace

@@ -28,12 +28,12 @@ double cast(const glm::dvec3& o, const glm::dvec3& d) {
 /// A drive along the street; each laser adds its offset, and 5 mm of a deterministic noise.
 Sequence drive(bool held_out_is_garbage = false) {
     Sequence sequence;
-    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) sequence.sensor.beams.push_back({.elevation_rad = -0.03 - 0.04 * double(b)});
-    sequence.sensor.columns = 1440;
+    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) sequence.lidars[0].sensor.beams.push_back({.elevation_rad = -0.03 - 0.04 * double(b)});
+    sequence.lidars[0].sensor.columns = 1440;
     sequence.rolling_shutter = false;
     std::uint64_t k = 0;
     for (int f = 0; f < 10; ++f) {
-        Frame frame{f, 0.1 * f, {make_rays(sequence.sensor), {}, {}}};
+        Frame frame{f, 0.1 * f, {make_rays(sequence.lidars[0].sensor), {}, {}}};
         Pose pose;
         pose.translation = {0.83 * f, 0.1 * f, 2.0};
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
@@ -44,8 +44,8 @@ Sequence drive(bool held_out_is_garbage = false) {
             frame.scan.intensity.push_back(0.5f);
         }
         sequence.frames.push_back(frame);
-        sequence.world_from_sensor.time_s.push_back(frame.time_s);
-        sequence.world_from_sensor.pose.push_back(pose);
+        sequence.world_from_vehicle.time_s.push_back(frame.time_s);
+        sequence.world_from_vehicle.pose.push_back(pose);
     }
     return sequence;
 }
@@ -58,8 +58,8 @@ TEST(RangeOffset, ComesBackFromSharedPlanes) {
     ASSERT_GT(found.returns, 20000u);
     EXPECT_GT(found.rms_before, 2.0 * found.rms_after);
     double mean = 0.0;   // all longer by the same is hardly seen: differences are compared
-    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) mean += (sequence.sensor.beams[b].range_offset_m - kOffsets_m[b]) / double(kOffsets_m.size());
-    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) EXPECT_NEAR(sequence.sensor.beams[b].range_offset_m - mean, kOffsets_m[b], 0.008) << b;
+    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) mean += (sequence.lidars[0].sensor.beams[b].range_offset_m - kOffsets_m[b]) / double(kOffsets_m.size());
+    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) EXPECT_NEAR(sequence.lidars[0].sensor.beams[b].range_offset_m - mean, kOffsets_m[b], 0.008) << b;
     EXPECT_NEAR(mean, 0.0, 0.02);
 }
 
@@ -67,16 +67,16 @@ TEST(RangeOffset, HeldOutFramesAreNotLookedAt) {
     Sequence clean = drive(), garbage = drive(true);
     calibrate_ranges(clean, kTrain);
     calibrate_ranges(garbage, kTrain);
-    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) EXPECT_EQ(clean.sensor.beams[b].range_offset_m, garbage.sensor.beams[b].range_offset_m);
+    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) EXPECT_EQ(clean.lidars[0].sensor.beams[b].range_offset_m, garbage.lidars[0].sensor.beams[b].range_offset_m);
 }
 
 TEST(RangeOffset, ReturnsComeFromWhereTheSurfaceIs) {
     Sequence sequence = drive();
-    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) sequence.sensor.beams[b].range_offset_m = kOffsets_m[b];
+    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) sequence.lidars[0].sensor.beams[b].range_offset_m = kOffsets_m[b];
     const Frame& frame = sequence.frames[2];
     for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 13) {
         if (!(frame.scan.range_m[i] > 0.0f)) continue;
-        const WorldRay ray = world_ray(sequence.world_from_sensor, frame.time_s, frame.scan.rays, i, false);
+        const WorldRay ray = world_ray(sequence.world_from_vehicle, frame.time_s, frame.scan.rays, i, false);
         EXPECT_NEAR(glm::distance(world_return(sequence, frame, i).point_m, ray.origin_m), cast(ray.origin_m, ray.direction), 0.006);
     }
 }
@@ -87,13 +87,13 @@ TEST(RangeOffset, EqualLasersHaveNone) {
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (frame.scan.range_m[i] > 0.0f) frame.scan.range_m[i] -= float(kOffsets_m[frame.scan.rays.channel[i]]);
     EXPECT_GT(calibrate_ranges(sequence, kTrain).returns, 20000u);
-    for (const Beam& beam : sequence.sensor.beams) EXPECT_EQ(beam.range_offset_m, 0.0);
+    for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.range_offset_m, 0.0);
 }
 
 TEST(RangeOffset, NothingToCompareLeavesTheSensorAlone) {
     Sequence sequence = drive();
     EXPECT_EQ(calibrate_ranges(sequence, {}).returns, 0u);
-    for (const Beam& beam : sequence.sensor.beams) EXPECT_EQ(beam.range_offset_m, 0.0);
+    for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.range_offset_m, 0.0);
 }
 
 }  // namespace

@@ -2,7 +2,7 @@
 // What exchange_test.cpp must find, and must not: threads of a workgroup hand values on through a buffer.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "../../shaders/shared/lang.h"
+#include "relidar/shared/lang.h"
 #include "../../shaders/common/kernel.glsl"
 struct ExchangeParams {
     Uints keys;      // in place

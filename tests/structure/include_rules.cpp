@@ -16,7 +16,8 @@ const std::map<std::string, Stages>& layer_table() {
         {"gpu", {}},
         {"sensor", {}},
         {"sequence", {"sensor"}},
-        {"dataset", {"sequence", "sensor"}},
+        {"reader", {"sequence", "sensor"}},   // what all readers of datasets share
+        {"dataset", {"reader", "sequence", "sensor"}},
         {"registration", {"sequence", "sensor"}},
         {"scene", {"sequence", "sensor", "gpu"}},
         {"edit", {"scene", "sequence", "sensor"}},

@@ -208,6 +208,9 @@ foreign_readers() {
         good render run --out deskewed --format npz,ply --deskew
         "$python" "$tests/read_scans.py" scans in_world deskewed >err 2>&1
         check "read_scans.py finds faults" test $? = 0
+        good render run --out with_normals --format npz,ply,pcd,bin --set render.normals=true
+        "$python" "$tests/read_scans.py" with_normals >err 2>&1
+        check "read_scans.py finds faults with normals" test $? = 0
     fi
     if ! command -v exrheader >/dev/null; then
         echo "note: no exrheader, exr is not read by another program"
@@ -262,6 +265,7 @@ rendering() {
     bad 2 'format: found "", did you mean' render run --out x --format npz,
     bad 2 "offset: found 1e[+]?30 in .*between -10000 and 10000" render run --out x --offset 1e30,0,0,0
     bad 2 "offset: found a turn of 1000000000 in" render run --out x --offset 0,0,0,1e9
+    bad 2 'lidar: found "rear", expected none: the log has one LiDAR' render run --out x --lidar rear
     bad 2 '--frame: found "wold", expected sensor or world' render run --out x --frame wold
     bad 2 "known: native, kitti360, HDL-64E" render run --out x --sensor nativ
     bad 2 "99999999 columns at 10 Hz, expected a whole number from 1 to 1000000" render run --out x --sensor beams.csv:99999999x10
@@ -546,8 +550,9 @@ bench() {
     check "bench --no-backward has a backward pass" grep -q '"backward_mrays_per_s": null' render.json
     bad 3 "nowhere: no such folder" bench --run nowhere --json lost.json
     good bench --actors 1,3 --repeat 2 --json actors.json
-    says "^ +3 +30000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"
-    check "moving actors rebuilds bottom levels" test "$(grep -c '"bottom_levels_rebuilt": 0' actors.json)" = 2
+    says "^ +3 +one +1000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"
+    says "^ +3 +own +3000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"
+    check "moving actors rebuilds bottom levels" test "$(grep -c '"bottom_levels_rebuilt": 0' actors.json)" = 4
     absent lost.json
 }
 

@@ -12,6 +12,7 @@ import sys
 
 import numpy as np
 
+NORMAL_FIELDS = {"ply": ("nx", "ny", "nz"), "pcd": ("normal_x", "normal_y", "normal_z")}
 PLY_TYPES = {"float": "<f4", "uint16": "<u2", "int": "<i4"}
 failures = []
 
@@ -56,6 +57,13 @@ def xyz(cloud):
     return np.stack([cloud[axis] for axis in "xyz"], axis=-1).astype(float)
 
 
+def check_normals(stem, npz):
+    """Unit vectors towards the sensor where a surface was met."""
+    lengths = np.linalg.norm(npz["normals"], axis=-1)
+    check(f"{stem}: lengths of normals", np.allclose(lengths, npz["instance"] >= 0, atol=1e-5))
+    check(f"{stem}: normals look away", (npz["normals"] * npz["directions"]).sum(axis=-1).max() <= 1e-5)
+
+
 def check_scan(folder, summary, scan):
     stem = f"{folder}/frame_{scan['frame_number']:06}"
     npz = np.load(stem + ".npz")
@@ -75,10 +83,15 @@ def check_scan(folder, summary, scan):
     pcd, viewpoint = read_pcd(stem + ".pcd")
     check(f"{stem}: points", len(points) == scan["points"] > 0)
     for name, cloud in (("ply", ply), ("pcd", pcd)):
-        check(f"{stem}.{name}: fields", cloud.dtype.names == ("x", "y", "z", "intensity", "ring", "time", "instance"))
+        of_normals = NORMAL_FIELDS[name] if "normals" in npz else ()
+        check(f"{stem}.{name}: fields", cloud.dtype.names == ("x", "y", "z", "intensity", "ring", "time", "instance") + of_normals)
+        for axis, field in enumerate(of_normals):
+            check(f"{stem}.{name}: {field}", np.array_equal(cloud[field], npz["normals"][kept][:, axis]))
         check(f"{stem}.{name}: points", np.allclose(xyz(cloud), points, atol=1e-5))
         for field in ("intensity", "ring", "time", "instance"):
             check(f"{stem}.{name}: {field}", np.array_equal(cloud[field], npz[field][kept]))
+    if "normals" in npz:
+        check_normals(stem, npz)
     check(f"{stem}.pcd: VIEWPOINT", np.allclose(matrix_of(viewpoint), npz["pose"], atol=1e-12))
     check(f"{stem}.ply: comments", float(notes["time_s"]) == npz["time_s"] and notes["sensor"] == summary["sensor"]["name"])
     check(f"{stem}.ply: pose", np.array_equal(np.array(notes["world_from_sensor"].split(), float).reshape(4, 4), npz["pose"]))

@@ -21,7 +21,7 @@ int returns_in(const Sequence& street, const Frame& frame, const BoxTrack& box, 
     int n = 0;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         if (!returned(i)) continue;
-        const WorldRay ray = world_ray(street.world_from_sensor, frame.time_s, frame.scan.rays, i, true);
+        const WorldRay ray = world_ray(street.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
         n += box.holds(ray.origin_m + double(range_m[i]) * ray.direction, frame.time_s + double(frame.scan.rays.time_offset_s[i]), 0.1);
     }
     return n;

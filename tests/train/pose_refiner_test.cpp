@@ -60,7 +60,7 @@ TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
         std::vector<FrameData> frames = upload_frames(device(), street, {0, 1, 3}, {});
         MovedRays rays(device(), street, frames);
         std::mt19937_64 random(7);
-        const TrackCorrection correction = random_correction(street.world_from_sensor, random);
+        const TrackCorrection correction = random_correction(street.world_from_vehicle, random);
         const PoseTrack corrected = correction.corrected();
         Stream stream(device());
         for (std::size_t f = 0; f < frames.size(); ++f) {
@@ -70,7 +70,7 @@ TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
             const Frame& frame = street.frames[std::size_t(frames[f].position)];
             double farthest = 0.0, base = 0.0;
             for (std::size_t i = 0; i < moved.size(); ++i) {
-                const WorldRay expected = world_ray(corrected, frame.time_s, frame.scan.rays, i, rolling), uncorrected = world_ray(street.world_from_sensor, frame.time_s, frame.scan.rays, i, rolling);
+                const WorldRay expected = world_ray(corrected, frame.time_s, frame.scan.rays, i, rolling), uncorrected = world_ray(street.world_from_vehicle, frame.time_s, frame.scan.rays, i, rolling);
                 farthest = std::max({farthest, glm::length(expected.origin_m - glm::dvec3(moved[i].origin)), glm::length(expected.direction - glm::dvec3(moved[i].direction))});
                 base = std::max(base, glm::length(expected.origin_m - uncorrected.origin_m));
             }
@@ -87,7 +87,7 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
     MovedRays rays(device(), street, frames);
     std::mt19937_64 random(9);
     std::normal_distribution<float> normal;
-    TrackCorrection correction = random_correction(street.world_from_sensor, random);
+    TrackCorrection correction = random_correction(street.world_from_vehicle, random);
     Stream stream(device());
     Random draw(5);
     for (const auto& [batch_kind, f] : {std::pair{"rays", 0u}, {"columns", 1u}, {"columns", 2u}}) {
@@ -182,13 +182,13 @@ Config refining(const std::string& what, int iterations) {
 /// Poses of one training, before and after.
 std::pair<PoseError, PoseError> errors_of_training(Device& device, const Config& config, const char* what) {
     Sequence street = street_of(11, 32, 256);
-    const PoseTrack exact = street.world_from_sensor;
-    set_sensor_poses(street, perturbed(exact, 0.05, 0.3 * kDegree, 1));
+    const PoseTrack exact = street.world_from_vehicle;
+    set_vehicle_poses(street, perturbed(exact, 0.05, 0.3 * kDegree, 1));
     const Split split = split_frames(street, 0);
-    const PoseError before = error_of(street.world_from_sensor, exact, split.train);
+    const PoseError before = error_of(street.world_from_vehicle, exact, split.train);
     prepare_log(street, split, config);
     const TrainResult result = train(device, street, split, config, [](const TrainProgress&) { return true; });
-    const std::pair<PoseError, PoseError> errors{before, error_of(result.poses.value().world_from_sensor, exact, split.train)};
+    const std::pair<PoseError, PoseError> errors{before, error_of(result.poses.value().world_from_vehicle, exact, split.train)};
     std::printf("%s: %.4f m, %.3f deg before, %.4f m, %.3f deg after\n", what, errors.first.median_m, errors.first.median_deg, errors.second.median_m, errors.second.median_deg);
     return errors;
 }

@@ -174,7 +174,7 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
 
 /// What was estimated from the log is estimated again, to the same bits: a training with it resumes like any other.
 TEST_F(Resume, PreparedLogsAreTheSameAgain) {
-    set_sensor_poses(street, test::perturbed(street.world_from_sensor, 0.05, 0.005, 1));
+    set_vehicle_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.005, 1));
     const Sequence given = street;
     Config config = small_config();
     config.train.deterministic = true;
@@ -186,7 +186,7 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
         prepare_log(street, split, config);
     };
     prepare();
-    EXPECT_NE(street.world_from_sensor.pose[3].translation, given.world_from_sensor.pose[3].translation);
+    EXPECT_NE(street.world_from_vehicle.pose[3].translation, given.world_from_vehicle.pose[3].translation);
     EXPECT_FALSE(street.intensity_response.factor.empty());
     const TrainResult whole = run(config);
     const TrainResult first = run(config, nullptr, 6);
@@ -196,7 +196,7 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     prepare();
     const TrainResult resumed = run(config, &*checkpoint);
     expect_equal_bits(resumed.scene, whole.scene);
-    for (std::size_t k = 0; k < street.frames.size(); ++k) EXPECT_EQ(resumed.poses->world_from_sensor.pose[k].translation, whole.poses->world_from_sensor.pose[k].translation);
+    for (std::size_t k = 0; k < street.frames.size(); ++k) EXPECT_EQ(resumed.poses->world_from_vehicle.pose[k].translation, whole.poses->world_from_vehicle.pose[k].translation);
     for (std::size_t b = 0; b < street.boxes.size(); ++b)
         for (std::size_t k = 0; k < street.boxes[b].world_from_box.pose.size(); ++k) {
             const glm::dvec3 end = whole.poses->boxes[b].world_from_box.pose[k].translation;
@@ -233,7 +233,7 @@ TEST_F(Resume, RestoresEveryArrayBitByBit) {
     fresh.save(again);
     ASSERT_EQ(saved.arrays.size(), again.arrays.size());
     const auto same = [](const Pose& a, const Pose& b) { return a.rotation == b.rotation && a.translation == b.translation; };
-    EXPECT_TRUE(std::ranges::equal(trained.refined_poses()->world_from_sensor.pose, fresh.refined_poses()->world_from_sensor.pose, same));
+    EXPECT_TRUE(std::ranges::equal(trained.refined_poses()->world_from_vehicle.pose, fresh.refined_poses()->world_from_vehicle.pose, same));
     for (const NamedArray& array : saved.arrays) EXPECT_TRUE(array.bytes == again.array(array.name).bytes) << array.name;
     for (const char* name : {"moment1/mean", "moment2/sh", "term_sums", "poses/sensor/correction", "poses/actor 0/correction"}) {
         const std::vector<float> values = saved.array(name).as_float();
@@ -284,7 +284,7 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     other.frames[3].scan.range_m[100] += 1e-3f;
     log("scans", other, split);
     other = street;
-    other.world_from_sensor.pose[3].translation.x += 1e-6;
+    other.world_from_vehicle.pose[3].translation.x += 1e-6;
     log("sensor poses", other, split);
     other = street;
     ASSERT_FALSE(other.boxes.empty());

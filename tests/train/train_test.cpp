@@ -144,7 +144,7 @@ TEST_F(Train, ActorsBeatMasking) {
         std::vector<double> errors;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
-            const WorldRay w = world_ray(street.world_from_sensor, frame.time_s, frame.scan.rays, i, true);
+            const WorldRay w = world_ray(street.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
             const glm::dvec3 p = w.origin_m + double(frame.scan.range_m[i]) * w.direction;
             if (in_moving_box(street.boxes, p, frame.time_s + frame.scan.rays.time_offset_s[i], 0.01, -0.05)) errors.push_back(std::abs(scan.image.range_m[i] - frame.scan.range_m[i]));
         }

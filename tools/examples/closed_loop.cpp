@@ -32,7 +32,7 @@ int main(int argc, char** argv) try {
     ScanRenderer renderer(device, run);
     const SensorChoice sensor = configured_sensor(run.config, run.sequence);
 
-    Pose start = run.sequence.world_from_sensor.pose.front();
+    Pose start = run.sequence.world_from_sensor(0).pose.front();
     start.translation += run.sequence.world_offset_m;   // requests are in the dataset's world
     const auto ahead = [&](double metres, double up_m) { return start * Pose{{1, 0, 0, 0}, {metres, 0, up_m}}; };
     double ego_m = 0.0, ego_mps = 8.0, actor_m = 25.0, actor_mps = 8.0;

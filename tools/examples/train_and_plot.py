@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""From a street to a scan nobody took: makes the demo's street, trains on it, renders, and plots. Cells start with `# %%`, as editors run them.
+"""From a street to a scan nobody took: makes the demo's street, trains on it, renders, and plots. Cells start with `# %%`.
 
     PYTHONPATH=build/ci/tools/python tools/examples/train_and_plot.py [FOLDER [ITERATIONS]]
 """
@@ -23,12 +23,17 @@ log = relidar.load_sequence(folder / "street", config)
 print(f"{log.name}: {len(log)} frames, boxes {', '.join(log.boxes)}")
 
 # %% Training, with a line now and then
-run = relidar.train(log, config, callback=lambda p: print(f"iteration {p.iteration}/{p.n_iterations}  loss {p.loss:.4f}  {p.n_surfels} surfels"))
+def show(line):
+    print(f"iteration {line.iteration}/{line.n_iterations}  loss {line.loss:.4f}  {line.n_surfels} surfels")
+
+
+run = relidar.train(log, config, callback=show)
 run.save(folder / "run", overwrite=True)
 
 # %% How good it is on the frames that it never saw
+scores = relidar.evaluate(run, log)["mean"]
 for metric in ("strict/depth_medae_m", "strict/depth_rmse_m", "strict/drop_accuracy"):
-    print(metric, round(relidar.evaluate(run, log)["mean"][metric], 4))
+    print(metric, round(scores[metric], 4))
 
 # %% A scan from 2 m to the left and 1 m up, with a car taken out
 position = run.held_out[0]

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Between numpy and the library. Out: a vector's values become an array without a copy. In: an array's values are read where they lie, so dtype,
-// shape and order must be as they are named; nothing is converted behind the caller's back.
+// Between numpy and the library. Out: a vector's values become an array without a copy. In: an array's values are read where they
+// lie, so dtype, shape and order must be as they are named; nothing is converted behind the caller's back.
 #pragma once
 
 #include <span>
@@ -16,7 +16,7 @@ namespace relidar::python {
 namespace py = pybind11;
 
 using Shape = std::vector<py::ssize_t>;
-inline constexpr py::ssize_t kAny = -1;   ///< any length, in the shape that is expected of an array
+inline constexpr py::ssize_t kAny = -1;  ///< any length, in the shape that is expected of an array
 
 /// An array that owns the vector's values: they are moved. @tparam Number  of which an element has one or more
 template <class Number, class Element>

@@ -20,7 +20,7 @@ namespace py = pybind11;
 struct OpenDevice {
     Device device;
     std::mutex in_use;
-    std::atomic<std::thread::id> user{};   ///< the thread that uses it now
+    std::atomic<std::thread::id> user{};  ///< the thread that uses it now
 
     explicit OpenDevice(const DeviceOptions& options) : device(options) {}
 };
@@ -40,7 +40,7 @@ public:
 
 private:
     OpenDevice& device_;
-    py::gil_scoped_release others_run_;   ///< first: who waits for a device must not hold the interpreter
+    py::gil_scoped_release others_run_;  ///< first: who waits for a device must not hold the interpreter
     std::unique_lock<std::mutex> lock_;
 };
 
@@ -57,7 +57,8 @@ public:
         return *this;
     }
     ~OnDevice() {
-        if (!made_ || device_->user == std::this_thread::get_id()) return;   // a callback of a training drops a renderer: nothing runs just now
+        if (!made_ || device_->user == std::this_thread::get_id())
+            return;  // a callback of a training drops a renderer: nothing runs just now
         const DeviceUse use(*device_);
         made_.reset();
     }

@@ -2,8 +2,8 @@
 // The library's failures as Python exceptions, one to one. Each is also the built-in exception that a caller would expect.
 #include <string>
 
-#include "module.hpp"
 #include <relidar/error.hpp>
+#include "module.hpp"
 
 namespace relidar::python {
 namespace {
@@ -51,10 +51,14 @@ void translate(std::exception_ptr thrown) {
 void add_errors(py::module_& module) {
     const auto builtin = [](PyObject* type) { return py::reinterpret_borrow<py::object>(type); };
     Types& all = types();
-    all.error = add_type(module, "Error", "Base of all failures relidar reports. `code` is the exit code of the command line tool for it.", py::make_tuple(builtin(PyExc_Exception)), ExitCode::bug);
-    all.usage = add_type(module, "UsageError", "A wrong name, setting or combination of arguments.", py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::usage);
-    all.data = add_type(module, "DataError", "A file or array that is missing, malformed or impossible; output that cannot be written.", py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::data);
-    all.device = add_type(module, "DeviceError", "No device, a missing feature, a failed Vulkan call or exhausted device memory.", py::make_tuple(all.error, builtin(PyExc_RuntimeError)), ExitCode::device);
+    all.error = add_type(module, "Error", "Base of all failures relidar reports. `code` is the exit code of the command line tool for it.",
+                         py::make_tuple(builtin(PyExc_Exception)), ExitCode::bug);
+    all.usage = add_type(module, "UsageError", "A wrong name, setting or combination of arguments.",
+                         py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::usage);
+    all.data = add_type(module, "DataError", "A file or array that is missing, malformed or impossible; output that cannot be written.",
+                        py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::data);
+    all.device = add_type(module, "DeviceError", "No device, a missing feature, a failed Vulkan call or exhausted device memory.",
+                          py::make_tuple(all.error, builtin(PyExc_RuntimeError)), ExitCode::device);
     py::register_exception_translator(translate);
 }
 

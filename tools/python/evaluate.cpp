@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <relidar/error.hpp>
+#include <relidar/evaluation.hpp>
+#include <relidar/train.hpp>
 #include "calls.hpp"
 #include "module.hpp"
 #include "run.hpp"
 #include "sequence.hpp"
-#include <relidar/error.hpp>
-#include <relidar/evaluation.hpp>
-#include <relidar/train.hpp>
 
 namespace relidar::python {
 namespace {
@@ -32,7 +32,7 @@ Evaluation evaluation_of(LoadedRun& loaded, const Sequence& log, const std::opti
 }
 
 py::dict evaluate_run(LoadedRun& run, const Log* log, const std::optional<std::string>& baseline, const Tell& tell) {
-    if (baseline) (void)find_baseline(*baseline);   // a wrong name is found before the log is read
+    if (baseline) (void)find_baseline(*baseline);  // a wrong name is found before the log is read
     if (run.run.split.test.empty()) throw DataError(run.run.folder.string() + ": no frame was held out, expected at least one to evaluate");
     const Progress progress = told_to(tell);
     Sequence read;
@@ -46,12 +46,14 @@ py::dict evaluate_run(LoadedRun& run, const Log* log, const std::optional<std::s
 }  // namespace
 
 void add_evaluate(py::module_& module) {
-    module.def("evaluate", &evaluate_run, py::arg("run"), py::arg("sequence") = py::none(), py::kw_only(), py::arg("baseline") = py::none(), py::arg("progress") = py::none(),
+    module.def("evaluate", &evaluate_run, py::arg("run"), py::arg("sequence") = py::none(), py::kw_only(), py::arg("baseline") = py::none(),
+               py::arg("progress") = py::none(),
                "Scores the held-out frames of a run against its log, as `relidar eval` does.\n\n"
                "sequence: the log; None: it is read from where it was when the run was trained\n"
                "baseline: \"nearest\" or \"nearest-actors\" scores the neighbouring real scans instead, moved by the poses\n"
                "progress: called with what is done and its share, 0 to 1\n\n"
-               "Returns mean (metric -> value; names carry protocol and unit, \"strict/depth_medae_m\"), frames (frame, time_s and metrics of each) and trace_ms, milliseconds a\n"
+               "Returns mean (metric -> value; names carry protocol and unit, \"strict/depth_medae_m\"), frames (frame, time_s and metrics "
+               "of each) and trace_ms, milliseconds a\n"
                "frame. Raises DataError where the log is another one.");
 }
 

@@ -3,18 +3,19 @@
 
 #include <pybind11/stl/filesystem.h>
 
-#include "arrays.hpp"
-#include "module.hpp"
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
 #include <relidar/render.hpp>
 #include <relidar/scan_files.hpp>
+#include "arrays.hpp"
+#include "module.hpp"
 
 namespace relidar::python {
 namespace {
 
 py::object get(const py::dict& scan, const char* name) {
-    if (!scan.contains(name)) throw DataError(std::string("scan: found a dict without \"") + name + "\", expected range, intensity and drop_prob");
+    if (!scan.contains(name))
+        throw DataError(std::string("scan: found a dict without \"") + name + "\", expected range, intensity and drop_prob");
     return scan[name];
 }
 
@@ -29,17 +30,21 @@ RenderedScan image_of(const py::dict& scan) {
     result.image.columns = static_cast<int>(shape[1]);
     result.image.range_m = copied<float, float>(range, "scan: range", shape);
     result.image.intensity = copied<float, float>(get(scan, "intensity"), "scan: intensity", shape);
-    if (scan.contains("drop_prob")) result.image.drop_prob = copied<float, float>(scan["drop_prob"], "scan: drop_prob", shape);
-    else for (const float range_m : result.image.range_m) result.image.drop_prob.push_back(range_m > 0.0f ? 0.0f : 1.0f);
+    if (scan.contains("drop_prob"))
+        result.image.drop_prob = copied<float, float>(scan["drop_prob"], "scan: drop_prob", shape);
+    else
+        for (const float range_m : result.image.range_m) result.image.drop_prob.push_back(range_m > 0.0f ? 0.0f : 1.0f);
     return result;
 }
 
 }  // namespace
 
 void add_pictures(py::module_& module) {
-    module.def("write_picture", [](const std::filesystem::path& path, const py::dict& scan) { write_png(path, scan_picture(image_of(scan))); }, py::arg("path"), py::arg("scan"),
-               "Writes a scan as PNG: range in false colours, intensity, drop probability, one above the other.\n\n"
-               "scan: range, intensity and, but for a log's scan, drop_prob, [rows,columns] float32");
+    module.def(
+        "write_picture", [](const std::filesystem::path& path, const py::dict& scan) { write_png(path, scan_picture(image_of(scan))); },
+        py::arg("path"), py::arg("scan"),
+        "Writes a scan as PNG: range in false colours, intensity, drop probability, one above the other.\n\n"
+        "scan: range, intensity and, but for a log's scan, drop_prob, [rows,columns] float32");
 }
 
 }  // namespace relidar::python

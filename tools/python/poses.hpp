@@ -4,9 +4,9 @@
 
 #include <string>
 
-#include "arrays.hpp"
 #include <relidar/math.hpp>
 #include <relidar/sequence.hpp>
+#include "arrays.hpp"
 
 namespace relidar::python {
 

@@ -4,15 +4,15 @@
 
 #include <optional>
 
-#include "device.hpp"
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
+#include "device.hpp"
 
 namespace relidar::python {
 
 struct LoadedRun {
     Run run;
-    SharedDevice device;                ///< null: the default one
+    SharedDevice device;  ///< null: the default one
     OnDevice<ScanRenderer> renderer{};
 
     /// The renderer of this run, which nothing else changes.

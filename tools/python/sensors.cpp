@@ -7,21 +7,23 @@
 
 #include <fmt/format.h>
 
+#include <relidar/error.hpp>
 #include "arrays.hpp"
 #include "module.hpp"
-#include <relidar/error.hpp>
 
 namespace relidar::python {
 namespace {
 
-constexpr float kUnit = 1e-3f;   // what the length of a direction may differ from 1
+constexpr float kUnit = 1e-3f;  // what the length of a direction may differ from 1
 
 /// @throws DataError where a ray is not finite or has no direction of length 1
 void check_rays(const RayTable& rays) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const float length = glm::length(rays.direction[i]);
-        if (!(std::abs(length - 1.0f) <= kUnit)) throw DataError(fmt::format("sensor: directions: found length {} at ray {}, expected 1", length, i));
-        if (!std::isfinite(glm::length(rays.origin[i]) + rays.time_offset_s[i])) throw DataError(fmt::format("sensor: found an origin or time that is not finite at ray {}", i));
+        if (!(std::abs(length - 1.0f) <= kUnit))
+            throw DataError(fmt::format("sensor: directions: found length {} at ray {}, expected 1", length, i));
+        if (!std::isfinite(glm::length(rays.origin[i]) + rays.time_offset_s[i]))
+            throw DataError(fmt::format("sensor: found an origin or time that is not finite at ray {}", i));
     }
 }
 
@@ -47,14 +49,17 @@ RayTable rays_of(const py::dict& dict) {
 
 }  // namespace
 
-SensorChoice sensor_of(const py::handle& sensor, const Run& run) {
-    if (sensor.is_none()) return configured_sensor(run.config, run.sequence);
-    if (py::isinstance<py::str>(sensor)) return choose_sensor(sensor.cast<std::string>(), run.config, run.sequence);
-    if (!py::isinstance<py::dict>(sensor)) throw UsageError("sensor: found neither a name nor a dict of rays, expected one of relidar.sensors(), a CSV file or a dict with \"directions\"");
+SensorChoice sensor_of(const py::handle& sensor, const Run& run, int lidar) {
+    if (sensor.is_none()) return configured_sensor(run.config, run.sequence, lidar);
+    if (py::isinstance<py::str>(sensor)) return choose_sensor(sensor.cast<std::string>(), run.config, run.sequence, lidar);
+    if (!py::isinstance<py::dict>(sensor))
+        throw UsageError(
+            "sensor: found neither a name nor a dict of rays, expected one of relidar.sensors(), a CSV file or a dict with \"directions\"");
     SensorChoice choice;
     choice.rays = rays_of(py::reinterpret_borrow<py::dict>(sensor));
     choice.limits = {run.config.dataset.min_range_m, run.config.dataset.max_range_m};
     choice.name = "rays";
+    choice.lidar = lidar;
     return choice;
 }
 
@@ -70,10 +75,13 @@ py::dict to_dict(const RayTable& rays) {
 
 void add_sensors(py::module_& module) {
     module.def("sensors", &sensor_names, "Names of the sensors that rays() and Run.render() know beside \"native\", the log's own.");
-    module.def("rays", [](const std::string& sensor) { return to_dict(make_rays(find_sensor(sensor))); }, py::arg("sensor"),
-               "Rays of one turn of a sensor, by name or CSV beam table (\"beams.csv:1024x10\").\n\n"
-               "Returns a dict: directions, origin [rows,columns,3] float32 (unit; metres; sensor frame), time [rows,columns] float32 (seconds from the moment the head\n"
-               "faces forward), ring [rows,columns] uint16 (laser, 0 the highest). Such a dict, also one of your own, is a sensor for Run.render().");
+    module.def(
+        "rays", [](const std::string& sensor) { return to_dict(make_rays(find_sensor(sensor))); }, py::arg("sensor"),
+        "Rays of one turn of a sensor, by name or CSV beam table (\"beams.csv:1024x10\").\n\n"
+        "Returns a dict: directions, origin [rows,columns,3] float32 (unit; metres; sensor frame), time [rows,columns] float32 (seconds "
+        "from the moment the head\n"
+        "faces forward), ring [rows,columns] uint16 (laser, 0 the highest). Such a dict, also one of your own, is a sensor for "
+        "Run.render().");
 }
 
 }  // namespace relidar::python

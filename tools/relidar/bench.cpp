@@ -29,7 +29,7 @@ struct Options {
     BenchSettings settings;
     bool no_backward = false;
     std::string json;
-    std::string actors;   ///< "1,10,100": their moves are timed instead
+    std::string actors;   ///< "1,10,100": scenes of so many actors are timed instead
     DeviceChoice device;
 };
 
@@ -45,10 +45,12 @@ std::vector<int> actor_counts(const std::string& list) {
 }
 
 void bench_actors(const Options& options, Device& device, const std::string& command_line) {
-    std::vector<ActorMoves> moves;
-    for (const int n : actor_counts(options.actors)) moves.push_back(measure_moves(device, n, options.settings.repeat));
-    if (!options.json.empty()) write_text(options.json, moves_json(moves, device, command_line));
-    if (!options.settings.quiet) print(moves_text(moves));
+    std::vector<ActorTimes> times;
+    for (const int n : actor_counts(options.actors))
+        for (const bool own_models : {false, true}) times.push_back(measure_actors(device, n, own_models, options.settings));
+    end_progress_line();
+    if (!options.json.empty()) write_text(options.json, actors_json(times, device, command_line));
+    if (!options.settings.quiet) print(actors_text(times));
 }
 
 void run_bench(const Options& options, const std::string& command_line) {
@@ -91,7 +93,7 @@ void add_bench(CLI::App& app, Call& call) {
     command->add_flag("--deterministic", choice.deterministic, "gather gradients in a fixed order instead of adding them with atomics");
     command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")->type_name("N");
     command->add_flag("--no-backward", options->no_backward, "rendering alone: no loss, gradients or optimiser, nor their memory");
-    command->add_option("--actors", options->actors, "time this instead: so many actors of 10000 surfels each moved at once; several numbers parted by commas")->type_name("LIST");
+    command->add_option("--actors", options->actors, "time scans, training and moves of so many copies of an actor of 1000 surfels instead; several numbers parted by commas")->type_name("LIST");
     command->add_option("--json", options->json, "write the numbers to this file too")->type_name("FILE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->settings.quiet, "print errors only");
@@ -104,7 +106,7 @@ void add_bench(CLI::App& app, Call& call) {
                     "  relidar bench --scene B --surfels 1000000 --rays waymo --sh surfel\n"
                     "  relidar bench --run run --repeat 50\n"
                     "  relidar bench --keep-hits 0 --deterministic\n"
-                    "  relidar bench --actors 1,10,100");
+                    "  relidar bench --actors 1,1000");
     command->callback([&call, options, scene, surfels, rays] {
         options->describes_street = scene->count() + surfels->count() + rays->count() > 0;
         call.run = [&call, options] { run_bench(*options, call.command_line); };

@@ -66,6 +66,7 @@ BenchCase street_case(const BenchChoice& choice) {
     if (choice.street == "C") surfels.opacity_logit.assign(surfels.size(), kFaintLogit);
     bench.scene = make_background_scene(surfels.permuted(kd_order(surfels.mean)));
     bench.config = make_preset("paper");
+    bench.placed.resize(1);
     return bench;
 }
 
@@ -73,17 +74,19 @@ BenchCase run_case(const BenchChoice& choice) {
     Run run = load_run(choice.run);
     if (run.sequence.frames.empty() || run.scene.surfels.size() == 0) throw DataError(fmt::format("{}: a run without frames or surfels, expected at least one of each", choice.run));
     const Frame& frame = run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
-    const RayTable table = configured_sensor(run.config, run.sequence).rays;
+    const RayTable table = configured_sensor(run.config, run.sequence, frame.lidar).rays;
     BenchCase bench;
     bench.name = fmt::format("{}, frame {}", run.folder.string(), frame.index);
     bench.rows = table.rows;
     bench.columns = table.columns;
-    bench.view_origin_m = glm::vec3(run.sequence.world_from_sensor.at(frame.time_s).translation);
+    const PoseTrack track = run.sequence.world_from_sensor(frame.lidar);
+    bench.view_origin_m = glm::vec3(track.at(frame.time_s).translation);
     for (std::size_t i = 0; i < table.size(); ++i) {
-        const WorldRay ray = world_ray(run.sequence.world_from_sensor, frame.time_s, table, i, run.sequence.rolling_shutter && run.config.sensor.rolling_shutter);
+        const WorldRay ray = world_ray(track, frame.time_s, table, i, run.sequence.rolling_shutter && run.config.sensor.rolling_shutter);
         bench.rays.origin.emplace_back(ray.origin_m);
         bench.rays.direction.emplace_back(ray.direction);
     }
+    bench.placed = place_instances(run.scene, run.sequence, frame.time_s);
     bench.scene = std::move(run.scene);
     bench.config = std::move(run.config);
     return bench;

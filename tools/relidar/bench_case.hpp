@@ -28,6 +28,7 @@ struct BenchCase {
     int rows = 0;
     int columns = 0;
     glm::vec3 view_origin_m{0.0f};
+    std::vector<InstancePose> placed;   ///< [instances]
 };
 
 /// Looks at every option without making anything. @throws UsageError naming the first one that makes no sense

@@ -56,7 +56,9 @@ std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normali
 }
 
 RendererOptions renderer_options(const BenchCase& bench) {
-    return {.accel = accel_options(bench.config), .trace = trace_options(bench.config), .n_rays = static_cast<std::uint32_t>(bench.rays.size())};
+    return {.accel = accel_options(bench.config),
+            .trace = trace_options(bench.config),
+            .n_rays = static_cast<std::uint32_t>(bench.rays.size())};
 }
 
 RendererOptions training_options(const BenchCase& bench) {
@@ -76,7 +78,8 @@ struct TrainingStep {
     int step = 0;
 
     TrainingStep(Device& device, const BenchCase& bench, const std::vector<DeviceTarget>& wanted)
-        : renderer(device, bench.scene, bench.config.image, training_options(bench), {.sums = backward_options(bench.config), .zero_untouched = false}),   // Adam takes the others for zero
+        : renderer(device, bench.scene, bench.config.image, training_options(bench),
+                   {.sums = backward_options(bench.config), .zero_untouched = false}),   // Adam takes the others for zero
           loss(device, bench.config.loss),
           adam(device, renderer.scene().size(), {.only_touched = bench.config.train.only_touched}, renderer.scene().primitive()),
           targets(device, std::span<const DeviceTarget>(wanted), "targets"),
@@ -89,13 +92,16 @@ struct TrainingStep {
         Stream& stream = renderer.stream();
         loss.compare(stream, renderer.batch(), {&targets, 0, 1, rays.n_rays, n_returned, static_cast<double>(rays.n_rays)}, terms);
         renderer.record_backward();
-        adam.step(stream, renderer.scene().parameters(), renderer.gradients().surfels, &renderer.gradients().touched, kStandStill, ++step, renderer.model().sh_degree);
+        const Gradients& gradients = renderer.gradients();
+        adam.step(stream, renderer.scene().parameters(), gradients.surfels, &gradients.touched, kStandStill, ++step, renderer.model().sh_degree);
     }
 };
 
 /// Memory of the parts of a case, each made once for it.
 BenchMemory memory_of_parts(Device& device, const BenchCase& bench, bool training) {
-    auto since_last = [&device, last = device.allocated_bytes()]() mutable { return device.allocated_bytes() - std::exchange(last, device.allocated_bytes()); };
+    auto since_last = [&device, last = device.allocated_bytes()]() mutable {
+        return device.allocated_bytes() - std::exchange(last, device.allocated_bytes());
+    };
     BenchMemory memory;
     const DeviceScene scene(device, bench.scene);
     memory.scene = since_last();
@@ -110,13 +116,17 @@ BenchMemory memory_of_parts(Device& device, const BenchCase& bench, bool trainin
 
 class Bench {
 public:
-    Bench(Device& device, const BenchCase& bench) : device_(device), case_(bench), allocated_before_(device.allocated_bytes()), rays_(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays") {}
+    Bench(Device& device, const BenchCase& bench)
+        : device_(device),
+          case_(bench),
+          allocated_before_(device.allocated_bytes()),
+          rays_(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays") {}
 
     /// The first image; with it the targets and all that training needs.
     void prepare(bool training) {
         memory_ = memory_of_parts(device_, case_, training);
         image_ = std::make_unique<Renderer>(device_, case_.scene, case_.config.image, renderer_options(case_));
-        image_->place(case_.view_origin_m);
+        image_->place(case_.placed, case_.view_origin_m);
         image_->record_forward(batch());
         image_->stream().finish();
         const Rendering rendering = to_rendering(image_->rendered().rendered->download());
@@ -139,7 +149,7 @@ public:
         stream.finish();
         take("rebuild", rebuild_kernels_);
         const Clock::time_point start = Clock::now();
-        r.place(case_.view_origin_m);
+        r.place(case_.placed, case_.view_origin_m);
         r.record_forward(batch());
         if (training_) training_->run(batch());
         stream.finish();
@@ -158,7 +168,7 @@ public:
     /// Without timestamps: forward alone between two waits.
     void repeat_by_wall_clock() {
         Renderer& r = renderer();
-        r.place(case_.view_origin_m);
+        r.place(case_.placed, case_.view_origin_m);
         r.stream().finish();
         const Clock::time_point start = Clock::now();
         r.record_forward(batch());

@@ -56,14 +56,14 @@ Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
 Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptions& street, bool quiet) {
     Progress progress(quiet);
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
-    const PoseTrack track = moved_track(run.sequence.world_from_sensor, kShift);
-    const RayTable rays = make_rays(run.sequence.sensor);
+    const PoseTrack track = moved_track(run.sequence.world_from_sensor(0), kShift);
+    const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
     std::vector<ScoredFrame> frames;
     for (const int position : run.split.test) {
         stop_if_interrupted();
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
         Frame exact{frame.index, frame.time_s, cast_synthetic_street(street, rays, track, frame.time_s)};
-        drop_outside(exact.scan, run.sequence.sensor.range_limits());
+        drop_outside(exact.scan, run.sequence.lidars[0].sensor.range_limits());
         frames.push_back(score_frame(renderer, run.config, run.sequence, exact, kShift));
         progress.count("shifted sensor, frame", frames.size(), run.split.test.size());
     }

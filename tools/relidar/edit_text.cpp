@@ -97,7 +97,7 @@ AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
     const auto [folder, track] = cut(edit, what, what.rfind('#'));
     const Start start = start_of(edit, place);
     const Run other = load_run(folder);
-    const SpinningSensor &theirs = other.sequence.sensor, &ours = driving.sequence.sensor;
+    const SpinningSensor &theirs = other.sequence.lidars[0].sensor, &ours = driving.sequence.lidars[0].sensor;
     const bool same = theirs.name == ours.name && theirs.beams.size() == ours.beams.size();
     const std::string note = same ? "" : fmt::format("{} was recorded by another sensor ({}, {} beams; here {}, {} beams): shape and motion of {} are right, its intensities and ray-drop are those of that sensor",
                                                      folder, theirs.name, theirs.beams.size(), ours.name, ours.beams.size(), track);

@@ -46,7 +46,7 @@ Json protocol_json(const Config& config) {
 
 Json frames_json(const Evaluation& evaluation) {
     Json frames = Json::array();
-    for (const ScoredFrame& f : evaluation.frames) frames.push_back({{"frame", f.frame}, {"time_s", f.time_s}, {"trace_ms", f.rendered.trace_ms}, {"metrics", f.metrics}});
+    for (const ScoredFrame& f : evaluation.frames) frames.push_back({{"frame", f.frame}, {"lidar", f.lidar}, {"time_s", f.time_s}, {"trace_ms", f.rendered.trace_ms}, {"metrics", f.metrics}});
     return frames;
 }
 

@@ -32,9 +32,9 @@ struct ImportOptions {
 
 std::string sizes(const Scene& scene) { return fmt::format("{} surfels, {} model{}", scene.surfels.size(), scene.models.size(), scene.models.size() == 1 ? "" : "s"); }
 
-/// Where the log's sensor was, in the dataset's world.
+/// Where the log's first sensor was, in the dataset's world.
 PoseTrack sensor_path(const Sequence& sequence) {
-    PoseTrack track = sequence.world_from_sensor;
+    PoseTrack track = sequence.world_from_sensor(0);
     for (Pose& pose : track.pose) pose.translation += sequence.world_offset_m;
     return track;
 }
@@ -50,7 +50,7 @@ void run_export(const ExportOptions& options) {
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     if (*format == ".ply") write_surfel_ply(out, run.scene);
     else write_trajectory(out, sensor_path(run.sequence));
-    const std::string written = *format == ".ply" ? sizes(run.scene) : fmt::format("{} poses", run.sequence.world_from_sensor.pose.size());
+    const std::string written = *format == ".ply" ? sizes(run.scene) : fmt::format("{} poses", run.sequence.world_from_vehicle.pose.size());
     if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), written));
 }
 

@@ -53,12 +53,18 @@ Json json_of(const BoxSummary& b) {
     return json;
 }
 
+Json json_of(const LidarSummary& l) {
+    return {{"name", l.name}, {"sensor", l.sensor}, {"rows", l.n_beams}, {"columns", l.columns}, {"top_deg", l.top_deg}, {"bottom_deg", l.bottom_deg},
+            {"period_s", l.period_s}, {"max_range_m", l.max_range_m}, {"frames", l.n_frames}, {"further_returns", l.n_further}};
+}
+
 Json json_of(const LogSummary& log) {
     Json boxes = Json::array();
     for (const BoxSummary& b : log.boxes) boxes.push_back(json_of(b));
+    Json lidars = Json::array();
+    for (const LidarSummary& l : log.lidars) lidars.push_back(json_of(l));
     Json json = {{"name", log.name}, {"source", log.source}, {"conventions", log.conventions}, {"notes", log.notes},
-                 {"sensor", {{"name", log.sensor}, {"rows", log.n_beams}, {"columns", log.columns}, {"top_deg", log.top_deg}, {"bottom_deg", log.bottom_deg},
-                             {"period_s", log.period_s}, {"max_range_m", log.max_range_m}}},
+                 {"lidars", lidars},
                  {"rolling_shutter", log.rolling_shutter}, {"frames", log.n_frames}, {"first_frame", log.first_frame}, {"last_frame", log.last_frame},
                  {"seconds", log.seconds}, {"path_m", log.path_m}, {"returns_share", nullptr}, {"boxes", boxes}, {"masked", log.masked}};
     if (log.returns_share) json["returns_share"] = *log.returns_share;
@@ -90,11 +96,33 @@ BoxSummary summarise(const Sequence& sequence, const BoxTrack& box, double min_s
     return summary;
 }
 
+LidarSummary summarise(const Sequence& sequence, int which) {
+    const Lidar& lidar = sequence.lidars[std::size_t(which)];
+    const SpinningSensor& sensor = lidar.sensor;
+    LidarSummary l{lidar.name, sensor.name, sensor.beams.size(), sensor.columns, 0.0, 0.0, sensor.period_s, sensor.max_range_m, 0, 0};
+    const auto lower = [](const Beam& a, const Beam& b) { return a.elevation_rad < b.elevation_rad; };
+    const auto [low, high] = std::minmax_element(sensor.beams.begin(), sensor.beams.end(), lower);
+    if (low != sensor.beams.end()) l.bottom_deg = low->elevation_rad * 180.0 / kPi, l.top_deg = high->elevation_rad * 180.0 / kPi;
+    for (const Frame& frame : sequence.frames) {
+        if (frame.lidar != which) continue;
+        ++l.n_frames;
+        for (const FurtherReturn& f : frame.scan.further) l.n_further += std::size_t(std::count_if(f.range_m.begin(), f.range_m.end(), [](float r) { return r > 0.0f; }));
+    }
+    return l;
+}
+
+std::string text_of(const LidarSummary& l) {
+    const std::string name = l.name.empty() ? "" : fmt::format("{}, {} frames, ", l.name, l.n_frames);
+    const std::string further = l.n_further == 0 ? "" : fmt::format(", {} further returns", l.n_further);
+    if (l.n_beams == 0) return fmt::format("{}{}: no beams known, {:.4g} m{}", name, l.sensor, l.max_range_m, further);
+    return fmt::format("{}{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s a turn, {:.4g} m{}", name, l.sensor, l.n_beams, l.columns, l.top_deg, l.bottom_deg, l.period_s,
+                       l.max_range_m, further);
+}
+
 std::string text_of(const LogSummary& log, bool of_run) {
     std::string text = line("log", log.name) + line("source", log.source) + line("conventions", log.conventions);
     for (const std::string& note : log.notes) text += line("note", note);
-    text += line("sensor", fmt::format("{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s a turn, {:.4g} m{}", log.sensor, log.n_beams, log.columns, log.top_deg,
-                                       log.bottom_deg, log.period_s, log.max_range_m, log.rolling_shutter ? ", rolling shutter" : ""));
+    for (const LidarSummary& lidar : log.lidars) text += line("sensor", text_of(lidar) + (log.rolling_shutter ? ", rolling shutter" : ""));
     text += line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames, log.first_frame, log.last_frame, log.seconds, log.path_m));
     if (log.returns_share) text += line("returns", fmt::format("{:.1f} % of all rays", 100.0 * *log.returns_share));
     const auto parked = std::count_if(log.boxes.begin(), log.boxes.end(), [](const BoxSummary& b) { return b.parked; });
@@ -111,14 +139,7 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
     log.source = sequence.source;
     log.conventions = sequence.conventions;
     log.notes = sequence.notes;
-    log.sensor = sequence.sensor.name;
-    log.n_beams = sequence.sensor.beams.size();
-    log.columns = sequence.sensor.columns;
-    const auto lower = [](const Beam& a, const Beam& b) { return a.elevation_rad < b.elevation_rad; };
-    const auto [low, high] = std::minmax_element(sequence.sensor.beams.begin(), sequence.sensor.beams.end(), lower);
-    if (low != sequence.sensor.beams.end()) log.bottom_deg = low->elevation_rad * 180.0 / kPi, log.top_deg = high->elevation_rad * 180.0 / kPi;
-    log.period_s = sequence.sensor.period_s;
-    log.max_range_m = sequence.sensor.max_range_m;
+    for (std::size_t i = 0; i < sequence.lidars.size(); ++i) log.lidars.push_back(summarise(sequence, int(i)));
     log.rolling_shutter = sequence.rolling_shutter;
     log.n_frames = sequence.frames.size();
     if (!sequence.frames.empty()) {
@@ -126,7 +147,7 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
         log.last_frame = sequence.frames.back().index;
         log.seconds = sequence.frames.back().time_s - sequence.frames.front().time_s;
     }
-    log.path_m = path_length_m(sequence.world_from_sensor);
+    log.path_m = path_length_m(sequence.world_from_vehicle);
     log.returns_share = returns_share(sequence);
     for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box, options.actor_min_step_m));
     log.masked = names_of(unwanted_boxes(sequence, options));

@@ -26,14 +26,20 @@ struct BoxSummary {
     std::size_t n_surfels = 0;
 };
 
-struct LogSummary {
-    std::string name, source, conventions;
-    std::vector<std::string> notes;        ///< what the log lacks
-    std::string sensor;
+struct LidarSummary {
+    std::string name, sensor;
     std::size_t n_beams = 0;
     int columns = 0;
     double top_deg = 0.0, bottom_deg = 0.0;
     double period_s = 0.0, max_range_m = 0.0;
+    std::size_t n_frames = 0;
+    std::size_t n_further = 0;             ///< second, third ... returns of its rays
+};
+
+struct LogSummary {
+    std::string name, source, conventions;
+    std::vector<std::string> notes;        ///< what the log lacks
+    std::vector<LidarSummary> lidars;
     bool rolling_shutter = false;
     std::size_t n_frames = 0;
     int first_frame = 0, last_frame = 0;

@@ -52,13 +52,14 @@ bool is_recastable(const Run& run) {
 std::vector<Scan> attach_recast(Run& run) {
     const SyntheticOptions street = read_synthetic(street_folder(run));
     const std::vector<StreetCar> cars = cars_of(run);
-    const RayTable rays = make_rays(run.sequence.sensor);
+    const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
     const RangeLimits limits = configured_sensor(run.config, run.sequence).limits;
+    const PoseTrack track = run.sequence.world_from_sensor(0);   // a street that is made again has one LiDAR
     std::vector<Scan> before;
     for (const int position : run.split.test) {
         Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        frame.scan = cast_synthetic_street(street, cars, rays, run.sequence.world_from_sensor, frame.time_s);
-        before.push_back(cast_synthetic_street(street, rays, run.sequence.world_from_sensor, frame.time_s));
+        frame.scan = cast_synthetic_street(street, cars, rays, track, frame.time_s);
+        before.push_back(cast_synthetic_street(street, rays, track, frame.time_s));
         for (Scan* scan : {&frame.scan, &before.back()}) drop_outside(*scan, limits);
     }
     return before;

@@ -29,6 +29,7 @@ struct Options {
     std::optional<std::string> frames;
     std::string offset;
     TrajectoryChoice trajectory;
+    std::string lidar;
     std::string sensor;
     std::string formats = "npz";
     std::vector<std::string> sets;
@@ -148,17 +149,18 @@ struct Turn {
     double time_s;
 };
 
-std::vector<Turn> turns_of_log(const Run& run, const Options& options) {
+std::vector<Turn> turns_of_log(const Run& run, const Options& options, int lidar) {
     std::vector<Turn> turns;
     for (const int position : choose_frames(run, options.frames, options.quiet)) {
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        turns.push_back({frame.index, frame.time_s});
+        if (frame.lidar == lidar) turns.push_back({frame.index, frame.time_s});
     }
+    if (turns.empty()) throw UsageError(fmt::format("--lidar {}: took none of the chosen frames of {}", options.lidar, run.folder.string()));
     return turns;
 }
 
-std::vector<Turn> turns_along(const Run& run, const Options& options, const PoseTrack& track) {
-    const std::vector<double> times_s = scan_times(options.trajectory, track, 1.0 / run.sequence.sensor.period_s);
+std::vector<Turn> turns_along(const Run& run, const Options& options, const PoseTrack& track, int lidar) {
+    const std::vector<double> times_s = scan_times(options.trajectory, track, 1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar)].sensor.period_s);
     if (!options.quiet) note_beyond_log(run, track, times_s);
     std::vector<Turn> turns;
     for (const double t : times_s) turns.push_back({static_cast<int>(turns.size()), t});
@@ -173,8 +175,9 @@ void run_render(const Options& options) {
     const OutputFolder folder(options.out);
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
-    const std::vector<Turn> turns = drives ? turns_along(run, options, track) : turns_of_log(run, options);
-    const SensorChoice sensor = options.sensor.empty() ? configured_sensor(run.config, run.sequence) : choose_sensor(options.sensor, run.config, run.sequence);
+    const int lidar = find_lidar(run.sequence, options.lidar);
+    const std::vector<Turn> turns = drives ? turns_along(run, options, track, lidar) : turns_of_log(run, options, lidar);
+    const SensorChoice sensor = options.sensor.empty() ? configured_sensor(run.config, run.sequence, lidar) : choose_sensor(options.sensor, run.config, run.sequence, lidar);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(device_options(options.device));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
@@ -214,6 +217,7 @@ void add_render(CLI::App& app, Call& call) {
     command->add_option("--trajectory", options->trajectory.file, "drive the sensor along a path of its own: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in the dataset's world and the log's time, as `relidar export RUN --out FILE.csv` writes the log's; with --offset beside it")->type_name("FILE.csv");
     command->add_option("--rate", options->trajectory.rate_hz, "scans a second on the trajectory (default: as the log's sensor turns)")->type_name("HZ");
     command->add_option("--times", options->trajectory.times, "when scans are taken on the trajectory instead: from, to and every so many seconds")->type_name("FIRST:LAST:STEP");
+    command->add_option("--lidar", options->lidar, "whose frames and place, by its name in `relidar info` (default: the first of the log)")->type_name("NAME");
     command->add_option("--sensor", options->sensor, "another sensor: native (the log's), kitti360, VLP-16, HDL-64E, OS1-64, OS1-128, waymo-top, or a CSV beam table as in beams.csv:1024x10, see below")->type_name("NAME|FILE");
     command->add_option("--format", options->formats, "npz, exr, ply, pcd, bin, png, parted by commas (default: npz)")->type_name("LIST");
     command->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")->type_name("WHAT")->type_size(1)->allow_extra_args(false);
@@ -229,7 +233,8 @@ void add_render(CLI::App& app, Call& call) {
                     "pose [4,4] sensor to the dataset's world at time_s. Metres, seconds. ply, pcd, bin: points of rays with drop_prob < 0.5, of the dominant\n"
                     "surface (--set render.points=range: of the mean along the ray, which lies between two surfaces at edges). ring: laser, 0 the highest;\n"
                     "time: of the ray, seconds from time_s. VIEWPOINT of a pcd takes its points to the dataset's world.\n"
-                    "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; npz has instance_names.\n") +
+                    "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; npz has instance_names.\n"
+                    "--set render.normals=true: unit normals of surfaces, towards the sensor, in every format but bin and png.\n") +
                     kBeamTableHelp + "\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"

@@ -37,7 +37,7 @@ std::vector<ReportCurve> loss_curves(const TrainResult& result) {
 
 Report make_report(const Run& run, const TrainResult& result, const Device& device, const std::string& command_line) {
     const int done = result.log.empty() ? 0 : result.log.back().iteration;
-    const SpinningSensor& sensor = run.sequence.sensor;
+    const SpinningSensor& sensor = run.sequence.lidars[0].sensor;
     Report report;
     report.title = "relidar: " + run.sequence.name;
     report.summary = fmt::format("{} of a {} x {} LiDAR became {} surfels; {} were held out and rendered again.", frame_count(run.split.train.size()), sensor.beams.size(),

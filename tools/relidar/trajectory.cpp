@@ -55,7 +55,7 @@ std::vector<double> scan_times(const TrajectoryChoice& choice, const PoseTrack& 
 void note_beyond_log(const Run& run, const PoseTrack& track, const std::vector<double>& times_s) {
     const Sequence& log = run.sequence;
     double farthest = 0.0;
-    for (const double t : times_s) farthest = std::max(farthest, nearest_m(log.world_from_sensor, track.at(t).translation - log.world_offset_m));
+    for (const double t : times_s) farthest = std::max(farthest, nearest_m(log.world_from_vehicle, track.at(t).translation - log.world_offset_m));
     if (farthest > kFar_m) {
         note(fmt::format("the trajectory goes {:.0f} m away from where the log's sensor was; it is read in the dataset's world, as `relidar export {} --out FILE.csv` writes it", farthest, run.folder.string()));
     }

@@ -13,6 +13,7 @@
 namespace relidar {
 template <class T>
 class Array;
+class Stream;
 
 /// Where entries of an array of T begin on the device: nothing but 8 bytes, and nowhere unless an Array<T> has made it. Addresses of
 /// different types are not each other, so that a kernel never gets one array for another of another type.
@@ -25,6 +26,7 @@ public:
 private:
     template <class>
     friend class Array;
+    friend class Stream;   // parameters of its own, for one submission
     explicit Address(std::uint64_t value) : value_(value) {}
     std::uint64_t value_ = 0;
 };

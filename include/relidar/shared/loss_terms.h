@@ -5,20 +5,20 @@
 #define RELIDAR_INCLUDED_LOSS_TERMS_H
 
 /// TERM(place in a row of terms, name, setting of its weight, default, what the setting accepts, what it means)
-#define RELIDAR_LOSS_TERMS(TERM)                                                                                                             \
-    TERM(0u, depth, depth, 0.1f, at_least(0), "weight of the range term, L1 on returned rays")                                              \
-    TERM(1u, intensity, intensity, 0.1f, at_least(0), "weight of the intensity term on returned rays")                                      \
-    TERM(2u, drop, drop, 0.01f, at_least(0), "weight of the ray-drop term, cross-entropy on all rays")                                      \
-    TERM(3u, opacity, opacity, 0.0f, at_least(0), "weight of (1 - W)^2 on returned rays")                                                   \
-    TERM(4u, ssim, intensity_ssim, 0.0f, between(0, 1),                                                                                      \
-         "share of 1 - SSIM in the intensity term, the rest is L1; needs batches that are images (train.batch); 0: paper")                  \
-    TERM(5u, box, box, 0.0f, at_least(0), "weight of actors' surfels leaving their box; 0: paper")                                          \
-    TERM(6u, entropy, opacity_entropy, 0.0f, at_least(0), "weight of the entropy of opacities")                                             \
-    TERM(7u, chamfer, chamfer, 0.01f, at_least(0), "weight of the Chamfer distance between simulated and measured points, squared metres")  \
-    TERM(8u, distortion, distortion, 0.0f, at_least(0),                                                                                      \
-         "weight of the spread of a ray's hits, the sum over pairs of w_i w_j |t_i - t_j| in metres, mean over returned rays; 0: paper")    \
-    TERM(9u, normal, normal, 0.0f, at_least(0),                                                                                              \
-         "weight of surfel normals disagreeing with those of the rendered range image, mean over returned rays; needs batches that are "   \
+#define RELIDAR_LOSS_TERMS(TERM) \
+    TERM(0u, depth, depth, 0.1f, at_least(0), "weight of the range term, L1 on returned rays") \
+    TERM(1u, intensity, intensity, 0.1f, at_least(0), "weight of the intensity term on returned rays") \
+    TERM(2u, drop, drop, 0.01f, at_least(0), "weight of the ray-drop term, cross-entropy on all rays") \
+    TERM(3u, opacity, opacity, 0.0f, at_least(0), "weight of (1 - W)^2 on returned rays") \
+    TERM(4u, ssim, intensity_ssim, 0.0f, between(0, 1), \
+         "share of 1 - SSIM in the intensity term, the rest is L1; needs batches that are images (train.batch); 0: paper") \
+    TERM(5u, box, box, 0.0f, at_least(0), "weight of actors' surfels leaving their box; 0: paper") \
+    TERM(6u, entropy, opacity_entropy, 0.0f, at_least(0), "weight of the entropy of opacities") \
+    TERM(7u, chamfer, chamfer, 0.01f, at_least(0), "weight of the Chamfer distance between simulated and measured points, squared metres") \
+    TERM(8u, distortion, distortion, 0.0f, at_least(0), \
+         "weight of the spread of a ray's hits, the sum over pairs of w_i w_j |t_i - t_j| in metres, mean over returned rays; 0: paper") \
+    TERM(9u, normal, normal, 0.0f, at_least(0), \
+         "weight of surfel normals disagreeing with those of the rendered range image, mean over returned rays; needs batches that are " \
          "images (train.batch); 0: paper")
 
 #endif

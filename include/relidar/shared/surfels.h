@@ -22,6 +22,17 @@ struct SurfelRecord {
 };
 RELIDAR_POINTER(Records, SurfelRecord);
 
+/// A model: a range of the scene's surfels. The table of models is in the order of their ranges, which hold all surfels.
+struct ModelEntry {
+    uint first_surfel;
+    uint n_surfels;
+    vec3 half_size;       // of its box, m; 0 = unbounded
+    float half_diagonal;  // length of half_size
+    uint first_more;      // entry of more_rows of its second placement
+    uint n_more;          // placements after the first one
+};
+RELIDAR_POINTER(Models, ModelEntry);
+
 /// A model placed in the world.
 struct InstanceEntry {
     vec4 row0;            // model_from_world, rows of a 3x4 matrix

@@ -63,7 +63,7 @@ public:
     void operator()(const std::string& name, const Array<T>& array) { (*this)(name, array.download()); }
     template <class T>
     void operator()(const std::string& name, const FirstOf<T>& first) { (*this)(name, first.array.download(first.n)); }
-    /// Five arrays, name/mean [n,3] to name/sh [n,3,16], and name/log_scale_w [n] of 3D Gaussians.
+    /// An array for each group of parameters, name/mean [n,3] and so on.
     void operator()(const std::string& name, const SurfelArrays& surfels);
 
 private:

@@ -22,11 +22,11 @@ struct GradientOptions {
 
 /// dL/d(rendered) of every ray, one array for each of Rendering's that has a gradient. An empty one stands for zeros.
 struct RenderedGradients {
-    std::vector<float> depth;        ///< [n] of D = sum w t, 1/m
-    std::vector<float> weight;       ///< [n]
-    std::vector<float> intensity;    ///< [n]
-    std::vector<float> hit_logit;    ///< [n]
-    std::vector<float> drop_logit;   ///< [n]
+    std::vector<float> depth{};        ///< [n] of D = sum w t, 1/m
+    std::vector<float> weight{};       ///< [n]
+    std::vector<float> intensity{};    ///< [n]
+    std::vector<float> hit_logit{};    ///< [n]
+    std::vector<float> drop_logit{};   ///< [n]
 };
 
 /// Gradients as host arrays; what they mean is said in Gradients. Those that were not asked for are empty.
@@ -42,7 +42,8 @@ struct HostGradients {
 class DifferentiableRenderer : public Renderer {
 public:
     /// @throws UsageError where gradients.sums is out of range, else as Renderer
-    DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& options = {}, const GradientOptions& gradients = {});
+    DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& options = {},
+                           const GradientOptions& gradients = {});
     ~DifferentiableRenderer();
 
     /// Gradients of a loss of the rays that forward() rendered last. Blocks. Poses, view and parameters must be as they were then.
@@ -57,8 +58,8 @@ public:
     Gradients& gradients();
     BackwardPass& backward_pass();
 
-    /// Adds or removes surfels: what is sized by their number goes before `change` and comes back after it, for the size the scene has then; the
-    /// next place() builds the structure anew. Waits for the stream.
+    /// Adds or removes surfels: what is sized by their number goes before `change` and comes back after it, for the size the scene has
+    /// then. To be followed by place(). Waits for the stream.
     /// @param change  is told how many bytes a surfel will be allocated again
     void change_surfels(const std::function<void(double others_bytes)>& change);
 

@@ -28,6 +28,7 @@ struct Rendering {
     /// Whose surface a ray meets, an index into Scene::instances: that of the surfel at which T crosses 0.5, since a faint surfel
     /// before it would give its own name to what is seen through it; where T stays above, of the nearest blended one; -1 without a hit.
     std::vector<std::int32_t> instance;
+    std::vector<glm::vec3> normal;     ///< sum w n of unit normals that face the sensor, world; empty without TraceOptions::geometry
     std::size_t size() const { return depth.size(); }
 };
 
@@ -53,8 +54,8 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Rendered rays as host arrays.
-Rendering to_rendering(const std::vector<shared::RenderedRay>& rays);
+/// Rendered rays as host arrays. @param geometry  of as many rays, where it was rendered
+Rendering to_rendering(const std::vector<shared::RenderedRay>& rays, const std::vector<shared::RenderedGeometry>& geometry = {});
 
 /// What a renderer is made with beside a scene and its image model.
 struct RendererOptions {
@@ -64,8 +65,8 @@ struct RendererOptions {
     std::uint32_t keep_hits = 0;   ///< first hits of a ray kept for a backward pass, 8 bytes each; 0 = it casts every ray again
 };
 
-/// A scene ready to be rendered: parameters, acceleration structure, forward pass and what rays render, on one device and in one stream of its
-/// own. place() first, then forward() or record_forward() as often as wanted.
+/// A scene ready to be rendered: parameters, acceleration structure, forward pass and what rays render, on one device and in one stream
+/// of its own. place() first, then forward() or record_forward() as often as wanted.
 /// The device must outlive it; one thread at a time may use it. Several renderers of one device do not know of each other.
 class Renderer {
 public:
@@ -74,16 +75,16 @@ public:
     Renderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& options = {});
     ~Renderer();
 
-    /// Where everything is: poses, parameters made ready for tracing as seen from there, and the structure refitted. To be called again whenever
-    /// poses, the view or parameters have changed. Records; takes effect with what is recorded next.
+    /// Where everything is: poses, parameters made ready for tracing as seen from there, and the structure refitted. To be called again
+    /// whenever poses, the view or parameters have changed. Records; takes effect with what is recorded next.
     /// @param placed         [instances] world_from_model each, in the order of Scene::instances; instance 0 is the background
     /// @param view_origin_m  [3] world: the sensor's position, from which SH directions start with ShDirection::surfel
     /// @throws DataError for another number of poses, UsageError where the image model is for another primitive than the scene's
     void place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
     /// The same with all instances where they are; before they are placed they stand at the origin. Records.
     void place(const glm::vec3& view_origin_m) { place(scene().poses(), view_origin_m); }
-    /// As the first where no parameter has changed since the last place() or move(): the trees of the models stay as they are. The first call does
-    /// all that place() does. Records.
+    /// As the first where no parameter has changed since the last place() or move(): the trees of the models stay as they are. The first
+    /// call does all that place() does. Records.
     void move(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
 
     /// Renders rays. Blocks. @param rays [n] world, directions of length 1

@@ -42,7 +42,8 @@ struct TargetBatch {
     ImageShape image{};        ///< of the rays, where the batch is an image
 };
 
-/// Weights of the terms (loss_terms.h says what they weigh), each a mean over its pixels, points or surfels; and what else there is to choose.
+/// Weights of the terms (loss_terms.h says what they weigh), each a mean over its pixels, points or surfels; and what else there is to
+/// choose.
 struct LossWeights {
 #define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) float setting = standard;
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)

@@ -6,22 +6,10 @@
 #include <memory>
 #include <optional>
 
-#include <relidar/scene.hpp>
 #include <relidar/stages/gpu.hpp>
+#include <relidar/stages/scene.hpp>
 
 namespace relidar {
-
-struct SurfelArrays;
-
-/// Learning rates of one step.
-struct LearningRates {
-    double mean = 1.6e-4;          ///< metres; the schedule multiplies by the extent
-    double rotation = 1e-3;
-    double log_scale = 5e-3;       ///< the third of 3D Gaussians too
-    double opacity_logit = 0.05;
-    double sh = 2.5e-3;            ///< DC coefficient of each channel
-    double sh_rest_factor = 0.05;  ///< of the other coefficients
-};
 
 struct AdamOptions {
     double beta1 = 0.9;

@@ -1,11 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scene on a device: parameters of all surfels, the records that hits read, and where each model is placed.
+// A scene on a device: parameters of all surfels and the table of their groups, the records that hits read, and where each model is placed.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
+#include <type_traits>
+#include <utility>
 #include <vector>
 
 #include <relidar/scene.hpp>
@@ -34,6 +38,76 @@ struct SurfelArrays {
     void fill_zero(Stream& stream);
 };
 
+/// Learning rates of one step.
+struct LearningRates {
+    double mean = 1.6e-4;          ///< metres; the schedule multiplies by the extent
+    double rotation = 1e-3;
+    double log_scale = 5e-3;       ///< the third of 3D Gaussians too
+    double opacity_logit = 0.05;
+    double sh = 2.5e-3;            ///< DC coefficient of each channel
+    double sh_rest_factor = 0.05;  ///< of the other coefficients
+};
+
+/// A group of parameters: what whoever treats all parameters alike (arrays, optimiser, densification, files) has to know of it.
+struct ParameterGroup {
+    const char* name;                                    ///< of its array in files
+    std::array<std::uint32_t, 2> row;                    ///< shape of the floats of one surfel; {3, 1} is a row of 3, {1, 1} a single number
+    double LearningRates::*rate;
+    bool harmonics;                                      ///< the last dimension is the coefficients of the SH basis
+    Array<float> SurfelArrays::*device;                  ///< [n, floats()]
+    std::span<const float> (*values)(const Surfels&);    ///< [n * floats()] on the host
+    std::span<float> (*mutable_values)(Surfels&);        ///< the same, to be written
+    void (*resize)(Surfels&, std::size_t n_floats);      ///< of the host's array
+
+    constexpr std::uint32_t floats() const { return row[0] * row[1]; }   ///< a surfel
+    std::vector<std::size_t> shape(std::size_t n) const;                 ///< of the array in files: [n], [n,3] or [n,3,16]
+};
+
+/// A group that the host keeps in the member kHost of Surfels.
+template <auto kHost>
+constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row, Array<float> SurfelArrays::*device, double LearningRates::*rate,
+                                        bool harmonics = false) {
+    using Element = typename std::remove_reference_t<decltype(std::declval<Surfels&>().*kHost)>::value_type;
+    constexpr std::size_t kFloats = sizeof(Element) / sizeof(float);
+    return {name, row, rate, harmonics, device,
+            [](const Surfels& s) { return std::span(reinterpret_cast<const float*>((s.*kHost).data()), kFloats * (s.*kHost).size()); },
+            [](Surfels& s) { return std::span(reinterpret_cast<float*>((s.*kHost).data()), kFloats * (s.*kHost).size()); },
+            [](Surfels& s, std::size_t n_floats) { (s.*kHost).resize(n_floats / kFloats); }};
+}
+
+/// Every group there is; those that 3D Gaussians alone have come last. A new parameter is a member of Surfels and of SurfelArrays, a pointer for
+/// kernels (shaders/shared/scene.h), and a row here.
+inline constexpr std::array<ParameterGroup, 6> kParameterGroups{{
+    describe_group<&Surfels::mean>("mean", {3, 1}, &SurfelArrays::mean, &LearningRates::mean),
+    describe_group<&Surfels::rotation>("rotation", {4, 1}, &SurfelArrays::rotation, &LearningRates::rotation),
+    describe_group<&Surfels::log_scale>("log_scale", {2, 1}, &SurfelArrays::log_scale, &LearningRates::log_scale),
+    describe_group<&Surfels::opacity_logit>("opacity_logit", {1, 1}, &SurfelArrays::opacity_logit, &LearningRates::opacity_logit),
+    describe_group<&Surfels::sh>("sh", {kShChannels, kShCoefficients}, &SurfelArrays::sh, &LearningRates::sh, true),
+    describe_group<&Surfels::log_scale_w>("log_scale_w", {1, 1}, &SurfelArrays::log_scale_w, &LearningRates::log_scale),
+}};
+
+/// The groups of a primitive.
+constexpr std::span<const ParameterGroup> groups_of(Primitive primitive) {
+    return std::span(kParameterGroups).first(kParameterGroups.size() - (primitive == Primitive::gaussian ? 0 : 1));
+}
+/// What the arrays of a file describe, by whether an array of that name is there.
+template <class HasArray>
+Primitive primitive_of(const HasArray& has_array) {
+    return has_array(kParameterGroups.back().name) ? Primitive::gaussian : Primitive::surfel;
+}
+/// Parameters of a surfel.
+constexpr std::uint32_t floats_per_surfel(Primitive primitive) {
+    std::uint32_t sum = 0;
+    for (const ParameterGroup& group : groups_of(primitive)) sum += group.floats();
+    return sum;
+}
+
+namespace shared {
+struct SurfelPointers;   // shaders/shared/scene.h
+}
+/// The arrays as kernels are given them.
+shared::SurfelPointers pointers_of(const SurfelArrays& arrays);
+
 /// What the activation's derivative reads and writes.
 struct ActivationGradients {
     const Array<float>* d_records = nullptr;       ///< [gradient_rows,16] input
@@ -46,6 +120,7 @@ struct ActivationGradients {
 /// A scene on a device: parameters, the records that hits read, and the instance table.
 class DeviceScene {
 public:
+    /// @throws DataError where the models are not consecutive ranges that hold all surfels, or an instance places none of them
     /// @param stage_harmonics  activation and its derivative move harmonics through shared memory, whole lines at a time, instead of each thread
     ///                         its own surfel's; not given: on GPUs
     DeviceScene(Device& device, const Scene& scene, std::optional<bool> stage_harmonics = std::nullopt);
@@ -75,6 +150,7 @@ public:
     const SurfelArrays& parameters() const;
     const Array<shared::SurfelRecord>& records() const;        ///< [n]
     float alpha_min() const;                  ///< the records were activated for: where a surfel ends
+    const Array<shared::ModelEntry>& models() const;           ///< [models] in the order of their ranges
     const Array<shared::InstanceEntry>& instances() const;     ///< [instances] as placed last
     std::uint32_t size() const;               ///< surfels
     Primitive primitive() const;

@@ -40,7 +40,9 @@ struct TraceOptions {
     int chunk = 16;               ///< hits sorted at a time, 1..64
     Walk walk = Walk::automatic;  ///< software traversal alone; automatic = what measures faster on the kind of device
     bool brute_force = false;     ///< test every surfel instead of using the acceleration structure (tests)
-    bool geometry = false;        ///< a RayGeometry is rendered and differentiated too, which ForwardPass::run and BackwardPass::run then must be given (training)
+    /// A RayGeometry is rendered too: normals of a Renderer, and of ForwardPass::run and BackwardPass::run, which must then be given one,
+    /// what the geometric losses want.
+    bool geometry = false;
 };
 
 /// The first hits of each ray of a batch, as the forward pass blended them, so that the backward pass need not search them again.

@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+// What readers of datasets have in common: points to scans, poses and boxes to tracks, and the check of what was read. A reader parses the
+// dataset's files and fills a Sequence with these; docs/architecture.md section 16 has the recipe.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <relidar/sequence.hpp>
+
+namespace relidar {
+
+/// Points of one scan as a dataset lists them. The arrays after the first two may be empty: not known.
+struct ScanPoints {
+    std::vector<glm::vec3> point_m;            ///< [n] metres, sensor frame at the moment each was measured
+    std::vector<float> intensity;              ///< [n] 0..1; what lies outside is cut
+    std::vector<std::uint16_t> ring;           ///< [n] beam, 0 = highest
+    std::vector<float> time_offset_s;          ///< [n] from the reference time of the frame
+    std::vector<std::uint8_t> return_number;   ///< [n] of its ray, 0 = strongest
+
+    std::size_t size() const { return point_m.size(); }
+};
+
+/// Head angles at which a spinning LiDAR may fire: the ticks of its encoder, or even steps.
+struct HeadLattice {
+    int n_ticks = 0;         ///< a turn
+    double zero_rad = 0.0;   ///< azimuth of tick 0
+
+    double tick_rad() const;
+    /// Tick nearest to a head azimuth, in [0, n_ticks).
+    int tick(double head_azimuth_rad) const;
+    /// Head azimuth of a tick in (-pi, pi].
+    double azimuth_of(int tick) const;
+};
+
+/// One turn: the lattice of a head and the ticks at which it fired, azimuth falling from +pi.
+struct Turn {
+    HeadLattice lattice;
+    std::vector<int> firings;
+};
+
+/// A turn of even steps, sensor.columns of them, where the heads of the points (head_azimuth() of their beams) lie.
+/// @param points  with rings
+Turn even_turn(const ScanPoints& points, const SpinningSensor& sensor);
+
+/// The scan of a spinning LiDAR, a cell for every ray fired, image order as RayTable has it. Each point is put on the ray that took it: a
+/// return keeps its own direction, its ray starts at the beam's origin. A firing without a point becomes a dropped ray of the model. Points beyond
+/// sensor.max_range_m are dropped. Of two first returns for one ray the second goes to a free cell beside it, else the nearer is kept.
+/// A ray was fired when its point was measured, or the nearest firing of that turn; without times of points, when a head that faces forward
+/// at time 0 gets there. A turn with fewer firings than sensor.columns repeats some of them, returns included, rather than invent drops:
+/// first where firings are missing, then at its end.
+/// @param points  with rings @throws UsageError where the points have no rings, or one of no beam, or arrays of different lengths
+Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const Turn& turn);
+
+/// The scan of a LiDAR without image order: a ray from the sensor's origin to each point, in the given order, rows = 1. Which rays were
+/// dropped is not known. Further returns of a ray follow its first one in the list. @throws as spinning_scan, but rings are not needed
+Scan unordered_scan(const ScanPoints& points);
+
+/// Undoes motion compensation: points that a dataset has brought to the sensor at the frame's reference time go back to the sensor as it was
+/// when each was measured. @param points  with times @param world_from_sensor  of the LiDAR that measured them
+void undo_compensation(ScanPoints& points, const PoseTrack& world_from_sensor, double time_s);
+
+/// Appends a frame, its scan still empty, and the vehicle's pose at its time unless a frame of another LiDAR at the same time has given it.
+Frame& add_frame(Sequence& sequence, int index, double time_s, const Pose& world_from_vehicle, int lidar = 0);
+
+/// Moves the world's origin to the vehicle in the middle pose: poses and boxes that were read so far, and world_offset_m. Single precision
+/// is enough afterwards.
+void recentre(Sequence& sequence);
+/// The same to a given origin, in the present world.
+void recentre(Sequence& sequence, glm::dvec3 origin_m);
+
+/// A box as datasets list them, one moment at a time.
+struct BoxLabel {
+    std::string id;
+    std::string category;
+    glm::dvec3 size_m{0.0};   ///< length, width, height
+    double time_s = 0.0;
+    Pose world_from_box;      ///< of its centre
+};
+/// Labels joined to tracks by id, in the order of their first labels; size and category are those of the first.
+std::vector<BoxTrack> tracks_of(const std::vector<BoxLabel>& labels);
+
+/// Whether a log is what sequence.hpp says: LiDARs and their numbers, ascending times with a pose each, rays and returns that are finite,
+/// of unit direction and as many as their tables say, boxes within reach of the vehicle. load_sequence() calls it for every reader.
+/// @throws DataError naming frame or box, field and value
+void check_sequence(const Sequence& sequence);
+
+}  // namespace relidar

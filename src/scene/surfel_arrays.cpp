@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+// Parameters, gradients or moments on the device, group by group.
+#include <relidar/stages/scene.hpp>
+
+#include <algorithm>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "shared/scene.h"
+
+namespace relidar {
+
+static_assert(RELIDAR_SH_COEFFICIENTS == kShCoefficients && RELIDAR_SH_FLOATS == kShFloats);
+
+std::vector<std::size_t> ParameterGroup::shape(std::size_t n) const {
+    if (row[1] > 1) return {n, row[0], row[1]};
+    if (row[0] > 1) return {n, row[0]};
+    return {n};
+}
+
+SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& what, Primitive kind) : n(count), primitive(kind) {
+    for (const ParameterGroup& group : groups_of(kind))
+        this->*group.device = Array<float>(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
+}
+
+void SurfelArrays::upload(const Surfels& s) {
+    s.check_shapes();
+    if (s.size() > 0 && s.primitive() != primitive) throw DataError("uploading surfels: found another primitive than the arrays are for, expected the same");
+    for (const ParameterGroup& group : groups_of(primitive)) (this->*group.device).upload(group.values(s));
+}
+
+Surfels SurfelArrays::download() const {
+    Surfels s;
+    s.resize(n, primitive);
+    for (const ParameterGroup& group : groups_of(primitive)) {
+        const std::span<float> values = group.mutable_values(s);
+        if (n > 0) (this->*group.device).buffer().download(values.data(), values.size_bytes());
+    }
+    return s;
+}
+
+std::uint32_t SurfelArrays::capacity() const {
+    std::size_t least = std::numeric_limits<std::uint32_t>::max();
+    for (const ParameterGroup& group : groups_of(primitive)) least = std::min(least, (this->*group.device).size() / group.floats());
+    return static_cast<std::uint32_t>(least);
+}
+
+void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::string& what) {
+    for (const ParameterGroup& group : groups_of(primitive))
+        (this->*group.device).reserve(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
+}
+
+void SurfelArrays::fill_zero(Stream& stream) {
+    for (const ParameterGroup& group : groups_of(primitive)) stream.fill(this->*group.device);
+}
+
+shared::SurfelPointers pointers_of(const SurfelArrays& a) {
+    return {.mean = a.mean.address(),
+            .rotation = a.rotation.address(),
+            .log_scale = a.log_scale.address(),
+            .opacity_logit = a.opacity_logit.address(),
+            .sh = a.sh.address(),
+            .log_scale_w = a.log_scale_w.address()};
+}
+
+}  // namespace relidar

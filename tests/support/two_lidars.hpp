@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// The synthetic street driven through with two LiDARs that turn together: its own, and one that hangs 1.2 m behind and to the left, turned
+// and tilted.
+#pragma once
+
+#include <relidar/dataset.hpp>
+#include <relidar/reader.hpp>
+
+namespace relidar::test {
+
+inline Sequence two_lidar_street(const SyntheticOptions& options) {
+    const Sequence one = make_synthetic_street(options);
+    Sequence street = one;
+    street.lidars[0].name = "front";
+    Lidar rear{"rear",
+               one.lidars[0].sensor,
+               {glm::angleAxis(1.3, glm::dvec3(0, 0, 1)) * glm::angleAxis(0.1, glm::dvec3(1, 0, 0)), {-1.2, 0.5, -0.2}}};
+    rear.sensor.beams.resize(rear.sensor.beams.size() / 2);  // its lasers look at the upper half
+    street.lidars.push_back(rear);
+    street.frames.clear();
+    const RayTable rays = make_rays(rear.sensor);
+    const PoseTrack track = street.world_from_sensor(1);
+    for (const Frame& frame : one.frames) {
+        street.frames.push_back(frame);
+        street.frames.push_back({frame.index, frame.time_s, cast_synthetic_street(options, rays, track, frame.time_s), 1});
+    }
+    check_sequence(street);
+    return street;
+}
+
+}  // namespace relidar::test

@@ -1,0 +1,59 @@
+// SPDX-License-Identifier: Apache-2.0
+// Training on a log of two LiDARs: the loss falls, and a held-out frame of each comes closer to what it measured.
+#include <relidar/render.hpp>
+#include <relidar/train.hpp>
+
+#include "../support/device.hpp"
+#include "../support/two_lidars.hpp"
+
+namespace relidar {
+namespace {
+
+class TwoLidars : public test::DeviceTest {};
+
+Config small_config() {
+    Config config = make_preset("quick");
+    config.init.voxel_m = 0.4;
+    config.train.rays_per_iteration = 0;
+    config.train.log_every = 10;
+    config.train.sensor_drop = true;
+    config.train.refine_poses = "sensor";
+    return config;
+}
+
+/// Mean absolute error of the depth of one LiDAR's held-out frame, on its nominal rays.
+double held_out_error(Device& device, const Scene& scene, const Config& config, const Sequence& street, const Frame& frame) {
+    ScanRenderer renderer(device, scene, config, street);
+    const RenderedScan scan = renderer.render(configured_sensor(config, street, frame.lidar), frame.time_s);
+    return evaluate(scan.image, real_image(config, frame.scan)).at("strict/depth_mae_m");
+}
+
+TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
+    Sequence street = test::two_lidar_street({.n_frames = 11, .rows = 16, .columns = 256});
+    const Split split = split_frames(street, 10);
+    Config config = small_config();
+    std::string told;
+    prepare_log(street, split, config, {[&](const std::string& text) { told += text + "\n"; }, {}, {}});
+    EXPECT_NE(told.find("scans of 2 LiDARs are not registered"), std::string::npos) << told;
+    const auto trained = [&](int iterations) {
+        config.train.iterations = iterations;
+        return train(device(), street, split, config, [](const TrainProgress&) { return true; });
+    };
+    const TrainResult result = trained(120), untrained = trained(0);
+    EXPECT_LT(result.log.back().loss, 0.7 * result.log.front().loss);
+    EXPECT_EQ(result.scene.sensor_drop.channels, 24);
+    ASSERT_TRUE(result.poses);
+    EXPECT_EQ(result.poses->world_from_vehicle.pose.size(), 11u) << "a pose for each turn, not for each frame";
+    for (const int position : split.test) {
+        const Frame& frame = street.frames[std::size_t(position)];
+        const double before = held_out_error(device(), untrained.scene, config, street, frame),
+                     after = held_out_error(device(), result.scene, config, street, frame);
+        EXPECT_LT(after, 0.9 * before) << "LiDAR " << frame.lidar << ": " << before << " m before, " << after << " m after";
+        street.lidars[std::size_t(frame.lidar)].vehicle_from_sensor.translation.y += 3.0;
+        EXPECT_GT(held_out_error(device(), result.scene, config, street, frame), 1.2 * after) << "a wrong mounting shows";
+        street.lidars[std::size_t(frame.lidar)].vehicle_from_sensor.translation.y -= 3.0;
+    }
+}
+
+}  // namespace
+}  // namespace relidar
