@@ -121,6 +121,26 @@ if(RELIDAR_BUILD_TOOLS AND NOT RELIDAR_FOR_PACKAGE)
         FETCH https://github.com/CLIUtils/CLI11.git v2.3.1 include)
 endif()
 
+# --- the Python module -----------------------------------------------------------------------------------------------
+if(RELIDAR_PYTHON AND NOT RELIDAR_FOR_PACKAGE)
+    # The first python3 in PATH that has numpy: a machine may have several, of which the system's own is the one that packages serve.
+    function(relidar_has_numpy result candidate)
+        execute_process(COMMAND ${candidate} -c "import numpy" RESULT_VARIABLE status OUTPUT_QUIET ERROR_QUIET)
+        if(NOT status EQUAL 0)
+            set(${result} FALSE PARENT_SCOPE)
+        endif()
+    endfunction()
+    find_program(Python_EXECUTABLE NAMES python3 VALIDATOR relidar_has_numpy)
+    if(NOT Python_EXECUTABLE)
+        list(APPEND RELIDAR_MISSING_DEPENDENCIES python3-numpy)
+    endif()
+    find_package(Python QUIET GLOBAL COMPONENTS Interpreter Development.Module)
+    if(NOT Python_Development.Module_FOUND)
+        list(APPEND RELIDAR_MISSING_DEPENDENCIES python3-dev)
+    endif()
+    relidar_dependency(pybind11 APT pybind11-dev PACKAGE pybind11 TARGETS pybind11::module)
+endif()
+
 # --- tests -----------------------------------------------------------------------------------------------------------
 if((RELIDAR_BUILD_TESTS OR RELIDAR_FUZZ) AND NOT RELIDAR_FOR_PACKAGE)
     relidar_dependency(gtest APT libgtest-dev PACKAGE GTest TARGETS GTest::gtest)

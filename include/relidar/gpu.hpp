@@ -16,6 +16,9 @@ namespace relidar {
 /// Automatic: ray query on a GPU that has it, else software; software on a CPU, where it is 2 to 4 times faster.
 enum class Traversal { automatic, ray_query, software };
 
+/// By name: "auto", "ray_query" or "software", in any case. @throws UsageError for another one
+Traversal find_traversal(const std::string& name);
+
 /// One Vulkan device of this machine and what relidar can do with it.
 struct DeviceInfo {
     int index = 0;

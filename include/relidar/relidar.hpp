@@ -9,6 +9,7 @@
 #include <relidar/dataset.hpp>
 #include <relidar/edit.hpp>
 #include <relidar/error.hpp>
+#include <relidar/evaluation.hpp>
 #include <relidar/export.hpp>
 #include <relidar/gpu.hpp>
 #include <relidar/math.hpp>

@@ -75,6 +75,9 @@ private:
     std::vector<Entry> entries_;
 };
 
+/// What the npz of a scan holds, in that order. @param frame  its number
+std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format);
+
 /// Names of the files of an earlier rendering in a folder, which a new ScanFolder would remove.
 std::vector<std::filesystem::path> scans_in(const std::filesystem::path& folder);
 

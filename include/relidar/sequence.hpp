@@ -139,6 +139,9 @@ struct Sequence {
     std::optional<std::uint16_t> laser_number(int lidar, std::uint16_t channel) const;
 };
 
+/// Position of a LiDAR in Sequence::lidars, by its name; the first for an empty one. @throws UsageError for a name that none has
+int find_lidar(const Sequence& sequence, const std::string& name);
+
 /// Poses of something that rides along. @param sensor_from_moved in the frame of what `track` has the poses of
 PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved);
 

@@ -20,6 +20,7 @@
 namespace relidar {
 
 struct Checkpoint;
+struct Run;
 
 /// One line of the log.
 struct TrainProgress {
@@ -84,12 +85,18 @@ struct PrepareSession {
 /// train.allow_lost_scans is not set; UsageError where a log without poses is not to be registered
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session = {});
 
+/// The log that config.dataset describes, with rolling shutter where config.sensor wants it. @throws as load_sequence()
+Sequence load_log(const Config& config, const Progress& progress = {});
+
 /// Trains a scene on the training frames of a log, prepared by prepare_log().
 /// @throws UsageError where the session's start does not fit (check_resumable); DataError where there is nothing to train on, where a loss is not
 /// finite, naming iteration, frame and term, or a parameter, naming array and row; DeviceError on the device's failures. Checkpoints
 /// already written stay
 TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config, const ProgressCallback& progress,
                   const TrainSession& session = {});
+
+/// Gives a run what training has made of its log: the scene, and the poses where training has corrected them. Both are moved out of the result.
+void take_result(Run& run, TrainResult& result);
 
 /// Makes every pipeline that training and rendering use on a device: those of each preset, and of each setting that changes a kernel, one at a
 /// time. For a device opened to compile only (DeviceOptions::compile_only), whose pipelines() then are what its driver says of them.

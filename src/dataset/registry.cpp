@@ -3,6 +3,7 @@
 #include <relidar/dataset.hpp>
 
 #include <algorithm>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -56,6 +57,14 @@ void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
     for (Frame& frame : sequence.frames) drop_outside(frame.scan, sequence.lidar_of(frame).sensor.range_limits());
 }
 
+/// "kind:path" as kind and path; the kind is empty where none is named.
+std::pair<std::string, fs::path> parted(const std::string& dataset) {
+    std::error_code failed;
+    const std::size_t colon = dataset.find(':');
+    const bool has_kind = colon != std::string::npos && dataset.find('/') > colon && !fs::exists(dataset, failed);
+    return has_kind ? std::pair(dataset.substr(0, colon), fs::path(dataset.substr(colon + 1))) : std::pair(std::string(), fs::path(dataset));
+}
+
 void check_range(const FrameRange& range) {
     if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end)) {
         throw UsageError(fmt::format("frames {}:{}: an empty range, expected a:b with 0 <= a < b", range.begin, range.end));
@@ -83,17 +92,20 @@ std::string recognise_dataset(const fs::path& path) {
     throw DataError(fmt::format("{}: not a dataset, expected one of: {}", path.string(), known));
 }
 
+std::string absolute_dataset(const std::string& dataset) {
+    const auto [kind, path] = parted(dataset);
+    if (path.empty()) return dataset;
+    const std::string absolute = (fs::absolute(path) / "").lexically_normal().parent_path().string();   // without a slash at the end
+    return kind.empty() ? absolute : kind + ":" + absolute;
+}
+
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options) {
     check_range(options.frames);
     if (!(options.min_range_m >= 0.0 && options.max_range_m > options.min_range_m)) {
         throw UsageError(fmt::format("range limits: {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m", options.min_range_m, options.max_range_m));
     }
-    std::error_code failed;
-    const std::size_t colon = dataset.find(':');
-    const bool has_kind = colon != std::string::npos && dataset.find('/') > colon && !fs::exists(dataset, failed);
-    const fs::path path = has_kind ? dataset.substr(colon + 1) : dataset;
-    const std::string kind = has_kind ? dataset.substr(0, colon) : recognise_dataset(path);
-    Sequence sequence = find_kind(kind).load(path, options);
+    const auto [kind, path] = parted(dataset);
+    Sequence sequence = find_kind(kind.empty() ? recognise_dataset(path) : kind).load(path, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
     check_sequence(sequence);
     apply_limits(sequence, {options.min_range_m, options.max_range_m});

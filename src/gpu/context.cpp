@@ -144,6 +144,12 @@ std::vector<DeviceInfo> list_devices() {
     return describe_all(instance.physical_devices());
 }
 
+Traversal find_traversal(const std::string& name) {
+    const std::optional<std::string> known = known_name(name, {"auto", "ray_query", "software"});
+    if (!known) throw UsageError(fmt::format("traversal: found \"{}\", expected auto, ray_query or software", name));
+    return known == "auto" ? Traversal::automatic : known == "software" ? Traversal::software : Traversal::ray_query;
+}
+
 Traversal best_traversal(const DeviceInfo& info) {
     if (info.software && (info.type == "CPU" || !info.ray_query)) return Traversal::software;   // measured: docs/platform.md
     return info.ray_query ? Traversal::ray_query : Traversal::automatic;

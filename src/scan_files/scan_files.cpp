@@ -80,33 +80,33 @@ NamedArray vector_array(const char* name, const RangeImage& image, const std::ve
     return make_array(name, {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns), 3}, first, values.size() * 3);
 }
 
-void npz(const fs::path& path, const PlacedScan& placed) {
+std::vector<NamedArray> arrays_of(const PlacedScan& placed) {
     const RenderedScan& scan = placed.scan;
     const RangeImage& image = scan.image;
     const std::vector<double> pose = matrix_of(scan.world_from_sensor);
     const bool world = placed.format.frame == PointFrame::world;
     const std::int32_t number = placed.frame, deskewed = world || placed.format.deskew ? 1 : 0;
     std::vector<NamedArray> arrays{image_array("range", image, image.range_m),
-                     image_array("median_range", image, scan.median_range_m),
-                     image_array("intensity", image, image.intensity),
-                     image_array("drop_prob", image, image.drop_prob),
-                     image_array("weight", image, scan.weight),
-                     image_array("time", image, scan.time_offset_s),
-                     image_array("ring", image, scan.channel),
-                     image_array("instance", image, scan.instance),
-                     make_text_array("instance_names", placed.format.instance_names),
-                     vector_array("directions", image, placed.direction),
-                     vector_array("origin", image, placed.origin),
-                     make_array("pose", {4, 4}, pose.data(), pose.size()),
-                     make_array("time_s", {}, &scan.time_s, 1),
-                     make_array("frame_number", {}, &number, 1),
-                     make_text("frame", world ? "world" : "sensor"),
-                     make_array("deskewed", {}, &deskewed, 1),
-                     make_text("sensor", placed.format.sensor),
-                     make_text("run", placed.format.run),
-                     make_text("units", kUnits)};
+                                   image_array("median_range", image, scan.median_range_m),
+                                   image_array("intensity", image, image.intensity),
+                                   image_array("drop_prob", image, image.drop_prob),
+                                   image_array("weight", image, scan.weight),
+                                   image_array("time", image, scan.time_offset_s),
+                                   image_array("ring", image, scan.channel),
+                                   image_array("instance", image, scan.instance),
+                                   make_text_array("instance_names", placed.format.instance_names),
+                                   vector_array("directions", image, placed.direction),
+                                   vector_array("origin", image, placed.origin),
+                                   make_array("pose", {4, 4}, pose.data(), pose.size()),
+                                   make_array("time_s", {}, &scan.time_s, 1),
+                                   make_array("frame_number", {}, &number, 1),
+                                   make_text("frame", world ? "world" : "sensor"),
+                                   make_array("deskewed", {}, &deskewed, 1),
+                                   make_text("sensor", placed.format.sensor),
+                                   make_text("run", placed.format.run),
+                                   make_text("units", kUnits)};
     if (!placed.normal.empty()) arrays.push_back(vector_array("normals", image, placed.normal));
-    write_npz(path, arrays);
+    return arrays;
 }
 
 void exr(const fs::path& path, const PlacedScan& placed) {
@@ -158,6 +158,7 @@ std::size_t count_points(const RenderedScan& scan, const Config& config) {
     return n;
 }
 
+void npz(const fs::path& path, const PlacedScan& placed) { write_npz(path, arrays_of(placed)); }
 void ply(const fs::path& path, const PlacedScan& placed) { write_ply(path, cloud_of(placed)); }
 void pcd(const fs::path& path, const PlacedScan& placed) { write_pcd(path, cloud_of(placed)); }
 void bin(const fs::path& path, const PlacedScan& placed) { write_kitti_bin(path, cloud_of(placed)); }
@@ -187,6 +188,12 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
     format.limits = sensor.limits;
     format.config = run.config;
     return format;
+}
+
+std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format) {
+    PlacedScan placed{scan, format, frame, {}, {}, {}, {}};
+    place_rays(placed);
+    return arrays_of(placed);
 }
 
 void ScanFolder::write(int frame, const RenderedScan& scan) {

@@ -9,6 +9,7 @@
 #include <numeric>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <relidar/error.hpp>
 
@@ -89,6 +90,17 @@ void drop_outside(Scan& scan, const RangeLimits& limits) {
 }
 
 PoseTrack Sequence::world_from_sensor(int lidar) const { return moved_track(world_from_vehicle, lidars[std::size_t(lidar)].vehicle_from_sensor); }
+
+int find_lidar(const Sequence& sequence, const std::string& name) {
+    std::vector<std::string> known;
+    for (const Lidar& lidar : sequence.lidars) known.push_back(lidar.name);
+    const auto it = std::find(known.begin(), known.end(), name);
+    if (it == known.end() && !name.empty()) {
+        const std::string expected = known.size() == 1 ? "none: the log has one LiDAR" : fmt::format("one of {}", fmt::join(known, ", "));
+        throw UsageError(fmt::format("lidar: found \"{}\", expected {}", name, expected));
+    }
+    return name.empty() ? 0 : static_cast<int>(it - known.begin());
+}
 
 std::size_t Sequence::count_lasers() const {
     return std::accumulate(lidars.begin(), lidars.end(), std::size_t(0), [](std::size_t n, const Lidar& lidar) { return n + lidar.sensor.beams.size(); });

@@ -15,6 +15,19 @@
 #include "core/list_text.hpp"
 
 namespace relidar {
+
+Sequence load_log(const Config& config, const Progress& progress) {
+    DatasetOptions options;
+    options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
+    options.poses_file = config.dataset.poses;
+    options.allow_missing_scans = config.dataset.allow_missing_scans;
+    options.rolling_shutter = config.sensor.rolling_shutter;
+    options.max_range_m = config.dataset.max_range_m;
+    options.min_range_m = config.dataset.min_range_m;
+    options.progress = progress;
+    return load_sequence(config.dataset.path, options);
+}
+
 namespace {
 
 /// @param from, to  [poses] of the log, and as registered

@@ -9,6 +9,7 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include <relidar/run.hpp>
 
 #include "train/checkpoint_keeper.hpp"
 #include "train/resume.hpp"
@@ -94,6 +95,14 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     result.times = loop.times();
     result.peak_device_bytes = device.peak_bytes();
     return result;
+}
+
+void take_result(Run& run, TrainResult& result) {
+    run.scene = std::move(result.scene);
+    if (!result.poses) return;
+    run.sequence.world_from_vehicle = std::move(result.poses->world_from_vehicle);
+    run.sequence.boxes = std::move(result.poses->boxes);
+    run.refined_poses = run.config.train.refine_poses;
 }
 
 }  // namespace relidar

@@ -37,6 +37,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"run", {"config", "export", "scene", "sequence", "sensor"}},   // a run's folder; export: safetensors
         {"render", {"config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
         {"scan_files", {"render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
+        {"evaluation", {"render", "run", "config", "export", "metrics", "scene", "sequence", "sensor", "gpu"}},   // export: weights of LPIPS
         {"train",
          {"config", "run", "differentiable_renderer", "backward", "forward", "traversal", "densify", "checkpoint", "accel", "optimizer", "loss", "metrics", "refine", "dataset",
           "registration", "scene", "sequence", "sensor", "gpu"}},

@@ -93,7 +93,7 @@ wrong_usage() {
     bad_paths
     bad 3 "nowhere: no such folder" render nowhere --out x
     bad 3 "nowhere: no such folder" eval nowhere
-    bad 2 '--baseline: found "nerest", expected nearest or nearest-actors' eval street --baseline nerest
+    bad 2 'baseline: found "nerest", expected nearest or nearest-actors' eval street --baseline nerest
     bad 3 "nowhere: no such folder" eval nowhere --baseline nearest
     bad 3 "street: no frame was held out" eval street --baseline nearest --frames 0:5
     bad 3 "nowhere: no such folder" export nowhere --out x.ply
@@ -265,7 +265,7 @@ rendering() {
     bad 2 'format: found "", did you mean' render run --out x --format npz,
     bad 2 "offset: found 1e[+]?30 in .*between -10000 and 10000" render run --out x --offset 1e30,0,0,0
     bad 2 "offset: found a turn of 1000000000 in" render run --out x --offset 0,0,0,1e9
-    bad 2 '--lidar: found "rear", expected none: the log has one LiDAR' render run --out x --lidar rear
+    bad 2 'lidar: found "rear", expected none: the log has one LiDAR' render run --out x --lidar rear
     bad 2 '--frame: found "wold", expected sensor or world' render run --out x --frame wold
     bad 2 "known: native, kitti360, HDL-64E" render run --out x --sensor nativ
     bad 2 "99999999 columns at 10 Hz, expected a whole number from 1 to 1000000" render run --out x --sensor beams.csv:99999999x10

@@ -49,7 +49,7 @@ Config config_of(const Options& options, const fs::path& street) {
 Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
     Progress progress(quiet);
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
-    return evaluate_frames(renderer, run.config, run.sequence, run.split.test, progress);
+    return evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress));
 }
 
 /// The held-out frames seen from the shifted sensor, against what that sensor would have measured.
@@ -130,8 +130,8 @@ void run_demo(const Options& options, const std::string& command_line) {
     prepare_log_shown(sequence, split, config, options.quiet);
     TrainResult result = train_logged(device, sequence, split, config, run_folder.path(), options.quiet);
     end_progress_line();
-    Run run{run_folder.path(), config, std::move(sequence), split, std::move(result.scene), {}};
-    take_poses(run, result);
+    Run run{run_folder.path(), config, std::move(sequence), split, {}, {}};
+    take_result(run, result);
     save_run(run);
     stop_if_interrupted();
     finish(device, run, street, make_report(run, result, device, command_line), out, options.quiet);

@@ -24,8 +24,6 @@
 namespace relidar::cli {
 namespace {
 
-constexpr double kSameTime_s = 1e-3;
-
 struct Options {
     std::string target;
     std::string out;
@@ -37,19 +35,6 @@ struct Options {
     DeviceChoice device;
     bool quiet = false;
 };
-
-/// Gives frames of the run the scans of the log. Poses stay those of the run.
-void attach_scans(Run& run, const std::vector<int>& positions, Sequence& log) {
-    for (const int position : positions) {
-        Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        const auto it = std::find_if(log.frames.begin(), log.frames.end(), [&](const Frame& f) { return f.index == frame.index && f.lidar == frame.lidar; });
-        if (it == log.frames.end()) throw DataError(fmt::format("{}: frame {} is not there, expected it as when {} was trained", run.config.dataset.path, frame.index, run.folder.string()));
-        if (std::abs(it->time_s - frame.time_s) > kSameTime_s) {
-            throw DataError(fmt::format("{}: frame {} is of time {} s, expected {} s as when {} was trained", run.config.dataset.path, frame.index, it->time_s, frame.time_s, run.folder.string()));
-        }
-        frame.scan = std::move(it->scan);
-    }
-}
 
 void apply_options(Config& config, const Options& options) {
     apply_sets(config, options.sets);
@@ -112,7 +97,7 @@ void score_run(const Options& options) {
     const Output output(options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out), options.pictures);
     check_held_out(run.split, run.folder.string());
     Device device(device_options(options.device));
-    Sequence log = load_dataset(run.config);
+    const Sequence log = load_dataset(run.config);
     std::vector<Scan> before;
     if (is_recastable(run)) before = attach_recast(run);
     else attach_scans(run, run.split.test, log);
@@ -122,9 +107,9 @@ void score_run(const Options& options) {
     const auto start = std::chrono::steady_clock::now();
     Progress progress(options.quiet);
     std::optional<Evaluation> baseline;
-    if (!options.baseline.empty()) baseline = evaluate_baseline(options.baseline, run.config, run.sequence, run.split, progress);
+    if (!options.baseline.empty()) baseline = evaluate_baseline(options.baseline, run.config, run.sequence, run.split, shown_until_interrupted(progress));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
-    Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, progress);
+    Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress));
     add_edited_scores(evaluation, run.config, before);
     if (!options.quiet) print(edit_note(run));
     write_results(output, evaluation, run.config,
@@ -148,12 +133,12 @@ void score_log(const Options& options) {
     catch_interrupts();
     const auto start = std::chrono::steady_clock::now();
     Progress progress(options.quiet);
-    const Evaluation evaluation = evaluate_baseline(options.baseline, config, log, split, progress);
+    const Evaluation evaluation = evaluate_baseline(options.baseline, config, log, split, shown_until_interrupted(progress));
     write_results(output, evaluation, config, {"", "none", 0, seconds_since(start)}, options.quiet);
 }
 
 void run_eval(const Options& options) {
-    if (!options.baseline.empty()) (void)box_motion(options.baseline);   // a wrong name is found before the log is read
+    if (!options.baseline.empty()) (void)find_baseline(options.baseline);   // a wrong name is found before the log is read
     if (!options.baseline.empty() && !is_run(options.target)) return score_log(options);
     if (!options.frames.empty()) throw UsageError("--frames: found it beside a run, which has its own held-out frames; expected it with --baseline and a log");
     score_run(options);

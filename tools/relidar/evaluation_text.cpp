@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include "console.hpp"
+#include "interrupt.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -94,6 +95,13 @@ Rows region_rows(const Evaluation& evaluation) {
 }
 
 }  // namespace
+
+relidar::Progress shown_until_interrupted(Progress& progress) {
+    return [show = shown_by(progress)](std::string_view what, double done) {
+        stop_if_interrupted();
+        show(what, done);
+    };
+}
 
 std::string metric_table(const Evaluation& evaluation, const Evaluation* baseline) {
     Rows rows = protocol_rows(evaluation, baseline);

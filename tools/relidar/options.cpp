@@ -9,6 +9,7 @@
 
 #include "console.hpp"
 #include <relidar/error.hpp>
+#include <relidar/train.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -34,10 +35,7 @@ DeviceOptions device_options(const DeviceChoice& choice) {
     DeviceOptions options;
     if (choice.index < -1) throw UsageError(fmt::format("--device: found {}, expected a number that `relidar devices` lists", choice.index));
     options.index = choice.index;
-    const std::optional<std::string> traversal = known_name(choice.traversal, {"auto", "ray_query", "software"});
-    if (traversal == "ray_query") options.traversal = Traversal::ray_query;
-    else if (traversal == "software") options.traversal = Traversal::software;
-    else if (!traversal) throw UsageError(fmt::format("--traversal: found \"{}\", expected auto, ray_query or software", choice.traversal));
+    options.traversal = find_traversal(choice.traversal);
     return from_environment(options);
 }
 
@@ -113,24 +111,9 @@ std::string absolute_path(const std::string& path) {
     return clean.size() > 1 && clean.back() == '/' ? clean.substr(0, clean.size() - 1) : clean;
 }
 
-std::string absolute_dataset(const std::string& dataset) {
-    std::error_code failed;
-    const std::size_t colon = dataset.find(':');
-    const bool has_kind = colon != std::string::npos && dataset.find('/') > colon && !fs::exists(dataset, failed);
-    return has_kind ? dataset.substr(0, colon + 1) + absolute_path(dataset.substr(colon + 1)) : absolute_path(dataset);
-}
-
 Sequence load_dataset(const Config& config, bool quiet) {
     Progress progress(quiet);
-    DatasetOptions options;
-    options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
-    options.poses_file = config.dataset.poses;
-    options.allow_missing_scans = config.dataset.allow_missing_scans;
-    options.rolling_shutter = config.sensor.rolling_shutter;
-    options.max_range_m = config.dataset.max_range_m;
-    options.min_range_m = config.dataset.min_range_m;
-    options.progress = shown_by(progress);
-    Sequence sequence = load_sequence(config.dataset.path, options);
+    Sequence sequence = load_log(config, shown_by(progress));
     if (!sequence.frames.empty()) note_frames_beyond({config.dataset.frames_begin, config.dataset.frames_end}, sequence.frames.back().index, sequence.source);
     return sequence;
 }

@@ -46,8 +46,6 @@ std::vector<double> parse_list(const std::string& option, const std::string& tex
 std::vector<std::string> split(const std::string& text, char separator);
 std::string without_blanks(const std::string& text);   ///< at both ends
 
-/// A dataset as given, made independent of the working folder; a kind in front stays.
-std::string absolute_dataset(const std::string& dataset);
 std::string absolute_path(const std::string& path);   ///< empty stays empty
 /// The log that config.dataset describes.
 Sequence load_dataset(const Config& config, bool quiet = false);

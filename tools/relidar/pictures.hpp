@@ -7,10 +7,12 @@
 
 #include <relidar/export.hpp>
 
-namespace relidar::cli {
-
+namespace relidar {
 struct Evaluation;
 struct ScoredFrame;
+}
+
+namespace relidar::cli {
 
 /// Range, intensity and ray-drop of a frame, each real, rendered and error.
 /// @param title in front of each figure's name @param real caption of the real images

@@ -80,15 +80,6 @@ std::vector<int> choose_frames(const Run& run, const std::optional<std::string>&
     return positions;
 }
 
-/// A LiDAR of a log by its name; the first where none is given.
-int find_lidar(const Sequence& sequence, const std::string& name) {
-    std::vector<std::string> known;
-    for (const Lidar& lidar : sequence.lidars) known.push_back(lidar.name);
-    const auto it = std::find(known.begin(), known.end(), name);
-    if (it == known.end() && !name.empty()) throw UsageError(fmt::format("--lidar: found \"{}\", expected {}", name, known.size() == 1 ? "none: the log has one LiDAR" : fmt::format("one of {}", fmt::join(known, ", "))));
-    return name.empty() ? 0 : static_cast<int>(it - known.begin());
-}
-
 /// "x,y,z,yaw_deg" in the sensor's frame.
 Pose parse_offset(const std::string& text) {
     if (text.empty()) return {};

@@ -10,11 +10,10 @@ namespace relidar {
 struct Run;
 struct TrainResult;
 class Device;
+struct Evaluation;
 }
 
 namespace relidar::cli {
-
-struct Evaluation;
 
 /// Facts, loss curves and kernel times of training.
 Report make_report(const Run& run, const TrainResult& result, const Device& device, const std::string& command_line);

@@ -133,7 +133,7 @@ Evaluation score(Device& device, const Run& run, const Options& options) {
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     Progress progress(options.quiet);
     const auto start = std::chrono::steady_clock::now();
-    Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, progress);
+    Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress));
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     write_text(run.folder / "metrics.json", metrics_json(evaluation, run.config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
     return evaluation;
@@ -182,8 +182,7 @@ void run_train(const Options& given, const std::string& command_line) {
     TrainResult result = train_or_tell(device, run, options, start ? &*start : nullptr);
     end_progress_line();
     start.reset();
-    run.scene = std::move(result.scene);
-    take_poses(run, result);
+    take_result(run, result);
     save_run(run);
     finish(device, run, result, options, command_line);
 }

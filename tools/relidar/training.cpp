@@ -90,13 +90,6 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
     return result;
 }
 
-void take_poses(Run& run, TrainResult& result) {
-    if (!result.poses) return;
-    run.sequence.world_from_vehicle = std::move(result.poses->world_from_vehicle);
-    run.sequence.boxes = std::move(result.poses->boxes);
-    run.refined_poses = run.config.train.refine_poses;
-}
-
 std::string progress_text(const TrainProgress& p) {
     std::string terms;
     for (std::size_t k = 0; k < p.terms.size(); ++k) {

@@ -5,7 +5,7 @@
 #include <relidar/metrics.hpp>
 #include <relidar/sequence.hpp>
 
-namespace relidar::cli {
+namespace relidar {
 
 /// A turn of a LiDAR of the log.
 struct Turn {
@@ -19,4 +19,4 @@ struct Turn {
 /// @return actors/tail_share of the rendering and actors/tail_share_real; nothing where no box moves
 MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence, const Turn& seen, double min_step_m);
 
-}  // namespace relidar::cli
+}  // namespace relidar

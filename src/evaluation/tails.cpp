@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "tails.hpp"
+#include "evaluation/tails.hpp"
 
 #include <algorithm>
 
-namespace relidar::cli {
+namespace relidar {
 namespace {
 
-constexpr double kNowMargin_m = 0.3;   // labels fit loosely: what is just outside the box belongs to it
+constexpr double kNowMargin_m = 0.3;  // labels fit loosely: what is just outside the box belongs to it
 constexpr double kGround_m = 0.3;
 constexpr float kDropThreshold = 0.5f;
 
@@ -14,7 +14,7 @@ constexpr float kDropThreshold = 0.5f;
 struct Swept {
     const BoxTrack* box;
     std::vector<Pose> box_from_world;
-    glm::dvec3 low{1e30}, high{-1e30};   ///< of the centres
+    glm::dvec3 low{1e30}, high{-1e30};  ///< of the centres
 };
 
 std::vector<Swept> swept_boxes(const Sequence& sequence, double min_step_m) {
@@ -49,8 +49,10 @@ double share(const RangeImage& image, const Sequence& sequence, const std::vecto
         n_points += 1.0;
         const glm::dvec3 in_sensor(image.origin[i] + image.range_m[i] * image.direction[i]);
         const double t_s = facing_time(sequence, in_sensor, seen.time_s, seen.lidar);
-        const glm::dvec3 point_m = sequence.world_from_vehicle.at(t_s, sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor) * in_sensor;
-        const bool occupied = std::any_of(swept.begin(), swept.end(), [&](const Swept& s) { return s.box->present(t_s) && s.box->holds(point_m, t_s, kNowMargin_m); });
+        const glm::dvec3 point_m =
+            sequence.world_from_vehicle.at(t_s, sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor) * in_sensor;
+        const bool occupied = std::any_of(swept.begin(), swept.end(),
+                                          [&](const Swept& s) { return s.box->present(t_s) && s.box->holds(point_m, t_s, kNowMargin_m); });
         n_tail += !occupied && std::any_of(swept.begin(), swept.end(), [&](const Swept& s) { return is_swept(s, point_m); });
     }
     return n_points > 0.0 ? n_tail / n_points : 0.0;
@@ -64,4 +66,4 @@ MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const 
     return {{"actors/tail_share", share(rendered, sequence, swept, seen)}, {"actors/tail_share_real", share(real, sequence, swept, seen)}};
 }
 
-}  // namespace relidar::cli
+}  // namespace relidar

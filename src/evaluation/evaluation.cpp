@@ -1,21 +1,36 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "evaluation.hpp"
+#include <relidar/evaluation.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdlib>
+#include <functional>
 #include <memory>
 #include <numeric>
 
 #include <fmt/format.h>
 
-#include "console.hpp"
-#include "interrupt.hpp"
-#include "tails.hpp"
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
+#include "evaluation/tails.hpp"
 
-namespace relidar::cli {
+namespace relidar {
 namespace {
+
+constexpr double kSameTime_s = 1e-3;
+
+/// Does the work of n frames, telling before each and after the last how far it is.
+void for_each_frame(const std::vector<int>& positions, const Sequence& sequence, const char* what, const Progress& progress,
+                    const std::function<void(int, const Frame&)>& work) {
+    const auto tell = [&](std::size_t done) {
+        if (progress) progress(what, double(done) / double(positions.size()));
+    };
+    for (std::size_t i = 0; i < positions.size(); ++i) {
+        tell(i);
+        work(positions[i], sequence.frames.at(static_cast<std::size_t>(positions[i])));
+    }
+    if (!positions.empty()) tell(positions.size());
+}
 
 SensorChoice sensor_of(const Config& config, const Sequence& sequence, const Frame& frame) {
     SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
@@ -35,7 +50,7 @@ std::vector<bool> moving_pixels(const Config& config, const Sequence& sequence, 
 /// A frame that is rendered but not scored yet.
 struct RenderedFrame {
     ScoredFrame frame;
-    std::vector<bool> moving;   ///< [n] pixels
+    std::vector<bool> moving;  ///< [n] pixels
 };
 
 RenderedFrame real_frame(const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
@@ -48,7 +63,8 @@ RenderedFrame real_frame(const Config& config, const Sequence& sequence, const F
     return result;
 }
 
-RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
+RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame,
+                           const Pose& sensor_offset) {
     RenderedFrame result = real_frame(config, sequence, frame, sensor_offset);
     const SensorChoice sensor = sensor_of(config, sequence, frame);
     result.frame.n_rays = sensor.rays.size();
@@ -68,7 +84,9 @@ std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config
     options.max_range_m = config.dataset.max_range_m;
     options.lpips = lpips;
     std::vector<Comparison> comparisons;
-    for (const RenderedFrame& r : rendered) comparisons.push_back({&r.frame.rendered.image, &r.frame.real, standard_regions(r.frame.real, r.moving), point_ranges(r.frame.rendered, config)});
+    for (const RenderedFrame& r : rendered)
+        comparisons.push_back(
+            {&r.frame.rendered.image, &r.frame.real, standard_regions(r.frame.real, r.moving), point_ranges(r.frame.rendered, config)});
     const std::vector<MetricRow> rows = evaluate_all(comparisons, options);
     std::vector<ScoredFrame> frames;
     for (std::size_t i = 0; i < rendered.size(); ++i) {
@@ -79,49 +97,64 @@ std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config
 }
 
 void add_tail_shares(std::vector<ScoredFrame>& frames, const Sequence& sequence, const Config& config) {
-    for (ScoredFrame& frame : frames) frame.metrics.merge(tail_shares(frame.rendered.image, frame.real, sequence, {frame.lidar, frame.time_s}, config.init.actor_min_step_m));
+    for (ScoredFrame& frame : frames)
+        frame.metrics.merge(
+            tail_shares(frame.rendered.image, frame.real, sequence, {frame.lidar, frame.time_s}, config.init.actor_min_step_m));
 }
 
 }  // namespace
 
-ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
+void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& log) {
+    for (const int position : positions) {
+        Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
+        const auto it = std::find_if(log.frames.begin(), log.frames.end(),
+                                     [&](const Frame& f) { return f.index == frame.index && f.lidar == frame.lidar; });
+        if (it == log.frames.end())
+            throw DataError(fmt::format("{}: frame {} is not there, expected it as when {} was trained", run.config.dataset.path,
+                                        frame.index, run.folder.string()));
+        if (std::abs(it->time_s - frame.time_s) > kSameTime_s) {
+            throw DataError(fmt::format("{}: frame {} is of time {} s, expected {} s as when {} was trained", run.config.dataset.path,
+                                        frame.index, it->time_s, frame.time_s, run.folder.string()));
+        }
+        frame.scan = it->scan;
+    }
+}
+
+ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame,
+                        const Pose& sensor_offset) {
     const std::unique_ptr<Lpips> lpips = load_lpips(config);
     return score({render_frame(renderer, config, sequence, frame, sensor_offset)}, config, lpips.get()).front();
 }
 
-Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const std::vector<int>& positions, Progress& progress) {
+Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const std::vector<int>& positions,
+                           const Progress& progress) {
     const std::unique_ptr<Lpips> lpips = load_lpips(config);
     std::vector<RenderedFrame> frames;
-    for (const int position : positions) {
-        stop_if_interrupted();
-        frames.push_back(render_frame(renderer, config, sequence, sequence.frames.at(static_cast<std::size_t>(position)), {}));
-        progress.count("rendering held-out frame", frames.size(), positions.size());
-    }
+    for_each_frame(positions, sequence, "rendering held-out frames", progress,
+                   [&](int, const Frame& frame) { frames.push_back(render_frame(renderer, config, sequence, frame, {})); });
     std::vector<ScoredFrame> scored = score(std::move(frames), config, lpips.get());
     add_tail_shares(scored, sequence, config);
     return summarise(std::move(scored), renderer.times());
 }
 
-BoxMotion box_motion(const std::string& baseline) {
-    if (baseline == "nearest") return BoxMotion::stay;
-    if (baseline == "nearest-actors") return BoxMotion::follow;
-    throw UsageError(fmt::format("--baseline: found \"{}\", expected nearest or nearest-actors", baseline));
+BoxMotion find_baseline(const std::string& name) {
+    if (name == "nearest") return BoxMotion::stay;
+    if (name == "nearest-actors") return BoxMotion::follow;
+    throw UsageError(fmt::format("baseline: found \"{}\", expected nearest or nearest-actors", name));
 }
 
-Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence, const Split& split, Progress& progress) {
-    const BoxMotion boxes = box_motion(name);
+Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence, const Split& split,
+                             const Progress& progress) {
+    const BoxMotion boxes = find_baseline(name);
     const std::unique_ptr<Lpips> lpips = load_lpips(config);
     std::vector<RenderedFrame> frames;
-    for (const int position : split.test) {
-        stop_if_interrupted();
-        const Frame& frame = sequence.frames.at(static_cast<std::size_t>(position));
+    for_each_frame(split.test, sequence, "projecting neighbours of held-out frames", progress, [&](int position, const Frame& frame) {
         RenderedFrame result = real_frame(config, sequence, frame, {});
         Scan points = neighbour_points(sequence, position, split.train, boxes, config.init.actor_min_step_m);
         drop_outside(points, configured_sensor(config, sequence, frame.lidar).limits);
         result.frame.rendered.image = real_image(config, config.sensor.grid == "native" ? bin_onto_rays(frame.scan.rays, points) : points);
         frames.push_back(std::move(result));
-        progress.count("projecting neighbours of frame", frames.size(), split.test.size());
-    }
+    });
     std::vector<ScoredFrame> scored = score(std::move(frames), config, lpips.get());
     add_tail_shares(scored, sequence, config);
     Evaluation evaluation = summarise(std::move(scored), {});
@@ -129,7 +162,9 @@ Evaluation evaluate_baseline(const std::string& name, const Config& config, cons
     return evaluation;
 }
 
-void check_lpips_weights(const Config& config) { load_lpips(config); }
+void check_lpips_weights(const Config& config) {
+    load_lpips(config);
+}
 
 std::string lpips_file(const Config& config) {
     if (!config.eval.lpips_weights.empty()) return config.eval.lpips_weights;
@@ -161,4 +196,4 @@ Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times) 
     return evaluation;
 }
 
-}  // namespace relidar::cli
+}  // namespace relidar

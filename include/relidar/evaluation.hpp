@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: Apache-2.0
+// Rendered frames beside real ones, scored: a run on the frames it never saw, and the baseline that any rendering has to beat.
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include <relidar/metrics.hpp>
+#include <relidar/progress.hpp>
+#include <relidar/render.hpp>
+#include <relidar/run.hpp>
+
+namespace relidar {
+
+/// A frame rendered on the rays of the real one, and how close it came.
+struct ScoredFrame {
+    int frame = 0;  ///< the dataset's own number
+    int lidar = 0;  ///< that took it
+    double time_s = 0.0;
+    std::size_t n_rays = 0;  ///< traced; a grid of binned points has fewer pixels or more
+    RenderedScan rendered;
+    RangeImage real;
+    MetricRow metrics;
+};
+
+/// Scored frames and what they are on average.
+struct Evaluation {
+    std::string title = "rendered";  ///< what was scored
+    std::vector<ScoredFrame> frames;
+    MetricRow mean;
+    MetricRow kernel_ms;    ///< mean of one launch
+    double trace_ms = 0.0;  ///< mean of one frame, with transfers
+    double mrays_per_s = 0.0;
+};
+
+/// Gives frames of a run the scans of the log it was trained on. Poses stay those of the run.
+/// @param positions  of the frames, in Run::sequence
+/// @throws DataError where the log has no such frame, or has it at another time
+void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& log);
+
+/// Renders a frame at the place of the real sensor and compares. With the native grid the rays are those of the real scan;
+/// a grid compares simulated points binned as the real ones were.
+/// @param sequence  of the renderer @param frame with its scan @param sensor_offset of the sensor that made frame.scan
+ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame,
+                        const Pose& sensor_offset = {});
+
+/// Scores frames of `sequence` by their positions in it.
+/// @param progress  called before each frame and after the last; what it throws ends the evaluation
+/// @throws DataError where an LPIPS file is named and cannot be read
+Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const std::vector<int>& positions,
+                           const Progress& progress = {});
+
+/// Means of scored frames. @param times of the renderer that made them
+Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times);
+
+/// Mean milliseconds a launch, by kernel.
+MetricRow mean_times(const KernelTimes& times);
+
+/// The baselines: the neighbouring training scans, points in moving boxes left where they are, or moved with their boxes.
+/// @param name  "nearest" or "nearest-actors" @throws UsageError for another name
+BoxMotion find_baseline(const std::string& name);
+/// A baseline on the held-out frames of a log with its scans. @param progress as evaluate_frames() @throws as find_baseline()
+Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence, const Split& split,
+                             const Progress& progress = {});
+
+/// The file with the weights of LPIPS: eval.lpips_weights, else what RELIDAR_LPIPS_WEIGHTS names, else none.
+std::string lpips_file(const Config& config);
+/// Reads the weights of LPIPS, where some are named, to notice a wrong file before the long work. @throws DataError as read_lpips_weights
+void check_lpips_weights(const Config& config);
+
+}  // namespace relidar

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the guide and the example show runs as it stands. PyTorch is no dependency: a few lines of its interface stand in for it."""
+import contextlib
+import io
+import os
+import pathlib
+import re
+import runpy
+import sys
+import types
+import unittest
+
+import numpy as np
+
+import relidar  # noqa: F401
+from common import FOLDER, TestCase
+
+SOURCE = pathlib.Path(os.environ["RELIDAR_SOURCE_DIR"])
+
+
+class Tensor:
+    """A numpy array with the methods that the guide calls."""
+
+    def __init__(self, array):
+        self.array = array
+
+    def detach(self):
+        return self
+
+    cpu = contiguous = requires_grad_ = detach
+
+    def numpy(self):
+        return self.array
+
+
+class Function:
+    """torch.autograd.Function: apply() calls forward() with a context, which is kept for backward()."""
+
+    @classmethod
+    def apply(cls, *arguments):
+        cls.context = types.SimpleNamespace()
+        return cls.forward(cls.context, *arguments)
+
+
+def stand_in_for_torch():
+    torch = types.ModuleType("torch")
+    torch.from_numpy = Tensor
+    torch.autograd = types.SimpleNamespace(Function=Function)
+    return torch
+
+
+@contextlib.contextmanager
+def inside(folder):
+    folder.mkdir(parents=True)
+    before = os.getcwd()
+    os.chdir(folder)
+    try:
+        yield
+    finally:
+        os.chdir(before)
+
+
+class Docs(TestCase):
+    def test_blocks_of_the_guide(self):
+        text = (SOURCE / "docs/python.md").read_text()
+        blocks = re.findall(r"^```(python.*?)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+        self.assertEqual([kind for kind, _ in blocks], ["python"] * 3 + ["python torch"])
+        names = {}
+        sys.modules["torch"] = stand_in_for_torch()
+        try:
+            with inside(FOLDER / "guide"), contextlib.redirect_stdout(io.StringIO()):
+                for _, block in blocks:
+                    exec(compile(block, "docs/python.md", "exec"), names)
+        finally:
+            del sys.modules["torch"]
+        self.check_torch_function(names)
+
+    def check_torch_function(self, names):
+        """Autograd's backward is the renderer's, one gradient for each argument of forward."""
+        outputs = names["Render"].OUTPUTS
+        ones = np.ones(len(names["origins"]), np.float32)
+        gradients = names["Render"].backward(names["Render"].context, *(Tensor(ones) for _ in outputs))
+        self.assertEqual(gradients[:4], (None,) * 4)
+        expected = names["renderer"].backward({name: ones for name in outputs})
+        self.assertEqual(len(gradients), 4 + len(names["names"]))
+        for name, gradient in zip(names["names"], gradients[4:]):
+            np.testing.assert_allclose(gradient.numpy(), expected[name], rtol=1e-3, atol=1e-3 * np.abs(expected[name]).max())
+
+    def test_example(self):
+        script, folder, printed = SOURCE / "tools/examples/train_and_plot.py", FOLDER / "example", io.StringIO()
+        arguments = sys.argv
+        sys.argv = [str(script), str(folder), "24"]
+        try:
+            with contextlib.redirect_stdout(printed):
+                runpy.run_path(str(script), run_name="__main__")
+        finally:
+            sys.argv = arguments
+        self.assertIn("iteration 24/24", printed.getvalue())
+        for name in ("real.png", "simulated.png", "points.npy", "run/scene.json"):
+            self.assertTrue((folder / name).stat().st_size > 0, name)
+        self.assertGreater(len(np.load(folder / "points.npy")), 1000)
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scans of a run: the same as the command line tool writes; poses, actors and sensors of the caller's own; lifetimes of arrays."""
+import gc
+import unittest
+
+import numpy as np
+
+import relidar
+from common import FOLDER, TestCase, log, run, tool
+
+
+class Render(TestCase):
+    def test_is_what_the_tool_writes(self):
+        position = run().held_out[0]
+        number, time = run().frame_numbers[position], run().times[position]
+        tool("render", run().folder, "--out", FOLDER / "scans", "--frames", f"{number}:{number + 1}")
+        scan = run().render(time=time)
+        with np.load(FOLDER / "scans" / f"frame_{number:06}.npz") as written:
+            self.assertEqual(list(scan), list(written))
+            for name in written:
+                if written[name].dtype.kind != "f":
+                    self.assert_same(scan[name], written[name])
+                    continue
+                self.assertEqual((scan[name].dtype, scan[name].shape), (written[name].dtype, written[name].shape))
+                # The tool adds the sensor's offset, the module goes by the dataset's world: 1e-9 m apart before the rounding to float.
+                np.testing.assert_allclose(scan[name], written[name], rtol=1e-4, atol=1e-4, err_msg=name)
+
+    def test_trajectory_and_actors_of_the_log_are_the_default(self):
+        time = run().times[3]
+        default = run().render(time=time)
+        self.assert_same(run().render(time=time, pose=run().trajectory)["range"], default["range"])
+        # The boxes' own tracks place the actors where the run does, but for those that are absent now.
+        present = {name: track for name, track in run().actors.items() if track[0][0] <= time <= track[0][-1]}
+        given = run().render(time=time, actors=present)
+        self.assertGreater(np.mean(given["instance"] == default["instance"]), 0.99)
+        self.assertTrue(np.any(given["instance"] > 0))
+
+    def test_pose_moves_the_sensor(self):
+        time = run().times[3]
+        times, poses = run().trajectory
+        up = poses[3] @ relidar.pose(0, 0, 1.0)
+        low, high = run().render(time=time, pose=poses[3]), run().render(time=time, pose=up)
+        np.testing.assert_allclose(high["pose"], up, atol=1e-9)
+
+        def height(scan):
+            """Of the road below the sensor, from rays that look down and ahead."""
+            returned = (scan["drop_prob"] < 0.5) & (scan["directions"][..., 2] < -0.25) & (scan["instance"] == 0)
+            return -np.median((scan["median_range"] * scan["directions"][..., 2])[returned])
+
+        self.assertAlmostEqual(height(high) - height(low), 1.0, delta=0.05)
+
+    def test_actors_that_are_not_named_are_absent(self):
+        time = run().times[3]
+        self.assertTrue(np.any(run().render(time=time)["instance"] > 0))
+        empty, background = run().render(time=time, actors={}), run().render(time=time, only=["background"])
+        self.assertLessEqual(empty["instance"].max(), 0)
+        self.assert_same(empty["range"], background["range"])
+
+    def test_actor_where_the_caller_has_it(self):
+        time = run().times[3]
+        times, poses = run().trajectory
+        ahead = poses[3] @ relidar.pose(8.0, 0, 0)   # a car in front of the sensor
+        name = next(iter(run().actors))
+        scan = run().render(time=time, actors={name: ahead})
+        met = (scan["instance"] > 0) & (scan["median_range"] > 0)
+        points = (scan["origin"] + scan["median_range"][..., None] * scan["directions"])[met]
+        self.assertGreater(len(points), 10)
+        self.assertLess(np.abs(np.median(points, axis=0) - [8.0, 0.0, 0.0])[:2].max(), 3.0)
+
+    def test_rays_of_ones_own(self):
+        time = run().times[3]
+        own, native = run().render(run().rays(), time=time), run().render(time=time)
+        self.assert_same(own["range"], native["range"])
+        part = {name: np.ascontiguousarray(array[4:8, 100:140]) for name, array in run().rays().items()}
+        self.assert_same(run().render(part, time=time)["range"], native["range"][4:8, 100:140])
+        real = log().scan(3)
+        self.assertEqual(run().render(real, time=time)["range"].shape, real["range"].shape)
+
+    def test_known_sensors(self):
+        self.assertIn("VLP-16", relidar.sensors())
+        rays = relidar.rays("VLP-16")
+        self.assertEqual(rays["directions"].shape[0], 16)
+        np.testing.assert_allclose(np.linalg.norm(rays["directions"], axis=-1), 1.0, atol=1e-6)
+        elevation = np.degrees(np.arcsin(rays["directions"][:, 0, 2]))
+        np.testing.assert_allclose(elevation, np.arange(15, -16, -2), atol=1e-4)   # the maker's manual
+        self.assertEqual(run().render("VLP-16", time=run().times[0])["range"].shape, rays["time"].shape)
+
+    def test_sample_is_a_draw(self):
+        time = run().times[3]
+        a, b, c = (run().render(time=time, sample=seed) for seed in (1, 1, 2))
+        self.assert_same(a["drop_prob"], b["drop_prob"])
+        self.assertEqual(set(np.unique(a["drop_prob"])), {0.0, 1.0})
+        self.assertFalse(np.array_equal(a["drop_prob"], c["drop_prob"]))
+
+    def test_world_frame(self):
+        time = run().times[3]
+        sensor, world = run().render(time=time, deskew=True), run().render(time=time, frame="world")
+        turned = sensor["directions"] @ sensor["pose"][:3, :3].T
+        np.testing.assert_allclose(world["directions"], turned, atol=1e-5)
+
+    def test_arrays_outlive_the_run(self):
+        folder = run().folder
+        other = relidar.Run.load(folder)
+        scan, scene = other.render(time=other.times[0]), other.scene
+        ranges, mean = scan["range"].copy(), scene.surfels["mean"]
+        self.assertTrue(np.shares_memory(mean, scene.surfels["mean"]))   # a view, not a copy
+        self.assertFalse(mean.flags.writeable)
+        copy = mean.copy()
+        del other, scene
+        gc.collect()
+        self.assert_same(scan["range"], ranges)
+        self.assert_same(mean, copy)
+        scan["range"][...] = 0   # the caller's own
+
+    def test_bad_input(self):
+        time = run().times[0]
+        render = run().render
+        single = np.eye(4, dtype=np.float32)
+        expected = "pose: found float32 [4,4], expected an array of float64 [4,4]"
+        self.assert_fails(relidar.DataError, expected, render, time=time, pose=single)
+        self.assert_fails(relidar.DataError, "pose: found float64 [3,4]", render, time=time, pose=np.eye(4)[:3])
+        self.assert_fails(relidar.DataError, "pose: found an object of type list", render, time=time, pose=np.eye(4).tolist())
+        self.assert_fails(relidar.DataError, "in C order", render, time=time, pose=np.asfortranarray(relidar.pose(1, 2, 3)))
+        self.assert_fails(relidar.DataError, "expected a rigid pose", render, time=time, pose=2 * np.eye(4))
+        self.assert_fails(relidar.DataError, "pose: found a mirrored matrix", render, time=time, pose=np.diag([1.0, 1.0, -1.0, 1.0]))
+        self.assert_fails(relidar.DataError, "not finite", render, time=time, pose=np.full((4, 4), np.nan))
+        self.assert_fails(relidar.DataError, "2 times and 1 poses", render, time=time, pose=(np.zeros(2), np.eye(4)[None]))
+        self.assert_fails(relidar.DataError, "times that rise", render, time=time, pose=(np.zeros(2), np.stack([np.eye(4)] * 2)))
+        self.assert_fails(relidar.DataError, "time_s: found nan", render, time=float("nan"))
+        self.assert_fails(relidar.UsageError, "nobody", render, time=time, actors={"nobody": np.eye(4)})
+        self.assert_fails(relidar.UsageError, 'did you mean "', render, time=time, only=["backgrund"])
+        self.assert_fails(relidar.UsageError, "VLP-16", render, "VLP16", time=time)
+        self.assert_fails(relidar.UsageError, 'lidar: found "rear"', render, time=time, lidar="rear")
+        self.assert_fails(relidar.UsageError, "expected sensor or world", render, time=time, frame="map")
+        directions = run().rays()["directions"]
+        self.assert_fails(relidar.DataError, 'without "directions"', render, {}, time=time)
+        self.assert_fails(relidar.DataError, "found float64", render, {"directions": directions.astype(np.float64)}, time=time)
+        self.assert_fails(relidar.DataError, "in C order", render, {"directions": directions[:, ::2]}, time=time)
+        self.assert_fails(relidar.DataError, "found length", render, {"directions": 2 * directions}, time=time)
+        three_times = {"directions": directions, "time": np.zeros(3, np.float32)}
+        self.assert_fails(relidar.DataError, "sensor: time: found float32 [3]", render, three_times, time=time)
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,62 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""From a street to a scan nobody took: makes the demo's street, trains on it, renders, and plots. Cells start with `# %%`.
+
+    PYTHONPATH=build/ci/tools/python tools/examples/train_and_plot.py [FOLDER [ITERATIONS]]
+"""
+# %% What goes where
+import pathlib
+import sys
+
+import numpy as np
+
+import relidar
+
+folder = pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else "train_and_plot")
+iterations = int(sys.argv[2]) if len(sys.argv) > 2 else 300
+print("device:", relidar.Device().info.name)
+
+# %% A log: the synthetic street that `relidar demo` trains on; a path to a KITTI drive does as well
+relidar.save_street(folder / "street", n_frames=12)
+config = relidar.Config("quick", {"train.iterations": iterations, "train.log_every": max(1, iterations // 6), "init.scale_factor": 0.6})
+log = relidar.load_sequence(folder / "street", config)
+print(f"{log.name}: {len(log)} frames, boxes {', '.join(log.boxes)}")
+
+# %% Training, with a line now and then
+def show(line):
+    print(f"iteration {line.iteration}/{line.n_iterations}  loss {line.loss:.4f}  {line.n_surfels} surfels")
+
+
+run = relidar.train(log, config, callback=show)
+run.save(folder / "run", overwrite=True)
+
+# %% How good it is on the frames that it never saw
+scores = relidar.evaluate(run, log)["mean"]
+for metric in ("strict/depth_medae_m", "strict/depth_rmse_m", "strict/drop_accuracy"):
+    print(metric, round(scores[metric], 4))
+
+# %% A scan from 2 m to the left and 1 m up, with a car taken out
+position = run.held_out[0]
+times, poses = run.trajectory
+track = next(iter(run.actors))
+scan = run.edit().remove(track).run().render(time=times[position], pose=poses[position] @ relidar.pose(0, 2, 1))
+
+# %% Pictures: range, intensity and drop probability, of the real scan and of the simulated one
+relidar.write_picture(folder / "real.png", log.scan(position))
+relidar.write_picture(folder / "simulated.png", scan)
+
+# %% Points, and a view from above where matplotlib is installed
+returned = (scan["drop_prob"] < 0.5) & (scan["median_range"] > 0)
+points = (scan["origin"] + scan["median_range"][..., None] * scan["directions"])[returned]
+np.save(folder / "points.npy", points)
+print(f"{len(points)} points, the farthest {np.linalg.norm(points, axis=1).max():.1f} m away")
+try:
+    import matplotlib.pyplot as plt
+except ImportError:
+    print("no matplotlib: no view from above")
+else:
+    plt.scatter(points[:, 0], points[:, 1], s=1, c=points[:, 2], cmap="turbo")
+    plt.axis("equal")
+    plt.xlabel("forward, m")
+    plt.ylabel("left, m")
+    plt.savefig(folder / "above.png", dpi=150)

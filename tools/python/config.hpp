@@ -1,0 +1,16 @@
+// SPDX-License-Identifier: Apache-2.0
+// Settings from Python: names as in `relidar config`, values as Python has them.
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+#include <relidar/config.hpp>
+
+namespace relidar::python {
+
+/// Sets one setting from a str, bool, int, float or path. @throws UsageError as set_key(), and for a value of another type
+void set_value(Config& config, const std::string& key, const pybind11::handle& value);
+/// Sets all of a dict.
+void set_values(Config& config, const pybind11::dict& values);
+
+}  // namespace relidar::python

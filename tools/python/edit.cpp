@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: Apache-2.0
+// Edits of a run, one after the other: run.edit().remove("0").move("1", pose).save("edited").
+#include <filesystem>
+#include <functional>
+
+#include <pybind11/stl.h>
+#include <pybind11/stl/filesystem.h>
+
+#include <fmt/format.h>
+
+#include <relidar/edit.hpp>
+#include <relidar/error.hpp>
+#include "module.hpp"
+#include "poses.hpp"
+#include "run.hpp"
+
+namespace relidar::python {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// A copy of a run with the edits so far.
+struct Edits {
+    Run run;  ///< but for what is in `driving`
+    DrivingScene driving;
+    SharedDevice device;
+
+    explicit Edits(const LoadedRun& start) : run(start.run), driving{start.run.scene, start.run.sequence}, device(start.device) {}
+
+    /// @param said  how the edit is told in scene.json
+    Edits& apply(const std::string& said, const std::function<DrivingScene(DrivingScene)>& edit) {
+        driving = edit(driving);  // a copy: a refused edit leaves what was there
+        run.edits.push_back({run.folder.empty() ? "" : fs::absolute(run.folder).lexically_normal().string(), said});
+        return *this;
+    }
+
+    std::unique_ptr<LoadedRun> finished() const {
+        auto loaded = std::make_unique<LoadedRun>(run, device);
+        loaded->run.scene = driving.scene;
+        loaded->run.sequence = driving.sequence;
+        loaded->run.folder.clear();
+        return loaded;
+    }
+};
+
+std::string text_of(const glm::dvec3& v) {
+    return fmt::format("{:.6g},{:.6g},{:.6g}", v.x, v.y, v.z);
+}
+
+Edits& keep(Edits& edits, const std::string& what) {
+    if (what == "background") return edits.apply("keep background", keep_background);
+    if (what == "actors") return edits.apply("keep actors", keep_actors);
+    throw UsageError(fmt::format("keep: found \"{}\", expected background or actors", what));
+}
+
+Edits& move(Edits& edits, const std::string& track, const py::object& pose) {
+    const Pose box_from_moved = pose_of(pose, "pose");
+    return edits.apply(fmt::format("move {}:{}", track, text_of(box_from_moved.translation)),
+                       [&](DrivingScene d) { return move_track(std::move(d), track, box_from_moved); });
+}
+
+Edits& follow(Edits& edits, const std::string& track, const py::object& trajectory) {
+    const PoseTrack poses = track_of(trajectory, "trajectory", 0.0);
+    return edits.apply(fmt::format("follow {}: {} poses", track, poses.pose.size()),
+                       [&](DrivingScene d) { return replace_trajectory(std::move(d), track, poses); });
+}
+
+Edits& copy(Edits& edits, const std::string& track, const py::object& pose, double speed_mps) {
+    const Start start{pose_of(pose, "pose"), speed_mps};
+    return edits.apply(fmt::format("copy {}@{}:{:.6g}", track, text_of(start.dataset_from_box.translation), speed_mps),
+                       [&](DrivingScene d) { return copy_track(std::move(d), track, start); });
+}
+
+Edits& insert(Edits& edits, const LoadedRun& other, const std::string& track, const py::object& pose, double speed_mps) {
+    const Start start{pose_of(pose, "pose"), speed_mps};
+    const std::string said =
+        fmt::format("insert {}#{}@{}:{:.6g}", other.run.folder.string(), track, text_of(start.dataset_from_box.translation), speed_mps);
+    return edits.apply(said, [&](DrivingScene d) {
+        return insert_track(std::move(d), {other.run.scene, other.run.sequence}, track, start);
+    });
+}
+
+std::unique_ptr<LoadedRun> save(const Edits& edits, const fs::path& folder, bool overwrite) {
+    auto loaded = edits.finished();
+    save_to(loaded->run, folder, overwrite);
+    return loaded;
+}
+
+}  // namespace
+
+void add_edit(py::module_& module) {
+    const auto same = py::return_value_policy::reference;  // the same object again: edits are chained
+    py::class_<Edits>(module, "Edit",
+                      "A copy of a run that is being edited. Each edit gives the same object back; run() or save() ends it. Raises "
+                      "UsageError for an unknown track.")
+        .def(
+            "remove",
+            [](Edits& edits, const std::string& track) -> Edits& {
+                return edits.apply("remove " + track, [&](DrivingScene d) { return remove_track(std::move(d), track); });
+            },
+            py::arg("track"), same, "Takes an actor out; rays continue to what is behind it.")
+        .def("move", &move, py::arg("track"), py::arg("pose"), same,
+             "Moves an actor in its box's own frame (forward, left, up) all along its way.\n\npose: [4,4] float64, box from moved, as "
+             "relidar.pose() makes it")
+        .def(
+            "retime",
+            [](Edits& edits, const std::string& track, double seconds) -> Edits& {
+                return edits.apply(fmt::format("retime {}:{:.6g}", track, seconds),
+                                   [&](DrivingScene d) { return retime_track(std::move(d), track, seconds); });
+            },
+            py::arg("track"), py::arg("seconds"), same, "Lets everything an actor does happen so much later.")
+        .def("follow", &follow, py::arg("track"), py::arg("trajectory"), same,
+             "Gives an actor another trajectory.\n\ntrajectory: (times [n], poses [n,4,4]) of its box's centre in the dataset's world, n "
+             ">= 2")
+        .def("copy", &copy, py::arg("track"), py::arg("pose"), py::arg("speed_mps") = 0.0, same,
+             "Places an actor's model once more, as TRACK-copy-1.\n\npose: of its box's centre in the dataset's world at the first frame, "
+             "from where it drives straight ahead")
+        .def("insert", &insert, py::arg("other"), py::arg("track"), py::arg("pose"), py::arg("speed_mps") = 0.0, same,
+             "The same with an actor of another run.")
+        .def("keep", &keep, py::arg("what"), same, "Drops the other: \"background\" or \"actors\".")
+        .def("run", &Edits::finished, "The edited run.")
+        .def("save", &save, py::arg("folder"), py::kw_only(), py::arg("overwrite") = false, "The edited run, written to a folder.");
+    const auto run = py::reinterpret_borrow<py::class_<LoadedRun>>(module.attr("Run"));
+    py::class_<LoadedRun>(run).def(
+        "edit", [](const LoadedRun& loaded) { return Edits(loaded); }, "Starts to edit a copy of the run.");
+}
+
+}  // namespace relidar::python

@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: Apache-2.0
+// The library's failures as Python exceptions, one to one. Each is also the built-in exception that a caller would expect.
+#include <string>
+
+#include <relidar/error.hpp>
+#include "module.hpp"
+
+namespace relidar::python {
+namespace {
+
+namespace py = pybind11;
+
+struct Types {
+    py::object error, usage, data, device;
+};
+
+/// Never destroyed: exceptions may be raised until the interpreter has gone.
+Types& types() {
+    static auto* const all = new Types;
+    return *all;
+}
+
+py::object add_type(py::module_& module, const char* name, const char* doc, const py::tuple& bases, ExitCode code) {
+    py::dict members;
+    members["code"] = static_cast<int>(code);
+    const std::string full_name = std::string("relidar.") + name;
+    auto type = py::reinterpret_steal<py::object>(PyErr_NewExceptionWithDoc(full_name.c_str(), doc, bases.ptr(), members.ptr()));
+    if (!type) throw py::error_already_set();
+    module.attr(name) = type;
+    return type;
+}
+
+void translate(std::exception_ptr thrown) {
+    try {
+        if (thrown) std::rethrow_exception(thrown);
+    } catch (const UsageError& error) {
+        PyErr_SetString(types().usage.ptr(), error.what());
+    } catch (const DataError& error) {
+        PyErr_SetString(types().data.ptr(), error.what());
+    } catch (const DeviceError& error) {
+        PyErr_SetString(types().device.ptr(), error.what());
+    } catch (const Error& error) {
+        const py::object instance = types().error(error.what());
+        instance.attr("code") = static_cast<int>(error.code());
+        PyErr_SetObject(types().error.ptr(), instance.ptr());
+    }
+}
+
+}  // namespace
+
+void add_errors(py::module_& module) {
+    const auto builtin = [](PyObject* type) { return py::reinterpret_borrow<py::object>(type); };
+    Types& all = types();
+    all.error = add_type(module, "Error", "Base of all failures relidar reports. `code` is the exit code of the command line tool for it.",
+                         py::make_tuple(builtin(PyExc_Exception)), ExitCode::bug);
+    all.usage = add_type(module, "UsageError", "A wrong name, setting or combination of arguments.",
+                         py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::usage);
+    all.data = add_type(module, "DataError", "A file or array that is missing, malformed or impossible; output that cannot be written.",
+                        py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::data);
+    all.device = add_type(module, "DeviceError", "No device, a missing feature, a failed Vulkan call or exhausted device memory.",
+                          py::make_tuple(all.error, builtin(PyExc_RuntimeError)), ExitCode::device);
+    py::register_exception_translator(translate);
+}
+
+}  // namespace relidar::python

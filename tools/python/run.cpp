@@ -1,0 +1,235 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "run.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include <pybind11/stl.h>
+#include <pybind11/stl/filesystem.h>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include <relidar/scan_files.hpp>
+#include "arrays.hpp"
+#include "config.hpp"
+#include "module.hpp"
+#include "poses.hpp"
+#include "scene.hpp"
+#include "sensors.hpp"
+#include "sequence.hpp"
+
+namespace relidar::python {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// Arguments of Run.render().
+struct Asked {
+    py::object sensor, pose;
+    std::optional<double> time;
+    std::optional<py::dict> actors;
+    std::string lidar;
+    std::vector<std::string> only;
+    std::optional<std::uint64_t> sample;
+    std::string frame;
+    bool deskew;
+};
+
+PointFrame frame_of(const std::string& name) {
+    if (name == "sensor") return PointFrame::sensor;
+    if (name == "world") return PointFrame::world;
+    throw UsageError(fmt::format("frame: found \"{}\", expected sensor or world", name));
+}
+
+/// Poses of a LiDAR in the log, dataset's world.
+PoseTrack log_track(const Sequence& sequence, int lidar) {
+    PoseTrack track = sequence.world_from_sensor(lidar);
+    for (Pose& pose : track.pose) pose.translation += sequence.world_offset_m;
+    return track;
+}
+
+ActorPoses actors_from(const py::dict& actors, double time_s) {
+    ActorPoses poses;
+    for (const auto& [name, pose] : actors) {
+        const std::string track = py::str(name);
+        poses[track] = track_of(pose, fmt::format("actors[\"{}\"]", track), time_s);
+    }
+    return poses;
+}
+
+/// Number of the log's turn that is nearest in time.
+int nearest_turn(const Sequence& sequence, double time_s) {
+    const auto farther = [&](const Frame& a, const Frame& b) { return std::abs(a.time_s - time_s) < std::abs(b.time_s - time_s); };
+    return std::min_element(sequence.frames.begin(), sequence.frames.end(), farther)->index;
+}
+
+ScanRequest request_of(const Asked& asked, const Run& run, int lidar) {
+    ScanRequest request;
+    request.time_s = asked.time.value_or(run.sequence.frames.front().time_s);
+    request.dataset_from_sensor = asked.pose.is_none() ? log_track(run.sequence, lidar) : track_of(asked.pose, "pose", request.time_s);
+    if (asked.actors) request.dataset_from_actor = actors_from(*asked.actors, request.time_s);
+    return request;
+}
+
+py::dict render(LoadedRun& loaded, const Asked& asked) {
+    const Run& run = loaded.run;
+    const int lidar = find_lidar(run.sequence, asked.lidar);
+    const SensorChoice sensor = sensor_of(asked.sensor, run, lidar);
+    const ScanRequest request = request_of(asked, run, lidar);
+    const std::vector<bool> shown =
+        asked.only.empty() ? std::vector<bool>(run.scene.instances.size(), true) : select_instances(run.scene, asked.only);
+    ScanFormat format = scan_format(run, sensor);
+    format.frame = frame_of(asked.frame);
+    format.deskew = asked.deskew;
+    OnDevice<ScanRenderer>& renderer = loaded.ready_renderer();
+    RenderedScan scan;
+    {
+        const DeviceUse use(renderer.device());
+        renderer->show_only(shown);
+        scan = renderer->render(sensor, request, asked.sample);
+    }
+    return to_dict(scan_arrays(scan, nearest_turn(run.sequence, request.time_s), format));
+}
+
+std::vector<std::string> track_names(const Run& run) {
+    std::vector<std::string> names;
+    for (const Instance& instance : run.scene.instances)
+        if (!instance.track.empty()) names.push_back(instance.track);
+    return names;
+}
+
+std::unique_ptr<LoadedRun> load(const fs::path& folder, const py::dict& settings, const SharedDevice& device) {
+    Run run = load_run(folder);
+    set_values(run.config, settings);
+    return std::make_unique<LoadedRun>(std::move(run), device);
+}
+
+std::unique_ptr<LoadedRun> with_surfels(const LoadedRun& loaded, const py::dict& arrays) {
+    auto changed = std::make_unique<LoadedRun>(loaded.run, loaded.device);
+    Surfels surfels = surfels_of(arrays);
+    if (surfels.size() != loaded.run.scene.surfels.size() || surfels.primitive() != loaded.run.scene.surfels.primitive())
+        throw DataError(fmt::format("with_surfels: found {} surfels, expected {} of the same primitive, as the run has", surfels.size(),
+                                    loaded.run.scene.surfels.size()));
+    changed->run.scene.surfels = std::move(surfels);
+    return changed;
+}
+
+constexpr const char* kRenderHelp =
+    "Renders a scan.\n\n"
+    "sensor: one of relidar.sensors(), \"native\" (the log's), \"kitti360\", a CSV beam table, or a dict of rays as relidar.rays() gives; "
+    "None: as the run's settings say\n"
+    "pose: sensor to the dataset's world, [4,4] float64, metres; or (times [n], poses [n,4,4]), also through the turn, so that each ray is "
+    "fired from where the\n"
+    "    sensor is then; None: where the log's sensor was\n"
+    "time: seconds of the log at which the head faces forward; None: of the first frame\n"
+    "actors: track -> pose of its box's centre, as `pose`; actors that are not named are absent. None: all where their tracks have them\n"
+    "lidar: of the log, by name, which the sensor is or in whose place it stands; empty: the first\n"
+    "only: render these alone: \"background\", \"actors\" or tracks\n"
+    "sample: seed; draws drops and range noise as likely as on the log. None: the likeliest scan\n"
+    "frame: of origin and directions: \"sensor\" (at each ray's firing time) or \"world\" (the dataset's)\n"
+    "deskew: sensor frame at `time` for all rays\n\n"
+    "Returns the arrays of an npz of `relidar render`: range, median_range (metres), intensity, drop_prob, weight, time (seconds\n"
+    "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: nothing met) [rows,columns]; directions, origin\n"
+    "[rows,columns,3] float32; pose [4,4] float64; time_s, frame_number (of the log's turn nearest in time), instance_names, frame,\n"
+    "deskewed, sensor, run, units; with render.normals normals [rows,columns,3].\n\n"
+    "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for unknown names.";
+
+}  // namespace
+
+void save_to(Run& run, const fs::path& folder, bool overwrite) {
+    if (!overwrite && is_run(folder))
+        throw UsageError(fmt::format("{}: found a run there, expected a new folder; overwrite=True replaces it", folder.string()));
+    const fs::path before = std::exchange(run.folder, folder);
+    try {
+        save_run(run);
+    } catch (...) {
+        run.folder = before;
+        throw;
+    }
+}
+
+OnDevice<ScanRenderer>& LoadedRun::ready_renderer() {
+    if (renderer) return renderer;
+    device = device_or_default(device);
+    std::unique_ptr<ScanRenderer> made;
+    {
+        const DeviceUse use(*device);
+        made = std::make_unique<ScanRenderer>(device->device, run.scene, run.config, run.sequence);
+    }
+    OnDevice<ScanRenderer> fresh(device, std::move(made));
+    if (!renderer) renderer = std::move(fresh);  // another thread may have been faster
+    return renderer;
+}
+
+void add_run(py::module_& module) {
+    py::class_<LoadedRun>(module, "Run",
+                          "A trained scene with its log's sensor, poses and tracks: what `relidar train` writes. It does not change.")
+        .def_static("load", &load, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(), py::arg("device") = py::none(),
+                    "Reads a run folder.\n\n"
+                    "settings: dict of settings other than the run's, such as {\"render.range\": \"median\"}\n"
+                    "device: to render on; None: the default one\n\n"
+                    "Raises DataError naming the file that is missing, damaged or of a newer format.")
+        .def(
+            "save", [](LoadedRun& run, const fs::path& folder, bool overwrite) { save_to(run.run, folder, overwrite); }, py::arg("folder"),
+            py::kw_only(), py::arg("overwrite") = false,
+            "Writes config.toml, scene.json and model.safetensors, each whole or not at all. Raises UsageError where a run is in the way.")
+        .def(
+            "render",
+            [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time, std::optional<py::dict> actors,
+               std::string lidar, std::vector<std::string> only, std::optional<std::uint64_t> sample, std::string frame, bool deskew) {
+                return render(run,
+                              {sensor, pose, time, std::move(actors), std::move(lidar), std::move(only), sample, std::move(frame), deskew});
+            },
+            py::arg("sensor") = py::none(), py::kw_only(), py::arg("pose") = py::none(), py::arg("time") = py::none(),
+            py::arg("actors") = py::none(), py::arg("lidar") = "", py::arg("only") = std::vector<std::string>(),
+            py::arg("sample") = py::none(), py::arg("frame") = "sensor", py::arg("deskew") = false, kRenderHelp)
+        .def(
+            "rays",
+            [](const LoadedRun& run, const py::object& sensor, const std::string& lidar) {
+                return to_dict(sensor_of(sensor, run.run, find_lidar(run.run.sequence, lidar)).rays);
+            },
+            py::arg("sensor") = py::none(), py::arg("lidar") = "", "Rays of a sensor as render() takes it.")
+        .def("with_surfels", &with_surfels, py::arg("surfels"),
+             "The same run with other values of all surfels. Raises DataError for another number of them.")
+        .def_property_readonly(
+            "folder", [](const LoadedRun& run) { return run.run.folder.string(); }, "Where it was read or saved; empty where it never was.")
+        .def_property_readonly(
+            "config", [](const LoadedRun& run) { return run.run.config; }, "A copy of the settings.")
+        .def_property_readonly(
+            "scene", [](const LoadedRun& run) { return std::make_shared<Scene>(run.run.scene); }, "A copy of the scene.")
+        .def_property_readonly(
+            "surfels", [](const LoadedRun& run) { return to_dict(Surfels(run.run.scene.surfels)); },
+            "A copy of the surfels: dict of float32 arrays as relidar.Scene takes it.")
+        .def_property_readonly(
+            "times", [](const LoadedRun& run) { return times_of(run.run.sequence); },
+            "[frames] float64: seconds at which the head faced forward.")
+        .def_property_readonly(
+            "frame_numbers", [](const LoadedRun& run) { return frame_numbers_of(run.run.sequence); },
+            "[frames] int32: the dataset's own numbers.")
+        .def_property_readonly(
+            "held_out", [](const LoadedRun& run) { return run.run.split.test; },
+            "Positions of the frames that training did not see, in times.")
+        .def_property_readonly(
+            "trajectory", [](const LoadedRun& run) { return trajectory_of(run.run.sequence); },
+            "(times [n], poses [n,4,4]) of the log's vehicle in the dataset's world: with one LiDAR those of the sensor, as render() takes "
+            "them.")
+        .def_property_readonly(
+            "mountings", [](const LoadedRun& run) { return mountings_of(run.run.sequence); },
+            "LiDARs by name: vehicle from sensor, [4,4] float64; poses @ mountings[name] are those of a LiDAR. One alone is at the "
+            "identity and has an empty name.")
+        .def_property_readonly(
+            "actors", [](const LoadedRun& run) { return actors_of(run.run.sequence, track_names(run.run)); },
+            "Actors by track: (times [n], poses [n,4,4]) of their boxes' centres in the dataset's world, as render() takes them.")
+        .def_property_readonly(
+            "edits",
+            [](const LoadedRun& run) {
+                std::vector<std::string> edits;
+                for (const RunEdit& edit : run.run.edits) edits.push_back(edit.edit);
+                return edits;
+            },
+            "What was edited, oldest first.");
+}
+
+}  // namespace relidar::python

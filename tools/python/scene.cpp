@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "scene.hpp"
+
+#include <algorithm>
+
+#include <pybind11/stl.h>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include "arrays.hpp"
+#include "module.hpp"
+
+namespace relidar::python {
+namespace {
+
+/// The groups of Surfels with their shapes: calls take(name, vector, number of floats a surfel as a shape).
+template <class Set, class Take>
+void for_each_group(Set& surfels, Take&& take) {
+    take("mean", surfels.mean, Shape{3});
+    take("rotation", surfels.rotation, Shape{4});
+    take("log_scale", surfels.log_scale, Shape{2});
+    take("opacity_logit", surfels.opacity_logit, Shape{});
+    take("sh", surfels.sh, Shape{kShChannels, kShCoefficients});
+    take("log_scale_w", surfels.log_scale_w, Shape{});
+}
+
+Shape rows_of(py::ssize_t n, const Shape& row) {
+    Shape shape{n};
+    shape.insert(shape.end(), row.begin(), row.end());
+    return shape;
+}
+
+/// Read-only arrays over the surfels of a scene.
+py::dict view_of(const py::object& scene_object) {
+    const Surfels& surfels = scene_object.cast<const Scene&>().surfels;
+    py::dict dict;
+    for_each_group(surfels, [&](const char* name, const auto& values, const Shape& row) {
+        if (name == std::string("log_scale_w") && values.empty()) return;
+        dict[name] = view<float>(values, rows_of(static_cast<py::ssize_t>(surfels.size()), row), scene_object);
+    });
+    return dict;
+}
+
+std::uint32_t count_of(const py::dict& dict, const char* name, const char* what) {
+    if (!dict.contains(name)) throw DataError(fmt::format("{}: found a dict without \"{}\"", what, name));
+    return dict[name].cast<std::uint32_t>();
+}
+
+/// @param models  dicts of name, first, count; none: one of all surfels @param instances  dicts of model, track; none: one of each model
+Scene make_scene(const py::dict& surfels, const std::optional<std::vector<py::dict>>& models,
+                 const std::optional<std::vector<py::dict>>& instances) {
+    Scene scene = make_background_scene(surfels_of(surfels));
+    if (models) {
+        scene.models.clear();
+        for (const py::dict& model : *models)
+            scene.models.push_back(
+                {model["name"].cast<std::string>(), count_of(model, "first", "models"), count_of(model, "count", "models")});
+    }
+    if (models || instances) {
+        scene.instances.clear();
+        for (std::uint32_t i = 0; !instances && i < scene.models.size(); ++i)
+            scene.instances.push_back({i, i == 0 ? "" : scene.models[i].name});
+        for (const py::dict& instance : instances.value_or(std::vector<py::dict>{}))
+            scene.instances.push_back({count_of(instance, "model", "instances"), instance["track"].cast<std::string>()});
+    }
+    return scene;
+}
+
+py::list models_of(const Scene& scene) {
+    py::list list;
+    for (const Model& model : scene.models)
+        list.append(py::dict(py::arg("name") = model.name, py::arg("first") = model.first, py::arg("count") = model.count));
+    return list;
+}
+
+py::list instances_of(const Scene& scene) {
+    py::list list;
+    for (const Instance& instance : scene.instances)
+        list.append(py::dict(py::arg("model") = instance.model, py::arg("track") = instance.track));
+    return list;
+}
+
+}  // namespace
+
+Surfels surfels_of(const py::dict& arrays) {
+    Surfels surfels;
+    std::vector<std::string> names;
+    for_each_group(surfels, [&]<class Element>(const char* name, std::vector<Element>& values, const Shape& row) {
+        names.emplace_back(name);
+        if (arrays.contains(name))
+            values = copied<float, Element>(arrays[name], fmt::format("surfels: {}", name), rows_of(kAny, row));
+        else if (name != std::string("log_scale_w"))
+            throw DataError(fmt::format("surfels: found no array \"{}\", expected mean, rotation, log_scale, opacity_logit and sh", name));
+    });
+    for (const auto& [name, array] : arrays) {
+        const std::string text = py::str(name);
+        if (std::find(names.begin(), names.end(), text) == names.end())
+            throw UsageError(fmt::format("surfels: found an array \"{}\", did you mean \"{}\"?", text, nearest_name(text, names)));
+    }
+    surfels.check_shapes();
+    return surfels;
+}
+
+py::dict to_dict(Surfels&& surfels) {
+    const auto n = static_cast<py::ssize_t>(surfels.size());
+    py::dict dict;
+    for_each_group(surfels, [&](const char* name, auto& values, const Shape& row) {
+        if (name == std::string("log_scale_w") && values.empty()) return;
+        dict[name] = owned<float>(std::move(values), rows_of(n, row));
+    });
+    return dict;
+}
+
+void add_scene(py::module_& module) {
+    py::class_<Scene, std::shared_ptr<Scene>>(
+        module, "Scene", "Surfels, the models they belong to, and the instances that place models. It does not change.")
+        .def(py::init(&make_scene), py::arg("surfels"), py::arg("models") = py::none(), py::arg("instances") = py::none(),
+             "surfels: dict of float32 arrays: mean [n,3] metres, rotation [n,4] quaternion w x y z, log_scale [n,2] ln metres, "
+             "opacity_logit [n],\n"
+             "    sh [n,3,16] (intensity, hit logit, drop logit); log_scale_w [n] makes them 3D Gaussians\n"
+             "models: dicts of name, first, count: ranges of the surfels, one behind the other; None: one of all, the background\n"
+             "instances: dicts of model (its index) and track (\"\" for the background); None: one of each model\n\n"
+             "Raises DataError for arrays of wrong shape, dtype or order. Whether models and instances fit is checked by who renders them.")
+        .def_property_readonly(
+            "surfels", [](const py::object& scene) { return view_of(scene); }, "The arrays, read-only and not copied.")
+        .def_property_readonly("models", &models_of, "Dicts of name, first, count.")
+        .def_property_readonly("instances", &instances_of, "Dicts of model, track; instance 0 is the background.")
+        .def(
+            "__len__", [](const Scene& scene) { return scene.surfels.size(); }, "Number of surfels.");
+}
+
+}  // namespace relidar::python

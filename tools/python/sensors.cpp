@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "sensors.hpp"
+
+#include <cmath>
+
+#include <pybind11/stl.h>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include "arrays.hpp"
+#include "module.hpp"
+
+namespace relidar::python {
+namespace {
+
+constexpr float kUnit = 1e-3f;  // what the length of a direction may differ from 1
+
+/// @throws DataError where a ray is not finite or has no direction of length 1
+void check_rays(const RayTable& rays) {
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        const float length = glm::length(rays.direction[i]);
+        if (!(std::abs(length - 1.0f) <= kUnit))
+            throw DataError(fmt::format("sensor: directions: found length {} at ray {}, expected 1", length, i));
+        if (!std::isfinite(glm::length(rays.origin[i]) + rays.time_offset_s[i]))
+            throw DataError(fmt::format("sensor: found an origin or time that is not finite at ray {}", i));
+    }
+}
+
+RayTable rays_of(const py::dict& dict) {
+    if (!dict.contains("directions")) throw DataError("sensor: found a dict without \"directions\", expected rays by the names of an npz");
+    const py::object directions = dict["directions"];
+    check_array(directions, "sensor: directions", py::dtype::of<float>(), {kAny, kAny, 3});
+    const auto array = py::reinterpret_borrow<py::array>(directions);
+    const Shape image{array.shape(0), array.shape(1)}, vectors{image[0], image[1], 3};
+    RayTable rays;
+    rays.rows = static_cast<int>(image[0]);
+    rays.columns = static_cast<int>(image[1]);
+    rays.direction = copied<float, glm::vec3>(directions, "sensor: directions", vectors);
+    const auto given = [&](const char* name) { return dict.contains(name) ? py::object(dict[name]) : py::object(); };
+    const std::size_t n = rays.size();
+    const py::object origin = given("origin"), time = given("time"), ring = given("ring");
+    rays.origin = origin ? copied<float, glm::vec3>(origin, "sensor: origin", vectors) : std::vector<glm::vec3>(n);
+    rays.time_offset_s = time ? copied<float, float>(time, "sensor: time", image) : std::vector<float>(n);
+    rays.channel = ring ? copied<std::uint16_t, std::uint16_t>(ring, "sensor: ring", image) : std::vector<std::uint16_t>(n);
+    check_rays(rays);
+    return rays;
+}
+
+}  // namespace
+
+SensorChoice sensor_of(const py::handle& sensor, const Run& run, int lidar) {
+    if (sensor.is_none()) return configured_sensor(run.config, run.sequence, lidar);
+    if (py::isinstance<py::str>(sensor)) return choose_sensor(sensor.cast<std::string>(), run.config, run.sequence, lidar);
+    if (!py::isinstance<py::dict>(sensor))
+        throw UsageError(
+            "sensor: found neither a name nor a dict of rays, expected one of relidar.sensors(), a CSV file or a dict with \"directions\"");
+    SensorChoice choice;
+    choice.rays = rays_of(py::reinterpret_borrow<py::dict>(sensor));
+    choice.limits = {run.config.dataset.min_range_m, run.config.dataset.max_range_m};
+    choice.name = "rays";
+    choice.lidar = lidar;
+    return choice;
+}
+
+py::dict to_dict(const RayTable& rays) {
+    const Shape image{rays.rows, rays.columns}, vectors{rays.rows, rays.columns, 3};
+    py::dict dict;
+    dict["directions"] = owned<float>(std::vector<glm::vec3>(rays.direction), vectors);
+    dict["origin"] = owned<float>(std::vector<glm::vec3>(rays.origin), vectors);
+    dict["time"] = owned<float>(std::vector<float>(rays.time_offset_s), image);
+    dict["ring"] = owned<std::uint16_t>(std::vector<std::uint16_t>(rays.channel), image);
+    return dict;
+}
+
+void add_sensors(py::module_& module) {
+    module.def("sensors", &sensor_names, "Names of the sensors that rays() and Run.render() know beside \"native\", the log's own.");
+    module.def(
+        "rays", [](const std::string& sensor) { return to_dict(make_rays(find_sensor(sensor))); }, py::arg("sensor"),
+        "Rays of one turn of a sensor, by name or CSV beam table (\"beams.csv:1024x10\").\n\n"
+        "Returns a dict: directions, origin [rows,columns,3] float32 (unit; metres; sensor frame), time [rows,columns] float32 (seconds "
+        "from the moment the head\n"
+        "faces forward), ring [rows,columns] uint16 (laser, 0 the highest). Such a dict, also one of your own, is a sensor for "
+        "Run.render().");
+}
+
+}  // namespace relidar::python

@@ -1,0 +1,153 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "sequence.hpp"
+
+#include <algorithm>
+#include <filesystem>
+
+#include <pybind11/stl.h>
+#include <pybind11/stl/filesystem.h>
+
+#include <fmt/format.h>
+
+#include <relidar/dataset.hpp>
+#include <relidar/error.hpp>
+#include <relidar/train.hpp>
+#include "arrays.hpp"
+#include "calls.hpp"
+#include "module.hpp"
+#include "poses.hpp"
+#include "sensors.hpp"
+
+namespace relidar::python {
+namespace {
+
+namespace fs = std::filesystem;
+
+Log load(const std::string& dataset, const std::optional<Config>& config, const Tell& progress) {
+    Log log{{}, config.value_or(make_preset("default"))};
+    log.config.dataset.path = absolute_dataset(dataset);
+    const py::gil_scoped_release others_run;
+    log.sequence = load_log(log.config, told_to(progress));
+    return log;
+}
+
+py::dict scan_of(const Log& log, int position) {
+    const std::vector<Frame>& frames = log.sequence.frames;
+    if (position < 0 || position >= static_cast<int>(frames.size()))
+        throw py::index_error(fmt::format("scan {}: the log has {} frames", position, frames.size()));
+    const Scan& scan = frames[static_cast<std::size_t>(position)].scan;
+    const Shape image{scan.rays.rows, scan.rays.columns};
+    py::dict dict = to_dict(scan.rays);
+    dict["range"] = owned<float>(std::vector<float>(scan.range_m), image);
+    dict["intensity"] = owned<float>(std::vector<float>(scan.intensity), image);
+    return dict;
+}
+
+std::vector<std::string> box_names(const Sequence& sequence) {
+    std::vector<std::string> names;
+    for (const BoxTrack& box : sequence.boxes) names.push_back(box.id);
+    return names;
+}
+
+void save_street(const fs::path& folder, std::uint64_t seed, int n_frames, int rows, int columns, bool people) {
+    SyntheticOptions options;
+    options.seed = seed;
+    options.n_frames = n_frames;
+    options.rows = rows;
+    options.columns = columns;
+    options.people = people;
+    save_synthetic(options, folder);
+}
+
+}  // namespace
+
+py::object times_of(const Sequence& sequence) {
+    std::vector<double> times;
+    for (const Frame& frame : sequence.frames) times.push_back(frame.time_s);
+    return owned<double>(std::move(times), {static_cast<py::ssize_t>(sequence.frames.size())});
+}
+
+py::object frame_numbers_of(const Sequence& sequence) {
+    std::vector<std::int32_t> numbers;
+    for (const Frame& frame : sequence.frames) numbers.push_back(frame.index);
+    return owned<std::int32_t>(std::move(numbers), {static_cast<py::ssize_t>(sequence.frames.size())});
+}
+
+py::object trajectory_of(const Sequence& sequence) {
+    return to_track(sequence.world_from_vehicle, sequence.world_offset_m);
+}
+
+py::object lidars_of(const Sequence& sequence) {
+    py::list names;
+    for (const Frame& frame : sequence.frames) names.append(sequence.lidar_of(frame).name);
+    return names;
+}
+
+py::object mountings_of(const Sequence& sequence) {
+    py::dict mountings;
+    for (const Lidar& lidar : sequence.lidars) mountings[py::str(lidar.name)] = to_matrix_array(lidar.vehicle_from_sensor);
+    return mountings;
+}
+
+py::object actors_of(const Sequence& sequence, const std::vector<std::string>& names) {
+    py::dict actors;
+    for (const BoxTrack& box : sequence.boxes)
+        if (std::find(names.begin(), names.end(), box.id) != names.end())
+            actors[py::str(box.id)] = to_track(box.world_from_box, sequence.world_offset_m);
+    return actors;
+}
+
+void add_sequence(py::module_& module) {
+    py::class_<Log>(module, "Sequence",
+                    "A LiDAR log: scans with their rays, poses of the sensor in time, tracked boxes. Made by load_sequence().")
+        .def(
+            "__len__", [](const Log& log) { return log.sequence.frames.size(); }, "Number of frames.")
+        .def_property_readonly("name", [](const Log& log) { return log.sequence.name; })
+        .def_property_readonly(
+            "notes", [](const Log& log) { return log.sequence.notes; }, "What the log lacks, a line each.")
+        .def_property_readonly(
+            "config", [](const Log& log) { return log.config; }, "A copy of the settings that it was read with.")
+        .def_property_readonly(
+            "times", [](const Log& log) { return times_of(log.sequence); }, "[frames] float64: seconds at which the head faces forward.")
+        .def_property_readonly(
+            "frame_numbers", [](const Log& log) { return frame_numbers_of(log.sequence); }, "[frames] int32: the dataset's own numbers.")
+        .def_property_readonly(
+            "frame_lidars", [](const Log& log) { return lidars_of(log.sequence); },
+            "[frames] names of the LiDARs that took the frames; empty where the log has one.")
+        .def_property_readonly(
+            "trajectory", [](const Log& log) { return trajectory_of(log.sequence); },
+            "(times [n], poses [n,4,4]) of the vehicle in the dataset's world, float64, metres: with one LiDAR those of the sensor.")
+        .def_property_readonly(
+            "mountings", [](const Log& log) { return mountings_of(log.sequence); },
+            "LiDARs by name: vehicle from sensor, [4,4] float64; identity where the log has one, whose name is empty.")
+        .def_property_readonly(
+            "boxes", [](const Log& log) { return actors_of(log.sequence, box_names(log.sequence)); },
+            "Labelled boxes by track: (times [n], poses [n,4,4]) of their centres in the dataset's world.")
+        .def(
+            "rays",
+            [](const Log& log, const std::string& lidar) {
+                return to_dict(make_rays(log.sequence.lidars[std::size_t(find_lidar(log.sequence, lidar))].sensor));
+            },
+            py::arg("lidar") = "", "Rays of a LiDAR of the log, as relidar.rays(). Empty name: the first.")
+        .def("scan", &scan_of, py::arg("position"),
+             "The scan of a frame: the arrays of relidar.rays(), range [rows,columns] float32 (metres along the ray, 0 where dropped) and "
+             "intensity.\n\n"
+             "position: 0 ... len(sequence) - 1");
+
+    module.def(
+        "load_sequence",
+        [](const py::object& dataset, const std::optional<Config>& config, const Tell& progress) {
+            return load(py::module_::import("os").attr("fspath")(dataset).cast<std::string>(), config, progress);
+        },
+        py::arg("dataset"), py::arg("config") = py::none(), py::arg("progress") = py::none(),
+        "Reads a log.\n\n"
+        "dataset: a path whose format is recognised, or \"kind:path\" with kind kitti_raw or synthetic\n"
+        "config: its dataset.* say which frames, poses and ranges; None: preset \"default\"\n"
+        "progress: called with what is done and its share, 0 to 1\n\n"
+        "Raises DataError naming the file and what is wrong with it.");
+    module.def("save_street", &save_street, py::arg("folder"), py::kw_only(), py::arg("seed") = 1, py::arg("n_frames") = 30,
+               py::arg("rows") = 32, py::arg("columns") = 512, py::arg("people") = false,
+               "Writes the synthetic street of `relidar demo` as a folder that load_sequence() reads.");
+}
+
+}  // namespace relidar::python

@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: Apache-2.0
+// A log as Python holds it: with the settings that it was read with, so that training knows them.
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+#include <relidar/config.hpp>
+#include <relidar/sequence.hpp>
+
+namespace relidar::python {
+
+struct Log {
+    Sequence sequence;
+    Config config;  ///< config.dataset and config.sensor.rolling_shutter are those of the log
+};
+
+/// Frames and poses of a log or of a run's log, the same for both.
+pybind11::object times_of(const Sequence& sequence);          ///< [frames] float64
+pybind11::object frame_numbers_of(const Sequence& sequence);  ///< [frames] int32
+pybind11::object lidars_of(const Sequence& sequence);         ///< [frames] names
+pybind11::object trajectory_of(const Sequence& sequence);     ///< (times, poses) of the vehicle, dataset's world
+pybind11::object mountings_of(const Sequence& sequence);      ///< dict of vehicle_from_sensor, by LiDAR
+pybind11::object actors_of(const Sequence& sequence, const std::vector<std::string>& names);  ///< dict of (times, poses) of box centres
+
+}  // namespace relidar::python

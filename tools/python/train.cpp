@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <filesystem>
+
+#include <pybind11/stl/filesystem.h>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include <relidar/stages/checkpoint.hpp>
+#include <relidar/train.hpp>
+#include "calls.hpp"
+#include "module.hpp"
+#include "run.hpp"
+#include "sequence.hpp"
+
+namespace relidar::python {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// Arguments of train() beside the log.
+struct Asked {
+    std::optional<Config> config;
+    std::optional<std::function<py::object(const TrainProgress&)>> callback;
+    std::optional<std::function<void(const std::string&)>> note;
+    std::optional<fs::path> checkpoints;
+    bool resume;
+    SharedDevice device;
+};
+
+/// The wanted settings; what the log was read with stays.
+Config config_of(const Log& log, const std::optional<Config>& wanted) {
+    Config config = wanted.value_or(log.config);
+    config.dataset = log.config.dataset;
+    if (wanted) config.dataset.test_every = wanted->dataset.test_every;
+    config.sensor.rolling_shutter = log.config.sensor.rolling_shutter;
+    return config;
+}
+
+std::optional<Checkpoint> find_start(const Asked& asked, const std::function<void(const std::string&)>& note) {
+    if (!asked.resume) return std::nullopt;
+    if (!asked.checkpoints) throw UsageError("train: found resume=True without checkpoints, expected the folder that holds them");
+    return load_newest_checkpoint(*asked.checkpoints, note);
+}
+
+TrainResult trained(OpenDevice& open, Run& run, const Asked& asked, PythonCalls& python) {
+    const auto note = [&](const std::string& line) {
+        python([&] {
+            if (asked.note) (*asked.note)(line);
+        });
+    };
+    const auto stop = [&] { return !python.go_on(); };
+    const std::optional<Checkpoint> start = find_start(asked, note);
+    const DeviceUse use(open);
+    prepare_log(run.sequence, run.split, run.config, {note, stop, [&](std::string_view, double) { (void)python.go_on(); }});
+    if (start) check_resumable(*start, run.sequence, run.split, run.config);
+    const auto report = [&](const TrainProgress& line) {
+        bool go_on = true;
+        return python([&] {
+                   if (asked.callback) go_on = !(*asked.callback)(line).is(py::bool_(false));
+               }) &&
+               go_on;
+    };
+    return train(open.device, run.sequence, run.split, run.config, report,
+                 {asked.checkpoints.value_or(""), start ? &*start : nullptr, stop, note, {}});
+}
+
+std::unique_ptr<LoadedRun> train_run(const Log& log, const Asked& asked) {
+    const Config config = config_of(log, asked.config);
+    Run run{{}, config, log.sequence, split_frames(log.sequence, config.dataset.test_every), {}};
+    const SharedDevice device = device_or_default(asked.device);
+    PythonCalls python;
+    TrainResult result;
+    try {
+        result = trained(*device, run, asked, python);
+    } catch (const Error&) {
+        python.raise_again();  // the library ended because Python wanted it to
+        throw;
+    }
+    python.raise_again();
+    take_result(run, result);
+    for (Frame& frame : run.sequence.frames) frame.scan = {};
+    return std::make_unique<LoadedRun>(std::move(run), device);
+}
+
+py::dict terms_of(const TrainProgress& line) {
+    py::dict terms;
+    for (std::size_t k = 0; k < line.terms.size(); ++k) terms[kLossTermNames[k]] = line.terms[k];
+    return terms;
+}
+
+}  // namespace
+
+void add_train(py::module_& module) {
+    py::class_<TrainProgress>(module, "TrainProgress", "One line of the log of a training.")
+        .def_readonly("iteration", &TrainProgress::iteration)
+        .def_readonly("n_iterations", &TrainProgress::n_iterations)
+        .def_readonly("seconds", &TrainProgress::seconds, "Since training started.")
+        .def_readonly("iterations_per_second", &TrainProgress::iterations_per_second)
+        .def_readonly("eta_s", &TrainProgress::eta_s)
+        .def_readonly("loss", &TrainProgress::loss, "Mean over the iterations since the last line.")
+        .def_property_readonly("terms", &terms_of, "Weighted terms of the loss by name.")
+        .def_readonly("n_surfels", &TrainProgress::n_surfels);
+    module.def(
+        "train",
+        [](const Log& sequence, std::optional<Config> config, std::optional<std::function<py::object(const TrainProgress&)>> callback,
+           std::optional<std::function<void(const std::string&)>> note, std::optional<fs::path> checkpoints, bool resume,
+           SharedDevice device) {
+            return train_run(sequence,
+                             {std::move(config), std::move(callback), std::move(note), std::move(checkpoints), resume, std::move(device)});
+        },
+        py::arg("sequence"), py::arg("config") = py::none(), py::kw_only(), py::arg("callback") = py::none(), py::arg("note") = py::none(),
+        py::arg("checkpoints") = py::none(), py::arg("resume") = false, py::arg("device") = py::none(),
+        "Trains a scene on the training frames of a log.\n\n"
+        "config: settings; dataset.* stay as the log was read, test_every excepted. None: those that the log was read with\n"
+        "callback: called with a TrainProgress every train.log_every iterations; returning False ends the training with the scene so far. "
+        "It may not use the same device\n"
+        "note: called with one line about each estimate and whatever goes wrong without ending the training\n"
+        "checkpoints: folder for what a training continues from; one is written where it stops early, by Ctrl-C too\n"
+        "resume: continue from the newest checkpoint there, where there is one\n\n"
+        "Returns a Run that is in memory alone: save() it. Raises KeyboardInterrupt on Ctrl-C, what the callback raises, DataError where "
+        "the log cannot be trained on.");
+}
+
+}  // namespace relidar::python
