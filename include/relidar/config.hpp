@@ -12,7 +12,6 @@
 
 #include <relidar/stages/densify.hpp>
 #include <relidar/stages/loss.hpp>
-#include <relidar/stages/optimizer.hpp>
 #include <relidar/scene.hpp>
 
 namespace relidar {

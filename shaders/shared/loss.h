@@ -31,6 +31,19 @@ struct ImageLossParams {
 
 #define RELIDAR_SSIM_FLOATS 5   // a pixel: derivatives by mean, variance (twice) and covariance over the sum of weights, both means
 
+/// Differences of ln(1 + range).
+struct LogRangeParams {
+    RenderedRays rendered;     // input [n_rays]
+    Targets targets;           // input
+    RayGradients upstream;     // accumulated [n_rays]
+    Floats terms;              // accumulated: a row
+    float weight;
+    uint n_rays;
+    uint first_ray;
+    uint ray_stride;
+    uint normalised_depth;     // 1: range D / W, 0: D
+};
+
 /// Structural similarity of the intensity image and its derivative: loss/ssim writes `statistics`, loss/ssim_vjp reads them.
 struct SsimParams {
     RenderedRays rendered;     // input [rows,columns]

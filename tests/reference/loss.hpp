@@ -35,6 +35,9 @@ struct LossTerms {
 LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, const LossWeights& weights, DepthKind kind,
                         std::vector<PixelGradient>* d_pixels = nullptr);
 
+/// Mean |ln(1 + r) - ln(1 + range)| over returned rays, r = D or D / W (left out where W = 0). @param d_pixels [n] as above
+double log_range_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, DepthKind kind, std::vector<PixelGradient>* d_pixels = nullptr);
+
 /// M6: beta from the two blended logits.
 double drop_probability(double hit_logit, double drop_logit);
 

@@ -24,10 +24,9 @@ double compare(const Rendering& image, const Scan& scan, RenderedGradients& d) {
         d.hit_logit[i] = -d.drop_logit[i];
         if (!returned || weight < 0.1f) continue;
         const float error = (image.depth[i] / weight - scan.range_m[i]) / 0.2f;   // range D / W
-        const float d_range = 2.0f * error / (1.0f + error * error) / 0.2f / float(n);
         loss += std::log1p(double(error) * double(error)) / double(n);
-        d.depth[i] = d_range / weight;
-        d.weight[i] = -d_range * image.depth[i] / (weight * weight);
+        d.depth[i] = 2.0f * error / (1.0f + error * error) / 0.2f / float(n) / weight;
+        d.weight[i] = -d.depth[i] * image.depth[i] / weight;
     }
     return loss;
 }
@@ -41,6 +40,7 @@ int main(int argc, char** argv) try {
     Device device;
     DifferentiableRenderer renderer(device, scene, ImageModel{});
     Adam adam(device, static_cast<std::uint32_t>(scene.surfels.size()), {});
+    RenderedGradients d;
     double first = 0.0, last = 0.0;
     for (int step = 1; step <= 40; ++step) {
         const Frame& frame = log.frames[std::size_t(split.train[std::size_t(step / 10) % split.train.size()])];   // ten steps a frame
@@ -50,12 +50,10 @@ int main(int argc, char** argv) try {
             rays.origin.push_back(glm::vec3(ray.origin_m)), rays.direction.push_back(glm::vec3(ray.direction));
         }
         renderer.place(place_instances(scene, log, frame.time_s), glm::vec3(way.at(frame.time_s).translation));
-        RenderedGradients d;
         last = compare(renderer.forward(rays), frame.scan, d);
         renderer.backward(d);
         adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels, &renderer.gradients().touched, {}, step, 3);
         if (step == 1) first = last;
-        if (step % 10 == 1) std::printf("step %2d  loss %.4f\n", step, last);
     }
     std::printf("loss %.4f -> %.4f\n", first, last);
     return last < first ? 0 : 1;

@@ -19,6 +19,7 @@
          "weight of the spread of a ray's hits, the sum over pairs of w_i w_j |t_i - t_j| in metres, mean over returned rays; 0: paper") \
     TERM(9u, normal, normal, 0.0f, at_least(0), \
          "weight of surfel normals disagreeing with those of the rendered range image, mean over returned rays; needs batches that are " \
-         "images (train.batch); 0: paper")
+         "images (train.batch); 0: paper") \
+    TERM(10u, log_range, log_range, 0.0f, at_least(0), "weight of |ln(1 + range)| differences on returned rays, ranges in metres; 0: paper")
 
 #endif

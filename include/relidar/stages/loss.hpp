@@ -156,6 +156,19 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
+/// |ln(1 + r) - ln(1 + measured range)| in metres, r = D / W or D (normalised_depth), mean over returned rays: near the sensor a difference
+/// in metres, far away a share of the range.
+class LogRangeLoss final : public Loss {
+public:
+    LogRangeLoss(Device& device, const LossWeights& weights);
+    ~LogRangeLoss() override;
+    void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets, const TermRow& terms) override;
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
 /// Terms of the parameters themselves, with mu the mean in the box frame, h the Model::half_size_m, s a standard deviation and sigma an opacity:
 ///   box      mean over actors' surfels of  sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)
 ///   entropy  mean over all surfels of  -sigma ln sigma - (1 - sigma) ln(1 - sigma)
