@@ -21,26 +21,23 @@ namespace fs = std::filesystem;
 
 /// A copy of a run with the edits so far.
 struct Edits {
-    Run run;  ///< but for what is in `driving`
-    DrivingScene driving;
+    Run run;
     SharedDevice device;
+    std::string origin;  ///< absolute path of the run that is edited; empty where it has none
 
-    explicit Edits(const LoadedRun& start) : run(start.run), driving{start.run.scene, start.run.sequence}, device(start.device) {}
+    explicit Edits(const LoadedRun& start) : run(start.run), device(start.device) {
+        if (!run.folder.empty()) origin = fs::absolute(run.folder).lexically_normal().string();
+        run.folder.clear();
+    }
 
     /// @param said  how the edit is told in scene.json
     Edits& apply(const std::string& said, const std::function<DrivingScene(DrivingScene)>& edit) {
-        driving = edit(driving);  // a copy: a refused edit leaves what was there
-        run.edits.push_back({run.folder.empty() ? "" : fs::absolute(run.folder).lexically_normal().string(), said});
+        run.replace(edit(run.driving()));  // of a copy: a refused edit leaves what was there
+        run.edits.push_back({origin, said});
         return *this;
     }
 
-    std::unique_ptr<LoadedRun> finished() const {
-        auto loaded = std::make_unique<LoadedRun>(run, device);
-        loaded->run.scene = driving.scene;
-        loaded->run.sequence = driving.sequence;
-        loaded->run.folder.clear();
-        return loaded;
-    }
+    std::unique_ptr<LoadedRun> finished() const { return std::make_unique<LoadedRun>(run, device); }
 };
 
 std::string text_of(const glm::dvec3& v) {
@@ -75,9 +72,7 @@ Edits& insert(Edits& edits, const LoadedRun& other, const std::string& track, co
     const Start start{pose_of(pose, "pose"), speed_mps};
     const std::string said =
         fmt::format("insert {}#{}@{}:{:.6g}", other.run.folder.string(), track, text_of(start.dataset_from_box.translation), speed_mps);
-    return edits.apply(said, [&](DrivingScene d) {
-        return insert_track(std::move(d), {other.run.scene, other.run.sequence}, track, start);
-    });
+    return edits.apply(said, [&](DrivingScene d) { return insert_track(std::move(d), other.run.driving(), track, start); });
 }
 
 std::unique_ptr<LoadedRun> save(const Edits& edits, const fs::path& folder, bool overwrite) {

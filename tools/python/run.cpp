@@ -136,37 +136,9 @@ constexpr const char* kRenderHelp =
     "deskewed, sensor, run, units; with render.normals normals [rows,columns,3].\n\n"
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for unknown names.";
 
-}  // namespace
-
-void save_to(Run& run, const fs::path& folder, bool overwrite) {
-    if (!overwrite && is_run(folder))
-        throw UsageError(fmt::format("{}: found a run there, expected a new folder; overwrite=True replaces it", folder.string()));
-    const fs::path before = std::exchange(run.folder, folder);
-    try {
-        save_run(run);
-    } catch (...) {
-        run.folder = before;
-        throw;
-    }
-}
-
-OnDevice<ScanRenderer>& LoadedRun::ready_renderer() {
-    if (renderer) return renderer;
-    device = device_or_default(device);
-    std::unique_ptr<ScanRenderer> made;
-    {
-        const DeviceUse use(*device);
-        made = std::make_unique<ScanRenderer>(device->device, run.scene, run.config, run.sequence);
-    }
-    OnDevice<ScanRenderer> fresh(device, std::move(made));
-    if (!renderer) renderer = std::move(fresh);  // another thread may have been faster
-    return renderer;
-}
-
-void add_run(py::module_& module) {
-    py::class_<LoadedRun>(module, "Run",
-                          "A trained scene with its log's sensor, poses and tracks: what `relidar train` writes. It does not change.")
-        .def_static("load", &load, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(), py::arg("device") = py::none(),
+/// What a run does.
+void add_calls(py::class_<LoadedRun>& type) {
+    type.def_static("load", &load, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(), py::arg("device") = py::none(),
                     "Reads a run folder.\n\n"
                     "settings: dict of settings other than the run's, such as {\"render.range\": \"median\"}\n"
                     "device: to render on; None: the default one\n\n"
@@ -192,8 +164,12 @@ void add_run(py::module_& module) {
             },
             py::arg("sensor") = py::none(), py::arg("lidar") = "", "Rays of a sensor as render() takes it.")
         .def("with_surfels", &with_surfels, py::arg("surfels"),
-             "The same run with other values of all surfels. Raises DataError for another number of them.")
-        .def_property_readonly(
+             "The same run with other values of all surfels. Raises DataError for another number of them.");
+}
+
+/// What a run holds.
+void add_properties(py::class_<LoadedRun>& type) {
+    type.def_property_readonly(
             "folder", [](const LoadedRun& run) { return run.run.folder.string(); }, "Where it was read or saved; empty where it never was.")
         .def_property_readonly(
             "config", [](const LoadedRun& run) { return run.run.config; }, "A copy of the settings.")
@@ -230,6 +206,40 @@ void add_run(py::module_& module) {
                 return edits;
             },
             "What was edited, oldest first.");
+}
+
+}  // namespace
+
+void save_to(Run& run, const fs::path& folder, bool overwrite) {
+    if (!overwrite && is_run(folder))
+        throw UsageError(fmt::format("{}: found a run there, expected a new folder; overwrite=True replaces it", folder.string()));
+    const fs::path before = std::exchange(run.folder, folder);
+    try {
+        save_run(run);
+    } catch (...) {
+        run.folder = before;
+        throw;
+    }
+}
+
+OnDevice<ScanRenderer>& LoadedRun::ready_renderer() {
+    if (renderer) return renderer;
+    device = device_or_default(device);
+    std::unique_ptr<ScanRenderer> made;
+    {
+        const DeviceUse use(*device);
+        made = std::make_unique<ScanRenderer>(device->device, run.scene, run.config, run.sequence);
+    }
+    OnDevice<ScanRenderer> fresh(device, std::move(made));
+    if (!renderer) renderer = std::move(fresh);  // another thread may have been faster
+    return renderer;
+}
+
+void add_run(py::module_& module) {
+    py::class_<LoadedRun> type(module, "Run",
+                               "A trained scene with its log's sensor, poses and tracks: what `relidar train` writes. It does not change.");
+    add_calls(type);
+    add_properties(type);
 }
 
 }  // namespace relidar::python
