@@ -63,7 +63,7 @@ inline constexpr int kLossTerms = kLossTermNames.size();
 /// Place of each term in a row of terms: loss_term::depth, ...
 namespace loss_term {
 #define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) inline constexpr std::size_t name = index;
-RELIDAR_LOSS_TERMS(RELIDAR_TERM)
+RELIDAR_LOSS_TERMS(RELIDAR_TERM)   // a constant each
 #undef RELIDAR_TERM
 }  // namespace loss_term
 
