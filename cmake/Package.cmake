@@ -50,8 +50,8 @@ set(CPACK_PACKAGE_DESCRIPTION
 new scans from it: from other places, for other sensors, with actors moved or
 removed. Compute shaders with ray queries, or with a tree walked in software.
 .
-This package holds the program, the static library with its headers, and what
-find_package(relidar) reads.")
+This package holds the program, the static library with its headers, what
+find_package(relidar) reads, and the Python module relidar.")
 set(CPACK_STRIP_FILES ON)
 set(CPACK_PRE_BUILD_SCRIPTS ${PROJECT_SOURCE_DIR}/cmake/debian/permissions.cmake)
 

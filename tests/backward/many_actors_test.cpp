@@ -4,6 +4,7 @@
 #include <numeric>
 #include <random>
 
+#include <relidar/stages/loss.hpp>
 #include <relidar/stages/optimizer.hpp>
 
 #include "passes.hpp"
@@ -160,12 +161,13 @@ TEST_F(ManyActors, AreLaunchedTogether) {
         add_rays(scene, 10, nullptr);
         Passes passes(device(), image_of(true), scene, std::vector<reference::PixelGradient>(scene.rays.size()), {.accel = {.proxy = Proxy::boxes}});
         passes.run();   // builds the tree, whose number of launches is the logarithm of its size
-        passes.stream.reset_times();
+        Stream& stream = passes.renderer.stream();
+        stream.reset_times();
         passes.run();
-        surfel_loss.run(passes.stream, passes.scene, {&passes.gradients.surfels, nullptr}, terms);
-        passes.stream.finish();
+        surfel_loss.regularise(stream, passes.renderer.scene(), {&passes.gradients().surfels, nullptr}, terms);
+        stream.finish();
         std::map<std::string, std::size_t> counts;
-        for (const auto& [kernel, times] : passes.stream.times().milliseconds) counts[kernel] = times.size();
+        for (const auto& [kernel, times] : stream.times().milliseconds) counts[kernel] = times.size();
         return counts;
     };
     EXPECT_EQ(launches(1000), launches(2));

@@ -4,6 +4,7 @@
 
 #include <set>
 
+#include <relidar/stages/accel.hpp>
 #include <relidar/stages/traversal.hpp>
 
 #include "../export/temporary_folder.hpp"

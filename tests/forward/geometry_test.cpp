@@ -68,9 +68,10 @@ TEST_F(Geometry, OfARenderer) {
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
     const test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
     for (const bool wanted : {true, false}) {
-        Renderer renderer(device(), placed.scene, settings.image, {}, {.geometry = wanted});
-        renderer.set_poses(placed.world_from_instance);
-        const Rendering found = renderer.trace(test::to_world_rays(scene.rays), glm::vec3(scene.view_origin));
+        Renderer renderer(device(), placed.scene, settings.image, {.trace = {.geometry = wanted}});
+        renderer.scene().set_poses(placed.world_from_instance);
+        renderer.place(glm::vec3(scene.view_origin));
+        const Rendering found = renderer.forward(test::to_world_rays(scene.rays));
         ASSERT_EQ(found.normal.size(), wanted ? scene.rays.size() : 0u);
         for (std::size_t i = 0; i < found.normal.size(); ++i) {
             const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
