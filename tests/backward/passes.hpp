@@ -26,7 +26,7 @@ struct Passes {
     Array<DeviceRay> rays;
     glm::vec3 view_origin;
 
-    /// @param g  of every ray, until a loss writes others
+    /// @param g  [>= rays] of every ray, until a loss writes others
     Passes(Device& device, const ImageModel& model, const RandomScene& s, const std::vector<reference::PixelGradient>& g,
            const RendererOptions& options, const BackwardOptions& sums = {})
         : placed(to_scene(to_surfels(s.world.surfels), s.world.instances)),
@@ -36,7 +36,8 @@ struct Passes {
         renderer.scene().set_poses(placed.world_from_instance);
         std::vector<shared::RayGradient> u;
         std::vector<shared::GeometryGradient> q;
-        for (const reference::PixelGradient& d : g) {
+        for (std::size_t i = 0; i < s.rays.size(); ++i) {
+            const reference::PixelGradient& d = g[i];
             u.push_back({.depth = float(d.depth),
                          .weight = float(d.weight),
                          .intensity = float(d.intensity),
