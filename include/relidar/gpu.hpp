@@ -57,7 +57,7 @@ struct PipelineStatistics {
 struct DeviceOptions {
     int index = -1;                              ///< of list_devices; -1 = the first GPU, one with ray query before others, else a CPU device
     Traversal traversal = Traversal::automatic;
-    bool validation = false;                     ///< Khronos validation layer; the same for all devices that a process has open at once
+    bool validation = false;                     ///< Khronos validation layer
     std::uint64_t memory_limit_bytes = 0;        ///< device-local memory it may hold, 0 = all there is
     /// Compile every kernel that is made, each distinct pipeline once, keep what the driver says of it (Device::pipelines), and run none:
     /// what is opened so is for looking at, and may be a driver without hardware.

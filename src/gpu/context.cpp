@@ -58,7 +58,7 @@ VkDebugUtilsMessengerCreateInfoEXT messenger_info(Instance* instance) {
 
 Instance::Instance(bool validation) {
     if (volkInitialize() != VK_SUCCESS)
-        throw DeviceError("opening Vulkan: found no Vulkan loader (libvulkan.so.1), expected one; tools/dev/setup installs it");
+        throw DeviceError("opening Vulkan: found no Vulkan loader (libvulkan.so.1), expected one");
     VkApplicationInfo app{VK_STRUCTURE_TYPE_APPLICATION_INFO};
     app.pApplicationName = "relidar";
     app.apiVersion = VK_API_VERSION_1_3;
@@ -76,16 +76,18 @@ Instance::Instance(bool validation) {
     }
     const VkResult result = vkCreateInstance(&info, nullptr, &handle);
     if (result == VK_ERROR_INCOMPATIBLE_DRIVER)
-        throw DeviceError("opening Vulkan: found a loader but no Vulkan driver, expected at least one (see VK_DRIVER_FILES); tools/dev/setup installs a software driver");
+        throw DeviceError("opening Vulkan: found a loader but no Vulkan driver, expected at least one (see VK_DRIVER_FILES), such as Mesa's software driver");
     if (result == VK_ERROR_LAYER_NOT_PRESENT)
         throw DeviceError("opening Vulkan: found no VK_LAYER_KHRONOS_validation, expected it because validation was asked for (package vulkan-validationlayers)");
     check(result, "vkCreateInstance");
     volkLoadInstance(handle);
-    if (validation) check(vkCreateDebugUtilsMessengerEXT(handle, &debug, nullptr, &messenger), "vkCreateDebugUtilsMessengerEXT");
+    if (!validation) return;
+    destroy_messenger = vkDestroyDebugUtilsMessengerEXT;
+    check(vkCreateDebugUtilsMessengerEXT(handle, &debug, nullptr, &messenger), "vkCreateDebugUtilsMessengerEXT");
 }
 
 Instance::~Instance() {
-    if (messenger) vkDestroyDebugUtilsMessengerEXT(handle, messenger, nullptr);
+    if (messenger) destroy_messenger(handle, messenger, nullptr);
     if (handle) vkDestroyInstance(handle, nullptr);
 }
 

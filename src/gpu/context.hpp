@@ -26,6 +26,7 @@ std::string result_name(VkResult result);
 struct Instance {
     VkInstance handle = VK_NULL_HANDLE;
     VkDebugUtilsMessengerEXT messenger = VK_NULL_HANDLE;
+    PFN_vkDestroyDebugUtilsMessengerEXT destroy_messenger = nullptr;   ///< of this instance: one opened later without the extension has none
     std::atomic<std::size_t> n_messages{0};
 
     explicit Instance(bool validation);

@@ -93,7 +93,7 @@ TEST_F(StreamTest, ReadbacksOutOfOrderAreBugs) {
 TEST_F(StreamTest, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
     if (const char* wanted = ::getenv("RELIDAR_VALIDATION"); !wanted || std::string(wanted) != "1") GTEST_SKIP() << "no validation layer asked for";
     ::setenv("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT", 1);
-    Device watched({.index = device().info().index});
+    Device watched({.index = device().info().index, .validation = true});
     ::unsetenv("VK_LAYER_ENABLES");
     const Array<std::uint32_t> a(watched, 100, "a"), b(watched, 100, "b"), c(watched, 100, "c");
     Stream stream(watched, true);

@@ -24,7 +24,8 @@ struct OwnElements {
     std::vector<std::string> members;
 };
 const OwnElements kOwnElements[] = {
-    {"accel/bvh_wide_scan", {"tiles"}}, {"loss/geometry_loss", {"upstream"}}, {"loss/surfel_loss", {"d_surfels.mean", "d_surfels.opacity_logit"}}};
+    {"accel/bvh_wide_scan", {"tiles"}}, {"loss/geometry_loss", {"upstream"}}, {"loss/log_range", {"upstream"}},
+    {"loss/surfel_loss", {"d_surfels.mean", "d_surfels.opacity_logit"}}};
 
 TEST(Exchange, NoKernelDoesSo) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {

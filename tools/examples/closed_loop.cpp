@@ -36,7 +36,7 @@ int main(int argc, char** argv) try {
     start.translation += run.sequence.world_offset_m;   // requests are in the dataset's world
     const auto ahead = [&](double metres, double up_m) { return start * Pose{{1, 0, 0, 0}, {metres, 0, up_m}}; };
     double ego_m = 0.0, ego_mps = 8.0, actor_m = 25.0, actor_mps = 8.0;
-    for (int step = 0; step < 60; ++step) {
+    for (int step = 0; step < 80; ++step) {
         const double t = step * kStep_s;
         const RenderedScan scan = renderer.render(sensor, {.time_s = t,
             .dataset_from_sensor = {{t, t + kStep_s}, {ahead(ego_m, 0), ahead(ego_m + ego_mps * kStep_s, 0)}},

@@ -56,7 +56,7 @@ struct LossWeights {
 };
 
 #define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) #name,
-inline constexpr std::array kLossTermNames{RELIDAR_LOSS_TERMS(RELIDAR_TERM)};
+inline constexpr std::array kLossTermNames{RELIDAR_LOSS_TERMS(RELIDAR_TERM)};   ///< in the order of their places
 #undef RELIDAR_TERM
 inline constexpr int kLossTerms = kLossTermNames.size();
 
