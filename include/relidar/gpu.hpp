@@ -62,7 +62,7 @@ struct DeviceOptions {
     /// Compile every kernel that is made, each distinct pipeline once, keep what the driver says of it (Device::pipelines), and run none:
     /// what is opened so is for looking at, and may be a driver without hardware.
     bool compile_only = false;
-    std::filesystem::path pipeline_cache;        ///< folder that keeps compiled pipelines from one process to the next; empty: compiled each time
+    std::filesystem::path pipeline_cache = {};   ///< folder that keeps compiled pipelines from one process to the next; empty: compiled each time
 };
 
 /// What a user's environment says, on top of the given options: RELIDAR_VALIDATION=1, RELIDAR_MEMORY_LIMIT_MIB=n (where no limit is given),

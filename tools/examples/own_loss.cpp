@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training with a loss of one's own: ranges by a robust loss that forgives outliers, log(1 + (error / 0.2 m)^2), and drops by cross-entropy.
-// relidar renders and differentiates, Adam steps.
+// Training with a loss of one's own: a robust one of ranges, log(1 + (error / 0.2 m)^2), and cross-entropy of drops.
 #include <cmath>
 #include <cstdio>
-#include <exception>
 
 #include <relidar/relidar.hpp>
 #include <relidar/stages/differentiable_renderer.hpp>
