@@ -295,6 +295,42 @@ range_limits() {
 }
 
 # x y z yaw of a track's start, as --copy takes it.
+# Largest difference between the numbers of two .bin scans.
+difference() { paste <(od -An -v -t f4 -w4 "$1") <(od -An -v -t f4 -w4 "$2") | awk 'NF != 2 { most = 1e9 } { d = $1 - $2; if (d < 0) d = -d; if (d > most) most = d } END { print most + 0 }'; }
+
+# Along the path of the log's own sensor, as it was exported, there are the log's own scans; every path and moment that makes no sense is refused.
+own_paths() {
+    good export run --out way.csv
+    says "12 poses"
+    good render run --out log --frames 5:6 --format bin
+    good render run --out along --trajectory way.csv --times 0.5:0.5:1 --format bin
+    check "the log's own path: other points than the log's own frame" awk "BEGIN { exit !($(difference log/frame_000005.bin along/frame_000000.bin) < 1e-3) }"
+    check "scans.json does not name the trajectory" grep -q '"trajectory": ".*way.csv"' along/scans.json
+    good render run --out twice_as_often --trajectory way.csv --rate 20 --format bin --offset 0,1,0 --quiet
+    check "11 turns at 20 Hz are not 23 scans" test "$(ls twice_as_often | grep -c bin)" = 23
+    { cat way.csv; echo "60,400,0,2,0"; } >beyond.csv
+    good render run --out after_the_log --trajectory beyond.csv --times 50:60:10 --format bin
+    check "nobody says that the log has no actors then" grep -q "2 of 2 scans are taken outside the log's .* no actor is there" err
+    check "nobody says how far from the log that is" grep -q "the trajectory goes [0-9]* m away from" err
+    printf '0,0,0,2,0\n' >one.csv
+    bad 3 "one.csv: found 1 poses, expected at least two" render run --out x --trajectory one.csv
+    printf '0,0,0,2,0\n1,nan,0,2,0\n' >nan.csv
+    bad 3 "nan.csv: line 2: x: found \"nan\"" render run --out x --trajectory nan.csv
+    printf '1,0,0,2,0\n0,1,0,2,0\n' >falling.csv
+    bad 3 "falling.csv: line 2: time_s: found 0 after 1, expected times that rise" render run --out x --trajectory falling.csv
+    bad 3 "none.csv" render run --out x --trajectory none.csv
+    bad 2 "rate and --times: found no --trajectory" render run --out x --rate 20
+    bad 2 "frames: found --trajectory too" render run --out x --trajectory way.csv --frames 1:2
+    bad 2 "rate: found --times too" render run --out x --trajectory way.csv --rate 5 --times 0:1:0.1
+    bad 2 "rate: found 0, expected scans a second above 0" render run --out x --trajectory way.csv --rate 0
+    bad 2 "at most 1e\+06" render run --out x --trajectory way.csv --rate 1e9
+    bad 2 "times: found \"0:1\", expected first:last:step" render run --out x --trajectory way.csv --times 0:1
+    bad 2 "times: found 0 to 50 s, expected times of the trajectory" render run --out x --trajectory way.csv --times 0:50:1
+    bad 2 "expected times that rise by a step above 0" render run --out x --trajectory way.csv --times 1:0:0.1
+    bad 2 "ends in .ply \(surfels\) or .csv" export run --out way.txt
+    absent x
+}
+
 start_of() { "$relidar" info "$1" | awk -v track="$2" '$1 == track { for (i = 1; i <= NF; i++) if ($i ~ /^[-0-9.]+,[-0-9.]+,[-0-9.]+,[-0-9.]+$/) print $i }'; }
 
 editing() {
@@ -577,6 +613,7 @@ if "$relidar" devices >out 2>err; then
     devices
     training
     rendering
+    own_paths
     editing
     wrong_edits
     lost_scans
