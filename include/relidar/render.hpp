@@ -65,12 +65,13 @@ SensorChoice choose_sensor(const std::string& name_or_file, const Config& config
 /// world, times in the log's (Frame::time_s).
 struct ScanRequest {
     double time_s = 0.0;            ///< when the head faces forward
-    PoseTrack dataset_from_sensor;  ///< also through the turn: with a rolling shutter each ray is fired from where the sensor is then. One pose: it stands
+    PoseTrack dataset_from_sensor;  ///< also through the turn: with a rolling shutter a ray is fired from where the sensor is then; one pose: it stands
     std::optional<ActorPoses> dataset_from_actor = {};   ///< of all actors that are there; not given: where the run's tracks have them at the time
 };
 
-/// Renders scans of a trained scene. A renderer serves one thread at a time; renderers of one device may not be used at once either. With ShDirection::surfel a model placed n times is held n times (own_models): each placement
-/// is lit from where the sensor stands to it; ShDirection::ray needs one copy alone.
+/// Renders scans of a trained scene. A renderer serves one thread at a time; renderers of one device may not be used at once either.
+/// With ShDirection::surfel a model placed n times is held n times (own_models): each placement is lit from where the sensor stands to it;
+/// ShDirection::ray needs one copy alone.
 class ScanRenderer {
 public:
     /// @throws UsageError for normals of 3D Gaussians, which have none

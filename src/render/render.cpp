@@ -54,13 +54,19 @@ bool is_in_range(const RangeLimits& limits, float range_m, float median_m) {
 
 /// @param thing  whose poses they are, for the message
 void check_track(const PoseTrack& track, const std::string& thing) {
-    const auto fail = [&](const std::string& found, const char* expected) { throw DataError(fmt::format("rendering a scan: poses of {}: found {}, expected {}", thing, found, expected)); };
-    if (track.pose.empty() || track.pose.size() != track.time_s.size()) fail(fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()), "as many of each, and one at least");
-    for (std::size_t i = 0; i < track.pose.size(); ++i) {
+    const auto fail = [&](const std::string& found, const char* expected) {
+        throw DataError(fmt::format("rendering a scan: poses of {}: found {}, expected {}", thing, found, expected));
+    };
+    const std::size_t n = track.pose.size();
+    if (n == 0 || n != track.time_s.size()) fail(fmt::format("{} poses at {} times", n, track.time_s.size()), "as many of each, and one at least");
+    for (std::size_t i = 0; i < n; ++i) {
         const auto& [q, t] = track.pose[i];
-        const bool is_pose = std::abs(glm::length(q) - 1.0) < 1e-3 && std::max({std::abs(t.x), std::abs(t.y), std::abs(t.z)}) <= kFarthest && std::abs(track.time_s[i]) <= kFarthest;
-        if (!is_pose || std::isnan(t.x + t.y + t.z)) fail(fmt::format("no finite pose at entry {}", i), "a unit quaternion, metres and seconds within 1e10");
-        if (i > 0 && !(track.time_s[i] > track.time_s[i - 1])) fail(fmt::format("time {} after {}", track.time_s[i], track.time_s[i - 1]), "times that rise");
+        bool is_pose = std::abs(glm::length(q) - 1.0) < 1e-3;
+        for (const double x : {t.x, t.y, t.z, track.time_s[i]}) is_pose = is_pose && std::abs(x) <= kFarthest;
+        if (!is_pose) fail(fmt::format("no finite pose at entry {}", i), "a unit quaternion, metres and seconds within 1e10");
+        if (i > 0 && !(track.time_s[i] > track.time_s[i - 1])) {
+            fail(fmt::format("time {} after {}", track.time_s[i], track.time_s[i - 1]), "times that rise");
+        }
     }
 }
 
@@ -98,7 +104,9 @@ struct ScanRenderer::Impl {
     std::vector<bool> shown;   ///< [instances]
 
     /// The vehicle is where it has to be for the sensor to be here.
-    void drive(PoseTrack world_from_sensor, int lidar) { turn.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(turn.lidars[std::size_t(lidar)].vehicle_from_sensor)); }
+    void drive(PoseTrack world_from_sensor, int lidar) {
+        turn.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(turn.lidars[std::size_t(lidar)].vehicle_from_sensor));
+    }
 };
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
@@ -119,7 +127,7 @@ const KernelTimes& ScanRenderer::times() const { return impl_->renderer.stream()
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset, std::optional<std::uint64_t> sample) {
     Impl& s = *impl_;
     s.turn.world_from_vehicle = s.log_world_from_vehicle;
-    if (sensor_offset.rotation != Pose{}.rotation || sensor_offset.translation != Pose{}.translation) s.drive(moved_track(s.turn.world_from_sensor(sensor.lidar), sensor_offset), sensor.lidar);
+    s.drive(moved_track(s.turn.world_from_sensor(sensor.lidar), sensor_offset), sensor.lidar);
     return take(sensor, time_s, place_instances(s.layout, s.turn, time_s, sensor.lidar), sample);
 }
 
@@ -131,7 +139,9 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
         for (Pose& pose : track.pose) pose.translation -= s.turn.world_offset_m;
         return track;
     };
-    if (!(std::abs(request.time_s) <= kFarthest)) throw DataError(fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s", request.time_s, kFarthest));
+    if (!(std::abs(request.time_s) <= kFarthest)) {
+        throw DataError(fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s", request.time_s, kFarthest));
+    }
     s.drive(in_world(request.dataset_from_sensor, "the sensor"), sensor.lidar);
     if (!request.dataset_from_actor) return take(sensor, request.time_s, place_instances(s.layout, s.turn, request.time_s, sensor.lidar), sample);
     ActorPoses world_from_actor;

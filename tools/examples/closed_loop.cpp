@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A simulator in a loop at 10 Hz: it moves its own car and an actor of the run, and brakes for what its simulated LiDAR sees. The car starts
-// where the log's did; the actor, which the log may have had anywhere, drives 25 m in front of it, and brakes after two seconds.
+// A simulator in a loop at 10 Hz: it moves its own car and an actor of the run, and brakes for what its simulated LiDAR sees. The car
+// starts where the log's did; the actor drives 25 m in front of it and brakes after two seconds.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>

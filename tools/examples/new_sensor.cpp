@@ -10,7 +10,7 @@ using namespace relidar;
 int main(int argc, char** argv) try {
     if (argc != 4) return std::fprintf(stderr, "usage: %s RUN TRAJECTORY.csv OUT\n", argv[0]), 2;
     Run run = load_run(argv[1]);
-    if (run.scene.instances.size() > 1) run.replace(remove_track(run.driving(), run.scene.instances[1].track));   // instance 0 is the background
+    if (run.scene.instances.size() > 1) run.replace(remove_track(run.driving(), run.scene.instances[1].track));   // 0 is the background
     const PoseTrack way = read_trajectory(argv[2]);
     const SensorChoice sensor = choose_sensor("OS1-64", run.config, run.sequence);
 
