@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The only place that reads the environment, and only where a program asks for it.
+// What the environment says of devices, read where a program asks for it.
 #include <relidar/gpu.hpp>
 
 #include <charconv>
