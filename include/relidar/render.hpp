@@ -36,6 +36,8 @@ struct RenderedScan {
     Pose world_from_firing(std::size_t ray) const;
 };
 
+/// [n] Ranges of the dominant surfaces of a scan; those of the image where a ray has none.
+std::vector<float> surface_ranges(const RenderedScan& scan);
 /// [n] Ranges of the points of a scan, by config.render.points: of the dominant surface, where a ray has one, or those of the image.
 std::vector<float> point_ranges(const RenderedScan& scan, const Config& config);
 

@@ -87,12 +87,15 @@ Pose RenderedScan::world_from_firing(std::size_t ray) const {
     return track.pose.empty() ? world_from_sensor : track.at(time_s + static_cast<double>(time_offset_s[ray]));
 }
 
-std::vector<float> point_ranges(const RenderedScan& scan, const Config& config) {
+std::vector<float> surface_ranges(const RenderedScan& scan) {
     std::vector<float> range_m = scan.image.range_m;
-    if (config.render.points != "median") return range_m;
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)
         if (scan.median_range_m[i] > 0.0f) range_m[i] = scan.median_range_m[i];
     return range_m;
+}
+
+std::vector<float> point_ranges(const RenderedScan& scan, const Config& config) {
+    return config.render.points == "median" ? surface_ranges(scan) : scan.image.range_m;
 }
 
 struct ScanRenderer::Impl {

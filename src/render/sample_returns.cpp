@@ -10,17 +10,6 @@
 #include "core/random.hpp"
 
 namespace relidar {
-namespace {
-
-/// Ranges of the dominant surfaces.
-std::vector<float> surface_ranges(const RenderedScan& scan) {
-    std::vector<float> ranges_m = scan.image.range_m;
-    for (std::size_t i = 0; i < ranges_m.size(); ++i)
-        if (scan.median_range_m[i] > 0.0f) ranges_m[i] = scan.median_range_m[i];
-    return ranges_m;
-}
-
-}  // namespace
 
 void sample_returns(RenderedScan& scan, const RangeNoise& noise, std::uint64_t seed) {
     const std::uint64_t of_scan = hash64(seed, std::bit_cast<std::uint64_t>(scan.time_s));

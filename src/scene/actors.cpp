@@ -143,11 +143,32 @@ std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& b
     return samples;
 }
 
+/// One turn of a LiDAR.
+struct Turn {
+    double time_s;
+    int lidar;
+};
+
 /// An actor at the moment the head of a LiDAR faces it, the one at which its only transform of the turn is taken.
-InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_box, double time_s, int lidar) {
-    const Pose world_from_sensor = sequence.world_from_vehicle.at(time_s, sequence.lidars[std::size_t(lidar)].vehicle_from_sensor);
-    const double facing_s = facing_time(sequence, inverse(world_from_sensor) * world_from_box.at(time_s).translation, time_s, lidar);
+InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_box, const Turn& turn) {
+    const Pose world_from_sensor = sequence.world_from_vehicle.at(turn.time_s, sequence.lidars[std::size_t(turn.lidar)].vehicle_from_sensor);
+    const double facing_s = facing_time(sequence, inverse(world_from_sensor) * world_from_box.at(turn.time_s).translation, turn.time_s, turn.lidar);
     return {world_from_box.at(facing_s), true, facing_s};
+}
+
+/// The background, and every actor on the track that `track_of` has for its name; absent where that is null.
+template <class TrackOf>
+std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence, const Turn& turn, const TrackOf& track_of) {
+    std::vector<InstancePose> placed;
+    for (const Instance& instance : scene.instances) {
+        if (instance.track.empty()) {
+            placed.push_back({});
+            continue;
+        }
+        const PoseTrack* track = track_of(instance.track);
+        placed.push_back(track ? facing_pose(sequence, *track, turn) : InstancePose{{}, false});
+    }
+    return placed;
 }
 
 }  // namespace
@@ -200,33 +221,27 @@ std::string names_of(const std::vector<BoxTrack>& boxes) {
 }
 
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, int lidar) {
-    std::unordered_map<std::string_view, const BoxTrack*> boxes;   // there may be a thousand
-    for (const BoxTrack& box : sequence.boxes) boxes.emplace(box.id, &box);
-    std::vector<InstancePose> placed;
-    for (const Instance& instance : scene.instances) {
-        const auto box = boxes.find(instance.track);
-        if (instance.track.empty()) placed.push_back({});
-        else if (box != boxes.end() && box->second->present(time_s)) placed.push_back(facing_pose(sequence, box->second->world_from_box, time_s, lidar));
-        else placed.push_back({{}, false});
-    }
-    return placed;
+    std::unordered_map<std::string_view, const PoseTrack*> tracks;   // there may be a thousand
+    for (const BoxTrack& box : sequence.boxes)
+        if (box.present(time_s)) tracks.emplace(box.id, &box.world_from_box);
+    return place_by(scene, sequence, {time_s, lidar}, [&](const std::string& name) {
+        const auto track = tracks.find(name);
+        return track == tracks.end() ? nullptr : track->second;
+    });
 }
 
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, const ActorPoses& world_from_actor, int lidar) {
     std::vector<std::string> tracks;
-    std::vector<InstancePose> placed;
-    for (const Instance& instance : scene.instances) {
-        const auto actor = world_from_actor.find(instance.track);
-        if (instance.track.empty()) placed.push_back({});
-        else if (actor != world_from_actor.end()) placed.push_back(facing_pose(sequence, actor->second, time_s, lidar));
-        else placed.push_back({{}, false});
+    for (const Instance& instance : scene.instances)
         if (!instance.track.empty()) tracks.push_back(instance.track);
-    }
     for (const auto& [track, poses] : world_from_actor)
         if (std::find(tracks.begin(), tracks.end(), track) == tracks.end())
             throw UsageError(fmt::format("placing actors: found a pose of \"{}\", expected a track of the scene{}", track,
                                          tracks.empty() ? ", which has no actor" : fmt::format("; did you mean \"{}\"?", nearest_name(track, tracks))));
-    return placed;
+    return place_by(scene, sequence, {time_s, lidar}, [&](const std::string& name) {
+        const auto track = world_from_actor.find(name);
+        return track == world_from_actor.end() ? nullptr : &track->second;
+    });
 }
 
 }  // namespace relidar

@@ -19,17 +19,16 @@ inline std::size_t trace_threads(const RayBatch& batch) {
     return (rows + 3) / 4 * ((std::size_t(batch.columns) + 7) / 8) * 32;
 }
 
-inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model,
-                                      Address<std::uint32_t> pass_cap_count) {
-    const AccelAddresses a = accel.addresses();
-    return {.tlas = a.tlas,
-            .proxy_reach = a.proxy_reach,
-            .bvh = a.bvh,
-            .rays = batch.rays->address(),
+/// What a kernel searches, without the rays.
+inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddresses& accel, const ImageModel& model) {
+    return {.tlas = accel.tlas,
+            .proxy_reach = accel.proxy_reach,
+            .bvh = accel.bvh,
+            .rays = {},
             .records = scene.records().address(),
             .instances = scene.instances().address(),
             .sh = scene.parameters().sh.address(),
-            .pass_cap_count = pass_cap_count,
+            .pass_cap_count = {},
             .visits = {},
             .near_m = model.near_m,
             .alpha_min = model.alpha_min,
@@ -37,10 +36,22 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& acc
             .transmittance_min = model.transmittance_min,
             .n_instances = static_cast<std::uint32_t>(scene.instances().size()),
             .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
-            .n_rays = batch.n_rays,
-            .first_ray = batch.first,
-            .ray_stride = batch.stride,
-            .columns = batch.columns};
+            .n_rays = 0,
+            .first_ray = 0,
+            .ray_stride = 1,
+            .columns = 0};
+}
+
+inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model,
+                                      Address<std::uint32_t> pass_cap_count) {
+    shared::TraceScene traced = trace_scene(scene, accel.addresses(), model);
+    traced.rays = batch.rays->address();
+    traced.pass_cap_count = pass_cap_count;
+    traced.n_rays = batch.n_rays;
+    traced.first_ray = batch.first;
+    traced.ray_stride = batch.stride;
+    traced.columns = batch.columns;
+    return traced;
 }
 
 /// Which build of a tracing kernel a device runs.

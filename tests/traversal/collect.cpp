@@ -8,28 +8,6 @@
 
 namespace relidar::test {
 
-shared::TraceScene to_trace_scene(const DeviceScene& scene, const ImageModel& model, const AccelAddresses& a) {
-    return {.tlas = a.tlas,
-            .proxy_reach = a.proxy_reach,
-            .bvh = a.bvh,
-            .rays = {},
-            .records = scene.records().address(),
-            .instances = scene.instances().address(),
-            .sh = scene.parameters().sh.address(),
-            .pass_cap_count = {},
-            .visits = {},
-            .near_m = model.near_m,
-            .alpha_min = model.alpha_min,
-            .alpha_max = model.alpha_max,
-            .transmittance_min = model.transmittance_min,
-            .n_instances = static_cast<std::uint32_t>(scene.instances().size()),
-            .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
-            .n_rays = 0,
-            .first_ray = 0,
-            .ray_stride = 1,
-            .columns = 0};
-}
-
 CollectedHits collect(Device& device, const std::string& kernel, const std::vector<Constant>& constants, shared::TraceScene scene, const WorldRays& rays, std::uint32_t max_hits) {
     const Kernel<shared::CollectHitsParams> collect_hits(device, kernel, constants);
     const std::size_t n = rays.size(), n_slots = n * max_hits;

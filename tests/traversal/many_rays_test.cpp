@@ -62,7 +62,7 @@ protected:
 
     CollectedHits collect(const DeviceScene& scene, const Accel& accel, const TraceOptions& options) {
         return test::collect(device(), "traversal/collect_hits" + traversal_variant(device(), options), trace_constants(device(), accel.proxy(), options, model_),
-                             test::to_trace_scene(scene, model_, accel.addresses()), case_.rays, 64);
+                             trace_scene(scene, accel.addresses(), model_), case_.rays, 64);
     }
 
     void expect_agreement(const DeviceScene& scene, const Accel& accel, const std::string& state) {

@@ -4,6 +4,7 @@
 #include "../support/host_bvh.hpp"
 #include "collect.hpp"
 #include "device_hits.hpp"
+#include "traversal/trace_scene.hpp"
 
 namespace relidar {
 namespace {
@@ -22,7 +23,7 @@ protected:
         scene.activate(stream, model, glm::vec3(0.0f));
         stream.finish();
         const test::HostBvh bvh(device(), scene);
-        const shared::TraceScene trace = test::to_trace_scene(scene, model, {.tlas = {}, .proxy_reach = {}, .bvh = bvh.pointers()});
+        const shared::TraceScene trace = trace_scene(scene, {.tlas = {}, .proxy_reach = {}, .bvh = bvh.pointers()}, model);
         const std::uint32_t gaussians = c.surfels.primitive() == Primitive::gaussian ? 1u : 0u;
         const std::vector<Constant> constants{{ConstantId::CHUNK, chunk}, {ConstantId::TOGETHER, packet}, {ConstantId::GAUSSIANS, gaussians}};
         return test::in_world(test::collect(device(), "traversal/collect_hits@software_bvh", constants, trace, c.rays, test::kMaxHits), placed);
