@@ -35,8 +35,8 @@ struct SensorConfig {
     std::string grid = "native";          ///< "native" or "kitti360": the image that is rendered and scored
     std::string grid_method = "project";  ///< "project": simulate the native scan and bin its points as the real ones were; "cast": rays through cell centres
     bool rolling_shutter = true;          ///< rays start where the sensor was when they were fired
-    bool calibrate_intensity = false;     ///< find gain and offset of each laser's intensity before training (see calibrate_intensity())
-    bool calibrate_range = false;         ///< find what each laser adds to its ranges before training (see calibrate_ranges())
+    bool calibrate_intensity = false;     ///< find gain and offset of each beam's intensity before training (see calibrate_intensity())
+    bool calibrate_range = false;         ///< find what each beam adds to its ranges before training (see calibrate_ranges())
 };
 
 struct TrainConfig {
@@ -84,7 +84,7 @@ struct RenderConfig {
 };
 
 struct EvalConfig {
-    std::string lpips_weights;          ///< safetensors file; empty = what RELIDAR_LPIPS_WEIGHTS names, or no LPIPS
+    std::string lpips_weights;          ///< safetensors file; empty = no LPIPS
 };
 
 struct TraceConfig {

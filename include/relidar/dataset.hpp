@@ -27,7 +27,7 @@ struct DatasetOptions {
     FrameRange frames;
     std::filesystem::path poses_file;   ///< 12 numbers a line, world_from_sensor of frame i on line i, in the dataset's world; empty = the dataset's own; kNoPoses
     bool allow_missing_scans = true;    ///< leave frames without a scan out; false: a missing scan is an error
-    bool rolling_shutter = true;        ///< false: take all rays of a turn as fired at its reference time
+    bool rolling_shutter = true;        ///< false: take all rays of a sweep as fired at its reference time
     double max_range_m = 80.0;          ///< returns beyond are treated as dropped
     double min_range_m = 0.0;           ///< and so are those nearer than this
     Progress progress = {};             ///< of reading
@@ -68,7 +68,7 @@ Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays
 /// A car on a street that has been edited: the shapes of one of the street's own cars, along a track of relidar's world.
 struct StreetCar {
     std::size_t shapes_of = 0;   ///< the street's car of BoxTrack::id "0", "1", ...
-    BoxTrack track;              ///< the car is there at the turns at whose reference time the track is present
+    BoxTrack track;              ///< the car is there at the sweeps at whose reference time the track is present
 };
 
 /// The same with these cars instead of the street's own: the exact answer for an edit.

@@ -64,8 +64,6 @@ BoxMotion find_baseline(const std::string& name);
 Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence, const Split& split,
                              const Progress& progress = {});
 
-/// The file with the weights of LPIPS: eval.lpips_weights, else what RELIDAR_LPIPS_WEIGHTS names, else none.
-std::string lpips_file(const Config& config);
 /// Reads the weights of LPIPS, where some are named, to notice a wrong file before the long work. @throws DataError as read_lpips_weights
 void check_lpips_weights(const Config& config);
 

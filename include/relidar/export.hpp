@@ -76,7 +76,7 @@ using FileNotes = std::vector<std::pair<std::string, std::string>>;
 struct PointCloud {
     std::vector<glm::vec3> position_m;                        ///< [n]
     std::vector<float> intensity;                             ///< [n] 0..1
-    std::optional<std::vector<std::uint16_t>> ring = {};      ///< [n] number of the laser, 0 = highest
+    std::optional<std::vector<std::uint16_t>> ring = {};      ///< [n] number of the beam, 0 = highest
     std::optional<std::vector<float>> time = {};              ///< [n] seconds from the scan's reference time
     std::optional<std::vector<std::int32_t>> instance = {};   ///< [n] whose surface, index into Scene::instances
     std::optional<std::vector<glm::vec3>> normal = {};        ///< [n] unit

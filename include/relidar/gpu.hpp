@@ -67,7 +67,7 @@ struct DeviceOptions {
 
 /// What a user's environment says, on top of the given options: RELIDAR_VALIDATION=1, RELIDAR_MEMORY_LIMIT_MIB=n (where no limit is given),
 /// RELIDAR_PIPELINE_CACHE=FOLDER (0: none; else $XDG_CACHE_HOME/relidar or $HOME/.cache/relidar). For programs that run on a user's machine;
-/// of the rest of the library only lpips_file() reads it. @throws UsageError for a limit that is no number
+/// nothing else in the library reads the environment. @throws UsageError for a limit that is no number
 DeviceOptions from_environment(DeviceOptions options = {});
 
 /// An open device. Everything made from it must be destroyed first.

@@ -31,6 +31,11 @@ struct RangeImage {
     std::vector<glm::vec3> direction;  ///< [rows*columns] unit, sensor frame
 };
 
+/// Drop probability from which a ray counts as dropped, in what is written and by default in what is scored strictly.
+inline constexpr float kDropThreshold = 0.5f;
+/// Whether a ray counts as returned: it met something, and returns more likely than not.
+inline bool returned(float drop_prob, float range_m) { return drop_prob < kDropThreshold && range_m > 0.0f; }
+
 /// Metric name -> value. Names carry protocol and unit: "peer/depth_rmse_m", "strict/cd_mean_m", "strict/drop_accuracy", ...
 using MetricRow = std::map<std::string, double>;
 
@@ -39,7 +44,7 @@ class Lpips;
 /// Which pixels count as returned in a rendering, and in what box ranges are compared.
 struct MetricOptions {
     double peer_drop_threshold = 0.4;
-    double strict_drop_threshold = 0.5;
+    double strict_drop_threshold = double(kDropThreshold);
     double max_range_m = 80.0;
     const Lpips* lpips = nullptr;   ///< nothing: peer/*_lpips is left out
 };
@@ -96,10 +101,10 @@ std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons, 
 /// What the baseline does with points in moving boxes.
 enum class BoxMotion { stay, follow };   // where the poses put them; or moved with their boxes, left out where the box is gone
 
-/// The trivial baseline: returns of the nearest earlier and later training frame, moved into another turn of the sensor, each
+/// The trivial baseline: returns of the nearest earlier and later training frame, moved into another sweep of the sensor, each
 /// as it would be seen when the head faces it. Not an image yet: one ray a point, from the sensor's origin.
 ///   p_sensor(t) = sensor_from_world(t) p_world,  t = facing_time(p_sensor)
-/// @param position      of the turn in sequence.frames; its own scan is not read
+/// @param position      of the sweep in sequence.frames; its own scan is not read
 /// @param train         positions of training frames, with their scans
 /// @param min_step_m    boxes that move more than this a frame are moving
 /// @throws DataError where there is no training frame

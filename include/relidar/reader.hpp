@@ -24,7 +24,7 @@ struct ScanPoints {
 
 /// Head angles at which a spinning LiDAR may fire: the ticks of its encoder, or even steps.
 struct HeadLattice {
-    int n_ticks = 0;         ///< a turn
+    int n_ticks = 0;         ///< a sweep
     double zero_rad = 0.0;   ///< azimuth of tick 0
 
     double tick_rad() const;
@@ -34,24 +34,24 @@ struct HeadLattice {
     double azimuth_of(int tick) const;
 };
 
-/// One turn: the lattice of a head and the ticks at which it fired, azimuth falling from +pi.
-struct Turn {
+/// One sweep: the lattice of a head and the ticks at which it fired, azimuth falling from +pi.
+struct Sweep {
     HeadLattice lattice;
     std::vector<int> firings;
 };
 
-/// A turn of even steps, sensor.columns of them, where the heads of the points (head_azimuth() of their beams) lie.
+/// A sweep of even steps, sensor.columns of them, where the heads of the points (head_azimuth() of their beams) lie.
 /// @param points  with rings
-Turn even_turn(const ScanPoints& points, const SpinningSensor& sensor);
+Sweep even_sweep(const ScanPoints& points, const SpinningSensor& sensor);
 
 /// The scan of a spinning LiDAR, a cell for every ray fired, image order as RayTable has it. Each point is put on the ray that took it: a
 /// return keeps its own direction, its ray starts at the beam's origin. A firing without a point becomes a dropped ray of the model. Points beyond
 /// sensor.max_range_m are dropped. Of two first returns for one ray the second goes to a free cell beside it, else the nearer is kept.
-/// A ray was fired when its point was measured, or the nearest firing of that turn; without times of points, when a head that faces forward
-/// at time 0 gets there. A turn with fewer firings than sensor.columns repeats some of them, returns included, rather than invent drops:
+/// A ray was fired when its point was measured, or the nearest firing of that sweep; without times of points, when a head that faces forward
+/// at time 0 gets there. A sweep with fewer firings than sensor.columns repeats some of them, returns included, rather than invent drops:
 /// first where firings are missing, then at its end.
 /// @param points  with rings @throws UsageError where the points have no rings, or one of no beam, or arrays of different lengths
-Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const Turn& turn);
+Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const Sweep& sweep);
 
 /// The scan of a LiDAR without image order: a ray from the sensor's origin to each point, in the given order, rows = 1. Which rays were
 /// dropped is not known. Further returns of a ray follow its first one in the list. @throws as spinning_scan, but rings are not needed

@@ -51,7 +51,7 @@ struct SensorChoice {
     RayTable rays;
     std::optional<RangeGrid> grid;   ///< bin the simulated points into this grid afterwards
     bool is_own = false;             ///< a LiDAR of the log: its sensor-level ray-drop applies
-    std::vector<Beam> beams = {};    ///< of the rays' channels, for what their lasers add to ranges and make of intensities; none: they measure what is there
+    std::vector<Beam> beams = {};    ///< of the rays' channels, what these add to ranges and make of intensities; none: they measure what is there
     RangeLimits limits = {};         ///< of measured ranges
     std::string name = "";
     int lidar = 0;                   ///< of the log, which it is or in whose place it stands
@@ -67,7 +67,7 @@ SensorChoice choose_sensor(const std::string& name_or_file, const Config& config
 /// world, times in the log's (Frame::time_s).
 struct ScanRequest {
     double time_s = 0.0;            ///< when the head faces forward
-    PoseTrack dataset_from_sensor;  ///< also through the turn: with a rolling shutter a ray is fired from where the sensor is then; one pose: it stands
+    PoseTrack dataset_from_sensor;  ///< also through the sweep: with a rolling shutter a ray is fired from where the sensor is then; one pose: it stands
     std::optional<ActorPoses> dataset_from_actor = {};   ///< of all actors that are there; not given: where the run's tracks have them at the time
 };
 

@@ -69,7 +69,7 @@ struct Scene {
     Surfels surfels;
     std::vector<Model> models;
     std::vector<Instance> instances;
-    DropTable sensor_drop;   ///< of the log's own LiDARs, a row a laser (Sequence::laser_number); empty where it was not estimated
+    DropTable sensor_drop;   ///< of the log's own LiDARs, a row a beam (Sequence::beam_number); empty where it was not estimated
 };
 
 /// A scene and the log whose box tracks place its instances; an instance has the name of its track. Scans are not looked at.

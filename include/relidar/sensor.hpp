@@ -29,7 +29,7 @@ struct RayTable {
     std::size_t size() const { return direction.size(); }
 };
 
-/// One laser of a spinning LiDAR. The ray of a head at azimuth `theta` (counter-clockwise) points along elevation_rad,
+/// One beam of a spinning LiDAR. The ray of a head at azimuth `theta` (counter-clockwise) points along elevation_rad,
 /// azimuth theta + azimuth_offset_rad, and starts at
 ///   R_z(theta) * (origin_offset_m, 0, 0)
 ///   + R_z(theta + azimuth_offset_rad) * (-origin_up_m * sin(elevation), origin_left_m, origin_up_m * cos(elevation))
@@ -43,7 +43,7 @@ struct Beam {
     double intensity_offset = 0.0;
     double range_offset_m = 0.0;
 
-    /// What the laser measures of a surface and back (src/sensor/laser.cpp):
+    /// What the beam measures of a surface and back (src/sensor/beam.cpp):
     ///   measured range = range of the surface + range_offset,
     ///   measured intensity = gain * fall * intensity of the surface + offset, cut to 0..1
     /// A range of 0, no return, stays 0. The two directions are inverse where nothing is cut.
@@ -54,8 +54,8 @@ struct Beam {
     double surface_intensity(double measured, double fall) const;
 };
 
-/// The laser of a channel; one that measures what is there where there is no such laser.
-const Beam& laser_of(const std::vector<Beam>& beams, std::size_t channel);
+/// The beam of a channel; one that measures what is there where there is no such beam.
+const Beam& beam_of(const std::vector<Beam>& beams, std::size_t channel);
 
 /// Ranges at which a sensor sees anything. A ray whose range lies outside is dropped.
 struct RangeLimits {
@@ -67,12 +67,12 @@ struct RangeLimits {
 /// What lies within both.
 RangeLimits overlap(const RangeLimits& a, const RangeLimits& b);
 
-/// A spinning LiDAR: its beams, the number of azimuth steps a turn, and the turn itself.
+/// A spinning LiDAR: its beams, the number of azimuth steps a sweep, and the sweep itself.
 struct SpinningSensor {
     std::string name;
     std::vector<Beam> beams;           ///< highest first
-    int columns = 0;                   ///< azimuth steps a turn
-    double period_s = 0.1;             ///< time of one turn; 0: it does not turn
+    int columns = 0;                   ///< azimuth steps a sweep
+    double period_s = 0.1;             ///< time of one sweep; 0: it does not turn
     bool clockwise = true;             ///< seen from above
     double first_azimuth_rad = 0.0;    ///< azimuth of the centre of column 0 (pi - pi/columns: bins centred on half steps)
     double min_range_m = 0.0;
@@ -98,11 +98,11 @@ double head_azimuth(const Beam& beam, const glm::dvec3& point_m);
 /// firing (j + shift) mod columns, shift = azimuth_offset in columns, rounded.
 int column_shift(const Beam& beam, int columns);
 
-/// Rays of one turn. Time 0 is the moment the head faces forward (azimuth 0); a clockwise head reaches azimuth a at
+/// Rays of one sweep. Time 0 is the moment the head faces forward (azimuth 0); a clockwise head reaches azimuth a at
 /// -a / (2 pi) * period.
 /// @throws UsageError where the sensor has no beams, no columns, more than kMaxRays rays, a non-finite value or no range between its limits
 RayTable make_rays(const SpinningSensor& sensor);
-inline constexpr std::size_t kMaxRays = std::size_t(1) << 24;   ///< of one turn: 128 beams at 0.003 degrees; 500 MB as rays and their scan
+inline constexpr std::size_t kMaxRays = std::size_t(1) << 24;   ///< of one sweep: 128 beams at 0.003 degrees; 500 MB as rays and their scan
 
 /// Sensor-level ray-drop (paper section 3.5): what a sensor never sees whatever stands there, such as the body of its own vehicle, as
 /// a probability a beam and azimuth bin. Independent of the scene: P(drop) = 1 - (1 - scene's) (1 - sensor's).
@@ -132,7 +132,7 @@ struct RangeGrid {
 /// The KITTI-360 convention of published results: 66 x 1030, +2.0 ... -24.9 degrees, 80 m.
 RangeGrid kitti360_grid();
 
-/// Rays through the pixel centres of a grid, starting at the sensor origin; clockwise, 0.1 s a turn.
+/// Rays through the pixel centres of a grid, starting at the sensor origin; clockwise, 0.1 s a sweep.
 RayTable make_rays(const RangeGrid& grid);
 
 /// Nearest pixel of a point, the forward half of the sensor model (Eq. 6-7).
@@ -168,8 +168,8 @@ inline constexpr const char* kBeamTableHelp =
     "  origin_up_m          at right angles to the beam, upwards,\n"
     "  origin_left_m        and to its left\n"
     "  min_range_m, max_range_m   of the sensor, the same in every line (default: 0, 80)\n"
-    "  channel              the maker's number of the laser; not used\n"
-    "Columns left out are 0; any other column is an error. FILE.csv:1024x10 is 1024 columns a turn at 10 Hz (default: 1800x10).";
+    "  channel              the maker's number of the beam; not used\n"
+    "Columns left out are 0; any other column is an error. FILE.csv:1024x10 is 1024 columns a sweep at 10 Hz (default: 1800x10).";
 
 /// Names find_sensor knows.
 std::vector<std::string> sensor_names();

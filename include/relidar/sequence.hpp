@@ -39,7 +39,7 @@ struct FurtherReturn {
     std::vector<float> intensity;    ///< [n] 0..1; 0 where there is none
 };
 
-/// One measured (or simulated) turn: its rays and what came back along each.
+/// One measured (or simulated) sweep: its rays and what came back along each.
 struct Scan {
     RayTable rays;                   ///< a returned ray carries its own direction and origin
     std::vector<float> range_m;      ///< [n] of the strongest return, along the ray from its origin; 0 = dropped
@@ -54,9 +54,9 @@ struct Scan {
 /// Drops the rays of a scan whose range lies outside the limits, and their further returns that do.
 void drop_outside(Scan& scan, const RangeLimits& limits);
 
-/// One turn of one LiDAR of the log.
+/// One sweep of one LiDAR of the log.
 struct Frame {
-    int index = 0;          ///< the dataset's own frame number; LiDARs that turn together share it
+    int index = 0;          ///< the dataset's own frame number; LiDARs that sweep together share it
     double time_s = 0.0;    ///< reference time: the head faces forward
     Scan scan;
     int lidar = 0;          ///< in Sequence::lidars
@@ -85,7 +85,7 @@ struct BoxTrack {
     /// Whether the thing stands still as far as labels and poses can tell: its positions, averaged over a second (half of a shorter track), stay
     /// within 0.2 m of the first, or within 2 m at less than 0.5 m/s, since a log's poses drift while a parked car is seen.
     bool is_parked() const;
-    /// Whether the box was observed at a time, or half a mean step beside it: a turn takes that long to either side of its label.
+    /// Whether the box was observed at a time, or half a mean step beside it: a sweep takes that long to either side of its label.
     bool present(double t_s) const;
     /// Where the box is while it is present, and for beyond_s before its first and after its last observation where the mean velocity of
     /// its first or last second would take it. Nothing farther out.
@@ -94,8 +94,8 @@ struct BoxTrack {
     bool holds(const glm::dvec3& point_m, double t_s, double margin_m) const;
 };
 
-/// How the intensities of a log's lasers fall alike with range and incidence:
-///   measured by the mean laser = albedo * at_range(range) * at_cosine(cos),   1 at 10 m and square incidence
+/// How the intensities of a log's beams fall alike with range and incidence:
+///   measured by the mean beam = albedo * at_range(range) * at_cosine(cos),   1 at 10 m and square incidence
 struct IntensityResponse {
     std::vector<double> range_m;   ///< knots, ascending; none: 1 at every range
     std::vector<double> factor;    ///< [knots], linear between them
@@ -134,9 +134,9 @@ struct Sequence {
     /// Poses of a LiDAR: those of the vehicle, at the same times, with its mounting.
     PoseTrack world_from_sensor(int lidar) const;
     /// Beams of all LiDARs.
-    std::size_t count_lasers() const;
-    /// Number of a laser where those of all LiDARs are counted through, in the order of `lidars`; nothing where the LiDAR has no such beam.
-    std::optional<std::uint16_t> laser_number(int lidar, std::uint16_t channel) const;
+    std::size_t count_beams() const;
+    /// Number of a beam where those of all LiDARs are counted through, in the order of `lidars`; nothing where the LiDAR has no such beam.
+    std::optional<std::uint16_t> beam_number(int lidar, std::uint16_t channel) const;
 };
 
 /// Position of a LiDAR in Sequence::lidars, by its name; the first for an empty one. @throws UsageError for a name that none has
@@ -144,6 +144,9 @@ int find_lidar(const Sequence& sequence, const std::string& name);
 
 /// Poses of something that rides along. @param sensor_from_moved in the frame of what `track` has the poses of
 PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved);
+/// The same poses in a world whose origin lies elsewhere. @param by_m  what is added to every place: Sequence::world_offset_m from relidar's
+/// world to the dataset's, minus it back
+PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m);
 
 /// Gives the vehicle other poses at the same times. Boxes go along: they were labelled on the scans, so each stays where it was as seen
 /// from the vehicle at its label's time.
@@ -157,24 +160,24 @@ struct WorldRay {
 
 /// Where a ray of a frame starts and points, the sensor pose interpolated to the ray's own firing time where the
 /// sequence has a rolling shutter.
-/// @param time_s        reference time of the turn
+/// @param time_s        reference time of the sweep
 /// @param ray           index into rays
 WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter);
 
-/// When the head of a LiDAR faces a point: the moment of the turn at which a static or moving thing there is seen.
-/// @param point_m [3] metres, sensor frame @param time_s reference time of the turn
+/// When the head of a LiDAR faces a point: the moment of the sweep at which a static or moving thing there is seen.
+/// @param point_m [3] metres, sensor frame @param time_s reference time of the sweep
 /// @return time_s itself without a rolling shutter
 double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s, int lidar = 0);
 
 /// What a ray returned from. The angle of incidence is left in the intensity.
 struct SurfaceReturn {
-    float range_m;     ///< the offset of its laser taken off; 0 where the ray was dropped
-    float intensity;   ///< as the mean laser would measure it from 10 m away
+    float range_m;     ///< the offset of its beam taken off; 0 where the ray was dropped
+    float intensity;   ///< as the mean beam would measure it from 10 m away
 };
 /// @param ray  index of a ray of the frame
 SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray);
 
-/// The end point of a returned ray in the world, range offset and intensity response of its laser taken off, and when it was seen.
+/// The end point of a returned ray in the world, range offset and intensity response of its beam taken off, and when it was seen.
 struct WorldReturn {
     glm::dvec3 point_m;
     glm::dvec3 direction;
@@ -186,15 +189,15 @@ WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size
 
 /// Whether a world point lies in any box that moves more than min_step_m a frame, each box grown by margin_m, at time t_s.
 /// Boxes are interpolated in time; they are absent before their first and after their last observation, half a step
-/// between observations allowed, for the rays of the turn in which they were labelled.
+/// between observations allowed, for the rays of the sweep in which they were labelled.
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m);
 
-/// How well lasers agree on planes that several of them have seen.
+/// How well beams agree on planes that several of them have seen.
 struct LaserCalibration {
     std::size_t returns = 0;    ///< that were compared
     double rms_before = 0.0;    ///< of points about their plane, metres
-    double rms_after = 0.0;     ///< with an offset for each laser
-    bool adopted = false;       ///< whether the lasers have them now
+    double rms_after = 0.0;     ///< with an offset for each beam
+    bool adopted = false;       ///< whether the beams have them now
 };
 /// What was found of intensities.
 struct IntensityCalibration {
@@ -202,23 +205,23 @@ struct IntensityCalibration {
     double rms_before = 0.0;    ///< of intensities about the mean of their place
     double rms_after = 0.0;     ///< with what was adopted
     bool shared = false;        ///< whether the log has an IntensityResponse now
-    bool lasers = false;        ///< whether the lasers have gains and offsets now
+    bool beams = false;        ///< whether the beams have gains and offsets now
 };
-/// Finds how intensities fall with range and incidence (Sequence::intensity_response), and gain and offset of each laser (Beam), from returns of
+/// Finds how intensities fall with range and incidence (Sequence::intensity_response), and gain and offset of each beam (Beam), from returns of
 /// the given frames that fall into the same 0.1 m of a surface, by least squares. Of the two, and of both together, only what brings
-/// the error down by 5 % more is adopted: lasers that agree have no gains, intensities that the sensor has compensated no fall. The mean laser
+/// the error down by 5 % more is adopted: beams that agree have no gains, intensities that the sensor has compensated no fall. The mean beam
 /// has gain 1 and offset 0, and so has one that shares no place. (Not in the paper.)
 /// @param positions  of the frames to look at, in Sequence::frames
 IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions);
-/// Measures how ranges scatter (Sequence::range_noise), from second differences between neighbouring firings of a laser, in the given frames:
+/// Measures how ranges scatter (Sequence::range_noise), from second differences between neighbouring firings of a beam, in the given frames:
 /// scans need the order of an image. Where a bin has seen fewer than 200 returns its neighbour's value stands. (Not in the paper.)
 /// @param positions  of the frames to look at, in Sequence::frames @return returns that were looked at; 0: nothing was measured
 std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& positions);
-/// Finds what each laser adds to its ranges (Beam) from returns on the same planes, cells of 0.3 m, by alternating least squares from the
-/// nominal ranges; offsets of all lasers average 0, and are 0 where they make the planes less than 3 % thinner. Datasets keep offsets of centimetres between lasers. (Not in the paper.)
+/// Finds what each beam adds to its ranges (Beam) from returns on the same planes, cells of 0.3 m, by alternating least squares from the
+/// nominal ranges; offsets of all beams average 0, and are 0 where they make the planes less than 3 % thinner. Datasets keep offsets of centimetres between beams. (Not in the paper.)
 LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions);
 
-/// Frames for training and for testing. Every `test_every`-th turn is held out, the first one excepted, with the frames of all LiDARs that
+/// Frames for training and for testing. Every `test_every`-th sweep is held out, the first one excepted, with the frames of all LiDARs that
 /// share its index (frames 10, 20, ... of 0:50 with test_every = 10).
 struct Split {
     std::vector<int> train;   ///< positions in Sequence::frames

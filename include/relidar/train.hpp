@@ -37,7 +37,7 @@ struct TrainProgress {
 
 /// Poses as training corrected them (train.refine_poses). prepare_log() has registered them before: it places a held-out scan by its own points on the
 /// planes of the training scans; nothing else of training looks at it. What gradients then add at a held-out pose comes from what the
-/// neighbouring turns see that were fired between, or, without a rolling shutter, from the corrections before and after, interpolated.
+/// neighbouring sweeps see that were fired between, or, without a rolling shutter, from the corrections before and after, interpolated.
 /// Where the sensor was registered, all boxes went along; gradients leave them where refine_poses names no actors.
 struct RefinedPoses {
     PoseTrack world_from_vehicle;
@@ -78,7 +78,7 @@ struct PrepareSession {
 };
 
 /// Estimates what the log does not say and training needs from the start, in this order, as the settings ask: poses of the sensor
-/// (train.refine_poses with train.pose_register), offsets and responses of its lasers (sensor.calibrate_range, sensor.calibrate_intensity),
+/// (train.refine_poses with train.pose_register), offsets and responses of its beams (sensor.calibrate_range, sensor.calibrate_intensity),
 /// tracks of what moves without a label (init.discover_actors). From training frames alone, but for the poses of held-out ones; the same for
 /// the same log and settings, so that a resumed training prepares its log anew.
 /// @throws Error with exit code 130 where stopped; DataError where more than 5 % of the scans do not find their place among the others and

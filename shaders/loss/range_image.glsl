@@ -22,7 +22,7 @@ float image_range(uint i) {
 /// Whether pixel i, which returned, renders a surface too.
 bool is_surface(uint i) { return returned(i) && params.rendered.at[i].weight > kLeastWeight && image_range(i) > 0.0; }
 
-/// Pixel one row or column from pixel i, or kNoPixel outside the image. Columns wrap around where it is a whole turn.
+/// Pixel one row or column from pixel i, or kNoPixel outside the image. Columns wrap around where it is a whole sweep.
 uint pixel_at(uint i, int row_offset, int column_offset) {
     int columns = int(params.columns);
     int row = int(i / params.columns) + row_offset, column = int(i % params.columns) + column_offset;

@@ -50,8 +50,8 @@ void visit_sensor(C& c, Visitor&& f) {
     f("sensor.grid", c.sensor.grid, one_of({"native", "kitti360"}), "image that is rendered and scored: the sensor's own, or the KITTI-360 grid (66 x 1030)");
     f("sensor.grid_method", c.sensor.grid_method, one_of({"project", "cast"}), "grid images: simulate the native scan and bin its points, or cast rays through the cell centres");
     f("sensor.rolling_shutter", c.sensor.rolling_shutter, anything(), "rays start where the sensor was when they were fired");
-    f("sensor.calibrate_intensity", c.sensor.calibrate_intensity, anything(), "find gain and offset of each laser's intensity from the training scans: surfaces have one brightness, lasers differ");
-    f("sensor.calibrate_range", c.sensor.calibrate_range, anything(), "find what each laser adds to its ranges from the training scans: centimetres, that differ between lasers");
+    f("sensor.calibrate_intensity", c.sensor.calibrate_intensity, anything(), "find gain and offset of each beam's intensity from the training scans: surfaces have one brightness, beams differ");
+    f("sensor.calibrate_range", c.sensor.calibrate_range, anything(), "find what each beam adds to its ranges from the training scans: centimetres, that differ between beams");
 }
 
 template <class C, class Visitor>
@@ -165,7 +165,7 @@ void visit(C& c, Visitor&& f) {
     f("render.range", c.render.range, one_of({"expected", "normalised", "median"}), "range of a ray in range images: D (paper), D / W, or where the transmittance crosses 0.5");
     f("render.normals", c.render.normals, anything(), "unit normals of the surfaces that rays meet: normals of npz, normal of exr, nx ny nz of ply, normal_x ... of pcd");
     f("render.points", c.render.points, one_of({"median", "range"}), "points of point clouds lie where the transmittance crosses 0.5, on the dominant surface, or at render.range, which has points between two surfaces");
-    f("eval.lpips_weights", c.eval.lpips_weights, anything(), "safetensors file with the weights of LPIPS (AlexNet, v0.1); empty: the file that RELIDAR_LPIPS_WEIGHTS names, or no LPIPS");
+    f("eval.lpips_weights", c.eval.lpips_weights, anything(), "safetensors file with the weights of LPIPS (AlexNet, v0.1); empty: no LPIPS, unless RELIDAR_LPIPS_WEIGHTS names them to the command line");
     f("trace.chunk", c.trace.chunk, between(1, 64), "hits sorted at a time");
     f("trace.proxy", c.trace.proxy, one_of({"automatic", "triangles", "boxes"}), "what stands for a surfel in the driver's acceleration structure (ray query)");
     f("trace.walk", c.trace.walk, one_of({"automatic", "lane", "subgroup"}), "rays walk the tree each on its own or by subgroups (software traversal)");

@@ -39,7 +39,7 @@ Config released() {
 Config standard() {
     Config config;
     config.preset = "default";
-    config.sensor.calibrate_intensity = true;          // lasers of an HDL-64E differ more than surfaces: the same places differ by 0.092 on KITTI's, 0.077 with it
+    config.sensor.calibrate_intensity = true;          // beams of an HDL-64E differ more than surfaces: the same places differ by 0.092 on KITTI's, 0.077 with it
     config.sensor.calibrate_range = true;              // up to 6 cm on KITTI's HDL-64E, more than all other errors
     config.init.voxel_m = 0.1;                         // silhouettes: surfels overhang an edge by about their size
     config.init.voxel_growth = 0.006;                  // about the distance of neighbouring rays

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits the firing lattice: (1) tick and left offset of each laser, where the phases of its azimuths agree best,
+// Fits the firing lattice: (1) tick and left offset of each beam, where the phases of its azimuths agree best,
 //   max over tick, left of | mean exp(2 pi i (azimuth - asin(left / rho)) / tick) |,
-// (2) the whole-tick offset of each laser, where its ticks agree best with those of the others.
+// (2) the whole-tick offset of each beam, where its ticks agree best with those of the others.
 #include "dataset/firing_lattice.hpp"
 
 #include <algorithm>
@@ -15,11 +15,11 @@
 namespace relidar::kitti {
 namespace {
 
-constexpr int kEncoderTicks = 4000;      // a turn of an HDL-64E: 0.09 degrees, found in KITTI's logs (2011_09_26_drive_0005)
+constexpr int kEncoderTicks = 4000;      // a sweep of an HDL-64E: 0.09 degrees, found in KITTI's logs (2011_09_26_drive_0005)
 constexpr double kMaxOffset_rad = 0.35;  // HDL-64E calibrations reach 0.16 rad to either side
 constexpr int kMinLasers = 4;            // returns of one firing that make it a firing: stray points come alone
 
-/// Azimuth and inverse distance from the axis of the points of one laser.
+/// Azimuth and inverse distance from the axis of the points of one beam.
 struct Polar {
     std::vector<double> azimuth_rad, inverse_rho;
 };
@@ -47,7 +47,7 @@ std::complex<double> mean_phase(const Polar& polar, double tick_rad, double left
     return n > 0 ? sum / static_cast<double>(n) : sum;
 }
 
-/// Left offset and phase of one laser for a given tick; concentration 1 = all azimuths on the lattice.
+/// Left offset and phase of one beam for a given tick; concentration 1 = all azimuths on the lattice.
 struct Phase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
@@ -103,7 +103,7 @@ Phases find_phases(const std::array<Polar, kRings>& polar, double tick_rad) {
     return phases;
 }
 
-/// Steps a turn, from the mean of the short azimuth steps between neighbours in file order.
+/// Steps a sweep, from the mean of the short azimuth steps between neighbours in file order.
 int mean_steps(const std::vector<const RawScan*>& scans) {
     std::vector<double> steps;
     for (const RawScan* scan : scans) {
@@ -124,19 +124,19 @@ int mean_steps(const std::vector<const RawScan*>& scans) {
     return std::max(static_cast<int>(std::lround(2.0 * kPi * n / sum)), 1);
 }
 
-using Ticks = std::vector<std::vector<int>>;  ///< of each laser in one scan, before whole-tick offsets
+using Ticks = std::vector<std::vector<int>>;  ///< of each beam in one scan, before whole-tick offsets
 
 Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
     Ticks ticks(kRings);
     for (std::size_t i = 0; i < scan.points.size(); ++i) {
         const std::size_t k = scan.ring[i];
-        const Beam laser{.azimuth_offset_rad = lattice.offset_rad[k], .origin_left_m = lattice.left_m[k]};
-        ticks[k].push_back(lattice.head.tick(head_azimuth(laser, glm::dvec3(scan.points[i]))));
+        const Beam beam{.azimuth_offset_rad = lattice.offset_rad[k], .origin_left_m = lattice.left_m[k]};
+        ticks[k].push_back(lattice.head.tick(head_azimuth(beam, glm::dvec3(scan.points[i]))));
     }
     return ticks;
 }
 
-/// For each scan, the ticks at which enough lasers, moved by their offsets, have a return.
+/// For each scan, the ticks at which enough beams, moved by their offsets, have a return.
 std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std::vector<int>& shift, int n_ticks, int at_least) {
     std::vector<std::vector<char>> pattern;
     for (const Ticks& scan : ticks) {
@@ -150,7 +150,7 @@ std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std:
     return pattern;
 }
 
-/// Whole-tick offset of one laser: where most of its ticks fall on the pattern. 0, or the offset nearest to it, wins ties.
+/// Whole-tick offset of one beam: where most of its ticks fall on the pattern. 0, or the offset nearest to it, wins ties.
 int best_shift(const std::vector<Ticks>& ticks, std::size_t ring, const std::vector<std::vector<char>>& pattern, int n_ticks, int reach) {
     std::size_t n = 0;
     for (const Ticks& scan : ticks) n += scan[ring].size();
@@ -187,7 +187,7 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
     }
     std::vector<int> shift(kRings, 0);
     auto pattern = fired(reference, shift, n_ticks, 1);
-    for (int pass = 0; pass < 2; ++pass) {  // against the fullest laser, then against all
+    for (int pass = 0; pass < 2; ++pass) {  // against the fullest beam, then against all
         run_parallel(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] = best_shift(ticks, static_cast<std::size_t>(k), pattern, n_ticks, reach);
         });
@@ -196,7 +196,7 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
     return shift;
 }
 
-/// Moves the mean of the lasers' offsets into the zero of the head, so that the head faces where its lasers do.
+/// Moves the mean of the beams' offsets into the zero of the head, so that the head faces where its beams do.
 void centre(FiringLattice& lattice) {
     const double mean = std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
     for (double& offset : lattice.offset_rad) offset -= mean;

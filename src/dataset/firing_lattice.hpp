@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// When an HDL-64E fired. All 64 lasers fire together, about 2152 times a turn, and the head angle of a firing is read from
-// an encoder with 0.09 degree ticks. So the azimuth of a point of laser k is
+// When an HDL-64E fired. All 64 beams fire together, about 2152 times a sweep, and the head angle of a firing is read from
+// an encoder with 0.09 degree ticks. So the azimuth of a point of beam k is
 //   azimuth = head + offset_k + asin(left_k / rho),   head = tick * n + constant
-// with the same set of ticks for all lasers of a turn. From that the log tells each laser's azimuth offset and left offset,
-// and the firings of a turn: a firing without a point is a dropped return.
+// with the same set of ticks for all beams of a sweep. From that the log tells each beam's azimuth offset and left offset,
+// and the firings of a sweep: a firing without a point is a dropped return.
 #pragma once
 
 #include <array>
@@ -15,7 +15,7 @@
 
 namespace relidar::kitti {
 
-/// The lattice of head angles and every laser's place in it.
+/// The lattice of head angles and every beam's place in it.
 struct FiringLattice {
     HeadLattice head;
     bool every_tick = false;                  ///< fires at every tick (no encoder ticks were found)
@@ -29,7 +29,7 @@ struct FiringLattice {
 /// Finds the lattice in a few scans. Where azimuths follow none (a resampled log), the steps are even and offsets 0.
 FiringLattice fit_lattice(const std::vector<const RawScan*>& scans);
 
-/// Ticks at which the head fired in this turn, in order of time (clockwise, azimuth falling from +pi).
+/// Ticks at which the head fired in this sweep, in order of time (clockwise, azimuth falling from +pi).
 std::vector<int> find_firings(const RawScan& scan, const FiringLattice& lattice);
 
 }  // namespace relidar::kitti

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Rings of an HDL-64E from the order of the file, and their cones z = z0 + rho * tan(elevation) by least squares. The lens
-// of each block of 32 lasers lies off the sensor's origin, so elevations seen from the origin would depend on range.
+// of each block of 32 beams lies off the sensor's origin, so elevations seen from the origin would depend on range.
 #include "dataset/hdl64_rings.hpp"
 
 #include <algorithm>
@@ -80,7 +80,7 @@ double slope_at_height(const std::vector<Sample>& samples, const BlockLine& line
     return tan_el;
 }
 
-/// Completes rings that could not be fitted, from the lasers of their block of 32 that could.
+/// Completes rings that could not be fitted, from the beams of their block of 32 that could.
 void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samples, const std::string& where) {
     for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
         std::vector<std::size_t> good;
@@ -88,7 +88,7 @@ void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samp
             if (cones[k].n > 0) good.push_back(k);
         }
         if (good.size() < 2) {
-            throw DataError(where + ": fewer than two lasers of a block of 32 have enough returns, expected an HDL-64E log");
+            throw DataError(where + ": fewer than two beams of a block of 32 have enough returns, expected an HDL-64E log");
         }
         const BlockLine line = fit_block(cones, good);
         for (std::size_t k = first; k < first + kRings / 2; ++k) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which of the 64 lasers took each point of a KITTI scan, and the cone every laser sweeps:
+// Which of the 64 beams took each point of a KITTI scan, and the cone every beam sweeps:
 //   z = z0 + rho * tan(elevation),  rho = hypot(x, y)
 #pragma once
 
@@ -14,14 +14,14 @@ namespace relidar::kitti {
 
 constexpr int kRings = 64;
 
-/// A scan in file order and the laser of each point, 0 = highest.
+/// A scan in file order and the beam of each point, 0 = highest.
 struct RawScan {
     std::vector<glm::vec4> points;  ///< x, y, z (metres, sensor frame), reflectance
     std::vector<std::uint8_t> ring;
     int n_rings = 0;  ///< runs of points found in the file, 64 in a whole scan
 };
 
-/// Cone of one laser.
+/// Cone of one beam.
 struct Cone {
     double z0_m = 0.0;  ///< height at which the beam crosses the spin axis
     double tan_el = 0.0;
@@ -37,7 +37,7 @@ RawScan split_rings(std::vector<glm::vec4> points);
 /// @throws DataError where no scan has 64 rings
 Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& where);
 
-/// Puts right what file order cannot tell: a scan in which a laser returned nothing, and points rounded to azimuth 0, which
+/// Puts right what file order cannot tell: a scan in which a beam returned nothing, and points rounded to azimuth 0, which
 /// end their ring and yet seem to start the next one.
 void correct_rings(RawScan& scan, const Cones& cones);
 

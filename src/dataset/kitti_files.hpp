@@ -30,7 +30,7 @@ std::string describe_stranger(const std::filesystem::path& folder, const std::st
 /// @throws DataError for a line that is no time, a frame without one, or times that do not rise
 std::vector<double> read_times(const std::filesystem::path& file, const std::vector<int>& frames);
 
-/// Median time of one turn from timestamps_start.txt and timestamps_end.txt, over the lines that both have.
+/// Median time of one sweep from timestamps_start.txt and timestamps_end.txt, over the lines that both have.
 double read_period(const std::filesystem::path& drive);
 
 /// Rigid transform with the keys R (9 numbers, row-major) and T (3).

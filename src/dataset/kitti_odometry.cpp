@@ -9,7 +9,7 @@
 #include <relidar/reader.hpp>
 #include "core/files.hpp"
 #include "dataset/kitti_files.hpp"
-#include "dataset/kitti_turns.hpp"
+#include "dataset/kitti_sweeps.hpp"
 
 namespace relidar {
 namespace {
@@ -73,7 +73,7 @@ Sequence load_kitti_odometry(const fs::path& given, const DatasetOptions& option
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], poses[i]);
     recentre(sequence);
-    kitti::read_turns(sequence, folder / "velodyne", 6, options.progress);
+    kitti::read_sweeps(sequence, folder / "velodyne", 6, options.progress);
     return sequence;
 }
 

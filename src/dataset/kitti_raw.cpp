@@ -8,7 +8,7 @@
 #include <relidar/reader.hpp>
 #include "core/files.hpp"
 #include "dataset/kitti_files.hpp"
-#include "dataset/kitti_turns.hpp"
+#include "dataset/kitti_sweeps.hpp"
 
 namespace relidar {
 namespace {
@@ -55,7 +55,7 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     sequence.source = folder.string();
     sequence.conventions = fmt::format(
         "sensor x forward, y left, z up; metres; time = head faces forward, seconds after the log's first "
-        "turn; {}; scans not motion-compensated; boxes in the front camera's view only",
+        "sweep; {}; scans not motion-compensated; boxes in the front camera's view only",
         describe_poses(options.poses_file));
     sequence.notes = take_notes(drive, frames, options);
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;
@@ -65,7 +65,7 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], poses.time_s[i], poses.pose[i]);
     recentre(sequence);
     sequence.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, sequence.world_from_vehicle);
-    read_turns(sequence, drive / "velodyne_points/data", 10, options.progress);
+    read_sweeps(sequence, drive / "velodyne_points/data", 10, options.progress);
     return sequence;
 }
 

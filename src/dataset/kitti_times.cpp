@@ -74,15 +74,15 @@ std::vector<double> read_times(const fs::path& file, const std::vector<int>& fra
 double read_period(const fs::path& drive) {
     const fs::path file = drive / "velodyne_points/timestamps_end.txt";
     const auto start = parse_timestamps(drive / "velodyne_points/timestamps_start.txt"), end = parse_timestamps(file);
-    std::vector<double> turn;
+    std::vector<double> lasts_s;
     for (std::size_t i = 0; i < std::min(start.size(), end.size()); ++i) {
-        if (start[i] && end[i]) turn.push_back(static_cast<double>(*end[i] - *start[i]) * 1e-9);
+        if (start[i] && end[i]) lasts_s.push_back(static_cast<double>(*end[i] - *start[i]) * 1e-9);
     }
-    if (turn.empty()) throw DataError(fmt::format("{}: no line with a time here and in timestamps_start.txt, expected one a turn", file.string()));
-    std::nth_element(turn.begin(), turn.begin() + static_cast<std::ptrdiff_t>(turn.size() / 2), turn.end());
-    const double period_s = turn[turn.size() / 2];
+    if (lasts_s.empty()) throw DataError(fmt::format("{}: no line with a time here and in timestamps_start.txt, expected one a sweep", file.string()));
+    std::nth_element(lasts_s.begin(), lasts_s.begin() + static_cast<std::ptrdiff_t>(lasts_s.size() / 2), lasts_s.end());
+    const double period_s = lasts_s[lasts_s.size() / 2];
     if (!(period_s > 0.01 && period_s < 1.0)) {
-        throw DataError(fmt::format("{}: a turn lasts {} s from start to end, expected 0.01 ... 1 s", file.string(), period_s));
+        throw DataError(fmt::format("{}: a sweep lasts {} s from start to end, expected 0.01 ... 1 s", file.string(), period_s));
     }
     return period_s;
 }

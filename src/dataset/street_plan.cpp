@@ -89,7 +89,7 @@ void add_parked_cars(Street& street, Random& random, double y_m, bool glazed) {
     }
 }
 
-/// Cars side by side behind posts as wide as the gaps between them, a wall behind: of each car a moving sensor sees another part every turn.
+/// Cars side by side behind posts as wide as the gaps between them, a wall behind: of each car a moving sensor sees another part every sweep.
 void add_yard(Street& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
     for (double x = kYardBegin_m; x < kYardEnd_m; x += random.uniform(0.4, 1.2))

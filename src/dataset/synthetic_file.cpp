@@ -39,7 +39,7 @@ void take_poses(Sequence& sequence, const fs::path& poses_file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
     if (poses_file != kNoPoses) {
         track.pose = kitti::read_pose_file(poses_file, frames);
-        for (Pose& pose : track.pose) pose.translation -= sequence.world_offset_m;
+        track = shifted_track(std::move(track), -sequence.world_offset_m);
     }
     set_vehicle_poses(sequence, std::move(track));
     sequence.conventions += poses_file == kNoPoses ? "; but no poses: the sensor is at the origin in every frame" : "; but poses from " + poses_file.string();

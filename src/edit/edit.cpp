@@ -154,9 +154,7 @@ DrivingScene retime_track(DrivingScene driving, const std::string& track, double
 DrivingScene replace_trajectory(DrivingScene driving, const std::string& track, const PoseTrack& dataset_from_box) {
     BoxTrack& box = box_of(driving, track);
     check_trajectory(dataset_from_box, track);
-    PoseTrack in_world = dataset_from_box;
-    for (Pose& pose : in_world.pose) pose.translation -= driving.sequence.world_offset_m;
-    box.world_from_box = refined(in_world, std::max(driving.sequence.lidars[0].sensor.period_s, 1e-3));
+    box.world_from_box = refined(shifted_track(dataset_from_box, -driving.sequence.world_offset_m), std::max(driving.sequence.lidars[0].sensor.period_s, 1e-3));
     return driving;
 }
 

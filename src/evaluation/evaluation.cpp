@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
 #include <functional>
 #include <memory>
 #include <numeric>
@@ -74,7 +73,7 @@ RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const S
 
 /// LPIPS where there are weights.
 std::unique_ptr<Lpips> load_lpips(const Config& config) {
-    const std::string file = lpips_file(config);
+    const std::string& file = config.eval.lpips_weights;
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
 }
 
@@ -164,12 +163,6 @@ Evaluation evaluate_baseline(const std::string& name, const Config& config, cons
 
 void check_lpips_weights(const Config& config) {
     load_lpips(config);
-}
-
-std::string lpips_file(const Config& config) {
-    if (!config.eval.lpips_weights.empty()) return config.eval.lpips_weights;
-    const char* named = std::getenv("RELIDAR_LPIPS_WEIGHTS");
-    return named ? named : "";
 }
 
 MetricRow mean_times(const KernelTimes& times) {

@@ -8,7 +8,6 @@ namespace {
 
 constexpr double kNowMargin_m = 0.3;  // labels fit loosely: what is just outside the box belongs to it
 constexpr double kGround_m = 0.3;
-constexpr float kDropThreshold = 0.5f;
 
 /// A moving box with every place it has been labelled at.
 struct Swept {
@@ -42,10 +41,10 @@ bool is_swept(const Swept& s, const glm::dvec3& point_m) {
     });
 }
 
-double share(const RangeImage& image, const Sequence& sequence, const std::vector<Swept>& swept, const Turn& seen) {
+double share(const RangeImage& image, const Sequence& sequence, const std::vector<Swept>& swept, const Sweep& seen) {
     double n_points = 0.0, n_tail = 0.0;
     for (std::size_t i = 0; i < image.range_m.size(); ++i) {
-        if (!(image.range_m[i] > 0.0f) || !(image.drop_prob[i] < kDropThreshold)) continue;
+        if (!returned(image.drop_prob[i], image.range_m[i])) continue;
         n_points += 1.0;
         const glm::dvec3 in_sensor(image.origin[i] + image.range_m[i] * image.direction[i]);
         const double t_s = facing_time(sequence, in_sensor, seen.time_s, seen.lidar);
@@ -60,7 +59,7 @@ double share(const RangeImage& image, const Sequence& sequence, const std::vecto
 
 }  // namespace
 
-MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence, const Turn& seen, double min_step_m) {
+MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence, const Sweep& seen, double min_step_m) {
     const std::vector<Swept> swept = swept_boxes(sequence, min_step_m);
     if (swept.empty()) return {};
     return {{"actors/tail_share", share(rendered, sequence, swept, seen)}, {"actors/tail_share_real", share(real, sequence, swept, seen)}};

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // What a physical device offers against what relidar needs, with every missing extension and feature named at once.
 #include <algorithm>
+#include <cstdio>
 #include <cstring>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -83,6 +85,13 @@ bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
     return sizes.minSubgroupSize == sizes.maxSubgroupSize || (optional.subgroup_size && optional.full_subgroups);
 }
 
+/// Lavapipe before 24.1 cannot compile our kernels on every processor: its code generator ends the process (docs/platform.md).
+bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
+    int major = 0, minor = 0;
+    return driver.driverID == VK_DRIVER_ID_MESA_LLVMPIPE && std::sscanf(driver.driverInfo, "Mesa %d.%d", &major, &minor) == 2 &&
+           std::pair(major, minor) < std::pair(24, 1);
+}
+
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup, const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional) {
     const auto operations = [&](VkSubgroupFeatureFlags wanted) { return (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & wanted) == wanted; };
@@ -129,6 +138,7 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
 
     Missing base;
     base.need(is_13, "Vulkan 1.3");
+    base.need(!is_old_lavapipe(driver), "a lavapipe of Mesa 24.1 or newer");
     base.need(v12.bufferDeviceAddress, "bufferDeviceAddress");
     base.need(v12.scalarBlockLayout, "scalarBlockLayout");
     base.need(v12.timelineSemaphore, "timelineSemaphore");

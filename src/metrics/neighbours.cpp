@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The baseline a rendering has to beat: the two neighbouring real scans, moved by the poses into the turn in question and binned
+// The baseline a rendering has to beat: the two neighbouring real scans, moved by the poses into the sweep in question and binned
 // into its image. It knows no surfaces and fills no holes, but where the sensor hardly moved it is nearly the truth.
 #include <relidar/metrics.hpp>
 
@@ -38,8 +38,8 @@ const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dv
     return it == moving.end() ? nullptr : *it;
 }
 
-/// A world point as the LiDAR of a frame sees it in that turn: in the sensor's frame at the moment its head faces the point.
-glm::dvec3 seen_in_turn(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
+/// A world point as the LiDAR of a frame sees it in that sweep: in the sensor's frame at the moment its head faces the point.
+glm::dvec3 seen_in_sweep(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const double facing_s = facing_time(sequence, inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m, frame.time_s, frame.lidar);
     return inverse(sequence.world_from_vehicle.at(facing_s, mounted)) * world_m;
@@ -104,7 +104,7 @@ struct Beams {
 }  // namespace
 
 Scan neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train, BoxMotion boxes, double min_step_m) {
-    const Frame& turn = sequence.frames.at(std::size_t(position));
+    const Frame& sweep = sequence.frames.at(std::size_t(position));
     std::vector<const BoxTrack*> moving;
     for (const BoxTrack& box : sequence.boxes)
         if (boxes == BoxMotion::follow && box.mean_step_m() > min_step_m) moving.push_back(&box);
@@ -117,11 +117,11 @@ Scan neighbour_points(const Sequence& sequence, int position, const std::vector<
             w.point_m += double(frame.scan.range_m[ray] - surface_return(sequence, frame, ray).range_m) * w.direction;   // as it was measured
             glm::dvec3 world_m = w.point_m;
             if (const BoxTrack* box = box_of(moving, w.point_m, w.time_s)) {
-                const double then_s = turn.time_s + (w.time_s - frame.time_s);   // about the same part of the turn
+                const double then_s = sweep.time_s + (w.time_s - frame.time_s);   // about the same part of the sweep
                 if (!box->present(then_s)) continue;
                 world_m = box->world_from_box.at(then_s) * (inverse(box->world_from_box.at(w.time_s)) * w.point_m);
             }
-            append_point(points, seen_in_turn(sequence, world_m, turn), frame.scan.intensity[ray]);
+            append_point(points, seen_in_sweep(sequence, world_m, sweep), frame.scan.intensity[ray]);
         }
     }
     points.rays.rows = 1;

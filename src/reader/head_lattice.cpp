@@ -20,19 +20,19 @@ double HeadLattice::azimuth_of(int tick) const {
     return std::remainder(zero_rad + tick * tick_rad(), 2.0 * kPi);
 }
 
-Turn even_turn(const ScanPoints& points, const SpinningSensor& sensor) {
-    Turn turn{{sensor.columns, 0.0}, {}};
+Sweep even_sweep(const ScanPoints& points, const SpinningSensor& sensor) {
+    Sweep sweep{{sensor.columns, 0.0}, {}};
     std::complex<double> sum = 0.0;  // its phase is the mean of the heads' within a step
     for (std::size_t i = 0; i < points.size(); ++i) {
-        const Beam& beam = laser_of(sensor.beams, points.ring[i]);
+        const Beam& beam = beam_of(sensor.beams, points.ring[i]);
         sum += std::polar(1.0, sensor.columns * head_azimuth(beam, glm::dvec3(points.point_m[i])));
     }
-    turn.lattice.zero_rad = std::arg(sum) / sensor.columns;
+    sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
     // ticks from the one nearest to +pi downwards
-    int last = turn.lattice.tick(kPi);
-    if (turn.lattice.azimuth_of(last) < 0.0) last = (last + sensor.columns - 1) % sensor.columns;
-    for (int i = 0; i < sensor.columns; ++i) turn.firings.push_back((last - i + sensor.columns) % sensor.columns);
-    return turn;
+    int last = sweep.lattice.tick(kPi);
+    if (sweep.lattice.azimuth_of(last) < 0.0) last = (last + sensor.columns - 1) % sensor.columns;
+    for (int i = 0; i < sensor.columns; ++i) sweep.firings.push_back((last - i + sensor.columns) % sensor.columns);
+    return sweep;
 }
 
 }  // namespace relidar

@@ -15,7 +15,7 @@ namespace {
 
 constexpr int kEmpty = -1;
 constexpr std::size_t kMostReturns = 8;  // of a ray: sensors give two or three
-constexpr int kMostTicks = 1 << 16;      // of a turn: a step of 0.005 degrees
+constexpr int kMostTicks = 1 << 16;      // of a sweep: a step of 0.005 degrees
 constexpr double kLeastRange_m = 1e-3;   // nearer than this there is no direction
 
 /// Index of the point in each cell [ring][firing], kEmpty = dropped.
@@ -64,13 +64,13 @@ std::vector<int> nearest_firings(const std::vector<int>& firings, int n_ticks) {
 }
 
 /// Firing that each column's slot shows: all in order, some twice where there are fewer firings than columns.
-std::vector<int> fill_columns(const Turn& turn, int columns) {
-    const std::size_t n = turn.firings.size();
+std::vector<int> fill_columns(const Sweep& sweep, int columns) {
+    const std::size_t n = sweep.firings.size();
     std::vector<int> repeat(n, 1);
     int spare = columns - static_cast<int>(n);
     const double step = 2.0 * kPi / columns;
     for (std::size_t f = 0; f + 1 < n && spare > 0; ++f) {
-        const double gap = turn.lattice.azimuth_of(turn.firings[f]) - turn.lattice.azimuth_of(turn.firings[f + 1]);
+        const double gap = sweep.lattice.azimuth_of(sweep.firings[f]) - sweep.lattice.azimuth_of(sweep.firings[f + 1]);
         const int missing = std::min(static_cast<int>(std::lround(gap / step)) - 1, spare);
         if (missing > 0) repeat[f] += missing, spare -= missing;
     }
@@ -84,8 +84,8 @@ std::vector<int> fill_columns(const Turn& turn, int columns) {
 /// Points of each return number by cell: [0] the first returns.
 class Assignment {
 public:
-    Assignment(const ScanPoints& points, const SpinningSensor& sensor, const Turn& turn)
-        : points_(points), sensor_(sensor), turn_(turn), nearest_(nearest_firings(turn.firings, turn.lattice.n_ticks)) {
+    Assignment(const ScanPoints& points, const SpinningSensor& sensor, const Sweep& sweep)
+        : points_(points), sensor_(sensor), sweep_(sweep), nearest_(nearest_firings(sweep.firings, sweep.lattice.n_ticks)) {
         cells_of(0);
         for (std::size_t i = 0; i < points.size(); ++i) add(i);
     }
@@ -95,23 +95,23 @@ public:
 private:
     const ScanPoints& points_;
     const SpinningSensor& sensor_;
-    const Turn& turn_;
+    const Sweep& sweep_;
     std::vector<int> nearest_;
 
     float range_of(int point) const { return glm::length(points_.point_m[static_cast<std::size_t>(point)]); }
 
     Cells& cells_of(std::size_t number) {
         while (by_return.size() <= number)
-            by_return.push_back({turn_.firings.size(), std::vector<int>(sensor_.beams.size() * turn_.firings.size(), kEmpty)});
+            by_return.push_back({sweep_.firings.size(), std::vector<int>(sensor_.beams.size() * sweep_.firings.size(), kEmpty)});
         return by_return[number];
     }
 
     void add(std::size_t i) {
-        const std::size_t ring = points_.ring[i], n = turn_.firings.size(), number = number_of(points_, i);
+        const std::size_t ring = points_.ring[i], n = sweep_.firings.size(), number = number_of(points_, i);
         const double range = range_of(static_cast<int>(i));
         firing_of.push_back(kEmpty);
         if (range > sensor_.max_range_m || range < kLeastRange_m) return;
-        const int tick = turn_.lattice.tick(head_azimuth(sensor_.beams[ring], glm::dvec3(points_.point_m[i])));
+        const int tick = sweep_.lattice.tick(head_azimuth(sensor_.beams[ring], glm::dvec3(points_.point_m[i])));
         const std::size_t firing = static_cast<std::size_t>(nearest_[static_cast<std::size_t>(tick)]);
         firing_of.back() = static_cast<int>(firing);
         Cells& cells = cells_of(number);
@@ -126,14 +126,14 @@ private:
 };
 
 /// When each firing was: the mean of its points' times; of a firing without points, from the nearest that has some.
-std::vector<double> firing_times(const ScanPoints& points, const SpinningSensor& sensor, const Turn& turn,
+std::vector<double> firing_times(const ScanPoints& points, const SpinningSensor& sensor, const Sweep& sweep,
                                  const std::vector<int>& firing_of) {
-    const std::size_t n = turn.firings.size();
+    const std::size_t n = sweep.firings.size();
     const auto turning_time = [&](double azimuth_rad) {
         return (sensor.clockwise ? -azimuth_rad : azimuth_rad) / (2.0 * kPi) * sensor.period_s;
     };
     std::vector<double> time_s(n), sum(n, 0.0), count(n, 0.0);
-    for (std::size_t f = 0; f < n; ++f) time_s[f] = turning_time(turn.lattice.azimuth_of(turn.firings[f]));
+    for (std::size_t f = 0; f < n; ++f) time_s[f] = turning_time(sweep.lattice.azimuth_of(sweep.firings[f]));
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i)
         if (firing_of[i] != kEmpty)
             sum[std::size_t(firing_of[i])] += double(points.time_offset_s[i]), count[std::size_t(firing_of[i])] += 1.0;
@@ -143,7 +143,7 @@ std::vector<double> firing_times(const ScanPoints& points, const SpinningSensor&
         for (std::size_t d = 0; d < n && count[from] == 0.0; ++d) from = d % 2 == 0 ? (f + d / 2 + 1) % n : (f + n - d / 2 - 1) % n;
         if (count[from] == 0.0) return time_s;
         const double step =
-            std::remainder(turn.lattice.azimuth_of(turn.firings[f]) - turn.lattice.azimuth_of(turn.firings[from]), 2.0 * kPi);
+            std::remainder(sweep.lattice.azimuth_of(sweep.firings[f]) - sweep.lattice.azimuth_of(sweep.firings[from]), 2.0 * kPi);
         measured[f] = sum[from] / count[from] + turning_time(step);
     }
     return measured;
@@ -193,16 +193,16 @@ void set_further(Scan& scan, std::size_t at, const ScanPoints& points, std::size
 
 }  // namespace
 
-Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const Turn& turn) {
+Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const Sweep& sweep) {
     check_points(points, sensor.beams.size());
-    if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays || turn.lattice.n_ticks > kMostTicks)
-        throw UsageError(fmt::format("making a scan: {} beams x {} columns, {} ticks a turn, expected at most {} rays and {} ticks",
-                                     sensor.beams.size(), sensor.columns, turn.lattice.n_ticks, kMaxRays, kMostTicks));
-    if (turn.firings.empty())
-        throw UsageError(fmt::format("making a scan of {} points: no firing, expected those of a turn", points.size()));
-    Assignment assigned(points, sensor, turn);
-    const std::vector<double> times = firing_times(points, sensor, turn, assigned.firing_of);
-    const std::vector<int> slot = fill_columns(turn, sensor.columns);
+    if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays || sweep.lattice.n_ticks > kMostTicks)
+        throw UsageError(fmt::format("making a scan: {} beams x {} columns, {} ticks a sweep, expected at most {} rays and {} ticks",
+                                     sensor.beams.size(), sensor.columns, sweep.lattice.n_ticks, kMaxRays, kMostTicks));
+    if (sweep.firings.empty())
+        throw UsageError(fmt::format("making a scan of {} points: no firing, expected those of a sweep", points.size()));
+    Assignment assigned(points, sensor, sweep);
+    const std::vector<double> times = firing_times(points, sensor, sweep, assigned.firing_of);
+    const std::vector<int> slot = fill_columns(sweep, sensor.columns);
     const int columns = sensor.columns;
     Scan scan;
     resize(scan, static_cast<int>(sensor.beams.size()), columns, assigned.by_return.size() - 1);
@@ -216,7 +216,7 @@ Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const
                 static_cast<std::size_t>(slot[static_cast<std::size_t>(((column + shift) % columns + columns) % columns)]);
             scan.rays.time_offset_s[at] = static_cast<float>(times[firing]);
             scan.rays.channel[at] = static_cast<std::uint16_t>(ring);
-            set_dropped(scan, at, beam, turn.lattice.azimuth_of(turn.firings[firing]));
+            set_dropped(scan, at, beam, sweep.lattice.azimuth_of(sweep.firings[firing]));
             for (Cells& cells : assigned.by_return) {
                 const int i = cells.at(ring, firing);
                 if (i == kEmpty) continue;

@@ -101,14 +101,14 @@ std::vector<float> point_ranges(const RenderedScan& scan, const Config& config) 
 struct ScanRenderer::Impl {
     const Config config;
     Scene layout;         ///< models, instances and sensor drop; no surfels
-    Sequence turn;        ///< LiDARs and boxes, no scans; where the vehicle is in the scan that is taken
+    Sequence sweep;        ///< LiDARs and boxes, no scans; where the vehicle is in the scan that is taken
     const PoseTrack log_world_from_vehicle;   ///< where it was in the log
     Renderer renderer;
     std::vector<bool> shown;   ///< [instances]
 
     /// The vehicle is where it has to be for the sensor to be here.
     void drive(PoseTrack world_from_sensor, int lidar) {
-        turn.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(turn.lidars[std::size_t(lidar)].vehicle_from_sensor));
+        sweep.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(sweep.lidars[std::size_t(lidar)].vehicle_from_sensor));
     }
 };
 
@@ -129,37 +129,35 @@ const KernelTimes& ScanRenderer::times() const { return impl_->renderer.stream()
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset, std::optional<std::uint64_t> sample) {
     Impl& s = *impl_;
-    s.turn.world_from_vehicle = s.log_world_from_vehicle;
-    s.drive(moved_track(s.turn.world_from_sensor(sensor.lidar), sensor_offset), sensor.lidar);
-    return take(sensor, time_s, place_instances(s.layout, s.turn, time_s, sensor.lidar), sample);
+    s.sweep.world_from_vehicle = s.log_world_from_vehicle;
+    s.drive(moved_track(s.sweep.world_from_sensor(sensor.lidar), sensor_offset), sensor.lidar);
+    return take(sensor, time_s, place_instances(s.layout, s.sweep, time_s, sensor.lidar), sample);
 }
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample) {
     Impl& s = *impl_;
     const auto in_world = [&](const PoseTrack& dataset_from_thing, const std::string& thing) {
         check_track(dataset_from_thing, thing);
-        PoseTrack track = dataset_from_thing;
-        for (Pose& pose : track.pose) pose.translation -= s.turn.world_offset_m;
-        return track;
+        return shifted_track(dataset_from_thing, -s.sweep.world_offset_m);
     };
     if (!(std::abs(request.time_s) <= kFarthest)) {
         throw DataError(fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s", request.time_s, kFarthest));
     }
     s.drive(in_world(request.dataset_from_sensor, "the sensor"), sensor.lidar);
-    if (!request.dataset_from_actor) return take(sensor, request.time_s, place_instances(s.layout, s.turn, request.time_s, sensor.lidar), sample);
+    if (!request.dataset_from_actor) return take(sensor, request.time_s, place_instances(s.layout, s.sweep, request.time_s, sensor.lidar), sample);
     ActorPoses world_from_actor;
     for (const auto& [name, track] : *request.dataset_from_actor) world_from_actor[name] = in_world(track, "actor " + name);
-    return take(sensor, request.time_s, place_instances(s.layout, s.turn, request.time_s, world_from_actor, sensor.lidar), sample);
+    return take(sensor, request.time_s, place_instances(s.layout, s.sweep, request.time_s, world_from_actor, sensor.lidar), sample);
 }
 
 /// @param placed  instances at their moments; those that are not shown are left out
 RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed, std::optional<std::uint64_t> sample) {
     const Impl& s = *impl_;
     if (sensor.rays.size() == 0) throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
-    PoseTrack track = s.turn.world_from_sensor(sensor.lidar);
+    PoseTrack track = s.sweep.world_from_sensor(sensor.lidar);
     WorldRays rays;
     for (std::size_t i = 0; i < sensor.rays.size(); ++i) {
-        const WorldRay w = world_ray(track, time_s, sensor.rays, i, s.turn.rolling_shutter);
+        const WorldRay w = world_ray(track, time_s, sensor.rays, i, s.sweep.rolling_shutter);
         rays.origin.push_back(glm::vec3(w.origin_m));
         rays.direction.push_back(glm::vec3(w.direction));
     }
@@ -179,26 +177,25 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     scan.time_offset_s = sensor.rays.time_offset_s;
     scan.channel = sensor.rays.channel;
     for (std::size_t i = 0; i < r.size(); ++i) {
-        const Beam& laser = laser_of(sensor.beams, sensor.rays.channel[i]);
+        const Beam& beam = beam_of(sensor.beams, sensor.rays.channel[i]);
         const double surface_m = chosen_range(r, i, s.config.render.range), median_surface_m = r.median_depth[i];
-        const auto range_m = static_cast<float>(laser.measured_range(surface_m)), median_m = static_cast<float>(laser.measured_range(median_surface_m));
-        const double fall = s.turn.intensity_response.at_range(median_surface_m > 0.0 ? median_surface_m : surface_m);
+        const auto range_m = static_cast<float>(beam.measured_range(surface_m)), median_m = static_cast<float>(beam.measured_range(median_surface_m));
+        const double fall = s.sweep.intensity_response.at_range(median_surface_m > 0.0 ? median_surface_m : surface_m);
         scan.image.range_m.push_back(range_m);
         scan.median_range_m.push_back(median_m);
-        scan.image.intensity.push_back(static_cast<float>(laser.measured_intensity(r.intensity[i], fall)));
+        scan.image.intensity.push_back(static_cast<float>(beam.measured_intensity(r.intensity[i], fall)));
         scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
-        const auto own_laser = sensor.is_own ? s.turn.laser_number(sensor.lidar, sensor.rays.channel[i]) : std::nullopt;
-        const float never_seen = own_laser ? s.layout.sensor_drop.at(*own_laser, sensor.rays.direction[i]) : 0.0f;
+        const auto own_beam = sensor.is_own ? s.sweep.beam_number(sensor.lidar, sensor.rays.channel[i]) : std::nullopt;
+        const float never_seen = own_beam ? s.layout.sensor_drop.at(*own_beam, sensor.rays.direction[i]) : 0.0f;
         const float returns = is_in_range(sensor.limits, range_m, median_m) ? (1.0f - drop_probability(r, i)) * (1.0f - never_seen) : 0.0f;
         scan.image.drop_prob.push_back(1.0f - returns);
     }
-    if (!s.turn.rolling_shutter) track = {{time_s}, {pose}};
-    for (Pose& p : track.pose) p.translation += s.turn.world_offset_m;
-    scan.track = std::move(track);
-    scan.world_from_sensor = {pose.rotation, pose.translation + s.turn.world_offset_m};
+    if (!s.sweep.rolling_shutter) track = {{time_s}, {pose}};
+    scan.track = shifted_track(std::move(track), s.sweep.world_offset_m);
+    scan.world_from_sensor = {pose.rotation, pose.translation + s.sweep.world_offset_m};
     scan.time_s = time_s;
     for (std::size_t i = 0; i < r.normal.size(); ++i) scan.normal.push_back(seen_normal(r.normal[i], r.weight[i], scan.world_from_firing(i)));
-    if (sample) sample_returns(scan, s.turn.range_noise, *sample);
+    if (sample) sample_returns(scan, s.sweep.range_noise, *sample);
     return sensor.grid ? project_scan(scan, *sensor.grid) : scan;
 }
 

@@ -122,7 +122,7 @@ SpinningSensor read_sensor(const JsonField& field) {
     for (std::size_t i = 0; i < beams.size(); ++i) {
         const JsonField beam = beams.at(i);
         for (std::size_t k = 0; k < std::min<std::size_t>(beam.size(), 5); ++k) check_within(beam, {beam.at(k).number()}, kLargestBeam);
-        if (beam.size() == 5) {   // as written before lasers had a response
+        if (beam.size() == 5) {   // as written before beams had a response
             const auto v = beam.numbers<5>();
             sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4]});
             continue;

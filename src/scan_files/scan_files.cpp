@@ -15,7 +15,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr float kDropThreshold = 0.5f;
 constexpr const char* kUnits = "metres, seconds; intensity and drop_prob 0 to 1";
 
 /// A scan with its rays in the frame that was asked for.
@@ -128,7 +127,7 @@ void exr(const fs::path& path, const PlacedScan& placed) {
 
 /// Whether a ray gives a point at this range.
 bool is_point(const RenderedScan& scan, std::size_t ray, float range_m) {
-    return scan.image.drop_prob[ray] < kDropThreshold && range_m > 0.0f;
+    return returned(scan.image.drop_prob[ray], range_m);
 }
 
 PointCloud cloud_of(const PlacedScan& placed) {

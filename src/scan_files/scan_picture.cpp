@@ -11,7 +11,6 @@ namespace relidar {
 
 namespace {
 
-constexpr float kDropThreshold = 0.5f;
 constexpr double kPictureAspect = 8.0;   // of one image in a stack
 constexpr float kFarthest_m = 80.0f;     // of the colours, where a scan has returns from farther
 
@@ -24,7 +23,7 @@ std::vector<float> roots(std::vector<float> values) {
 
 std::vector<float> returned_pixels(const RangeImage& image) {
     std::vector<float> mask(image.range_m.size());
-    for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = image.range_m[i] > 0.0f && image.drop_prob[i] < kDropThreshold ? 1.0f : 0.0f;
+    for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = returned(image.drop_prob[i], image.range_m[i]) ? 1.0f : 0.0f;
     return mask;
 }
 

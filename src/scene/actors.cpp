@@ -143,22 +143,22 @@ std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& b
     return samples;
 }
 
-/// One turn of a LiDAR.
-struct Turn {
+/// One sweep of a LiDAR.
+struct Sweep {
     double time_s;
     int lidar;
 };
 
-/// An actor at the moment the head of a LiDAR faces it, the one at which its only transform of the turn is taken.
-InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_box, const Turn& turn) {
-    const Pose world_from_sensor = sequence.world_from_vehicle.at(turn.time_s, sequence.lidars[std::size_t(turn.lidar)].vehicle_from_sensor);
-    const double facing_s = facing_time(sequence, inverse(world_from_sensor) * world_from_box.at(turn.time_s).translation, turn.time_s, turn.lidar);
+/// An actor at the moment the head of a LiDAR faces it, the one at which its only transform of the sweep is taken.
+InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_box, const Sweep& sweep) {
+    const Pose world_from_sensor = sequence.world_from_vehicle.at(sweep.time_s, sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor);
+    const double facing_s = facing_time(sequence, inverse(world_from_sensor) * world_from_box.at(sweep.time_s).translation, sweep.time_s, sweep.lidar);
     return {world_from_box.at(facing_s), true, facing_s};
 }
 
 /// The background, and every actor on the track that `track_of` has for its name; absent where that is null.
 template <class TrackOf>
-std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence, const Turn& turn, const TrackOf& track_of) {
+std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence, const Sweep& sweep, const TrackOf& track_of) {
     std::vector<InstancePose> placed;
     for (const Instance& instance : scene.instances) {
         if (instance.track.empty()) {
@@ -166,7 +166,7 @@ std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence,
             continue;
         }
         const PoseTrack* track = track_of(instance.track);
-        placed.push_back(track ? facing_pose(sequence, *track, turn) : InstancePose{{}, false});
+        placed.push_back(track ? facing_pose(sequence, *track, sweep) : InstancePose{{}, false});
     }
     return placed;
 }

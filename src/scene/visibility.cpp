@@ -14,7 +14,7 @@ namespace {
 
 constexpr int kRows = 64, kColumns = 1024;
 constexpr int kMinReturns = 3;         // of the 3 x 3 pixels around a point
-constexpr int kSectors = 64;           // of a turn: in one the sensor moves by millimetres to centimetres
+constexpr int kSectors = 64;           // of a sweep: in one the sensor moves by millimetres to centimetres
 constexpr double kTile_m = 8.0;        // of the ground, whose points ask the same frames
 constexpr double kNear_m = 40.0;       // a sensor farther away sees a person as a return or two, and most places not at all
 constexpr double kHardlyFarther = 1.25;   // than the nearest sensor, where none is near

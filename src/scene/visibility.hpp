@@ -40,7 +40,7 @@ private:
     struct View {
         double time_s;
         int lidar;
-        std::vector<Pose> sensor_from_world;   ///< one a sector of the turn, when the head faces the middle of it
+        std::vector<Pose> sensor_from_world;   ///< one a sector of the sweep, when the head faces the middle of it
         std::vector<float> range_m;            ///< [rows*columns] nearest return, 0 where there is none
     };
     /// A point as a view sees it: its range, and the returned ranges of the 3 x 3 pixels around it.

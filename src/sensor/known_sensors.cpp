@@ -21,7 +21,7 @@ struct Nominal {
     double max_range_m, divergence_rad;
 };
 
-// Data-sheet facts: vertical field of view, points a turn at 10 Hz, range, full beam divergence.
+// Data-sheet facts: vertical field of view, points a sweep at 10 Hz, range, full beam divergence.
 constexpr Nominal kNominal[] = {
     {"VLP-16", 16, 15.0, -15.0, 1800, 100.0, 3.0e-3},
     {"OS1-64", 64, 16.6, -16.6, 1024, 120.0, 0.0},

@@ -34,7 +34,7 @@ void check(const SpinningSensor& sensor) {
     if (sensor.beams.size() > 65535) fail(fmt::format("has {} beams, expected at most 65535", sensor.beams.size()));
     if (sensor.columns <= 0) fail(fmt::format("has {} columns, expected at least one", sensor.columns));
     if (sensor.beams.size() * static_cast<std::size_t>(sensor.columns) > kMaxRays) {
-        fail(fmt::format("has {} beams and {} columns, expected at most {} rays a turn", sensor.beams.size(), sensor.columns, kMaxRays));
+        fail(fmt::format("has {} beams and {} columns, expected at most {} rays a sweep", sensor.beams.size(), sensor.columns, kMaxRays));
     }
     if (!(sensor.min_range_m >= 0.0 && sensor.max_range_m > sensor.min_range_m)) {
         fail(fmt::format("sees from {} to {} m, expected 0 <= min_range_m < max_range_m", sensor.min_range_m, sensor.max_range_m));

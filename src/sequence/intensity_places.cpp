@@ -7,7 +7,7 @@
 
 #include "core/cell_key.hpp"
 #include "core/plane_sums.hpp"
-#include "sequence/laser_returns.hpp"
+#include "sequence/beam_returns.hpp"
 
 namespace relidar {
 namespace {
@@ -28,10 +28,10 @@ std::vector<Seen> returns_of(const Sequence& sequence, const Frame& frame) {
     std::vector<Seen> result;
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
-        const auto laser = laser_that_saw(sequence, frame, ray, sequence.lidar_of(frame).sensor.max_range_m);
-        if (!laser) continue;
+        const auto beam = beam_that_saw(sequence, frame, ray, sequence.lidar_of(frame).sensor.max_range_m);
+        if (!beam) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
-        result.push_back({w.point_m, glm::vec3(w.direction), {0, *laser, surface_return(sequence, frame, ray).range_m, 0.0f, scan.intensity[ray]}});
+        result.push_back({w.point_m, glm::vec3(w.direction), {0, *beam, surface_return(sequence, frame, ray).range_m, 0.0f, scan.intensity[ray]}});
     }
     return result;
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What several turns or lasers have seen of the same small places, for comparing intensities. Private to sequence.
+// What several sweeps or beams have seen of the same small places, for comparing intensities. Private to sequence.
 #pragma once
 
 #include <cstdint>
@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-/// One return: from which place, by which laser, how far, how squarely, how bright.
+/// One return: from which place, by which beam, how far, how squarely, how bright.
 struct PlaceReturn {
     std::uint32_t place;
     std::uint32_t beam;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// How intensities fall with range and incidence, and how the lasers of a sensor differ, from how differently the same places are seen.
+// How intensities fall with range and incidence, and how the beams of a sensor differ, from how differently the same places are seen.
 // Gauss-Newton for
 //   intensity = gain_b * albedo_p * rho(range) * (1 - q (1 - cos)) + offset_b,   rho piecewise linear,
 // albedos eliminated: H = sum J J^T - sum over places of (sum J c)(sum J c)^T / sum c^2, c the derivative by the place's albedo.
@@ -13,14 +13,14 @@
 #include <relidar/sequence.hpp>
 
 #include "sequence/intensity_places.hpp"
-#include "sequence/laser_returns.hpp"
+#include "sequence/beam_returns.hpp"
 
 namespace relidar {
 namespace {
 
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
 constexpr std::size_t kReference = 3;       // of the knots: where rho is 1
-constexpr double kPriorReturns = 200.0;     // a laser starts as if so many of its returns had followed the mean laser; a knot, a straight line
+constexpr double kPriorReturns = 200.0;     // a beam starts as if so many of its returns had followed the mean beam; a knot, a straight line
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
 constexpr double kLeastGain = 0.95;         // what does not bring the error down to this share of what it was is not there
 constexpr int kSteps = 12;
@@ -34,12 +34,12 @@ struct Response {
 struct Model {
     std::vector<double> albedo;                                    ///< [places]
     IntensityResponse shared{{kKnots_m.begin(), kKnots_m.end()}, std::vector<double>(kKnots_m.size(), 1.0), 0.0};
-    std::vector<Response> lasers;
+    std::vector<Response> beams;
     double rms = 0.0;
 };
 
 struct Parts {
-    bool shared, lasers;
+    bool shared, beams;
 };
 
 /// The knot at or before a range, and how far on to the next one it is. The first and last segment go on.
@@ -52,23 +52,23 @@ std::pair<std::size_t, double> knot_at(double range_m) {
 void fit_albedos(Model& m, const PlaceReturns& returns) {
     std::vector<double> sum(returns.n_places, 0.0), weight(returns.n_places, 0.0);
     for (const PlaceReturn& r : returns.seen) {
-        const Response& laser = m.lasers[r.beam];
-        const double x = laser.gain * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine);
-        sum[r.place] += x * (double(r.intensity) - laser.offset);
+        const Response& beam = m.beams[r.beam];
+        const double x = beam.gain * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine);
+        sum[r.place] += x * (double(r.intensity) - beam.offset);
         weight[r.place] += x * x;
     }
     for (std::size_t p = 0; p < returns.n_places; ++p) m.albedo[p] = std::max(sum[p] / std::max(weight[p], 1e-12), 0.0);
 }
 
-/// Where the unknowns of the wanted parts stand in the system: rho, q, then gain and offset of each laser.
+/// Where the unknowns of the wanted parts stand in the system: rho, q, then gain and offset of each beam.
 struct Layout {
     Parts parts;
-    std::size_t n_lasers;
+    std::size_t n_beams;
     Eigen::Index factor(std::size_t knot) const { return Eigen::Index(knot); }
     Eigen::Index incidence() const { return Eigen::Index(kKnots_m.size()); }
-    Eigen::Index gain(std::size_t laser) const { return (parts.shared ? incidence() + 1 : 0) + 2 * Eigen::Index(laser); }
-    Eigen::Index offset(std::size_t laser) const { return gain(laser) + 1; }
-    Eigen::Index size() const { return gain(parts.lasers ? n_lasers : 0); }
+    Eigen::Index gain(std::size_t beam) const { return (parts.shared ? incidence() + 1 : 0) + 2 * Eigen::Index(beam); }
+    Eigen::Index offset(std::size_t beam) const { return gain(beam) + 1; }
+    Eigen::Index size() const { return gain(parts.beams ? n_beams : 0); }
 };
 
 /// The derivatives of what is expected of one return, by the few unknowns that it depends on.
@@ -80,17 +80,17 @@ struct Row {
 };
 
 Row row_of(const Model& m, const Layout& at, const PlaceReturn& r) {
-    const Response& laser = m.lasers[r.beam];
+    const Response& beam = m.beams[r.beam];
     const auto [knot, s] = knot_at(r.range_m);
-    const double rho = m.shared.at_range(r.range_m), kappa = m.shared.at_cosine(r.cosine), albedo = m.albedo[r.place], mean_laser = albedo * rho * kappa;
-    Row row{{}, 0, laser.gain * rho * kappa, double(r.intensity) - laser.gain * mean_laser - laser.offset};
+    const double rho = m.shared.at_range(r.range_m), kappa = m.shared.at_cosine(r.cosine), albedo = m.albedo[r.place], mean_beam = albedo * rho * kappa;
+    Row row{{}, 0, beam.gain * rho * kappa, double(r.intensity) - beam.gain * mean_beam - beam.offset};
     if (at.parts.shared) {
-        row.add(at.factor(knot), laser.gain * albedo * kappa * (1.0 - s));
-        row.add(at.factor(knot + 1), laser.gain * albedo * kappa * s);
-        row.add(at.incidence(), -laser.gain * albedo * rho * (1.0 - double(r.cosine)));
+        row.add(at.factor(knot), beam.gain * albedo * kappa * (1.0 - s));
+        row.add(at.factor(knot + 1), beam.gain * albedo * kappa * s);
+        row.add(at.incidence(), -beam.gain * albedo * rho * (1.0 - double(r.cosine)));
     }
-    if (at.parts.lasers) {
-        row.add(at.gain(r.beam), mean_laser);
+    if (at.parts.beams) {
+        row.add(at.gain(r.beam), mean_beam);
         row.add(at.offset(r.beam), 1.0);
     }
     return row;
@@ -99,7 +99,7 @@ Row row_of(const Model& m, const Layout& at, const PlaceReturn& r) {
 struct System {
     Eigen::MatrixXd h;
     Eigen::VectorXd g;
-    double mean = 0.0, spread = 0.0;   ///< of what the mean laser measures
+    double mean = 0.0, spread = 0.0;   ///< of what the mean beam measures
 };
 
 /// @param returns in the order of their places
@@ -149,9 +149,9 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
         for (std::size_t k = 0; k < kKnots_m.size(); ++k) pull(at.factor(k), 1e-3 * prior, 1.0 - m.shared.factor[k]);
         pull(at.incidence(), 1e-3 * prior, -m.shared.incidence);
     }
-    for (std::size_t b = 0; at.parts.lasers && b < m.lasers.size(); ++b)
+    for (std::size_t b = 0; at.parts.beams && b < m.beams.size(); ++b)
         for (const double x : {sys.mean - sys.spread, sys.mean + sys.spread}) {
-            const double weight = 0.5 * kPriorReturns, error = x - m.lasers[b].gain * x - m.lasers[b].offset;
+            const double weight = 0.5 * kPriorReturns, error = x - m.beams[b].gain * x - m.beams[b].offset;
             sys.h(at.gain(b), at.gain(b)) += weight * x * x, sys.h(at.offset(b), at.offset(b)) += weight;
             sys.h(at.gain(b), at.offset(b)) += weight * x, sys.h(at.offset(b), at.gain(b)) += weight * x;
             sys.g[at.gain(b)] += weight * x * error, sys.g[at.offset(b)] += weight * error;
@@ -163,19 +163,19 @@ void take_step(Model& m, const Layout& at, const Eigen::VectorXd& step) {
         for (std::size_t k = 0; k < m.shared.factor.size(); ++k) m.shared.factor[k] = std::clamp(m.shared.factor[k] + step[at.factor(k)], kMinFactor, kMaxFactor);
         m.shared.incidence = std::clamp(m.shared.incidence + step[at.incidence()], 0.0, kMaxIncidence);
     }
-    for (std::size_t b = 0; at.parts.lasers && b < m.lasers.size(); ++b) {
-        m.lasers[b].gain = std::clamp(m.lasers[b].gain + step[at.gain(b)], kMinGain, kMaxGain);
-        m.lasers[b].offset += step[at.offset(b)];
+    for (std::size_t b = 0; at.parts.beams && b < m.beams.size(); ++b) {
+        m.beams[b].gain = std::clamp(m.beams[b].gain + step[at.gain(b)], kMinGain, kMaxGain);
+        m.beams[b].offset += step[at.offset(b)];
     }
 }
 
-/// One scale and one shift of all albedos are free: the mean laser, by returns, has gain 1 and offset 0.
-void fix_mean(std::vector<Response>& lasers, const PlaceReturns& returns) {
-    std::vector<double> n(lasers.size(), kPriorReturns);
+/// One scale and one shift of all albedos are free: the mean beam, by returns, has gain 1 and offset 0.
+void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
+    std::vector<double> n(beams.size(), kPriorReturns);
     for (const PlaceReturn& r : returns.seen) n[r.beam] += 1.0;
     double all = 0.0, gain = 0.0, offset = 0.0;
-    for (std::size_t b = 0; b < lasers.size(); ++b) all += n[b], gain += n[b] * lasers[b].gain, offset += n[b] * lasers[b].offset;
-    for (Response& r : lasers) {
+    for (std::size_t b = 0; b < beams.size(); ++b) all += n[b], gain += n[b] * beams[b].gain, offset += n[b] * beams[b].offset;
+    for (Response& r : beams) {
         r.gain *= all / gain;
         r.offset -= r.gain * offset / all;
     }
@@ -184,20 +184,20 @@ void fix_mean(std::vector<Response>& lasers, const PlaceReturns& returns) {
 double error_of(const Model& m, const PlaceReturns& returns) {
     double squares = 0.0;
     for (const PlaceReturn& r : returns.seen) {
-        const Response& laser = m.lasers[r.beam];
-        const double error = laser.gain * m.albedo[r.place] * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine) + laser.offset - double(r.intensity);
+        const Response& beam = m.beams[r.beam];
+        const double error = beam.gain * m.albedo[r.place] * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine) + beam.offset - double(r.intensity);
         squares += error * error;
     }
     return std::sqrt(squares / double(returns.seen.size()));
 }
 
-Model fitted(const PlaceReturns& returns, std::size_t n_lasers, Parts parts) {
+Model fitted(const PlaceReturns& returns, std::size_t n_beams, Parts parts) {
     Model m;
     m.albedo.resize(returns.n_places);
-    m.lasers.resize(n_lasers);
+    m.beams.resize(n_beams);
     fit_albedos(m, returns);
     m.rms = error_of(m, returns);
-    const Layout at{parts, n_lasers};
+    const Layout at{parts, n_beams};
     double damping = kDamping;
     for (int i = 0; i < kSteps && at.size() > 0; ++i) {   // Levenberg and Marquardt
         System sys = system_of(m, at, returns);
@@ -211,8 +211,8 @@ Model fitted(const PlaceReturns& returns, std::size_t n_lasers, Parts parts) {
         damping *= is_better ? 0.1 : 10.0;
         if (is_better) m = std::move(next);
     }
-    if (parts.lasers) {
-        fix_mean(m.lasers, returns);
+    if (parts.beams) {
+        fix_mean(m.beams, returns);
         fit_albedos(m, returns);
     }
     return m;
@@ -232,8 +232,8 @@ double IntensityResponse::at_range(double at_m) const {
 
 IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions) {
     sequence.intensity_response = {};
-    const std::vector<Beam*> beams = lasers_of(sequence);
-    for (Beam* laser : beams) laser->intensity_gain = 1.0, laser->intensity_offset = 0.0;
+    const std::vector<Beam*> beams = beams_of(sequence);
+    for (Beam* beam : beams) beam->intensity_gain = 1.0, beam->intensity_offset = 0.0;
     const PlaceReturns returns = returns_of_places(sequence, positions);
     IntensityCalibration result;
     result.returns = returns.seen.size();
@@ -242,16 +242,16 @@ IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<i
     const auto better = [](const Model& a, const Model& b) { return a.rms < kLeastGain * b.rms; };
     Model best = fitted(returns, n, {false, false});
     result.rms_before = best.rms;
-    const Model shared = fitted(returns, n, {true, false}), lasers = fitted(returns, n, {false, true}), both = fitted(returns, n, {true, true});
-    const bool first_shared = shared.rms <= lasers.rms;
-    const Model& single = first_shared ? shared : lasers;
-    if (better(single, best)) best = single, result.shared = first_shared, result.lasers = !first_shared;
-    if (better(both, best)) best = both, result.shared = result.lasers = true;
+    const Model shared = fitted(returns, n, {true, false}), each_beam = fitted(returns, n, {false, true}), both = fitted(returns, n, {true, true});
+    const bool first_shared = shared.rms <= each_beam.rms;
+    const Model& single = first_shared ? shared : each_beam;
+    if (better(single, best)) best = single, result.shared = first_shared, result.beams = !first_shared;
+    if (better(both, best)) best = both, result.shared = result.beams = true;
     result.rms_after = best.rms;
     if (result.shared) sequence.intensity_response = best.shared;
-    for (std::size_t b = 0; b < n && result.lasers; ++b) {
-        beams[b]->intensity_gain = best.lasers[b].gain;
-        beams[b]->intensity_offset = best.lasers[b].offset;
+    for (std::size_t b = 0; b < n && result.beams; ++b) {
+        beams[b]->intensity_gain = best.beams[b].gain;
+        beams[b]->intensity_offset = best.beams[b].offset;
     }
     return result;
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scatter of ranges by range and incidence, from second differences along a laser's own turn, which hold no pose, no other laser and, on what
+// Scatter of ranges by range and incidence, from second differences along a beam's own sweep, which hold no pose, no other beam and, on what
 // is smooth for three firings, no surface:
 //   sigma = 1.4826 median |r_(i-1) - 2 r_i + r_(i+1)| / sqrt(6)
 #include <algorithm>
@@ -9,7 +9,7 @@
 #include <relidar/sequence.hpp>
 
 #include "core/incidence.hpp"
-#include "sequence/laser_returns.hpp"
+#include "sequence/beam_returns.hpp"
 
 namespace relidar {
 namespace {

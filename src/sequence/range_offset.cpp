@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Range offsets of the lasers of a log: what each adds to every range, from planes that several lasers have seen.
+// Range offsets of the beams of a log: what each adds to every range, from planes that several beams have seen.
 #include <algorithm>
 #include <cmath>
 #include <unordered_map>
@@ -9,7 +9,7 @@
 #include "core/cell_key.hpp"
 #include "core/parallel.hpp"
 #include "core/plane_sums.hpp"
-#include "sequence/laser_returns.hpp"
+#include "sequence/beam_returns.hpp"
 
 namespace relidar {
 namespace {
@@ -20,11 +20,11 @@ constexpr std::size_t kMostReturns = 6000000;
 constexpr int kMinReturns = 20;             // of a cell that may be a plane
 constexpr double kMaxThickness_m = 0.05;    // standard deviation across a plane, and at least along it
 constexpr double kMaxResidual_m = 0.15;     // what lies farther off its cell's plane belongs to something else
-constexpr double kPriorReturns = 20.0;      // a laser starts as if so many of its returns, met squarely, had shown no offset
-constexpr double kLeastGain = 0.97;         // lasers whose planes do not get this much thinner have no offsets: what was found is noise
-constexpr int kRounds = 30;                // planes that few lasers share follow them only slowly
+constexpr double kPriorReturns = 20.0;      // a beam starts as if so many of its returns, met squarely, had shown no offset
+constexpr double kLeastGain = 0.97;         // beams whose planes do not get this much thinner have no offsets: what was found is noise
+constexpr int kRounds = 30;                // planes that few beams share follow them only slowly
 
-/// One return in the world, by its laser's own word.
+/// One return in the world, by its beam's own word.
 struct Observation {
     glm::vec3 point_m;       ///< from the world's origin, which is in the middle of the log
     glm::vec3 direction;
@@ -35,10 +35,10 @@ struct Observation {
 std::vector<Observation> returns_of(const Sequence& sequence, const Frame& frame) {
     std::vector<Observation> result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
-        const auto laser = laser_that_saw(sequence, frame, ray, kMaxRange_m);
-        if (!laser) continue;
+        const auto beam = beam_that_saw(sequence, frame, ray, kMaxRange_m);
+        if (!beam) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
-        result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), 0, *laser});
+        result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), 0, *beam});
     }
     return result;
 }
@@ -87,13 +87,13 @@ std::vector<Plane> planes_of(const std::vector<Observation>& seen, const std::ve
     return planes;
 }
 
-/// Sums of one laser's returns: residuals across their planes, by how squarely they were met.
+/// Sums of one beam's returns: residuals across their planes, by how squarely they were met.
 struct OffsetFit {
     double weight = kPriorReturns;
     double sum = 0.0;
 };
 
-/// One step of every laser's offset towards the planes. @return count and mean square of the residuals that come in
+/// One step of every beam's offset towards the planes. @return count and mean square of the residuals that come in
 std::pair<std::size_t, double> fit_offsets(const std::vector<Observation>& seen, const std::vector<Plane>& planes, std::vector<double>& offset_m) {
     std::vector<OffsetFit> fits(offset_m.size());
     std::size_t n = 0;
@@ -120,13 +120,13 @@ std::pair<std::size_t, double> fit_offsets(const std::vector<Observation>& seen,
 }  // namespace
 
 LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions) {
-    const std::vector<Beam*> lasers = lasers_of(sequence);
-    for (Beam* laser : lasers) laser->range_offset_m = 0.0;
+    const std::vector<Beam*> beams = beams_of(sequence);
+    for (Beam* beam : beams) beam->range_offset_m = 0.0;
     std::size_t n_cells = 0;
     const std::vector<Observation> seen = gather(sequence, positions, n_cells);
     LaserCalibration result;
     if (seen.empty()) return result;
-    std::vector<double> offset_m(lasers.size(), 0.0);
+    std::vector<double> offset_m(beams.size(), 0.0);
     for (int round = 0; round < kRounds; ++round) {
         const auto [n, mean_square] = fit_offsets(seen, planes_of(seen, offset_m, n_cells), offset_m);
         result.returns = n;
@@ -135,7 +135,7 @@ LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& po
     }
     if (result.rms_after > kLeastGain * result.rms_before) return result;
     result.adopted = true;
-    for (std::size_t b = 0; b < offset_m.size(); ++b) lasers[b]->range_offset_m = offset_m[b];
+    for (std::size_t b = 0; b < offset_m.size(); ++b) beams[b]->range_offset_m = offset_m[b];
     return result;
 }
 

@@ -102,11 +102,11 @@ int find_lidar(const Sequence& sequence, const std::string& name) {
     return name.empty() ? 0 : static_cast<int>(it - known.begin());
 }
 
-std::size_t Sequence::count_lasers() const {
+std::size_t Sequence::count_beams() const {
     return std::accumulate(lidars.begin(), lidars.end(), std::size_t(0), [](std::size_t n, const Lidar& lidar) { return n + lidar.sensor.beams.size(); });
 }
 
-std::optional<std::uint16_t> Sequence::laser_number(int lidar, std::uint16_t channel) const {
+std::optional<std::uint16_t> Sequence::beam_number(int lidar, std::uint16_t channel) const {
     std::size_t number = channel;
     if (number >= lidars[std::size_t(lidar)].sensor.beams.size()) return std::nullopt;
     for (int i = 0; i < lidar; ++i) number += lidars[std::size_t(i)].sensor.beams.size();
@@ -115,6 +115,11 @@ std::optional<std::uint16_t> Sequence::laser_number(int lidar, std::uint16_t cha
 
 PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved) {
     for (Pose& pose : track.pose) pose = pose * sensor_from_moved;
+    return track;
+}
+
+PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m) {
+    for (Pose& pose : track.pose) pose.translation += by_m;
     return track;
 }
 
@@ -178,15 +183,15 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
 double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s, int lidar) {
     const SpinningSensor& sensor = sequence.lidars[std::size_t(lidar)].sensor;
     if (!sequence.rolling_shutter) return time_s;
-    const double turn = std::atan2(point_m.y, point_m.x) / (2.0 * kPi) * sensor.period_s;
-    return time_s + (sensor.clockwise ? -turn : turn);
+    const double after_s = std::atan2(point_m.y, point_m.x) / (2.0 * kPi) * sensor.period_s;
+    return time_s + (sensor.clockwise ? -after_s : after_s);
 }
 
 SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray) {
     const Scan& scan = frame.scan;
-    const Beam& laser = laser_of(sequence.lidar_of(frame).sensor.beams, scan.rays.channel[ray]);
-    const float range_m = static_cast<float>(laser.surface_range(double(scan.range_m[ray])));
-    return {range_m, static_cast<float>(laser.surface_intensity(double(scan.intensity[ray]), sequence.intensity_response.at_range(double(range_m))))};
+    const Beam& beam = beam_of(sequence.lidar_of(frame).sensor.beams, scan.rays.channel[ray]);
+    const float range_m = static_cast<float>(beam.surface_range(double(scan.range_m[ray])));
+    return {range_m, static_cast<float>(beam.surface_intensity(double(scan.intensity[ray]), sequence.intensity_response.at_range(double(range_m))))};
 }
 
 WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray) {
@@ -207,10 +212,10 @@ Split split_frames(const Sequence& sequence, int test_every) {
         throw UsageError(fmt::format("test_every: {}, expected 0 (hold out nothing) or at least 2", test_every));
     }
     Split split;
-    std::map<int, int> turn_of;   // by index: the how many-th turn it is
+    std::map<int, int> sweep_of;   // by index: the how many-th sweep it is
     for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i) {
-        const int turn = turn_of.try_emplace(sequence.frames[std::size_t(i)].index, static_cast<int>(turn_of.size())).first->second;
-        const bool held_out = test_every > 0 && turn > 0 && turn % test_every == 0;
+        const int sweep = sweep_of.try_emplace(sequence.frames[std::size_t(i)].index, static_cast<int>(sweep_of.size())).first->second;
+        const bool held_out = test_every > 0 && sweep > 0 && sweep % test_every == 0;
         (held_out ? split.test : split.train).push_back(i);
     }
     return split;

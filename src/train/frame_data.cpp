@@ -58,12 +58,12 @@ bool is_unknown(const std::vector<PlacedBox>& boxes, const WorldRay& ray, double
 
 void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& masks, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
     const Scan& scan = frame.scan;
-    const std::vector<PlacedBox> boxes = masked_boxes_at(sequence, frame.time_s, masks);   // moved less than the margin within a turn
+    const std::vector<PlacedBox> boxes = masked_boxes_at(sequence, frame.time_s, masks);   // moved less than the margin within a sweep
     const PoseTrack track = sequence.world_from_sensor(frame.lidar);
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         const WorldRay w = world_ray(track, frame.time_s, scan.rays, i, sequence.rolling_shutter);
-        const auto laser = sequence.laser_number(frame.lidar, scan.rays.channel[i]);
-        const bool blind = laser && masks.blind.at(*laser, scan.rays.direction[i]) >= kBlindFrequency;
+        const auto beam = sequence.beam_number(frame.lidar, scan.rays.channel[i]);
+        const bool blind = beam && masks.blind.at(*beam, scan.rays.direction[i]) >= kBlindFrequency;
         const bool unknown = blind || is_unknown(boxes, w, scan.range_m[i]);
         rays.push_back({glm::vec3(w.origin_m), glm::vec3(w.direction)});
         const SurfaceReturn surface = surface_return(sequence, frame, i);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What is estimated from a log before a scene is trained on it: poses of the sensor, its lasers, what moves without a label.
+// What is estimated from a log before a scene is trained on it: poses of the sensor, its beams, what moves without a label.
 #include <relidar/train.hpp>
 
 #include <algorithm>
@@ -88,11 +88,11 @@ void register_sensor(Sequence& sequence, const Split& split, const Config& confi
     set_vehicle_poses(sequence, found.world_from_vehicle);
 }
 
-void calibrate_lasers(Sequence& sequence, const Split& split, const SensorConfig& config, const PrepareSession& session) {
-    const std::size_t n = sequence.count_lasers();
+void calibrate_beams(Sequence& sequence, const Split& split, const SensorConfig& config, const PrepareSession& session) {
+    const std::size_t n = sequence.count_beams();
     if (n > 1 && config.calibrate_range) {
         const LaserCalibration found = calibrate_ranges(sequence, split.train);
-        session.tell(fmt::format("ranges of {} lasers compared on {:.1f} million returns: {:.1f} mm from common planes, {:.1f} mm with an offset each{}", n, double(found.returns) * 1e-6,
+        session.tell(fmt::format("ranges of {} beams compared on {:.1f} million returns: {:.1f} mm from common planes, {:.1f} mm with an offset each{}", n, double(found.returns) * 1e-6,
                                  found.rms_before * 1e3, found.rms_after * 1e3, found.adopted ? "" : ": none is taken"));
     }
 }
@@ -102,9 +102,9 @@ void calibrate_intensities(Sequence& sequence, const Split& split, const Prepare
     const IntensityResponse& r = sequence.intensity_response;
     const std::string fall = fmt::format("{:.2f} of it at 40 m and {:.2f} at 60 degrees of incidence", r.at_range(40.0) / r.at_range(10.0), r.at_cosine(0.5));
     session.tell(fmt::format("intensities of {:.1f} million returns compared: {:.3f} apart at the same place, {:.3f} with {}", double(found.returns) * 1e-6, found.rms_before, found.rms_after,
-                             found.shared && found.lasers ? "a gain and offset for each laser, " + fall
+                             found.shared && found.beams ? "a gain and offset for each beam, " + fall
                              : found.shared               ? fall
-                             : found.lasers               ? "a gain and offset for each laser"
+                             : found.beams               ? "a gain and offset for each beam"
                                                           : "what was tried: none is taken"));
 }
 
@@ -136,7 +136,7 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
     if (registers_sensor(config.train) && sequence.lidars.size() > 1 && config.dataset.poses != kNoPoses)
         session.tell(fmt::format("scans of {} LiDARs are not registered: training starts from the log's own poses", sequence.lidars.size()));
     else if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
-    calibrate_lasers(sequence, split, config.sensor, session);
+    calibrate_beams(sequence, split, config.sensor, session);
     if (measure_range_noise(sequence, split.train) > 0)
         session.tell(fmt::format("ranges scatter by {:.0f} mm at 10 m and by {:.0f} mm at 40 m where surfaces are met squarely", 1e3 * sequence.range_noise.at(10.0, 1.0), 1e3 * sequence.range_noise.at(40.0, 1.0)));
     if (config.sensor.calibrate_intensity) calibrate_intensities(sequence, split, session);

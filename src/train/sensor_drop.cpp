@@ -21,14 +21,14 @@ int bins_of(const Sequence& sequence) {
 
 DropCounts::DropCounts(const Sequence& sequence)
     : sequence_(sequence),
-      index_{int(sequence.count_lasers()), bins_of(sequence), {}},
+      index_{int(sequence.count_beams()), bins_of(sequence), {}},
       rays_(std::size_t(index_.channels) * std::size_t(index_.bins), 0),
       drops_(rays_.size(), 0) {}
 
 void DropCounts::add(const Frame& frame, std::size_t ray) {
-    const auto laser = sequence_.laser_number(frame.lidar, frame.scan.rays.channel[ray]);
-    if (!laser) return;
-    const std::size_t slot = index_.index(*laser, frame.scan.rays.direction[ray]);
+    const auto beam = sequence_.beam_number(frame.lidar, frame.scan.rays.channel[ray]);
+    if (!beam) return;
+    const std::size_t slot = index_.index(*beam, frame.scan.rays.direction[ray]);
     ++rays_[slot];
     drops_[slot] += !(frame.scan.range_m[ray] > 0.0f);
 }

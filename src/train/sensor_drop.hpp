@@ -11,10 +11,10 @@
 
 namespace relidar {
 
-/// Rays and drops counted by laser (Sequence::laser_number) and azimuth bin.
+/// Rays and drops counted by beam (Sequence::beam_number) and azimuth bin.
 class DropCounts {
 public:
-    /// Geometry for the LiDARs of a log, which has to outlive this: a row a laser, and azimuth bins of about three columns.
+    /// Geometry for the LiDARs of a log, which has to outlive this: a row a beam, and azimuth bins of about three columns.
     explicit DropCounts(const Sequence& sequence);
     /// A ray of a frame of the log.
     void add(const Frame& frame, std::size_t ray);

@@ -95,8 +95,8 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.size(), config.train.seed) {
     for (FrameData& frame : frames_) {
-        const Frame& turn = sequence.frames[std::size_t(frame.position)];
-        frame.placed = place_instances(initial, sequence, turn.time_s, turn.lidar);
+        const Frame& sweep = sequence.frames[std::size_t(frame.position)];
+        frame.placed = place_instances(initial, sequence, sweep.time_s, sweep.lidar);
     }
     if (config.densify.strategy != DensifyStrategy::none || config.densify.prune_unseen)
         densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.size()), config.train.seed);
@@ -226,7 +226,7 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
     DropCounts counts(sequence);
     for (std::size_t k = 0; k < frames_.size(); ++k) {
         const FrameData& frame = frames_[k];
-        const Frame& turn = sequence.frames[std::size_t(frame.position)];
+        const Frame& sweep = sequence.frames[std::size_t(frame.position)];
         const std::uint32_t stride = std::max(1u, frame.n_rays / kRays), first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
         const RayBatch rays = frame.batch(first, stride);
         place(k, config_.train.iterations);
@@ -235,7 +235,7 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
         const Rendering r = to_rendering(renderer_.rendered().rendered->download(rays.n_rays));
         for (std::uint32_t j = 0; j < rays.n_rays; ++j) {
             const std::size_t i = first + std::size_t(j) * stride;
-            if (r.weight[j] > kSolid && r.hit_logit[j] > r.drop_logit[j]) counts.add(turn, i);
+            if (r.weight[j] > kSolid && r.hit_logit[j] > r.drop_logit[j]) counts.add(sweep, i);
         }
     }
     return counts.shrunk();

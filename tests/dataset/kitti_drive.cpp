@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the virtual KITTI drive. The turn's firings lie at ticks floor(n * 4000 / 701 + wobble), 64 beams each.
+// Writes the virtual KITTI drive. The sweep's firings lie at ticks floor(n * 4000 / 701 + wobble), 64 beams each.
 #include "dataset/kitti_drive.hpp"
 
 #include <algorithm>
@@ -48,14 +48,14 @@ double head_azimuth(Heads heads, int firing, int frame) {
     return (2000.0 - std::floor(even + wobble)) * kTick;
 }
 
-struct Turn {
+struct Sweep {
     std::string bytes;
     std::vector<glm::dvec3> dropped;
     std::size_t n_points = 0;
 };
 
-Turn make_turn(const std::vector<Beam>& beams, Heads heads, int frame) {
-    Turn turn;
+Sweep make_sweep(const std::vector<Beam>& beams, Heads heads, int frame) {
+    Sweep sweep;
     for (std::size_t k = 0; k < beams.size(); ++k) {
         std::vector<std::pair<double, glm::vec4>> ring;
         for (int n = 0; n < KittiDrive::kFirings; ++n) {
@@ -64,7 +64,7 @@ Turn make_turn(const std::vector<Beam>& beams, Heads heads, int frame) {
             const double reach = 9.0 + 4.0 * std::sin(3.0 * azimuth) + 2.0 * std::cos(7.0 * azimuth + 0.3 * static_cast<double>(k));
             const bool drop = hash64(k * 1000 + static_cast<std::uint64_t>(n), static_cast<std::uint64_t>(frame)) % 10 == 0;
             if (drop) {
-                turn.dropped.push_back(ray.direction);
+                sweep.dropped.push_back(ray.direction);
                 continue;
             }
             const glm::dvec3 p = glm::round(1000.0 * (ray.origin_m + reach / std::cos(beams[k].elevation_rad) * ray.direction)) / 1000.0;
@@ -72,20 +72,20 @@ Turn make_turn(const std::vector<Beam>& beams, Heads heads, int frame) {
             ring.emplace_back(full < 0.0 ? full + 2.0 * kPi : full, glm::vec4(glm::vec3(p), 0.25f));
         }
         std::sort(ring.begin(), ring.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
-        for (const auto& [azimuth, point] : ring) turn.bytes.append(reinterpret_cast<const char*>(&point), sizeof(point));
-        turn.n_points += ring.size();
+        for (const auto& [azimuth, point] : ring) sweep.bytes.append(reinterpret_cast<const char*>(&point), sizeof(point));
+        sweep.n_points += ring.size();
     }
-    return turn;
+    return sweep;
 }
 
-const Turn& turn_of(Heads heads, int frame) {
-    static std::map<std::pair<Heads, int>, Turn> made;
+const Sweep& sweep_of(Heads heads, int frame) {
+    static std::map<std::pair<Heads, int>, Sweep> made;
     const auto [at, is_new] = made.try_emplace({heads, frame});
-    if (is_new) at->second = make_turn(make_beams(), heads, frame);
+    if (is_new) at->second = make_sweep(make_beams(), heads, frame);
     return at->second;
 }
 
-/// Times around midnight: 0.1 s a turn.
+/// Times around midnight: 0.1 s a sweep.
 std::string timestamp(double second) {
     return second < 60.0 ? fmt::format("2011-12-31 23:59:{:012.9f}\n", second) : fmt::format("2012-01-01 00:00:{:012.9f}\n", second - 60.0);
 }
@@ -119,11 +119,11 @@ fs::path KittiDrive::scan(int frame) const {
 KittiDrive::KittiDrive(const std::string& name, Heads heads)
     : folder(fs::path(testing::TempDir()) / ("relidar_" + name) / "2011_12_31/2011_12_31_drive_0001_sync") {
     beams = make_beams();
-    dropped = turn_of(heads, 0).dropped;
-    n_points = turn_of(heads, 0).n_points;
+    dropped = sweep_of(heads, 0).dropped;
+    n_points = sweep_of(heads, 0).n_points;
     std::array<std::string, 3> times;
     for (int frame = 0; frame < 3; ++frame) {
-        write_text(scan(frame), turn_of(heads, frame).bytes);
+        write_text(scan(frame), sweep_of(heads, frame).bytes);
         const double second = 59.85 + 0.1 * frame;
         times[0] += timestamp(second);
         times[1] += timestamp(second - 0.05);

@@ -14,7 +14,7 @@
 
 namespace relidar::test {
 
-/// Where the heads of the virtual turns stand: on encoder ticks, at even steps, or anywhere near even steps.
+/// Where the heads of the virtual sweeps stand: on encoder ticks, at even steps, or anywhere near even steps.
 enum class Heads { ticks, even, jittered };
 
 struct KittiDrive {

@@ -145,7 +145,7 @@ std::string even_scan(double step_rad, int n_a_ring) {
     std::string bytes;
     for (int ring = 0; ring < 64; ++ring) {
         for (int i = 0; i < n_a_ring; ++i) {
-            // A few points far round the turn make the azimuth wrap from ring to ring.
+            // A few points far round the sweep make the azimuth wrap from ring to ring.
             const double azimuth = i < n_a_ring - 3 ? i * step_rad : 2.0 * kPi - (n_a_ring - i) * 1e-3;
             const double elevation = (2.0 - 0.42 * ring) * kPi / 180.0;
             const double rho = 12.0 + 8.0 * std::sin(0.01 * i);

@@ -106,7 +106,7 @@ TEST(Edit, TrajectoriesAreInterpolatedAndEndWithTheirTimes) {
     expect_near(car.world_from_box.at(0.2), {glm::dquat(1, 0, 0, 0), {10, 0, 0}});
     expect_near(car.world_from_box.at(0.3), {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {12, 1, 0}}, 1e-9);
     EXPECT_TRUE(car.present(0.2) && car.present(0.7));
-    EXPECT_FALSE(car.present(0.1) || car.present(0.8)) << "half a turn beside the ends, no more, however sparse the entries";
+    EXPECT_FALSE(car.present(0.1) || car.present(0.8)) << "half a sweep beside the ends, no more, however sparse the entries";
     track.time_s[1] = 0.2;
     EXPECT_THROW(replace_trajectory(example(), "car", track), DataError);
     track.time_s[1] = std::nan("");

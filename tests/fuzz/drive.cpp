@@ -21,7 +21,7 @@ namespace fs = std::filesystem;
 
 constexpr unsigned kPosesFile = 1, kNone = 2, kAllScans = 4, kAllFrames = 8;   // options
 
-/// The drive, a seventh of its points left: a turn takes milliseconds to read.
+/// The drive, a seventh of its points left: a sweep takes milliseconds to read.
 class Drive {
 public:
     explicit Drive(const fs::path& folder) : drive_((::setenv("TEST_TMPDIR", folder.c_str(), 1), "fuzz")) {

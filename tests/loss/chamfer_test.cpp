@@ -29,7 +29,7 @@ struct Clouds {
     std::vector<float> simulated, measured;
 };
 
-/// A turn of a spinning sensor that drives meanwhile, before a rough wall; all coordinates are multiples of 1/1024, so that points
+/// A sweep of a spinning sensor that drives meanwhile, before a rough wall; all coordinates are multiples of 1/1024, so that points
 /// are the same numbers on the host whatever a device contracts.
 Clouds lattice_scan(std::uint32_t rows, std::uint32_t columns, float missing) {
     std::mt19937_64 random(rows * 977 + columns);

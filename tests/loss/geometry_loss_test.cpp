@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // loss/geometry_loss and loss/normal_vjp against the double reference: values, and derivatives against its central differences, on
-// images with edges, dropped and unknown pixels and faint ones, whole turns and windows, strided targets, ranges D and D / W.
+// images with edges, dropped and unknown pixels and faint ones, whole sweeps and windows, strided targets, ranges D and D / W.
 #include <algorithm>
 #include <numeric>
 #include <random>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // loss/ssim and loss/ssim_vjp against the double reference: values and derivatives on images with unknown and dropped pixels, whole
-// turns and windows, fewer rows and columns than the window, strided targets; what lies at a dropped pixel plays no part.
+// sweeps and windows, fewer rows and columns than the window, strided targets; what lies at a dropped pixel plays no part.
 #include <random>
 
 #include <relidar/stages/forward.hpp>

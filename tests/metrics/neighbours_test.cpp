@@ -32,7 +32,7 @@ Frame frame_of(int index, double time_s, const std::vector<glm::vec3>& points, f
     return frame;
 }
 
-/// Five turns, 0.1 s apart, of a sensor that drives and turns; turn 2 is in question. Each sees one point.
+/// Five sweeps, 0.1 s apart, of a sensor that drives and turns; sweep 2 is in question. Each sees one point.
 Sequence drive(bool rolling_shutter) {
     Sequence s;
     s.rolling_shutter = rolling_shutter;
@@ -93,7 +93,7 @@ TEST(Neighbours, MoveWithTheirBoxes) {
         EXPECT_LT(glm::distance(glm::dvec3(moved.point(k)), expected), 1e-5);
     }
     EXPECT_EQ(neighbour_points(s, 2, {1, 3}, BoxMotion::follow, 5.0).range_m, still.range_m);   // slower than this: it rests
-    s.boxes[0].world_from_box.time_s.resize(2);   // the box is gone in turn 2
+    s.boxes[0].world_from_box.time_s.resize(2);   // the box is gone in sweep 2
     s.boxes[0].world_from_box.pose.resize(2);
     EXPECT_EQ(neighbour_points(s, 2, {1, 3}, BoxMotion::follow, 0.01).range_m.size(), 1u);
 }

@@ -81,12 +81,12 @@ void expect_same_rays(const Scan& found, const Scan& truth, float late_s) {
 TEST(SpinningScan, PointsFindTheirRaysAndTheRestIsDropped) {
     Truth truth(sensor());
     truth.points.time_offset_s.clear();
-    expect_same_rays(spinning_scan(truth.points, sensor(), even_turn(truth.points, sensor())), truth.scan, 0.0f);
+    expect_same_rays(spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor())), truth.scan, 0.0f);
 }
 
 TEST(SpinningScan, RaysTakeTheTimesOfTheirPoints) {
     const Truth truth(sensor());
-    expect_same_rays(spinning_scan(truth.points, sensor(), even_turn(truth.points, sensor())), truth.scan, 0.004f);
+    expect_same_rays(spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor())), truth.scan, 0.004f);
 }
 
 TEST(SpinningScan, CounterClockwiseHeadsRunTheOtherWay) {
@@ -94,12 +94,12 @@ TEST(SpinningScan, CounterClockwiseHeadsRunTheOtherWay) {
     other.clockwise = false;
     Truth truth(other);
     truth.points.time_offset_s.clear();
-    expect_same_rays(spinning_scan(truth.points, other, even_turn(truth.points, other)), truth.scan, 0.0f);
+    expect_same_rays(spinning_scan(truth.points, other, even_sweep(truth.points, other)), truth.scan, 0.0f);
 }
 
 TEST(SpinningScan, KeepsSecondReturns) {
     const Truth truth(sensor(), true);
-    const Scan found = spinning_scan(truth.points, sensor(), even_turn(truth.points, sensor()));
+    const Scan found = spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor()));
     ASSERT_EQ(found.further.size(), 1u);
     for (std::size_t i = 0; i < truth.scan.rays.size(); ++i) {
         EXPECT_NEAR(found.range_m[i], truth.scan.range_m[i], 1e-4f);
@@ -118,7 +118,7 @@ TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     const BeamRay ray = beam_ray(s.beams[0], 0.0);
     for (const double range : {10.0, 12.0, 14.0, 11.0, 9.0, 200.0})
         points.point_m.emplace_back(ray.origin_m + range * ray.direction), points.intensity.push_back(2.0f), points.ring.push_back(0);
-    const Scan scan = spinning_scan(points, s, even_turn(points, s));
+    const Scan scan = spinning_scan(points, s, even_sweep(points, s));
     EXPECT_EQ(scan.count_returns(), 3u) << "its own ray and those beside it";
     EXPECT_NEAR(*std::max_element(scan.range_m.begin(), scan.range_m.end()), 14.0f, 1e-3f);
     EXPECT_EQ(std::count(scan.intensity.begin(), scan.intensity.end(), 1.0f), 3) << "intensities are cut";

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A log of two LiDARs: where their returns lie in the world, which frames are held out together, and what is found of their lasers.
+// A log of two LiDARs: where their returns lie in the world, which frames are held out together, and what is found of their beams.
 #include <cmath>
 #include <map>
 #include <tuple>
@@ -69,13 +69,13 @@ TEST(TwoLidars, ATurnIsHeldOutAsAWhole) {
 
 TEST(TwoLidars, LasersAreCountedThrough) {
     Sequence street = test::two_lidar_street(options());
-    EXPECT_EQ(street.count_lasers(), 36u);
-    EXPECT_EQ(street.laser_number(0, 23), 23);
-    EXPECT_EQ(street.laser_number(1, 0), 24);
-    EXPECT_FALSE(street.laser_number(1, 12).has_value());
+    EXPECT_EQ(street.count_beams(), 36u);
+    EXPECT_EQ(street.beam_number(0, 23), 23);
+    EXPECT_EQ(street.beam_number(1, 0), 24);
+    EXPECT_FALSE(street.beam_number(1, 12).has_value());
     for (Frame& frame : street.frames)
         for (float& range : frame.scan.range_m)
-            if (frame.lidar == 1 && range > 0.0f) range += 0.06f;  // all lasers of the second
+            if (frame.lidar == 1 && range > 0.0f) range += 0.06f;  // all beams of the second
     std::vector<int> all;
     for (int i = 0; i < int(street.frames.size()); ++i) all.push_back(i);
     ASSERT_TRUE(calibrate_ranges(street, all).adopted);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Whole drives with known truth: 300 turns around a block with a stop, from poses that drift and jump, and from none.
+// Whole drives with known truth: 300 sweeps around a block with a stop, from poses that drift and jump, and from none.
 #include <gtest/gtest.h>
 
 #include <relidar/registration.hpp>

@@ -176,7 +176,7 @@ std::size_t ray_towards(const RayTable& rays, const glm::vec3& direction) {
     return best;
 }
 
-/// What a laser adds to ranges and makes of intensities is the sensor's: its own scans have it, those of another sensor do not.
+/// What a beam adds to ranges and makes of intensities is the sensor's: its own scans have it, those of another sensor do not.
 TEST_F(Render, LasersMeasureInTheirOwnWay) {
     const Surfels wall = wall_ahead();
     Sequence sequence = cross_sequence();

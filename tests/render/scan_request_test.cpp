@@ -97,7 +97,7 @@ TEST_F(ScanRequests, EachRayIsFiredFromWhereTheSensorIsThen) {
 TEST_F(ScanRequests, ActorsAreWhereTheCallerHasThem) {
     const PoseTrack stands{{0.0}, {at_x(0.0)}};
     EXPECT_NEAR(range_ahead({0.5, stands, ActorPoses{{"car", {{0.0}, {at_x(6.0)}}}}}), 6.0, 1e-4);
-    const double faced_s = 0.5;   // straight ahead of a turn at 0.5 s
+    const double faced_s = 0.5;   // straight ahead of a sweep at 0.5 s
     EXPECT_NEAR(range_ahead({0.5, stands, ActorPoses{{"car", {{0.0, 1.0}, {at_x(5.0), at_x(8.0)}}}}}), 5.0 + 3.0 * faced_s, 1e-4);
     EXPECT_NEAR(range_ahead({70.0, stands, ActorPoses{{"car", {{0.0}, {at_x(6.0)}}}}}), 6.0, 1e-4) << "the log's time does not bind the caller";
     EXPECT_NEAR(range_ahead({70.0, stands}), 10.0, 1e-4) << "and its own actors have left by then";

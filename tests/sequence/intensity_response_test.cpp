@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Laser responses against sensors whose responses are known.
+// Beam responses against sensors whose responses are known.
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -16,7 +16,7 @@ double noise(std::uint64_t k) { return std::fmod(std::sin(double(k) * 12.9898) *
 /// Brightness of the ground: a checkerboard of 0.5 m tiles.
 double brightness(const glm::dvec3& p) { return (int(std::floor(p.x * 2.0)) + int(std::floor(p.y * 2.0))) % 2 == 0 ? 0.3 : 0.6; }
 
-/// A sensor of n lasers 2 m above a plane that it looks down on while it drives forward, so that every laser comes to see the same tiles.
+/// A sensor of n beams 2 m above a plane that it looks down on while it drives forward, so that every beam comes to see the same tiles.
 Sequence drive(const std::vector<Beam>& beams, double noise_size) {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = beams;
@@ -54,7 +54,7 @@ std::vector<Beam> unequal_beams() {
         gain += beams[b].intensity_gain / 8.0;
         offset += beams[b].intensity_offset / 8.0;
     }
-    for (Beam& beam : beams) {   // as the mean laser is defined
+    for (Beam& beam : beams) {   // as the mean beam is defined
         beam.intensity_gain /= gain;
         beam.intensity_offset -= beam.intensity_gain * offset;
     }
@@ -67,13 +67,13 @@ TEST(IntensityResponse, ComesBackFromSharedPlaces) {
     const IntensityCalibration found = calibrate_intensity(sequence, kAll);
     ASSERT_GT(found.returns, 2000u);
     EXPECT_GT(found.rms_before, 3.0 * found.rms_after);
-    // Up to the common scale and shift, which no data tell: what two lasers report of the same surface is compared.
+    // Up to the common scale and shift, which no data tell: what two beams report of the same surface is compared.
     for (const double surface : {0.3, 0.6}) {
         const Beam &a = truth[0], &b = sequence.lidars[0].sensor.beams[0];
         const double common = (a.intensity_gain * surface + a.intensity_offset - b.intensity_offset) / b.intensity_gain;
         for (std::size_t k = 1; k < truth.size(); ++k) {
-            const Beam& laser = sequence.lidars[0].sensor.beams[k];
-            EXPECT_NEAR(laser.intensity_gain * common + laser.intensity_offset, truth[k].intensity_gain * surface + truth[k].intensity_offset, 0.02) << k << " at " << surface;
+            const Beam& beam = sequence.lidars[0].sensor.beams[k];
+            EXPECT_NEAR(beam.intensity_gain * common + beam.intensity_offset, truth[k].intensity_gain * surface + truth[k].intensity_offset, 0.02) << k << " at " << surface;
         }
     }
     double gain = 0.0, offset = 0.0;
@@ -91,7 +91,7 @@ TEST(IntensityResponse, EqualLasersStayEqual) {
         for (const double surface : {0.3, 0.6}) EXPECT_NEAR(beam.intensity_gain * surface + beam.intensity_offset, surface, 0.015);
 }
 
-/// The street's intensities are reflectance * (0.3 + 0.7 cos) * (1 - range / 160 m), its lasers equal (src/dataset/synthetic.cpp).
+/// The street's intensities are reflectance * (0.3 + 0.7 cos) * (1 - range / 160 m), its beams equal (src/dataset/synthetic.cpp).
 Sequence street() {
     SyntheticOptions options;
     options.n_frames = 40;   // 32 m: near and far views of the same places
@@ -108,7 +108,7 @@ TEST(IntensityResponse, FallWithRangeAndIncidenceIsNotTheLasers) {
     Sequence sequence = street();
     const IntensityCalibration found = calibrate_intensity(sequence, split_frames(sequence, 0).train);
     EXPECT_TRUE(found.shared);
-    EXPECT_FALSE(found.lasers);
+    EXPECT_FALSE(found.beams);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
     expect_the_streets_fall(sequence.intensity_response, 0.04);
 }
@@ -121,11 +121,11 @@ TEST(IntensityResponse, FallAndLasersAreToldApart) {
     for (Frame& frame : sequence.frames)
         for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i) frame.scan.intensity[i] *= float(gains[frame.scan.rays.channel[i]]);
     const IntensityCalibration found = calibrate_intensity(sequence, split_frames(sequence, 0).train);
-    EXPECT_TRUE(found.shared && found.lasers);
-    expect_the_streets_fall(sequence.intensity_response, 0.06);   // what a laser sees on the ground, it sees at one range
-    double ratio = 0.0;   // the mean laser is one by returns
+    EXPECT_TRUE(found.shared && found.beams);
+    expect_the_streets_fall(sequence.intensity_response, 0.06);   // what a beam sees on the ground, it sees at one range
+    double ratio = 0.0;   // the mean beam is one by returns
     for (std::size_t b = 0; b < gains.size(); ++b) ratio += sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / double(gains.size());
-    for (std::size_t b = 4; b < gains.size(); ++b)   // the first lasers look into the sky and see little
+    for (std::size_t b = 4; b < gains.size(); ++b)   // the first beams look into the sky and see little
         EXPECT_NEAR(sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / ratio, 1.0, 0.08) << b;
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Range offsets of lasers against sensors whose offsets are known.
+// Range offsets of beams against sensors whose offsets are known.
 #include <cmath>
 #include <numeric>
 
@@ -25,7 +25,7 @@ double cast(const glm::dvec3& o, const glm::dvec3& d) {
     return nearest;
 }
 
-/// A drive along the street; each laser adds its offset, and 5 mm of a deterministic noise.
+/// A drive along the street; each beam adds its offset, and 5 mm of a deterministic noise.
 Sequence drive(bool held_out_is_garbage = false) {
     Sequence sequence;
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b) sequence.lidars[0].sensor.beams.push_back({.elevation_rad = -0.03 - 0.04 * double(b)});

@@ -120,13 +120,13 @@ TEST(MovingBox, OnlyMovingBoxesAtTheirTimes) {
     EXPECT_FALSE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.5, 0.0));
     EXPECT_TRUE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.5, 0.2));
     EXPECT_FALSE(in_moving_box({car}, {0.0, 0.5, 0.0}, 0.05, 1.5, 0.0));  // too slow
-    EXPECT_TRUE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.04, 0.5, 0.0));  // the turn of the first label
+    EXPECT_TRUE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.04, 0.5, 0.0));  // the sweep of the first label
     EXPECT_FALSE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.06, 0.5, 0.0));
 }
 
 TEST(Split, EveryTenthOfFiftyButTheFirst) {
     Sequence sequence;
-    for (int i = 0; i < 50; ++i) sequence.frames.push_back({.index = i});
+    for (int i = 0; i < 50; ++i) sequence.frames.emplace_back().index = i;
     const Split split = split_frames(sequence, 10);
     EXPECT_EQ(split.test, (std::vector<int>{10, 20, 30, 40}));
     EXPECT_EQ(split.train.size(), 46u);

@@ -105,7 +105,7 @@ def check_frames(plain, world, deskewed, scan):
     clouds = [xyz(read_ply(f"{folder}/{name}.ply")[0]) for folder in (plain, world, deskewed)]
     check(f"{world}/{name}: world is not pose times deskewed", np.allclose(clouds[1], clouds[2] @ pose[:3, :3].T + pose[:3, 3], atol=1e-4))
     moved = np.abs(clouds[2] - clouds[0]).max()
-    check(f"{deskewed}/{name}: moved by {moved} m, expected what a sensor drives in half a turn", 0.01 < moved < 5)
+    check(f"{deskewed}/{name}: moved by {moved} m, expected what a sensor drives in half a sweep", 0.01 < moved < 5)
     npz = np.load(f"{world}/{name}.npz")
     check(f"{world}/{name}: frame", npz["frame"][()] == b"world" and npz["deskewed"] == 1)
     check(f"{world}/{name}: origins", np.abs(npz["origin"] - pose[:3, 3]).max() < 5)

@@ -43,7 +43,7 @@ TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
     EXPECT_LT(result.log.back().loss, 0.7 * result.log.front().loss);
     EXPECT_EQ(result.scene.sensor_drop.channels, 24);
     ASSERT_TRUE(result.poses);
-    EXPECT_EQ(result.poses->world_from_vehicle.pose.size(), 11u) << "a pose for each turn, not for each frame";
+    EXPECT_EQ(result.poses->world_from_vehicle.pose.size(), 11u) << "a pose for each sweep, not for each frame";
     for (const int position : split.test) {
         const Frame& frame = street.frames[std::size_t(position)];
         const double before = held_out_error(device(), untrained.scene, config, street, frame),

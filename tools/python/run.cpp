@@ -45,9 +45,7 @@ PointFrame frame_of(const std::string& name) {
 
 /// Poses of a LiDAR in the log, dataset's world.
 PoseTrack log_track(const Sequence& sequence, int lidar) {
-    PoseTrack track = sequence.world_from_sensor(lidar);
-    for (Pose& pose : track.pose) pose.translation += sequence.world_offset_m;
-    return track;
+    return shifted_track(sequence.world_from_sensor(lidar), sequence.world_offset_m);
 }
 
 ActorPoses actors_from(const py::dict& actors, double time_s) {
@@ -59,8 +57,8 @@ ActorPoses actors_from(const py::dict& actors, double time_s) {
     return poses;
 }
 
-/// Number of the log's turn that is nearest in time.
-int nearest_turn(const Sequence& sequence, double time_s) {
+/// Number of the log's sweep that is nearest in time.
+int nearest_sweep(const Sequence& sequence, double time_s) {
     const auto farther = [&](const Frame& a, const Frame& b) { return std::abs(a.time_s - time_s) < std::abs(b.time_s - time_s); };
     return std::min_element(sequence.frames.begin(), sequence.frames.end(), farther)->index;
 }
@@ -90,7 +88,7 @@ py::dict render(LoadedRun& loaded, const Asked& asked) {
         renderer->show_only(shown);
         scan = renderer->render(sensor, request, asked.sample);
     }
-    return to_dict(scan_arrays(scan, nearest_turn(run.sequence, request.time_s), format));
+    return to_dict(scan_arrays(scan, nearest_sweep(run.sequence, request.time_s), format));
 }
 
 std::vector<std::string> track_names(const Run& run) {
@@ -120,7 +118,7 @@ constexpr const char* kRenderHelp =
     "Renders a scan.\n\n"
     "sensor: one of relidar.sensors(), \"native\" (the log's), \"kitti360\", a CSV beam table, or a dict of rays as relidar.rays() gives; "
     "None: as the run's settings say\n"
-    "pose: sensor to the dataset's world, [4,4] float64, metres; or (times [n], poses [n,4,4]), also through the turn, so that each ray is "
+    "pose: sensor to the dataset's world, [4,4] float64, metres; or (times [n], poses [n,4,4]), also through the sweep, so that each ray is "
     "fired from where the\n"
     "    sensor is then; None: where the log's sensor was\n"
     "time: seconds of the log at which the head faces forward; None: of the first frame\n"
@@ -132,7 +130,7 @@ constexpr const char* kRenderHelp =
     "deskew: sensor frame at `time` for all rays\n\n"
     "Returns the arrays of an npz of `relidar render`: range, median_range (metres), intensity, drop_prob, weight, time (seconds\n"
     "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: nothing met) [rows,columns]; directions, origin\n"
-    "[rows,columns,3] float32; pose [4,4] float64; time_s, frame_number (of the log's turn nearest in time), instance_names, frame,\n"
+    "[rows,columns,3] float32; pose [4,4] float64; time_s, frame_number (of the log's sweep nearest in time), instance_names, frame,\n"
     "deskewed, sensor, run, units; with render.normals normals [rows,columns,3].\n\n"
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for unknown names.";
 

@@ -77,10 +77,10 @@ void add_sensors(py::module_& module) {
     module.def("sensors", &sensor_names, "Names of the sensors that rays() and Run.render() know beside \"native\", the log's own.");
     module.def(
         "rays", [](const std::string& sensor) { return to_dict(make_rays(find_sensor(sensor))); }, py::arg("sensor"),
-        "Rays of one turn of a sensor, by name or CSV beam table (\"beams.csv:1024x10\").\n\n"
+        "Rays of one sweep of a sensor, by name or CSV beam table (\"beams.csv:1024x10\").\n\n"
         "Returns a dict: directions, origin [rows,columns,3] float32 (unit; metres; sensor frame), time [rows,columns] float32 (seconds "
         "from the moment the head\n"
-        "faces forward), ring [rows,columns] uint16 (laser, 0 the highest). Such a dict, also one of your own, is a sensor for "
+        "faces forward), ring [rows,columns] uint16 (beam, 0 the highest). Such a dict, also one of your own, is a sensor for "
         "Run.render().");
 }
 

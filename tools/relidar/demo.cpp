@@ -48,14 +48,16 @@ Config config_of(const Options& options, const fs::path& street) {
 
 Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
     Progress progress(quiet);
-    ScanRenderer renderer(device, run.scene, run.config, run.sequence);
-    return evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress));
+    const Config config = with_lpips_weights(run.config);
+    ScanRenderer renderer(device, run.scene, config, run.sequence);
+    return evaluate_frames(renderer, config, run.sequence, run.split.test, shown_until_interrupted(progress));
 }
 
 /// The held-out frames seen from the shifted sensor, against what that sensor would have measured.
 Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptions& street, bool quiet) {
     Progress progress(quiet);
-    ScanRenderer renderer(device, run.scene, run.config, run.sequence);
+    const Config config = with_lpips_weights(run.config);
+    ScanRenderer renderer(device, run.scene, config, run.sequence);
     const PoseTrack track = moved_track(run.sequence.world_from_sensor(0), kShift);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
     std::vector<ScoredFrame> frames;
@@ -64,7 +66,7 @@ Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptio
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
         Frame exact{frame.index, frame.time_s, cast_synthetic_street(street, rays, track, frame.time_s)};
         drop_outside(exact.scan, run.sequence.lidars[0].sensor.range_limits());
-        frames.push_back(score_frame(renderer, run.config, run.sequence, exact, kShift));
+        frames.push_back(score_frame(renderer, config, run.sequence, exact, kShift));
         progress.count("shifted sensor, frame", frames.size(), run.split.test.size());
     }
     return summarise(std::move(frames), renderer.times());
@@ -93,7 +95,7 @@ std::string short_table(const Evaluation& held_out, const Evaluation& shifted) {
 void finish(Device& device, const Run& run, const SyntheticOptions& street, Report report, const fs::path& out, bool quiet) {
     const Evaluation held_out = evaluate_held_out(device, run, quiet);
     const Evaluation shifted = evaluate_shifted(device, run, street, quiet);
-    write_text(run.folder / "metrics.json", metrics_json(held_out, run.config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
+    write_text(run.folder / "metrics.json", metrics_json(held_out, with_lpips_weights(run.config), {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
     write_scans(out / "held_out", held_out, run, {});
     write_scans(out / "shifted", shifted, run, kShift);
     report.title = "relidar demo: a synthetic street";
@@ -110,7 +112,7 @@ void finish(Device& device, const Run& run, const SyntheticOptions& street, Repo
 void run_demo(const Options& options, const std::string& command_line) {
     const fs::path out = options.out;
     const Config config = config_of(options, out / "street");
-    check_lpips_weights(config);
+    check_lpips_weights(with_lpips_weights(config));
     const OutputFolder folder(out);
     const RunFolder run_folder(out / "run", Existing::replace);
     Device device(device_options(options.device));

@@ -39,6 +39,7 @@ struct Options {
 void apply_options(Config& config, const Options& options) {
     apply_sets(config, options.sets);
     if (!options.lpips.empty()) config.eval.lpips_weights = absolute_path(options.lpips);
+    config = with_lpips_weights(std::move(config));
 }
 
 void check_held_out(const Split& split, const std::string& where) {

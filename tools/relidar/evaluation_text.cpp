@@ -3,6 +3,7 @@
 #include "evaluation.hpp"
 
 #include <algorithm>
+#include <cstdlib>
 #include <set>
 
 #include <fmt/format.h>
@@ -27,7 +28,7 @@ constexpr const char* kActors = "tail_share: of the returned points (drop_prob <
 constexpr const char* kColumns[] = {"pixels", "returned", "depth_medae_m", "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 
 Json protocol_json(const Config& config) {
-    const std::string lpips = lpips_file(config);
+    const std::string& lpips = config.eval.lpips_weights;
     return {{"frames", "held out of training; mean over frames, metric by metric, over the frames that have it"},
             {"grid", config.sensor.grid},
             {"grid_method", config.sensor.grid == "native" ? "rays of the real scan" : config.sensor.grid_method},
@@ -95,6 +96,12 @@ Rows region_rows(const Evaluation& evaluation) {
 }
 
 }  // namespace
+
+Config with_lpips_weights(Config config) {
+    const char* named = std::getenv("RELIDAR_LPIPS_WEIGHTS");
+    if (named && config.eval.lpips_weights.empty()) config.eval.lpips_weights = named;
+    return config;
+}
 
 relidar::Progress shown_until_interrupted(Progress& progress) {
     return [show = shown_by(progress)](std::string_view what, double done) {

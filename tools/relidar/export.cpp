@@ -34,9 +34,7 @@ std::string sizes(const Scene& scene) { return fmt::format("{} surfels, {} model
 
 /// Where the log's first sensor was, in the dataset's world.
 PoseTrack sensor_path(const Sequence& sequence) {
-    PoseTrack track = sequence.world_from_sensor(0);
-    for (Pose& pose : track.pose) pose.translation += sequence.world_offset_m;
-    return track;
+    return shifted_track(sequence.world_from_sensor(0), sequence.world_offset_m);
 }
 
 void run_export(const ExportOptions& options) {

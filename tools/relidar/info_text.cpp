@@ -115,7 +115,7 @@ std::string text_of(const LidarSummary& l) {
     const std::string name = l.name.empty() ? "" : fmt::format("{}, {} frames, ", l.name, l.n_frames);
     const std::string further = l.n_further == 0 ? "" : fmt::format(", {} further returns", l.n_further);
     if (l.n_beams == 0) return fmt::format("{}{}: no beams known, {:.4g} m{}", name, l.sensor, l.max_range_m, further);
-    return fmt::format("{}{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s a turn, {:.4g} m{}", name, l.sensor, l.n_beams, l.columns, l.top_deg, l.bottom_deg, l.period_s,
+    return fmt::format("{}{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s a sweep, {:.4g} m{}", name, l.sensor, l.n_beams, l.columns, l.top_deg, l.bottom_deg, l.period_s,
                        l.max_range_m, further);
 }
 

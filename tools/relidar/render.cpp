@@ -144,27 +144,27 @@ void check_options(const Options& options) {
 }
 
 /// A scan that is wanted: its number in file names, and the moment at which the head faces forward.
-struct Turn {
+struct Sweep {
     int number;
     double time_s;
 };
 
-std::vector<Turn> turns_of_log(const Run& run, const Options& options, int lidar) {
-    std::vector<Turn> turns;
+std::vector<Sweep> sweeps_of_log(const Run& run, const Options& options, int lidar) {
+    std::vector<Sweep> sweeps;
     for (const int position : choose_frames(run, options.frames, options.quiet)) {
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        if (frame.lidar == lidar) turns.push_back({frame.index, frame.time_s});
+        if (frame.lidar == lidar) sweeps.push_back({frame.index, frame.time_s});
     }
-    if (turns.empty()) throw UsageError(fmt::format("--lidar {}: took none of the chosen frames of {}", options.lidar, run.folder.string()));
-    return turns;
+    if (sweeps.empty()) throw UsageError(fmt::format("--lidar {}: took none of the chosen frames of {}", options.lidar, run.folder.string()));
+    return sweeps;
 }
 
-std::vector<Turn> turns_along(const Run& run, const Options& options, const PoseTrack& track, int lidar) {
+std::vector<Sweep> sweeps_along(const Run& run, const Options& options, const PoseTrack& track, int lidar) {
     const std::vector<double> times_s = scan_times(options.trajectory, track, 1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar)].sensor.period_s);
     if (!options.quiet) note_beyond_log(run, track, times_s);
-    std::vector<Turn> turns;
-    for (const double t : times_s) turns.push_back({static_cast<int>(turns.size()), t});
-    return turns;
+    std::vector<Sweep> sweeps;
+    for (const double t : times_s) sweeps.push_back({static_cast<int>(sweeps.size()), t});
+    return sweeps;
 }
 
 void run_render(const Options& options) {
@@ -176,7 +176,7 @@ void run_render(const Options& options) {
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
     const int lidar = find_lidar(run.sequence, options.lidar);
-    const std::vector<Turn> turns = drives ? turns_along(run, options, track, lidar) : turns_of_log(run, options, lidar);
+    const std::vector<Sweep> sweeps = drives ? sweeps_along(run, options, track, lidar) : sweeps_of_log(run, options, lidar);
     const SensorChoice sensor = options.sensor.empty() ? configured_sensor(run.config, run.sequence, lidar) : choose_sensor(options.sensor, run.config, run.sequence, lidar);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(device_options(options.device));
@@ -189,20 +189,20 @@ void run_render(const Options& options) {
     catch_interrupts();
     Progress progress(options.quiet);
     double trace_ms = 0.0;
-    for (std::size_t done = 0; done < turns.size(); ++done) {
+    for (std::size_t done = 0; done < sweeps.size(); ++done) {
         stop_if_interrupted();
-        const auto [number, time_s] = turns[done];
+        const auto [number, time_s] = sweeps[done];
         const RenderedScan scan = drives ? renderer.render(sensor, {time_s, track}, options.sample) : renderer.render(sensor, time_s, offset, options.sample);
         scans.write(number, scan);
         trace_ms += scan.trace_ms;
-        progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", number), done + 1, turns.size());
+        progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", number), done + 1, sweeps.size());
     }
     scans.finish();
     end_progress_line();
     if (options.quiet) return;
-    const double mrays = static_cast<double>(sensor.rays.size() * turns.size()) / 1e6;
-    print(fmt::format("{} scans of {} rays in {} ({}); tracing {:.1f} ms a scan, {:.3f} Mrays/s\n", turns.size(), sensor.rays.size(), options.out, fmt::join(format.formats, ", "),
-                      trace_ms / static_cast<double>(turns.size()), trace_ms > 0.0 ? 1000.0 * mrays / trace_ms : 0.0));
+    const double mrays = static_cast<double>(sensor.rays.size() * sweeps.size()) / 1e6;
+    print(fmt::format("{} scans of {} rays in {} ({}); tracing {:.1f} ms a scan, {:.3f} Mrays/s\n", sweeps.size(), sensor.rays.size(), options.out, fmt::join(format.formats, ", "),
+                      trace_ms / static_cast<double>(sweeps.size()), trace_ms > 0.0 ? 1000.0 * mrays / trace_ms : 0.0));
 }
 
 }  // namespace
@@ -231,7 +231,7 @@ void add_render(CLI::App& app, Call& call) {
     command->footer(std::string("Files are DIR/frame_000123.npz and so on, by the dataset's frame number (of a trajectory: counted from 0), and DIR/scans.json: run, sensor, offset, poses, times, settings.\n"
                     "npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin [rows,columns,3];\n"
                     "pose [4,4] sensor to the dataset's world at time_s. Metres, seconds. ply, pcd, bin: points of rays with drop_prob < 0.5, of the dominant\n"
-                    "surface (--set render.points=range: of the mean along the ray, which lies between two surfaces at edges). ring: laser, 0 the highest;\n"
+                    "surface (--set render.points=range: of the mean along the ray, which lies between two surfaces at edges). ring: beam, 0 the highest;\n"
                     "time: of the ray, seconds from time_s. VIEWPOINT of a pcd takes its points to the dataset's world.\n"
                     "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; npz has instance_names.\n"
                     "--set render.normals=true: unit normals of surfaces, towards the sensor, in every format but bin and png.\n") +

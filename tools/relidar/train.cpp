@@ -130,12 +130,13 @@ TrainResult train_or_tell(Device& device, const Run& run, const Options& options
 /// Scores the held-out frames and writes metrics.json. @return nothing scored where no frame is held out
 Evaluation score(Device& device, const Run& run, const Options& options) {
     if (run.split.test.empty() || options.no_eval) return {};
-    ScanRenderer renderer(device, run.scene, run.config, run.sequence);
+    const Config config = with_lpips_weights(run.config);
+    ScanRenderer renderer(device, run.scene, config, run.sequence);
     Progress progress(options.quiet);
     const auto start = std::chrono::steady_clock::now();
-    Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress));
+    Evaluation evaluation = evaluate_frames(renderer, config, run.sequence, run.split.test, shown_until_interrupted(progress));
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    write_text(run.folder / "metrics.json", metrics_json(evaluation, run.config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
+    write_text(run.folder / "metrics.json", metrics_json(evaluation, config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
     return evaluation;
 }
 
@@ -164,7 +165,7 @@ void run_train(const Options& given, const std::string& command_line) {
         return;
     }
     const bool resume = options.resume && !options.force;
-    if (!options.no_eval) check_lpips_weights(config);
+    if (!options.no_eval) check_lpips_weights(with_lpips_weights(config));
     const RunFolder folder(options.out, resume ? Existing::keep : options.force ? Existing::replace : Existing::refuse);
     std::optional<Checkpoint> start = resume ? find_start(options) : std::nullopt;
     Device device(device_options(options.device));

@@ -26,7 +26,7 @@ using shared::DeviceTarget;
 struct ImageShape {
     std::uint32_t rows = 0;
     std::uint32_t columns = 0;
-    bool circular = false;   ///< a whole turn: the first column follows the last one
+    bool circular = false;   ///< a whole sweep: the first column follows the last one
 
     bool is_image() const { return rows > 0; }
 };

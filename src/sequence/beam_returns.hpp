@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Returns of a log for comparing lasers. Private to sequence.
+// Returns of a log for comparing beams. Private to sequence.
 #pragma once
 
 #include <optional>
@@ -11,18 +11,18 @@
 
 namespace relidar {
 
-/// The laser (Sequence::laser_number) of a ray that returned from within max_range_m; nothing of any other.
-inline std::optional<std::uint16_t> laser_that_saw(const Sequence& sequence, const Frame& frame, std::size_t ray, double max_range_m) {
+/// The beam (Sequence::beam_number) of a ray that returned from within max_range_m; nothing of any other.
+inline std::optional<std::uint16_t> beam_that_saw(const Sequence& sequence, const Frame& frame, std::size_t ray, double max_range_m) {
     const float range_m = frame.scan.range_m[ray];
-    return range_m > 0.0f && range_m < max_range_m ? sequence.laser_number(frame.lidar, frame.scan.rays.channel[ray]) : std::nullopt;
+    return range_m > 0.0f && range_m < max_range_m ? sequence.beam_number(frame.lidar, frame.scan.rays.channel[ray]) : std::nullopt;
 }
 
-/// The lasers of all LiDARs, as Sequence::laser_number() counts them.
-inline std::vector<Beam*> lasers_of(Sequence& sequence) {
-    std::vector<Beam*> lasers;
+/// The beams of all LiDARs, as Sequence::beam_number() counts them.
+inline std::vector<Beam*> beams_of(Sequence& sequence) {
+    std::vector<Beam*> beams;
     for (Lidar& lidar : sequence.lidars)
-        for (Beam& beam : lidar.sensor.beams) lasers.push_back(&beam);
-    return lasers;
+        for (Beam& beam : lidar.sensor.beams) beams.push_back(&beam);
+    return beams;
 }
 
 /// read(frame) of the frames at some positions; of every n-th, where all of them have more than most_rays rays.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The sensor is recovered from its own scans: rings by file order, cones of the beams, the lattice of firings. Then every turn is put on
+// The sensor is recovered from its own scans: rings by file order, cones of the beams, the lattice of firings. Then every sweep is put on
 // the rays that were fired.
-#include "dataset/kitti_turns.hpp"
+#include "dataset/kitti_sweeps.hpp"
 
 #include <algorithm>
 
@@ -18,7 +18,7 @@
 namespace relidar::kitti {
 namespace {
 
-// The fits are far better than the file's millimetres with a few turns; more would only cost time.
+// The fits are far better than the file's millimetres with a few sweeps; more would only cost time.
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 
 std::vector<const RawScan*> spread(const std::vector<RawScan>& scans, std::size_t n) {
@@ -37,23 +37,23 @@ ScanPoints points_of(const RawScan& raw) {
 
 /// Before rays are made: as many as the azimuths say, and no more than the points can be returns of.
 void check_rays(const std::vector<RawScan>& raw, const FiringLattice& lattice, const std::string& where) {
-    constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 a turn
-    constexpr std::size_t kMostRaysAPoint = 200;  // whole turns have 1.1
+    constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 a sweep
+    constexpr std::size_t kMostRaysAPoint = 200;  // whole sweeps have 1.1
     if (lattice.head.n_ticks > kMostFirings)
         throw DataError(
-            fmt::format("{}: azimuths of neighbouring points differ by 1/{} of a turn, expected at most {} firings of an HDL-64E", where,
+            fmt::format("{}: azimuths of neighbouring points differ by 1/{} of a sweep, expected at most {} firings of an HDL-64E", where,
                         lattice.head.n_ticks, kMostFirings));
     std::size_t n_points = 0;
     for (const RawScan& scan : raw) n_points += scan.points.size();
     const std::size_t n_rays = raw.size() * kRings * std::size_t(lattice.every_tick ? lattice.head.n_ticks : 1);
     if (n_rays > kMostRaysAPoint * n_points)
         throw DataError(
-            fmt::format("{}: {} points in {} turns of {} rays, expected whole turns", where, n_points, raw.size(), n_rays / raw.size()));
+            fmt::format("{}: {} points in {} sweeps of {} rays, expected whole sweeps", where, n_points, raw.size(), n_rays / raw.size()));
 }
 
 }  // namespace
 
-void read_turns(Sequence& sequence, const std::filesystem::path& folder, int digits, const Progress& progress) {
+void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int digits, const Progress& progress) {
     const auto file_of = [&](std::size_t at) { return folder / fmt::format("{:0{}d}.bin", sequence.frames[at].index, digits); };
     std::vector<RawScan> raw(sequence.frames.size());
     for_each_told(raw.size(), progress, "reading scans", [&](std::size_t at) { raw[at] = split_rings(read_scan(file_of(at))); });
@@ -64,16 +64,16 @@ void read_turns(Sequence& sequence, const std::filesystem::path& folder, int dig
     check_rays(raw, lattice, folder.string());
 
     std::vector<std::vector<int>> firings(raw.size());
-    for_each_told(raw.size(), progress, "finding the firings of each turn", [&](std::size_t at) {
+    for_each_told(raw.size(), progress, "finding the firings of each sweep", [&](std::size_t at) {
         firings[at] = find_firings(raw[at], lattice);
         if (firings[at].empty()) {
-            throw DataError(fmt::format("{}: {} points without a firing in common, expected a turn of an HDL-64E", file_of(at).string(),
+            throw DataError(fmt::format("{}: {} points without a firing in common, expected a sweep of an HDL-64E", file_of(at).string(),
                                         raw[at].points.size()));
         }
     });
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.beams = lattice.beams(cones);
-    for (const auto& turn : firings) sensor.columns = std::max(sensor.columns, static_cast<int>(turn.size()));
+    for (const auto& sweep : firings) sensor.columns = std::max(sensor.columns, static_cast<int>(sweep.size()));
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     for_each_told(raw.size(), progress, "putting points on the rays that were fired", [&](std::size_t at) {
         sequence.frames[at].scan = spinning_scan(points_of(raw[at]), sensor, {lattice.head, firings[at]});

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a laser measures, and what it makes of that: each direction undoes the other, and a head found from a point is the one that fired.
+// What a beam measures, and what it makes of that: each direction undoes the other, and a head found from a point is the one that fired.
 #include <relidar/sensor.hpp>
 
 #include <cmath>
@@ -12,27 +12,27 @@
 namespace relidar {
 namespace {
 
-TEST(Laser, MeasuringAndItsInverseArePairs) {
+TEST(Beam, MeasuringAndItsInverseArePairs) {
     Random random(11);
     for (int i = 0; i < 1000; ++i) {
-        const Beam laser{.intensity_gain = 0.5 + random.uniform(),
+        const Beam beam{.intensity_gain = 0.5 + random.uniform(),
                          .intensity_offset = 0.1 * random.uniform(),
                          .range_offset_m = 0.2 * random.uniform() - 0.1};
         const double range = 1.0 + 80.0 * random.uniform(), fall = 0.3 + 0.5 * random.uniform(), albedo = 0.6 * random.uniform();
-        EXPECT_NEAR(laser.surface_range(laser.measured_range(range)), range, 1e-12);
-        EXPECT_NEAR(laser.measured_range(laser.surface_range(range)), range, 1e-12);
-        EXPECT_NEAR(laser.surface_intensity(laser.measured_intensity(albedo, fall), fall), albedo, 1e-12);
+        EXPECT_NEAR(beam.surface_range(beam.measured_range(range)), range, 1e-12);
+        EXPECT_NEAR(beam.measured_range(beam.surface_range(range)), range, 1e-12);
+        EXPECT_NEAR(beam.surface_intensity(beam.measured_intensity(albedo, fall), fall), albedo, 1e-12);
     }
 }
 
-TEST(Laser, CutsWhatItCannotMeasure) {
-    const Beam laser{.intensity_gain = 2.0, .intensity_offset = -0.1, .range_offset_m = -0.5};
-    EXPECT_EQ(laser.measured_intensity(0.9, 1.0), 1.0);
-    EXPECT_EQ(laser.measured_intensity(0.01, 1.0), 0.0);
-    EXPECT_NEAR(laser.measured_intensity(0.3, 0.5), 2.0 * 0.5 * 0.3 - 0.1, 1e-15);
-    EXPECT_EQ(laser.measured_range(0.2), 0.0);
-    EXPECT_EQ(laser.measured_range(0.0), 0.0) << "nothing came back";
-    EXPECT_EQ(laser.surface_range(0.0), 0.0);
+TEST(Beam, CutsWhatItCannotMeasure) {
+    const Beam beam{.intensity_gain = 2.0, .intensity_offset = -0.1, .range_offset_m = -0.5};
+    EXPECT_EQ(beam.measured_intensity(0.9, 1.0), 1.0);
+    EXPECT_EQ(beam.measured_intensity(0.01, 1.0), 0.0);
+    EXPECT_NEAR(beam.measured_intensity(0.3, 0.5), 2.0 * 0.5 * 0.3 - 0.1, 1e-15);
+    EXPECT_EQ(beam.measured_range(0.2), 0.0);
+    EXPECT_EQ(beam.measured_range(0.0), 0.0) << "nothing came back";
+    EXPECT_EQ(beam.surface_range(0.0), 0.0);
     EXPECT_EQ((Beam{.range_offset_m = 3.0}.surface_range(1.0)), 1e-3);
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The measurement model of a laser, both directions side by side:
+// The measurement model of a beam, both directions side by side:
 //   range_measured = range + range_offset,   intensity_measured = clamp(gain * fall * intensity + offset, 0, 1)
 #include <relidar/sensor.hpp>
 
@@ -23,7 +23,7 @@ double Beam::surface_intensity(double measured, double fall) const {
     return (measured - intensity_offset) / intensity_gain / fall;
 }
 
-const Beam& laser_of(const std::vector<Beam>& beams, std::size_t channel) {
+const Beam& beam_of(const std::vector<Beam>& beams, std::size_t channel) {
     static const Beam ideal;
     return channel < beams.size() ? beams[channel] : ideal;
 }
