@@ -58,7 +58,8 @@ set(CPACK_PRE_BUILD_SCRIPTS ${PROJECT_SOURCE_DIR}/cmake/debian/permissions.cmake
 set(depends libvulkan1)   # opened at run time, so dpkg-shlibdeps does not see it
 if(RELIDAR_PYTHON)        # the module is made for one version of Python
     math(EXPR next_minor "${Python_VERSION_MINOR} + 1")
-    list(APPEND depends python3-numpy "python3 (>= ${Python_VERSION_MAJOR}.${Python_VERSION_MINOR})" "python3 (<< ${Python_VERSION_MAJOR}.${next_minor})")
+    list(APPEND depends python3-numpy "python3 (>= ${Python_VERSION_MAJOR}.${Python_VERSION_MINOR})"
+        "python3 (<< ${Python_VERSION_MAJOR}.${next_minor})")
 endif()
 set(recommends "mesa-vulkan-drivers (>= 24.1)" ${to_link})   # the first software driver that runs every kernel
 set(CPACK_DEBIAN_COMPRESSION_TYPE xz)

@@ -33,7 +33,8 @@ struct DatasetConfig {
 
 struct SensorConfig {
     std::string grid = "native";          ///< "native" or "kitti360": the image that is rendered and scored
-    std::string grid_method = "project";  ///< "project": simulate the native scan and bin its points as the real ones were; "cast": rays through cell centres
+    /// "project": simulate the native scan and bin its points as the real ones were; "cast": rays through cell centres
+    std::string grid_method = "project";
     bool rolling_shutter = true;          ///< rays start where the sensor was when they were fired
     bool calibrate_intensity = false;     ///< find gain and offset of each beam's intensity before training (see calibrate_intensity())
     bool calibrate_range = false;         ///< find what each beam adds to its ranges before training (see calibrate_ranges())
@@ -122,10 +123,12 @@ struct ConfigKey {
 /// All settings, in the order of the TOML file.
 std::vector<ConfigKey> config_keys(const Config& config);
 
-/// Sets one field from text. @throws UsageError for an unknown key (the nearest known one is named) or a value of the wrong kind or out of range
+/// Sets one field from text. @throws UsageError for an unknown key (the nearest known one is named) or a value of the wrong kind or out of
+/// range
 void set_key(Config& config, const std::string& key, const std::string& value);
 
-/// Reads a TOML file over `config`: tables are the first part of a key. @throws UsageError as set_key, DataError for a malformed or missing file
+/// Reads a TOML file over `config`: tables are the first part of a key. @throws UsageError as set_key, DataError for a malformed or missing
+/// file
 void load_config(Config& config, const std::filesystem::path& path);
 
 /// Every value used, as TOML with its help as comments; load_config reads it back to the same values.

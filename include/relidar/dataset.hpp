@@ -25,7 +25,8 @@ inline constexpr const char* kNoPoses = "none";
 /// What to read of a log.
 struct DatasetOptions {
     FrameRange frames;
-    std::filesystem::path poses_file;   ///< 12 numbers a line, world_from_sensor of frame i on line i, in the dataset's world; empty = the dataset's own; kNoPoses
+    /// 12 numbers a line, world_from_sensor of frame i on line i, in the dataset's world; empty = the dataset's own; kNoPoses
+    std::filesystem::path poses_file;
     bool allow_missing_scans = true;    ///< leave frames without a scan out; false: a missing scan is an error
     bool rolling_shutter = true;        ///< false: take all rays of a sweep as fired at its reference time
     double max_range_m = 80.0;          ///< returns beyond are treated as dropped
@@ -55,7 +56,7 @@ struct SyntheticOptions {
     double range_noise_m = 0.01;      ///< standard deviation
     double speed_mps = 8.0;           ///< of the sensor along the street
     bool moving_cars = true;
-    bool people = false;              ///< three pedestrians, a cyclist, cars parked behind a fence, cars with windows that let rays through, bushes
+    bool people = false;  ///< three pedestrians, a cyclist, cars parked behind a fence, cars with windows that let rays through, bushes
 };
 
 /// Makes the synthetic street log in memory, ground truth by exact ray casting with a rolling shutter.
@@ -73,7 +74,8 @@ struct StreetCar {
 
 /// The same with these cars instead of the street's own: the exact answer for an edit.
 /// @throws DataError where the street has no such car
-Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<StreetCar>& cars, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
+Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<StreetCar>& cars, const RayTable& rays,
+                           const PoseTrack& world_from_sensor, double time_s);
 
 /// Options of a log that save_synthetic wrote. @throws DataError naming the key that is wrong
 SyntheticOptions read_synthetic(const std::filesystem::path& folder);

@@ -102,12 +102,13 @@ void write_surfel_ply(const std::filesystem::path& path, const Scene& scene);
 /// @throws DataError for text or big-endian files, missing properties, sizes that do not match, values that are not finite
 Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, Primitive primitive = {});
 
-/// Poses as the CSV that read_trajectory() reads, time_s,x,y,z,yaw_deg,pitch_deg,roll_deg, every number with all its digits: for planners, and
-/// to begin a trajectory of one's own from a log's. @throws DataError as for write_atomically
+/// Poses as the CSV that read_trajectory() reads, time_s,x,y,z,yaw_deg,pitch_deg,roll_deg, every number with all its digits: for planners,
+/// and to begin a trajectory of one's own from a log's. @throws DataError as for write_atomically
 void write_trajectory(const std::filesystem::path& path, const PoseTrack& track);
 
 /// Float channels of one image, ZIP compressed. @param channels name -> [rows*columns] @param notes string attributes
-void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels, const FileNotes& notes = {});
+void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels,
+               const FileNotes& notes = {});
 
 /// 8-bit RGB image.
 struct Image {

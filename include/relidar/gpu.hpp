@@ -55,19 +55,20 @@ struct PipelineStatistics {
 };
 
 struct DeviceOptions {
-    int index = -1;                              ///< of list_devices; -1 = the first GPU, one with ray query before others, else a CPU device
+    int index = -1;  ///< of list_devices; -1 = the first GPU, one with ray query before others, else a CPU device
     Traversal traversal = Traversal::automatic;
     bool validation = false;                     ///< Khronos validation layer
     std::uint64_t memory_limit_bytes = 0;        ///< device-local memory it may hold, 0 = all there is
     /// Compile every kernel that is made, each distinct pipeline once, keep what the driver says of it (Device::pipelines), and run none:
     /// what is opened so is for looking at, and may be a driver without hardware.
     bool compile_only = false;
-    std::filesystem::path pipeline_cache = {};   ///< folder that keeps compiled pipelines from one process to the next; empty: compiled each time
+    /// folder that keeps compiled pipelines from one process to the next; empty: compiled each time
+    std::filesystem::path pipeline_cache = {};
 };
 
 /// What a user's environment says, on top of the given options: RELIDAR_VALIDATION=1, RELIDAR_MEMORY_LIMIT_MIB=n (where no limit is given),
-/// RELIDAR_PIPELINE_CACHE=FOLDER (0: none; else $XDG_CACHE_HOME/relidar or $HOME/.cache/relidar). For programs that run on a user's machine;
-/// nothing else in the library reads the environment. @throws UsageError for a limit that is no number
+/// RELIDAR_PIPELINE_CACHE=FOLDER (0: none; else $XDG_CACHE_HOME/relidar or $HOME/.cache/relidar). For programs that run on a user's
+/// machine; nothing else in the library reads the environment. @throws UsageError for a limit that is no number
 DeviceOptions from_environment(DeviceOptions options = {});
 
 /// An open device. Everything made from it must be destroyed first.
@@ -99,7 +100,8 @@ private:
 
 /// Milliseconds a kernel over the submissions measured.
 struct KernelTimes {
-    std::map<std::string, std::vector<double>> milliseconds;   ///< kernel name -> one entry a launch, at most the last 4096 (older ones are dropped)
+    /// kernel name -> one entry a launch, at most the last 4096 (older ones are dropped)
+    std::map<std::string, std::vector<double>> milliseconds;
 };
 
 }  // namespace relidar

@@ -74,7 +74,8 @@ MetricRow evaluate(const RangeImage& rendered, const RangeImage& real, const Met
 ///   <region>/returned   share of these pixels that also return in the rendering, by the strict threshold
 ///   <region>/pixels     how many there are; the other metrics are left out where there is none
 /// @throws DataError as evaluate(), and where a region has another number of pixels
-MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real, const std::vector<Region>& regions, const MetricOptions& options = {});
+MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real, const std::vector<Region>& regions,
+                           const MetricOptions& options = {});
 
 /// The regions users ask for: all, moving_boxes, static, and the bands range_0_20_m, range_20_40_m, range_40_80_m.
 /// @param moving [rows*columns] pixels whose return lies in a moving box
@@ -95,7 +96,8 @@ struct Comparison {
     std::vector<Region> regions;
     std::vector<float> point_range_m = {};   ///< [rows*columns] of the points of `rendered`, or empty
 };
-/// evaluate(), evaluate_regions() and, where a comparison has points, evaluate_points() of many frames at once, on all cores. @return [n] rows
+/// evaluate(), evaluate_regions() and, where a comparison has points, evaluate_points() of many frames at once, on all cores. @return [n]
+/// rows
 std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons, const MetricOptions& options = {});
 
 /// What the baseline does with points in moving boxes.

@@ -38,8 +38,8 @@ struct Registration {
     bool stopped = false;
 };
 
-/// Finds poses of the sensor at which all scans lie on common planes. First scan by scan, each on the map of those before it, starting where
-/// the given poses say that it moved; then all at once:
+/// Finds poses of the sensor at which all scans lie on common planes. First scan by scan, each on the map of those before it, starting
+/// where the given poses say that it moved; then all at once:
 ///   min over all poses and planes (n, d) of  sum over points p of rho(n . p - d),  rho(r) = r^2 / (1 + r^2 / s^2),
 /// each point moving with the poses between which it was fired. So given poses may drift by metres, or jump. What all poses have in common
 /// cannot be seen: the mean correction is zero, or without given motion the pose in the middle stays.

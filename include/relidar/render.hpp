@@ -20,11 +20,12 @@ struct Run;
 
 /// A simulated scan: a range image with the ray of each pixel, in the sensor's frame at the ray's firing time.
 struct RenderedScan {
-    RangeImage image;                   ///< range as config.render.range says; drop_prob from the two logits (M6), 1 beyond the sensor's range
+    RangeImage image;  ///< range as config.render.range says; drop_prob from the two logits (M6), 1 beyond the sensor's range
     std::vector<float> median_range_m;  ///< [n] t where T crosses 0.5 (0 where never), along the ray
     std::vector<float> weight;          ///< [n] accumulated alpha W
     std::vector<std::int32_t> instance; ///< [n] whose surface was met: index into Scene::instances, -1 where none was
-    std::vector<glm::vec3> normal;      ///< [n] unit, of the surface that was met, towards the sensor; 0 where none was; empty without render.normals
+    /// [n] unit, of the surface that was met, towards the sensor; 0 where none was; empty without render.normals
+    std::vector<glm::vec3> normal;
     std::vector<float> time_offset_s;   ///< [n] firing time of each ray
     std::vector<std::uint16_t> channel; ///< [n]
     Pose world_from_sensor;             ///< at the reference time, in the dataset's world
@@ -41,9 +42,9 @@ std::vector<float> surface_ranges(const RenderedScan& scan);
 /// [n] Ranges of the points of a scan, by config.render.points: of the dominant surface, where a ray has one, or those of the image.
 std::vector<float> point_ranges(const RenderedScan& scan, const Config& config);
 
-/// Draws one scan from what a rendering says is likely: a ray returns with probability 1 - drop_prob, independently of the others, its range off
-/// by the noise at its range and angle of incidence (from neighbouring pixels). Afterwards drop_prob is 0 or 1, and image.range_m is the
-/// dominant surface's, as median_range_m. The same for the same seed and time, whatever the device.
+/// Draws one scan from what a rendering says is likely: a ray returns with probability 1 - drop_prob, independently of the others, its
+/// range off by the noise at its range and angle of incidence (from neighbouring pixels). Afterwards drop_prob is 0 or 1, and image.range_m
+/// is the dominant surface's, as median_range_m. The same for the same seed and time, whatever the device.
 void sample_returns(RenderedScan& scan, const RangeNoise& noise, std::uint64_t seed);
 
 /// The sensor whose scan is wanted.
@@ -51,7 +52,8 @@ struct SensorChoice {
     RayTable rays;
     std::optional<RangeGrid> grid;   ///< bin the simulated points into this grid afterwards
     bool is_own = false;             ///< a LiDAR of the log: its sensor-level ray-drop applies
-    std::vector<Beam> beams = {};    ///< of the rays' channels, what these add to ranges and make of intensities; none: they measure what is there
+    /// of the rays' channels, what these add to ranges and make of intensities; none: they measure what is there
+    std::vector<Beam> beams = {};
     RangeLimits limits = {};         ///< of measured ranges
     std::string name = "";
     int lidar = 0;                   ///< of the log, which it is or in whose place it stands
@@ -67,8 +69,10 @@ SensorChoice choose_sensor(const std::string& name_or_file, const Config& config
 /// world, times in the log's (Frame::time_s).
 struct ScanRequest {
     double time_s = 0.0;            ///< when the head faces forward
-    PoseTrack dataset_from_sensor;  ///< also through the sweep: with a rolling shutter a ray is fired from where the sensor is then; one pose: it stands
-    std::optional<ActorPoses> dataset_from_actor = {};   ///< of all actors that are there; not given: where the run's tracks have them at the time
+    /// also through the sweep: with a rolling shutter a ray is fired from where the sensor is then; one pose: it stands
+    PoseTrack dataset_from_sensor;
+    /// of all actors that are there; not given: where the run's tracks have them at the time
+    std::optional<ActorPoses> dataset_from_actor = {};
 };
 
 /// Renders scans of a trained scene. A renderer serves one thread at a time; renderers of one device may not be used at once either.
@@ -84,9 +88,10 @@ public:
     void show_only(const std::vector<bool>& shown);
     /// @param sensor_offset  of the simulated sensor in the frame of the log's LiDAR (identity = where the real one was)
     /// @param sample  seed of sample_returns(); not given: the likeliest scan, free of noise
-    RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {}, std::optional<std::uint64_t> sample = {});
-    /// @throws DataError for poses or times that are not finite, that lie beyond 1e10 m or s, or times that do not rise; UsageError for an actor
-    /// that is not in the scene
+    RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {},
+                        std::optional<std::uint64_t> sample = {});
+    /// @throws DataError for poses or times that are not finite, that lie beyond 1e10 m or s, or times that do not rise; UsageError for an
+    /// actor that is not in the scene
     RenderedScan render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample = {});
     const KernelTimes& times() const;
 

@@ -45,8 +45,9 @@ void save_run(const Run& run);
 /// @throws DataError naming the file that is missing, truncated or inconsistent
 Run load_run(const std::filesystem::path& folder);
 
-/// Saves a scene as safetensors: mean [n,3], rotation [n,4], log_scale [n,2], opacity_logit [n], sh [n,3,16], log_scale_w [n] of 3D Gaussians alone, models and instances in
-/// the metadata. @throws DataError where an array is misshapen or not finite, or the file cannot be written
+/// Saves a scene as safetensors: mean [n,3], rotation [n,4], log_scale [n,2], opacity_logit [n], sh [n,3,16], log_scale_w [n] of 3D
+/// Gaussians alone, models and instances in the metadata. @throws DataError where an array is misshapen or not finite, or the file cannot
+/// be written
 void save_model(const std::filesystem::path& path, const Scene& scene);
 /// Reads it back. @throws DataError for missing, misshapen or non-finite arrays, naming array and row
 Scene load_model(const std::filesystem::path& path);

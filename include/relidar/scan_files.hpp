@@ -30,7 +30,7 @@ enum class PointFrame { sensor, world };
 struct ScanFormat {
     std::vector<std::string> formats{"npz"};   ///< of scan_formats()
     PointFrame frame = PointFrame::sensor;
-    bool deskew = false;                       ///< sensor frame: of the scan's reference time for all rays, instead of each ray's firing time
+    bool deskew = false;  ///< sensor frame: of the scan's reference time for all rays, instead of each ray's firing time
     std::vector<std::string> instance_names;   ///< "background" or the track, by instance
     std::vector<std::string> only;             ///< what was rendered alone; empty: everything
     std::optional<std::uint64_t> sample;       ///< seed of a sampled scan; none: the likeliest

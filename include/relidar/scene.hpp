@@ -124,12 +124,14 @@ struct InitialiseOptions {
     double actor_min_step_m = 0.01;    ///< boxes moving more than this a frame hold actors: their points are left out
     double actor_margin_m = 0.2;       ///< boxes are grown by this when points are left out
     ActorMode actors = ActorMode::models;
-    std::string actor_classes = "all"; ///< comma-separated classes of moving boxes that become actors of their own; all = every class, empty = none
+    /// comma-separated classes of moving boxes that become actors of their own; all = every class, empty = none
+    std::string actor_classes = "all";
     std::string actor_tracks;          ///< comma-separated tracks that do, whatever their class and motion; empty = by class
     int actor_points = 8000;           ///< an actor has at most so many surfels
     int actor_pad_to = 0;              ///< an actor with fewer is filled up with random points of its box; 0 = not (paper: 8000)
     bool actor_symmetry = false;       ///< points of an actor are mirrored left to right (not in the paper)
-    double mask_beyond_labels_s = 0.0; ///< a box is still left out so long before its first and after its last label, where it would be then
+    /// a box is still left out so long before its first and after its last label, where it would be then
+    double mask_beyond_labels_s = 0.0;
     int actor_min_points = 20;        ///< a box with fewer points is masked instead
     std::uint64_t seed = 1;
 };
@@ -142,10 +144,11 @@ struct InstancePose {
 };
 
 /// Tracks of what moves without a label: returns of training frames, within 40 m and outside labelled boxes, that other training frames see
-/// through are grouped, linked from frame to frame and placed as rigid upright boxes, of which the end near the sensor is sure and the size what
-/// they showed when they showed most. Only what is seen in at least 6 frames and comes 0.6 m far becomes a track, parts of the sensor's own
-/// vehicle excepted. x is the direction of motion; ids are mover-0, mover-1, ...
-std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress& progress = {});
+/// through are grouped, linked from frame to frame and placed as rigid upright boxes, of which the end near the sensor is sure and the size
+/// what they showed when they showed most. Only what is seen in at least 6 frames and comes 0.6 m far becomes a track, parts of the
+/// sensor's own vehicle excepted. x is the direction of motion; ids are mover-0, mover-1, ...
+std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
+                                      const Progress& progress = {});
 
 /// Boxes whose points and rays are not the background's: those that move, and the tracks asked for; none with ActorMode::background.
 /// @throws DataError for a box without a size or with a pose that is not finite, UsageError for an unknown track
@@ -154,12 +157,14 @@ std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseO
 /// Background surfels from the training frames of a log, in the recentred world.
 /// Order: kd (recursive object median along the longest axis), which software BVH builders without sorting need.
 /// @throws DataError where no training frame has a usable point
-Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress& progress = {});
+Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
+                              const Progress& progress = {});
 
 /// The background and one model and instance for every moving box of the wanted classes, or for the wanted tracks, in the frame of the
 /// box (Eq. 4-5). Points that lie in two boxes go into both models.
 /// Points come from training frames only. @throws DataError as initialise_background
-Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress& progress = {});
+Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
+                       const Progress& progress = {});
 
 /// Boxes that separate_boxes() leaves out of the background and no instance stands for: of an unwanted class, or with too few points. Their
 /// rays teach nothing and their returns are missing from what is rendered.
@@ -172,17 +177,20 @@ std::string names_of(const std::vector<BoxTrack>& boxes);
 /// Poses of all instances at a time, each taken when the head of a LiDAR faces its box; a box is absent outside its first and last label.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, int lidar = 0);
 
-/// Where actors are, by their tracks' names: centres of their boxes (relidar's world), interpolated and extrapolated as PoseTrack::at. Those not named are absent.
+/// Where actors are, by their tracks' names: centres of their boxes (relidar's world), interpolated and extrapolated as PoseTrack::at.
+/// Those not named are absent.
 using ActorPoses = std::map<std::string, PoseTrack>;
 /// The same with the actors where the caller has them. The sequence says how the sensor turns and where it is.
 /// @throws UsageError for a name that no instance has, naming the nearest
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, const ActorPoses& world_from_actor, int lidar = 0);
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, const ActorPoses& world_from_actor,
+                                          int lidar = 0);
 
 /// Recursive object-median order of points along the longest axis, split at (first + last) / 2.
 /// @return [n] permutation: position i of the sorted array holds point order[i]
 std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points);
 
-/// Where training's extent-relative settings come from: 3 x the 90th percentile of 2 |p - centre| over a model's surfels; 1 where it has none.
+/// Where training's extent-relative settings come from: 3 x the 90th percentile of 2 |p - centre| over a model's surfels; 1 where it has
+/// none.
 double model_extent(const Scene& scene, std::size_t model);
 /// The same of the background.
 double background_extent(const Scene& scene);

@@ -91,7 +91,8 @@ struct BeamRay {
 /// Ray of one beam while the head stands at an azimuth, by the equation of Beam.
 BeamRay beam_ray(const Beam& beam, double head_azimuth_rad);
 
-/// Azimuth of the head at which a beam meets a point: the inverse of beam_ray(). @param point_m [3] metres, sensor frame @return not wrapped
+/// Azimuth of the head at which a beam meets a point: the inverse of beam_ray(). @param point_m [3] metres, sensor frame @return not
+/// wrapped
 double head_azimuth(const Beam& beam, const glm::dvec3& point_m);
 
 /// Columns by which a beam's firings are moved in the image, so that a column keeps one azimuth: image column j holds

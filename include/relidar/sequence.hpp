@@ -82,8 +82,8 @@ struct BoxTrack {
     /// Mean motion of the box's centre from one observation to the next, metres: from the mean position in the first half of the track
     /// to that in the second, so that the jitter of labels on a parked car (9 cm a frame on KITTI) is no motion. 0 for one observation.
     double mean_step_m() const;
-    /// Whether the thing stands still as far as labels and poses can tell: its positions, averaged over a second (half of a shorter track), stay
-    /// within 0.2 m of the first, or within 2 m at less than 0.5 m/s, since a log's poses drift while a parked car is seen.
+    /// Whether the thing stands still as far as labels and poses can tell: its positions, averaged over a second (half of a shorter track),
+    /// stay within 0.2 m of the first, or within 2 m at less than 0.5 m/s, since a log's poses drift while a parked car is seen.
     bool is_parked() const;
     /// Whether the box was observed at a time, or half a mean step beside it: a sweep takes that long to either side of its label.
     bool present(double t_s) const;
@@ -144,8 +144,8 @@ int find_lidar(const Sequence& sequence, const std::string& name);
 
 /// Poses of something that rides along. @param sensor_from_moved in the frame of what `track` has the poses of
 PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved);
-/// The same poses in a world whose origin lies elsewhere. @param by_m  what is added to every place: Sequence::world_offset_m from relidar's
-/// world to the dataset's, minus it back
+/// The same poses in a world whose origin lies elsewhere. @param by_m  what is added to every place: Sequence::world_offset_m from
+/// relidar's world to the dataset's, minus it back
 PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m);
 
 /// Gives the vehicle other poses at the same times. Boxes go along: they were labelled on the scans, so each stays where it was as seen
@@ -207,18 +207,19 @@ struct IntensityCalibration {
     bool shared = false;        ///< whether the log has an IntensityResponse now
     bool beams = false;        ///< whether the beams have gains and offsets now
 };
-/// Finds how intensities fall with range and incidence (Sequence::intensity_response), and gain and offset of each beam (Beam), from returns of
-/// the given frames that fall into the same 0.1 m of a surface, by least squares. Of the two, and of both together, only what brings
-/// the error down by 5 % more is adopted: beams that agree have no gains, intensities that the sensor has compensated no fall. The mean beam
-/// has gain 1 and offset 0, and so has one that shares no place. (Not in the paper.)
+/// Finds how intensities fall with range and incidence (Sequence::intensity_response), and gain and offset of each beam (Beam), from
+/// returns of the given frames that fall into the same 0.1 m of a surface, by least squares. Of the two, and of both together, only what
+/// brings the error down by 5 % more is adopted: beams that agree have no gains, intensities that the sensor has compensated no fall. The
+/// mean beam has gain 1 and offset 0, and so has one that shares no place. (Not in the paper.)
 /// @param positions  of the frames to look at, in Sequence::frames
 IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions);
-/// Measures how ranges scatter (Sequence::range_noise), from second differences between neighbouring firings of a beam, in the given frames:
-/// scans need the order of an image. Where a bin has seen fewer than 200 returns its neighbour's value stands. (Not in the paper.)
+/// Measures how ranges scatter (Sequence::range_noise), from second differences between neighbouring firings of a beam, in the given
+/// frames: scans need the order of an image. Where a bin has seen fewer than 200 returns its neighbour's value stands. (Not in the paper.)
 /// @param positions  of the frames to look at, in Sequence::frames @return returns that were looked at; 0: nothing was measured
 std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& positions);
 /// Finds what each beam adds to its ranges (Beam) from returns on the same planes, cells of 0.3 m, by alternating least squares from the
-/// nominal ranges; offsets of all beams average 0, and are 0 where they make the planes less than 3 % thinner. Datasets keep offsets of centimetres between beams. (Not in the paper.)
+/// nominal ranges; offsets of all beams average 0, and are 0 where they make the planes less than 3 % thinner. Datasets keep offsets of
+/// centimetres between beams. (Not in the paper.)
 LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions);
 
 /// Frames for training and for testing. Every `test_every`-th sweep is held out, the first one excepted, with the frames of all LiDARs that

@@ -32,13 +32,13 @@ struct TrainProgress {
     std::array<double, kLossTerms> terms{};        ///< weighted, mean over the iterations since the last line
     double loss = 0.0;
     std::uint32_t n_surfels = 0;
-    DensifyReport densified;                       ///< sums over the densifications since the last line; `before` and `after` are of the last one
+    DensifyReport densified;  ///< sums over the densifications since the last line; `before` and `after` are of the last one
 };
 
-/// Poses as training corrected them (train.refine_poses). prepare_log() has registered them before: it places a held-out scan by its own points on the
-/// planes of the training scans; nothing else of training looks at it. What gradients then add at a held-out pose comes from what the
-/// neighbouring sweeps see that were fired between, or, without a rolling shutter, from the corrections before and after, interpolated.
-/// Where the sensor was registered, all boxes went along; gradients leave them where refine_poses names no actors.
+/// Poses as training corrected them (train.refine_poses). prepare_log() has registered them before: it places a held-out scan by its own
+/// points on the planes of the training scans; nothing else of training looks at it. What gradients then add at a held-out pose comes from
+/// what the neighbouring sweeps see that were fired between, or, without a rolling shutter, from the corrections before and after,
+/// interpolated. Where the sensor was registered, all boxes went along; gradients leave them where refine_poses names no actors.
 struct RefinedPoses {
     PoseTrack world_from_vehicle;
     std::vector<BoxTrack> boxes;
@@ -63,10 +63,11 @@ using ProgressCallback = std::function<bool(const TrainProgress&)>;
 
 /// How a training that may take days starts and stops.
 struct TrainSession {
-    std::filesystem::path checkpoints;               ///< folder they go to, as train.checkpoint_* say and where training stops early; empty: none
+    std::filesystem::path checkpoints;  ///< folder they go to, as train.checkpoint_* say and where training stops early; empty: none
     const Checkpoint* start = nullptr;               ///< continue from here; null: from the beginning
     std::function<bool()> stop;                      ///< asked after every iteration; true stops training
-    std::function<void(const std::string&)> note;    ///< one line about what the log does not say: a full disk under a checkpoint, boxes that become no actor
+    /// one line about what the log does not say: a full disk under a checkpoint, boxes that become no actor
+    std::function<void(const std::string&)> note;
     Progress progress = {};                          ///< of the initialisation, before the first line of the log
 };
 
@@ -79,8 +80,8 @@ struct PrepareSession {
 
 /// Estimates what the log does not say and training needs from the start, in this order, as the settings ask: poses of the sensor
 /// (train.refine_poses with train.pose_register), offsets and responses of its beams (sensor.calibrate_range, sensor.calibrate_intensity),
-/// tracks of what moves without a label (init.discover_actors). From training frames alone, but for the poses of held-out ones; the same for
-/// the same log and settings, so that a resumed training prepares its log anew.
+/// tracks of what moves without a label (init.discover_actors). From training frames alone, but for the poses of held-out ones; the same
+/// for the same log and settings, so that a resumed training prepares its log anew.
 /// @throws Error with exit code 130 where stopped; DataError where more than 5 % of the scans do not find their place among the others and
 /// train.allow_lost_scans is not set; UsageError where a log without poses is not to be registered
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session = {});
@@ -89,17 +90,18 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
 Sequence load_log(const Config& config, const Progress& progress = {});
 
 /// Trains a scene on the training frames of a log, prepared by prepare_log().
-/// @throws UsageError where the session's start does not fit (check_resumable); DataError where there is nothing to train on, where a loss is not
-/// finite, naming iteration, frame and term, or a parameter, naming array and row; DeviceError on the device's failures. Checkpoints
+/// @throws UsageError where the session's start does not fit (check_resumable); DataError where there is nothing to train on, where a loss
+/// is not finite, naming iteration, frame and term, or a parameter, naming array and row; DeviceError on the device's failures. Checkpoints
 /// already written stay
 TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config, const ProgressCallback& progress,
                   const TrainSession& session = {});
 
-/// Gives a run what training has made of its log: the scene, and the poses where training has corrected them. Both are moved out of the result.
+/// Gives a run what training has made of its log: the scene, and the poses where training has corrected them. Both are moved out of the
+/// result.
 void take_result(Run& run, TrainResult& result);
 
-/// Makes every pipeline that training and rendering use on a device: those of each preset, and of each setting that changes a kernel, one at a
-/// time. For a device opened to compile only (DeviceOptions::compile_only), whose pipelines() then are what its driver says of them.
+/// Makes every pipeline that training and rendering use on a device: those of each preset, and of each setting that changes a kernel, one
+/// at a time. For a device opened to compile only (DeviceOptions::compile_only), whose pipelines() then are what its driver says of them.
 /// @param progress  called with each preset or setting before it is compiled
 void compile_pipelines(Device& device, const std::function<void(const std::string&)>& progress = {});
 

@@ -3,8 +3,9 @@
 // the sorted keys (after Apetrei 2014, ends of ranges exchanged at splits) says which ranges come together; where two do, their at
 // most 32 clusters are merged to at most 16, each with its nearest of the 8 on either side where that is mutual. Costs of wide nodes are
 // found with each merge. One thread a sorted position; the second to reach a split goes on, and its subgroup works on one range together,
-// as hardly any two of its threads get so far. A workgroup is one subgroup: on lavapipe a subgroup's barrier holds up all of them. Input: boxes, keys, surfels, models. Output: tree, roots. Nodes take the numbers of
-// positions, not of a counter, so that a build is repeatable. Floor: 36 B a surfel read, 68 B written and read again a node; 500 box
+// as hardly any two of its threads get so far. A workgroup is one subgroup: on lavapipe a subgroup's barrier holds up all of them. Input:
+// boxes, keys, surfels, models. Output: tree, roots. Nodes take the numbers of positions, not of a counter, so that a build is repeatable.
+// Floor: 36 B a surfel read, 68 B written and read again a node; 500 box
 // unions a surfel.
 #version 460
 #extension GL_GOOGLE_include_directive : require

@@ -18,7 +18,8 @@ float leaf_cost(uint node, uint first_surfel) {
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
         uint leaf = (leaves[s / 4u] >> (8u * (s % 4u))) & 255u, count = leaf >> 5;
         Box b = empty_box();
-        for (uint k = 0u; k < count; ++k) b = joined(b, load_box(params.boxes, first_surfel + params.wide.order.at[first_leaf + (leaf & 31u) + k]));
+        for (uint k = 0u; k < count; ++k)
+            b = joined(b, load_box(params.boxes, first_surfel + params.wide.order.at[first_leaf + (leaf & 31u) + k]));
         cost += half_area(b) * SURFEL_COST * float(count);
     }
     return cost;
@@ -27,7 +28,8 @@ float leaf_cost(uint node, uint first_surfel) {
 void main() {
     uint group = workgroup_index(), node = group * RELIDAR_BVH_WORKGROUP + scan_thread();
     float cost = 0.0;
-    if (node < min(params.bound, params.wide.count.at[0])) cost = half_area(load_box(params.wide.boxes, node)) + leaf_cost(node, params.wide.links.at[node].y);
+    if (node < min(params.bound, params.wide.count.at[0]))
+        cost = half_area(load_box(params.wide.boxes, node)) + leaf_cost(node, params.wide.links.at[node].y);
     cost = subgroupAdd(cost);
     if (subgroupElect()) sums[gl_SubgroupID] = cost;
     barrier();

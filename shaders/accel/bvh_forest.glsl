@@ -14,11 +14,12 @@ bool is_empty(Box b) { return !(b.low.x <= b.high.x); }
 Box joined(Box a, Box b) { return Box(min(a.low, b.low), max(a.high, b.high)); }
 
 Box load_box(Floats boxes, uint i) {
-    return Box(vec3(boxes.at[6 * i], boxes.at[6 * i + 1], boxes.at[6 * i + 2]), vec3(boxes.at[6 * i + 3], boxes.at[6 * i + 4], boxes.at[6 * i + 5]));
+    return Box(vec3(boxes.at[6 * i], boxes.at[6 * i + 1], boxes.at[6 * i + 2]),
+               vec3(boxes.at[6 * i + 3], boxes.at[6 * i + 4], boxes.at[6 * i + 5]));
 }
 
-// Values that one subgroup writes and another of the same launch reads, behind a barrier or an atomic counter. On cards whose subgroups have
-// caches of their own only a coherent access sees them; the plain pointers of shared/ are not.
+// Values that one subgroup writes and another of the same launch reads, behind a barrier or an atomic counter. On cards whose subgroups
+// have caches of their own only a coherent access sees them; the plain pointers of shared/ are not.
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedFloats { float at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 8) coherent buffer SharedUvec2s { uvec2 at[]; };

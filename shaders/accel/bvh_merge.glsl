@@ -10,7 +10,8 @@ struct Subtree {
 
 /// Costs in at most 1 ... 7 slots; a leaf costs the same in any number.
 void load_costs(BvhBinary tree, Subtree s, out float costs[RELIDAR_BVH_WIDTH]) {
-    for (uint k = 1u; k < RELIDAR_BVH_WIDTH; ++k) costs[k] = is_leaf(s.root) ? s.area * SURFEL_COST : SharedFloats(uvec2(tree.costs)).at[7u * s.root + k - 1u];
+    for (uint k = 1u; k < RELIDAR_BVH_WIDTH; ++k)
+        costs[k] = is_leaf(s.root) ? s.area * SURFEL_COST : SharedFloats(uvec2(tree.costs)).at[7u * s.root + k - 1u];
 }
 
 /// Costs and decisions of a node from those of its children.
@@ -19,7 +20,8 @@ void write_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float a
     load_costs(tree, left, in_left);
     load_costs(tree, right, in_right);
     SharedUints decided = SharedUints(uvec2(tree.decisions));
-    uint n_left = is_leaf(left.root) ? 1u : surfels_of(decided.at[left.root]), n_right = is_leaf(right.root) ? 1u : surfels_of(decided.at[right.root]);
+    uint n_left = is_leaf(left.root) ? 1u : surfels_of(decided.at[left.root]),
+         n_right = is_leaf(right.root) ? 1u : surfels_of(decided.at[right.root]);
     uint n_surfels = min(n_left + n_right, 15u), decisions = n_surfels;
     float all = BOX_HUGE;
     uint share_of_all = 1u;

@@ -33,12 +33,15 @@ Box write_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[RELIDAR
     Box whole = empty_box();
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) whole = joined(whole, children[s]);
     Box frame = is_empty(whole) ? Box(vec3(0.0), vec3(0.0)) : whole;
-    uvec3 e = uvec3(exponent_for(frame.low.x, frame.high.x), exponent_for(frame.low.y, frame.high.y), exponent_for(frame.low.z, frame.high.z));
+    uvec3 e =
+        uvec3(exponent_for(frame.low.x, frame.high.x), exponent_for(frame.low.y, frame.high.y), exponent_for(frame.low.z, frame.high.z));
     uvec3 low[2] = uvec3[](uvec3(0u), uvec3(0u)), high[2] = uvec3[](uvec3(0u), uvec3(0u));
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
         Box b = children[s];
         uvec3 q = uvec3(255u);   // inverted
-        if (!is_empty(b)) q = uvec3(quantised(frame.low.x, e.x, b.low.x, b.high.x), quantised(frame.low.y, e.y, b.low.y, b.high.y), quantised(frame.low.z, e.z, b.low.z, b.high.z));
+        if (!is_empty(b))
+            q = uvec3(quantised(frame.low.x, e.x, b.low.x, b.high.x), quantised(frame.low.y, e.y, b.low.y, b.high.y),
+                      quantised(frame.low.z, e.z, b.low.z, b.high.z));
         low[s / 4u] |= (q & 255u) << (8u * (s % 4u));
         high[s / 4u] |= (q >> 8) << (8u * (s % 4u));
     }

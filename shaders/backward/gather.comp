@@ -23,10 +23,12 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
         ray_geometry = params.d_geometry.at[h.ray];
         ray_transmittance = params.rendered.at[h.ray].transmittance;
     }
-    HitGradient d = hit_gradient(scene, Ray(entry.origin, entry.direction), params.upstream.at[h.ray], h.instance, row - m.first_row + m.first_surfel, h.w, h.d_alpha);
+    HitGradient d = hit_gradient(scene, Ray(entry.origin, entry.direction), params.upstream.at[h.ray], h.instance,
+                                 row - m.first_row + m.first_surfel, h.w, h.d_alpha);
     for (uint k = 0u; k < 16u; ++k) sums[k] += d.lanes[k];
     if (SH_PER_SURFEL == 0u)
-        for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k) sh_sums[k] += d.d_channel[k / RELIDAR_SH_COEFFICIENTS] * ray_basis[k % RELIDAR_SH_COEFFICIENTS];
+        for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k)
+            sh_sums[k] += d.d_channel[k / RELIDAR_SH_COEFFICIENTS] * ray_basis[k % RELIDAR_SH_COEFFICIENTS];
     return h.instance;
 }
 

@@ -20,7 +20,8 @@ vec3 sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d
     for (uint k = 0u; k < 16u; ++k) d_basis[k] = 0.0;
     uint first = surfel * RELIDAR_SH_FLOATS;
     for (uint c = 0u; c < 3u; ++c)
-        for (uint k = 0u; k < sh_count(scene.sh_degree); ++k) d_basis[k] += d_channel[c] * scene.sh.at[first + c * RELIDAR_SH_COEFFICIENTS + k];
+        for (uint k = 0u; k < sh_count(scene.sh_degree); ++k)
+            d_basis[k] += d_channel[c] * scene.sh.at[first + c * RELIDAR_SH_COEFFICIENTS + k];
     return sh_basis_vjp(direction, scene.sh_degree, d_basis);
 }
 
@@ -35,7 +36,8 @@ HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance
     float d_t = g.depth * w;
     if (GEOMETRY != 0u) d_t += ray_geometry.distortion * distortion_by_t(w, min(hit.alpha, scene.alpha_max));
     SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, d_t, d_alpha);
-    if (GEOMETRY != 0u) d.d_normal += w * facing_side(record.normal, direction) * model_vector(scene.instances.at[instance], ray_geometry.normal);
+    if (GEOMETRY != 0u)
+        d.d_normal += w * facing_side(record.normal, direction) * model_vector(scene.instances.at[instance], ray_geometry.normal);
     vec3 d_channel = w * vec3(g.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : g.hit_logit, g.drop_logit);
     vec3 others = d_channel;   // of the channels, or how the SH direction turns (scene/activate_vjp, backward/pose_blocks)
     if (SH_PER_SURFEL == 0u) {

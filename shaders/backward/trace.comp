@@ -135,7 +135,8 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
         for (uint k = n; k > 0u; --k) {
             uint i = k - 1u;
             Hit hit = hit_at(i);
-            add_hit(scene, ray, ray_index, g, BlendedHit(slot + i, hit.instance, hit.surfel, hit.alpha, chunk_transmittance[i], chunk_w[i], chunk_shade[i], behind));
+            add_hit(scene, ray, ray_index, g,
+                    BlendedHit(slot + i, hit.instance, hit.surfel, hit.alpha, chunk_transmittance[i], chunk_w[i], chunk_shade[i], behind));
             behind += chunk_w[i] * chunk_shade[i];
         }
         if (ends) break;

@@ -27,7 +27,8 @@ bool is_surfel(uint i, vec4 q, vec3 scale) {
     float sum = magnitude(params.surfels.mean, 3 * i, 3u) + magnitude(params.surfels.opacity_logit, i, 1u);
     sum += magnitude(params.surfels.sh, RELIDAR_SH_FLOATS * i, RELIDAR_SH_FLOATS);
     float q_length2 = dot(q, q);
-    return !isnan(sum) && !isinf(sum) && q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(scale, vec3(1e-6))) && all(lessThan(scale, vec3(1e6)));
+    return !isnan(sum) && !isinf(sum) && q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(scale, vec3(1e-6))) &&
+           all(lessThan(scale, vec3(1e6)));
 }
 
 /// Whether two random points of the surfel both lie outside the model's box.
@@ -71,8 +72,10 @@ void main() {
     uint i = thread_index();
     if (i >= params.n_surfels) return;
     uint model = find_model(params.models, params.n_models, i);
-    vec4 q = vec4(params.surfels.rotation.at[4 * i], params.surfels.rotation.at[4 * i + 1], params.surfels.rotation.at[4 * i + 2], params.surfels.rotation.at[4 * i + 3]);
-    vec3 scale = exp(vec3(params.surfels.log_scale.at[2 * i], params.surfels.log_scale.at[2 * i + 1], is_gaussian() ? params.surfels.log_scale_w.at[i] : 0.0));
+    vec4 q = vec4(params.surfels.rotation.at[4 * i], params.surfels.rotation.at[4 * i + 1], params.surfels.rotation.at[4 * i + 2],
+                  params.surfels.rotation.at[4 * i + 3]);
+    vec3 scale = exp(vec3(params.surfels.log_scale.at[2 * i], params.surfels.log_scale.at[2 * i + 1],
+                          is_gaussian() ? params.surfels.log_scale_w.at[i] : 0.0));
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[i]));
     float max_scale = max(scale.x, scale.y);
     if (is_gaussian()) max_scale = max(max_scale, scale.z);

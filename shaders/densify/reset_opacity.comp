@@ -10,5 +10,6 @@ RELIDAR_PARAMS(ResetOpacityParams);
 void main() {
     uint i = thread_index();
     if (i >= params.n_surfels) return;
-    if (params.opacity_logit.at[i] > params.max_logit) params.opacity_logit.at[i] = params.max_logit;   // a NaN stays one: the next densification counts it
+    // a NaN stays one: the next densification counts it
+    if (params.opacity_logit.at[i] > params.max_logit) params.opacity_logit.at[i] = params.max_logit;
 }

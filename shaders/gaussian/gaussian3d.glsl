@@ -2,10 +2,10 @@
 // Where a ray meets a 3D Gaussian (M9): at the point of largest density along it, the nearest to the mean in the frame whose unit is the
 // standard deviation, the rows A = (a_u / s_u, a_v / s_v, a_w / s_w) of the record. With a = A (mean - o), b = A d:
 //   t = a.b / b.b,  q = A (o + t d - mean),  G = exp(-|q|^2 / 2)
-// and its derivative. As for surfels, q is computed from t as it was rounded: the point at t lies in the ellipsoid of alpha >= alpha_min and
-// so in every proxy of it, which is why no traversal loses it. What rounding leaves of q along b, where density does not change, is taken
-// out for at most kForgiven_m along the ray, half of the proxies' margin: without it the rounding of 50 m, some 3e-6 m, would be noise in
-// the opacity of Gaussians thinner than 1e-4 m.
+// and its derivative. As for surfels, q is computed from t as it was rounded: the point at t lies in the ellipsoid of alpha >= alpha_min
+// and so in every proxy of it, which is why no traversal loses it. What rounding leaves of q along b, where density does not change, is
+// taken out for at most kForgiven_m along the ray, half of the proxies' margin: without it the rounding of 50 m, some 3e-6 m, would be
+// noise in the opacity of Gaussians thinner than 1e-4 m.
 #ifndef RELIDAR_INCLUDED_GAUSSIAN_GAUSSIAN3D_GLSL
 #define RELIDAR_INCLUDED_GAUSSIAN_GAUSSIAN3D_GLSL
 

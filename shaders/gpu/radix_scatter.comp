@@ -71,7 +71,8 @@ void main() {
     uint sharing = n_sharing(), n_rows = gl_NumSubgroups / sharing, row = gl_SubgroupID / sharing * WORDS;
     uint run = tile * RELIDAR_TILE_SIZE + gl_SubgroupID * gl_SubgroupSize * ROUNDS + gl_SubgroupInvocationID;
     uvec2 unused;
-    digit_start[thread] = workgroup_exclusive_add(uvec2(params.totals.at[thread], 0u), unused).x + params.counts.at[thread * n_tiles() + tile];
+    digit_start[thread] =
+        workgroup_exclusive_add(uvec2(params.totals.at[thread], 0u), unused).x + params.counts.at[thread * n_tiles() + tile];
     for (uint i = thread; i < n_rows * WORDS; i += RELIDAR_TILE_THREADS) counters[i] = 0u;
     barrier();
     for (uint turn = 0u; turn < sharing; ++turn) {

@@ -12,7 +12,8 @@ void main() {
     uint tile = workgroup_index(), first = tile * RELIDAR_TILE_SIZE;
     if (first >= params.n) return;
     uint sum = 0u;
-    for (uint i = first + scan_thread(); i < min(first + RELIDAR_TILE_SIZE, params.n); i += RELIDAR_TILE_THREADS) sum += params.counts.at[params.offset + i * params.stride];
+    for (uint i = first + scan_thread(); i < min(first + RELIDAR_TILE_SIZE, params.n); i += RELIDAR_TILE_THREADS)
+        sum += params.counts.at[params.offset + i * params.stride];
     uvec2 total;
     workgroup_exclusive_add(uvec2(sum, 0u), total);
     if (scan_thread() == 0u) params.tile_sums.at[tile] = total.x;

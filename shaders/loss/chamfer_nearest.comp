@@ -68,7 +68,8 @@ void main() {
         visit_point(k, best);
         visit_tile(k / params.columns / params.tile_rows * tiles.y + k % params.columns / params.tile_columns, points, tiles.y, best);
         for (uint group = 0u; group < groups.x * groups.y; ++group) {
-            if (!(squared_distance(best.query, params.cloud.group_low.at[group], params.cloud.group_high.at[group]) < best.squared_m2)) continue;
+            if (!(squared_distance(best.query, params.cloud.group_low.at[group], params.cloud.group_high.at[group]) < best.squared_m2))
+                continue;
             Cells c = cells_of(group, tiles, groups.y);
             for (uint row = c.begin.x; row < c.end.x; ++row)
                 for (uint column = c.begin.y; column < c.end.y; ++column) visit_tile(row * c.across + column, points, tiles.y, best);

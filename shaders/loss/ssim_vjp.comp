@@ -18,8 +18,9 @@ void main() {
             uint p = window_pixel(q, row, column);
             if (p == kNoPixel || !takes_part(target_of(p))) continue;
             uint at = p * RELIDAR_SSIM_FLOATS;
-            sum += window_weight(row, column) * (params.statistics.at[at] + (x - params.statistics.at[at + 3u]) * params.statistics.at[at + 1u] +
-                                                 (y - params.statistics.at[at + 4u]) * params.statistics.at[at + 2u]);
+            sum += window_weight(row, column) *
+                   (params.statistics.at[at] + (x - params.statistics.at[at + 3u]) * params.statistics.at[at + 1u] +
+                    (y - params.statistics.at[at + 4u]) * params.statistics.at[at + 2u]);
         }
     }
     params.upstream.at[q].intensity += sum;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Adam (Kingma and Ba) over one parameter group, one thread a row, or a float (PER_FLOAT): neighbouring threads then read neighbouring
-// addresses, which a GPU loads together; a CPU gains nothing by it. Gradients of rows not touched do not count: they are zero, or the row is
-// left as it is.
+// addresses, which a GPU loads together; a CPU gains nothing by it. Gradients of rows not touched do not count: they are zero, or the row
+// is left as it is.
 // Input: gradients, touched. In place: values, moment1, moment2.
 #version 460
 #extension GL_GOOGLE_include_directive : require

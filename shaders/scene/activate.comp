@@ -60,7 +60,9 @@ void main() {
     s.hit_logit = evaluate ? values.y : 0.0;
     s.drop_logit = evaluate ? values.z : 0.0;
     vec3 inverse_scale = vec3(length(s.axis_u), length(s.axis_v), length(s.normal));   // scales outside 1e-6 m .. 1e6 m are no surfels
-    bool finite = q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(inverse_scale, vec3(1e-6))) && all(lessThan(inverse_scale, vec3(1e6))) && finite3(s.mean) && finite3(s.axis_u) && finite3(s.axis_v) && finite3(s.normal) && finite_sh;
+    bool finite = q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(inverse_scale, vec3(1e-6))) &&
+                  all(lessThan(inverse_scale, vec3(1e6))) && finite3(s.mean) && finite3(s.axis_u) && finite3(s.axis_v) &&
+                  finite3(s.normal) && finite_sh;
     if (!finite || !(s.opacity > params.alpha_min)) {
         bool placed = finite3(s.mean);
         s = SurfelRecord(placed ? s.mean : vec3(0.0), 0.0, vec3(1.0, 0.0, 0.0), 0.0, vec3(0.0, 1.0, 0.0), 0.0, vec3(0.0, 0.0, 1.0), 0.0);

@@ -76,7 +76,8 @@ void store_geometry(uint surfel, vec3 d_mean, float row[16]) {
     vec4 q = vec4(params.surfels.rotation.at[4 * surfel], params.surfels.rotation.at[4 * surfel + 1],
                   params.surfels.rotation.at[4 * surfel + 2], params.surfels.rotation.at[4 * surfel + 3]);
     mat3 r = rotation_matrix(q);
-    vec3 inverse_scale = exp(-vec3(params.surfels.log_scale.at[2 * surfel], params.surfels.log_scale.at[2 * surfel + 1], is_gaussian() ? params.surfels.log_scale_w.at[surfel] : 0.0));
+    vec3 inverse_scale = exp(-vec3(params.surfels.log_scale.at[2 * surfel], params.surfels.log_scale.at[2 * surfel + 1],
+                                   is_gaussian() ? params.surfels.log_scale_w.at[surfel] : 0.0));
     vec4 d_q = rotation_matrix_vjp(q, mat3(d_axis_u * inverse_scale.x, d_axis_v * inverse_scale.y, d_normal * inverse_scale.z));
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     for (uint k = 0u; k < 3u; ++k) params.d_surfels.mean.at[3 * surfel + k] = d_mean[k];

@@ -30,7 +30,8 @@ void sum_rays(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 t
         DeviceRay ray = params.moved.at[params.first_ray + k * params.ray_stride];
         vec3 d_origin = load3(params.d_rays, 6u * k);
         force += share * d_origin;
-        torque += share * (cross(ray.origin - here.position - here.translation, d_origin) + cross(ray.direction, load3(params.d_rays, 6u * k + 3u)));
+        torque += share * (cross(ray.origin - here.position - here.translation, d_origin) +
+                           cross(ray.direction, load3(params.d_rays, 6u * k + 3u)));
     }
 }
 

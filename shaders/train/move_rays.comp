@@ -22,5 +22,6 @@ void main() {
     if (i >= params.n_rays) return;
     PoseKnot knot = knot_at(params.knots, params.places.at[i]);
     DeviceRay ray = params.rays.at[i];
-    params.moved.at[i] = DeviceRay(knot.position + turned(knot.rotation, ray.origin - knot.position) + knot.translation, normalize(turned(knot.rotation, ray.direction)));
+    params.moved.at[i] = DeviceRay(knot.position + turned(knot.rotation, ray.origin - knot.position) + knot.translation,
+                                   normalize(turned(knot.rotation, ray.direction)));
 }

@@ -64,7 +64,8 @@ uint meet_boxes(BvhNode node, BoxRay ray, out float t[RELIDAR_BVH_WIDTH]) {
     vec3 slack = kSlack * (abs(at) + 255.0 * abs(scale));
     vec3 near_at = at - slack, far_at = at + slack;
     uvec2 low[3] = uvec2[](uvec2(node.low_x[0], node.low_x[1]), uvec2(node.low_y[0], node.low_y[1]), uvec2(node.low_z[0], node.low_z[1]));
-    uvec2 high[3] = uvec2[](uvec2(node.high_x[0], node.high_x[1]), uvec2(node.high_y[0], node.high_y[1]), uvec2(node.high_z[0], node.high_z[1]));
+    uvec2 high[3] =
+        uvec2[](uvec2(node.high_x[0], node.high_x[1]), uvec2(node.high_y[0], node.high_y[1]), uvec2(node.high_z[0], node.high_z[1]));
     uvec2 near[3], far[3];
     [[unroll]] for (uint c = 0u; c < 3u; ++c) {
         near[c] = ray.inverse[c] < 0.0 ? high[c] : low[c];
@@ -93,7 +94,8 @@ void push_entry(uint entry, float t) {
 /// @param first  entry of the first inner slot
 void push_children(uint first, uint inner, uint opened, uint met, float t[RELIDAR_BVH_WIDTH]) {
     float key[RELIDAR_BVH_WIDTH];
-    [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] = TOGETHER != 0u ? subgroupBroadcastFirst(t[slot]) : t[slot];
+    [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] =
+        TOGETHER != 0u ? subgroupBroadcastFirst(t[slot]) : t[slot];
     for (uint left = inner & opened; left != 0u;) {
         uint farthest = uint(findLSB(left));
         float farthest_key = -1.0, own = kNever;
@@ -148,7 +150,8 @@ uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, inou
         while (entries != 0u) push_entry(kInstanceEntry | scene.bvh.top_order.at[node.first_leaf + take_lowest(entries)], walked.start);
         return 0u;
     }
-    uint n_tested = uint(bitCount(entries)), first_surfel = TOGETHER != 0u ? subgroupBroadcastFirst(entered_first_surfel) : entered_first_surfel;
+    uint n_tested = uint(bitCount(entries)),
+         first_surfel = TOGETHER != 0u ? subgroupBroadcastFirst(entered_first_surfel) : entered_first_surfel;
     while (entries != 0u) offer_surfel(scene, after, tree, first_surfel + scene.bvh.order.at[node.first_leaf + take_lowest(entries)]);
     if (hits_closed) walked.end = hit_t[n_hits - 1u] + (1e-4 + 1e-5 * hit_t[n_hits - 1u]);
     return n_tested;

@@ -49,8 +49,8 @@ vec3 entered_origin;
 vec3 entered_direction;
 
 /// The ray of this thread, in the order of the batch; n_rays and more: none. In an image, 8 threads in sequence are 4 x 2 neighbours, and
-/// 32 are 8 x 4: they open the same nodes. Tiles run down the image, then across: a driver that gives each of its threads one stretch of the
-/// workgroups (lavapipe) so gives each a like share of sky and ground, which cost differently.
+/// 32 are 8 x 4: they open the same nodes. Tiles run down the image, then across: a driver that gives each of its threads one stretch of
+/// the workgroups (lavapipe) so gives each a like share of sky and ground, which cost differently.
 uint traced_ray(TraceScene scene) {
     uint i = thread_index();
     if (scene.columns == 0u) return i;

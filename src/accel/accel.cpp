@@ -10,7 +10,8 @@ namespace relidar {
 Proxy resolve(Proxy proxy, const Device& device) {
     if (device.traversal() == Traversal::software) return Proxy::boxes;
     if (proxy != Proxy::automatic) return proxy;
-    return device.info().type == "CPU" ? Proxy::boxes : Proxy::triangles;   // measured: docs/platform.md; hardware intersects triangles itself
+    // measured: docs/platform.md; hardware intersects triangles itself
+    return device.info().type == "CPU" ? Proxy::boxes : Proxy::triangles;
 }
 
 struct Accel::Impl {
@@ -38,7 +39,8 @@ struct Accel::Impl {
     }
 };
 
-Accel::Accel(Device& device, const DeviceScene& scene, const AccelOptions& options) : impl_(std::make_unique<Impl>(device, scene, options)) {}
+Accel::Accel(Device& device, const DeviceScene& scene, const AccelOptions& options)
+    : impl_(std::make_unique<Impl>(device, scene, options)) {}
 Accel::~Accel() = default;
 
 void Accel::update(Stream& stream, const DeviceScene& scene, bool rebuild) {

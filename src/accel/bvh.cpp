@@ -33,7 +33,8 @@ std::uint32_t tiles_of(std::uint32_t n) { return (n + RELIDAR_BVH_TILE - 1) / RE
 /// Threads of a subgroup. @throws DeviceError where the device lacks what the kernels need of them
 std::uint32_t subgroup_size(const Device& device) {
     const DeviceInfo& info = device.info();
-    if (!info.software) throw DeviceError(fmt::format("making the software acceleration structure on {}: missing {}", info.name, info.why_not_software));
+    if (!info.software)
+        throw DeviceError(fmt::format("making the software acceleration structure on {}: missing {}", info.name, info.why_not_software));
     return static_cast<std::uint32_t>(info.subgroup_size);
 }
 
@@ -101,7 +102,9 @@ struct Bvh::Impl {
     SortSet sort_set(int set) const;
     std::uint32_t levels() const;
     void collapse(Stream& stream, const DeviceScene& scene);
-    std::uint32_t key_bits() const { return 3 * RELIDAR_BVH_MORTON_BITS + static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1)); }
+    std::uint32_t key_bits() const {
+        return 3 * RELIDAR_BVH_MORTON_BITS + static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1));
+    }
     void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
     SortSet sorted_surfels(Stream& stream, const DeviceScene& scene);
     void fit_nodes(Stream& stream);
@@ -223,7 +226,9 @@ void Bvh::Impl::collapse(Stream& stream, const DeviceScene& scene) {
                                  .n_models = n_models,
                                  .bound = bound,
                                  .level = 0};
-    for (std::uint64_t width = n_models; params.level < levels() - 1; ++params.level, width = std::min<std::uint64_t>(width * RELIDAR_BVH_WIDTH, bound)) run(stream, wide_mark, width, params);
+    for (std::uint64_t width = n_models; params.level < levels() - 1;
+         ++params.level, width = std::min<std::uint64_t>(width * RELIDAR_BVH_WIDTH, bound))
+        run(stream, wide_mark, width, params);
     run(stream, wide_mark_rest, kWorkgroup, params);
     run(stream, wide_count, std::size_t(tiles_of(n)) * kWorkgroup, params);
     run(stream, wide_scan, kWorkgroup, params);
@@ -239,7 +244,8 @@ Bvh::Bvh(Device& device, const DeviceScene& scene) {
     impl_ = std::make_unique<Impl>(device, scene);
     Stream stream(device);
     for (const Buffer* zero : {&impl_->nodes.buffer(), &impl_->arrivals.buffer(), &impl_->count.buffer()}) stream.fill(*zero);
-    for (const Buffer* none : {&impl_->links.buffer(), &impl_->queue.buffer()}) stream.fill(*none, RELIDAR_BVH_NO_NODE);   // as models without surfels keep them
+    // as models without surfels keep them
+    for (const Buffer* none : {&impl_->links.buffer(), &impl_->queue.buffer()}) stream.fill(*none, RELIDAR_BVH_NO_NODE);
     stream.finish();
 }
 
@@ -297,8 +303,9 @@ shared::BvhPointers Bvh::pointers() const {
 std::uint64_t Bvh::memory_bytes() const {
     const Impl& b = *impl_;
     std::uint64_t bytes = b.sort.memory_bytes();
-    for (const Buffer* buffer : {&b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch.buffer(), &b.queue.buffer(), &b.level_sizes.buffer(), &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(),
-                                 &b.links.buffer(), &b.node_boxes.buffer(), &b.arrivals.buffer(), &b.count.buffer(), &b.roots.buffer(), &b.top_order.buffer(),
+    for (const Buffer* buffer : {&b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch.buffer(), &b.queue.buffer(),
+                                 &b.level_sizes.buffer(), &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(), &b.links.buffer(),
+                                 &b.node_boxes.buffer(), &b.arrivals.buffer(), &b.count.buffer(), &b.roots.buffer(), &b.top_order.buffer(),
                                  &b.top_node_array.buffer(), &b.top_boxes.buffer(), &b.top_keys.buffer(), &b.cost_sums.buffer()})
         bytes += buffer->size_bytes();
     return bytes;
@@ -306,7 +313,8 @@ std::uint64_t Bvh::memory_bytes() const {
 
 BvhOnHost Bvh::download() const {
     const Impl& b = *impl_;
-    BvhOnHost host{b.nodes.download(), b.order.download(), b.roots.download(), b.top_node_array.download(), b.top_order.download(), b.boxes.download()};
+    BvhOnHost host{b.nodes.download(),          b.order.download(),     b.roots.download(),
+                   b.top_node_array.download(), b.top_order.download(), b.boxes.download()};
     host.nodes.resize(std::min<std::size_t>(b.count.download().front(), host.nodes.size()));
     return host;
 }

@@ -41,8 +41,10 @@ public:
 
     shared::BvhPointers pointers() const;
     std::uint64_t memory_bytes() const;
-    /// Surface-area cost of all trees as they are now, m^2: half areas of nodes, and of leaf slots times the tests of their surfels. Compare with the
-    /// value after the last build. Recorded now, read when submitted: waits where it is not done; nothing where none was recorded since the last.
+    /// Surface-area cost of all trees as they are now, m^2: half areas of nodes, and of leaf slots times the tests of their surfels.
+    /// Compare with the
+    /// value after the last build. Recorded now, read when submitted: waits where it is not done; nothing where none was recorded since the
+    /// last.
     void record_cost(Stream& stream);
     std::optional<double> take_cost(Stream& stream);
     /// Blocking; what was recorded must have been submitted.

@@ -84,7 +84,8 @@ struct Mesh {
 };
 
 const Mesh kRectangle{4, {0, 1, 2, 2, 3, 0}};
-const Mesh kIcosahedron{12, {0, 1, 8, 0, 1, 10, 0, 4, 5, 0, 4, 8, 0, 5, 10, 1, 6, 7, 1, 6, 8, 1, 7, 10, 2, 3, 9, 2, 3, 11, 2, 4, 5, 2, 4, 9, 2, 5, 11, 3, 6, 7, 3, 6, 9, 3, 7, 11, 4, 8, 9, 5, 10, 11, 6, 8, 9, 7, 10, 11}};
+const Mesh kIcosahedron{12, {0, 1, 8, 0, 1, 10, 0, 4, 5,  0, 4, 8, 0, 5, 10, 1, 6, 7,  1, 6, 8, 1, 7,  10, 2, 3, 9, 2, 3,  11,
+                             2, 4, 5, 2, 4, 9,  2, 5, 11, 3, 6, 7, 3, 6, 9,  3, 7, 11, 4, 8, 9, 5, 10, 11, 6, 8, 9, 7, 10, 11}};
 
 /// Vertex indices of n meshes one behind the other.
 std::vector<std::uint32_t> triangle_indices(const Mesh& mesh, std::uint32_t n) {
@@ -129,7 +130,10 @@ void HardwareAccel::Impl::describe_model(const Model& model) {
     BuildInput& input = blas_input.emplace_back();
     if (proxy == Proxy::boxes) {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_AABBS_KHR;
-        input.geometry.geometry.aabbs = {VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_AABBS_DATA_KHR, nullptr, {impl_of(geometry.buffer()).address + 24ull * model.first}, 24};
+        input.geometry.geometry.aabbs = {VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_AABBS_DATA_KHR,
+                                         nullptr,
+                                         {impl_of(geometry.buffer()).address + 24ull * model.first},
+                                         24};
     } else {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_TRIANGLES_KHR;
         auto& t = input.geometry.geometry.triangles;
@@ -167,13 +171,15 @@ std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const D
     return rows.empty() ? 0 : stream.store(rows.data(), rows.size() * sizeof(rows[0])).address;
 }
 
-HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy) : impl_(std::make_unique<Impl>(device, proxy, scene.primitive() == Primitive::gaussian)) {
+HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy)
+    : impl_(std::make_unique<Impl>(device, proxy, scene.primitive() == Primitive::gaussian)) {
     Impl& a = *impl_;
     const Scene& layout = scene.layout();
     std::uint32_t largest = 0;
     for (const Model& model : layout.models) largest = std::max(largest, model.count);
     a.geometry = Array<float>(device, std::size_t(scene.size()) * (a.proxy == Proxy::boxes ? 6 : 3 * a.mesh.n_corners), "proxies");
-    if (a.proxy == Proxy::triangles) a.indices = Array<std::uint32_t>(device, std::span<const std::uint32_t>(triangle_indices(a.mesh, largest)), "proxy indices");
+    if (a.proxy == Proxy::triangles)
+        a.indices = Array<std::uint32_t>(device, std::span<const std::uint32_t>(triangle_indices(a.mesh, largest)), "proxy indices");
 
     const std::uint64_t alignment = impl_of(device).scratch_alignment;
     VkDeviceSize scratch_bytes = 0;
@@ -187,16 +193,20 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
             continue;
         }
         const VkAccelerationStructureBuildSizesInfoKHR sizes = a.blas_input.back().sizes(impl_of(device), n);
-        a.blas.push_back(std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR, sizes.accelerationStructureSize, "bottom level of " + model.name));
+        a.blas.push_back(std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR,
+                                                     sizes.accelerationStructureSize, "bottom level of " + model.name));
         scratch_bytes += (std::max(sizes.buildScratchSize, sizes.updateScratchSize) + alignment - 1) / alignment * alignment;
     }
 
     a.tlas_input.geometry.geometryType = VK_GEOMETRY_TYPE_INSTANCES_KHR;
-    a.tlas_input.geometry.geometry.instances = {VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_INSTANCES_DATA_KHR, nullptr, VK_FALSE, {}};
+    a.tlas_input.geometry.geometry.instances = {
+        VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_INSTANCES_DATA_KHR, nullptr, VK_FALSE, {}};
     a.tlas_input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR;
     a.tlas_input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR;
-    const VkAccelerationStructureBuildSizesInfoKHR sizes = a.tlas_input.sizes(impl_of(device), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
-    a.tlas = std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR, sizes.accelerationStructureSize, "top level");
+    const VkAccelerationStructureBuildSizesInfoKHR sizes =
+        a.tlas_input.sizes(impl_of(device), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
+    a.tlas =
+        std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR, sizes.accelerationStructureSize, "top level");
     scratch_bytes = std::max(scratch_bytes, sizes.buildScratchSize);
     a.scratch = Buffer(device, scratch_bytes + alignment, "acceleration structure scratch");
     a.scratch_address = (impl_of(a.scratch).address + alignment - 1) / alignment * alignment;
@@ -246,7 +256,8 @@ shared::TlasHandle HardwareAccel::tlas() const { return {impl_->tlas->address}; 
 Address<float> HardwareAccel::reach_address() const { return impl_->reach.address_as<float>(); }   // of bits that grow as the float does
 
 std::uint64_t HardwareAccel::memory_bytes() const {
-    std::uint64_t bytes = impl_->geometry.buffer().size_bytes() + impl_->indices.buffer().size_bytes() + impl_->scratch.size_bytes() + impl_->tlas->storage->size_bytes();
+    std::uint64_t bytes = impl_->geometry.buffer().size_bytes() + impl_->indices.buffer().size_bytes() + impl_->scratch.size_bytes() +
+                          impl_->tlas->storage->size_bytes();
     for (const auto& structure : impl_->blas)
         if (structure) bytes += structure->storage->size_bytes();
     return bytes;

@@ -38,7 +38,8 @@ struct BackwardPass::Impl {
     std::unique_ptr<HitGather> gather;   ///< null: atomics
     Array<std::uint32_t> pass_cap;       ///< the forward pass reports; here it only must not be null
 
-    static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options, const BackwardOptions& backward) {
+    static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options,
+                                           const BackwardOptions& backward) {
         std::vector<Constant> all = trace_constants(device, proxy, options, m);
         all.push_back({ConstantId::GATHER, gathers(device, backward.reduction, m.sh_direction) ? 1u : 0u});
         all.push_back({ConstantId::SUBGROUP_SUMS, backward.subgroup_sums.value_or(sums_in_subgroups(device)) ? 1u : 0u});
@@ -48,15 +49,20 @@ struct BackwardPass::Impl {
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options, const BackwardOptions& backward)
         : model(m),
           with_geometry(options.geometry),
-          trace(device, accumulating_variant(device, "backward/trace" + traversal_variant(device, options)), constants(device, m, proxy, options, backward)),
+          trace(device, accumulating_variant(device, "backward/trace" + traversal_variant(device, options)),
+                constants(device, m, proxy, options, backward)),
           poses(device),
-          gather(gathers(device, backward.reduction, m.sh_direction) ? std::make_unique<HitGather>(device, m, backward.hits_per_ray, options.geometry) : nullptr),
+          gather(gathers(device, backward.reduction, m.sh_direction)
+                     ? std::make_unique<HitGather>(device, m, backward.hits_per_ray, options.geometry)
+                     : nullptr),
           pass_cap(device, 1, "pass cap count") {}
 };
 
-BackwardPass::BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options, const BackwardOptions& backward) {
+BackwardPass::BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options,
+                           const BackwardOptions& backward) {
     if (backward.hits_per_ray < 1 || backward.hits_per_ray > kMostHitsPerRay)
-        throw UsageError(fmt::format("hit records of the backward pass: found room for {} a ray, expected 1 to {}", backward.hits_per_ray, kMostHitsPerRay));
+        throw UsageError(fmt::format("hit records of the backward pass: found room for {} a ray, expected 1 to {}", backward.hits_per_ray,
+                                     kMostHitsPerRay));
     impl_ = std::make_unique<Impl>(device, model, proxy, options, backward);
 }
 
@@ -72,7 +78,8 @@ void BackwardPass::reserve_hits(Stream& stream, std::uint64_t n_hits) {
     impl_->gather->reserve(n_hits);
 }
 
-void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch, const glm::vec3& view_origin_m, Gradients& gradients) {
+void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch, const glm::vec3& view_origin_m,
+                       Gradients& gradients) {
     RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.rendered->size());
     RELIDAR_ASSERT_LE(16 * std::size_t(scene.gradient_rows()), gradients.records.size());
     const ImageModel& model = impl_->model;

@@ -26,7 +26,8 @@ BlockTable block_table(const DeviceScene& scene) {
         const std::uint32_t model = layout.instances[i].model;
         const std::uint32_t n = layout.models[model].count, first = layout.models[model].first, first_row = scene.first_gradient_row(i);
         table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
-        for (std::uint32_t k = 0; k < n; k += kBlock) table.blocks.push_back({first + k, first_row + k, std::min(kBlock, n - k), viewed[model] ? 0u : 1u});
+        for (std::uint32_t k = 0; k < n; k += kBlock)
+            table.blocks.push_back({first + k, first_row + k, std::min(kBlock, n - k), viewed[model] ? 0u : 1u});
         viewed[model] = true;
     }
     table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
@@ -48,9 +49,11 @@ PoseGradients::PoseGradients(Device& device)
       poses_(device, "backward/poses", {{ConstantId::WORKGROUP_SIZE, kThreads}}),
       sensor_(device, "backward/sensor_pose") {}
 
-void PoseGradients::run(Stream& stream, const DeviceScene& scene, const ImageModel& model, const glm::vec3& view_origin_m, Gradients& gradients) {
+void PoseGradients::run(Stream& stream, const DeviceScene& scene, const ImageModel& model, const glm::vec3& view_origin_m,
+                        Gradients& gradients) {
     const Gradients::PoseSums& sums = *gradients.pose_sums;
-    const auto n_instances = static_cast<std::uint32_t>(scene.layout().instances.size()), n_blocks = static_cast<std::uint32_t>(sums.blocks.size());
+    const auto n_instances = static_cast<std::uint32_t>(scene.layout().instances.size()),
+               n_blocks = static_cast<std::uint32_t>(sums.blocks.size());
     RELIDAR_ASSERT_LE(std::size_t(n_instances) + 1, sums.first_block.size());
     relidar::run(stream, blocks_, kThreads * std::size_t(n_blocks),
                  {.records = scene.records().address(),

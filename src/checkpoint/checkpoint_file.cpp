@@ -66,14 +66,16 @@ void expect(const std::string& what, const std::string& found, const std::string
 int iteration_of(const std::string& text) {
     int iteration = -1;
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), iteration);
-    if (error != std::errc() || stop != text.data() + text.size() || iteration < 0) throw DataError(fmt::format("metadata iteration: found \"{}\", expected a count", excerpt(text)));
+    if (error != std::errc() || stop != text.data() + text.size() || iteration < 0)
+        throw DataError(fmt::format("metadata iteration: found \"{}\", expected a count", excerpt(text)));
     return iteration;
 }
 
 Checkpoint parse(Texts texts, std::vector<NamedArray> arrays) {
     const auto format = texts.find("format"), version = texts.find("version");
     expect("metadata format", format == texts.end() ? "" : format->second, kFormat);
-    expect("metadata version", version == texts.end() ? "" : version->second, kVersion);   // before the checksum: a newer one may count it otherwise
+    // before the checksum: a newer one may count it otherwise
+    expect("metadata version", version == texts.end() ? "" : version->second, kVersion);
     const std::string found = checksum(texts, arrays);
     expect("checksum of what was read", found, take(texts, kChecksum));
     for (const char* key : {"format", "version", "relidar"}) take(texts, key);
@@ -149,7 +151,9 @@ std::optional<Checkpoint> load_newest_checkpoint(const std::filesystem::path& fo
             note(fmt::format("{}; taking the checkpoint before it", error.what()));
         }
     }
-    if (!paths.empty()) throw DataError(fmt::format("resuming from {}: found {} checkpoints and none that can be read, expected one", folder.string(), paths.size()));
+    if (!paths.empty())
+        throw DataError(
+            fmt::format("resuming from {}: found {} checkpoints and none that can be read, expected one", folder.string(), paths.size()));
     return std::nullopt;
 }
 

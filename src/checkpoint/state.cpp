@@ -55,12 +55,14 @@ void StateWriter::operator()(const std::string& name, const SurfelArrays& surfel
 const NamedArray& StateReader::find(const std::string& name, const char* dtype, const std::vector<std::size_t>& shape) const {
     const NamedArray& array = checkpoint_.array(name);
     if (array.dtype != dtype || array.shape != shape)
-        throw DataError(fmt::format("checkpoint of iteration {}: array {}: found {} [{}], expected {} [{}]", checkpoint_.iteration, name, array.dtype,
-                                    fmt::join(array.shape, ", "), dtype, fmt::join(shape, ", ")));
+        throw DataError(fmt::format("checkpoint of iteration {}: array {}: found {} [{}], expected {} [{}]", checkpoint_.iteration, name,
+                                    array.dtype, fmt::join(array.shape, ", "), dtype, fmt::join(shape, ", ")));
     return array;
 }
 
-const NamedArray& StateReader::find_rows(const std::string& name, const char* dtype) const { return find(name, dtype, {checkpoint_.array(name).count()}); }
+const NamedArray& StateReader::find_rows(const std::string& name, const char* dtype) const {
+    return find(name, dtype, {checkpoint_.array(name).count()});
+}
 
 Surfels StateReader::surfels(const std::string& name) const {
     const NamedArray& mean = checkpoint_.array(name + "/mean");

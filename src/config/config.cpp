@@ -86,7 +86,8 @@ std::string quoted(const std::string& text) {
     std::string result = "\"";
     for (const char c : text) {
         if (c == '"' || c == '\\') result += '\\';
-        if (std::iscntrl(static_cast<unsigned char>(c))) result += fmt::format("\\u{:04X}", static_cast<unsigned>(static_cast<unsigned char>(c)));
+        if (std::iscntrl(static_cast<unsigned char>(c)))
+            result += fmt::format("\\u{:04X}", static_cast<unsigned>(static_cast<unsigned char>(c)));
         else result += c;
     }
     return result + '"';

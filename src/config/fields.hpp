@@ -39,69 +39,101 @@ void visit_dataset(C& c, Visitor&& f) {
     f("dataset.frames_begin", c.dataset.frames_begin, between(0, kMaxCount), "first frame, by the dataset's own number");
     f("dataset.frames_end", c.dataset.frames_end, between(-1, kMaxCount), "frame after the last one; -1: to the end of the log");
     f("dataset.test_every", c.dataset.test_every, between(0, kMaxCount), "every so many frames one is held out for testing; 0: none");
-    f("dataset.poses", c.dataset.poses, anything(), "file with 12 numbers a line, world_from_sensor of each frame; empty: the dataset's own poses; none: no poses, they are found from the scans alone");
-    f("dataset.allow_missing_scans", c.dataset.allow_missing_scans, anything(), "leave frames without a scan out, with a note; false: a missing scan is an error");
-    f("dataset.min_range_m", c.dataset.min_range_m, at_least(0), "returns nearer than this count as dropped, and the log's sensor simulates none there, metres");
-    f("dataset.max_range_m", c.dataset.max_range_m, above(0), "returns beyond this range count as dropped, and the log's sensor simulates none there, metres");
+    f("dataset.poses", c.dataset.poses, anything(),
+      "file with 12 numbers a line, world_from_sensor of each frame; empty: the dataset's own poses; none: no poses, they are found from "
+      "the scans alone");
+    f("dataset.allow_missing_scans", c.dataset.allow_missing_scans, anything(),
+      "leave frames without a scan out, with a note; false: a missing scan is an error");
+    f("dataset.min_range_m", c.dataset.min_range_m, at_least(0),
+      "returns nearer than this count as dropped, and the log's sensor simulates none there, metres");
+    f("dataset.max_range_m", c.dataset.max_range_m, above(0),
+      "returns beyond this range count as dropped, and the log's sensor simulates none there, metres");
 }
 
 template <class C, class Visitor>
 void visit_sensor(C& c, Visitor&& f) {
-    f("sensor.grid", c.sensor.grid, one_of({"native", "kitti360"}), "image that is rendered and scored: the sensor's own, or the KITTI-360 grid (66 x 1030)");
-    f("sensor.grid_method", c.sensor.grid_method, one_of({"project", "cast"}), "grid images: simulate the native scan and bin its points, or cast rays through the cell centres");
+    f("sensor.grid", c.sensor.grid, one_of({"native", "kitti360"}),
+      "image that is rendered and scored: the sensor's own, or the KITTI-360 grid (66 x 1030)");
+    f("sensor.grid_method", c.sensor.grid_method, one_of({"project", "cast"}),
+      "grid images: simulate the native scan and bin its points, or cast rays through the cell centres");
     f("sensor.rolling_shutter", c.sensor.rolling_shutter, anything(), "rays start where the sensor was when they were fired");
-    f("sensor.calibrate_intensity", c.sensor.calibrate_intensity, anything(), "find gain and offset of each beam's intensity from the training scans: surfaces have one brightness, beams differ");
-    f("sensor.calibrate_range", c.sensor.calibrate_range, anything(), "find what each beam adds to its ranges from the training scans: centimetres, that differ between beams");
+    f("sensor.calibrate_intensity", c.sensor.calibrate_intensity, anything(),
+      "find gain and offset of each beam's intensity from the training scans: surfaces have one brightness, beams differ");
+    f("sensor.calibrate_range", c.sensor.calibrate_range, anything(),
+      "find what each beam adds to its ranges from the training scans: centimetres, that differ between beams");
 }
 
 template <class C, class Visitor>
 void visit_scene(C& c, Visitor&& f) {
     f("init.voxel_m", c.init.voxel_m, above(0), "points of all training frames are averaged per voxel of this edge, metres");
-    f("init.voxel_growth", c.init.voxel_growth, at_least(0), "the voxel edge grows by this share of the range to the nearest sensor position; 0: paper");
+    f("init.voxel_growth", c.init.voxel_growth, at_least(0),
+      "the voxel edge grows by this share of the range to the nearest sensor position; 0: paper");
     f("init.normals", c.init.normals, anything(), "orient surfels along normals of the nearest neighbours; false: at random");
     f("init.normal_neighbours", c.init.normal_neighbours, between(3, 1000), "neighbours a normal is fitted to");
     f("init.smooth", c.init.smooth, anything(), "move each new surfel onto the plane of its neighbours");
-    f("init.remove_unlabelled_movers", c.init.remove_unlabelled_movers, anything(), "leave out points that other training frames see through");
+    f("init.remove_unlabelled_movers", c.init.remove_unlabelled_movers, anything(),
+      "leave out points that other training frames see through");
     f("init.opacity", c.init.opacity, Accepts{0.0, 0.99, true, {}}, "opacity of new surfels");
     f("init.hit_logit", c.init.hit_logit, between(-20, 20), "hit logit of new surfels");
     f("init.drop_logit", c.init.drop_logit, between(-20, 20), "drop logit of new surfels");
     f("init.max_scale_m", c.init.max_scale_m, above(0), "largest standard deviation of a new surfel, metres");
-    f("init.scale_factor", c.init.scale_factor, above(0), "standard deviation of a new surfel over the mean distance to its 3 nearest neighbours");
-    f("init.thickness", c.init.thickness, between(1e-3, 10), "image.primitive=gaussian: standard deviation of a new Gaussian along its normal over that in the plane; 1: spheres");
-    f("init.discover_actors", c.init.discover_actors, anything(), "what moves without a label becomes an actor with a track of its own, found from returns that other frames see through");
-    f("init.actor_min_step_m", c.init.actor_min_step_m, at_least(0), "boxes that move more than this a frame are actors: their points are left out, metres");
+    f("init.scale_factor", c.init.scale_factor, above(0),
+      "standard deviation of a new surfel over the mean distance to its 3 nearest neighbours");
+    f("init.thickness", c.init.thickness, between(1e-3, 10),
+      "image.primitive=gaussian: standard deviation of a new Gaussian along its normal over that in the plane; 1: spheres");
+    f("init.discover_actors", c.init.discover_actors, anything(),
+      "what moves without a label becomes an actor with a track of its own, found from returns that other frames see through");
+    f("init.actor_min_step_m", c.init.actor_min_step_m, at_least(0),
+      "boxes that move more than this a frame are actors: their points are left out, metres");
     f("init.actor_margin_m", c.init.actor_margin_m, at_least(0), "boxes are grown by this when points are left out, metres");
-    f("init.actors", c.init.actors, one_of({"models", "masked", "background"}), "moving boxes become models of their own, are masked out, or belong to the background (see init.remove_unlabelled_movers)");
-    f("init.actor_classes", c.init.actor_classes, anything(), "classes of moving boxes that become actors of their own, separated by commas; all: every class; empty: moving boxes are masked out");
+    f("init.actors", c.init.actors, one_of({"models", "masked", "background"}),
+      "moving boxes become models of their own, are masked out, or belong to the background (see init.remove_unlabelled_movers)");
+    f("init.actor_classes", c.init.actor_classes, anything(),
+      "classes of moving boxes that become actors of their own, separated by commas; all: every class; empty: moving boxes are masked out");
     f("init.actor_points", c.init.actor_points, between(1, 1e6), "most surfels of an actor");
-    f("init.actor_tracks", c.init.actor_tracks, anything(), "tracks that become actors, whatever their class and motion, separated by commas; empty: by class");
-    f("init.actor_pad_to", c.init.actor_pad_to, between(0, 1e6), "an actor with fewer points is filled up with random points of its box; 0: not; paper: 8000");
+    f("init.actor_tracks", c.init.actor_tracks, anything(),
+      "tracks that become actors, whatever their class and motion, separated by commas; empty: by class");
+    f("init.actor_pad_to", c.init.actor_pad_to, between(0, 1e6),
+      "an actor with fewer points is filled up with random points of its box; 0: not; paper: 8000");
     f("init.actor_symmetry", c.init.actor_symmetry, anything(), "mirror the points of an actor left to right");
-    f("init.mask_beyond_labels_s", c.init.mask_beyond_labels_s, between(0, 1e3), "boxes are masked so long before their first and after their last label, where they would be, seconds");
+    f("init.mask_beyond_labels_s", c.init.mask_beyond_labels_s, between(0, 1e3),
+      "boxes are masked so long before their first and after their last label, where they would be, seconds");
     f("init.actor_min_points", c.init.actor_min_points, between(10, 1e6), "a box with fewer points is masked instead");
     f("init.seed", c.init.seed, between(0, kMaxSeed), "seed of the initialisation");
     f("image.near_m", c.image.near_m, at_least(0), "hits nearer than this are ignored, metres");
     f("image.alpha_min", c.image.alpha_min, between(1e-6, 0.5), "a surfel that contributes less alpha is skipped");
     f("image.alpha_max", c.image.alpha_max, between(0.5, 0.9999), "alpha is clamped to this");
-    f("image.transmittance_min", c.image.transmittance_min, between(0, 0.5), "a surfel that would bring the transmittance below this ends the ray");
+    f("image.transmittance_min", c.image.transmittance_min, between(0, 0.5),
+      "a surfel that would bring the transmittance below this ends the ray");
     f("image.sh_degree", c.image.sh_degree, between(0, 3), "degree of the spherical harmonics");
-    f("image.sh_direction", c.image.sh_direction, one_of({"ray", "surfel"}), "spherical harmonics are evaluated per hit along the ray, or once a surfel along sensor to mean");
-    f("image.single_drop_logit", c.image.single_drop_logit, anything(), "ray-drop is the sigmoid of one blended logit, hit logits stay 0; false: the softmax of two (paper)");
-    f("image.primitive", c.image.primitive, one_of({"surfel", "gaussian"}), "what the scene is made of: 2D Gaussians (paper), or 3D Gaussians, in ray query over triangles with icosahedra as proxies");
+    f("image.sh_direction", c.image.sh_direction, one_of({"ray", "surfel"}),
+      "spherical harmonics are evaluated per hit along the ray, or once a surfel along sensor to mean");
+    f("image.single_drop_logit", c.image.single_drop_logit, anything(),
+      "ray-drop is the sigmoid of one blended logit, hit logits stay 0; false: the softmax of two (paper)");
+    f("image.primitive", c.image.primitive, one_of({"surfel", "gaussian"}),
+      "what the scene is made of: 2D Gaussians (paper), or 3D Gaussians, in ray query over triangles with icosahedra as proxies");
 }
 
 template <class C, class Visitor>
-void visit_training(C& c, Visitor&& f) {
+void visit_losses(C& c, Visitor&& f) {
 #define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) f("loss." #setting, c.loss.setting, accepts, meaning);
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     f("loss.normalised_depth", c.loss.normalised_depth, anything(), "the range term compares D / W; false: D, as the paper does");
-    f("loss.box_scale_share", c.loss.box_scale_share, above(0), "standard deviation an actor's surfel may have, over half the diagonal of its box");
+    f("loss.box_scale_share", c.loss.box_scale_share, above(0),
+      "standard deviation an actor's surfel may have, over half the diagonal of its box");
+}
+
+template <class C, class Visitor>
+void visit_training(C& c, Visitor&& f) {
     f("train.iterations", c.train.iterations, between(0, kMaxCount), "optimiser steps; 0: keep the initial scene");
     f("train.rays_per_iteration", c.train.rays_per_iteration, between(0, kMaxCount), "rays of one step; 0: all rays of one frame");
-    f("train.batch", c.train.batch, one_of({"rays", "columns"}), "rays of one step are every n-th column of the frame (every n-th ray where it has no image order), or a window of neighbouring columns, which looks as the frame does");
+    f("train.batch", c.train.batch, one_of({"rays", "columns"}),
+      "rays of one step are every n-th column of the frame (every n-th ray where it has no image order), or a window of neighbouring "
+      "columns, which looks as the frame does");
     f("train.sh_degree_start", c.train.sh_degree_start, between(0, 3), "degree of the spherical harmonics that is active from the start");
-    f("train.sh_degree_interval", c.train.sh_degree_interval, between(1, kMaxCount), "the active degree of the spherical harmonics rises by one after so many steps");
+    f("train.sh_degree_interval", c.train.sh_degree_interval, between(1, kMaxCount),
+      "the active degree of the spherical harmonics rises by one after so many steps");
     f("train.mean_rate", c.train.mean_rate, at_least(0), "learning rate of the means at the start, times the extent");
     f("train.mean_rate_final", c.train.mean_rate_final, at_least(0), "learning rate of the means at the end, times the extent");
     f("train.rotation_rate", c.train.rotation_rate, at_least(0), "learning rate of the rotations");
@@ -109,69 +141,108 @@ void visit_training(C& c, Visitor&& f) {
     f("train.opacity_rate", c.train.opacity_rate, at_least(0), "learning rate of the opacity logits");
     f("train.sh_rate", c.train.sh_rate, at_least(0), "learning rate of the constant coefficient of each channel");
     f("train.sh_rest_factor", c.train.sh_rest_factor, at_least(0), "rate of the other coefficients over train.sh_rate");
-    f("train.rate_decay", c.train.rate_decay, Accepts{0.0, 1.0, true, {}}, "every rate but the mean's ends at this share of its start; 1: constant, as in the paper");
+    f("train.rate_decay", c.train.rate_decay, Accepts{0.0, 1.0, true, {}},
+      "every rate but the mean's ends at this share of its start; 1: constant, as in the paper");
     f("train.extent_m", c.train.extent_m, at_least(0), "extent of the scene, metres; 0: measured");
     f("train.only_touched", c.train.only_touched, anything(), "surfels without a gradient in a step keep their values and moments");
-    f("train.deterministic", c.train.deterministic, anything(), "gradients are summed in a fixed order: bit-equal parameters from run to run on one device");
-    f("train.gradient_sums", c.train.gradient_sums, one_of({"automatic", "atomics", "gather"}), "gradients of a surfel's hits are added by float atomics, or gathered from records of all hits; automatic: gathered where harmonics are evaluated per hit and on devices without float atomics");
-    f("train.gather_hits", c.train.gather_hits, between(1, 4096), "room for so many hit records a ray where gradients are summed in a fixed order");
-    f("train.sensor_drop", c.train.sensor_drop, anything(), "learn what the sensor itself never sees (its own vehicle) apart from the scene");
-    f("train.refine_poses", c.train.refine_poses, one_of({"none", "sensor", "actors", "sensor,actors"}), "poses that are corrected together with the scene: of the sensor, of the actors' boxes");
-    f("train.pose_register", c.train.pose_register, anything(), "where the sensor's poses are refined, they start from a registration of the scans, before the scene is initialised");
-    f("train.pose_largest_m", c.train.pose_largest_m, between(0.05, 100.0), "how far, in metres, a scan's correction may be from its neighbours', and the same surface from itself once the scans were followed; a scan beyond is moved as its neighbours are");
-    f("train.allow_lost_scans", c.train.allow_lost_scans, anything(), "train also where more than 5 % of the scans did not find their place; false: an error");
+    f("train.deterministic", c.train.deterministic, anything(),
+      "gradients are summed in a fixed order: bit-equal parameters from run to run on one device");
+    f("train.gradient_sums", c.train.gradient_sums, one_of({"automatic", "atomics", "gather"}),
+      "gradients of a surfel's hits are added by float atomics, or gathered from records of all hits; automatic: gathered where harmonics "
+      "are evaluated per hit and on devices without float atomics");
+    f("train.gather_hits", c.train.gather_hits, between(1, 4096),
+      "room for so many hit records a ray where gradients are summed in a fixed order");
+    f("train.sensor_drop", c.train.sensor_drop, anything(),
+      "learn what the sensor itself never sees (its own vehicle) apart from the scene");
+    f("train.refine_poses", c.train.refine_poses, one_of({"none", "sensor", "actors", "sensor,actors"}),
+      "poses that are corrected together with the scene: of the sensor, of the actors' boxes");
+    f("train.pose_register", c.train.pose_register, anything(),
+      "where the sensor's poses are refined, they start from a registration of the scans, before the scene is initialised");
+    f("train.pose_largest_m", c.train.pose_largest_m, between(0.05, 100.0),
+      "how far, in metres, a scan's correction may be from its neighbours', and the same surface from itself once the scans were followed; "
+      "a scan beyond is moved as its neighbours are");
+    f("train.allow_lost_scans", c.train.allow_lost_scans, anything(),
+      "train also where more than 5 % of the scans did not find their place; false: an error");
     f("train.pose_from", c.train.pose_from, between(0, kMaxCount), "poses stay as they are up to this step");
-    f("train.pose_rate_m", c.train.pose_rate_m, at_least(0), "learning rate of the sensor's translations at the start, metres; a tenth at the end; without train.pose_register 2e-3 and more follow centimetres");
-    f("train.pose_rate_rad", c.train.pose_rate_rad, at_least(0), "learning rate of the sensor's rotations at the start, radians; a tenth at the end");
-    f("train.box_rate_m", c.train.box_rate_m, at_least(0), "learning rate of the boxes' translations at the start, metres; a tenth at the end");
-    f("train.box_rate_rad", c.train.box_rate_rad, at_least(0), "learning rate of the boxes' rotations at the start, radians; a tenth at the end");
-    f("train.pose_prior_per_m2", c.train.pose_prior_per_m2, at_least(0), "weight of the squared translation of a correction, per square metre");
-    f("train.pose_prior_per_rad2", c.train.pose_prior_per_rad2, at_least(0), "weight of the squared rotation of a correction, per square radian");
+    f("train.pose_rate_m", c.train.pose_rate_m, at_least(0),
+      "learning rate of the sensor's translations at the start, metres; a tenth at the end; without train.pose_register 2e-3 and more "
+      "follow centimetres");
+    f("train.pose_rate_rad", c.train.pose_rate_rad, at_least(0),
+      "learning rate of the sensor's rotations at the start, radians; a tenth at the end");
+    f("train.box_rate_m", c.train.box_rate_m, at_least(0),
+      "learning rate of the boxes' translations at the start, metres; a tenth at the end");
+    f("train.box_rate_rad", c.train.box_rate_rad, at_least(0),
+      "learning rate of the boxes' rotations at the start, radians; a tenth at the end");
+    f("train.pose_prior_per_m2", c.train.pose_prior_per_m2, at_least(0),
+      "weight of the squared translation of a correction, per square metre");
+    f("train.pose_prior_per_rad2", c.train.pose_prior_per_rad2, at_least(0),
+      "weight of the squared rotation of a correction, per square radian");
     f("train.log_every", c.train.log_every, between(1, kMaxCount), "steps between two lines of the log");
     f("train.checkpoint_every", c.train.checkpoint_every, between(0, kMaxCount), "steps between two checkpoints; 0: by time alone");
-    f("train.checkpoint_minutes", c.train.checkpoint_minutes, at_least(0), "minutes between two checkpoints; 0: by steps alone; Ctrl-C always leaves one");
+    f("train.checkpoint_minutes", c.train.checkpoint_minutes, at_least(0),
+      "minutes between two checkpoints; 0: by steps alone; Ctrl-C always leaves one");
     f("train.checkpoint_keep", c.train.checkpoint_keep, between(1, kMaxCount), "the newest so many checkpoints are kept");
     f("train.seed", c.train.seed, between(0, kMaxSeed), "seed of the order of frames and rays");
 }
 
 template <class C, class Visitor>
 void visit_densify(C& c, Visitor&& f) {
-    f("densify.strategy", c.densify.strategy, one_of({"none", "adaptive", "prune_only", "mcmc"}), "surfels are added and removed: by gradient (adaptive, paper), removed only, or moved from dead to living and grown (mcmc)");
+    f("densify.strategy", c.densify.strategy, one_of({"none", "adaptive", "prune_only", "mcmc"}),
+      "surfels are added and removed: by gradient (adaptive, paper), removed only, or moved from dead to living and grown (mcmc)");
     f("densify.from", c.densify.from, between(0, kMaxCount), "first step after which surfels are added and removed");
     f("densify.until", c.densify.until, between(0, kMaxCount), "from this step on no surfel is added, removed or reset");
     f("densify.every", c.densify.every, between(1, kMaxCount), "steps between");
-    f("densify.gradient_threshold", c.densify.gradient_threshold, at_least(0), "adaptive: a surfel grows above this mean norm of the gradient of its mean, the loss being a mean over a frame");
-    f("densify.clone_extent_share", c.densify.clone_extent_share, at_least(0), "adaptive: below this share of the extent a growing surfel is cloned, above it is split");
+    f("densify.gradient_threshold", c.densify.gradient_threshold, at_least(0),
+      "adaptive: a surfel grows above this mean norm of the gradient of its mean, the loss being a mean over a frame");
+    f("densify.clone_extent_share", c.densify.clone_extent_share, at_least(0),
+      "adaptive: below this share of the extent a growing surfel is cloned, above it is split");
     f("densify.min_opacity", c.densify.min_opacity, between(0, 0.5), "fainter surfels are removed; at least image.alpha_min counts");
-    f("densify.max_extent_share", c.densify.max_extent_share, above(0), "adaptive, prune_only: surfels larger than this share of the extent are removed");
+    f("densify.max_extent_share", c.densify.max_extent_share, above(0),
+      "adaptive, prune_only: surfels larger than this share of the extent are removed");
     f("densify.large_from", c.densify.large_from, between(0, kMaxCount), "step after which large surfels are removed");
-    f("densify.opacity_reset_every", c.densify.opacity_reset_every, between(0, kMaxCount), "adaptive: steps between two resets of all opacities; 0: never");
+    f("densify.opacity_reset_every", c.densify.opacity_reset_every, between(0, kMaxCount),
+      "adaptive: steps between two resets of all opacities; 0: never");
     f("densify.reset_opacity", c.densify.reset_opacity, Accepts{0.0, 0.99, true, {}}, "adaptive: opacities are reset to at most this");
     f("densify.max_surfels", c.densify.max_surfels, between(1, 16000000), "no growth beyond this many surfels");
     f("densify.growth", c.densify.growth, between(0, 1), "mcmc: share of surfels added each time");
-    f("densify.noise", c.densify.noise, at_least(0), "mcmc: noise on the means of faint surfels at the first learning rate, in standard deviations of the surfel");
-    f("densify.prune_unseen", c.densify.prune_unseen, anything(), "at the end of training remove surfels that no training frame gives a gradient");
+    f("densify.noise", c.densify.noise, at_least(0),
+      "mcmc: noise on the means of faint surfels at the first learning rate, in standard deviations of the surfel");
+    f("densify.prune_unseen", c.densify.prune_unseen, anything(),
+      "at the end of training remove surfels that no training frame gives a gradient");
 }
 
 /// Calls f(key, field, accepts, help) for every setting, in the order of the TOML file.
 template <class C, class Visitor>
 void visit(C& c, Visitor&& f) {
-    f("preset", c.preset, one_of({"paper", "released", "default", "quick"}), "where all values start from; setting it replaces every other value");
+    f("preset", c.preset, one_of({"paper", "released", "default", "quick"}),
+      "where all values start from; setting it replaces every other value");
     visit_dataset(c, f);
     visit_sensor(c, f);
     visit_scene(c, f);
+    visit_losses(c, f);
     visit_training(c, f);
     visit_densify(c, f);
-    f("render.range", c.render.range, one_of({"expected", "normalised", "median"}), "range of a ray in range images: D (paper), D / W, or where the transmittance crosses 0.5");
-    f("render.normals", c.render.normals, anything(), "unit normals of the surfaces that rays meet: normals of npz, normal of exr, nx ny nz of ply, normal_x ... of pcd");
-    f("render.points", c.render.points, one_of({"median", "range"}), "points of point clouds lie where the transmittance crosses 0.5, on the dominant surface, or at render.range, which has points between two surfaces");
-    f("eval.lpips_weights", c.eval.lpips_weights, anything(), "safetensors file with the weights of LPIPS (AlexNet, v0.1); empty: no LPIPS, unless RELIDAR_LPIPS_WEIGHTS names them to the command line");
+    f("render.range", c.render.range, one_of({"expected", "normalised", "median"}),
+      "range of a ray in range images: D (paper), D / W, or where the transmittance crosses 0.5");
+    f("render.normals", c.render.normals, anything(),
+      "unit normals of the surfaces that rays meet: normals of npz, normal of exr, nx ny nz of ply, normal_x ... of pcd");
+    f("render.points", c.render.points, one_of({"median", "range"}),
+      "points of point clouds lie where the transmittance crosses 0.5, on the dominant surface, or at render.range, which has points "
+      "between two surfaces");
+    f("eval.lpips_weights", c.eval.lpips_weights, anything(),
+      "safetensors file with the weights of LPIPS (AlexNet, v0.1); empty: no LPIPS, unless RELIDAR_LPIPS_WEIGHTS names them to the command "
+      "line");
     f("trace.chunk", c.trace.chunk, between(1, 64), "hits sorted at a time");
-    f("trace.proxy", c.trace.proxy, one_of({"automatic", "triangles", "boxes"}), "what stands for a surfel in the driver's acceleration structure (ray query)");
-    f("trace.walk", c.trace.walk, one_of({"automatic", "lane", "subgroup"}), "rays walk the tree each on its own or by subgroups (software traversal)");
+    f("trace.proxy", c.trace.proxy, one_of({"automatic", "triangles", "boxes"}),
+      "what stands for a surfel in the driver's acceleration structure (ray query)");
+    f("trace.walk", c.trace.walk, one_of({"automatic", "lane", "subgroup"}),
+      "rays walk the tree each on its own or by subgroups (software traversal)");
     f("trace.rebuild_every", c.trace.rebuild_every, at_least(0), "refits of the acceleration structure before it is built anew; 0 = never");
-    f("trace.rebuild_growth", c.trace.rebuild_growth, between(1.0, 1000.0), "cost of the tree over its cost when built that has it built anew; looked at with each log line (software traversal)");
-    f("trace.keep_hits", c.trace.keep_hits, between(0, 4096), "training: hits kept a ray, 8 bytes each, so that rays with no more are not cast a second time; 0: cast all again, as the paper does");
+    f("trace.rebuild_growth", c.trace.rebuild_growth, between(1.0, 1000.0),
+      "cost of the tree over its cost when built that has it built anew; looked at with each log line (software traversal)");
+    f("trace.keep_hits", c.trace.keep_hits, between(0, 4096),
+      "training: hits kept a ray, 8 bytes each, so that rays with no more are not cast a second time; 0: cast all again, as the paper "
+      "does");
 }
 
 }  // namespace relidar::config_detail

@@ -39,7 +39,8 @@ Config released() {
 Config standard() {
     Config config;
     config.preset = "default";
-    config.sensor.calibrate_intensity = true;          // beams of an HDL-64E differ more than surfaces: the same places differ by 0.092 on KITTI's, 0.077 with it
+    // beams of an HDL-64E differ more than surfaces: the same places differ by 0.092 on KITTI's, 0.077 with it
+    config.sensor.calibrate_intensity = true;
     config.sensor.calibrate_range = true;              // up to 6 cm on KITTI's HDL-64E, more than all other errors
     config.init.voxel_m = 0.1;                         // silhouettes: surfels overhang an edge by about their size
     config.init.voxel_growth = 0.006;                  // about the distance of neighbouring rays
@@ -52,11 +53,12 @@ Config standard() {
     config.init.drop_logit = -0.5;
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
-    config.init.thickness = 0.05;                      // 3D Gaussians, street of `demo`, 150 steps: median range error 9.3 mm as with surfels; 0.2: 10.7 mm, spheres: 44 mm
+    // 3D Gaussians, street of `demo`, 150 steps: median range error 9.3 mm as with surfels; 0.2: 10.7 mm, spheres: 44 mm
+    config.init.thickness = 0.05;
     config.image.sh_direction = ShDirection::surfel;   // 48 coefficients a surfel and frame instead of a hit
     config.image.transmittance_min = 1e-3f;
     config.loss.normalised_depth = true;               // with D a weight of 0.97 pushes every surface 3 % away
-    config.loss.chamfer = 0.0f;                        // 0.01 changed no metric by more than 1 % over 110 steps of `quick`, and costs a tenth of a step
+    config.loss.chamfer = 0.0f;  // 0.01 changed no metric by more than 1 % over 110 steps of `quick`, and costs a tenth of a step
     config.loss.opacity = 0.1f;                        // what D no longer does: close the holes
     config.train.iterations = 3000;
     config.train.sh_degree_start = 1;                  // intensities start with their fall with the angle of incidence
@@ -103,7 +105,8 @@ Config make_preset(const std::string& name) {
         if (name == preset.name) return preset.make();
         known.emplace_back(preset.name);
     }
-    throw UsageError(fmt::format("preset '{}': unknown, did you mean '{}'? (known: {})", name, nearest_name(name, known), fmt::join(known, ", ")));
+    throw UsageError(
+        fmt::format("preset '{}': unknown, did you mean '{}'? (known: {})", name, nearest_name(name, known), fmt::join(known, ", ")));
 }
 
 }  // namespace relidar

@@ -11,14 +11,16 @@
 #include <fmt/format.h>
 
 /// RELIDAR_ASSERT_LE(a, b): a <= b, both printed where not.
-#define RELIDAR_ASSERT_LE(a, b)                                                                                                     \
-    do {                                                                                                                            \
-        const auto relidar_a = (a);                                                                                                 \
-        const auto relidar_b = (b);                                                                                                 \
-        if (!(relidar_a <= relidar_b)) {                                                                                            \
-            std::fputs(fmt::format("{}:{}: expected {} <= {}, found {} and {}\n", __FILE__, __LINE__, #a, #b, relidar_a, relidar_b).c_str(), stderr); \
-            std::abort();                                                                                                           \
-        }                                                                                                                           \
+#define RELIDAR_ASSERT_LE(a, b)                                                                                                       \
+    do {                                                                                                                              \
+        const auto relidar_a = (a);                                                                                                   \
+        const auto relidar_b = (b);                                                                                                   \
+        if (!(relidar_a <= relidar_b)) {                                                                                              \
+            std::fputs(                                                                                                               \
+                fmt::format("{}:{}: expected {} <= {}, found {} and {}\n", __FILE__, __LINE__, #a, #b, relidar_a, relidar_b).c_str(), \
+                stderr);                                                                                                              \
+            std::abort();                                                                                                             \
+        }                                                                                                                             \
     } while (false)
 
 #else

@@ -54,14 +54,17 @@ bool path_exists(const fs::path& path) { return fs::exists(status_of(path)); }
 
 void check_folder(const fs::path& path, const std::string& expected) {
     const fs::file_status status = status_of(path);
-    if (!fs::is_directory(status)) throw DataError(fmt::format("{}: {}, expected {}", path.string(), fs::exists(status) ? "not a folder" : "no such folder", expected));
+    if (!fs::is_directory(status))
+        throw DataError(
+            fmt::format("{}: {}, expected {}", path.string(), fs::exists(status) ? "not a folder" : "no such folder", expected));
 }
 
 std::vector<fs::path> list_folder(const fs::path& folder) {
     std::error_code failed;
     std::vector<fs::path> paths;
     if (!fs::is_directory(status_of(folder))) throw DataError(fmt::format("{}: no such folder", folder.string()));
-    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed)) paths.push_back(entry->path());
+    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed))
+        paths.push_back(entry->path());
     if (failed) throw unreadable(folder, failed);
     std::sort(paths.begin(), paths.end());
     return paths;

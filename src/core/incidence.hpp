@@ -28,7 +28,8 @@ inline double incidence_cosine(const ImageRays& image, std::size_t i) {
     const std::size_t left = row * columns + (column + columns - kColumns) % columns, right = row * columns + (column + kColumns) % columns;
     const std::size_t around[] = {right, left, i - columns, i + columns};
     for (const std::size_t k : around)
-        if (!(image.range_m[k] > 0.0f) || std::abs(image.range_m[k] - image.range_m[i]) > kSameSurface * double(image.range_m[i])) return -1.0;
+        if (!(image.range_m[k] > 0.0f) || std::abs(image.range_m[k] - image.range_m[i]) > kSameSurface * double(image.range_m[i]))
+            return -1.0;
     const glm::dvec3 normal = glm::cross(image.point(around[0]) - image.point(around[1]), image.point(around[2]) - image.point(around[3]));
     const double length = glm::length(normal);
     return length > 0.0 ? std::abs(glm::dot(normal / length, glm::dvec3(image.direction[i]))) : -1.0;

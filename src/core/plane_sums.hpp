@@ -28,7 +28,8 @@ struct PlaneSums {
 
     /// From the same origin; n > 0.
     PlaneFit fit() const {
-        const glm::dvec3 mean = sum / n, s = squares / n - mean * mean, p = products / n - glm::dvec3(mean.y * mean.z, mean.x * mean.z, mean.x * mean.y);
+        const glm::dvec3 mean = sum / n, s = squares / n - mean * mean,
+                         p = products / n - glm::dvec3(mean.y * mean.z, mean.x * mean.z, mean.x * mean.y);
         Eigen::Matrix3d covariance;
         covariance << s.x, p.z, p.y, p.z, s.y, p.x, p.y, p.x, s.z;
         const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(covariance);

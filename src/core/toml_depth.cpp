@@ -41,8 +41,10 @@ void check_toml_depth(std::string_view text, const std::string& file) {
         else if (c == '\n' || c == '=' || c == ',' || c == '{' || c == '[') parts = 1;
         if (c == '{' || c == '[') ++depth;
         if (c == '}' || c == ']') depth = std::max(depth - 1, 0);
-        if (parts > kMostParts) throw DataError(fmt::format("{}:{}: a key of more than {} parts, expected settings of two", file, line, kMostParts));
-        if (depth > kDeepest) throw DataError(fmt::format("{}:{}: brackets more than {} deep, expected settings, one value each", file, line, kDeepest));
+        if (parts > kMostParts)
+            throw DataError(fmt::format("{}:{}: a key of more than {} parts, expected settings of two", file, line, kMostParts));
+        if (depth > kDeepest)
+            throw DataError(fmt::format("{}:{}: brackets more than {} deep, expected settings, one value each", file, line, kDeepest));
         line += c == '\n';
         ++at;
     }

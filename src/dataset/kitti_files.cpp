@@ -23,7 +23,8 @@ std::string describe_stranger(const fs::path& folder, const std::string& marker)
     std::error_code failed;
     const auto has = [&](const char* name) { return fs::exists(folder / name, failed); };
     if ((has("velodyne") && (has("times.txt") || has("calib.txt"))) || has("sequences"))
-        return "a KITTI odometry sequence, whose scans are motion-compensated; expected its calib.txt there too, or the drive of KITTI raw that it was cut from";
+        return "a KITTI odometry sequence, whose scans are motion-compensated; expected its calib.txt there too, or the drive of KITTI raw "
+               "that it was cut from";
     for (fs::path up = fs::canonical(folder, failed).parent_path(); !failed && up.has_relative_path(); up = up.parent_path()) {
         if (fs::exists(up / marker, failed)) return fmt::format("a folder within a dataset; expected {}", up.string());
     }
@@ -34,7 +35,9 @@ std::string describe_stranger(const fs::path& folder, const std::string& marker)
         const std::string name = entry->path().filename().string();
         if (n++ == 0 || name < first) first = name;
     }
-    return n == 0 ? "" : fmt::format("a folder that holds {} dataset{}; expected one of them, as {}", n, n == 1 ? "" : "s", (folder / first).string());
+    return n == 0 ? ""
+                  : fmt::format("a folder that holds {} dataset{}; expected one of them, as {}", n, n == 1 ? "" : "s",
+                                (folder / first).string());
 }
 
 std::string describe_gaps(const std::vector<int>& frames) {
@@ -45,7 +48,8 @@ std::string describe_gaps(const std::vector<int>& frames) {
     for (std::size_t i = 1; i < frames.size(); ++i) {
         for (int frame = frames[i - 1] + 1; frame < frames[i] && shown.size() < kShown; ++frame) shown.push_back(frame);
     }
-    return fmt::format("{} of the scans {} to {} missing ({}{})", n, frames.front(), frames.back(), fmt::join(shown, ", "), n > kShown ? ", ..." : "");
+    return fmt::format("{} of the scans {} to {} missing ({}{})", n, frames.front(), frames.back(), fmt::join(shown, ", "),
+                       n > kShown ? ", ..." : "");
 }
 
 std::vector<int> list_scans(const fs::path& folder, int begin, int end) {
@@ -60,7 +64,8 @@ std::vector<int> list_scans(const fs::path& folder, int begin, int end) {
         text_scans = text_scans || file.extension() == ".txt";
     }
     if (all.empty() && text_scans)
-        throw DataError(fmt::format("{}: scans as text, as an unsynced drive (_extract) has them; expected files %010d.bin of its _sync", folder.string()));
+        throw DataError(fmt::format("{}: scans as text, as an unsynced drive (_extract) has them; expected files %010d.bin of its _sync",
+                                    folder.string()));
     if (all.empty()) throw DataError(fmt::format("{}: no scans, expected files %010d.bin", folder.string()));
     std::sort(all.begin(), all.end());
     std::copy_if(all.begin(), all.end(), std::back_inserter(frames), [&](int f) { return f >= begin && (end < 0 || f < end); });

@@ -40,9 +40,11 @@ void check_extent(const std::vector<Pose>& poses, const std::vector<int>& frames
     for (std::size_t i = 0; i < poses.size(); ++i) {
         const glm::dvec3 t = poses[i].translation, step = t - poses[0].translation;
         if (std::max({std::abs(t.x), std::abs(t.y), std::abs(t.z)}) > kLargestCoordinate_m)
-            throw DataError(fmt::format("{}: the pose of frame {} is at ({}, {}, {}), expected metres within {}", where, frames[i], t.x, t.y, t.z, kLargestCoordinate_m));
+            throw DataError(fmt::format("{}: the pose of frame {} is at ({}, {}, {}), expected metres within {}", where, frames[i], t.x,
+                                        t.y, t.z, kLargestCoordinate_m));
         if (glm::length(step) > kLongestLog_m)
-            throw DataError(fmt::format("{}: the poses of frames {} and {} are {:.6g} m apart, expected one drive of at most {} m", where, frames[0], frames[i], glm::length(step), kLongestLog_m));
+            throw DataError(fmt::format("{}: the poses of frames {} and {} are {:.6g} m apart, expected one drive of at most {} m", where,
+                                        frames[0], frames[i], glm::length(step), kLongestLog_m));
     }
 }
 
@@ -92,8 +94,10 @@ int first_oxts(const fs::path& drive) {
             if (file.extension() == ".txt" && number) return *number;
         }
     }
-    throw DataError(fmt::format("{}: no OXTS files %010d.txt, so the drive has no poses; expected dataset.poses=FILE (12 numbers a line), or "
-                                "dataset.poses=none to find them from the scans alone", folder.string()));
+    throw DataError(
+        fmt::format("{}: no OXTS files %010d.txt, so the drive has no poses; expected dataset.poses=FILE (12 numbers a line), or "
+                    "dataset.poses=none to find them from the scans alone",
+                    folder.string()));
 }
 
 /// calib_imu_to_velo.txt of a drive: KITTI puts it one folder up; some keep it in the drive, or as its archive DATE_calib.zip unpacks.
@@ -101,12 +105,15 @@ fs::path find_calibration(const fs::path& drive) {
     const char* name = "calib_imu_to_velo.txt";
     const std::string date = drive.filename().string().substr(0, 10);   // 2011_09_26_drive_0005_sync
     for (const fs::path& base : {drive.parent_path(), drive, drive.parent_path().parent_path()}) {
-        for (const fs::path& inner : {fs::path(), fs::path("calib"), fs::path("calibration"), fs::path(date), fs::path(date + "_calib"), fs::path(date + "_calib") / date}) {
+        for (const fs::path& inner : {fs::path(), fs::path("calib"), fs::path("calibration"), fs::path(date), fs::path(date + "_calib"),
+                                      fs::path(date + "_calib") / date}) {
             if (path_exists(base / inner / name)) return base / inner / name;
         }
     }
-    throw DataError(fmt::format("{}: no such file, nor in the drive or in a folder calib, calibration or {}_calib beside or above it; expected KITTI's "
-                                "calibration of that day, or poses by dataset.poses", (drive.parent_path() / name).string(), date));
+    throw DataError(
+        fmt::format("{}: no such file, nor in the drive or in a folder calib, calibration or {}_calib beside or above it; expected KITTI's "
+                    "calibration of that day, or poses by dataset.poses",
+                    (drive.parent_path() / name).string(), date));
 }
 
 }  // namespace

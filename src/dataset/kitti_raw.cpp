@@ -32,7 +32,8 @@ std::vector<std::string> take_notes(const fs::path& drive, const std::vector<int
     std::vector<std::string> notes;
     const std::string gaps = describe_gaps(frames);
     if (!gaps.empty() && !options.allow_missing_scans)
-        throw DataError(fmt::format("{}/velodyne_points/data: {}, expected all; dataset.allow_missing_scans=true leaves them out", drive.string(), gaps));
+        throw DataError(fmt::format("{}/velodyne_points/data: {}, expected all; dataset.allow_missing_scans=true leaves them out",
+                                    drive.string(), gaps));
     if (!gaps.empty()) notes.push_back(gaps + ": left out");
     if (!path_exists(drive / "tracklet_labels.xml")) notes.push_back("no tracklet_labels.xml: nothing in this drive is labelled");
     if (options.poses_file == kNoPoses) notes.push_back("no poses are read (dataset.poses=none): they have to be found from the scans");

@@ -63,10 +63,13 @@ std::vector<double> read_times(const fs::path& file, const std::vector<int>& fra
         const std::size_t line = static_cast<std::size_t>(frames[i]);
         if (line >= time_ns.size())
             throw DataError(fmt::format("{}: {} lines, frame {} needs line {}", file.string(), time_ns.size(), frames[i], line + 1));
-        if (!time_ns[line]) throw DataError(fmt::format("{} line {}: empty, expected the time of frame {}, whose scan is there", file.string(), line + 1, frames[i]));
+        if (!time_ns[line])
+            throw DataError(
+                fmt::format("{} line {}: empty, expected the time of frame {}, whose scan is there", file.string(), line + 1, frames[i]));
         time_s.push_back(static_cast<double>(*time_ns[line] - first_ns) * 1e-9);
         if (i > 0 && !(time_s[i] > time_s[i - 1]))
-            throw DataError(fmt::format("{} line {}: not later than that of frame {}, expected rising times", file.string(), line + 1, frames[i - 1]));
+            throw DataError(
+                fmt::format("{} line {}: not later than that of frame {}, expected rising times", file.string(), line + 1, frames[i - 1]));
     }
     return time_s;
 }
@@ -78,7 +81,8 @@ double read_period(const fs::path& drive) {
     for (std::size_t i = 0; i < std::min(start.size(), end.size()); ++i) {
         if (start[i] && end[i]) lasts_s.push_back(static_cast<double>(*end[i] - *start[i]) * 1e-9);
     }
-    if (lasts_s.empty()) throw DataError(fmt::format("{}: no line with a time here and in timestamps_start.txt, expected one a sweep", file.string()));
+    if (lasts_s.empty())
+        throw DataError(fmt::format("{}: no line with a time here and in timestamps_start.txt, expected one a sweep", file.string()));
     std::nth_element(lasts_s.begin(), lasts_s.begin() + static_cast<std::ptrdiff_t>(lasts_s.size() / 2), lasts_s.end());
     const double period_s = lasts_s[lasts_s.size() / 2];
     if (!(period_s > 0.01 && period_s < 1.0)) {

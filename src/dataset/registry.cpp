@@ -62,7 +62,8 @@ std::pair<std::string, fs::path> parted(const std::string& dataset) {
     std::error_code failed;
     const std::size_t colon = dataset.find(':');
     const bool has_kind = colon != std::string::npos && dataset.find('/') > colon && !fs::exists(dataset, failed);
-    return has_kind ? std::pair(dataset.substr(0, colon), fs::path(dataset.substr(colon + 1))) : std::pair(std::string(), fs::path(dataset));
+    return has_kind ? std::pair(dataset.substr(0, colon), fs::path(dataset.substr(colon + 1)))
+                    : std::pair(std::string(), fs::path(dataset));
 }
 
 void check_range(const FrameRange& range) {
@@ -102,7 +103,8 @@ std::string absolute_dataset(const std::string& dataset) {
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options) {
     check_range(options.frames);
     if (!(options.min_range_m >= 0.0 && options.max_range_m > options.min_range_m)) {
-        throw UsageError(fmt::format("range limits: {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m", options.min_range_m, options.max_range_m));
+        throw UsageError(fmt::format("range limits: {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m",
+                                     options.min_range_m, options.max_range_m));
     }
     const auto [kind, path] = parted(dataset);
     Sequence sequence = find_kind(kind.empty() ? recognise_dataset(path) : kind).load(path, options);

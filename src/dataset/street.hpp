@@ -23,7 +23,8 @@ struct Shape {
     double reflectance = 0.5;  ///< 0..1
 };
 
-/// A car, or someone on foot or on a bicycle, straight on at constant speed, or along a track; its shapes lie about the origin of the box frame.
+/// A car, or someone on foot or on a bicycle, straight on at constant speed, or along a track; its shapes lie about the origin of the box
+/// frame.
 struct MovingCar {
     const char* category = "Car";
     glm::dvec3 start_m{0.0};  ///< centre of its box at time 0

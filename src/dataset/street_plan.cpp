@@ -30,7 +30,12 @@ void add_facades(Street& street, Random& random, double side, double kerb_m, boo
         const double y = kerb_m + side * (setback + 0.5 * depth);
         const double reflectance = random.uniform(0.3, 0.8);
         if (!yard || x + width < kYardBegin_m || x > kYardEnd_m)
-            street.shapes.push_back({Shape::Kind::box, {x + 0.5 * width, y, 0.5 * height}, 0.5 * glm::dvec3(width, depth, height), 0.0, Material::wall, reflectance});
+            street.shapes.push_back({Shape::Kind::box,
+                                     {x + 0.5 * width, y, 0.5 * height},
+                                     0.5 * glm::dvec3(width, depth, height),
+                                     0.0,
+                                     Material::wall,
+                                     reflectance});
         x += width + (random.uniform() < 0.3 ? random.uniform(2.0, 5.0) : 0.0);
     }
 }
@@ -64,18 +69,21 @@ std::vector<Shape> car_shapes(double paint) {
 /// The same with a cabin of glass, which lets rays through: pillars and seats under a roof.
 std::vector<Shape> glazed_car_shapes(double paint) {
     const Shape body = car_shapes(paint)[0];
-    const Shape roof{Shape::Kind::box, {-0.2, 0.0, 1.42 - kBoxCentre_m}, {0.95, 0.5 * kCarWidth_m - 0.12, 0.03}, 0.0, Material::paint, paint};
+    const Shape roof{
+        Shape::Kind::box, {-0.2, 0.0, 1.42 - kBoxCentre_m}, {0.95, 0.5 * kCarWidth_m - 0.12, 0.03}, 0.0, Material::paint, paint};
     const Shape seats{Shape::Kind::box, {-0.3, 0.0, 1.0 - kBoxCentre_m}, {0.12, 0.6, 0.2}, 0.0, Material::leaves, 0.3};
     std::vector<Shape> shapes{body, roof, seats};
     for (const double x : {-1.2, -0.1, 0.8})
-        for (const double y : {-0.75, 0.75}) shapes.push_back({Shape::Kind::box, {x, y, 1.16 - kBoxCentre_m}, {0.05, 0.04, 0.26}, 0.0, Material::paint, paint});
+        for (const double y : {-0.75, 0.75})
+            shapes.push_back({Shape::Kind::box, {x, y, 1.16 - kBoxCentre_m}, {0.05, 0.04, 0.26}, 0.0, Material::paint, paint});
     return shapes;
 }
 
 void add_parked_car(Street& street, double x, double y, double yaw, const std::vector<Shape>& shapes) {
     for (Shape shape : shapes) {
         const glm::dvec3 c = shape.centre;
-        shape.centre = glm::dvec3(x + c.x * std::cos(yaw) - c.y * std::sin(yaw), y + c.x * std::sin(yaw) + c.y * std::cos(yaw), c.z + kBoxCentre_m);
+        shape.centre =
+            glm::dvec3(x + c.x * std::cos(yaw) - c.y * std::sin(yaw), y + c.x * std::sin(yaw) + c.y * std::cos(yaw), c.z + kBoxCentre_m);
         shape.yaw_rad = yaw;
         street.shapes.push_back(shape);
     }
@@ -89,14 +97,21 @@ void add_parked_cars(Street& street, Random& random, double y_m, bool glazed) {
     }
 }
 
-/// Cars side by side behind posts as wide as the gaps between them, a wall behind: of each car a moving sensor sees another part every sweep.
+/// Cars side by side behind posts as wide as the gaps between them, a wall behind: of each car a moving sensor sees another part every
+/// sweep.
 void add_yard(Street& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
     for (double x = kYardBegin_m; x < kYardEnd_m; x += random.uniform(0.4, 1.2))
         street.shapes.push_back({Shape::Kind::box, {x, fence_y, 0.9}, {0.15, 0.05, 0.9}, 0.0, Material::wall, 0.4});
     for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.uniform(2.6, 4.0))
-        add_parked_car(street, x, fence_y + random.uniform(3.0, 4.0), 0.5 * kPi + random.uniform(-0.05, 0.05), glazed_car_shapes(random.uniform(0.15, 0.8)));
-    street.shapes.push_back({Shape::Kind::box, {0.5 * (kYardBegin_m + kYardEnd_m), fence_y + 12.0, 3.0}, {0.5 * (kYardEnd_m - kYardBegin_m), 1.0, 3.0}, 0.0, Material::wall, 0.5});
+        add_parked_car(street, x, fence_y + random.uniform(3.0, 4.0), 0.5 * kPi + random.uniform(-0.05, 0.05),
+                       glazed_car_shapes(random.uniform(0.15, 0.8)));
+    street.shapes.push_back({Shape::Kind::box,
+                             {0.5 * (kYardBegin_m + kYardEnd_m), fence_y + 12.0, 3.0},
+                             {0.5 * (kYardEnd_m - kYardBegin_m), 1.0, 3.0},
+                             0.0,
+                             Material::wall,
+                             0.5});
 }
 
 MovingCar moving_car(const SyntheticOptions& options, double x_at_middle_m, double y_m, double yaw_rad, double speed_mps, double paint) {
@@ -114,7 +129,8 @@ MovingCar moving_car(const SyntheticOptions& options, double x_at_middle_m, doub
 void add_bush(Street& street, Random& random, const glm::dvec2& at_m) {
     for (int leaf = 0; leaf < 60; ++leaf) {
         const glm::dvec3 place(at_m + glm::dvec2(random.uniform(-1.0, 1.0), random.uniform(-0.5, 0.5)), random.uniform(0.1, 1.6));
-        street.shapes.push_back({Shape::Kind::box, place, glm::dvec3(random.uniform(0.03, 0.08)), random.uniform(0.0, 1.5), Material::leaves, 0.4});
+        street.shapes.push_back(
+            {Shape::Kind::box, place, glm::dvec3(random.uniform(0.03, 0.08)), random.uniform(0.0, 1.5), Material::leaves, 0.4});
     }
 }
 

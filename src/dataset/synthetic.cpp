@@ -108,7 +108,10 @@ std::vector<BoxTrack> boxes_of(const street::Street& street, const std::vector<F
 Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int end) {
     check(options);
     const double n_rays = double(end - begin) * options.rows * options.columns;
-    if (n_rays > kMostRays) throw UsageError(fmt::format("synthetic street: {} frames of {} x {} rays are {:.3g} rays, expected at most {:.3g}; take fewer frames", end - begin, options.rows, options.columns, n_rays, kMostRays));
+    if (n_rays > kMostRays)
+        throw UsageError(
+            fmt::format("synthetic street: {} frames of {} x {} rays are {:.3g} rays, expected at most {:.3g}; take fewer frames",
+                        end - begin, options.rows, options.columns, n_rays, kMostRays));
     const street::Street street = street::make_street(options);
     Sequence sequence;
     sequence.name = fmt::format("synthetic street {}", options.seed);
@@ -117,7 +120,8 @@ Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int e
         "sensor x forward, y left, z up; metres; time = head faces forward, seconds after frame 0; exact poses; "
         "each ray cast at its own time";
     sequence.lidars[0].sensor = make_sensor(options);
-    for (int frame = begin; frame < end; ++frame) add_frame(sequence, frame, street::frame_time_s(frame), street::sensor_pose(options, street::frame_time_s(frame)));
+    for (int frame = begin; frame < end; ++frame)
+        add_frame(sequence, frame, street::frame_time_s(frame), street::sensor_pose(options, street::frame_time_s(frame)));
     sequence.boxes = boxes_of(street, sequence.frames);
     recentre(sequence, origin_of(options));
     const RayTable rays = make_rays(sequence.lidars[0].sensor);
@@ -135,7 +139,8 @@ Sequence make_synthetic_street(const SyntheticOptions& options) {
 namespace {
 
 /// Without noise, and dropped where that is likelier than not.
-Scan cast_exactly(const SyntheticOptions& options, const street::Street& street, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s) {
+Scan cast_exactly(const SyntheticOptions& options, const street::Street& street, const RayTable& rays, const PoseTrack& world_from_sensor,
+                  double time_s) {
     Scan scan = empty_scan(rays);
     cast_rays(street, origin_of(options), world_from_sensor, time_s, rays, [&](std::size_t ray, const Hit& hit) {
         if (drop_probability(hit) > 0.5) return;
@@ -150,7 +155,9 @@ void replace_cars(street::Street& street, const std::vector<StreetCar>& cars, co
     const std::vector<street::MovingCar> own = std::move(street.cars);
     street.cars.clear();
     for (const StreetCar& car : cars) {
-        if (car.shapes_of >= own.size()) throw DataError(fmt::format("casting the edited street: track {} has the shapes of car {}, expected one of the street's {}", car.track.id, car.shapes_of, own.size()));
+        if (car.shapes_of >= own.size())
+            throw DataError(fmt::format("casting the edited street: track {} has the shapes of car {}, expected one of the street's {}",
+                                        car.track.id, car.shapes_of, own.size()));
         if (!car.track.present(time_s)) continue;
         street::MovingCar& moved = street.cars.emplace_back(own[car.shapes_of]);
         moved.track = car.track.world_from_box;
@@ -165,7 +172,8 @@ Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays
     return cast_exactly(options, street::make_street(options), rays, world_from_sensor, time_s);
 }
 
-Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<StreetCar>& cars, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s) {
+Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<StreetCar>& cars, const RayTable& rays,
+                           const PoseTrack& world_from_sensor, double time_s) {
     check(options);
     street::Street street = street::make_street(options);
     replace_cars(street, cars, origin_of(options), time_s);

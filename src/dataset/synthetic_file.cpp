@@ -42,7 +42,8 @@ void take_poses(Sequence& sequence, const fs::path& poses_file) {
         track = shifted_track(std::move(track), -sequence.world_offset_m);
     }
     set_vehicle_poses(sequence, std::move(track));
-    sequence.conventions += poses_file == kNoPoses ? "; but no poses: the sensor is at the origin in every frame" : "; but poses from " + poses_file.string();
+    sequence.conventions +=
+        poses_file == kNoPoses ? "; but no poses: the sensor is at the origin in every frame" : "; but poses from " + poses_file.string();
 }
 
 SyntheticOptions read_options(const fs::path& path) {
@@ -104,9 +105,10 @@ void save_synthetic(const SyntheticOptions& options, const fs::path& folder) {
     fs::create_directories(folder, failed);
     const fs::path file = folder / "street.toml";
     std::ofstream out(file);
-    out << fmt::format("seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {}\nspeed_mps = {}\nmoving_cars = {}\npeople = {}\n",
-                       static_cast<std::int64_t>(options.seed), options.n_frames, options.rows, options.columns, number_text(options.range_noise_m),
-                       number_text(options.speed_mps), options.moving_cars, options.people);
+    out << fmt::format(
+        "seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {}\nspeed_mps = {}\nmoving_cars = {}\npeople = {}\n",
+        static_cast<std::int64_t>(options.seed), options.n_frames, options.rows, options.columns, number_text(options.range_noise_m),
+        number_text(options.speed_mps), options.moving_cars, options.people);
     if (!out.flush()) throw DataError(fmt::format("{}: cannot be written", file.string()));
 }
 

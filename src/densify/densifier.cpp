@@ -138,7 +138,8 @@ std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::ui
     };
     for (std::uint32_t growth = wanted > before ? wanted - before : 0; growth > 0; growth = growth >= 16 ? growth / 2 : 0) {
         const std::uint32_t target = before + growth;
-        const double generous = std::min(1.5 * double(arrays.capacity()), double(std::max(static_cast<std::uint32_t>(options.max_surfels), target)));
+        const double generous =
+            std::min(1.5 * double(arrays.capacity()), double(std::max(static_cast<std::uint32_t>(options.max_surfels), target)));
         const bool there = target <= arrays.capacity();
         if (fits(target, there ? target : std::max(double(target), generous)) || (!there && fits(target, target))) return target;
     }
@@ -182,7 +183,8 @@ DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& a
     return report;
 }
 
-Densifier::Densifier(Device& device, const Scene& initial, const DensifyOptions& options, float alpha_min, std::uint32_t n_frames, std::uint64_t seed)
+Densifier::Densifier(Device& device, const Scene& initial, const DensifyOptions& options, float alpha_min, std::uint32_t n_frames,
+                     std::uint64_t seed)
     : impl_(std::make_unique<Impl>(device, initial, options, alpha_min, n_frames, seed)) {}
 Densifier::~Densifier() = default;
 SurfelStatistics& Densifier::statistics() { return impl_->arrays.statistics; }
@@ -222,7 +224,8 @@ void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int s
                       .amount = static_cast<float>(o.noise * rate_share),
                       .n_surfels = scene.size(),
                       .key = static_cast<std::uint32_t>(impl_->random(Draw::noise, step))});
-    if (o.strategy != DensifyStrategy::adaptive || o.opacity_reset_every <= 0 || step >= o.until || step % o.opacity_reset_every != 0) return;
+    if (o.strategy != DensifyStrategy::adaptive || o.opacity_reset_every <= 0 || step >= o.until || step % o.opacity_reset_every != 0)
+        return;
     relidar::run(stream, impl_->reset_opacity, scene.size(),
                  {.opacity_logit = scene.parameters().opacity_logit.address(),
                   .max_logit = static_cast<float>(logit(o.reset_opacity)),

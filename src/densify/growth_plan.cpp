@@ -32,7 +32,8 @@ GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOpti
     if (plan.total_weight == 0) return plan;
     plan.phase = static_cast<std::uint32_t>(random % plan.total_weight);
     plan.n_new = plan.total_weight;   // each growing surfel has weight 1
-    if (options.strategy == DensifyStrategy::mcmc) plan.n_new = before - plan.survivors + static_cast<std::uint32_t>(options.growth * before);
+    if (options.strategy == DensifyStrategy::mcmc)
+        plan.n_new = before - plan.survivors + static_cast<std::uint32_t>(options.growth * before);
     return limited_to(plan, static_cast<std::uint32_t>(options.max_surfels));
 }
 

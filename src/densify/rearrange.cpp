@@ -33,7 +33,8 @@ void Rearrangement::reserve(std::uint32_t n) {
 }
 
 std::uint32_t Rearrangement::capacity() const {
-    const std::size_t n = std::min({action.size(), weight.size(), starts.size(), n_rows.size(), statistics.gradient_sum.size(), statistics.n_seen.size()});
+    const std::size_t n =
+        std::min({action.size(), weight.size(), starts.size(), n_rows.size(), statistics.gradient_sum.size(), statistics.n_seen.size()});
     const std::size_t n_frames = std::min(statistics.frames.size(), spare_frames_.size()) / statistics.n_words;
     return std::min(spare_.capacity(), static_cast<std::uint32_t>(std::min(n, n_frames)));
 }

@@ -16,7 +16,8 @@ inline std::string missing_memory(Device& device, double n_bytes) {
     constexpr double kPiece = double(256 << 20);   // drivers limit single allocations, not only their sum
     std::vector<Buffer> pieces;
     try {
-        for (; n_bytes > 0.0; n_bytes -= kPiece) pieces.emplace_back(device, static_cast<std::size_t>(std::min(std::max(n_bytes, 4.0), kPiece)), "more surfels");
+        for (; n_bytes > 0.0; n_bytes -= kPiece)
+            pieces.emplace_back(device, static_cast<std::size_t>(std::min(std::max(n_bytes, 4.0), kPiece)), "more surfels");
     } catch (const DeviceError& error) {
         return error.what();
     }

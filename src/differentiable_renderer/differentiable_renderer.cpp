@@ -34,7 +34,8 @@ std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& d, std::
     for (const auto& [name, values, at] : lanes) {
         if (values.empty()) continue;
         if (values.size() != n_rays)
-            throw DataError(fmt::format("gradients of rendered {}: found {}, expected {}, one a ray, or none", name, values.size(), n_rays));
+            throw DataError(
+                fmt::format("gradients of rendered {}: found {}, expected {}, one a ray, or none", name, values.size(), n_rays));
         for (std::size_t i = 0; i < n_rays; ++i) result[i].*at = values[i];
     }
     return result;
@@ -97,8 +98,8 @@ HostGradients DifferentiableRenderer::backward(const RenderedGradients& d_render
     record_backward();
     stream().finish();
     const Gradients& g = *impl_->gradients;
-    return {g.surfels.download(), g.touched.download(scene().size()), values_of(g.poses, g.poses.size()), values_of(g.sensor, g.sensor.size()),
-            values_of(g.rays, 6 * n_rays)};
+    return {g.surfels.download(), g.touched.download(scene().size()), values_of(g.poses, g.poses.size()),
+            values_of(g.sensor, g.sensor.size()), values_of(g.rays, 6 * n_rays)};
 }
 
 void DifferentiableRenderer::change_surfels(const std::function<void(double others_bytes)>& change) {

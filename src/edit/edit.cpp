@@ -44,7 +44,8 @@ BoxTrack& box_of(DrivingScene& driving, const std::string& track) {
     find_actor(driving, track);
     std::vector<BoxTrack>& boxes = driving.sequence.boxes;
     const auto box = std::find_if(boxes.begin(), boxes.end(), [&](const BoxTrack& b) { return b.id == track; });
-    if (box == boxes.end()) throw DataError(fmt::format("editing track \"{}\": an instance has it, but the log has no box of it, expected one", track));
+    if (box == boxes.end())
+        throw DataError(fmt::format("editing track \"{}\": an instance has it, but the log has no box of it, expected one", track));
     return *box;
 }
 
@@ -55,7 +56,8 @@ void drop_unused_models(Scene& scene) {
     std::vector<std::uint32_t> moved_to(scene.models.size(), 0);
     for (std::size_t m = 0; m < scene.models.size(); ++m) {
         const Model& model = scene.models[m];
-        const bool used = m == 0 || std::any_of(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.model == m; });
+        const bool used =
+            m == 0 || std::any_of(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.model == m; });
         if (!used) continue;
         moved_to[m] = static_cast<std::uint32_t>(models.size());
         models.push_back({model.name, static_cast<std::uint32_t>(surfels.size()), model.count, model.half_size_m});
@@ -93,7 +95,8 @@ PoseTrack straight_track(const Sequence& sequence, const Start& start) {
     PoseTrack track;
     for (const Frame& frame : sequence.frames) {
         Pose pose = start.dataset_from_box;
-        pose.translation += pose.rotation * glm::dvec3(start.speed_mps * (frame.time_s - sequence.frames.front().time_s), 0.0, 0.0) - sequence.world_offset_m;
+        pose.translation += pose.rotation * glm::dvec3(start.speed_mps * (frame.time_s - sequence.frames.front().time_s), 0.0, 0.0) -
+                            sequence.world_offset_m;
         track.time_s.push_back(frame.time_s);
         track.pose.push_back(pose);
     }
@@ -101,12 +104,17 @@ PoseTrack straight_track(const Sequence& sequence, const Start& start) {
 }
 
 void check_trajectory(const PoseTrack& track, const std::string& id) {
-    const auto fail = [&](const std::string& found, const char* expected) { throw DataError(fmt::format("trajectory of track \"{}\": {}, expected {}", id, found, expected)); };
-    if (track.pose.size() < 2 || track.pose.size() != track.time_s.size()) fail(fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()), "at least two");
+    const auto fail = [&](const std::string& found, const char* expected) {
+        throw DataError(fmt::format("trajectory of track \"{}\": {}, expected {}", id, found, expected));
+    };
+    if (track.pose.size() < 2 || track.pose.size() != track.time_s.size())
+        fail(fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()), "at least two");
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         const glm::dvec3& p = track.pose[i].translation;
-        if (!std::isfinite(track.time_s[i] + p.x + p.y + p.z + glm::length(track.pose[i].rotation))) fail(fmt::format("entry {} is not finite", i + 1), "finite numbers");
-        if (i > 0 && !(track.time_s[i] > track.time_s[i - 1])) fail(fmt::format("entry {} is of {} s after {} s", i + 1, track.time_s[i], track.time_s[i - 1]), "times that rise");
+        if (!std::isfinite(track.time_s[i] + p.x + p.y + p.z + glm::length(track.pose[i].rotation)))
+            fail(fmt::format("entry {} is not finite", i + 1), "finite numbers");
+        if (i > 0 && !(track.time_s[i] > track.time_s[i - 1]))
+            fail(fmt::format("entry {} is of {} s after {} s", i + 1, track.time_s[i], track.time_s[i - 1]), "times that rise");
     }
 }
 
@@ -154,7 +162,8 @@ DrivingScene retime_track(DrivingScene driving, const std::string& track, double
 DrivingScene replace_trajectory(DrivingScene driving, const std::string& track, const PoseTrack& dataset_from_box) {
     BoxTrack& box = box_of(driving, track);
     check_trajectory(dataset_from_box, track);
-    box.world_from_box = refined(shifted_track(dataset_from_box, -driving.sequence.world_offset_m), std::max(driving.sequence.lidars[0].sensor.period_s, 1e-3));
+    box.world_from_box = refined(shifted_track(dataset_from_box, -driving.sequence.world_offset_m),
+                                 std::max(driving.sequence.lidars[0].sensor.period_s, 1e-3));
     return driving;
 }
 

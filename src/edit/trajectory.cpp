@@ -30,11 +30,14 @@ std::vector<std::string> cells_of(const std::string& line) {
 /// Numbers of a line. @throws DataError for the first cell that is none, with the name of its column
 std::vector<double> read_row(const std::vector<std::string>& cells, const std::string& where) {
     if (cells.size() < kNeeded || cells.size() > kColumns.size())
-        throw DataError(fmt::format("{}: found {} columns, expected time_s,x,y,z,yaw_deg and optionally pitch_deg,roll_deg", where, cells.size()));
+        throw DataError(
+            fmt::format("{}: found {} columns, expected time_s,x,y,z,yaw_deg and optionally pitch_deg,roll_deg", where, cells.size()));
     std::vector<double> row;
     for (std::size_t i = 0; i < cells.size(); ++i) {
         const std::optional<double> value = parse_number(trimmed(cells[i]));
-        if (!value || !(std::abs(*value) <= kLargest)) throw DataError(fmt::format("{}: {}: found \"{}\", expected a finite number within {:.0e}", where, kColumns[i], excerpt(trimmed(cells[i])), kLargest));
+        if (!value || !(std::abs(*value) <= kLargest))
+            throw DataError(fmt::format("{}: {}: found \"{}\", expected a finite number within {:.0e}", where, kColumns[i],
+                                        excerpt(trimmed(cells[i])), kLargest));
         row.push_back(*value);
     }
     row.resize(kColumns.size(), 0.0);
@@ -56,7 +59,8 @@ PoseTrack read_trajectory(const std::filesystem::path& path) {
         const std::string where = fmt::format("{}: line {}", path.string(), i + 1);
         if (trimmed(lines[i]).empty() || (i == 0 && trimmed(cells[0]) == kColumns[0])) continue;
         const std::vector<double> row = read_row(cells, where);
-        if (!track.time_s.empty() && !(row[0] > track.time_s.back())) throw DataError(fmt::format("{}: time_s: found {} after {}, expected times that rise", where, row[0], track.time_s.back()));
+        if (!track.time_s.empty() && !(row[0] > track.time_s.back()))
+            throw DataError(fmt::format("{}: time_s: found {} after {}, expected times that rise", where, row[0], track.time_s.back()));
         track.time_s.push_back(row[0]);
         track.pose.push_back(pose_of(row));
     }

@@ -52,7 +52,8 @@ void check(int rows, int columns, const std::map<std::string, std::vector<float>
 
 }  // namespace
 
-void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels, const FileNotes& notes) {
+void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels,
+               const FileNotes& notes) {
     namespace imf = OPENEXR_IMF_NAMESPACE;
     check(rows, columns, channels);
     MemoryStream stream;

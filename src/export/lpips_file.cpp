@@ -14,7 +14,8 @@ LpipsWeights read_lpips_weights(const std::filesystem::path& path) {
     const std::vector<NamedArray> arrays = read_safetensors(path);
     const auto values = [&](const std::string& name) {
         const auto it = std::find_if(arrays.begin(), arrays.end(), [&](const NamedArray& a) { return a.name == name; });
-        if (it == arrays.end()) throw DataError(fmt::format("{}: array {}: missing, expected it among the weights of LPIPS", path.string(), name));
+        if (it == arrays.end())
+            throw DataError(fmt::format("{}: array {}: missing, expected it among the weights of LPIPS", path.string(), name));
         return it->as_float();
     };
     LpipsWeights weights;

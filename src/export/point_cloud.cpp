@@ -35,7 +35,8 @@ std::vector<Field> fields_of(const PointCloud& cloud) {
     if (cloud.time) fields.push_back({"time", "float", 4, 'F'});
     if (cloud.instance) fields.push_back({"instance", "int", 4, 'I'});
     if (!cloud.normal) return fields;
-    fields.insert(fields.end(), {{"nx", "float", 4, 'F', "normal_x"}, {"ny", "float", 4, 'F', "normal_y"}, {"nz", "float", 4, 'F', "normal_z"}});
+    fields.insert(fields.end(),
+                  {{"nx", "float", 4, 'F', "normal_x"}, {"ny", "float", 4, 'F', "normal_y"}, {"nz", "float", 4, 'F', "normal_z"}});
     return fields;
 }
 

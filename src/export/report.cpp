@@ -103,7 +103,8 @@ std::string metrics(const Report& report) {
         rows += fmt::format("<tr><td class=\"name\">{}</td>{}</tr>\n", escape_html(metric), metric_cells(report, name));
     }
     const char* marks = report.same_scans ? "Green: best of the row." : "Columns are of different scans: neither is better than the other.";
-    const std::string note = report.metrics.size() > 1 ? fmt::format("<p class=\"note\">{} Dash: not given or not defined.</p>\n", marks) : "";
+    const std::string note =
+        report.metrics.size() > 1 ? fmt::format("<p class=\"note\">{} Dash: not given or not defined.</p>\n", marks) : "";
     return table(head, rows) + note;
 }
 

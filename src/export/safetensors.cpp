@@ -90,7 +90,8 @@ Header parse_header(const std::vector<std::byte>& file) {
     if (!header.json.is_object()) throw DataError("the header is not a JSON object");
     if (header.json.size() != header.names.size()) throw DataError("the header names an array twice");
     for (const std::string& name : header.names) {
-        if (name.size() > kMaxName) throw DataError(fmt::format("array '{}': a name of {} bytes, expected at most {}", excerpt(name), name.size(), kMaxName));
+        if (name.size() > kMaxName)
+            throw DataError(fmt::format("array '{}': a name of {} bytes, expected at most {}", excerpt(name), name.size(), kMaxName));
     }
     return header;
 }
@@ -99,7 +100,9 @@ Header parse_header(const std::vector<std::byte>& file) {
 std::vector<std::size_t> integers(const std::string& name, const Json& entry, const char* key) {
     if (!entry.is_object() || !entry.contains(key) || !entry[key].is_array())
         throw DataError(fmt::format("array '{}': no list '{}'", name, key));
-    if (entry[key].size() > kMaxDimensions) throw DataError(fmt::format("array '{}': '{}' holds {} numbers, expected at most {}", name, key, entry[key].size(), kMaxDimensions));
+    if (entry[key].size() > kMaxDimensions)
+        throw DataError(
+            fmt::format("array '{}': '{}' holds {} numbers, expected at most {}", name, key, entry[key].size(), kMaxDimensions));
     std::vector<std::size_t> result;
     for (const Json& value : entry[key]) {
         if (!value.is_number_unsigned()) throw DataError(fmt::format("array '{}': '{}' holds {}", name, key, value.type_name()));

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Surfels as PLY in the layout that tools for 3D Gaussian splatting read, and back. What those tools know stays where they look
-// for it, with their activations (3D Gaussians are theirs whole, a surfel is a flat one); the LiDAR channels follow as further properties, so that a file cropped or cleaned in such a
-// tool comes back as a scene. The reader trusts no number of the header before the size of the file confirms it.
+// for it, with their activations (3D Gaussians are theirs whole, a surfel is a flat one); the LiDAR channels follow as further properties,
+// so that a file cropped or cleaned in such a tool comes back as a scene. The reader trusts no number of the header before the size of the
+// file confirms it.
 #include <relidar/export.hpp>
 
 #include <algorithm>
@@ -133,13 +134,16 @@ Layout parse_header(const std::string& header) {
         if (number == 1 && line != "ply") throw DataError("the first line is not \"ply\"");
         if (what == "format") {
             has_format = true;
-            if (first != "binary_little_endian") throw DataError(fmt::format("found format {}, expected binary_little_endian (export as binary PLY)", excerpt(first)));
+            if (first != "binary_little_endian")
+                throw DataError(fmt::format("found format {}, expected binary_little_endian (export as binary PLY)", excerpt(first)));
         } else if (what == "element") {
-            if (first != "vertex" || has_vertex) throw DataError(fmt::format("found element {}, expected one element, vertex", excerpt(first)));
+            if (first != "vertex" || has_vertex)
+                throw DataError(fmt::format("found element {}, expected one element, vertex", excerpt(first)));
             has_vertex = true;
             layout.count = parse_count(second);
         } else if (what == "property") {
-            if (!has_vertex) throw DataError(fmt::format("property {}: found before an element, expected it after element vertex", excerpt(second)));
+            if (!has_vertex)
+                throw DataError(fmt::format("property {}: found before an element, expected it after element vertex", excerpt(second)));
             add_field(layout, first, second);
         }
     }
@@ -158,7 +162,8 @@ Columns find_columns(const Layout& layout, Primitive primitive) {
     for (const Property& p : properties(primitive)) {
         if (!p.read) continue;
         const auto it = std::find_if(layout.fields.begin(), layout.fields.end(), [&](const Layout::Field& f) { return f.name == p.name; });
-        if (it == layout.fields.end()) throw DataError(fmt::format("property {}: missing, expected it as write_surfel_ply() writes it", p.name));
+        if (it == layout.fields.end())
+            throw DataError(fmt::format("property {}: missing, expected it as write_surfel_ply() writes it", p.name));
         if (!it->is_float) throw DataError(fmt::format("property {}: found another type, expected float", p.name));
         columns.property.push_back(p);
         columns.offset.push_back(it->offset);
@@ -169,7 +174,8 @@ Columns find_columns(const Layout& layout, Primitive primitive) {
 float checked(float value, const Property& p, std::size_t row, std::size_t n_models) {
     if (!std::isfinite(value)) throw DataError(fmt::format("vertex {}: {} is {}, expected a finite number", row, p.name, value));
     if (p.kind == Property::model && (value < 0.0f || value != std::floor(value) || value >= float(n_models)))
-        throw DataError(fmt::format("vertex {}: model is {}, expected an index below {}, the number of models in the run", row, value, n_models));
+        throw DataError(
+            fmt::format("vertex {}: model is {}, expected an index below {}, the number of models in the run", row, value, n_models));
     return value;
 }
 
@@ -225,7 +231,8 @@ Scene parse(const std::vector<std::byte>& file, const Scene& scene_layout, Primi
 
 std::string header_of(const Scene& scene, const std::vector<Property>& list) {
     std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";
-    text += scene.surfels.primitive() == Primitive::gaussian ? "3D Gaussians: metres, frame of each model\n" : "surfels: metres, frame of each model; scale_2 only makes them flat\n";
+    text += scene.surfels.primitive() == Primitive::gaussian ? "3D Gaussians: metres, frame of each model\n"
+                                                             : "surfels: metres, frame of each model; scale_2 only makes them flat\n";
     text += fmt::format("element vertex {}\n", scene.surfels.size());
     for (const Property& p : list) text += fmt::format("property float {}\n", p.name);
     return text + "end_header\n";
@@ -238,7 +245,8 @@ void check_models(const Scene& scene) {
         next += m.count;
     }
     if (next != scene.surfels.size() || scene.models.size() > kMaxModels)
-        throw DataError(fmt::format("{} models of {} surfels, expected at most {} of {}", scene.models.size(), next, kMaxModels, scene.surfels.size()));
+        throw DataError(
+            fmt::format("{} models of {} surfels, expected at most {} of {}", scene.models.size(), next, kMaxModels, scene.surfels.size()));
 }
 
 }  // namespace

@@ -15,7 +15,8 @@ namespace {
 /// Angles of R = Rz(yaw) Ry(pitch) Rx(roll), degrees.
 glm::dvec3 yaw_pitch_roll(const glm::dquat& rotation) {
     const glm::dmat3 r = glm::mat3_cast(rotation);   // r[column][row]
-    return 180.0 / kPi * glm::dvec3(std::atan2(r[0][1], r[0][0]), std::atan2(-r[0][2], std::hypot(r[0][0], r[0][1])), std::atan2(r[1][2], r[2][2]));
+    return 180.0 / kPi *
+           glm::dvec3(std::atan2(r[0][1], r[0][0]), std::atan2(-r[0][2], std::hypot(r[0][0], r[0][1])), std::atan2(r[1][2], r[2][2]));
 }
 
 }  // namespace

@@ -7,13 +7,15 @@
 
 namespace relidar {
 
-std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model, const TraceOptions& options) {
+std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
+                                        const ImageModel& model, const TraceOptions& options) {
     if (device.traversal() != Traversal::software || options.brute_force) return std::nullopt;
     std::vector<Constant> constants = trace_constants(device, accel.proxy(), options, model);
     constants.push_back({ConstantId::COUNT_VISITS, 1u});
     const Kernel<shared::ForwardParams> trace(device, "forward/trace@software_bvh", constants);
     const Array<shared::RenderedRay> rendered(device, batch.n_rays, "rendered rays");
-    const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"), visits(device, std::vector<std::uint32_t>{0u, 0u}, "visits");
+    const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"),
+        visits(device, std::vector<std::uint32_t>{0u, 0u}, "visits");
     shared::TraceScene traced = trace_scene(scene, accel, batch, model, pass_cap.address());
     traced.visits = visits.address();
     Stream stream(device);

@@ -26,15 +26,16 @@ struct ForwardPass::Impl {
 };
 
 ForwardPass::ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options) {
-    if (options.chunk < 1 || options.chunk > 64) throw UsageError(fmt::format("setting trace.chunk: found {}, expected 1 to 64", options.chunk));
+    if (options.chunk < 1 || options.chunk > 64)
+        throw UsageError(fmt::format("setting trace.chunk: found {}, expected 1 to 64", options.chunk));
     impl_ = std::make_unique<Impl>(device, model, proxy, options);
 }
 
 ForwardPass::~ForwardPass() = default;
 void ForwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 
-void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, Array<shared::RenderedRay>& rendered,
-                      KeptHits* kept, RayGeometry* geometry) {
+void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
+                      Array<shared::RenderedRay>& rendered, KeptHits* kept, RayGeometry* geometry) {
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered.size());
     RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.rays->size());
     RELIDAR_ASSERT_LE(kept ? std::size_t(batch.n_rays) * kept->per_ray : 0, kept ? kept->hits.size() : 0);

@@ -85,8 +85,9 @@ Rendering Renderer::forward(const WorldRays& rays) {
     record_forward({&r.host_rays, 0, 1, static_cast<std::uint32_t>(rays.size())});
     r.stream.finish();
     if (const std::uint32_t capped = r.forward.take_pass_cap_count())
-        throw DeviceError(fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal stack, expected every ray to end",
-                                      rays.size(), capped, RELIDAR_MAX_PASSES));
+        throw DeviceError(
+            fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal stack, expected every ray to end",
+                        rays.size(), capped, RELIDAR_MAX_PASSES));
     if (!r.geometry) return to_rendering(r.rendered.download(rays.size()));
     return to_rendering(r.rendered.download(rays.size()), r.geometry->rendered.download(rays.size()));
 }
@@ -98,7 +99,8 @@ void Renderer::set_sh_degree(int degree) {
 
 void Renderer::upload(const Surfels& surfels) {
     if (surfels.size() != impl_->scene.size())
-        throw DataError(fmt::format("uploading surfels: found {}, expected {}, as many as the scene has", surfels.size(), impl_->scene.size()));
+        throw DataError(
+            fmt::format("uploading surfels: found {}, expected {}, as many as the scene has", surfels.size(), impl_->scene.size()));
     impl_->stream.finish();
     impl_->scene.parameters().upload(surfels);
 }

@@ -76,9 +76,13 @@ Instance::Instance(bool validation) {
     }
     const VkResult result = vkCreateInstance(&info, nullptr, &handle);
     if (result == VK_ERROR_INCOMPATIBLE_DRIVER)
-        throw DeviceError("opening Vulkan: found a loader but no Vulkan driver, expected at least one (see VK_DRIVER_FILES), such as Mesa's software driver");
+        throw DeviceError(
+            "opening Vulkan: found a loader but no Vulkan driver, expected at least one (see VK_DRIVER_FILES), such as Mesa's software "
+            "driver");
     if (result == VK_ERROR_LAYER_NOT_PRESENT)
-        throw DeviceError("opening Vulkan: found no VK_LAYER_KHRONOS_validation, expected it because validation was asked for (package vulkan-validationlayers)");
+        throw DeviceError(
+            "opening Vulkan: found no VK_LAYER_KHRONOS_validation, expected it because validation was asked for (package "
+            "vulkan-validationlayers)");
     check(result, "vkCreateInstance");
     volkLoadInstance(handle);
     if (!validation) return;
@@ -116,11 +120,14 @@ int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     if (infos.empty()) throw DeviceError("opening a device: found no Vulkan device, expected at least one, such as Mesa's software driver");
     const int n = static_cast<int>(infos.size());
     if (options.index >= n)
-        throw DeviceError(fmt::format("opening device {}: found {} devices (0 to {}), expected the number of one of them", options.index, n, n - 1));
+        throw DeviceError(
+            fmt::format("opening device {}: found {} devices (0 to {}), expected the number of one of them", options.index, n, n - 1));
     if (options.index >= 0) return options.index;
     int best = 0, best_score = -1;
     for (const DeviceInfo& d : infos) {
-        const bool runs = options.traversal == Traversal::ray_query ? d.ray_query : options.traversal == Traversal::software ? d.software : best_traversal(d) != Traversal::automatic;
+        const bool runs = options.traversal == Traversal::ray_query  ? d.ray_query
+                          : options.traversal == Traversal::software ? d.software
+                                                                     : best_traversal(d) != Traversal::automatic;
         const int score = (d.why_not_usable.empty() ? 8 : 0) + (runs ? 4 : 0) + (d.type != "CPU" ? 2 : 0) + (d.ray_query ? 1 : 0);
         if (score > best_score) { best = d.index; best_score = score; }
     }
@@ -129,14 +136,20 @@ int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
 
 void require(const DeviceInfo& info, Traversal wanted) {
     if (!info.why_not_usable.empty())
-        throw DeviceError(fmt::format("opening device {} ({}): it lacks {}, expected all of them", info.index, info.name, info.why_not_usable));
+        throw DeviceError(
+            fmt::format("opening device {} ({}): it lacks {}, expected all of them", info.index, info.name, info.why_not_usable));
     if (wanted == Traversal::ray_query && !info.ray_query)
-        throw DeviceError(fmt::format("opening device {} ({}) with ray query: it lacks {}, expected them, or that the choice is left to relidar", info.index, info.name, info.why_not_ray_query));
+        throw DeviceError(
+            fmt::format("opening device {} ({}) with ray query: it lacks {}, expected them, or that the choice is left to relidar",
+                        info.index, info.name, info.why_not_ray_query));
     if (wanted == Traversal::software && !info.software)
-        throw DeviceError(fmt::format("opening device {} ({}) with software traversal: it lacks {}, expected them, or that the choice is left to relidar", info.index, info.name, info.why_not_software));
+        throw DeviceError(
+            fmt::format("opening device {} ({}) with software traversal: it lacks {}, expected them, or that the choice is left to relidar",
+                        info.index, info.name, info.why_not_software));
     if (wanted == Traversal::automatic && best_traversal(info) == Traversal::automatic)
-        throw DeviceError(fmt::format("opening device {} ({}): for ray query it lacks {}, for software traversal {}, expected all of one of them", info.index, info.name,
-                                      info.why_not_ray_query, info.why_not_software));
+        throw DeviceError(
+            fmt::format("opening device {} ({}): for ray query it lacks {}, for software traversal {}, expected all of one of them",
+                        info.index, info.name, info.why_not_ray_query, info.why_not_software));
 }
 
 }  // namespace
@@ -213,7 +226,8 @@ void Device::Impl::make_device() {
     query.rayQuery = VK_TRUE;
     VkPhysicalDeviceShaderAtomicFloatFeaturesEXT atomics{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_ATOMIC_FLOAT_FEATURES_EXT};
     atomics.shaderBufferFloat32AtomicAdd = VK_TRUE;
-    VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
+    VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
     uniform.shaderSubgroupUniformControlFlow = VK_TRUE;
     VkPhysicalDeviceVulkan13Features v13{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES};
     v13.maintenance4 = VK_TRUE;
@@ -238,14 +252,16 @@ void Device::Impl::make_device() {
         enable(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, accel);
         enable(VK_KHR_RAY_QUERY_EXTENSION_NAME, query);
     }
-    VkPhysicalDevicePipelineExecutablePropertiesFeaturesKHR executables{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PIPELINE_EXECUTABLE_PROPERTIES_FEATURES_KHR};
+    VkPhysicalDevicePipelineExecutablePropertiesFeaturesKHR executables{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PIPELINE_EXECUTABLE_PROPERTIES_FEATURES_KHR};
     executables.pipelineExecutableInfo = VK_TRUE;
     pipeline_statistics = compile_only && gpu::has_extension(physical, VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
     if (pipeline_statistics) enable(VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME, executables);
     if (info.float_atomics) enable(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME, atomics);
     if (optional.subgroup_uniform_control_flow) enable(VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME, uniform);
 #ifdef VK_KHR_shader_maximal_reconvergence
-    VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
+    VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
     maximal.shaderMaximalReconvergence = VK_TRUE;
     if (optional.maximal_reconvergence) enable(VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME, maximal);
 #endif
@@ -258,7 +274,8 @@ void Device::Impl::make_device() {
 }
 
 void Device::Impl::read_limits() {
-    VkPhysicalDeviceAccelerationStructurePropertiesKHR accel_properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_PROPERTIES_KHR};
+    VkPhysicalDeviceAccelerationStructurePropertiesKHR accel_properties{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_PROPERTIES_KHR};
     VkPhysicalDeviceMaintenance4Properties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_4_PROPERTIES, &accel_properties};
     VkPhysicalDeviceMaintenance3Properties allocations{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_3_PROPERTIES, &sizes};
     VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &allocations};
@@ -268,8 +285,10 @@ void Device::Impl::read_limits() {
     workgroup_size = std::max(32u, subgroup.subgroupSize);
     largest_buffer = {sizes.maxBufferSize, "maxBufferSize"};
     if (info.memory_bytes && info.memory_bytes < largest_buffer.n_bytes) largest_buffer = {info.memory_bytes, "its memory"};
-    if (allocations.maxMemoryAllocationSize < largest_buffer.n_bytes) largest_buffer = {allocations.maxMemoryAllocationSize, "maxMemoryAllocationSize"};
-    if (traversal == Traversal::ray_query) scratch_alignment = std::max(1u, accel_properties.minAccelerationStructureScratchOffsetAlignment);
+    if (allocations.maxMemoryAllocationSize < largest_buffer.n_bytes)
+        largest_buffer = {allocations.maxMemoryAllocationSize, "maxMemoryAllocationSize"};
+    if (traversal == Traversal::ray_query)
+        scratch_alignment = std::max(1u, accel_properties.minAccelerationStructureScratchOffsetAlignment);
 }
 
 void Device::Impl::make_pipeline_layout() {

@@ -26,7 +26,7 @@ std::string result_name(VkResult result);
 struct Instance {
     VkInstance handle = VK_NULL_HANDLE;
     VkDebugUtilsMessengerEXT messenger = VK_NULL_HANDLE;
-    PFN_vkDestroyDebugUtilsMessengerEXT destroy_messenger = nullptr;   ///< of this instance: one opened later without the extension has none
+    PFN_vkDestroyDebugUtilsMessengerEXT destroy_messenger = nullptr;  ///< of this instance: one opened later without the extension has none
     std::atomic<std::size_t> n_messages{0};
 
     explicit Instance(bool validation);
@@ -52,8 +52,8 @@ OptionalFeatures optional_features(VkPhysicalDevice physical);
 /// Whether subgroups that kernels run in have DeviceInfo::subgroup_size lanes, all there.
 bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional);
 /// What software traversal lacks, in words; empty where nothing.
-std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup, const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                                 const OptionalFeatures& optional);
+std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional);
 
 /// What relidar can do on a physical device, with every missing piece named.
 DeviceInfo describe(VkPhysicalDevice physical, int index);

@@ -44,16 +44,21 @@ std::uint64_t largest_local_heap(VkPhysicalDevice physical) {
     vkGetPhysicalDeviceMemoryProperties(physical, &memory);
     std::uint64_t largest = 0;
     for (std::uint32_t i = 0; i < memory.memoryHeapCount; ++i)
-        if (memory.memoryHeaps[i].flags & VK_MEMORY_HEAP_DEVICE_LOCAL_BIT) largest = std::max<std::uint64_t>(largest, memory.memoryHeaps[i].size);
+        if (memory.memoryHeaps[i].flags & VK_MEMORY_HEAP_DEVICE_LOCAL_BIT)
+            largest = std::max<std::uint64_t>(largest, memory.memoryHeaps[i].size);
     return largest;
 }
 
-std::string version_text(std::uint32_t v) { return fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(v), VK_API_VERSION_MINOR(v), VK_API_VERSION_PATCH(v)); }
+std::string version_text(std::uint32_t v) {
+    return fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(v), VK_API_VERSION_MINOR(v), VK_API_VERSION_PATCH(v));
+}
 
-constexpr VkSubgroupFeatureFlags kSubgroupOperations = VK_SUBGROUP_FEATURE_BASIC_BIT | VK_SUBGROUP_FEATURE_ARITHMETIC_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT;
+constexpr VkSubgroupFeatureFlags kSubgroupOperations =
+    VK_SUBGROUP_FEATURE_BASIC_BIT | VK_SUBGROUP_FEATURE_ARITHMETIC_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT;
 
 bool has_extension(const std::vector<VkExtensionProperties>& extensions, const char* name) {
-    return std::any_of(extensions.begin(), extensions.end(), [&](const VkExtensionProperties& e) { return std::strcmp(e.extensionName, name) == 0; });
+    return std::any_of(extensions.begin(), extensions.end(),
+                       [&](const VkExtensionProperties& e) { return std::strcmp(e.extensionName, name) == 0; });
 }
 
 }  // namespace
@@ -62,21 +67,25 @@ OptionalFeatures optional_features(VkPhysicalDevice physical) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
     vkGetPhysicalDeviceProperties2(physical, &properties);
-    VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
+    VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
     VkPhysicalDeviceSubgroupSizeControlFeatures control{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &uniform};
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &control};
     OptionalFeatures optional;
     const std::vector<VkExtensionProperties> extensions = extensions_of(physical);
 #ifdef VK_KHR_shader_maximal_reconvergence
-    VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
+    VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
     uniform.pNext = &maximal;
 #endif
     vkGetPhysicalDeviceFeatures2(physical, &features);
     optional.subgroup_size = control.subgroupSizeControl && (sizes.requiredSubgroupSizeStages & VK_SHADER_STAGE_COMPUTE_BIT);
     optional.full_subgroups = control.computeFullSubgroups;
-    optional.subgroup_uniform_control_flow = has_extension(extensions, VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME) && uniform.shaderSubgroupUniformControlFlow;
+    optional.subgroup_uniform_control_flow =
+        has_extension(extensions, VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME) && uniform.shaderSubgroupUniformControlFlow;
 #ifdef VK_KHR_shader_maximal_reconvergence
-    optional.maximal_reconvergence = has_extension(extensions, VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME) && maximal.shaderMaximalReconvergence;
+    optional.maximal_reconvergence =
+        has_extension(extensions, VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME) && maximal.shaderMaximalReconvergence;
 #endif
     return optional;
 }
@@ -92,9 +101,11 @@ bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
            std::pair(major, minor) < std::pair(24, 1);
 }
 
-std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup, const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                                 const OptionalFeatures& optional) {
-    const auto operations = [&](VkSubgroupFeatureFlags wanted) { return (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & wanted) == wanted; };
+std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional) {
+    const auto operations = [&](VkSubgroupFeatureFlags wanted) {
+        return (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & wanted) == wanted;
+    };
     Missing groups;
     groups.need(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
     groups.need(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
@@ -144,7 +155,8 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     base.need(v12.timelineSemaphore, "timelineSemaphore");
     base.need(v12.hostQueryReset, "hostQueryReset");
     base.need(v13.maintenance4, "maintenance4");
-    base.need((subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
+    base.need((subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
+                  (subgroup.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
               "subgroup arithmetic and ballots in compute");
     base.need(subgroup.subgroupSize >= 4 && subgroup.subgroupSize <= 64, "subgroups of 4 to 64 lanes");
     info.why_not_usable = base.text;

@@ -22,7 +22,8 @@ namespace {
 std::span<const std::uint32_t> find_words(std::string_view name) {
     for (const EmbeddedKernel& kernel : embedded_kernels())
         if (kernel.name == name) return kernel.words;
-    throw Error(ExitCode::bug, fmt::format("making kernel {}: it is not embedded in this build, expected a line in src/CMakeLists.txt", name));
+    throw Error(ExitCode::bug,
+                fmt::format("making kernel {}: it is not embedded in this build, expected a line in src/CMakeLists.txt", name));
 }
 
 /// Kernels whose lanes work together behind branches and in loops that they leave at different times.
@@ -38,7 +39,8 @@ std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_
     return words;
 }
 
-VkResult make_pipeline(Device::Impl& device, std::span<const std::uint32_t> words, const std::vector<Constant>& constants, Subgroups subgroups, VkPipeline& pipeline) {
+VkResult make_pipeline(Device::Impl& device, std::span<const std::uint32_t> words, const std::vector<Constant>& constants,
+                       Subgroups subgroups, VkPipeline& pipeline) {
     VkShaderModuleCreateInfo module_info{VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
     module_info.codeSize = words.size_bytes();
     module_info.pCode = words.data();
@@ -48,7 +50,8 @@ VkResult make_pipeline(Device::Impl& device, std::span<const std::uint32_t> word
     for (std::size_t i = 0; i < constants.size(); ++i)
         map.push_back({static_cast<std::uint32_t>(constants[i].id),
                        static_cast<std::uint32_t>(i * sizeof(Constant) + offsetof(Constant, value)), sizeof(std::uint32_t)});
-    const VkSpecializationInfo specialisation{static_cast<std::uint32_t>(map.size()), map.data(), constants.size() * sizeof(Constant), constants.data()};
+    const VkSpecializationInfo specialisation{static_cast<std::uint32_t>(map.size()), map.data(), constants.size() * sizeof(Constant),
+                                              constants.data()};
     VkComputePipelineCreateInfo info{VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO};
     info.flags = device.pipeline_statistics ? VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR : 0;
     info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
@@ -59,7 +62,8 @@ VkResult make_pipeline(Device::Impl& device, std::span<const std::uint32_t> word
     VkPipelineShaderStageRequiredSubgroupSizeCreateInfo lanes{VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_REQUIRED_SUBGROUP_SIZE_CREATE_INFO};
     lanes.requiredSubgroupSize = static_cast<std::uint32_t>(device.info.subgroup_size);
     if (subgroups == Subgroups::full && device.optional.subgroup_size) info.stage.pNext = &lanes;
-    if (subgroups == Subgroups::full && device.optional.full_subgroups) info.stage.flags = VK_PIPELINE_SHADER_STAGE_CREATE_REQUIRE_FULL_SUBGROUPS_BIT;
+    if (subgroups == Subgroups::full && device.optional.full_subgroups)
+        info.stage.flags = VK_PIPELINE_SHADER_STAGE_CREATE_REQUIRE_FULL_SUBGROUPS_BIT;
     info.layout = device.pipeline_layout;
     const VkPipelineCache cache = device.pipeline_cache ? device.pipeline_cache->handle() : VK_NULL_HANDLE;
     const VkResult result = vkCreateComputePipelines(device.device, cache, 1, &info, nullptr, &pipeline);
@@ -89,7 +93,8 @@ const char* name_of(ConstantId id) {
     return "";
 }
 
-KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups) : impl_(std::make_unique<Impl>()) {
+KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups)
+    : impl_(std::make_unique<Impl>()) {
     Device::Impl& device = impl_of(owner);
     impl_->device = &device;
     impl_->name = std::string(name.substr(0, name.find('@')));
@@ -104,16 +109,20 @@ KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<C
     }
     const VkResult result = make_pipeline(device, words, all, subgroups, impl_->pipeline);
     if (result != VK_SUCCESS)
-        throw DeviceError(fmt::format("making kernel {} on {}: the driver answered {}, expected VK_SUCCESS", name, device.info.name, gpu::result_name(result)));
+        throw DeviceError(fmt::format("making kernel {} on {}: the driver answered {}, expected VK_SUCCESS", name, device.info.name,
+                                      gpu::result_name(result)));
 }
 
-void KernelBase::compile_only(std::string_view name, std::span<const std::uint32_t> words, const std::vector<Constant>& constants, Subgroups subgroups) {
+void KernelBase::compile_only(std::string_view name, std::span<const std::uint32_t> words, const std::vector<Constant>& constants,
+                              Subgroups subgroups) {
     Device::Impl& device = *impl_->device;
     PipelineStatistics s;
     s.kernel = name;
     s.constants = constants_text(words, constants);
     s.workgroup_size = static_cast<int>(impl_->workgroup_size);
-    const auto same = [&](const PipelineStatistics& known) { return known.kernel == s.kernel && known.constants == s.constants && known.workgroup_size == s.workgroup_size; };
+    const auto same = [&](const PipelineStatistics& known) {
+        return known.kernel == s.kernel && known.constants == s.constants && known.workgroup_size == s.workgroup_size;
+    };
     if (std::any_of(device.compiled.begin(), device.compiled.end(), same)) return;
     const VkResult result = make_pipeline(device, words, constants, subgroups, impl_->pipeline);
     if (result != VK_SUCCESS) s.failure = gpu::result_name(result);

@@ -54,7 +54,8 @@ private:
     std::unique_ptr<Impl> impl_;
 
     /// Makes the pipeline where it is a new one, and notes what the driver says of it.
-    void compile_only(std::string_view name, std::span<const std::uint32_t> words, const std::vector<Constant>& constants, Subgroups subgroups);
+    void compile_only(std::string_view name, std::span<const std::uint32_t> words, const std::vector<Constant>& constants,
+                      Subgroups subgroups);
 };
 
 /// A pipeline with the type of its parameter struct.
@@ -64,8 +65,8 @@ public:
     using KernelBase::KernelBase;
 };
 
-/// Whether neighbouring threads should read neighbouring addresses, at the price of more threads or of shared memory: a GPU loads whole lines
-/// for a subgroup, a CPU for each core, where one thread a row is 1.7 times as fast for Adam.
+/// Whether neighbouring threads should read neighbouring addresses, at the price of more threads or of shared memory: a GPU loads whole
+/// lines for a subgroup, a CPU for each core, where one thread a row is 1.7 times as fast for Adam.
 bool coalesces(const Device& device);
 
 /// Name of the variant of a tracing kernel that suits a device: "stage/stem@ray_query" and, for kernels that accumulate floats,

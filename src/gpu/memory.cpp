@@ -55,7 +55,9 @@ void FreeRanges::give_back(std::uint64_t offset, std::uint64_t n_bytes) {
     ranges_[offset] = n_bytes;
 }
 
-MemoryPools::MemoryPools(VkPhysicalDevice physical, VkDevice device) : device_(device) { vkGetPhysicalDeviceMemoryProperties(physical, &properties_); }
+MemoryPools::MemoryPools(VkPhysicalDevice physical, VkDevice device) : device_(device) {
+    vkGetPhysicalDeviceMemoryProperties(physical, &properties_);
+}
 
 MemoryPools::~MemoryPools() {
     for (std::uint32_t type = 0; type < VK_MAX_MEMORY_TYPES; ++type) release_empty(type, 0);
@@ -73,7 +75,8 @@ std::vector<std::uint32_t> MemoryPools::types(const VkMemoryRequirements& needs,
     for (const VkMemoryPropertyFlags wanted : wanted_properties(use))
         for (std::uint32_t type = 0; type < properties_.memoryTypeCount; ++type) {
             if (!(needs.memoryTypeBits >> type & 1u) || (properties_.memoryTypes[type].propertyFlags & wanted) != wanted) continue;
-            const bool scarce = use == MemoryUse::parameters && (wanted & VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT) && needs.size > shared_bytes(type);
+            const bool scarce =
+                use == MemoryUse::parameters && (wanted & VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT) && needs.size > shared_bytes(type);
             if (!scarce) found.push_back(type);
             break;
         }
@@ -105,7 +108,8 @@ VkResult MemoryPools::take(const VkMemoryRequirements& needs, MemoryUse use, Mem
 VkResult MemoryPools::grow(const VkMemoryRequirements& needs, std::uint32_t type, MemoryPiece& piece) {
     const std::uint64_t shared = shared_bytes(type);
     VkResult result = VK_SUCCESS;
-    for (const std::uint64_t n_bytes : {needs.size > shared / 2 ? needs.size : shared, needs.size}) {   // the second time with nothing to spare
+    // the second time with nothing to spare
+    for (const std::uint64_t n_bytes : {needs.size > shared / 2 ? needs.size : shared, needs.size}) {
         result = add_block(type, n_bytes);
         if (result == VK_SUCCESS && take_of_type(needs, type, piece)) return VK_SUCCESS;
         release_empty(type, 0);

@@ -49,7 +49,8 @@ std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceP
     if (bytes.size() < sizeof driver || !file.read(bytes.data(), static_cast<std::streamsize>(bytes.size()))) return {};
     const FileHeader expected = header_of(bytes);
     std::memcpy(&driver, bytes.data(), sizeof driver);
-    const bool same_driver = driver.headerVersion == VK_PIPELINE_CACHE_HEADER_VERSION_ONE && driver.vendorID == device.vendorID && driver.deviceID == device.deviceID &&
+    const bool same_driver = driver.headerVersion == VK_PIPELINE_CACHE_HEADER_VERSION_ONE && driver.vendorID == device.vendorID &&
+                             driver.deviceID == device.deviceID &&
                              std::memcmp(driver.pipelineCacheUUID, device.pipelineCacheUUID, VK_UUID_SIZE) == 0;
     return header.magic == expected.magic && header.hash == expected.hash && same_driver ? bytes : std::string();
 }
@@ -92,7 +93,8 @@ void PipelineCache::save() const {
     std::size_t n_bytes = 0;
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_) return;
     std::string bytes(n_bytes, '\0');
-    if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) == VK_SUCCESS) write_file(path_, std::string_view(bytes).substr(0, n_bytes));
+    if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) == VK_SUCCESS)
+        write_file(path_, std::string_view(bytes).substr(0, n_bytes));
 }
 
 PipelineCache::~PipelineCache() {

@@ -14,7 +14,8 @@ std::size_t tiles_of(std::size_t n) { return (n + RELIDAR_TILE_SIZE - 1) / RELID
 
 }  // namespace
 
-PrefixSum::PrefixSum(Device& device) : sums_(device, "gpu/scan_sums", {kWorkgroup}, Subgroups::full), write_(device, "gpu/scan_write", {kWorkgroup}, Subgroups::full) {}
+PrefixSum::PrefixSum(Device& device)
+    : sums_(device, "gpu/scan_sums", {kWorkgroup}, Subgroups::full), write_(device, "gpu/scan_write", {kWorkgroup}, Subgroups::full) {}
 
 void PrefixSum::reserve(Device& device, std::size_t n) {
     for (std::size_t level = 0; n > RELIDAR_TILE_SIZE; ++level) {

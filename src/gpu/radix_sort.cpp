@@ -33,7 +33,9 @@ RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_w
     if (const int lanes = device.info().subgroup_size; lanes < 4 || lanes > 64)
         throw DeviceError(fmt::format("making a sort on {}: found subgroups of {} lanes, expected 4 to 64", device.info().name, lanes));
     if (!device.info().known_subgroups)
-        throw DeviceError(fmt::format("making a sort on {}: found subgroups of varying size, expected subgroupSizeControl and computeFullSubgroups", device.info().name));
+        throw DeviceError(
+            fmt::format("making a sort on {}: found subgroups of varying size, expected subgroupSizeControl and computeFullSubgroups",
+                        device.info().name));
 }
 
 SortSet RadixSort::run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits, Address<std::uint32_t> n_keys) const {

@@ -26,8 +26,8 @@ Readback& Readback::operator=(Readback&&) noexcept = default;
 void Readback::record(Stream& stream, const Buffer& from, std::size_t n_bytes, std::size_t offset_bytes) {
     Impl& r = *impl_;
     if (n_bytes > r.host->n_bytes || offset_bytes + n_bytes > from.size_bytes())
-        throw Error(ExitCode::bug, fmt::format("reading back {}: found bytes {} to {} of {}, expected them to be there and at most {}", r.what,
-                                               offset_bytes, offset_bytes + n_bytes, from.size_bytes(), r.host->n_bytes));
+        throw Error(ExitCode::bug, fmt::format("reading back {}: found bytes {} to {} of {}, expected them to be there and at most {}",
+                                               r.what, offset_bytes, offset_bytes + n_bytes, from.size_bytes(), r.host->n_bytes));
     impl_of(stream).read_back(impl_of(from), r.host, {offset_bytes, 0, n_bytes});
     r.ticket = impl_of(stream).last_ticket + 1;
     r.pending = true;

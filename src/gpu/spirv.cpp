@@ -24,10 +24,13 @@ using Instruction = std::span<const std::uint32_t>;   // its first word holds le
 /// Calls f(opcode, instruction) for each instruction of a module, in order.
 template <class F>
 void for_each_instruction(std::span<const std::uint32_t> words, const F& f) {
-    for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16) f(words[at] & 0xffffu, words.subspan(at, words[at] >> 16));
+    for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16)
+        f(words[at] & 0xffffu, words.subspan(at, words[at] >> 16));
 }
 
-void append(std::vector<std::uint32_t>& words, Instruction instruction) { words.insert(words.end(), instruction.begin(), instruction.end()); }
+void append(std::vector<std::uint32_t>& words, Instruction instruction) {
+    words.insert(words.end(), instruction.begin(), instruction.end());
+}
 
 const char* name_in(Instruction op_name) { return reinterpret_cast<const char*>(&op_name[2]); }
 

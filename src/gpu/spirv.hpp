@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What is read from a SPIR-V module, and added to it, when it is loaded. Execution modes: whether a device has them is known only then, and
-// glslang may not know their GLSL extensions. That parameters are only read: GLSL's word for it reaches too far (shaders/common/kernel.glsl).
+// glslang may not know their GLSL extensions. That parameters are only read: GLSL's word for it reaches too far
+// (shaders/common/kernel.glsl).
 #pragma once
 
 #include <cstdint>

@@ -90,13 +90,15 @@ void Stream::Impl::begin_timing(const std::string& name) {
     timed = timing && slot.launches.size() < kMaxLaunches;
     if (!timed) return;
     slot.launches.push_back(name);
-    vkCmdWriteTimestamp(buffer, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries, 2 * static_cast<std::uint32_t>(slot.launches.size() - 1));
+    vkCmdWriteTimestamp(buffer, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries,
+                        2 * static_cast<std::uint32_t>(slot.launches.size() - 1));
 }
 
 void Stream::Impl::end_timing() {
     Slot& slot = slots[current];
     if (timed)
-        vkCmdWriteTimestamp(slot.commands, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries, 2 * static_cast<std::uint32_t>(slot.launches.size() - 1) + 1);
+        vkCmdWriteTimestamp(slot.commands, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries,
+                            2 * static_cast<std::uint32_t>(slot.launches.size() - 1) + 1);
     barrier();
 }
 
@@ -110,7 +112,8 @@ Stream::Impl::Stored Stream::Impl::store(const void* bytes, std::size_t n_bytes)
         slot.block_bytes = 0;
     }
     if (slot.block == slot.blocks.size())
-        slot.blocks.push_back(std::make_unique<Buffer::Impl>(*device, std::max(kBlockBytes, aligned), gpu::MemoryUse::parameters, "kernel parameters"));
+        slot.blocks.push_back(
+            std::make_unique<Buffer::Impl>(*device, std::max(kBlockBytes, aligned), gpu::MemoryUse::parameters, "kernel parameters"));
     const Buffer::Impl& block = *slot.blocks[slot.block];
     const std::size_t offset = slot.block_bytes;
     slot.block_bytes += aligned;
@@ -137,7 +140,9 @@ void Stream::Impl::read_back(const Buffer::Impl& from, const std::shared_ptr<con
 }
 
 void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, const void* bytes, std::size_t n_bytes) {
-    if (device->compile_only) throw Error(ExitCode::bug, fmt::format("launching {}: the device was opened to compile only, expected one that runs", kernel.impl().name));
+    if (device->compile_only)
+        throw Error(ExitCode::bug,
+                    fmt::format("launching {}: the device was opened to compile only, expected one that runs", kernel.impl().name));
     begin_timing(kernel.impl().name);
     const std::uint64_t address = store(bytes, n_bytes).address;
     VkCommandBuffer buffer = commands();
@@ -159,13 +164,15 @@ void Stream::Impl::wait(std::uint64_t ticket) {
     info.pValues = &ticket;
     const VkResult result = vkWaitSemaphores(device->device, &info, ~std::uint64_t(0));
     if (result != VK_SUCCESS)
-        throw DeviceError(fmt::format("waiting for {}: the driver answered {} (last kernel recorded: {})", device->info.name, gpu::result_name(result), last_kernel));
+        throw DeviceError(fmt::format("waiting for {}: the driver answered {} (last kernel recorded: {})", device->info.name,
+                                      gpu::result_name(result), last_kernel));
 }
 
 void Stream::Impl::collect_times(Slot& slot) {
     if (slot.launches.empty()) return;
     std::vector<std::uint64_t> stamps(2 * slot.launches.size());
-    const VkResult result = vkGetQueryPoolResults(device->device, slot.queries, 0, static_cast<std::uint32_t>(stamps.size()), stamps.size() * 8, stamps.data(), 8, VK_QUERY_RESULT_64_BIT);
+    const VkResult result = vkGetQueryPoolResults(device->device, slot.queries, 0, static_cast<std::uint32_t>(stamps.size()),
+                                                  stamps.size() * 8, stamps.data(), 8, VK_QUERY_RESULT_64_BIT);
     for (std::size_t i = 0; result == VK_SUCCESS && i < slot.launches.size(); ++i) {
         std::vector<double>& entry = times.milliseconds[slot.launches[i]];
         if (entry.size() >= 4096) entry.erase(entry.begin());

@@ -17,7 +17,8 @@ struct LogRangeLoss::Impl {
     Kernel<shared::LogRangeParams> kernel;
 };
 
-LogRangeLoss::LogRangeLoss(Device& device, const LossWeights& weights) : impl_(new Impl{weights, {device, accumulating_variant(device, "loss/log_range@")}}) {}
+LogRangeLoss::LogRangeLoss(Device& device, const LossWeights& weights)
+    : impl_(new Impl{weights, {device, accumulating_variant(device, "loss/log_range@")}}) {}
 LogRangeLoss::~LogRangeLoss() = default;
 
 void LogRangeLoss::compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& batch, const TermRow& terms) {

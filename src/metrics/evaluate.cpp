@@ -116,7 +116,8 @@ void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
 }
 
 /// Ranges of pixels returned in both, and distances between the clouds of returned points.
-void add_points(MetricRow& row, const std::string& prefix, const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
+void add_points(MetricRow& row, const std::string& prefix, const RangeImage& rendered, const RangeImage& real,
+                const MetricOptions& options) {
     const Mask kept = returned(rendered, options.strict_drop_threshold), truth = returned(real, kRealDropThreshold);
     Mask both(truth.size());
     for (std::size_t i = 0; i < both.size(); ++i) both[i] = kept[i] && truth[i];

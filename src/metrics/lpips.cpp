@@ -30,7 +30,8 @@ struct Layer {
     bool pooled;
     std::size_t weights() const { return std::size_t(out) * std::size_t(in) * std::size_t(edge) * std::size_t(edge); }
 };
-constexpr Layer kAlexNet[kLayers] = {{64, 3, 11, 4, 2, false}, {192, 64, 5, 1, 2, true}, {384, 192, 3, 1, 1, true}, {256, 384, 3, 1, 1, false}, {256, 256, 3, 1, 1, false}};
+constexpr Layer kAlexNet[kLayers] = {
+    {64, 3, 11, 4, 2, false}, {192, 64, 5, 1, 2, true}, {384, 192, 3, 1, 1, true}, {256, 384, 3, 1, 1, false}, {256, 256, 3, 1, 1, false}};
 
 /// Values by channel, each a rows x columns image.
 struct Features {
@@ -95,7 +96,8 @@ double distance_of(const Features& a, const Features& b, const std::vector<float
 
 Features normalised_colours(const std::vector<float>& image, int rows, int columns) {
     Features result{rows, columns, Eigen::Map<const Matrix>(image.data(), 3, Eigen::Index(rows) * columns)};
-    for (int colour = 0; colour < 3; ++colour) result.values.row(colour) = (result.values.row(colour).array() - kColourShift[colour]) / kColourScale[colour];
+    for (int colour = 0; colour < 3; ++colour)
+        result.values.row(colour) = (result.values.row(colour).array() - kColourShift[colour]) / kColourScale[colour];
     return result;
 }
 
@@ -123,9 +125,11 @@ Lpips::Lpips(LpipsWeights weights) : impl_(new Impl{std::move(weights)}) {
 Lpips::~Lpips() = default;
 
 std::array<double, 5> Lpips::by_layer(const std::vector<float>& a, const std::vector<float>& b, int rows, int columns) const {
-    if (rows < kMinEdge || columns < kMinEdge) throw DataError(fmt::format("LPIPS: image of {} x {} pixels, expected at least 31 x 31", rows, columns));
+    if (rows < kMinEdge || columns < kMinEdge)
+        throw DataError(fmt::format("LPIPS: image of {} x {} pixels, expected at least 31 x 31", rows, columns));
     const std::size_t n = 3 * std::size_t(rows) * std::size_t(columns);
-    if (a.size() != n || b.size() != n) throw DataError(fmt::format("LPIPS: images of {} and {} values, expected {}", a.size(), b.size(), n));
+    if (a.size() != n || b.size() != n)
+        throw DataError(fmt::format("LPIPS: images of {} and {} values, expected {}", a.size(), b.size(), n));
     Features fa = normalised_colours(a, rows, columns), fb = normalised_colours(b, rows, columns);
     std::array<double, 5> distance{};
     for (std::size_t l = 0; l < distance.size(); ++l) {

@@ -28,20 +28,24 @@ std::vector<int> neighbours_of(const Sequence& sequence, int position, const std
     std::vector<int> found;
     for (const int p : {before, after})
         if (p >= 0) found.push_back(p);
-    if (found.empty()) throw DataError(fmt::format("projecting neighbouring scans: no training frame beside position {}, expected at least one", position));
+    if (found.empty())
+        throw DataError(
+            fmt::format("projecting neighbouring scans: no training frame beside position {}, expected at least one", position));
     return found;
 }
 
 /// The moving box that holds a world point at a time.
 const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dvec3& point_m, double time_s) {
-    const auto it = std::find_if(moving.begin(), moving.end(), [&](const BoxTrack* box) { return box->present(time_s) && box->holds(point_m, time_s, 0.0); });
+    const auto it = std::find_if(moving.begin(), moving.end(),
+                                 [&](const BoxTrack* box) { return box->present(time_s) && box->holds(point_m, time_s, 0.0); });
     return it == moving.end() ? nullptr : *it;
 }
 
 /// A world point as the LiDAR of a frame sees it in that sweep: in the sensor's frame at the moment its head faces the point.
 glm::dvec3 seen_in_sweep(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
-    const double facing_s = facing_time(sequence, inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m, frame.time_s, frame.lidar);
+    const double facing_s =
+        facing_time(sequence, inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m, frame.time_s, frame.lidar);
     return inverse(sequence.world_from_vehicle.at(facing_s, mounted)) * world_m;
 }
 
@@ -96,7 +100,8 @@ struct Beams {
     }
     /// Outside the field of view: beyond an outermost beam by more than half the way to its neighbour.
     bool outside(Place p, const glm::vec3& point_m) const {
-        const double half_spacing = 0.5 * std::abs(elevation_of(direction(p)) - elevation_of(direction({p.row == 0 ? 1 : p.row - 1, p.column})));
+        const double half_spacing =
+            0.5 * std::abs(elevation_of(direction(p)) - elevation_of(direction({p.row == 0 ? 1 : p.row - 1, p.column})));
         return (p.row == 0 && above(p, point_m) > half_spacing) || (p.row == rays.rows - 1 && above(p, point_m) < -half_spacing);
     }
 };
@@ -114,7 +119,8 @@ Scan neighbour_points(const Sequence& sequence, int position, const std::vector<
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
             WorldReturn w = world_return(sequence, frame, ray);
-            w.point_m += double(frame.scan.range_m[ray] - surface_return(sequence, frame, ray).range_m) * w.direction;   // as it was measured
+            // as it was measured
+            w.point_m += double(frame.scan.range_m[ray] - surface_return(sequence, frame, ray).range_m) * w.direction;
             glm::dvec3 world_m = w.point_m;
             if (const BoxTrack* box = box_of(moving, w.point_m, w.time_s)) {
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);   // about the same part of the sweep
@@ -131,7 +137,8 @@ Scan neighbour_points(const Sequence& sequence, int position, const std::vector<
 
 Scan bin_onto_rays(const RayTable& rays, const Scan& points) {
     if (rays.rows < 2 || rays.columns < 2 * kColumnSearch + 1)
-        throw DataError(fmt::format("binning points onto the sensor's rays: found {} x {} rays, expected an image of rows and columns", rays.rows, rays.columns));
+        throw DataError(fmt::format("binning points onto the sensor's rays: found {} x {} rays, expected an image of rows and columns",
+                                    rays.rows, rays.columns));
     const Beams beams{rays};
     Scan scan{rays, std::vector<float>(rays.size()), std::vector<float>(rays.size())};
     for (std::size_t i = 0; i < points.range_m.size(); ++i) {

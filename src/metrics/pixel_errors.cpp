@@ -54,7 +54,8 @@ void check_pair(const RangeImage& rendered, const RangeImage& real) {
     check_image(rendered, "rendered");
     check_image(real, "real");
     if (rendered.rows == real.rows && rendered.columns == real.columns) return;
-    throw DataError(fmt::format("evaluating a range image: {} x {} pixels rendered, {} x {} real", rendered.rows, rendered.columns, real.rows, real.columns));
+    throw DataError(fmt::format("evaluating a range image: {} x {} pixels rendered, {} x {} real", rendered.rows, rendered.columns,
+                                real.rows, real.columns));
 }
 
 Mask not_dropped(const RangeImage& image, double threshold) {

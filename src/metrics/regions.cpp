@@ -33,7 +33,8 @@ Region range_band(const RangeImage& real, double low_m, double high_m) {
 
 }  // namespace
 
-MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real, const std::vector<Region>& regions, const MetricOptions& options) {
+MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real, const std::vector<Region>& regions,
+                           const MetricOptions& options) {
     check_pair(rendered, real);
     const Mask truth = returned(real, kRealDropThreshold), kept = returned(rendered, options.strict_drop_threshold);
     MetricRow row;
@@ -47,8 +48,10 @@ MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real, c
         if (n == 0) continue;
         const Mask seen = both(mask, kept);
         row[name + "returned"] = double(std::count(seen.begin(), seen.end(), true)) / double(n);
-        add_errors(row, name + "depth_", "_m", selected(rendered.range_m, mask, options.max_range_m), selected(real.range_m, mask, options.max_range_m));
-        add_errors(row, name + "intensity_", "", selected(rendered.intensity, mask, kMaxIntensity), selected(real.intensity, mask, kMaxIntensity));
+        add_errors(row, name + "depth_", "_m", selected(rendered.range_m, mask, options.max_range_m),
+                   selected(real.range_m, mask, options.max_range_m));
+        add_errors(row, name + "intensity_", "", selected(rendered.intensity, mask, kMaxIntensity),
+                   selected(real.intensity, mask, kMaxIntensity));
     }
     return row;
 }

@@ -55,7 +55,8 @@ Adam::~Adam() = default;
 SurfelArrays& Adam::moment1() { return impl_->moment1; }
 SurfelArrays& Adam::moment2() { return impl_->moment2; }
 
-void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t>* touched, const LearningRates& rates, int step, int sh_degree) {
+void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t>* touched, const LearningRates& rates,
+                int step, int sh_degree) {
     Impl& a = *impl_;
     RELIDAR_ASSERT_LE(p.n, a.moment1.n);
     RELIDAR_ASSERT_LE(p.n, g.n);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scan to map: a scan starts where its motion is predicted to bring it, by the given poses and by the velocity of the scan before, and moves
-// as a rigid body in Gauss-Newton steps onto planes of cells of 2 m, then finer. Its points are placed at their own firing times:
+// Scan to map: a scan starts where its motion is predicted to bring it, by the given poses and by the velocity of the scan before, and
+// moves as a rigid body in Gauss-Newton steps onto planes of cells of 2 m, then finer. Its points are placed at their own firing times:
 // the pose before is known, the pose after moves along. Of several predictions the one counts on which most points find a plane.
 #include "registration/odometry.hpp"
 
@@ -17,7 +17,7 @@ namespace {
 
 constexpr int kLevels = 3, kMostSteps = 8;
 constexpr double kConverged_m = 1e-3;       // length of the last step
-constexpr double kPrior = 3e-4;             // of the mean stiffness, towards the prediction: decides along what no point sees, such as a bare road
+constexpr double kPrior = 3e-4;  // of the mean stiffness, towards the prediction: decides along what no point sees, such as a bare road
 constexpr double kFewestShare = 0.1;        // of a scan's points that lie on planes of the map: streets 0.5 to 0.8
 constexpr double kMemory_m = 80.0;          // what was last seen so far back is forgotten: odometry must not close loops
 constexpr double kSame_m = 0.05;            // predictions nearer to each other lead to the same place

@@ -13,7 +13,7 @@ namespace relidar {
 
 struct OdometryOptions {
     RegisterRound first, last;                       ///< cells and kernels of a scan's steps, from coarse to fine
-    bool given_motion = true;                        ///< the given poses say how the sensor moved from scan to scan; false: it keeps its velocity
+    bool given_motion = true;  ///< the given poses say how the sensor moved from scan to scan; false: it keeps its velocity
     std::function<bool(double done)> proceed;        ///< called before each scan; false ends it
 };
 

@@ -23,7 +23,8 @@ constexpr double kFewestShare = 0.05;       // of its points: streets 0.3 to 0.7
 template <class Task>
 void in_chunks(std::size_t n, const Task& task) {
     const std::size_t size = n / kChunks + 1;
-    run_parallel(kChunks, [&](int c) { task(std::min(n, std::size_t(c) * size), std::min(n, (std::size_t(c) + 1) * size), std::size_t(c)); });
+    run_parallel(kChunks,
+                 [&](int c) { task(std::min(n, std::size_t(c) * size), std::min(n, (std::size_t(c) + 1) * size), std::size_t(c)); });
 }
 
 std::vector<PlacedPoint> place_all(const PoseTrack& track, const std::vector<ThinPoint>& points) {
@@ -50,12 +51,14 @@ Eigen::VectorXd corrections(const PoseTrack& from, const PoseTrack& to) {
 }
 
 /// The planes of all cells that points of two frames or more lie in.
-std::vector<std::optional<Plane>> fit_planes(const PlaneCells& cells, const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed, const RegisterRound& round) {
+std::vector<std::optional<Plane>> fit_planes(const PlaneCells& cells, const std::vector<ThinPoint>& points,
+                                             const std::vector<PlacedPoint>& placed, const RegisterRound& round) {
     std::vector<std::optional<Plane>> planes(cells.size());
     in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
         for (std::size_t c = begin; c < end; ++c) {
             const std::span<const std::uint32_t> members = cells.members(c);
-            if (points[members.front()].frame != points[members.back()].frame) planes[c] = fit_plane(placed, members, round.cell_m, round.scale_m);
+            if (points[members.front()].frame != points[members.back()].frame)
+                planes[c] = fit_plane(placed, members, round.cell_m, round.scale_m);
         }
     });
     return planes;
@@ -74,7 +77,8 @@ PlaneAdjustment::PlaneAdjustment(const PoseTrack& given, const PoseTrack& start,
     start_ = track_;
 }
 
-std::vector<RegisterRound> PlaneAdjustment::run(const RegisterRound& first, const RegisterRound& last, const std::function<bool(double done)>& proceed) {
+std::vector<RegisterRound> PlaneAdjustment::run(const RegisterRound& first, const RegisterRound& last,
+                                                const std::function<bool(double done)>& proceed) {
     constexpr int kRounds = kShrinking + kLast;
     std::vector<RegisterRound> rounds;
     for (int i = 0; i < kRounds && proceed(i / double(kRounds)); ++i)
@@ -105,7 +109,8 @@ RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
     remove_common_motion();
     round.planes = parts[0].n_planes();
     round.residual_m = parts[0].residual_m();
-    for (std::size_t k = 0; k < track_.pose.size(); ++k) round.step_m = std::max(round.step_m, glm::length(track_.pose[k].translation - before.pose[k].translation));
+    for (std::size_t k = 0; k < track_.pose.size(); ++k)
+        round.step_m = std::max(round.step_m, glm::length(track_.pose[k].translation - before.pose[k].translation));
     return round;
 }
 
@@ -164,7 +169,9 @@ double PlaneAdjustment::share_on_planes(const PlaneMap& map, std::span<const Thi
     return own.empty() ? 0.0 : double(n_placed) / double(own.size());
 }
 
-bool PlaneAdjustment::is_placed(double share, std::size_t n_points) { return share >= kFewestShare && share * double(n_points) >= double(kFewestPlaced); }
+bool PlaneAdjustment::is_placed(double share, std::size_t n_points) {
+    return share >= kFewestShare && share * double(n_points) >= double(kFewestPlaced);
+}
 
 double PlaneAdjustment::stands_out_m(std::size_t pose, const std::vector<bool>& among) const {
     const auto [before, after] = neighbours_of(pose, among);
@@ -176,7 +183,8 @@ double PlaneAdjustment::stands_out_m(std::size_t pose, const std::vector<bool>& 
     return least;
 }
 
-std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map, const std::vector<bool>& candidates, double scale_m, double largest_m) {
+std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map, const std::vector<bool>& candidates, double scale_m,
+                                                       double largest_m) {
     std::vector<std::size_t> lost;
     std::vector<bool> is_known = candidates;
     std::size_t begin = 0;
@@ -201,7 +209,8 @@ void PlaneAdjustment::place_pose(const PlaneMap& map, std::size_t pose, const st
         if (const Plane* plane = map.at(placed.point_m)) equations.add_point(point, row_of(placed, *plane, scale_m));
     }
     const Matrix6 stiffness = equations.diagonal(pose) + kPrior * equations.diagonal(pose).trace() * Matrix6::Identity();
-    if (stiffness.trace() > 0.0) track_.pose[pose] = moved(track_.pose[pose], twist_of(-stiffness.llt().solve(equations.gradient(pose)), 0));
+    if (stiffness.trace() > 0.0)
+        track_.pose[pose] = moved(track_.pose[pose], twist_of(-stiffness.llt().solve(equations.gradient(pose)), 0));
 }
 
 }  // namespace relidar

@@ -21,7 +21,8 @@ constexpr double kInliers = 0.7;    // of the points must lie within the scale
 glm::dvec3 vector(const Eigen::Matrix3d& axes, int column) { return {axes(0, column), axes(1, column), axes(2, column)}; }
 
 /// One weighted fit. @return eigenvalues of the weighted covariance, ascending
-glm::dvec3 fit_once(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members, const std::vector<double>& weight, Plane& plane) {
+glm::dvec3 fit_once(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members, const std::vector<double>& weight,
+                    Plane& plane) {
     double sum = 0.0;
     glm::dvec3 mean(0.0);
     for (std::size_t i = 0; i < members.size(); ++i) {
@@ -49,7 +50,8 @@ double weight_of(double residual_m, double scale_m) {
     return w * w;
 }
 
-std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members, double cell_m, double scale_m) {
+std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members, double cell_m,
+                               double scale_m) {
     if (members.size() < kFewestPoints) return std::nullopt;
     std::vector<double> weight(members.size(), 1.0);
     Plane plane;
@@ -68,7 +70,8 @@ std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span
     return plane;
 }
 
-PlaneCells::PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, double shift) : cell_m_(cell_m), shift_m_(shift * cell_m), order_(points.size()) {
+PlaneCells::PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, double shift)
+    : cell_m_(cell_m), shift_m_(shift * cell_m), order_(points.size()) {
     std::vector<std::uint64_t> key(points.size());
     for (std::size_t i = 0; i < points.size(); ++i) key[i] = key_of(points[i].point_m);
     std::iota(order_.begin(), order_.end(), 0u);

@@ -28,8 +28,10 @@ struct Plane {
 /// rho'(r) / 2r of rho(r) = r^2 / (1 + r^2 / s^2) (Geman and McClure 1985)
 double weight_of(double residual_m, double scale_m);
 
-/// Least squares with the robust weights, iterated. Nothing where the points do not spread over a surface of the cell, or too many lie off it.
-std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members, double cell_m, double scale_m);
+/// Least squares with the robust weights, iterated. Nothing where the points do not spread over a surface of the cell, or too many lie off
+/// it.
+std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members, double cell_m,
+                               double scale_m);
 
 /// The grid at one round.
 class PlaneCells {
@@ -39,7 +41,9 @@ public:
 
     std::size_t size() const { return first_.size() - 1; }
     /// Points of a cell, ascending.
-    std::span<const std::uint32_t> members(std::size_t cell) const { return {order_.data() + first_[cell], first_[cell + 1] - first_[cell]}; }
+    std::span<const std::uint32_t> members(std::size_t cell) const {
+        return {order_.data() + first_[cell], first_[cell + 1] - first_[cell]};
+    }
     /// The cell that a point lies in, if any point of the grid does.
     std::optional<std::size_t> find(const glm::dvec3& point_m) const;
 

@@ -16,7 +16,9 @@ constexpr double kTolerance = 1e-4;   // of the residual's norm: the next round 
 Eigen::Vector3d to_eigen(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
 
 /// The poses that a point moves with, and how much.
-std::array<std::pair<std::size_t, double>, 2> shares(const ThinPoint& point) { return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}}; }
+std::array<std::pair<std::size_t, double>, 2> shares(const ThinPoint& point) {
+    return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
+}
 
 }  // namespace
 
@@ -28,7 +30,8 @@ Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m) {
     return row;
 }
 
-PoseEquations::PoseEquations(std::size_t n_poses) : diagonal_(n_poses, Matrix6::Zero()), next_(n_poses, Matrix6::Zero()), gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
+PoseEquations::PoseEquations(std::size_t n_poses)
+    : diagonal_(n_poses, Matrix6::Zero()), next_(n_poses, Matrix6::Zero()), gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
 
 void PoseEquations::add_point(const ThinPoint& point, const Row& row) {
     const auto [a, b] = shares(point);
@@ -43,7 +46,8 @@ void PoseEquations::add_point(const ThinPoint& point, const Row& row) {
     weight_ += row.weight;
 }
 
-void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed, std::span<const std::uint32_t> members, const Plane& plane, double scale_m) {
+void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
+                             std::span<const std::uint32_t> members, const Plane& plane, double scale_m) {
     const std::size_t begin = couplings_.size();
     const auto coupling = [&](std::size_t pose) -> Coupling& {   // members ascend, and so do, almost, their poses
         for (std::size_t k = couplings_.size(); k-- > begin;)
@@ -54,7 +58,8 @@ void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::ve
         const Row row = row_of(placed[i], plane, scale_m);
         add_point(points[i], row);
         const glm::dvec3 d = placed[i].point_m - plane.point_m;
-        const Eigen::Vector3d b = Eigen::Vector3d(1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)).cwiseQuotient(to_eigen(glm::sqrt(plane.stiffness)));
+        const Eigen::Vector3d b =
+            Eigen::Vector3d(1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)).cwiseQuotient(to_eigen(glm::sqrt(plane.stiffness)));
         for (const auto& [pose, share] : shares(points[i]))
             if (share != 0.0) coupling(pose).c += (share * row.weight * row.j * b.transpose()).cast<float>();
     }
@@ -107,7 +112,8 @@ Eigen::VectorXd PoseEquations::solve(const Eigen::VectorXd& correction, double p
         return z;
     };
     const Eigen::VectorXd pulls = pull.replicate(Eigen::Index(n), 1);
-    Eigen::VectorXd x = Eigen::VectorXd::Zero(gradient_.size()), r = -gradient_ - pulls.cwiseProduct(correction), z = preconditioned(r), p = z;
+    Eigen::VectorXd x = Eigen::VectorXd::Zero(gradient_.size()), r = -gradient_ - pulls.cwiseProduct(correction), z = preconditioned(r),
+                    p = z;
     const double start = r.dot(z);
     double rz = start;
     for (int i = 0; i < kMostIterations && rz > kTolerance * kTolerance * start && rz > 0.0; ++i) {

@@ -33,7 +33,8 @@ public:
 
     void add_point(const ThinPoint& point, const Row& row);
     /// Points of a cell on its plane.
-    void add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed, std::span<const std::uint32_t> members, const Plane& plane, double scale_m);
+    void add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed, std::span<const std::uint32_t> members,
+                  const Plane& plane, double scale_m);
     void add(PoseEquations&& other);
 
     /// Step of all poses, [n_poses,6], by conjugate gradients with blocks of 6 x 6 as preconditioner.

@@ -60,7 +60,8 @@ std::vector<bool> marked(const std::vector<int>& positions, std::size_t n) {
 
 double median_share(const PlaneAdjustment& adjustment, const PlaneMap& map, const std::vector<std::vector<ThinPoint>>& scans) {
     std::vector<double> shares(scans.size());
-    run_parallel(static_cast<int>(scans.size()), [&](int i) { shares[std::size_t(i)] = adjustment.share_on_planes(map, scans[std::size_t(i)], kLast.scale_m); });
+    run_parallel(static_cast<int>(scans.size()),
+                 [&](int i) { shares[std::size_t(i)] = adjustment.share_on_planes(map, scans[std::size_t(i)], kLast.scale_m); });
     std::nth_element(shares.begin(), shares.begin() + std::ptrdiff_t(shares.size() / 2), shares.end());
     return shares[shares.size() / 2];
 }
@@ -68,7 +69,10 @@ double median_share(const PlaneAdjustment& adjustment, const PlaneMap& map, cons
 }  // namespace
 
 Registration register_scans(const Sequence& sequence, const Split& split, const RegisterOptions& options) {
-    if (sequence.lidars.size() > 1) throw UsageError(fmt::format("registering the scans of {}: found {} LiDARs, expected one; train.pose_register=false keeps the log's own poses", sequence.name, sequence.lidars.size()));
+    if (sequence.lidars.size() > 1)
+        throw UsageError(
+            fmt::format("registering the scans of {}: found {} LiDARs, expected one; train.pose_register=false keeps the log's own poses",
+                        sequence.name, sequence.lidars.size()));
     Registration result{sequence.world_from_vehicle, {}, {}, 0.0, false};
     if (split.train.size() < 2) return result;
     const auto proceed = [&](const char* what) {
@@ -83,7 +87,8 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     const std::vector<std::vector<ThinPoint>> scans = thin_scans(sequence, split.train, options, kThin_m);
     std::vector<std::vector<ThinPoint>> by_pose(sequence.frames.size());
     for (std::size_t i = 0; i < scans.size(); ++i) by_pose[std::size_t(split.train[i])] = scans[i];
-    const PoseTrack followed = follow_scans(sequence.world_from_vehicle, by_pose, {first, kLastFollowed, options.given_motion, proceed("following the scans")});
+    const PoseTrack followed =
+        follow_scans(sequence.world_from_vehicle, by_pose, {first, kLastFollowed, options.given_motion, proceed("following the scans")});
     if (result.stopped) return result;
 
     const std::vector<bool> gauge = options.given_motion ? is_train : marked({split.train[split.train.size() / 2]}, sequence.frames.size());
@@ -91,11 +96,15 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     result.rounds = adjustment.run(first, kLast, proceed("registering all scans together"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)
-        throw DataError(fmt::format("registering the scans of {}: found no surface that two of its {} training scans see, expected some; train.pose_register=false leaves poses where they are", sequence.name, split.train.size()));
+        throw DataError(
+            fmt::format("registering the scans of {}: found no surface that two of its {} training scans see, expected some; "
+                        "train.pose_register=false leaves poses where they are",
+                        sequence.name, split.train.size()));
     const PlaneMap map = adjustment.planes(kLast);
     result.on_planes = median_share(adjustment, map, scans);
     result.lost = adjustment.replace_lost(map, is_train, kLast.scale_m, options.largest_m);
-    const std::vector<std::size_t> lost = place_held_out(adjustment, split, is_train, thin_scans(sequence, split.test, options, kThin_m), first, options.largest_m);
+    const std::vector<std::size_t> lost =
+        place_held_out(adjustment, split, is_train, thin_scans(sequence, split.test, options, kThin_m), first, options.largest_m);
     result.lost.insert(result.lost.end(), lost.begin(), lost.end());
     std::sort(result.lost.begin(), result.lost.end());
     result.world_from_vehicle = adjustment.track();

@@ -12,7 +12,9 @@ namespace relidar {
 namespace {
 
 bool is_mover(const RegisterOptions& options, const WorldReturn& w) {
-    return std::any_of(options.movers.begin(), options.movers.end(), [&](const BoxTrack& box) { return box.present(w.time_s) && box.holds(w.point_m, w.time_s, options.mover_margin_m); });
+    return std::any_of(options.movers.begin(), options.movers.end(), [&](const BoxTrack& box) {
+        return box.present(w.time_s) && box.holds(w.point_m, w.time_s, options.mover_margin_m);
+    });
 }
 
 std::vector<ThinPoint> thin(const Sequence& sequence, int position, const RegisterOptions& options, double cell_m) {
@@ -36,13 +38,16 @@ std::vector<ThinPoint> thin(const Sequence& sequence, int position, const Regist
 }  // namespace
 
 PlacedPoint place(const PoseTrack& track, const ThinPoint& point) {
-    const Pose pose = track.pose.size() == 1 ? track.pose.front() : interpolate(track.pose[point.left], track.pose[point.left + 1], double(point.s));
+    const Pose pose =
+        track.pose.size() == 1 ? track.pose.front() : interpolate(track.pose[point.left], track.pose[point.left + 1], double(point.s));
     return {pose * glm::dvec3(point.point_m), pose.translation};
 }
 
-std::vector<std::vector<ThinPoint>> thin_scans(const Sequence& sequence, const std::vector<int>& positions, const RegisterOptions& options, double cell_m) {
+std::vector<std::vector<ThinPoint>> thin_scans(const Sequence& sequence, const std::vector<int>& positions, const RegisterOptions& options,
+                                               double cell_m) {
     std::vector<std::vector<ThinPoint>> scans(positions.size());
-    run_parallel(static_cast<int>(positions.size()), [&](int i) { scans[std::size_t(i)] = thin(sequence, positions[std::size_t(i)], options, cell_m); });
+    run_parallel(static_cast<int>(positions.size()),
+                 [&](int i) { scans[std::size_t(i)] = thin(sequence, positions[std::size_t(i)], options, cell_m); });
     return scans;
 }
 

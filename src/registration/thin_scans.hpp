@@ -24,6 +24,7 @@ struct PlacedPoint {
 PlacedPoint place(const PoseTrack& track, const ThinPoint& point);
 
 /// At most one point a cell of edge cell_m in each scan's sensor frame. @return by position in `positions`, in the order of the scan
-std::vector<std::vector<ThinPoint>> thin_scans(const Sequence& sequence, const std::vector<int>& positions, const RegisterOptions& options, double cell_m);
+std::vector<std::vector<ThinPoint>> thin_scans(const Sequence& sequence, const std::vector<int>& positions, const RegisterOptions& options,
+                                               double cell_m);
 
 }  // namespace relidar

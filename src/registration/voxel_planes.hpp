@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A map that grows scan by scan: per cell of a grid the sums from which the plane of its points follows, so that a scan is added, and a point
-// asked for, in constant time.
+// A map that grows scan by scan: per cell of a grid the sums from which the plane of its points follows, so that a scan is added, and a
+// point asked for, in constant time.
 #pragma once
 
 #include <optional>

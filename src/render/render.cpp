@@ -58,7 +58,8 @@ void check_track(const PoseTrack& track, const std::string& thing) {
         throw DataError(fmt::format("rendering a scan: poses of {}: found {}, expected {}", thing, found, expected));
     };
     const std::size_t n = track.pose.size();
-    if (n == 0 || n != track.time_s.size()) fail(fmt::format("{} poses at {} times", n, track.time_s.size()), "as many of each, and one at least");
+    if (n == 0 || n != track.time_s.size())
+        fail(fmt::format("{} poses at {} times", n, track.time_s.size()), "as many of each, and one at least");
     for (std::size_t i = 0; i < n; ++i) {
         const auto& [q, t] = track.pose[i];
         bool is_pose = std::abs(glm::length(q) - 1.0) < 1e-3;
@@ -121,13 +122,16 @@ ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device
 ScanRenderer::~ScanRenderer() = default;
 
 void ScanRenderer::show_only(const std::vector<bool>& shown) {
-    if (shown.size() != impl_->shown.size()) throw UsageError(fmt::format("choosing what is rendered: found {} choices, expected {}, one an instance", shown.size(), impl_->shown.size()));
+    if (shown.size() != impl_->shown.size())
+        throw UsageError(
+            fmt::format("choosing what is rendered: found {} choices, expected {}, one an instance", shown.size(), impl_->shown.size()));
     impl_->shown = shown;
 }
 
 const KernelTimes& ScanRenderer::times() const { return impl_->renderer.stream().times(); }
 
-RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset, std::optional<std::uint64_t> sample) {
+RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset,
+                                  std::optional<std::uint64_t> sample) {
     Impl& s = *impl_;
     s.sweep.world_from_vehicle = s.log_world_from_vehicle;
     s.drive(moved_track(s.sweep.world_from_sensor(sensor.lidar), sensor_offset), sensor.lidar);
@@ -141,19 +145,23 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
         return shifted_track(dataset_from_thing, -s.sweep.world_offset_m);
     };
     if (!(std::abs(request.time_s) <= kFarthest)) {
-        throw DataError(fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s", request.time_s, kFarthest));
+        throw DataError(
+            fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s", request.time_s, kFarthest));
     }
     s.drive(in_world(request.dataset_from_sensor, "the sensor"), sensor.lidar);
-    if (!request.dataset_from_actor) return take(sensor, request.time_s, place_instances(s.layout, s.sweep, request.time_s, sensor.lidar), sample);
+    if (!request.dataset_from_actor)
+        return take(sensor, request.time_s, place_instances(s.layout, s.sweep, request.time_s, sensor.lidar), sample);
     ActorPoses world_from_actor;
     for (const auto& [name, track] : *request.dataset_from_actor) world_from_actor[name] = in_world(track, "actor " + name);
     return take(sensor, request.time_s, place_instances(s.layout, s.sweep, request.time_s, world_from_actor, sensor.lidar), sample);
 }
 
 /// @param placed  instances at their moments; those that are not shown are left out
-RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed, std::optional<std::uint64_t> sample) {
+RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed,
+                                std::optional<std::uint64_t> sample) {
     const Impl& s = *impl_;
-    if (sensor.rays.size() == 0) throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
+    if (sensor.rays.size() == 0)
+        throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
     PoseTrack track = s.sweep.world_from_sensor(sensor.lidar);
     WorldRays rays;
     for (std::size_t i = 0; i < sensor.rays.size(); ++i) {
@@ -179,7 +187,8 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     for (std::size_t i = 0; i < r.size(); ++i) {
         const Beam& beam = beam_of(sensor.beams, sensor.rays.channel[i]);
         const double surface_m = chosen_range(r, i, s.config.render.range), median_surface_m = r.median_depth[i];
-        const auto range_m = static_cast<float>(beam.measured_range(surface_m)), median_m = static_cast<float>(beam.measured_range(median_surface_m));
+        const auto range_m = static_cast<float>(beam.measured_range(surface_m)),
+                   median_m = static_cast<float>(beam.measured_range(median_surface_m));
         const double fall = s.sweep.intensity_response.at_range(median_surface_m > 0.0 ? median_surface_m : surface_m);
         scan.image.range_m.push_back(range_m);
         scan.median_range_m.push_back(median_m);
@@ -194,7 +203,8 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     scan.track = shifted_track(std::move(track), s.sweep.world_offset_m);
     scan.world_from_sensor = {pose.rotation, pose.translation + s.sweep.world_offset_m};
     scan.time_s = time_s;
-    for (std::size_t i = 0; i < r.normal.size(); ++i) scan.normal.push_back(seen_normal(r.normal[i], r.weight[i], scan.world_from_firing(i)));
+    for (std::size_t i = 0; i < r.normal.size(); ++i)
+        scan.normal.push_back(seen_normal(r.normal[i], r.weight[i], scan.world_from_firing(i)));
     if (sample) sample_returns(scan, s.sweep.range_noise, *sample);
     return sensor.grid ? project_scan(scan, *sensor.grid) : scan;
 }

@@ -42,7 +42,9 @@ void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, 
     const glm::vec3 point = from.image.origin[source] + from.image.range_m[source] * from.image.direction[source];
     to.image.range_m[cell] = glm::length(point);
     to.image.intensity[cell] = from.image.intensity[source];
-    to.median_range_m[cell] = from.median_range_m[source] > 0.0f ? glm::length(from.image.origin[source] + from.median_range_m[source] * from.image.direction[source]) : 0.0f;
+    to.median_range_m[cell] = from.median_range_m[source] > 0.0f
+                                  ? glm::length(from.image.origin[source] + from.median_range_m[source] * from.image.direction[source])
+                                  : 0.0f;
     to.weight[cell] = from.weight[source];
     to.instance[cell] = from.instance[source];
     if (!from.normal.empty()) to.normal[cell] = from.normal[source];

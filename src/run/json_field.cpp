@@ -53,7 +53,8 @@ double JsonField::number(double low, double high) const {
 }
 
 std::int64_t JsonField::integer(std::int64_t low, std::int64_t high) const {
-    const bool fits = value_->is_number_integer() && !(value_->is_number_unsigned() && value_->get<std::uint64_t>() > static_cast<std::uint64_t>(INT64_MAX));
+    const bool fits = value_->is_number_integer() &&
+                      !(value_->is_number_unsigned() && value_->get<std::uint64_t>() > static_cast<std::uint64_t>(INT64_MAX));
     if (!fits || value_->get<std::int64_t>() < low || value_->get<std::int64_t>() > high) {
         fail(shown(*value_), fmt::format("expected an integer in {}..{}", low, high));
     }

@@ -15,7 +15,8 @@ namespace relidar::run_detail {
 class JsonField {
 public:
     /// @param value must outlive this  @param name of the field, empty for the whole file
-    JsonField(const nlohmann::json& value, const std::string& file, std::string name) : value_(&value), file_(&file), name_(std::move(name)) {}
+    JsonField(const nlohmann::json& value, const std::string& file, std::string name)
+        : value_(&value), file_(&file), name_(std::move(name)) {}
 
     JsonField at(const std::string& key) const;   ///< member of an object
     bool has(const std::string& key) const;       ///< whether an object has such a member

@@ -44,7 +44,8 @@ const NamedArray& find_array(const std::vector<NamedArray>& arrays, std::string_
 void read_group(const ParameterGroup& group, const NamedArray& array, Surfels& surfels, const std::string& file) {
     const std::vector<std::size_t> expected = group.shape(surfels.size());
     if (array.shape != expected || array.dtype != "f4") {
-        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [{}]", file, group.name, array.dtype, fmt::join(array.shape, ", "), fmt::join(expected, ", ")));
+        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [{}]", file, group.name, array.dtype,
+                                    fmt::join(array.shape, ", "), fmt::join(expected, ", ")));
     }
     const std::vector<float> values = array.as_float();
     std::ranges::copy(values, group.mutable_values(surfels).begin());
@@ -66,9 +67,11 @@ void read_layout(const JsonField& layout, Scene& scene) {
     for (std::size_t i = 0; i < models.size(); ++i) {
         const JsonField m = models.at(i);
         const std::int64_t first = m.at("first").integer(0, kMaxSurfels), count = m.at("count").integer(0, kMaxSurfels);
-        if (first != next) m.at("first").fail(fmt::format("found {}", first), fmt::format("expected {}, where the model before ends", next));
+        if (first != next)
+            m.at("first").fail(fmt::format("found {}", first), fmt::format("expected {}, where the model before ends", next));
         next = first + count;
-        scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first), static_cast<std::uint32_t>(count), read_half_size(m)});
+        scene.models.push_back(
+            {m.at("name").text(), static_cast<std::uint32_t>(first), static_cast<std::uint32_t>(count), read_half_size(m)});
     }
     if (next != n) models.fail(fmt::format("found models of {} surfels", next), fmt::format("expected {}", n));
     if (models.size() == 0 || instances.size() == 0) models.fail("found no model or no instance", "expected at least one each");
@@ -84,8 +87,11 @@ void check_metadata(const std::map<std::string, std::string>& metadata, const st
         const auto it = metadata.find(key);
         return it == metadata.end() ? std::string() : it->second;
     };
-    if (value("format") != kFormat) throw DataError(fmt::format("{}: metadata format: found \"{}\", expected \"{}\"", file, value("format"), kFormat));
-    if (value("version") != kVersion) throw DataError(fmt::format("{}: metadata version: found \"{}\", this relidar ({}) reads version {}", file, value("version"), RELIDAR_VERSION, kVersion));
+    if (value("format") != kFormat)
+        throw DataError(fmt::format("{}: metadata format: found \"{}\", expected \"{}\"", file, value("format"), kFormat));
+    if (value("version") != kVersion)
+        throw DataError(fmt::format("{}: metadata version: found \"{}\", this relidar ({}) reads version {}", file, value("version"),
+                                    RELIDAR_VERSION, kVersion));
     if (!metadata.contains("layout")) throw DataError(fmt::format("{}: metadata layout: missing, expected it", file));
 }
 
@@ -96,7 +102,8 @@ void read_sensor_drop(const std::vector<NamedArray>& arrays, Scene& scene, const
     const auto it = std::find_if(arrays.begin(), arrays.end(), [](const NamedArray& a) { return a.name == kSensorDrop; });
     if (it == arrays.end()) return;
     if (it->shape.size() != 2 || it->dtype != "f4" || it->shape[0] > 65536 || it->shape[1] > 65536)
-        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [channels, bins]", file, kSensorDrop, it->dtype, fmt::join(it->shape, ", ")));
+        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [channels, bins]", file, kSensorDrop, it->dtype,
+                                    fmt::join(it->shape, ", ")));
     scene.sensor_drop = {static_cast<int>(it->shape[0]), static_cast<int>(it->shape[1]), it->as_float()};
     for (const float p : scene.sensor_drop.probability)
         if (!(p >= 0.0f && p <= 1.0f)) throw DataError(fmt::format("{}: array {}: holds {}, expected probabilities", file, kSensorDrop, p));
@@ -106,7 +113,11 @@ void read_sensor_drop(const std::vector<NamedArray>& arrays, Scene& scene, const
 
 std::string layout_to_json(const Scene& scene) {
     nlohmann::ordered_json json = {{"models", nlohmann::ordered_json::array()}, {"instances", nlohmann::ordered_json::array()}};
-    for (const Model& m : scene.models) json["models"].push_back({{"name", m.name}, {"first", m.first}, {"count", m.count}, {"half_size_m", {m.half_size_m.x, m.half_size_m.y, m.half_size_m.z}}});
+    for (const Model& m : scene.models)
+        json["models"].push_back({{"name", m.name},
+                                  {"first", m.first},
+                                  {"count", m.count},
+                                  {"half_size_m", {m.half_size_m.x, m.half_size_m.y, m.half_size_m.z}}});
     for (const Instance& i : scene.instances) json["instances"].push_back({{"model", i.model}, {"track", i.track}});
     return json.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
 }
@@ -125,8 +136,11 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
         arrays.push_back(make_array(group.name, group.shape(scene.surfels.size()), values.data(), values.size()));
     }
     const DropTable& drop = scene.sensor_drop;
-    if (!drop.empty()) arrays.push_back(make_array(kSensorDrop, {std::size_t(drop.channels), std::size_t(drop.bins)}, drop.probability.data(), drop.probability.size()));
-    write_safetensors(path, arrays, {{"format", kFormat}, {"version", kVersion}, {"relidar", RELIDAR_VERSION}, {"layout", layout_to_json(scene)}});
+    if (!drop.empty())
+        arrays.push_back(make_array(kSensorDrop, {std::size_t(drop.channels), std::size_t(drop.bins)}, drop.probability.data(),
+                                    drop.probability.size()));
+    write_safetensors(path, arrays,
+                      {{"format", kFormat}, {"version", kVersion}, {"relidar", RELIDAR_VERSION}, {"layout", layout_to_json(scene)}});
 }
 
 Scene load_model(const std::filesystem::path& path) {
@@ -138,12 +152,15 @@ Scene load_model(const std::filesystem::path& path) {
     const NamedArray& mean = find_array(arrays, "mean", file);
     if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
         throw DataError(fmt::format("{}: array mean: found shape [{}], expected [n, 3]", file, fmt::join(mean.shape, ", ")));
-    const auto has_array = [&](const char* name) { return std::ranges::any_of(arrays, [&](const NamedArray& a) { return a.name == name; }); };
+    const auto has_array = [&](const char* name) {
+        return std::ranges::any_of(arrays, [&](const NamedArray& a) { return a.name == name; });
+    };
     const Primitive primitive = primitive_of(has_array);
     for (const ParameterGroup& group : groups_of(primitive)) {   // row counts first: nothing is allocated for a file that lies
         const NamedArray& array = find_array(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])
-            throw DataError(fmt::format("{}: array {}: found shape [{}], expected {} rows as in mean", file, group.name, fmt::join(array.shape, ", "), mean.shape[0]));
+            throw DataError(fmt::format("{}: array {}: found shape [{}], expected {} rows as in mean", file, group.name,
+                                        fmt::join(array.shape, ", "), mean.shape[0]));
     }
     Scene scene;
     scene.surfels.resize(mean.shape[0], primitive);

@@ -23,7 +23,9 @@ void make_folder(const fs::path& folder) {
     std::error_code failed;
     fs::create_directories(folder, failed);
     std::error_code unknown;
-    if (!fs::is_directory(folder, unknown)) throw DataError(fmt::format("{}: cannot be made a folder: {}", folder.string(), failed ? failed.message() : "something else has that name"));
+    if (!fs::is_directory(folder, unknown))
+        throw DataError(
+            fmt::format("{}: cannot be made a folder: {}", folder.string(), failed ? failed.message() : "something else has that name"));
 }
 
 /// In a run, a wrong setting is damage to a file, not a wrong command line.
@@ -50,7 +52,8 @@ void save_run(const Run& run) {
 Run load_run(const fs::path& folder) {
     check_folder(folder, "a run folder");
     for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
-        if (!path_exists(folder / name)) throw DataError(fmt::format("{}: no such file, expected it in a run folder", (folder / name).string()));
+        if (!path_exists(folder / name))
+            throw DataError(fmt::format("{}: no such file, expected it in a run folder", (folder / name).string()));
     }
     Run run;
     run.folder = folder;
@@ -63,12 +66,13 @@ Run load_run(const fs::path& folder) {
     run.refined_poses = std::move(scene.refined_poses);
     run.scene = load_model(folder / kModelFile);
     if (run.scene.surfels.size() != scene.n_surfels) {
-        throw DataError(fmt::format("{}: counts.surfels: found {}, but {} holds {}", scene_path.string(), scene.n_surfels, kModelFile, run.scene.surfels.size()));
+        throw DataError(fmt::format("{}: counts.surfels: found {}, but {} holds {}", scene_path.string(), scene.n_surfels, kModelFile,
+                                    run.scene.surfels.size()));
     }
     if (run.scene.surfels.size() > 0 && run.scene.surfels.primitive() != run.config.image.primitive) {
         const bool is_gaussian = run.scene.surfels.primitive() == Primitive::gaussian;
-        throw DataError(fmt::format("{}: image.primitive: found {}, but {} holds {}", (folder / kConfigFile).string(), is_gaussian ? "surfel" : "gaussian", kModelFile,
-                                    is_gaussian ? "3D Gaussians" : "surfels"));
+        throw DataError(fmt::format("{}: image.primitive: found {}, but {} holds {}", (folder / kConfigFile).string(),
+                                    is_gaussian ? "surfel" : "gaussian", kModelFile, is_gaussian ? "3D Gaussians" : "surfels"));
     }
     return run;
 }

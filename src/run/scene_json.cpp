@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// scene.json, format version 2 (version 1 had one LiDAR, in whose frame the poses were, and is read as well). Numbers are written in the shortest form that reads back to the same double. A pose is seven
-// numbers, translation x y z then unit quaternion w x y z: p_world = R(q) p + t, in the recentred world.
+// scene.json, format version 2 (version 1 had one LiDAR, in whose frame the poses were, and is read as well). Numbers are written in the
+// shortest form that reads back to the same double. A pose is seven numbers, translation x y z then unit quaternion w x y z: p_world = R(q)
+// p + t, in the recentred world.
 #include "run/scene_json.hpp"
 
 #include <algorithm>
@@ -29,8 +30,10 @@ constexpr std::size_t kMostRays = 100'000'000;
 constexpr std::int64_t kMaxInt = 2147483647, kMaxFrame = 99999999;
 constexpr const char* kUnits = "metres, seconds, radians";
 constexpr const char* kConventions =
-    "Sensor and vehicle frames: x forward, y left, z up. World: the dataset's world minus world_offset_m. A pose a_from_b is translation x y z and unit "
-    "quaternion w x y z: p_a = R(q) p_b + t. Box frame: x along the length, y along the width, z up, origin at the centre. Image row 0 is the "
+    "Sensor and vehicle frames: x forward, y left, z up. World: the dataset's world minus world_offset_m. A pose a_from_b is translation x "
+    "y z and unit "
+    "quaternion w x y z: p_a = R(q) p_b + t. Box frame: x along the length, y along the width, z up, origin at the centre. Image row 0 is "
+    "the "
     "highest beam, column 0 azimuth +180 degrees, falling. frames[].time_s: the head faces forward. beams: one row a beam, highest first.";
 
 Json to_json(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
@@ -47,22 +50,31 @@ Json to_json(const SpinningSensor& sensor) {
                  {"min_range_m", sensor.min_range_m},
                  {"max_range_m", sensor.max_range_m},
                  {"divergence_rad", sensor.divergence_rad},
-                 {"beam_fields", {"elevation_rad", "azimuth_offset_rad", "origin_offset_m", "origin_up_m", "origin_left_m", "intensity_gain", "intensity_offset", "range_offset_m"}},
+                 {"beam_fields",
+                  {"elevation_rad", "azimuth_offset_rad", "origin_offset_m", "origin_up_m", "origin_left_m", "intensity_gain",
+                   "intensity_offset", "range_offset_m"}},
                  {"beams", Json::array()}};
     for (const Beam& b : sensor.beams)
-        json["beams"].push_back({b.elevation_rad, b.azimuth_offset_rad, b.origin_offset_m, b.origin_up_m, b.origin_left_m, b.intensity_gain, b.intensity_offset, b.range_offset_m});
+        json["beams"].push_back({b.elevation_rad, b.azimuth_offset_rad, b.origin_offset_m, b.origin_up_m, b.origin_left_m, b.intensity_gain,
+                                 b.intensity_offset, b.range_offset_m});
     return json;
 }
 
 Json to_json(const BoxTrack& box) {
-    Json json = {{"id", box.id}, {"category", box.category}, {"size_m", to_json(box.size_m)}, {"time_s", box.world_from_box.time_s}, {"world_from_box", Json::array()}};
+    Json json = {{"id", box.id},
+                 {"category", box.category},
+                 {"size_m", to_json(box.size_m)},
+                 {"time_s", box.world_from_box.time_s},
+                 {"world_from_box", Json::array()}};
     for (const Pose& pose : box.world_from_box.pose) json["world_from_box"].push_back(to_json(pose));
     return json;
 }
 
 Json lidars_json(const Sequence& sequence) {
     Json json = Json::array();
-    for (const Lidar& lidar : sequence.lidars) json.push_back({{"name", lidar.name}, {"vehicle_from_sensor", to_json(lidar.vehicle_from_sensor)}, {"sensor", to_json(lidar.sensor)}});
+    for (const Lidar& lidar : sequence.lidars)
+        json.push_back(
+            {{"name", lidar.name}, {"vehicle_from_sensor", to_json(lidar.vehicle_from_sensor)}, {"sensor", to_json(lidar.sensor)}});
     return json;
 }
 
@@ -71,18 +83,25 @@ std::size_t pose_of(const Sequence& sequence, const Frame& frame) {
     const std::vector<double>& times = sequence.world_from_vehicle.time_s;
     const auto at = std::find(times.begin(), times.end(), frame.time_s);
     if (at == times.end() || times.size() != sequence.world_from_vehicle.pose.size())
-        throw DataError(fmt::format("writing scene.json: {} vehicle poses at {} times, none of frame {} at {} s, expected one", sequence.world_from_vehicle.pose.size(), times.size(), frame.index, frame.time_s));
+        throw DataError(fmt::format("writing scene.json: {} vehicle poses at {} times, none of frame {} at {} s, expected one",
+                                    sequence.world_from_vehicle.pose.size(), times.size(), frame.index, frame.time_s));
     return std::size_t(at - times.begin());
 }
 
 Json frames_json(const Sequence& sequence, const Split& split) {
     Json frames = Json::array();
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
-        const auto in = [&](const std::vector<int>& positions) { return std::find(positions.begin(), positions.end(), static_cast<int>(i)) != positions.end(); };
+        const auto in = [&](const std::vector<int>& positions) {
+            return std::find(positions.begin(), positions.end(), static_cast<int>(i)) != positions.end();
+        };
         const char* part = in(split.train) ? "train" : in(split.test) ? "test" : "unused";
         const Frame& frame = sequence.frames[i];
         const Pose& pose = sequence.world_from_vehicle.pose[pose_of(sequence, frame)];
-        frames.push_back({{"index", frame.index}, {"time_s", frame.time_s}, {"lidar", frame.lidar}, {"split", part}, {"world_from_vehicle", to_json(pose)}});
+        frames.push_back({{"index", frame.index},
+                          {"time_s", frame.time_s},
+                          {"lidar", frame.lidar},
+                          {"split", part},
+                          {"world_from_vehicle", to_json(pose)}});
     }
     return frames;
 }
@@ -131,8 +150,12 @@ SpinningSensor read_sensor(const JsonField& field) {
         check_within(beam, {v[5], v[6], v[7]}, kLargestResponse);
         sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]});
     }
-    if (sensor.beams.empty() != (sensor.columns == 0)) beams.fail(fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns), "expected some of both, or none where the LiDAR does not spin");
-    if (sensor.beams.size() * std::size_t(sensor.columns) > kMostRays) beams.fail(fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns), fmt::format("expected at most {} rays", kMostRays));
+    if (sensor.beams.empty() != (sensor.columns == 0))
+        beams.fail(fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns),
+                   "expected some of both, or none where the LiDAR does not spin");
+    if (sensor.beams.size() * std::size_t(sensor.columns) > kMostRays)
+        beams.fail(fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns),
+                   fmt::format("expected at most {} rays", kMostRays));
     return sensor;
 }
 
@@ -140,7 +163,9 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     if (root.has("sensor")) return {{"", read_sensor(root.at("sensor")), {}}};   // version 1
     const JsonField field = root.at("lidars");
     std::vector<Lidar> lidars;
-    for (std::size_t i = 0; i < field.size(); ++i) lidars.push_back({field.at(i).at("name").text(), read_sensor(field.at(i).at("sensor")), read_pose(field.at(i).at("vehicle_from_sensor"))});
+    for (std::size_t i = 0; i < field.size(); ++i)
+        lidars.push_back(
+            {field.at(i).at("name").text(), read_sensor(field.at(i).at("sensor")), read_pose(field.at(i).at("vehicle_from_sensor"))});
     if (lidars.empty()) field.fail("found no LiDAR", "expected at least one");
     return lidars;
 }
@@ -148,23 +173,28 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
 /// Runs whose intensities do not fall with range have none.
 IntensityResponse read_intensity_response(const JsonField& field) {
     const IntensityResponse r{field.at("range_m").numbers(), field.at("factor").numbers(), field.at("incidence").number(0.0, 1.0)};
-    if (r.factor.size() != r.range_m.size()) field.at("factor").fail(fmt::format("found {} factors", r.factor.size()), fmt::format("expected {}, one a knot", r.range_m.size()));
+    if (r.factor.size() != r.range_m.size())
+        field.at("factor").fail(fmt::format("found {} factors", r.factor.size()), fmt::format("expected {}, one a knot", r.range_m.size()));
     if (!std::is_sorted(r.range_m.begin(), r.range_m.end())) field.at("range_m").fail("found falling ranges", "expected ranges that rise");
-    if (!std::all_of(r.factor.begin(), r.factor.end(), [](double f) { return f > 0.0 && f < kHuge; })) field.at("factor").fail("found a factor that is not above 0", "expected all above 0");
+    if (!std::all_of(r.factor.begin(), r.factor.end(), [](double f) { return f > 0.0 && f < kHuge; }))
+        field.at("factor").fail("found a factor that is not above 0", "expected all above 0");
     return r;
 }
 
 RangeNoise read_range_noise(const JsonField& field) {
     const RangeNoise n{field.at("range_m").numbers(), field.at("cosine").numbers(), field.at("sigma_m").numbers()};
     if (n.sigma_m.size() != n.range_m.size() * n.cosine.size() || n.sigma_m.empty())
-        field.at("sigma_m").fail(fmt::format("found {} numbers", n.sigma_m.size()), fmt::format("expected {} x {}", n.range_m.size(), n.cosine.size()));
-    if (!std::all_of(n.sigma_m.begin(), n.sigma_m.end(), [](double s) { return s >= 0.0 && s < 1e3; })) field.at("sigma_m").fail("found a value out of 0 ... 1000", "expected metres");
+        field.at("sigma_m").fail(fmt::format("found {} numbers", n.sigma_m.size()),
+                                 fmt::format("expected {} x {}", n.range_m.size(), n.cosine.size()));
+    if (!std::all_of(n.sigma_m.begin(), n.sigma_m.end(), [](double s) { return s >= 0.0 && s < 1e3; }))
+        field.at("sigma_m").fail("found a value out of 0 ... 1000", "expected metres");
     return n;
 }
 
 /// Frames at one time share its pose.
 void read_pose_of(const JsonField& entry, double time_s, PoseTrack& track) {
-    const Pose pose = read_pose(entry.at(entry.has("world_from_sensor") ? "world_from_sensor" : "world_from_vehicle"));   // version 1, version 2
+    // version 1, version 2
+    const Pose pose = read_pose(entry.at(entry.has("world_from_sensor") ? "world_from_sensor" : "world_from_vehicle"));
     if (!track.time_s.empty() && track.time_s.back() == time_s) return;
     track.time_s.push_back(time_s);
     track.pose.push_back(pose);
@@ -178,7 +208,8 @@ void read_frames(const JsonField& field, SceneFile& scene) {
         frame.index = static_cast<int>(entry.at("index").integer(0, kMaxFrame));
         frame.time_s = entry.at("time_s").number(-kHuge, kHuge);
         if (!entry.has("world_from_sensor")) frame.lidar = static_cast<int>(entry.at("lidar").integer(0, last_lidar));
-        if (i > 0 && std::pair(frame.time_s, frame.lidar) <= std::pair(scene.sequence.frames.back().time_s, scene.sequence.frames.back().lidar))
+        if (i > 0 &&
+            std::pair(frame.time_s, frame.lidar) <= std::pair(scene.sequence.frames.back().time_s, scene.sequence.frames.back().lidar))
             entry.at("time_s").fail(fmt::format("found {}", frame.time_s), "expected times that rise, or the next LiDAR at the same time");
         const std::string part = entry.at("split").text();
         if (part == "train") scene.split.train.push_back(static_cast<int>(i));
@@ -195,14 +226,16 @@ BoxTrack read_box(const JsonField& field) {
     box.id = field.at("id").text();
     box.category = field.at("category").text();
     box.size_m = read_vector(field.at("size_m"), kFarthest_m);
-    if (!(std::min({box.size_m.x, box.size_m.y, box.size_m.z}) > 0.0)) field.at("size_m").fail(fmt::format("found {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z), "expected all above 0");
+    if (!(std::min({box.size_m.x, box.size_m.y, box.size_m.z}) > 0.0))
+        field.at("size_m").fail(fmt::format("found {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z), "expected all above 0");
     box.world_from_box.time_s = field.at("time_s").numbers();
     const JsonField poses = field.at("world_from_box");
     for (std::size_t i = 0; i < poses.size(); ++i) box.world_from_box.pose.push_back(read_pose(poses.at(i)));
     const std::size_t n = box.world_from_box.time_s.size();
     for (const double t : box.world_from_box.time_s) check_within(field.at("time_s"), {t}, kHuge);
     if (poses.size() != n) poses.fail(fmt::format("found {} poses", poses.size()), fmt::format("expected {}, one a time", n));
-    if (!std::is_sorted(box.world_from_box.time_s.begin(), box.world_from_box.time_s.end())) field.at("time_s").fail("found falling times", "expected times that rise");
+    if (!std::is_sorted(box.world_from_box.time_s.begin(), box.world_from_box.time_s.end()))
+        field.at("time_s").fail("found falling times", "expected times that rise");
     return box;
 }
 
@@ -215,7 +248,8 @@ void read_edits(const JsonField& field, SceneFile& scene) {
 void check_counts(const JsonField& root, const SceneFile& scene) {
     const auto check = [&](const char* name, std::size_t n) {
         const JsonField count = root.at("counts").at(name);
-        if (count.integer(0, kMaxInt) != static_cast<std::int64_t>(n)) count.fail(fmt::format("found {}", count.integer(0, kMaxInt)), fmt::format("expected {}, as many as are listed", n));
+        if (count.integer(0, kMaxInt) != static_cast<std::int64_t>(n))
+            count.fail(fmt::format("found {}", count.integer(0, kMaxInt)), fmt::format("expected {}, as many as are listed", n));
     };
     check("frames", scene.sequence.frames.size());
     check("boxes", scene.sequence.boxes.size());
@@ -243,7 +277,8 @@ std::string to_scene_json(const Run& run) {
                  {"boxes", boxes}};
     if (const IntensityResponse& r = s.intensity_response; !r.factor.empty())
         json["intensity_response"] = {{"range_m", r.range_m}, {"factor", r.factor}, {"incidence", r.incidence}};
-    if (const RangeNoise& n = s.range_noise; !n.sigma_m.empty()) json["range_noise"] = {{"range_m", n.range_m}, {"cosine", n.cosine}, {"sigma_m", n.sigma_m}};
+    if (const RangeNoise& n = s.range_noise; !n.sigma_m.empty())
+        json["range_noise"] = {{"range_m", n.range_m}, {"cosine", n.cosine}, {"sigma_m", n.sigma_m}};
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
@@ -254,9 +289,11 @@ std::string to_scene_json(const Run& run) {
 SceneFile parse_scene_json(const std::string& text, const std::string& file) {
     const nlohmann::json json = parse_json(text, file);
     const JsonField root(json, file, "");
-    if (const std::string format = root.at("format").text(); format != kFormat) root.at("format").fail("found \"" + format + "\"", fmt::format("expected \"{}\"", kFormat));
+    if (const std::string format = root.at("format").text(); format != kFormat)
+        root.at("format").fail("found \"" + format + "\"", fmt::format("expected \"{}\"", kFormat));
     if (const std::int64_t version = root.at("version").integer(0, kMaxInt); version < kOldest || version > kVersion)
-        root.at("version").fail(fmt::format("found {}", version), fmt::format("this relidar ({}) reads versions {} to {}", RELIDAR_VERSION, kOldest, kVersion));
+        root.at("version").fail(fmt::format("found {}", version),
+                                fmt::format("this relidar ({}) reads versions {} to {}", RELIDAR_VERSION, kOldest, kVersion));
     SceneFile scene;
     Sequence& s = scene.sequence;
     s.name = root.at("name").text();

@@ -26,8 +26,9 @@ bool is_of_rendering(const fs::path& name) {
     if (name == kSummary) return true;
     const std::string stem = name.stem().string(), prefix = "frame_", extension = name.extension().string();
     const std::vector<std::string> formats = scan_formats();
-    return stem.starts_with(prefix) && stem.size() > prefix.size() && stem.find_first_not_of("0123456789", prefix.size()) == std::string::npos &&
-           !extension.empty() && std::find(formats.begin(), formats.end(), extension.substr(1)) != formats.end();
+    return stem.starts_with(prefix) && stem.size() > prefix.size() &&
+           stem.find_first_not_of("0123456789", prefix.size()) == std::string::npos && !extension.empty() &&
+           std::find(formats.begin(), formats.end(), extension.substr(1)) != formats.end();
 }
 
 Json matrix_json(const Pose& pose) {
@@ -55,7 +56,8 @@ ScanFolder::ScanFolder(fs::path folder, ScanFormat format) : folder_(std::move(f
     const std::vector<std::string> known = scan_formats();
     for (const std::string& name : format_.formats)
         if (std::find(known.begin(), known.end(), name) == known.end())
-            throw UsageError(fmt::format("writing scans: found format \"{}\", did you mean {}? (known: {})", name, nearest_name(name, known), fmt::join(known, ", ")));
+            throw UsageError(fmt::format("writing scans: found format \"{}\", did you mean {}? (known: {})", name,
+                                         nearest_name(name, known), fmt::join(known, ", ")));
     check_writable(folder_);
     for (const fs::path& file : scans_in(folder_)) {
         std::error_code failed;
@@ -69,7 +71,8 @@ void ScanFolder::finish() const {
     const Config& config = format_.config;
     const bool world = format_.frame == PointFrame::world;
     const std::string range = config.render.points == "median" ? "median" : config.render.range;
-    const Json points = {{"frame", world ? "world" : "sensor"}, {"deskewed", world || format_.deskew}, {"range", range}, {"returned", "drop_prob < 0.5"}};
+    const Json points = {
+        {"frame", world ? "world" : "sensor"}, {"deskewed", world || format_.deskew}, {"range", range}, {"returned", "drop_prob < 0.5"}};
     Json json = {{"format", "relidar scans"},
                  {"version", 1},
                  {"relidar", RELIDAR_VERSION},

@@ -28,19 +28,26 @@ std::vector<float> returned_pixels(const RangeImage& image) {
 }
 
 Image range_picture(const RangeImage& image, double max_range_m) {
-    return colour_map(roots(image.range_m), image.rows, image.columns, 0.0f, static_cast<float>(std::sqrt(max_range_m)), "turbo", returned_pixels(image));
+    return colour_map(roots(image.range_m), image.rows, image.columns, 0.0f, static_cast<float>(std::sqrt(max_range_m)), "turbo",
+                      returned_pixels(image));
 }
 
-Image intensity_picture(const RangeImage& image) { return colour_map(image.intensity, image.rows, image.columns, 0.0f, 1.0f, "gray", returned_pixels(image)); }
+Image intensity_picture(const RangeImage& image) {
+    return colour_map(image.intensity, image.rows, image.columns, 0.0f, 1.0f, "gray", returned_pixels(image));
+}
 Image drop_picture(const RangeImage& image) { return colour_map(image.drop_prob, image.rows, image.columns, 0.0f, 1.0f, "gray"); }
 
-int picture_stretch(const RangeImage& image) { return std::max(1, static_cast<int>(std::lround(image.columns / (kPictureAspect * image.rows)))); }
+int picture_stretch(const RangeImage& image) {
+    return std::max(1, static_cast<int>(std::lround(image.columns / (kPictureAspect * image.rows))));
+}
 
 Image scan_picture(const RenderedScan& scan) {
     const RangeImage& image = scan.image;
     float farthest = 1.0f;
     for (const float range : image.range_m) farthest = std::max(farthest, range);
-    return stack({range_picture(image, static_cast<double>(std::min(farthest, kFarthest_m))), intensity_picture(image), drop_picture(image)}, picture_stretch(image));
+    return stack(
+        {range_picture(image, static_cast<double>(std::min(farthest, kFarthest_m))), intensity_picture(image), drop_picture(image)},
+        picture_stretch(image));
 }
 
 }  // namespace relidar

@@ -27,7 +27,8 @@ constexpr double kVoxel_m = 0.06;         ///< label jitter blurs anything finer
 constexpr std::string_view kEveryClass = "all";
 
 /// Adds the points of one frame that lie in boxes, each in its box's frame.
-void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes, std::vector<std::vector<Sample>>& samples) {
+void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes,
+               std::vector<std::vector<Sample>>& samples) {
     std::vector<std::size_t> present;
     for (std::size_t b = 0; b < boxes.size(); ++b)
         if (boxes[b].present(frame.time_s)) present.push_back(b);
@@ -46,10 +47,12 @@ void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<B
 }
 
 /// Points of the training frames in boxes, each in its box's frame. @return [boxes]
-std::vector<std::vector<Sample>> box_samples(const Sequence& sequence, const std::vector<int>& train, const std::vector<BoxTrack>& boxes, const Progress& progress) {
+std::vector<std::vector<Sample>> box_samples(const Sequence& sequence, const std::vector<int>& train, const std::vector<BoxTrack>& boxes,
+                                             const Progress& progress) {
     std::vector<std::vector<Sample>> samples(boxes.size());
     std::vector<std::vector<std::vector<Sample>>> of_frame(train.size(), std::vector<std::vector<Sample>>(boxes.size()));
-    for_each_told(train.size(), progress, "points of actors", [&](std::size_t i) { add_frame(sequence, sequence.frames[std::size_t(train[i])], boxes, of_frame[i]); });
+    for_each_told(train.size(), progress, "points of actors",
+                  [&](std::size_t i) { add_frame(sequence, sequence.frames[std::size_t(train[i])], boxes, of_frame[i]); });
     for (const std::vector<std::vector<Sample>>& frame : of_frame)
         for (std::size_t b = 0; b < boxes.size(); ++b) samples[b].insert(samples[b].end(), frame[b].begin(), frame[b].end());
     return samples;
@@ -66,7 +69,10 @@ std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t mos
     }
     if (kept.size() > most) {
         std::sort(kept.begin(), kept.end(), [](const Sample& a, const Sample& b) {
-            const auto order = [](const Sample& s) { return hash64(std::uint64_t(std::int64_t(s.position.x * 1e4f)), std::uint64_t(std::int64_t(s.position.y * 1e4f + s.position.z * 1e7f))); };
+            const auto order = [](const Sample& s) {
+                return hash64(std::uint64_t(std::int64_t(s.position.x * 1e4f)),
+                              std::uint64_t(std::int64_t(s.position.y * 1e4f + s.position.z * 1e7f)));
+            };
             return order(a) < order(b);
         });
         kept.resize(most);
@@ -92,16 +98,19 @@ bool lists(const std::string& list, const std::string& word) {
 bool is_wanted(const BoxTrack& box, const InitialiseOptions& options) {
     if (options.actors != ActorMode::models) return false;
     if (options.discover_actors && box.category == kDiscoveredCategory) return true;
-    return options.actor_tracks.empty() ? options.actor_classes == kEveryClass || lists(options.actor_classes, box.category) : lists(options.actor_tracks, box.id);
+    return options.actor_tracks.empty() ? options.actor_classes == kEveryClass || lists(options.actor_classes, box.category)
+                                        : lists(options.actor_tracks, box.id);
 }
 
 /// @throws DataError for a box that cannot hold anything
 void check_box(const BoxTrack& box) {
     const glm::dvec3& s = box.size_m;
-    if (!(s.x > 0.0 && s.y > 0.0 && s.z > 0.0) || !std::isfinite(s.x + s.y + s.z)) throw DataError(fmt::format("box {}: found a size of {} x {} x {} m, expected all above 0", box.id, s.x, s.y, s.z));
+    if (!(s.x > 0.0 && s.y > 0.0 && s.z > 0.0) || !std::isfinite(s.x + s.y + s.z))
+        throw DataError(fmt::format("box {}: found a size of {} x {} x {} m, expected all above 0", box.id, s.x, s.y, s.z));
     for (std::size_t i = 0; i < box.world_from_box.pose.size(); ++i) {
         const Pose& pose = box.world_from_box.pose[i];
-        if (!std::isfinite(glm::dot(pose.translation, glm::dvec3(1.0)) + glm::dot(pose.rotation, pose.rotation))) throw DataError(fmt::format("box {}: observation {} is not finite, expected a pose", box.id, i));
+        if (!std::isfinite(glm::dot(pose.translation, glm::dvec3(1.0)) + glm::dot(pose.rotation, pose.rotation)))
+            throw DataError(fmt::format("box {}: observation {} is not finite, expected a pose", box.id, i));
     }
 }
 
@@ -110,7 +119,8 @@ void check_tracks(const Sequence& sequence, const std::string& tracks) {
     for (const BoxTrack& box : sequence.boxes) known.push_back(box.id);
     for (const std::string& track : words_of(tracks))
         if (std::find(known.begin(), known.end(), track) == known.end())
-            throw UsageError(fmt::format("setting init.actor_tracks: found \"{}\", did you mean \"{}\"? (tracks: {})", track, nearest_name(track, known), fmt::join(known, ", ")));
+            throw UsageError(fmt::format("setting init.actor_tracks: found \"{}\", did you mean \"{}\"? (tracks: {})", track,
+                                         nearest_name(track, known), fmt::join(known, ", ")));
 }
 
 /// The other half of what is about as symmetric as vehicles are.
@@ -139,7 +149,8 @@ void pad(std::vector<Sample>& samples, std::size_t n, const BoxTrack& box, std::
 std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& box, const InitialiseOptions& options) {
     if (options.actor_symmetry) add_mirrored(samples);
     samples = thin_out(samples, std::size_t(options.actor_points));
-    if (samples.size() >= std::size_t(options.actor_min_points)) pad(samples, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box, options.seed);
+    if (samples.size() >= std::size_t(options.actor_min_points))
+        pad(samples, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box, options.seed);
     return samples;
 }
 
@@ -151,8 +162,10 @@ struct Sweep {
 
 /// An actor at the moment the head of a LiDAR faces it, the one at which its only transform of the sweep is taken.
 InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_box, const Sweep& sweep) {
-    const Pose world_from_sensor = sequence.world_from_vehicle.at(sweep.time_s, sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor);
-    const double facing_s = facing_time(sequence, inverse(world_from_sensor) * world_from_box.at(sweep.time_s).translation, sweep.time_s, sweep.lidar);
+    const Pose world_from_sensor =
+        sequence.world_from_vehicle.at(sweep.time_s, sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor);
+    const double facing_s =
+        facing_time(sequence, inverse(world_from_sensor) * world_from_box.at(sweep.time_s).translation, sweep.time_s, sweep.lidar);
     return {world_from_box.at(facing_s), true, facing_s};
 }
 
@@ -184,7 +197,8 @@ std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseO
     return boxes;
 }
 
-Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress& progress) {
+Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
+                       const Progress& progress) {
     Scene scene = make_background_scene(initialise_background(sequence, train_positions, options, progress));
     std::vector<BoxTrack> wanted = separate_boxes(sequence, options);
     std::erase_if(wanted, [&](const BoxTrack& box) { return !is_wanted(box, options); });
@@ -195,7 +209,8 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
         if (samples.size() < std::size_t(options.actor_min_points)) continue;
         const Surfels surfels = surfels_from_points(samples, options, sequence.intensity_response.incidence);
         scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
-        scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()), static_cast<std::uint32_t>(surfels.size()), glm::vec3(0.5 * box.size_m + kPointMargin_m)});
+        scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()), static_cast<std::uint32_t>(surfels.size()),
+                                glm::vec3(0.5 * box.size_m + kPointMargin_m)});
         scene.surfels.append(surfels);
     }
     return scene;
@@ -203,7 +218,9 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
 
 std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence, const InitialiseOptions& options) {
     std::vector<BoxTrack> boxes = separate_boxes(sequence, options);
-    std::erase_if(boxes, [&](const BoxTrack& box) { return std::any_of(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.track == box.id; }); });
+    std::erase_if(boxes, [&](const BoxTrack& box) {
+        return std::any_of(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.track == box.id; });
+    });
     return boxes;
 }
 
@@ -230,14 +247,16 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
     });
 }
 
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, const ActorPoses& world_from_actor, int lidar) {
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, const ActorPoses& world_from_actor,
+                                          int lidar) {
     std::vector<std::string> tracks;
     for (const Instance& instance : scene.instances)
         if (!instance.track.empty()) tracks.push_back(instance.track);
     for (const auto& [track, poses] : world_from_actor)
         if (std::find(tracks.begin(), tracks.end(), track) == tracks.end())
-            throw UsageError(fmt::format("placing actors: found a pose of \"{}\", expected a track of the scene{}", track,
-                                         tracks.empty() ? ", which has no actor" : fmt::format("; did you mean \"{}\"?", nearest_name(track, tracks))));
+            throw UsageError(
+                fmt::format("placing actors: found a pose of \"{}\", expected a track of the scene{}", track,
+                            tracks.empty() ? ", which has no actor" : fmt::format("; did you mean \"{}\"?", nearest_name(track, tracks))));
     return place_by(scene, sequence, {time_s, lidar}, [&](const std::string& name) {
         const auto track = world_from_actor.find(name);
         return track == world_from_actor.end() ? nullptr : &track->second;

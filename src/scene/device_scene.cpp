@@ -22,22 +22,26 @@ namespace {
 void check_primitive(Primitive found, const ImageModel& model) {
     if (found == model.primitive) return;
     const bool is_gaussian = found == Primitive::gaussian;
-    throw UsageError(fmt::format("image.primitive={}: the scene is made of {}, expected {}: a scene keeps the primitive it was trained with", is_gaussian ? "surfel" : "gaussian",
-                                 is_gaussian ? "3D Gaussians" : "surfels", is_gaussian ? "image.primitive=gaussian" : "image.primitive=surfel"));
+    throw UsageError(
+        fmt::format("image.primitive={}: the scene is made of {}, expected {}: a scene keeps the primitive it was trained with",
+                    is_gaussian ? "surfel" : "gaussian", is_gaussian ? "3D Gaussians" : "surfels",
+                    is_gaussian ? "image.primitive=gaussian" : "image.primitive=surfel"));
 }
 
 void check_layout(const Scene& scene) {
     std::size_t next = 0;   // kernels find the model of a surfel among ranges in order
     for (const Model& model : scene.models) {
         if (model.first != next)
-            throw DataError(fmt::format("loading scene: model {} starts at surfel {}, expected {}, where the model before ends", model.name, model.first, next));
+            throw DataError(fmt::format("loading scene: model {} starts at surfel {}, expected {}, where the model before ends", model.name,
+                                        model.first, next));
         next += model.count;
     }
     if (next != scene.surfels.size())
         throw DataError(fmt::format("loading scene: the models end at surfel {}, expected {}", next, scene.surfels.size()));
     for (const Instance& instance : scene.instances)
         if (instance.model >= scene.models.size())
-            throw DataError(fmt::format("loading scene: an instance places model {}, expected one of {}", instance.model, scene.models.size()));
+            throw DataError(
+                fmt::format("loading scene: an instance places model {}, expected one of {}", instance.model, scene.models.size()));
 }
 
 std::vector<Constant> activation_constants(bool stage_harmonics) {
@@ -130,7 +134,13 @@ struct DeviceScene::Impl {
         for (std::size_t i = 0; i < placed.size(); ++i) {
             const glm::mat4 m(to_matrix(inverse(placed[i].world_from_model)));
             const Model& model = layout.models[layout.instances[i].model];
-            entries.push_back({{m[0].x, m[1].x, m[2].x, m[3].x}, {m[0].y, m[1].y, m[2].y, m[3].y}, {m[0].z, m[1].z, m[2].z, m[3].z}, model.first, placed[i].present ? model.count : 0u, placements.first_row[i], 0});
+            entries.push_back({{m[0].x, m[1].x, m[2].x, m[3].x},
+                               {m[0].y, m[1].y, m[2].y, m[3].y},
+                               {m[0].z, m[1].z, m[2].z, m[3].z},
+                               model.first,
+                               placed[i].present ? model.count : 0u,
+                               placements.first_row[i],
+                               0});
         }
         return entries;
     }

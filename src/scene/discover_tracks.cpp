@@ -67,7 +67,8 @@ double mismatch(const Track& track, const MoverCluster& cluster) {
 }
 
 /// Links clusters of ascending frames, the best fits of a frame first.
-std::vector<Track> link(const std::vector<std::vector<MoverCluster>>& clusters, const std::vector<double>& frame_times_s, const PoseTrack& world_from_vehicle) {
+std::vector<Track> link(const std::vector<std::vector<MoverCluster>>& clusters, const std::vector<double>& frame_times_s,
+                        const PoseTrack& world_from_vehicle) {
     struct Fit {
         double mismatch;
         std::size_t track, cluster;
@@ -80,8 +81,12 @@ std::vector<Track> link(const std::vector<std::vector<MoverCluster>>& clusters, 
         for (const std::size_t t : open)
             for (std::size_t c = 0; c < clusters[f].size(); ++c)
                 if (const double m = mismatch(tracks[t], clusters[f][c]); m < 1.0) fits.push_back({m, t, c});
-        std::sort(fits.begin(), fits.end(), [](const Fit& a, const Fit& b) { return std::tie(a.mismatch, a.track, a.cluster) < std::tie(b.mismatch, b.track, b.cluster); });
-        const auto observation = [&](std::size_t c) { return Observation{frame_times_s[f], world_from_vehicle.at(clusters[f][c].time_s).translation, clusters[f][c]}; };
+        std::sort(fits.begin(), fits.end(), [](const Fit& a, const Fit& b) {
+            return std::tie(a.mismatch, a.track, a.cluster) < std::tie(b.mismatch, b.track, b.cluster);
+        });
+        const auto observation = [&](std::size_t c) {
+            return Observation{frame_times_s[f], world_from_vehicle.at(clusters[f][c].time_s).translation, clusters[f][c]};
+        };
         std::vector<char> track_taken(tracks.size(), 0), cluster_taken(clusters[f].size(), 0);
         for (const Fit& fit : fits) {
             if (track_taken[fit.track] || cluster_taken[fit.cluster]) continue;
@@ -151,7 +156,8 @@ bool rides_along(const Track& track, const PoseTrack& world_from_vehicle) {
     std::vector<glm::dvec3> places;
     for (const Observation& o : track.seen) places.push_back(inverse(world_from_vehicle.at(o.cluster.time_s)) * o.cluster.centre_m);
     const auto is_near = [&](const glm::dvec3& p) { return glm::distance(p, places[places.size() / 2]) < kRides_m; };
-    return glm::length(places[places.size() / 2]) < kOwnVehicle_m && std::count_if(places.begin(), places.end(), is_near) > std::ptrdiff_t(places.size() * 3 / 4);
+    return glm::length(places[places.size() / 2]) < kOwnVehicle_m &&
+           std::count_if(places.begin(), places.end(), is_near) > std::ptrdiff_t(places.size() * 3 / 4);
 }
 
 /// The longer side of what is seen of something from above.
@@ -184,7 +190,9 @@ bool move_as_one(const Track& whole, const Track& part) {
     const auto common = in_common(whole, part);
     if (2 * common.size() < part.seen.size() || common.size() < 4) return false;
     const auto& [i, j] = common[common.size() / 2];
-    if (std::min(width_seen(whole.seen[i].cluster), width_seen(part.seen[j].cluster)) < kVehicle_m || gap_between(whole.seen[i].cluster, part.seen[j].cluster) > kBesides_m) return false;
+    if (std::min(width_seen(whole.seen[i].cluster), width_seen(part.seen[j].cluster)) < kVehicle_m ||
+        gap_between(whole.seen[i].cluster, part.seen[j].cluster) > kBesides_m)
+        return false;
     glm::dvec3 sum(0.0), squares(0.0);
     for (const auto& [a, b] : common) {
         const glm::dvec3 apart = part.seen[b].cluster.centre_m - whole.seen[a].cluster.centre_m;
@@ -216,12 +224,14 @@ struct Placement {
         return {std::cos(yaw) * d.x + std::sin(yaw) * d.y, -std::sin(yaw) * d.x + std::cos(yaw) * d.y, d.z};
     }
     glm::dvec3 to_world(const glm::dvec3& local) const {
-        return position_m + glm::dvec3(std::cos(yaw) * local.x - std::sin(yaw) * local.y, std::sin(yaw) * local.x + std::cos(yaw) * local.y, local.z);
+        return position_m +
+               glm::dvec3(std::cos(yaw) * local.x - std::sin(yaw) * local.y, std::sin(yaw) * local.x + std::cos(yaw) * local.y, local.z);
     }
 };
 
 /// The same motion without the noise of single frames, at any times.
-std::vector<Placement> smooth_placements(const std::vector<double>& times, const std::vector<Placement>& placed, const std::vector<double>& at_s) {
+std::vector<Placement> smooth_placements(const std::vector<double>& times, const std::vector<Placement>& placed,
+                                         const std::vector<double>& at_s) {
     std::vector<glm::dvec3> positions, turns;
     double unwrapped = placed.front().yaw;
     for (const Placement& p : placed) {
@@ -332,7 +342,8 @@ BoxTrack boxed(const Track& track, const std::vector<Placement>& placed, const s
     for (std::size_t k = 0; k < at_frames.size(); ++k) {
         const double half = 0.5 * at_frames[k].yaw;
         box.world_from_box.time_s.push_back(track.seen[k].frame_time_s);
-        box.world_from_box.pose.push_back({glm::dquat(std::cos(half), 0.0, 0.0, std::sin(half)), at_frames[k].to_world(0.5 * (low + high))});
+        box.world_from_box.pose.push_back(
+            {glm::dquat(std::cos(half), 0.0, 0.0, std::sin(half)), at_frames[k].to_world(0.5 * (low + high))});
     }
     return box;
 }
@@ -352,9 +363,11 @@ bool is_plausible(const BoxTrack& box) {
     for (std::size_t i = 0, j = 0; j < track.pose.size(); ++j) {
         while (track.time_s[j] - track.time_s[i + 1 < j ? i + 1 : i] >= kSpeedOver_s) ++i;
         const double seconds = track.time_s[j] - track.time_s[i];
-        if (seconds >= kSpeedOver_s) fastest = std::max(fastest, glm::distance(track.pose[j].translation, track.pose[i].translation) / seconds);
+        if (seconds >= kSpeedOver_s)
+            fastest = std::max(fastest, glm::distance(track.pose[j].translation, track.pose[i].translation) / seconds);
     }
-    return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m && fastest > kSlowest_mps && fastest < kFastest_mps;
+    return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m && fastest > kSlowest_mps &&
+           fastest < kFastest_mps;
 }
 
 /// The box of a track of which other frames say that it moved, without what they say stayed; nothing where they do not say so.
@@ -386,7 +399,8 @@ bool is_part_of(const BoxTrack& part, const BoxTrack& whole) {
 }
 
 std::vector<BoxTrack> without_parts(std::vector<BoxTrack> boxes) {
-    std::stable_sort(boxes.begin(), boxes.end(), [](const BoxTrack& a, const BoxTrack& b) { return a.world_from_box.time_s.size() > b.world_from_box.time_s.size(); });
+    std::stable_sort(boxes.begin(), boxes.end(),
+                     [](const BoxTrack& a, const BoxTrack& b) { return a.world_from_box.time_s.size() > b.world_from_box.time_s.size(); });
     std::vector<BoxTrack> kept;
     for (const BoxTrack& box : boxes)
         if (std::none_of(kept.begin(), kept.end(), [&](const BoxTrack& other) { return is_part_of(box, other); })) kept.push_back(box);
@@ -395,13 +409,15 @@ std::vector<BoxTrack> without_parts(std::vector<BoxTrack> boxes) {
 
 }  // namespace
 
-std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress& progress) {
+std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
+                                      const Progress& progress) {
     std::vector<int> positions = train_positions;   // of the first LiDAR: two at one time would see a mover twice
     std::erase_if(positions, [&](int position) { return sequence.frames[std::size_t(position)].lidar != 0; });
     std::vector<double> times;
     for (const int position : positions) times.push_back(sequence.frames[std::size_t(position)].time_s);
     const Visibility visibility(sequence, positions);
-    std::vector<Track> tracks = link(find_mover_clusters(sequence, positions, visibility, options, progress), times, sequence.world_from_vehicle);
+    std::vector<Track> tracks =
+        link(find_mover_clusters(sequence, positions, visibility, options, progress), times, sequence.world_from_vehicle);
     std::erase_if(tracks, [&](const Track& track) { return !moves(track) || rides_along(track, sequence.world_from_vehicle); });
     join_parts(tracks);
     std::vector<std::optional<BoxTrack>> found(tracks.size());

@@ -23,7 +23,8 @@ namespace relidar {
 
 namespace {
 
-constexpr double kGoneShare = 0.25;   // of the frames that see a place: with 1, what stood for a while stays as a ghost (RMSE 2.28 instead of 2.12 m on KITTI 0005)
+// of the frames that see a place: with 1, what stood for a while stays as a ghost (RMSE 2.28 instead of 2.12 m on KITTI 0005)
+constexpr double kGoneShare = 0.25;
 
 /// Running means of the samples of one voxel.
 struct Voxel {
@@ -40,7 +41,8 @@ struct Cell {
 };
 struct CellHash {
     std::size_t operator()(const Cell& c) const {
-        return hash64(hash64(std::uint64_t(std::uint32_t(c.x)) << 32 | std::uint32_t(c.y)) ^ (std::uint64_t(std::uint32_t(c.z)) << 8 | std::uint32_t(c.level)));
+        return hash64(hash64(std::uint64_t(std::uint32_t(c.x)) << 32 | std::uint32_t(c.y)) ^
+                      (std::uint64_t(std::uint32_t(c.z)) << 8 | std::uint32_t(c.level)));
     }
 };
 
@@ -52,7 +54,8 @@ bool is_in(const BoxTrack& box, const WorldReturn& w, const InitialiseOptions& o
 }
 
 /// Points of one frame in the world, each from where the sensor was when it fired.
-std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& separate, const InitialiseOptions& options) {
+std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& separate,
+                                  const InitialiseOptions& options) {
     std::vector<Sample> samples;
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
@@ -70,7 +73,8 @@ public:
     SensorPlaces(const Sequence& sequence, const std::vector<int>& positions) {
         for (const int position : positions) {
             const Frame& frame = sequence.frames[std::size_t(position)];
-            places_.m.push_back(glm::vec3(sequence.world_from_vehicle.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation));
+            places_.m.push_back(
+                glm::vec3(sequence.world_from_vehicle.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation));
         }
         tree_.emplace(3, places_, nanoflann::KDTreeSingleIndexAdaptorParams(8));
     }
@@ -90,7 +94,8 @@ private:
         bool kdtree_get_bbox(Box&) const { return false; }
     };
     Places places_;
-    std::optional<nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Places>, Places, 3, std::size_t>> tree_;   // of places_
+    // of places_
+    std::optional<nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Places>, Places, 3, std::size_t>> tree_;
 };
 
 /// Voxel edge at a point: voxel_m, doubled where the point is far from every sensor position (voxel_growth > 0).
@@ -111,14 +116,16 @@ struct Placed {
     Cell cell;
 };
 
-std::vector<Placed> placed_samples(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& separate, const SensorPlaces& sensors, const InitialiseOptions& options) {
+std::vector<Placed> placed_samples(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& separate,
+                                   const SensorPlaces& sensors, const InitialiseOptions& options) {
     std::vector<Placed> placed;
     for (const Sample& s : frame_samples(sequence, frame, separate, options)) placed.push_back({s, cell_of(s.position, sensors, options)});
     return placed;
 }
 
 /// Voxel means in a reproducible order: that of first appearance. A few frames at a time, so that memory grows with the voxels alone.
-std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>& train, const InitialiseOptions& options, const Progress& progress) {
+std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>& train, const InitialiseOptions& options,
+                                const Progress& progress) {
     constexpr std::size_t kFrames = 16;
     const std::vector<BoxTrack> separate = separate_boxes(sequence, options);
     const SensorPlaces sensors(sequence, train);
@@ -128,7 +135,8 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
         if (progress) progress("points of the background", double(begin) / double(train.size()));
         std::vector<std::vector<Placed>> frames(std::min(kFrames, train.size() - begin));
         run_parallel(static_cast<int>(frames.size()), [&](int i) {
-            frames[std::size_t(i)] = placed_samples(sequence, sequence.frames[std::size_t(train[begin + std::size_t(i)])], separate, sensors, options);
+            frames[std::size_t(i)] =
+                placed_samples(sequence, sequence.frames[std::size_t(train[begin + std::size_t(i)])], separate, sensors, options);
         });
         for (const std::vector<Placed>& frame : frames)
             for (const auto& [s, cell] : frame) {
@@ -143,12 +151,14 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
     }
     std::vector<Sample> means;
     for (const Voxel& v : voxels)
-        means.push_back({glm::vec3(v.position / double(v.count)), static_cast<float>(v.intensity / v.count), glm::vec3(v.view / std::max(glm::length(v.view), 1e-12))});
+        means.push_back({glm::vec3(v.position / double(v.count)), static_cast<float>(v.intensity / v.count),
+                         glm::vec3(v.view / std::max(glm::length(v.view), 1e-12))});
     return means;
 }
 
 /// Leaves out samples that other frames see through.
-std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Sequence& sequence, const std::vector<int>& train, const Progress& progress) {
+std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Sequence& sequence, const std::vector<int>& train,
+                                   const Progress& progress) {
     const Visibility visibility(sequence, train);
     std::vector<char> keep(samples.size());
     for_each_block_told(samples.size(), progress, "what did not stay", [&](std::size_t i) {
@@ -162,11 +172,14 @@ std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Seq
 
 }  // namespace
 
-Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options, const Progress& progress) {
+Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
+                              const Progress& progress) {
     std::vector<Sample> samples = voxel_means(sequence, train_positions, options, progress);
     if (options.remove_unlabelled_movers) samples = without_movers(samples, sequence, train_positions, progress);
     if (samples.empty())
-        throw DataError(fmt::format("initialising the background of {}: found no return outside moving boxes in {} training frames, expected at least one", sequence.name, train_positions.size()));
+        throw DataError(fmt::format(
+            "initialising the background of {}: found no return outside moving boxes in {} training frames, expected at least one",
+            sequence.name, train_positions.size()));
     return surfels_from_points(samples, options, sequence.intensity_response.incidence, progress);
 }
 

@@ -24,8 +24,8 @@ constexpr double kSeenThroughShare = 0.25;   // of the frames that see a cell: w
 constexpr int kSeldomSeen = 3;           // frames: what rests is seen by more, unless it is far or hidden
 constexpr double kMovedShare = 0.15;      // of the returns of a group
 
-/// What the frames say of a cell. Where few frames look, as at the end of a log, nothing sees through a part of what moves: that part is taken
-/// in with the rest.
+/// What the frames say of a cell. Where few frames look, as at the end of a log, nothing sees through a part of what moves: that part is
+/// taken in with the rest.
 enum class Motion : char { rests, seldom_seen, moved };
 
 /// A return of a frame.
@@ -36,8 +36,8 @@ struct Return {
     Motion motion = Motion::rests;
 };
 
-/// Boxes of which a frame may see something. What is labelled needs no discovery: where it moves, at its time; and what stands as long as it
-/// is labelled stands before and after as well.
+/// Boxes of which a frame may see something. What is labelled needs no discovery: where it moves, at its time; and what stands as long as
+/// it is labelled stands before and after as well.
 std::vector<BoxTrack> labelled_at(const Sequence& sequence, double time_s, const InitialiseOptions& options) {
     std::vector<BoxTrack> boxes;
     for (const BoxTrack& box : sequence.boxes) {
@@ -59,7 +59,9 @@ std::vector<Return> returns_of(const Sequence& sequence, const Frame& frame, con
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kMaxRange_m)) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
-        if (std::none_of(labelled.begin(), labelled.end(), [&](const BoxTrack& box) { return box.holds(w.point_m, w.time_s, options.actor_margin_m); })) result.push_back({glm::vec3(w.point_m), w.time_s, 0, Motion::rests});
+        if (std::none_of(labelled.begin(), labelled.end(),
+                         [&](const BoxTrack& box) { return box.holds(w.point_m, w.time_s, options.actor_margin_m); }))
+            result.push_back({glm::vec3(w.point_m), w.time_s, 0, Motion::rests});
     }
     return result;
 }
@@ -121,7 +123,8 @@ std::vector<MoverCluster> group(const std::vector<Return>& returns) {
         const double n = double(cluster.points_m.size());
         cluster.time_s /= n;
         cluster.centre_m /= n;
-        if (n_moved >= kMinPoints && n_moved >= kMovedShare * n && glm::length(glm::dvec2(high - low)) < kMaxLength_m) clusters.push_back(std::move(cluster));
+        if (n_moved >= kMinPoints && n_moved >= kMovedShare * n && glm::length(glm::dvec2(high - low)) < kMaxLength_m)
+            clusters.push_back(std::move(cluster));
     }
     return clusters;
 }
@@ -135,14 +138,20 @@ void MoverCluster::take_in(const MoverCluster& other) {
     points_m.insert(points_m.end(), other.points_m.begin(), other.points_m.end());
 }
 
-std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions, const Visibility& visibility, const InitialiseOptions& options, const Progress& progress) {
+std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions,
+                                                           const Visibility& visibility, const InitialiseOptions& options,
+                                                           const Progress& progress) {
     std::vector<std::vector<Return>> frames(positions.size());
-    run_parallel(static_cast<int>(positions.size()), [&](int i) { frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])], options); });
+    run_parallel(static_cast<int>(positions.size()), [&](int i) {
+        frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])], options);
+    });
     const std::vector<glm::vec3> cells = number_cells(frames);
     std::vector<Motion> motion(cells.size());
     for_each_block_told(cells.size(), progress, "what moved", [&](std::size_t i) {
         const Visibility::Votes votes = visibility.votes(cells[i]);
-        motion[i] = votes.is_seen_through(kSeenThroughShare) ? Motion::moved : votes.seen <= kSeldomSeen ? Motion::seldom_seen : Motion::rests;
+        motion[i] = votes.is_seen_through(kSeenThroughShare) ? Motion::moved
+                    : votes.seen <= kSeldomSeen              ? Motion::seldom_seen
+                                                             : Motion::rests;
     });
     std::vector<std::vector<MoverCluster>> clusters(frames.size());
     run_parallel(static_cast<int>(frames.size()), [&](int i) {

@@ -21,7 +21,8 @@ struct MoverCluster {
 };
 
 /// @param positions  frames that are looked at, ascending @param visibility  of these frames @return [positions] clusters of each
-std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions, const Visibility& visibility, const InitialiseOptions& options,
+std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions,
+                                                           const Visibility& visibility, const InitialiseOptions& options,
                                                            const Progress& progress);
 
 }  // namespace relidar

@@ -74,13 +74,14 @@ glm::dvec3 random_direction(Random& random) {
     return d / std::max(glm::length(d), 1e-12);
 }
 
-/// Intensity a (1 - q (1 - cos)) with cos = -n . d for rays of direction d towards the surface: harmonics of degrees 0 and 1. What was seen at a
-/// grazing angle says little of a. @param normal zero where there is none: as bright from every side
+/// Intensity a (1 - q (1 - cos)) with cos = -n . d for rays of direction d towards the surface: harmonics of degrees 0 and 1. What was seen
+/// at a grazing angle says little of a. @param normal zero where there is none: as bright from every side
 void fill_intensity(float* sh, const Sample& sample, const glm::dvec3& normal, double incidence) {
     constexpr double kGrazing = 0.1;
     const double facing = -glm::dot(normal, glm::normalize(glm::dvec3(sample.view)));
     const glm::dvec3 n = facing < 0.0 ? -normal : normal;
-    const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence, albedo = double(sample.intensity) / (1.0 - q * (1.0 - std::max(std::abs(facing), kGrazing)));
+    const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence,
+                 albedo = double(sample.intensity) / (1.0 - q * (1.0 - std::max(std::abs(facing), kGrazing)));
     const glm::dvec3 slope = -albedo * q / kSh1 * n;   // of a direction's y, z, x
     sh[0] = (static_cast<float>(albedo * (1.0 - q)) - 0.5f) / kSh0;
     sh[1] = static_cast<float>(-slope.y);
@@ -89,7 +90,8 @@ void fill_intensity(float* sh, const Sample& sample, const glm::dvec3& normal, d
 }
 
 /// Fills surfel i from its sample and neighbours.
-void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& samples, const Tree& tree, const InitialiseOptions& options, double incidence) {
+void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& samples, const Tree& tree, const InitialiseOptions& options,
+                 double incidence) {
     const std::size_t k = std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
     std::vector<std::size_t> found(k);
     std::vector<float> distance2(k);
@@ -103,7 +105,8 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
     Plane plane{{}, random_direction(random)};
     if (options.normals && found.size() >= 3) plane = fit_plane(samples, found, samples[i].view);
     surfels.mean[i] = samples[i].position;
-    if (options.smooth && plane.is_surface) surfels.mean[i] -= glm::vec3(glm::dot(glm::dvec3(samples[i].position) - plane.point, plane.normal) * plane.normal);
+    if (options.smooth && plane.is_surface)
+        surfels.mean[i] -= glm::vec3(glm::dot(glm::dvec3(samples[i].position) - plane.point, plane.normal) * plane.normal);
     surfels.rotation[i] = rotation_to(plane.normal, random.uniform(0.0, 2.0 * kPi));
     surfels.log_scale[i] = glm::vec2(static_cast<float>(std::log(std::clamp(scale * options.scale_factor, 1e-3, options.max_scale_m))));
     surfels.opacity_logit[i] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
@@ -115,13 +118,15 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
 
 }  // namespace
 
-Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options, double incidence, const Progress& progress) {
+Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options, double incidence,
+                            const Progress& progress) {
     const Cloud cloud{samples};
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(16));
     Surfels surfels;
     surfels.resize(samples.size());
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
-    for_each_block_told(samples.size(), progress, "normals", [&](std::size_t i) { fill_surfel(surfels, i, samples, tree, options, incidence); });
+    for_each_block_told(samples.size(), progress, "normals",
+                        [&](std::size_t i) { fill_surfel(surfels, i, samples, tree, options, incidence); });
     return surfels.permuted(kd_order(surfels.mean));
 }
 

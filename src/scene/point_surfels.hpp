@@ -18,6 +18,7 @@ struct Sample {
 
 /// One surfel a sample, in kd order. Where normals are found, intensity starts with the fall with incidence of the log's surfaces.
 /// @param samples at least one @param incidence of IntensityResponse
-Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options, double incidence, const Progress& progress = {});
+Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options, double incidence,
+                            const Progress& progress = {});
 
 }  // namespace relidar

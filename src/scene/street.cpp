@@ -148,7 +148,8 @@ glm::dvec4 quaternion_of(const glm::dvec3& x, const glm::dvec3& y, const glm::dv
 }
 
 /// Normals scatter about the rectangle's; the angle in the plane is uniform.
-void draw_rotations(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index, LegacyRandom& random, Surfels& surfels) {
+void draw_rotations(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index, LegacyRandom& random,
+                    Surfels& surfels) {
     std::vector<glm::dvec3> normal(index.size());
     for (std::size_t i = 0; i < index.size(); ++i) {
         glm::dvec3 noise;
@@ -222,7 +223,8 @@ RayTable make_benchmark_rays(int rows, int columns, double top_deg, double botto
         const double elevation = (top_deg + (row + 0.5) / rows * (bottom_deg - top_deg)) * (kPi / 180.0);
         for (int column = 0; column < columns; ++column) {
             const double azimuth = kPi - (column + 0.5) / columns * 2.0 * kPi;
-            table.direction.emplace_back(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
+            table.direction.emplace_back(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth),
+                                         std::sin(elevation));
             table.channel.push_back(std::uint16_t(row));
         }
     }

@@ -28,7 +28,8 @@ SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::strin
 
 void SurfelArrays::upload(const Surfels& s) {
     s.check_shapes();
-    if (s.size() > 0 && s.primitive() != primitive) throw DataError("uploading surfels: found another primitive than the arrays are for, expected the same");
+    if (s.size() > 0 && s.primitive() != primitive)
+        throw DataError("uploading surfels: found another primitive than the arrays are for, expected the same");
     for (const ParameterGroup& group : groups_of(primitive)) (this->*group.device).upload(group.values(s));
 }
 

@@ -16,20 +16,23 @@ namespace relidar {
 void Surfels::resize(std::size_t n, Primitive primitive) {
     const std::span<const ParameterGroup> groups = groups_of(primitive);
     for (const ParameterGroup& group : groups) group.resize(*this, n * group.floats());
-    for (const ParameterGroup& group : std::span(kParameterGroups).subspan(groups.size())) group.resize(*this, 0);   // not of this primitive
+    for (const ParameterGroup& group : std::span(kParameterGroups).subspan(groups.size())) group.resize(*this, 0);  // not of this primitive
 }
 
 void Surfels::check_shapes() const {
     for (const ParameterGroup& group : groups_of(primitive())) {
         const std::size_t found = group.values(*this).size(), expected = size() * group.floats();
         if (found != expected)
-            throw DataError(fmt::format("reading surfels: {} has {} values, expected {}: {} for each of the {} means", group.name, found, expected, group.floats(), size()));
+            throw DataError(fmt::format("reading surfels: {} has {} values, expected {}: {} for each of the {} means", group.name, found,
+                                        expected, group.floats(), size()));
     }
 }
 
 void Surfels::append(const Surfels& other) {
     if (size() > 0 && other.size() > 0 && primitive() != other.primitive())
-        throw DataError(fmt::format("joining {} surfels and {}: found 3D Gaussians beside surfels, expected one primitive (image.primitive)", size(), other.size()));
+        throw DataError(
+            fmt::format("joining {} surfels and {}: found 3D Gaussians beside surfels, expected one primitive (image.primitive)", size(),
+                        other.size()));
     for (const ParameterGroup& group : kParameterGroups) {
         const std::size_t before = group.values(*this).size();
         const std::span<const float> more = group.values(other);
@@ -58,7 +61,8 @@ Surfels Surfels::slice(std::size_t first, std::size_t count) const {
 
 void make_gaussians(Surfels& surfels, double thickness) {
     surfels.log_scale_w.clear();
-    for (const glm::vec2& s : surfels.log_scale) surfels.log_scale_w.push_back(0.5f * (s.x + s.y) + static_cast<float>(std::log(thickness)));
+    for (const glm::vec2& s : surfels.log_scale)
+        surfels.log_scale_w.push_back(0.5f * (s.x + s.y) + static_cast<float>(std::log(thickness)));
 }
 
 Scene layout_of(const Scene& scene) { return {{}, scene.models, scene.instances, scene.sensor_drop}; }
@@ -88,7 +92,8 @@ std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points) {
         const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
         const std::size_t middle = (first + last) / 2;
         std::nth_element(order.begin() + static_cast<std::ptrdiff_t>(first), order.begin() + static_cast<std::ptrdiff_t>(middle),
-                         order.begin() + static_cast<std::ptrdiff_t>(last), [&](std::uint32_t a, std::uint32_t b) { return points[a][axis] < points[b][axis]; });
+                         order.begin() + static_cast<std::ptrdiff_t>(last),
+                         [&](std::uint32_t a, std::uint32_t b) { return points[a][axis] < points[b][axis]; });
         ranges.push_back({first, middle});
         ranges.push_back({middle, last});
     }

@@ -28,10 +28,17 @@ RangeGrid grid_over(const SpinningSensor& sensor) {
         high = std::max(high, beam.elevation_rad);
     }
     const double margin = 0.02;
-    return {"visibility", std::min<int>(kRows, std::max<int>(1, static_cast<int>(sensor.beams.size()))), kColumns, high + margin, high - low + 2.0 * margin, 1e6};
+    return {"visibility",
+            std::min<int>(kRows, std::max<int>(1, static_cast<int>(sensor.beams.size()))),
+            kColumns,
+            high + margin,
+            high - low + 2.0 * margin,
+            1e6};
 }
 
-glm::dvec3 tile_centre(const glm::dvec3& p) { return kTile_m * (glm::floor(glm::dvec3(p.x, p.y, 0.0) / kTile_m) + glm::dvec3(0.5, 0.5, 0.0)); }
+glm::dvec3 tile_centre(const glm::dvec3& p) {
+    return kTile_m * (glm::floor(glm::dvec3(p.x, p.y, 0.0) / kTile_m) + glm::dvec3(0.5, 0.5, 0.0));
+}
 
 /// Every so many-th of them, so that at most kMostViews are left.
 void thin_out(std::vector<std::uint32_t>& views) {
@@ -46,7 +53,8 @@ void thin_out(std::vector<std::uint32_t>& views) {
 Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positions)
     : views_(positions.size()) {
     for (const Lidar& lidar : sequence.lidars) grids_.push_back(grid_over(lidar.sensor));
-    run_parallel(static_cast<int>(positions.size()), [&](int i) { views_[std::size_t(i)] = make_view(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])]); });
+    run_parallel(static_cast<int>(positions.size()),
+                 [&](int i) { views_[std::size_t(i)] = make_view(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])]); });
     sort_by_tile(sequence);
 }
 
@@ -58,7 +66,8 @@ Visibility::View Visibility::make_view(const Sequence& sequence, const Frame& fr
     const int n_sectors = sequence.rolling_shutter ? kSectors : 1;
     for (int sector = 0; sector < n_sectors; ++sector) {
         const double azimuth = 2.0 * kPi * ((sector + 0.5) / n_sectors - 0.5);
-        view.sensor_from_world.push_back(inverse(sequence.world_from_vehicle.at(facing_time(sequence, {std::cos(azimuth), std::sin(azimuth), 0.0}, frame.time_s, frame.lidar), mounted)));
+        view.sensor_from_world.push_back(inverse(sequence.world_from_vehicle.at(
+            facing_time(sequence, {std::cos(azimuth), std::sin(azimuth), 0.0}, frame.time_s, frame.lidar), mounted)));
     }
     std::vector<glm::vec3> points;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
@@ -81,11 +90,14 @@ void Visibility::sort_by_tile(const Sequence& sequence) {
         for (double dx = -farthest; dx <= farthest; dx += kTile_m)
             for (double dy = -farthest; dy <= farthest; dy += kTile_m) {
                 const glm::dvec3 tile = tile_centre(sensor + glm::dvec3(dx, dy, 0.0));
-                if (const double distance = glm::distance(tile, sensor); distance < farthest) tiles[cell_key(tile, kTile_m)].push_back({v, distance});
+                if (const double distance = glm::distance(tile, sensor); distance < farthest)
+                    tiles[cell_key(tile, kTile_m)].push_back({v, distance});
             }
     }
     for (const auto& [key, seen] : tiles) {
-        const double nearest = std::min_element(seen.begin(), seen.end(), [](const Seen& a, const Seen& b) { return a.distance_m < b.distance_m; })->distance_m;
+        const double nearest = std::min_element(seen.begin(), seen.end(), [](const Seen& a, const Seen& b) {
+                                   return a.distance_m < b.distance_m;
+                               })->distance_m;
         std::vector<std::uint32_t>& views = near_[key];
         for (const Seen& s : seen)
             if (s.distance_m <= std::max(kNear_m, kHardlyFarther * nearest)) views.push_back(s.view);
@@ -112,7 +124,8 @@ Visibility::Surroundings Visibility::around(const View& view, const glm::dvec3& 
     const int row = *pixel / grid.columns, column = *pixel % grid.columns;
     for (int r = std::max(row - 1, 0); r <= std::min(row + 1, grid.rows - 1); ++r)
         for (int c = column - 1; c <= column + 1; ++c)
-            if (const float value = view.range_m[std::size_t(r * grid.columns + (c + grid.columns) % grid.columns)]; value > 0.0f) result.returned_m[result.n++] = value;
+            if (const float value = view.range_m[std::size_t(r * grid.columns + (c + grid.columns) % grid.columns)]; value > 0.0f)
+                result.returned_m[result.n++] = value;
     return result;
 }
 
@@ -127,7 +140,8 @@ Sight Visibility::look(std::uint32_t view, const glm::dvec3& point_m) const {
 
 bool Visibility::has_return_at(std::uint32_t view, const glm::dvec3& point_m, double tolerance_m) const {
     const Surroundings here = around(views_[view], point_m);
-    return std::any_of(here.returned_m, here.returned_m + here.n, [&](float returned) { return std::abs(returned - here.range_m) < tolerance_m; });
+    return std::any_of(here.returned_m, here.returned_m + here.n,
+                       [&](float returned) { return std::abs(returned - here.range_m) < tolerance_m; });
 }
 
 Visibility::Votes Visibility::votes(const glm::vec3& point_m) const {

@@ -13,8 +13,8 @@ namespace relidar {
 
 enum class Sight : char { nothing, seen, seen_through };
 
-/// Range images of some frames. A point asks at most 64 of them, so that the cost of many points grows with their number alone: frames whose
-/// sensor was within 40 m, or little farther than the nearest was, evenly spread in time.
+/// Range images of some frames. A point asks at most 64 of them, so that the cost of many points grows with their number alone: frames
+/// whose sensor was within 40 m, or little farther than the nearest was, evenly spread in time.
 class Visibility {
 public:
     Visibility(const Sequence& sequence, const std::vector<int>& positions);

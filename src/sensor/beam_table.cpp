@@ -90,11 +90,13 @@ void add_beam(SpinningSensor& sensor, const Values& v, const std::string& where)
         sensor.max_range_m = v[kMaxRange];
     }
     if (v[kMinRange] != sensor.min_range_m || v[kMaxRange] != sensor.max_range_m) {
-        throw DataError(fmt::format("{}: found ranges of {} to {} m, expected {} to {} m as in the first line: limits are those of the sensor",
-                                    where, v[kMinRange], v[kMaxRange], sensor.min_range_m, sensor.max_range_m));
+        throw DataError(
+            fmt::format("{}: found ranges of {} to {} m, expected {} to {} m as in the first line: limits are those of the sensor", where,
+                        v[kMinRange], v[kMaxRange], sensor.min_range_m, sensor.max_range_m));
     }
     if (!(v[kMinRange] < v[kMaxRange])) {
-        throw DataError(fmt::format("{}: found ranges of {} to {} m, expected min_range_m below max_range_m", where, v[kMinRange], v[kMaxRange]));
+        throw DataError(
+            fmt::format("{}: found ranges of {} to {} m, expected min_range_m below max_range_m", where, v[kMinRange], v[kMaxRange]));
     }
     if (!sensor.beams.empty() && beam.elevation_rad > sensor.beams.back().elevation_rad) {
         throw DataError(fmt::format("{}: elevation_deg rises, expected rows from the highest beam down", where));
@@ -115,8 +117,9 @@ BeamTableName parse_beam_table_name(const std::string& name) {
     const auto rate_hz = x < suffix.size() ? parse_number(suffix.substr(x + 1)) : std::optional<double>(table.rate_hz);
     if (!columns || !rate_hz) return table;  // a colon of the path itself
     if (!(*columns >= 1.0 && *columns <= kMaxColumns) || *columns != std::floor(*columns) || !(*rate_hz > 0.0 && *rate_hz <= kMaxRate_hz)) {
-        throw UsageError(fmt::format("sensor '{}': {} columns at {} Hz, expected a whole number from 1 to {} and a rate above 0, at most {}", name,
-                                     *columns, *rate_hz, kMaxColumns, kMaxRate_hz));
+        throw UsageError(
+            fmt::format("sensor '{}': {} columns at {} Hz, expected a whole number from 1 to {} and a rate above 0, at most {}", name,
+                        *columns, *rate_hz, kMaxColumns, kMaxRate_hz));
     }
     table.path = name.substr(0, colon);
     table.columns = static_cast<int>(*columns);
@@ -129,7 +132,8 @@ SpinningSensor read_beam_table(const BeamTableName& name) {
     const std::vector<std::string> lines = split_lines(read_file(name.path));
     const std::vector<std::string_view> header = lines.empty() ? std::vector<std::string_view>{} : split_commas(lines[0]);
     const Columns at = find_fields(header, path);
-    if (at[kElevation] < 0) throw DataError(fmt::format("{}: no column 'elevation_deg' in the first line, expected a CSV beam table", path));
+    if (at[kElevation] < 0)
+        throw DataError(fmt::format("{}: no column 'elevation_deg' in the first line, expected a CSV beam table", path));
 
     SpinningSensor sensor;
     sensor.name = name.path.stem().string();

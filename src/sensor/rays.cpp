@@ -47,7 +47,8 @@ void check(const SpinningSensor& sensor) {
     }
     for (std::size_t b = 0; b < sensor.beams.size(); ++b) {
         const Beam& beam = sensor.beams[b];
-        const double sum = beam.elevation_rad + beam.azimuth_offset_rad + beam.origin_offset_m + beam.origin_up_m + beam.origin_left_m + beam.intensity_gain + beam.intensity_offset + beam.range_offset_m;
+        const double sum = beam.elevation_rad + beam.azimuth_offset_rad + beam.origin_offset_m + beam.origin_up_m + beam.origin_left_m +
+                           beam.intensity_gain + beam.intensity_offset + beam.range_offset_m;
         if (!std::isfinite(sum)) fail(fmt::format("beam {} holds a value that is not finite", b));
     }
 }

@@ -31,7 +31,8 @@ std::vector<Seen> returns_of(const Sequence& sequence, const Frame& frame) {
         const auto beam = beam_that_saw(sequence, frame, ray, sequence.lidar_of(frame).sensor.max_range_m);
         if (!beam) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
-        result.push_back({w.point_m, glm::vec3(w.direction), {0, *beam, surface_return(sequence, frame, ray).range_m, 0.0f, scan.intensity[ray]}});
+        result.push_back(
+            {w.point_m, glm::vec3(w.direction), {0, *beam, surface_return(sequence, frame, ray).range_m, 0.0f, scan.intensity[ray]}});
     }
     return result;
 }
@@ -54,7 +55,8 @@ Surfaces surfaces_of(const std::vector<std::vector<Seen>>& frames) {
 }  // namespace
 
 PlaceReturns returns_of_places(const Sequence& sequence, const std::vector<int>& positions) {
-    std::vector<std::vector<Seen>> frames = read_frames(sequence, positions, kMostReturns, [&](const Frame& frame) { return returns_of(sequence, frame); });
+    std::vector<std::vector<Seen>> frames =
+        read_frames(sequence, positions, kMostReturns, [&](const Frame& frame) { return returns_of(sequence, frame); });
     const Surfaces surfaces = surfaces_of(frames);
     std::unordered_map<std::uint64_t, std::uint32_t> number;
     std::vector<std::uint32_t> count;

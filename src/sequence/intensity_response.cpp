@@ -20,7 +20,7 @@ namespace {
 
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
 constexpr std::size_t kReference = 3;       // of the knots: where rho is 1
-constexpr double kPriorReturns = 200.0;     // a beam starts as if so many of its returns had followed the mean beam; a knot, a straight line
+constexpr double kPriorReturns = 200.0;  // a beam starts as if so many of its returns had followed the mean beam; a knot, a straight line
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
 constexpr double kLeastGain = 0.95;         // what does not bring the error down to this share of what it was is not there
 constexpr int kSteps = 12;
@@ -82,7 +82,8 @@ struct Row {
 Row row_of(const Model& m, const Layout& at, const PlaceReturn& r) {
     const Response& beam = m.beams[r.beam];
     const auto [knot, s] = knot_at(r.range_m);
-    const double rho = m.shared.at_range(r.range_m), kappa = m.shared.at_cosine(r.cosine), albedo = m.albedo[r.place], mean_beam = albedo * rho * kappa;
+    const double rho = m.shared.at_range(r.range_m), kappa = m.shared.at_cosine(r.cosine), albedo = m.albedo[r.place],
+                 mean_beam = albedo * rho * kappa;
     Row row{{}, 0, beam.gain * rho * kappa, double(r.intensity) - beam.gain * mean_beam - beam.offset};
     if (at.parts.shared) {
         row.add(at.factor(knot), beam.gain * albedo * kappa * (1.0 - s));
@@ -138,9 +139,10 @@ System system_of(const Model& m, const Layout& at, const PlaceReturns& returns) 
 void add_priors(System& sys, const Model& m, const Layout& at) {
     const auto pull = [&](Eigen::Index i, double weight, double error) { sys.h(i, i) += weight, sys.g[i] += weight * error; };
     const double prior = kPriorReturns * (sys.mean * sys.mean + sys.spread * sys.spread);
-    for (std::size_t k = 1; at.parts.shared && k + 1 < kKnots_m.size(); ++k) {   // what few returns say continues the line of its neighbours
+    for (std::size_t k = 1; at.parts.shared && k + 1 < kKnots_m.size(); ++k) {  // what few returns say continues the line of its neighbours
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
-        const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after), now(m.shared.factor[k - 1], m.shared.factor[k], m.shared.factor[k + 1]);
+        const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
+                              now(m.shared.factor[k - 1], m.shared.factor[k], m.shared.factor[k + 1]);
         sys.h.block<3, 3>(at.factor(k - 1), at.factor(k - 1)) += prior * bend * bend.transpose();
         sys.g.segment<3>(at.factor(k - 1)) -= prior * bend * bend.dot(now);
     }
@@ -160,7 +162,8 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
 
 void take_step(Model& m, const Layout& at, const Eigen::VectorXd& step) {
     if (at.parts.shared) {
-        for (std::size_t k = 0; k < m.shared.factor.size(); ++k) m.shared.factor[k] = std::clamp(m.shared.factor[k] + step[at.factor(k)], kMinFactor, kMaxFactor);
+        for (std::size_t k = 0; k < m.shared.factor.size(); ++k)
+            m.shared.factor[k] = std::clamp(m.shared.factor[k] + step[at.factor(k)], kMinFactor, kMaxFactor);
         m.shared.incidence = std::clamp(m.shared.incidence + step[at.incidence()], 0.0, kMaxIncidence);
     }
     for (std::size_t b = 0; at.parts.beams && b < m.beams.size(); ++b) {
@@ -185,7 +188,8 @@ double error_of(const Model& m, const PlaceReturns& returns) {
     double squares = 0.0;
     for (const PlaceReturn& r : returns.seen) {
         const Response& beam = m.beams[r.beam];
-        const double error = beam.gain * m.albedo[r.place] * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine) + beam.offset - double(r.intensity);
+        const double error =
+            beam.gain * m.albedo[r.place] * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine) + beam.offset - double(r.intensity);
         squares += error * error;
     }
     return std::sqrt(squares / double(returns.seen.size()));
@@ -242,7 +246,8 @@ IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<i
     const auto better = [](const Model& a, const Model& b) { return a.rms < kLeastGain * b.rms; };
     Model best = fitted(returns, n, {false, false});
     result.rms_before = best.rms;
-    const Model shared = fitted(returns, n, {true, false}), each_beam = fitted(returns, n, {false, true}), both = fitted(returns, n, {true, true});
+    const Model shared = fitted(returns, n, {true, false}), each_beam = fitted(returns, n, {false, true}),
+                both = fitted(returns, n, {true, true});
     const bool first_shared = shared.rms <= each_beam.rms;
     const Model& single = first_shared ? shared : each_beam;
     if (better(single, best)) best = single, result.shared = first_shared, result.beams = !first_shared;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scatter of ranges by range and incidence, from second differences along a beam's own sweep, which hold no pose, no other beam and, on what
-// is smooth for three firings, no surface:
+// Scatter of ranges by range and incidence, from second differences along a beam's own sweep, which hold no pose, no other beam and, on
+// what is smooth for three firings, no surface:
 //   sigma = 1.4826 median |r_(i-1) - 2 r_i + r_(i+1)| / sqrt(6)
 #include <algorithm>
 #include <array>
@@ -24,7 +24,8 @@ constexpr double kOfMedian = 1.4826;   // a normal deviate's standard deviation 
 using Differences = std::array<std::vector<float>, kBins>;
 
 std::size_t bin(const auto& upper_ends, double value) {
-    return std::min<std::size_t>(std::size_t(std::lower_bound(upper_ends.begin(), upper_ends.end(), value) - upper_ends.begin()), upper_ends.size() - 1);
+    return std::min<std::size_t>(std::size_t(std::lower_bound(upper_ends.begin(), upper_ends.end(), value) - upper_ends.begin()),
+                                 upper_ends.size() - 1);
 }
 
 Differences differences_of(const Frame& frame) {
@@ -70,7 +71,8 @@ double RangeNoise::at(double at_m, double at_cosine) const {
 
 std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& positions) {
     sequence.range_noise = {};
-    std::vector<Differences> frames = read_frames(sequence, positions, kMostReturns, [](const Frame& frame) { return differences_of(frame); });
+    std::vector<Differences> frames =
+        read_frames(sequence, positions, kMostReturns, [](const Frame& frame) { return differences_of(frame); });
     std::size_t n = 0;
     RangeNoise noise{{kRanges_m.begin(), kRanges_m.end()}, {kCosines.begin(), kCosines.end()}, std::vector<double>(kBins, 0.0)};
     for (std::size_t b = 0; b < kBins; ++b) {

@@ -45,11 +45,13 @@ std::vector<Observation> returns_of(const Sequence& sequence, const Frame& frame
 
 /// Returns of the frames, and how many cells they fall into. A cell keeps its returns while they move by centimetres.
 std::vector<Observation> gather(const Sequence& sequence, const std::vector<int>& positions, std::size_t& n_cells) {
-    std::vector<std::vector<Observation>> frames = read_frames(sequence, positions, kMostReturns, [&](const Frame& frame) { return returns_of(sequence, frame); });
+    std::vector<std::vector<Observation>> frames =
+        read_frames(sequence, positions, kMostReturns, [&](const Frame& frame) { return returns_of(sequence, frame); });
     std::unordered_map<std::uint64_t, std::uint32_t> number;
     std::vector<Observation> all;
     for (std::vector<Observation>& frame : frames) {
-        for (Observation& o : frame) o.cell = number.try_emplace(cell_key(glm::dvec3(o.point_m), kCell_m), static_cast<std::uint32_t>(number.size())).first->second;
+        for (Observation& o : frame)
+            o.cell = number.try_emplace(cell_key(glm::dvec3(o.point_m), kCell_m), static_cast<std::uint32_t>(number.size())).first->second;
         all.insert(all.end(), frame.begin(), frame.end());
         frame = {};
     }
@@ -57,7 +59,9 @@ std::vector<Observation> gather(const Sequence& sequence, const std::vector<int>
     return all;
 }
 
-glm::dvec3 moved(const Observation& o, const std::vector<double>& offset_m) { return glm::dvec3(o.point_m) - offset_m[o.beam] * glm::dvec3(o.direction); }
+glm::dvec3 moved(const Observation& o, const std::vector<double>& offset_m) {
+    return glm::dvec3(o.point_m) - offset_m[o.beam] * glm::dvec3(o.direction);
+}
 
 /// A cell's plane.
 struct Plane {
@@ -94,18 +98,21 @@ struct OffsetFit {
 };
 
 /// One step of every beam's offset towards the planes. @return count and mean square of the residuals that come in
-std::pair<std::size_t, double> fit_offsets(const std::vector<Observation>& seen, const std::vector<Plane>& planes, std::vector<double>& offset_m) {
+std::pair<std::size_t, double> fit_offsets(const std::vector<Observation>& seen, const std::vector<Plane>& planes,
+                                           std::vector<double>& offset_m) {
     std::vector<OffsetFit> fits(offset_m.size());
     std::size_t n = 0;
     double squares = 0.0;
     for (const Observation& o : seen) {
         const Plane& plane = planes[o.cell];
-        const double facing = glm::dot(plane.normal, glm::dvec3(o.direction)), residual = glm::dot(plane.normal, moved(o, offset_m) - plane.point);
+        const double facing = glm::dot(plane.normal, glm::dvec3(o.direction)),
+                     residual = glm::dot(plane.normal, moved(o, offset_m) - plane.point);
         if (facing == 0.0 || std::abs(residual) > kMaxResidual_m) continue;
         ++n;
         squares += residual * residual;
         fits[o.beam].weight += facing * facing;
-        fits[o.beam].sum += facing * (residual + offset_m[o.beam] * facing);   // of the whole offset, so that the prior holds it, not the step
+        // of the whole offset, so that the prior holds it, not the step
+        fits[o.beam].sum += facing * (residual + offset_m[o.beam] * facing);
     }
     double mean = 0.0, weight = 0.0;
     for (std::size_t b = 0; b < fits.size(); ++b) {

@@ -89,7 +89,9 @@ void drop_outside(Scan& scan, const RangeLimits& limits) {
     }
 }
 
-PoseTrack Sequence::world_from_sensor(int lidar) const { return moved_track(world_from_vehicle, lidars[std::size_t(lidar)].vehicle_from_sensor); }
+PoseTrack Sequence::world_from_sensor(int lidar) const {
+    return moved_track(world_from_vehicle, lidars[std::size_t(lidar)].vehicle_from_sensor);
+}
 
 int find_lidar(const Sequence& sequence, const std::string& name) {
     std::vector<std::string> known;
@@ -103,7 +105,8 @@ int find_lidar(const Sequence& sequence, const std::string& name) {
 }
 
 std::size_t Sequence::count_beams() const {
-    return std::accumulate(lidars.begin(), lidars.end(), std::size_t(0), [](std::size_t n, const Lidar& lidar) { return n + lidar.sensor.beams.size(); });
+    return std::accumulate(lidars.begin(), lidars.end(), std::size_t(0),
+                           [](std::size_t n, const Lidar& lidar) { return n + lidar.sensor.beams.size(); });
 }
 
 std::optional<std::uint16_t> Sequence::beam_number(int lidar, std::uint16_t channel) const {
@@ -159,7 +162,8 @@ void set_vehicle_poses(Sequence& sequence, PoseTrack world_from_vehicle) {
     for (BoxTrack& box : sequence.boxes)
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
-            box.world_from_box.pose[k] = world_from_vehicle.at(t_s) * (inverse(sequence.world_from_vehicle.at(t_s)) * box.world_from_box.pose[k]);
+            box.world_from_box.pose[k] =
+                world_from_vehicle.at(t_s) * (inverse(sequence.world_from_vehicle.at(t_s)) * box.world_from_box.pose[k]);
         }
     sequence.world_from_vehicle = std::move(world_from_vehicle);
 }
@@ -191,7 +195,8 @@ SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::
     const Scan& scan = frame.scan;
     const Beam& beam = beam_of(sequence.lidar_of(frame).sensor.beams, scan.rays.channel[ray]);
     const float range_m = static_cast<float>(beam.surface_range(double(scan.range_m[ray])));
-    return {range_m, static_cast<float>(beam.surface_intensity(double(scan.intensity[ray]), sequence.intensity_response.at_range(double(range_m))))};
+    return {range_m,
+            static_cast<float>(beam.surface_intensity(double(scan.intensity[ray]), sequence.intensity_response.at_range(double(range_m))))};
 }
 
 WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray) {

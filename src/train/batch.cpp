@@ -39,7 +39,8 @@ ImageShape frame_image(const FrameData& frame) { return frame.image.is_image() ?
 
 Columns window(const FrameData& frame, const TrainConfig& config) {
     const ImageShape image = frame_image(frame);
-    const std::uint32_t n = std::clamp((static_cast<std::uint32_t>(config.rays_per_iteration) + image.rows / 2) / image.rows, 1u, image.columns);
+    const std::uint32_t n =
+        std::clamp((static_cast<std::uint32_t>(config.rays_per_iteration) + image.rows / 2) / image.rows, 1u, image.columns);
     return n < image.columns ? Columns{1, n} : Columns{};
 }
 
@@ -57,16 +58,19 @@ Columns columns_of_batch(const FrameData& frame, const TrainConfig& config) {
 /// Rays of the largest batch of columns.
 std::size_t largest_gathered(const std::vector<FrameData>& frames, const TrainConfig& config) {
     std::size_t largest = 0;
-    for (const FrameData& frame : frames) largest = std::max(largest, std::size_t(frame_image(frame).rows) * columns_of_batch(frame, config).n);
+    for (const FrameData& frame : frames)
+        largest = std::max(largest, std::size_t(frame_image(frame).rows) * columns_of_batch(frame, config).n);
     return largest;
 }
 
 /// @param setting  that compares neighbouring pixels
 void check_images(const char* setting, const Config& config, const std::vector<FrameData>& frames) {
     if (config.train.batch != "columns" && config.train.rays_per_iteration > 0)
-        throw UsageError(fmt::format("setting {}: found batches of single rays, expected train.batch=columns or train.rays_per_iteration=0", setting));
+        throw UsageError(
+            fmt::format("setting {}: found batches of single rays, expected train.batch=columns or train.rays_per_iteration=0", setting));
     for (const FrameData& frame : frames)
-        if (!frame.image.is_image()) throw UsageError(fmt::format("setting {}: found a sensor without image order, expected rows and columns, or 0", setting));
+        if (!frame.image.is_image())
+            throw UsageError(fmt::format("setting {}: found a sensor without image order, expected rows and columns, or 0", setting));
 }
 
 }  // namespace
@@ -102,12 +106,17 @@ SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random
              .column_stride = columns.stride,
              .n_columns = columns.n});
         const double share = double(n) / frame.n_rays;   // of the whole frame's count: unbiased, and no sector counts more for being empty
-        return {{&b.rays, 0, 1, n, columns.n}, {&b.targets, 0, 1, n, share * frame.n_returned, share * frame.n_known, {image.rows, columns.n, false}}, {image.columns, first, columns.stride, columns.n}};
+        return {{&b.rays, 0, 1, n, columns.n},
+                {&b.targets, 0, 1, n, share * frame.n_returned, share * frame.n_known, {image.rows, columns.n, false}},
+                {image.columns, first, columns.stride, columns.n}};
     }
     const std::uint32_t stride = b.config.batch == "columns" ? 1u : stride_over_rays(frame, b.config);
     const std::uint32_t first = static_cast<std::uint32_t>(random.next() % stride);
     const RayBatch rays = frame.batch(first, stride);
-    return {rays, {&frame.targets, first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride, stride == 1 ? frame.image : ImageShape{}}, {}};
+    return {rays,
+            {&frame.targets, first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride,
+             stride == 1 ? frame.image : ImageShape{}},
+            {}};
 }
 
 }  // namespace relidar

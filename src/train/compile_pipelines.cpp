@@ -20,12 +20,26 @@ struct Setting {
 };
 
 // What is tried on top of the preset `default`, one at a time. A new specialisation constant is a line here.
-constexpr Setting kSettings[] = {
-    {"image.sh_direction", "ray"}, {"image.sh_direction", "surfel"}, {"image.primitive", "gaussian"}, {"image.single_drop_logit", "true"},
-    {"train.gradient_sums", "atomics"}, {"train.gradient_sums", "gather"}, {"train.deterministic", "true"}, {"train.refine_poses", "sensor,actors"},
-    {"loss.distortion", "0.1"}, {"loss.chamfer", "0.01"}, {"loss.box", "0.1"}, {"loss.log_range", "0.1"},
-    {"trace.walk", "lane"}, {"trace.walk", "subgroup"}, {"trace.proxy", "triangles"}, {"trace.proxy", "boxes"},
-    {"trace.chunk", "16"}, {"trace.chunk", "64"}, {"densify.strategy", "adaptive"}, {"densify.strategy", "mcmc"}};
+constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
+                                 {"image.sh_direction", "surfel"},
+                                 {"image.primitive", "gaussian"},
+                                 {"image.single_drop_logit", "true"},
+                                 {"train.gradient_sums", "atomics"},
+                                 {"train.gradient_sums", "gather"},
+                                 {"train.deterministic", "true"},
+                                 {"train.refine_poses", "sensor,actors"},
+                                 {"loss.distortion", "0.1"},
+                                 {"loss.chamfer", "0.01"},
+                                 {"loss.box", "0.1"},
+                                 {"loss.log_range", "0.1"},
+                                 {"trace.walk", "lane"},
+                                 {"trace.walk", "subgroup"},
+                                 {"trace.proxy", "triangles"},
+                                 {"trace.proxy", "boxes"},
+                                 {"trace.chunk", "16"},
+                                 {"trace.chunk", "64"},
+                                 {"densify.strategy", "adaptive"},
+                                 {"densify.strategy", "mcmc"}};
 
 Scene smallest_scene(const Sequence& street, Primitive primitive) {
     Scene scene;

@@ -56,7 +56,8 @@ bool is_unknown(const std::vector<PlacedBox>& boxes, const WorldRay& ray, double
 
 }  // namespace
 
-void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& masks, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
+void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& masks, std::vector<DeviceRay>& rays,
+                  std::vector<DeviceTarget>& targets) {
     const Scan& scan = frame.scan;
     const std::vector<PlacedBox> boxes = masked_boxes_at(sequence, frame.time_s, masks);   // moved less than the margin within a sweep
     const PoseTrack track = sequence.world_from_sensor(frame.lidar);
@@ -86,7 +87,8 @@ std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, c
     std::vector<FrameData> frames;
     for (std::size_t k = 0; k < positions.size(); ++k) {
         const Frame& frame = sequence.frames[std::size_t(positions[k])];
-        if (rays[k].empty()) throw DataError(fmt::format("preparing frame {} of {}: it has no rays, expected at least one", frame.index, sequence.name));
+        if (rays[k].empty())
+            throw DataError(fmt::format("preparing frame {} of {}: it has no rays, expected at least one", frame.index, sequence.name));
         FrameData& data = frames.emplace_back();
         data.position = positions[k];
         data.index = frame.index;
@@ -99,7 +101,8 @@ std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, c
             data.n_known += t.weight > 0.0f;
             data.n_returned += t.weight > 0.0f && t.range_m > 0.0f;
         }
-        data.sensor_position_m = glm::vec3(sequence.world_from_vehicle.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation);
+        data.sensor_position_m =
+            glm::vec3(sequence.world_from_vehicle.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation);
     }
     return frames;
 }

@@ -38,7 +38,8 @@ struct Unknown {
 
 /// Rays and targets of one frame on the host. Rays that meet a moving box about where they returned, or that were dropped and may
 /// have met one, are unknown (weight 0): the background must not learn them.
-void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& unknown, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets);
+void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& unknown, std::vector<DeviceRay>& rays,
+                  std::vector<DeviceTarget>& targets);
 
 /// @throws DataError where a frame has no usable ray
 std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, const std::vector<int>& positions, const Unknown& unknown);

@@ -13,9 +13,12 @@
 namespace relidar {
 
 IterationReports::Slot::Slot(Device& device)
-    : terms(device, kRows * kLossTerms * sizeof(float), "loss terms"), pass_cap(device, sizeof(std::uint32_t), "pass cap count"), most_hits(device, sizeof(std::uint32_t), "most hits") {}
+    : terms(device, kRows * kLossTerms * sizeof(float), "loss terms"),
+      pass_cap(device, sizeof(std::uint32_t), "pass cap count"),
+      most_hits(device, sizeof(std::uint32_t), "most hits") {}
 
-IterationReports::IterationReports(Device& device) : terms_(device, std::vector<float>(kRows * kLossTerms, 0.0f), "loss terms"), sums_(kLossTerms, 0.0) {
+IterationReports::IterationReports(Device& device)
+    : terms_(device, std::vector<float>(kRows * kLossTerms, 0.0f), "loss terms"), sums_(kLossTerms, 0.0) {
     while (slots_.size() < kReadbackLag) slots_.emplace_back(device);
 }
 
@@ -48,7 +51,9 @@ void IterationReports::add_up(const Closed& report, const float* terms) {
     for (const auto& [step, frame] : report.iterations) {
         for (std::size_t k = 0; k < kLossTerms; ++k) {
             const float term = *terms++;
-            if (!std::isfinite(term)) throw DataError(fmt::format("training, iteration {}, frame {}: the {} loss is {}, expected a finite number", step, frame, kLossTermNames[k], term));
+            if (!std::isfinite(term))
+                throw DataError(fmt::format("training, iteration {}, frame {}: the {} loss is {}, expected a finite number", step, frame,
+                                            kLossTermNames[k], term));
             sums_[k] += term;
         }
     }

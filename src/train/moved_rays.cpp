@@ -13,8 +13,10 @@ namespace {
 /// Where each ray of a frame was fired in the track of the sensor; `first` becomes the first pose that takes part, `n` how many do.
 std::vector<shared::RayPlace> places_of(const Sequence& sequence, const Frame& frame, std::size_t& first, std::uint32_t& n) {
     std::vector<TrackPlace> places;
-    for (const float offset_s : frame.scan.rays.time_offset_s) places.push_back(sequence.world_from_vehicle.place(frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0)));
-    const auto [low, high] = std::minmax_element(places.begin(), places.end(), [](const TrackPlace& a, const TrackPlace& b) { return a.left < b.left; });
+    for (const float offset_s : frame.scan.rays.time_offset_s)
+        places.push_back(sequence.world_from_vehicle.place(frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0)));
+    const auto [low, high] =
+        std::minmax_element(places.begin(), places.end(), [](const TrackPlace& a, const TrackPlace& b) { return a.left < b.left; });
     first = low->left;
     n = static_cast<std::uint32_t>(std::min(high->left + 2, sequence.world_from_vehicle.pose.size()) - first);
     std::vector<shared::RayPlace> result;
@@ -28,7 +30,8 @@ std::vector<MovedRays::Source> MovedRays::make_sources(Device& device, const Seq
     std::vector<Source> sources;
     for (FrameData& frame : frames) {
         Source& source = sources.emplace_back();
-        const std::vector<shared::RayPlace> places = places_of(sequence, sequence.frames[std::size_t(frame.position)], source.first_knot, source.n_knots);
+        const std::vector<shared::RayPlace> places =
+            places_of(sequence, sequence.frames[std::size_t(frame.position)], source.first_knot, source.n_knots);
         source.places = Array<shared::RayPlace>(device, std::span<const shared::RayPlace>(places), "places of rays");
         source.rays = std::move(frame.rays);
         frame.rays = Array<DeviceRay>(device, frame.n_rays, "moved rays");
@@ -38,7 +41,8 @@ std::vector<MovedRays::Source> MovedRays::make_sources(Device& device, const Seq
 
 MovedRays::MovedRays(Device& device, const Sequence& sequence, std::vector<FrameData>& frames)
     : sources_(make_sources(device, sequence, frames)),
-      most_knots_(std::max_element(sources_.begin(), sources_.end(), [](const Source& a, const Source& b) { return a.n_knots < b.n_knots; })->n_knots),
+      most_knots_(std::max_element(sources_.begin(), sources_.end(), [](const Source& a, const Source& b) { return a.n_knots < b.n_knots; })
+                      ->n_knots),
       knots_(device, most_knots_, "sensor poses"),
       rows_(device, std::size_t(kRows) * 6 * most_knots_, "pose gradients"),
       move_(device, "train/move_rays"),

@@ -46,7 +46,8 @@ PoseStep step_at(const TrainConfig& c, double rate_m, double rate_rad, int step)
 
 }  // namespace
 
-PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config, std::vector<FrameData>& frames)
+PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config,
+                         std::vector<FrameData>& frames)
     : config_(config), n_frames_(frames.size()), layout_(layout_of(layout)), poses_(without_scans(sequence)) {
     if (wants(config, "sensor")) {
         sensor_.emplace(sequence.world_from_vehicle);
@@ -56,8 +57,10 @@ PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& 
     }
     if (!wants(config, "actors")) return;
     for (std::size_t i = 0; i < layout_.instances.size(); ++i) {
-        const auto box = std::find_if(sequence.boxes.begin(), sequence.boxes.end(), [&](const BoxTrack& b) { return b.id == layout_.instances[i].track; });
-        if (box != sequence.boxes.end()) actors_.push_back({i, std::size_t(box - sequence.boxes.begin()), TrackCorrection(box->world_from_box)});
+        const auto box = std::find_if(sequence.boxes.begin(), sequence.boxes.end(),
+                                      [&](const BoxTrack& b) { return b.id == layout_.instances[i].track; });
+        if (box != sequence.boxes.end())
+            actors_.push_back({i, std::size_t(box - sequence.boxes.begin()), TrackCorrection(box->world_from_box)});
     }
     if (actors_.empty()) return;
     floats_of_instances_ = 6 * layout_.instances.size();
@@ -77,7 +80,8 @@ void PoseRefiner::place(Stream& stream, std::size_t frame_index, FrameData& fram
     frame.sensor_position_m = glm::vec3(poses_.world_from_vehicle.at(sweep.time_s, poses_.lidar_of(sweep).vehicle_from_sensor).translation);
 }
 
-void PoseRefiner::record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch, const Gradients& gradients, int step) {
+void PoseRefiner::record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch,
+                         const Gradients& gradients, int step) {
     if (step <= config_.pose_from) return;
     const std::size_t slot = std::size_t(step) % kReadbackLag;
     if (rays_) {
@@ -95,7 +99,8 @@ std::span<float> PoseRefiner::fetch(Stream& stream, std::size_t i) {
     const std::size_t n = floats_of_rays_ + floats_of_instances_, slot = coming_.step[i] % kReadbackLag;
     const std::span<float> gradient(coming_.gradient.data() + i * n, n);
     if (rays_ && of_rays_[slot].pending()) std::memcpy(gradient.data(), of_rays_[slot].wait(stream), floats_of_rays_ * sizeof(float));
-    if (!actors_.empty() && of_instances_[slot].pending()) std::memcpy(gradient.data() + floats_of_rays_, of_instances_[slot].wait(stream), floats_of_instances_ * sizeof(float));
+    if (!actors_.empty() && of_instances_[slot].pending())
+        std::memcpy(gradient.data() + floats_of_rays_, of_instances_[slot].wait(stream), floats_of_instances_ * sizeof(float));
     return gradient;
 }
 
@@ -107,7 +112,8 @@ void PoseRefiner::take_oldest_step(Stream& stream) {
     const std::span<const float> gradient = fetch(stream, 0);
     const int step = static_cast<int>(coming_.step.front());
     if (rays_) {
-        for (const PoseGradient& g : rays_->gradients_in(gradient.first(floats_of_rays_), coming_.frame.front())) sensor_->add_gradient(g.pose, 1.0, g.gradient);
+        for (const PoseGradient& g : rays_->gradients_in(gradient.first(floats_of_rays_), coming_.frame.front()))
+            sensor_->add_gradient(g.pose, 1.0, g.gradient);
         sensor_->step(step_at(config_, config_.pose_rate_m, config_.pose_rate_rad, step));
         sensor_->remove_common_motion();
     }
@@ -136,8 +142,10 @@ void PoseRefiner::update_poses() {
 
 bool PoseRefiner::take_over() {
     const std::size_t n = coming_.step.size();
-    const bool sound = (!sensor_ || sensor_->is_sound()) && std::all_of(actors_.begin(), actors_.end(), [](const Actor& a) { return a.correction.is_sound(); }) && n <= kReadbackLag &&
-                       coming_.frame.size() == n && coming_.actor_time_s.size() == n * actors_.size() && coming_.gradient.size() == n * (floats_of_rays_ + floats_of_instances_) &&
+    const bool sound = (!sensor_ || sensor_->is_sound()) &&
+                       std::all_of(actors_.begin(), actors_.end(), [](const Actor& a) { return a.correction.is_sound(); }) &&
+                       n <= kReadbackLag && coming_.frame.size() == n && coming_.actor_time_s.size() == n * actors_.size() &&
+                       coming_.gradient.size() == n * (floats_of_rays_ + floats_of_instances_) &&
                        std::all_of(coming_.frame.begin(), coming_.frame.end(), [this](std::uint64_t frame) { return frame < n_frames_; });
     if (sound) update_poses();
     return sound;

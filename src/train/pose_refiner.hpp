@@ -37,7 +37,8 @@ public:
     void place(Stream& stream, std::size_t frame_index, FrameData& frame);
     /// Records the gradients of the poses that this batch has seen, on their way to take_steps().
     /// @param step counts from 1; nothing happens up to train.pose_from
-    void record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch, const Gradients& gradients, int step);
+    void record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch, const Gradients& gradients,
+                int step);
     /// Takes the steps of all iterations up to `last` that were not taken yet, in order. Waits where gradients are not there yet.
     void take_steps(Stream& stream, int last);
     /// Waits for the gradients on their way: they are then part of the state. No step is taken.

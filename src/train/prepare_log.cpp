@@ -64,10 +64,13 @@ void tell_lost(const Sequence& sequence, const Registration& found, const Config
     std::vector<int> frames;
     for (const std::size_t k : found.lost) frames.push_back(sequence.frames[k].index);
     const std::size_t n = sequence.frames.size();
-    const std::string text = fmt::format("{} of {} scans did not find their place among the others, those of frames {}", frames.size(), n, list_text(frames));
+    const std::string text =
+        fmt::format("{} of {} scans did not find their place among the others, those of frames {}", frames.size(), n, list_text(frames));
     if (double(frames.size()) > std::max(1.0, kMostLost * double(n)) && !config.train.allow_lost_scans)
-        throw DataError(fmt::format("registering the scans of {}: {}; expected at most {:.0f} %. train.allow_lost_scans=true moves them as their neighbours, train.pose_register=false keeps the log's own poses",
-                                    sequence.name, text, 100.0 * kMostLost));
+        throw DataError(
+            fmt::format("registering the scans of {}: {}; expected at most {:.0f} %. train.allow_lost_scans=true moves them as their "
+                        "neighbours, train.pose_register=false keeps the log's own poses",
+                        sequence.name, text, 100.0 * kMostLost));
     session.tell(text + ": moved as their neighbours were");
 }
 
@@ -82,8 +85,10 @@ void register_sensor(Sequence& sequence, const Split& split, const Config& confi
     }
     if (found.stopped) throw Error(ExitCode::interrupted, "interrupted while scans were registered: nothing is trained yet");
     if (found.rounds.empty()) return;
-    session.tell(fmt::format("scans registered: {:.0f} % of their points lie on common planes, {:.3f} m from them; {}", 100.0 * found.on_planes, found.rounds.back().residual_m,
-                             config.dataset.poses == kNoPoses ? way_text(found.world_from_vehicle) : corrections_text(sequence.world_from_vehicle, found.world_from_vehicle)));
+    session.tell(fmt::format("scans registered: {:.0f} % of their points lie on common planes, {:.3f} m from them; {}",
+                             100.0 * found.on_planes, found.rounds.back().residual_m,
+                             config.dataset.poses == kNoPoses ? way_text(found.world_from_vehicle)
+                                                              : corrections_text(sequence.world_from_vehicle, found.world_from_vehicle)));
     tell_lost(sequence, found, config, session);
     set_vehicle_poses(sequence, found.world_from_vehicle);
 }
@@ -92,20 +97,23 @@ void calibrate_beams(Sequence& sequence, const Split& split, const SensorConfig&
     const std::size_t n = sequence.count_beams();
     if (n > 1 && config.calibrate_range) {
         const LaserCalibration found = calibrate_ranges(sequence, split.train);
-        session.tell(fmt::format("ranges of {} beams compared on {:.1f} million returns: {:.1f} mm from common planes, {:.1f} mm with an offset each{}", n, double(found.returns) * 1e-6,
-                                 found.rms_before * 1e3, found.rms_after * 1e3, found.adopted ? "" : ": none is taken"));
+        session.tell(fmt::format(
+            "ranges of {} beams compared on {:.1f} million returns: {:.1f} mm from common planes, {:.1f} mm with an offset each{}", n,
+            double(found.returns) * 1e-6, found.rms_before * 1e3, found.rms_after * 1e3, found.adopted ? "" : ": none is taken"));
     }
 }
 
 void calibrate_intensities(Sequence& sequence, const Split& split, const PrepareSession& session) {
     const IntensityCalibration found = calibrate_intensity(sequence, split.train);
     const IntensityResponse& r = sequence.intensity_response;
-    const std::string fall = fmt::format("{:.2f} of it at 40 m and {:.2f} at 60 degrees of incidence", r.at_range(40.0) / r.at_range(10.0), r.at_cosine(0.5));
-    session.tell(fmt::format("intensities of {:.1f} million returns compared: {:.3f} apart at the same place, {:.3f} with {}", double(found.returns) * 1e-6, found.rms_before, found.rms_after,
+    const std::string fall =
+        fmt::format("{:.2f} of it at 40 m and {:.2f} at 60 degrees of incidence", r.at_range(40.0) / r.at_range(10.0), r.at_cosine(0.5));
+    session.tell(fmt::format("intensities of {:.1f} million returns compared: {:.3f} apart at the same place, {:.3f} with {}",
+                             double(found.returns) * 1e-6, found.rms_before, found.rms_after,
                              found.shared && found.beams ? "a gain and offset for each beam, " + fall
-                             : found.shared               ? fall
+                             : found.shared              ? fall
                              : found.beams               ? "a gain and offset for each beam"
-                                                          : "what was tried: none is taken"));
+                                                         : "what was tried: none is taken"));
 }
 
 /// Ids with their sizes and speeds.
@@ -114,7 +122,8 @@ std::string described(const std::vector<BoxTrack>& boxes) {
     for (const BoxTrack& box : boxes) {
         const PoseTrack& track = box.world_from_box;
         const double seconds = track.time_s.back() - track.time_s.front();
-        words.push_back(fmt::format("{} {:.1f} x {:.1f} m at {:.1f} m/s for {:.1f} s", box.id, box.size_m.x, box.size_m.y, glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds));
+        words.push_back(fmt::format("{} {:.1f} x {:.1f} m at {:.1f} m/s for {:.1f} s", box.id, box.size_m.x, box.size_m.y,
+                                    glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds));
     }
     return fmt::format("{}", fmt::join(words, ", "));
 }
@@ -132,13 +141,17 @@ bool registers_sensor(const TrainConfig& config) { return config.pose_register &
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session) {
     if (!session.tell) session.tell = [](const std::string&) {};
     if (config.dataset.poses == kNoPoses && !registers_sensor(config.train))
-        throw UsageError("dataset.poses=none: the poses have to be found from the scans; expected train.refine_poses=sensor and train.pose_register=true");
+        throw UsageError(
+            "dataset.poses=none: the poses have to be found from the scans; expected train.refine_poses=sensor and "
+            "train.pose_register=true");
     if (registers_sensor(config.train) && sequence.lidars.size() > 1 && config.dataset.poses != kNoPoses)
-        session.tell(fmt::format("scans of {} LiDARs are not registered: training starts from the log's own poses", sequence.lidars.size()));
+        session.tell(
+            fmt::format("scans of {} LiDARs are not registered: training starts from the log's own poses", sequence.lidars.size()));
     else if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
     calibrate_beams(sequence, split, config.sensor, session);
     if (measure_range_noise(sequence, split.train) > 0)
-        session.tell(fmt::format("ranges scatter by {:.0f} mm at 10 m and by {:.0f} mm at 40 m where surfaces are met squarely", 1e3 * sequence.range_noise.at(10.0, 1.0), 1e3 * sequence.range_noise.at(40.0, 1.0)));
+        session.tell(fmt::format("ranges scatter by {:.0f} mm at 10 m and by {:.0f} mm at 40 m where surfaces are met squarely",
+                                 1e3 * sequence.range_noise.at(10.0, 1.0), 1e3 * sequence.range_noise.at(40.0, 1.0)));
     if (config.sensor.calibrate_intensity) calibrate_intensities(sequence, split, session);
     if (config.init.discover_actors && config.init.actors != ActorMode::background) add_discovered(sequence, split, config.init, session);
 }

@@ -23,8 +23,19 @@ constexpr const char* kLog = "log/";
 
 /// Settings that change where training ends, what it reports, or where the log lies, but not a step of it. Paths are free because the log
 /// itself is compared.
-constexpr std::array kFree{"preset",           "dataset.path",  "dataset.poses",      "train.iterations", "train.log_every", "train.checkpoint_every", "train.checkpoint_minutes",
-                           "train.checkpoint_keep", "render.range", "sensor.grid", "sensor.grid_method", "trace.chunk", "trace.proxy"};
+constexpr std::array kFree{"preset",
+                           "dataset.path",
+                           "dataset.poses",
+                           "train.iterations",
+                           "train.log_every",
+                           "train.checkpoint_every",
+                           "train.checkpoint_minutes",
+                           "train.checkpoint_keep",
+                           "render.range",
+                           "sensor.grid",
+                           "sensor.grid_method",
+                           "trace.chunk",
+                           "trace.proxy"};
 
 /// Hash of everything added, in order.
 class Hash {
@@ -55,7 +66,8 @@ std::string describe_frames(const Sequence& sequence, const std::vector<int>& po
     for (const int position : positions) indices.push_back(sequence.frames[std::size_t(position)].index);
     Hash hash;
     hash.add(indices);
-    return fmt::format("{} frames from {} to {} ({})", indices.size(), indices.empty() ? -1 : indices.front(), indices.empty() ? -1 : indices.back(), hash.hex());
+    return fmt::format("{} frames from {} to {} ({})", indices.size(), indices.empty() ? -1 : indices.front(),
+                       indices.empty() ? -1 : indices.back(), hash.hex());
 }
 
 std::string hash_scans(const Sequence& sequence, const std::vector<int>& positions) {
@@ -134,7 +146,8 @@ std::map<std::string, std::string> training_texts(const Sequence& sequence, cons
 
 void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split, const Config& config) {
     const auto differs = [&](const std::string& what, const std::string& found, const std::string& expected) {
-        return fmt::format("resuming from iteration {}: {}: found {}, expected {} as in the checkpoint", checkpoint.iteration, what, found, expected);
+        return fmt::format("resuming from iteration {}: {}: found {}, expected {} as in the checkpoint", checkpoint.iteration, what, found,
+                           expected);
     };
     for (const ConfigKey& key : config_keys(config)) {
         const std::string saved = found_in(checkpoint, kSetting + key.key);
@@ -142,14 +155,16 @@ void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, con
         if (!is_free && !same_value(saved, key.value)) throw UsageError(differs("setting " + key.key, key.value, saved));
     }
     if (config.train.iterations < checkpoint.iteration)
-        throw UsageError(fmt::format("resuming from iteration {}: setting train.iterations: found {}, expected at least as many", checkpoint.iteration, config.train.iterations));
+        throw UsageError(fmt::format("resuming from iteration {}: setting train.iterations: found {}, expected at least as many",
+                                     checkpoint.iteration, config.train.iterations));
     for (const auto& [name, value] : log_texts(sequence, split)) {
         const std::string saved = found_in(checkpoint, kLog + name);
         if (saved != value) throw DataError(differs("the log's " + name, value, saved));
     }
 }
 
-TrainProgress progress_at(int step, const Config& config, double seconds, const std::array<double, kLossTerms>& terms, std::uint32_t n_surfels) {
+TrainProgress progress_at(int step, const Config& config, double seconds, const std::array<double, kLossTerms>& terms,
+                          std::uint32_t n_surfels) {
     TrainProgress p;
     p.iteration = step;
     p.n_iterations = config.train.iterations;
@@ -181,7 +196,8 @@ std::vector<TrainProgress> resumed_log(const Checkpoint& checkpoint, const Confi
     log.visit_state(StateReader(checkpoint));
     const std::size_t n = log.iteration.size();
     const auto as_long = [n](const auto& column) { return column.size() == n; };
-    const bool even = as_long(log.seconds) && as_long(log.surfels) && std::ranges::all_of(log.terms, as_long) && std::ranges::all_of(log.densified, as_long);
+    const bool even = as_long(log.seconds) && as_long(log.surfels) && std::ranges::all_of(log.terms, as_long) &&
+                      std::ranges::all_of(log.densified, as_long);
     if (!even) throw DataError(fmt::format("resuming from iteration {}: the columns of the log differ in length", checkpoint.iteration));
     std::vector<TrainProgress> lines;
     for (std::size_t i = 0; i < n; ++i) {

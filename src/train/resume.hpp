@@ -22,6 +22,7 @@ void read_result(const Checkpoint& checkpoint, const Config& config, TrainResult
 Scene scene_of(const Checkpoint& checkpoint);
 
 /// A line of the log.
-TrainProgress progress_at(int step, const Config& config, double seconds, const std::array<double, kLossTerms>& terms, std::uint32_t n_surfels);
+TrainProgress progress_at(int step, const Config& config, double seconds, const std::array<double, kLossTerms>& terms,
+                          std::uint32_t n_surfels);
 
 }  // namespace relidar

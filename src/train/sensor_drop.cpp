@@ -36,7 +36,8 @@ void DropCounts::add(const Frame& frame, std::size_t ray) {
 DropTable DropCounts::frequency(int min_rays) const {
     DropTable table = index_;
     for (std::size_t i = 0; i < rays_.size(); ++i)
-        table.probability.push_back(rays_[i] >= static_cast<std::uint32_t>(min_rays) ? float(drops_[i]) / float(std::max(rays_[i], 1u)) : 0.0f);
+        table.probability.push_back(rays_[i] >= static_cast<std::uint32_t>(min_rays) ? float(drops_[i]) / float(std::max(rays_[i], 1u))
+                                                                                     : 0.0f);
     return table;
 }
 

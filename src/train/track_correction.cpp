@@ -16,7 +16,13 @@ glm::dvec3 vector(const Twist& twist, std::size_t first) { return {twist[first],
 }  // namespace
 
 TrackCorrection::TrackCorrection(PoseTrack track)
-    : track_(std::move(track)), values_(6 * track_.pose.size(), 0.0), moment1_(values_), moment2_(values_), n_steps_(track_.pose.size(), 0), gradient_(values_), visited_(track_.pose.size(), false) {}
+    : track_(std::move(track)),
+      values_(6 * track_.pose.size(), 0.0),
+      moment1_(values_),
+      moment2_(values_),
+      n_steps_(track_.pose.size(), 0),
+      gradient_(values_),
+      visited_(track_.pose.size(), false) {}
 
 Twist TrackCorrection::value(std::size_t pose) const {
     Twist twist;
@@ -65,7 +71,8 @@ void TrackCorrection::step(const PoseStep& step) {
             const double g = gradient_[i] + 2.0 * (is_translation ? step.prior_per_m2 : step.prior_per_rad2) * values_[i];
             moment1_[i] += (1.0 - kBeta1) * (g - moment1_[i]);
             moment2_[i] += (1.0 - kBeta2) * (g * g - moment2_[i]);
-            values_[i] -= (is_translation ? step.rate_m : step.rate_rad) * (moment1_[i] / bias1) / (std::sqrt(moment2_[i] / bias2) + kEpsilon);
+            values_[i] -=
+                (is_translation ? step.rate_m : step.rate_rad) * (moment1_[i] / bias1) / (std::sqrt(moment2_[i] / bias2) + kEpsilon);
             gradient_[i] = 0.0;
         }
         visited_[k] = false;

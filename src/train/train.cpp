@@ -40,14 +40,20 @@ Scene start_scene(const Sequence& sequence, const Split& split, const Config& co
 void tell_masked(const Scene& scene, const Sequence& sequence, const Config& config, const TrainSession& session) {
     const std::vector<BoxTrack> masked = masked_boxes(scene, sequence, config.init);
     if (masked.empty() || !session.note) return;
-    session.note(fmt::format("{} moving boxes are masked out: {}; init.actor_classes names the classes that become actors, and init.actor_min_points what they need", masked.size(), names_of(masked)));
+    session.note(
+        fmt::format("{} moving boxes are masked out: {}; init.actor_classes names the classes that become actors, and "
+                    "init.actor_min_points what they need",
+                    masked.size(), names_of(masked)));
 }
 
-bool logs_at(int step, const TrainConfig& config) { return step == 1 || step % std::max(1, config.log_every) == 0 || step == config.iterations; }
+bool logs_at(int step, const TrainConfig& config) {
+    return step == 1 || step % std::max(1, config.log_every) == 0 || step == config.iterations;
+}
 
 }  // namespace
 
-TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config, const ProgressCallback& progress, const TrainSession& session) {
+TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config, const ProgressCallback& progress,
+                  const TrainSession& session) {
     if (split.train.empty()) throw DataError(fmt::format("training on {}: found no training frames, expected at least one", sequence.name));
     if (session.start) check_resumable(*session.start, sequence, split, config);
     TrainResult result;
@@ -56,7 +62,8 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     result.initialise_s = seconds_since(begin);
     tell_masked(initial, sequence, config, session);
 
-    if (config.train.refine_poses == "actors" && initial.instances.size() < 2 && session.note) session.note("train.refine_poses=actors: the scene has no actor, no pose is refined");
+    if (config.train.refine_poses == "actors" && initial.instances.size() < 2 && session.note)
+        session.note("train.refine_poses=actors: the scene has no actor, no pose is refined");
     TrainLoop loop(device, sequence, split, initial, config);
     if (session.start) {
         loop.restore(*session.start);

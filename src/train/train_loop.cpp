@@ -18,7 +18,9 @@
 
 namespace relidar {
 
-FrameSampler::FrameSampler(std::size_t n, std::uint64_t seed) : order_(n), random_(seed) { std::iota(order_.begin(), order_.end(), std::uint64_t(0)); }
+FrameSampler::FrameSampler(std::size_t n, std::uint64_t seed) : order_(n), random_(seed) {
+    std::iota(order_.begin(), order_.end(), std::uint64_t(0));
+}
 
 std::size_t FrameSampler::next() {
     if (position_ == 0)
@@ -41,8 +43,12 @@ constexpr int kGrowthEvery = 32;   // iterations between two looks at how the tr
 
 LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
     const double decay = exponential_schedule(1.0, c.rate_decay, step, c.iterations);
-    return {exponential_schedule(c.mean_rate, c.mean_rate_final, step, c.iterations) * extent_m, c.rotation_rate * decay, c.scale_rate * decay,
-            c.opacity_rate * decay, c.sh_rate * decay, c.sh_rest_factor};
+    return {exponential_schedule(c.mean_rate, c.mean_rate_final, step, c.iterations) * extent_m,
+            c.rotation_rate * decay,
+            c.scale_rate * decay,
+            c.opacity_rate * decay,
+            c.sh_rate * decay,
+            c.sh_rest_factor};
 }
 
 /// Active degree of the spherical harmonics; the image's own may be lower.
@@ -99,7 +105,8 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
         frame.placed = place_instances(initial, sequence, sweep.time_s, sweep.lidar);
     }
     if (config.densify.strategy != DensifyStrategy::none || config.densify.prune_unseen)
-        densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.size()), config.train.seed);
+        densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.size()),
+                           config.train.seed);
 }
 
 TrainLoop::~TrainLoop() {
@@ -139,12 +146,14 @@ void TrainLoop::iterate(int step, bool ends_line) {
     for (const std::unique_ptr<Loss>& loss : losses_)
         loss->regularise(stream_, scene, {&gradients.surfels, config_.train.only_touched ? &gradients.touched : nullptr}, terms);
     const bool whole_frame = batch.rays.n_rays == frame.n_rays;
-    if (densifier_) densifier_->observe(stream_, scene, {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), whole_frame});
+    if (densifier_)
+        densifier_->observe(stream_, scene, {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), whole_frame});
     const LearningRates rates = rates_at(config_.train, extent_m_, step);
     const Array<std::uint32_t>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
     adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree);
     reports_.add(step, frame.index);
-    if (densifier_ && densifier_->due(step)) change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene, adam_, step, others_bytes); });
+    if (densifier_ && densifier_->due(step))
+        change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene, adam_, step, others_bytes); });
     if (densifier_) densifier_->after_step(stream_, scene, adam_, step, rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
     if (ends_line || reports_.is_full()) close_report(step, ends_line);
     if (step % kGrowthEvery == 0) renderer_.accel().check_growth(stream_);
@@ -171,22 +180,32 @@ void TrainLoop::prune_unseen() {
 
 void TrainLoop::close_report(int step, bool ends_line) {
     const BackwardPass& backward = renderer_.backward_pass();
-    const DeviceCounts counts{&renderer_.forward_pass().pass_cap_count(), config_.train.deterministic ? backward.most_hits() : nullptr, backward.hit_capacity()};
-    reports_.close(stream_, counts, ends_line ? std::optional(LogLine{step, {}, n_surfels(), std::exchange(densified_, {})}) : std::nullopt);
+    const DeviceCounts counts{&renderer_.forward_pass().pass_cap_count(), config_.train.deterministic ? backward.most_hits() : nullptr,
+                              backward.hit_capacity()};
+    reports_.close(stream_, counts,
+                   ends_line ? std::optional(LogLine{step, {}, n_surfels(), std::exchange(densified_, {})}) : std::nullopt);
 }
 
 void TrainLoop::look_at_reports(int last) {
     while (const std::optional<IterationReports::Report> report = reports_.take(stream_, last)) {
         if (report->pass_cap > 0)
-            throw DeviceError(fmt::format("training, iterations {} to {}: {} rays reached the cap of passes or filled the traversal stack, expected every ray to end", report->first_step, report->last_step, report->pass_cap));
+            throw DeviceError(fmt::format(
+                "training, iterations {} to {}: {} rays reached the cap of passes or filled the traversal stack, expected every ray to end",
+                report->first_step, report->last_step, report->pass_cap));
         check_room(*report);
     }
 }
 
 void TrainLoop::check_room(const IterationReports::Report& report) {
     if (report.most_hits > report.hit_capacity)
-        throw DeviceError(fmt::format("training, iterations {} to {}, in a fixed order: found {} hits in one of them, expected at most {}; train.gather_hits={} makes room",
-                                      report.first_step, report.last_step, report.most_hits, report.hit_capacity, report.most_hits / std::max(1u, config_.train.rays_per_iteration > 0 ? static_cast<std::uint32_t>(config_.train.rays_per_iteration) : largest_batch(frames_)) + 1));
+        throw DeviceError(
+            fmt::format("training, iterations {} to {}, in a fixed order: found {} hits in one of them, expected at most {}; "
+                        "train.gather_hits={} makes room",
+                        report.first_step, report.last_step, report.most_hits, report.hit_capacity,
+                        report.most_hits / std::max(1u, config_.train.rays_per_iteration > 0
+                                                            ? static_cast<std::uint32_t>(config_.train.rays_per_iteration)
+                                                            : largest_batch(frames_)) +
+                            1));
     if (report.most_hits <= renderer_.backward_pass().hit_capacity() / 2) return;
     close_report(last_step_, false);   // of iterations that had the room there is now
     renderer_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));   // before it is needed
@@ -216,8 +235,12 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
     visit_state(StateReader(checkpoint));
     last_step_ = checkpoint.iteration;
     if (!sampler_.is_sound(frames_.size()) || !reports_.is_sound())
-        throw DataError(fmt::format("resuming from iteration {}: the order of frames or the sums of losses are not those of {} frames and {} terms", checkpoint.iteration, frames_.size(), kLossTerms));
-    if (refiner_ && !refiner_->take_over()) throw DataError(fmt::format("resuming from iteration {}: the corrections of poses are not those of this log", checkpoint.iteration));
+        throw DataError(
+            fmt::format("resuming from iteration {}: the order of frames or the sums of losses are not those of {} frames and {} terms",
+                        checkpoint.iteration, frames_.size(), kLossTerms));
+    if (refiner_ && !refiner_->take_over())
+        throw DataError(
+            fmt::format("resuming from iteration {}: the corrections of poses are not those of this log", checkpoint.iteration));
 }
 
 DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
@@ -227,7 +250,8 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
     for (std::size_t k = 0; k < frames_.size(); ++k) {
         const FrameData& frame = frames_[k];
         const Frame& sweep = sequence.frames[std::size_t(frame.position)];
-        const std::uint32_t stride = std::max(1u, frame.n_rays / kRays), first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
+        const std::uint32_t stride = std::max(1u, frame.n_rays / kRays),
+                            first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
         const RayBatch rays = frame.batch(first, stride);
         place(k, config_.train.iterations);
         renderer_.record_forward(rays);

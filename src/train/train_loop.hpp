@@ -120,7 +120,8 @@ private:
     /// Looks at the reports of the iterations up to `last`.
     void look_at_reports(int last);
     void close_report(int step, bool ends_line);
-    /// Hits of a report's iterations against the room for their records; makes more. @throws DeviceError where a deterministic step did not fit
+    /// Hits of a report's iterations against the room for their records; makes more. @throws DeviceError where a deterministic step did not
+    /// fit
     void check_room(const IterationReports::Report& report);
     void change_surfels(const std::function<DensifyReport(double others_bytes)>& change);
 };

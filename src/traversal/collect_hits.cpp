@@ -22,11 +22,13 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
     DeviceScene on_device(device, *placed.scene);
     on_device.set_poses(placed.world_from_instance);
     Accel accel(device, on_device, placed.accel);
-    const Kernel<shared::CollectHitsParams> kernel(device, "traversal/collect_hits" + traversal_variant(device, placed.trace), trace_constants(device, accel.proxy(), placed.trace, placed.model));
+    const Kernel<shared::CollectHitsParams> kernel(device, "traversal/collect_hits" + traversal_variant(device, placed.trace),
+                                                   trace_constants(device, accel.proxy(), placed.trace, placed.model));
     const std::size_t n = rays.size();
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
     const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
-    const Array<std::uint32_t> counts(device, n, "hit counts"), instance(device, n * max_hits, "hit instances"), surfel(device, n * max_hits, "hit surfels");
+    const Array<std::uint32_t> counts(device, n, "hit counts"), instance(device, n * max_hits, "hit instances"),
+        surfel(device, n * max_hits, "hit surfels");
     const Array<float> t(device, n * max_hits, "hit distances");
     on_device.activate(stream, placed.model, glm::vec3(0.0f));
     accel.update(stream, on_device);
@@ -39,7 +41,9 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
          .max_hits = max_hits});
     stream.finish();
     if (const std::uint32_t capped = pass_cap.download()[0])
-        throw DeviceError(fmt::format("collecting hits of {} rays: {} reached the cap of {} passes or filled the traversal stack, expected every ray to end", n, capped, RELIDAR_MAX_PASSES));
+        throw DeviceError(fmt::format(
+            "collecting hits of {} rays: {} reached the cap of {} passes or filled the traversal stack, expected every ray to end", n,
+            capped, RELIDAR_MAX_PASSES));
     return {max_hits, counts.download(), t.download(), instance.download(), surfel.download()};
 }
 

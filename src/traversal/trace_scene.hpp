@@ -60,7 +60,8 @@ inline std::string traversal_variant(const Device& device, const TraceOptions& o
     return device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query";
 }
 
-/// Whether rays of a subgroup walk the software tree together. Measured: 1.2 times as fast on lavapipe (docs/platform.md); on a GPU lanes are free to part.
+/// Whether rays of a subgroup walk the software tree together. Measured: 1.2 times as fast on lavapipe (docs/platform.md); on a GPU lanes
+/// are free to part.
 inline bool walks_together(const Device& device, const TraceOptions& options) {
     return options.walk == Walk::automatic ? device.info().type == "CPU" : options.walk == Walk::subgroup;
 }

@@ -102,7 +102,8 @@ protected:
 };
 
 TEST_F(BvhBuild, EverySizeIsATree) {
-    for (const std::uint32_t n : {0u, 1u, 2u, 3u, 4u, 5u, 9u, 33u, 100u, 4096u, 10'007u, 100'000u}) expect_sound(random_surfels(n), std::to_string(n) + " surfels");
+    for (const std::uint32_t n : {0u, 1u, 2u, 3u, 4u, 5u, 9u, 33u, 100u, 4096u, 10'007u, 100'000u})
+        expect_sound(random_surfels(n), std::to_string(n) + " surfels");
 }
 
 TEST_F(BvhBuild, HardScenesAreTrees) {
@@ -235,7 +236,8 @@ TEST_F(BvhBuild, RaysReachEverySurfelTheyMeet) {
     std::normal_distribution<double> normal;
     std::size_t n_hits = 0, n_visits = 0;
     for (int r = 0; r < 500; ++r) {
-        const test::HostRay ray{{40.0 * unit(random), 20.0 * unit(random), 5.0 * unit(random)}, {normal(random), normal(random), normal(random)}};
+        const test::HostRay ray{{40.0 * unit(random), 20.0 * unit(random), 5.0 * unit(random)},
+                                {normal(random), normal(random), normal(random)}};
         std::set<std::uint32_t> expected, found;
         for (std::uint32_t i = 0; i < n; ++i)
             if (test::meets(ray, test::surfel_box(host, i))) expected.insert(i);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The tree over the instances (accel/bvh_top): every instance that is there in one leaf, none that is absent, world boxes hold what stands in
-// them, after placing, moving and taking away; and rays through both levels against all instances and surfels.
+// The tree over the instances (accel/bvh_top): every instance that is there in one leaf, none that is absent, world boxes hold what stands
+// in them, after placing, moving and taking away; and rays through both levels against all instances and surfels.
 #include <algorithm>
 #include <cstring>
 #include <random>
@@ -67,7 +67,9 @@ protected:
             stream.finish();
             return bvh.download();
         }
-        bool is_there(std::size_t i) const { return scene.poses()[i].present && scene.layout().models[scene.layout().instances[i].model].count > 0; }
+        bool is_there(std::size_t i) const {
+            return scene.poses()[i].present && scene.layout().models[scene.layout().instances[i].model].count > 0;
+        }
     };
 
     /// Real box of all below a node, with every instance counted.
@@ -98,7 +100,9 @@ protected:
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i) {
             const test::HostBox b = test::surfel_box(host, i);
             for (int corner = 0; corner < 8; ++corner) {
-                const glm::dvec3 p = built.scene.poses()[instance].world_from_model * glm::dvec3(corner & 1 ? b.low.x : b.high.x, corner & 2 ? b.low.y : b.high.y, corner & 4 ? b.low.z : b.high.z);
+                const glm::dvec3 p =
+                    built.scene.poses()[instance].world_from_model *
+                    glm::dvec3(corner & 1 ? b.low.x : b.high.x, corner & 2 ? b.low.y : b.high.y, corner & 4 ? b.low.z : b.high.z);
                 box.add({p, p});
             }
         }
@@ -151,7 +155,8 @@ TEST_F(BvhTop, RaysReachEverySurfelOfEveryInstance) {
     std::normal_distribution<double> normal;
     std::size_t n_hits = 0;
     for (int r = 0; r < 100; ++r) {
-        const test::HostRay ray{4.0 * glm::dvec3(normal(random), normal(random), normal(random)), {normal(random), normal(random), normal(random)}};
+        const test::HostRay ray{4.0 * glm::dvec3(normal(random), normal(random), normal(random)),
+                                {normal(random), normal(random), normal(random)}};
         std::set<std::pair<std::uint32_t, std::uint32_t>> expected, found;
         for (std::uint32_t i = 0; i < 40; ++i) {
             const Model& model = layout.models[layout.instances[i].model];

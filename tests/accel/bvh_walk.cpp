@@ -34,7 +34,8 @@ struct TreeCheck {
     /// Real box of all below a leaf slot.
     bool leaf(const Slot& slot, HostBox& real) {
         if (slot.count > RELIDAR_BVH_LEAF_SIZE) return fail(fmt::format("a leaf of {} surfels", slot.count));
-        if (std::size_t(slot.first) + slot.count > bvh.order.size()) return fail(fmt::format("leaf entries {} + {} pass the end", slot.first, slot.count));
+        if (std::size_t(slot.first) + slot.count > bvh.order.size())
+            return fail(fmt::format("leaf entries {} + {} pass the end", slot.first, slot.count));
         for (std::uint32_t k = 0; k < slot.count; ++k) {
             const std::uint32_t surfel = bvh.order[slot.first + k];
             if (surfel >= model.count) return fail(fmt::format("surfel {} of a model of {}", surfel, model.count));
@@ -118,7 +119,8 @@ bool meets(const HostRay& ray, const HostBox& box) {
     return near <= far;
 }
 
-std::size_t walk(const std::vector<shared::BvhNode>& nodes, std::uint32_t root, const HostRay& ray, const std::function<void(std::uint32_t)>& leaf) {
+std::size_t walk(const std::vector<shared::BvhNode>& nodes, std::uint32_t root, const HostRay& ray,
+                 const std::function<void(std::uint32_t)>& leaf) {
     std::size_t visits = 0;
     std::vector<std::uint32_t> stack{root};
     while (!stack.empty()) {

@@ -17,7 +17,9 @@ namespace relidar::test {
 struct HostBox {
     glm::dvec3 low{HUGE_VAL}, high{-HUGE_VAL};
     bool empty() const { return !(low.x <= high.x); }
-    bool holds(const HostBox& inner) const { return inner.empty() || (glm::all(glm::lessThanEqual(low, inner.low)) && glm::all(glm::lessThanEqual(inner.high, high))); }
+    bool holds(const HostBox& inner) const {
+        return inner.empty() || (glm::all(glm::lessThanEqual(low, inner.low)) && glm::all(glm::lessThanEqual(inner.high, high)));
+    }
     void add(const HostBox& b) {
         if (b.empty()) return;
         low = glm::min(low, b.low);
@@ -36,8 +38,8 @@ struct Slot {
 };
 std::array<Slot, RELIDAR_BVH_WIDTH> slots_of(const shared::BvhNode& node);
 
-/// What is wrong with the tree of a model, or nothing: every surfel in one leaf, every box in the one above, all indices within their arrays, no
-/// node seen twice. @param seen [nodes] counts visits, over all models
+/// What is wrong with the tree of a model, or nothing: every surfel in one leaf, every box in the one above, all indices within their
+/// arrays, no node seen twice. @param seen [nodes] counts visits, over all models
 std::string fault_of_tree(const BvhOnHost& bvh, std::uint32_t root, const Model& model, std::vector<int>& seen);
 
 struct HostRay {
@@ -48,6 +50,7 @@ struct HostRay {
 bool meets(const HostRay& ray, const HostBox& box);
 
 /// Walks nodes from `root` into every decoded box the ray meets. @param leaf is given each entry of `order` reached @return nodes visited
-std::size_t walk(const std::vector<shared::BvhNode>& nodes, std::uint32_t root, const HostRay& ray, const std::function<void(std::uint32_t)>& leaf);
+std::size_t walk(const std::vector<shared::BvhNode>& nodes, std::uint32_t root, const HostRay& ray,
+                 const std::function<void(std::uint32_t)>& leaf);
 
 }  // namespace relidar::test

@@ -79,8 +79,10 @@ TEST_F(Proxies, FollowTheCutOfTheImageModel) {
             model.alpha_min = alpha_min;
             Renderer renderer(device(), make_background_scene(one_surfel(0.6f)), model, {.accel = {.proxy = proxy}});
             renderer.place(glm::vec3(0.0f));
-            for (const std::uint32_t n : renderer.forward(rim_rays(0.6f, 0.999, alpha_min)).hits) EXPECT_EQ(n, 1u) << "alpha_min " << alpha_min;
-            for (const std::uint32_t n : renderer.forward(rim_rays(0.6f, 1.001, alpha_min)).hits) EXPECT_EQ(n, 0u) << "alpha_min " << alpha_min;
+            for (const std::uint32_t n : renderer.forward(rim_rays(0.6f, 0.999, alpha_min)).hits)
+                EXPECT_EQ(n, 1u) << "alpha_min " << alpha_min;
+            for (const std::uint32_t n : renderer.forward(rim_rays(0.6f, 1.001, alpha_min)).hits)
+                EXPECT_EQ(n, 0u) << "alpha_min " << alpha_min;
         }
 }
 

@@ -52,11 +52,14 @@ protected:
         const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
         reference::Gradients expected(scene.world);
         std::vector<reference::RayGradient> d_rays;
-        for (std::size_t i = 0; i < scene.rays.size(); ++i) d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], how.chunk, upstream[i], expected));
+        for (std::size_t i = 0; i < scene.rays.size(); ++i)
+            d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], how.chunk, upstream[i], expected));
 
-        for (const Way& way : std::span(kWays).first(how.brute_force ? 2 : std::size(kWays))) {   // other ways of finding hits change nothing there
+        // other ways of finding hits change nothing there
+        for (const Way& way : std::span(kWays).first(how.brute_force ? 2 : std::size(kWays))) {
             const TraceOptions trace{.chunk = how.chunk, .brute_force = how.brute_force, .geometry = how.outputs != Outputs::image};
-            Passes passes(device(), settings.image, scene, upstream, {.accel = {.proxy = how.proxy}, .trace = trace, .keep_hits = way.kept}, way.options);
+            Passes passes(device(), settings.image, scene, upstream, {.accel = {.proxy = how.proxy}, .trace = trace, .keep_hits = way.kept},
+                          way.options);
             passes.run();
             const GatheredHits hits = passes.renderer.backward_pass().take_gathered_hits();
             EXPECT_EQ(hits.most > hits.capacity, way.options.hits_per_ray == 2) << title;
@@ -64,7 +67,8 @@ protected:
         }
     }
 
-    void expect_rows(const ImageModel& image, const reference::Gradients& expected, const std::vector<reference::RayGradient>& d_rays, const Gradients& actual, const std::string& title, const How& how) {
+    void expect_rows(const ImageModel& image, const reference::Gradients& expected, const std::vector<reference::RayGradient>& d_rays,
+                     const Gradients& actual, const std::string& title, const How& how) {
         GradientTable table;
         test::add_surfel_rows(table, expected.surfels, actual.surfels.download());
         const std::vector<float> rays = actual.rays.download();
@@ -76,22 +80,33 @@ protected:
         for (const auto& [name, group] : table.groups()) {
             EXPECT_LE(group.worst_error(), how.tolerance) << name << ", " << title;
             EXPECT_EQ(group.missing_rows(), 0u) << name << ", " << title;
-            const bool constant = (name == "sh hit" && image.single_drop_logit) || (name.starts_with("sh ") && (how.outputs == Outputs::normal || how.outputs == Outputs::distortion));
+            const bool constant = (name == "sh hit" && image.single_drop_logit) ||
+                                  (name.starts_with("sh ") && (how.outputs == Outputs::normal || how.outputs == Outputs::distortion));
             EXPECT_EQ(group.nonzero_rows() == 0u, constant) << name << ", " << title;
         }
     }
 };
 
 TEST_F(DeviceGradient, ShAlongRayWithInstances) {
-    expect_agreement({.sh_direction = ShDirection::ray}, {.seed = 31, .rays = 60}, {Proxy::triangles, 4}, "triangles, SH along the ray, 3 instances, chunk 4");
+    expect_agreement({.sh_direction = ShDirection::ray}, {.seed = 31, .rays = 60}, {Proxy::triangles, 4},
+                     "triangles, SH along the ray, 3 instances, chunk 4");
 }
 
 TEST_F(DeviceGradient, ShAlongSurfelWithInstance) {
-    expect_agreement({.sh_direction = ShDirection::surfel}, {.seed = 32, .actor_instances = 1, .rays = 60}, {}, "boxes, SH along sensor -> mean, 2 instances, chunk 16");
+    expect_agreement({.sh_direction = ShDirection::surfel}, {.seed = 32, .actor_instances = 1, .rays = 60}, {},
+                     "boxes, SH along sensor -> mean, 2 instances, chunk 16");
 }
 
 TEST_F(DeviceGradient, ViewOriginAndLongLists) {
-    expect_agreement({.sh_direction = ShDirection::surfel}, {.seed = 33, .background_surfels = 80, .actor_surfels = 0, .actor_instances = 0, .rays = 40, .opacity_low = 0.02, .opacity_high = 0.2}, {}, "transparent, long lists, chunk 16");
+    expect_agreement({.sh_direction = ShDirection::surfel},
+                     {.seed = 33,
+                      .background_surfels = 80,
+                      .actor_surfels = 0,
+                      .actor_instances = 0,
+                      .rays = 40,
+                      .opacity_low = 0.02,
+                      .opacity_high = 0.2},
+                     {}, "transparent, long lists, chunk 16");
 }
 
 TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
@@ -101,19 +116,24 @@ TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
     // An opacity near 0.99 is rounded to 6e-8, which is 6e-6 of 1 - alpha; Eq. 9 divides by that, and the transmittance behind such a
     // wall carries it on to rows that are themselves small. Single precision holds no fourth digit there.
     const double tolerance = 10.0 * test::kKernelGradient;
-    expect_agreement({.sh_direction = ShDirection::ray}, options, {.brute_force = true, .tolerance = tolerance}, "brute force, opaque, chunk 16");
-    expect_agreement({.sh_direction = ShDirection::ray}, options, {.chunk = 2, .brute_force = true, .tolerance = tolerance}, "brute force, opaque, chunk 2");
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.brute_force = true, .tolerance = tolerance},
+                     "brute force, opaque, chunk 16");
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.chunk = 2, .brute_force = true, .tolerance = tolerance},
+                     "brute force, opaque, chunk 2");
 }
 
 TEST_F(DeviceGradient, Gaussians) {
     test::RandomSceneOptions options;
     options.primitive = Primitive::gaussian;
-    options.seed = 36, options.rays = 30, options.background_surfels = 24, options.actor_surfels = 8;   // each is met by more rays than a surfel
+    // each is met by more rays than a surfel
+    options.seed = 36, options.rays = 30, options.background_surfels = 24, options.actor_surfels = 8;
     // Points 10 m away are rounded to 1e-6 m: 3e-5 standard deviations of the thinnest, 0.03 m, in every gradient of alpha.
     const double tolerance = 3.0 * test::kKernelGradient;
-    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .chunk = 4, .tolerance = tolerance}, "3D Gaussians, icosahedra, SH along the ray, 3 instances, chunk 4");
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .chunk = 4, .tolerance = tolerance},
+                     "3D Gaussians, icosahedra, SH along the ray, 3 instances, chunk 4");
     options.seed = 37, options.actor_instances = 1;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.tolerance = tolerance}, "3D Gaussians, boxes, SH along sensor -> mean, 2 instances, chunk 16");
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.tolerance = tolerance},
+                     "3D Gaussians, boxes, SH along sensor -> mean, 2 instances, chunk 16");
 }
 
 /// The ablation of the paper: hit logits are 0 whatever the scene holds, and nothing moves them. The first two scenes again.
@@ -121,25 +141,32 @@ TEST_F(DeviceGradient, SingleDropLogit) {
     test::RandomSceneOptions options;
     options.seed = 31;
     options.rays = 60;
-    expect_agreement({.sh_direction = ShDirection::ray, .single_drop_logit = true}, options, {Proxy::triangles, 4}, "one drop logit, SH along the ray");
+    expect_agreement({.sh_direction = ShDirection::ray, .single_drop_logit = true}, options, {Proxy::triangles, 4},
+                     "one drop logit, SH along the ray");
     options.seed = 32;
     options.actor_instances = 1;
-    expect_agreement({.sh_direction = ShDirection::surfel, .single_drop_logit = true}, options, {}, "one drop logit, SH along sensor -> mean");
+    expect_agreement({.sh_direction = ShDirection::surfel, .single_drop_logit = true}, options, {},
+                     "one drop logit, SH along sensor -> mean");
 }
 
 /// Blended normal and distortion (M10, M11), each alone and with the image, short chunks and long lists.
 TEST_F(DeviceGradient, Geometry) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 72;
-    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .chunk = 4, .outputs = Outputs::all}, "image and geometry, SH along the ray, chunk 4");
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .chunk = 4, .outputs = Outputs::all},
+                     "image and geometry, SH along the ray, chunk 4");
     options.actor_instances = 1, options.seed = 62;
     expect_agreement({.sh_direction = ShDirection::surfel}, options, {.chunk = 5, .outputs = Outputs::normal}, "blended normal alone");
     options.seed = 63;
     expect_agreement({.sh_direction = ShDirection::surfel}, options, {.chunk = 5, .outputs = Outputs::distortion}, "distortion alone");
-    options.seed = 73, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0, options.actor_surfels = 0, options.opacity_low = 0.02, options.opacity_high = 0.2;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.chunk = 5, .outputs = Outputs::all}, "image and geometry, transparent, long lists");
+    options.seed = 73, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0, options.actor_surfels = 0,
+    options.opacity_low = 0.02, options.opacity_high = 0.2;
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.chunk = 5, .outputs = Outputs::all},
+                     "image and geometry, transparent, long lists");
     options.seed = 37, options.background_surfels = 40, options.opacity_low = 0.5, options.opacity_high = 0.98, options.wide_surfels = 2;
-    expect_agreement({.sh_direction = ShDirection::ray}, options, {.chunk = 2, .brute_force = true, .tolerance = 10.0 * test::kKernelGradient, .outputs = Outputs::all}, "image and geometry, opaque with clamps");
+    expect_agreement({.sh_direction = ShDirection::ray}, options,
+                     {.chunk = 2, .brute_force = true, .tolerance = 10.0 * test::kKernelGradient, .outputs = Outputs::all},
+                     "image and geometry, opaque with clamps");
 }
 
 /// Direct differences of the device: blunt (single precision), but nothing of the chain is shared with the reference.
@@ -153,7 +180,8 @@ TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
     options.seed = 35;
     options.primitive = GetParam();
     const test::RandomScene scene = test::make_random_scene(options, settings);
-    Passes passes(device(), settings.image, scene, random_upstream(scene.rays.size(), 3), {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}});
+    Passes passes(device(), settings.image, scene, random_upstream(scene.rays.size(), 3),
+                  {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}});
     passes.run();
     const Surfels d = passes.gradients().surfels.download();
     const Surfels start = passes.renderer.download().surfels;
@@ -169,11 +197,16 @@ TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
         passes.renderer.upload(below);
         return (high - passes.loss()) / (2.0 * h);
     };
-    const auto near_enough = [](double actual, double expected, double scale) { EXPECT_NEAR(actual, expected, 0.01 * std::abs(expected) + 2e-3 * scale); };
+    const auto near_enough = [](double actual, double expected, double scale) {
+        EXPECT_NEAR(actual, expected, 0.01 * std::abs(expected) + 2e-3 * scale);
+    };
     const double scale = glm::length(d.mean[strongest]);
-    for (int k = 0; k < 3; ++k) near_enough(d.mean[strongest][k], difference([&](Surfels& s, float h) { s.mean[strongest][k] += h; }, 5e-4f), scale);
-    for (int k = 0; k < 2; ++k) near_enough(d.log_scale[strongest][k], difference([&](Surfels& s, float h) { s.log_scale[strongest][k] += h; }, 2e-3f), scale);
-    if (GetParam() == Primitive::gaussian) near_enough(d.log_scale_w[strongest], difference([&](Surfels& s, float h) { s.log_scale_w[strongest] += h; }, 2e-3f), scale);
+    for (int k = 0; k < 3; ++k)
+        near_enough(d.mean[strongest][k], difference([&](Surfels& s, float h) { s.mean[strongest][k] += h; }, 5e-4f), scale);
+    for (int k = 0; k < 2; ++k)
+        near_enough(d.log_scale[strongest][k], difference([&](Surfels& s, float h) { s.log_scale[strongest][k] += h; }, 2e-3f), scale);
+    if (GetParam() == Primitive::gaussian)
+        near_enough(d.log_scale_w[strongest], difference([&](Surfels& s, float h) { s.log_scale_w[strongest] += h; }, 2e-3f), scale);
     near_enough(d.opacity_logit[strongest], difference([&](Surfels& s, float h) { s.opacity_logit[strongest] += h; }, 5e-3f), scale);
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // backward/gather and backward/gather_heads: surfels with thousands of hits, rays without a gradient, and the promise for which they
-// exist: every gradient the same bit for bit in every run, however the hits are found and however much room there is. (Their values against the
-// double reference: device_gradient_test.cpp.)
+// exist: every gradient the same bit for bit in every run, however the hits are found and however much room there is. (Their values against
+// the double reference: device_gradient_test.cpp.)
 #include <cmath>
 
 #include <relidar/error.hpp>
@@ -16,7 +16,8 @@ using test::Passes;
 
 std::vector<float> all_gradients(const Gradients& g) {
     std::vector<float> all;
-    for (const Array<float>* array : {&g.records, &g.surfels.mean, &g.surfels.rotation, &g.surfels.log_scale, &g.surfels.opacity_logit, &g.surfels.log_scale_w, &g.surfels.sh, &g.rays, &g.poses, &g.sensor})
+    for (const Array<float>* array : {&g.records, &g.surfels.mean, &g.surfels.rotation, &g.surfels.log_scale, &g.surfels.opacity_logit,
+                                      &g.surfels.log_scale_w, &g.surfels.sh, &g.rays, &g.poses, &g.sensor})
         for (const float x : array->download()) all.push_back(x);
     return all;
 }
@@ -37,20 +38,23 @@ protected:
 
 TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
     using enum ShDirection;
-    for (const auto& [direction, primitive] : {std::pair{ray, Primitive::surfel}, {surfel, Primitive::surfel}, {surfel, Primitive::gaussian}}) {
+    for (const auto& [direction, primitive] :
+         {std::pair{ray, Primitive::surfel}, {surfel, Primitive::surfel}, {surfel, Primitive::gaussian}}) {
         reference::Settings settings;
         settings.image.sh_direction = direction;
         settings.image.primitive = primitive;
         const test::RandomScene scene = crowded(settings);
         const std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 5);
-        Passes passes(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}}, {.reduction = Reduction::gather});
+        Passes passes(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}},
+                      {.reduction = Reduction::gather});
         passes.run();
         const std::vector<float> first = all_gradients(passes.gradients());
         for (int i = 0; i < 3; ++i) {
             passes.run();
             EXPECT_EQ(all_gradients(passes.gradients()), first);
         }
-        Passes triangles(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::triangles}, .trace = {.chunk = 16}}, {.reduction = Reduction::gather});
+        Passes triangles(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::triangles}, .trace = {.chunk = 16}},
+                         {.reduction = Reduction::gather});
         triangles.run();
         EXPECT_EQ(all_gradients(triangles.gradients()), first) << "the same hits found another way";
     }
@@ -64,10 +68,12 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
         test::RandomScene scene = crowded(settings);
         std::vector<PixelGradient> upstream = test::random_upstream(20, 6);
         for (int i = 1; i < 100; ++i) upstream.insert(upstream.end(), upstream.begin(), upstream.begin() + 20);
-        Passes many(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}}, {.reduction = Reduction::gather});
+        Passes many(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}},
+                    {.reduction = Reduction::gather});
         many.run();
         scene.rays.resize(20);
-        Passes once(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}}, {.reduction = Reduction::atomics});
+        Passes once(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}},
+                    {.reduction = Reduction::atomics});
         once.run();
         test::GradientTable table;
         const auto add = [&](const char* name, const Array<float>& expected, const Array<float>& actual, std::size_t n) {
@@ -103,11 +109,13 @@ TEST_F(Gather, EmptySlotsAndSmallerBatches) {
     std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 7);
     for (std::size_t i = 0; i < upstream.size(); ++i)
         if (i >= 20) upstream[i] = {};
-    Passes many(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}}, {.reduction = Reduction::gather});
+    Passes many(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}},
+                {.reduction = Reduction::gather});
     many.run();
     test::RandomScene few = scene;
     few.rays.resize(20);
-    Passes once(device(), settings.image, few, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}}, {.reduction = Reduction::gather});
+    Passes once(device(), settings.image, few, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}},
+                {.reduction = Reduction::gather});
     once.run();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());
     many.renderer.record_forward({&many.rays, 0, 1, 20});

@@ -62,12 +62,15 @@ test::RandomScene wall(std::uint64_t seed) {
 
 /// A wall all of whose rays keep the margins.
 test::RandomScene smooth_wall(const reference::Settings& settings) {
-    const test::Margins margins{.log_alpha = 5e-3, .separation_m = 5e-4, .log_stop = 5e-3};   // one seed for 42 rays: smaller ones, still far above what differences move
+    // one seed for 42 rays: smaller ones, still far above what differences move
+    const test::Margins margins{.log_alpha = 5e-3, .separation_m = 5e-4, .log_stop = 5e-3};
     for (std::uint64_t seed = 1; seed < 5000; ++seed) {
         const test::RandomScene scene = wall(seed);
         reference::Settings s = settings;
         s.view_origin = scene.view_origin;
-        if (std::all_of(scene.rays.begin(), scene.rays.end(), [&](const reference::Ray& ray) { return test::keeps_margins(scene.world, s, ray, margins); })) return scene;
+        if (std::all_of(scene.rays.begin(), scene.rays.end(),
+                        [&](const reference::Ray& ray) { return test::keeps_margins(scene.world, s, ray, margins); }))
+            return scene;
     }
     throw std::runtime_error("smooth_wall: no seed keeps the margins");
 }
@@ -84,7 +87,8 @@ struct Problem {
         settings.view_origin = scene.view_origin;
         std::mt19937_64 random(7);
         std::uniform_real_distribution<double> unit(0.0, 1.0);
-        for (const reference::Pixel& p : pixels()) targets.push_back({float(p.depth / p.weight + (unit(random) < 0.5 ? -0.1 : 0.1)), float(0.9 * unit(random))});
+        for (const reference::Pixel& p : pixels())
+            targets.push_back({float(p.depth / p.weight + (unit(random) < 0.5 ? -0.1 : 0.1)), float(0.9 * unit(random))});
         targets[10].range_m = 0.0;   // dropped
     }
 
@@ -107,7 +111,8 @@ struct Problem {
             result[k] *= weights.normal;
             if (i.returned[k]) result[k] += weights.distortion * i.pixels[k].distortion / n_returned;
         }
-        result.push_back(evaluate_loss(i.pixels, targets, {weights.depth, weights.intensity, weights.drop}, reference::DepthKind::normalised).total);
+        result.push_back(
+            evaluate_loss(i.pixels, targets, {weights.depth, weights.intensity, weights.drop}, reference::DepthKind::normalised).total);
         return result;
     }
 };
@@ -138,13 +143,17 @@ struct DevicePasses : test::Passes {
     }
 };
 
-glm::dquat turn_by(const glm::dvec3& w) { return glm::length(w) > 0.0 ? glm::angleAxis(glm::length(w), glm::normalize(w)) : glm::dquat(1.0, 0.0, 0.0, 0.0); }
+glm::dquat turn_by(const glm::dvec3& w) {
+    return glm::length(w) > 0.0 ? glm::angleAxis(glm::length(w), glm::normalize(w)) : glm::dquat(1.0, 0.0, 0.0, 0.0);
+}
 
 /// Rows by central differences, the same names and order as in `actual_rows`.
 std::vector<std::pair<std::string, std::vector<double>>> expected_rows(Problem& p) {
     std::vector<std::pair<std::string, std::vector<double>>> rows;
     const auto terms = [&] { return p.terms(); };
-    const auto add = [&](const char* name, double* x, int n, double step = test::kDifferenceStep) { rows.emplace_back(name, test::central_differences(x, n, terms, step)); };
+    const auto add = [&](const char* name, double* x, int n, double step = test::kDifferenceStep) {
+        rows.emplace_back(name, test::central_differences(x, n, terms, step));
+    };
     for (reference::Surfel& s : p.scene.world.surfels) {
         add("mean", &s.mean.x, 3);
         add("rotation", &s.rotation.x, 4);
@@ -164,12 +173,15 @@ std::vector<std::pair<std::string, std::vector<double>>> expected_rows(Problem& 
     };
     for (reference::Placement& placed : p.scene.world.instances) {
         const Pose start = placed.world_from_model;
-        add_twist("pose", [&](const glm::dvec3& v, const glm::dvec3& w) { placed.world_from_model = {turn_by(w) * start.rotation, start.translation + v}; });
+        add_twist("pose", [&](const glm::dvec3& v, const glm::dvec3& w) {
+            placed.world_from_model = {turn_by(w) * start.rotation, start.translation + v};
+        });
     }
     const std::vector<reference::Ray> rays = p.scene.rays;
     add_twist("sensor", [&](const glm::dvec3& v, const glm::dvec3& w) {
         for (std::size_t i = 0; i < rays.size(); ++i)
-            p.scene.rays[i] = {p.settings.view_origin + turn_by(w) * (rays[i].origin - p.settings.view_origin) + v, turn_by(w) * rays[i].direction};
+            p.scene.rays[i] = {p.settings.view_origin + turn_by(w) * (rays[i].origin - p.settings.view_origin) + v,
+                               turn_by(w) * rays[i].direction};
     });
     return rows;
 }
@@ -178,7 +190,9 @@ std::vector<std::vector<double>> actual_rows(const Gradients& g) {
     std::vector<std::vector<double>> rows;
     const Surfels s = g.surfels.download();
     for (std::size_t i = 0; i < s.size(); ++i)
-        for (const std::vector<double>& row : {lanes(s.mean[i], 3), lanes(s.rotation[i], 4), lanes(s.log_scale[i], 2), lanes(&s.opacity_logit[i], 1)}) rows.push_back(row);
+        for (const std::vector<double>& row :
+             {lanes(s.mean[i], 3), lanes(s.rotation[i], 4), lanes(s.log_scale[i], 2), lanes(&s.opacity_logit[i], 1)})
+            rows.push_back(row);
     const auto add = [&](const Array<float>& array) {
         const std::vector<float> values = array.download();
         for (std::size_t k = 0; k < values.size(); k += 3) rows.push_back(lanes(&values[k], 3));
@@ -205,7 +219,8 @@ protected:
                 for (std::size_t k = 0; k < actual.size(); ++k) table.add_row(expected[k].first, expected[k].second, actual[k]);
                 table.print(title);
                 for (const auto& [name, group] : table.groups()) {
-                    EXPECT_LE(group.worst_error(), 3.0 * test::kKernelGradient) << name << ", " << title;   // the normals hold fewer digits: geometry_loss_test.cpp
+                    // the normals hold fewer digits: geometry_loss_test.cpp
+                    EXPECT_LE(group.worst_error(), 3.0 * test::kKernelGradient) << name << ", " << title;
                     EXPECT_EQ(group.missing_rows(), 0u) << name << ", " << title;
                     EXPECT_GT(group.nonzero_rows(), 0u) << name << ", " << title;
                 }
@@ -277,7 +292,8 @@ TEST_F(GeometryGradient, GatheredTheSameBitsInEveryRun) {
         DevicePasses passes(device(), p, 0, {.reduction = Reduction::gather});
         passes.run_all();
         std::vector<float> all;
-        for (const Array<float>* array : {&passes.gradients().records, &passes.gradients().surfels.rotation, &passes.gradients().rays, &passes.gradients().poses})
+        for (const Array<float>* array :
+             {&passes.gradients().records, &passes.gradients().surfels.rotation, &passes.gradients().rays, &passes.gradients().poses})
             for (const float x : array->download()) all.push_back(x);
         if (i == 0) first = all;
         EXPECT_EQ(all, first);

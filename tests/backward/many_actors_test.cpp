@@ -22,7 +22,8 @@ constexpr double kApart_m = 1.5;   // ... of a lattice: near, so that their plac
 test::RandomScene many_actors(bool own, int n_actors) {
     constexpr int kSurfels = 12;
     const int n_surfels = own ? kSurfels * n_actors : kSurfels;
-    const test::RandomScene drawn = test::make_random_scene({.seed = 71, .background_surfels = n_surfels, .actor_surfels = 0, .actor_instances = 0, .rays = 0}, {});
+    const test::RandomScene drawn =
+        test::make_random_scene({.seed = 71, .background_surfels = n_surfels, .actor_surfels = 0, .actor_instances = 0, .rays = 0}, {});
     test::RandomScene scene;
     scene.view_origin = glm::dvec3(glm::vec3(0.1f, -0.2f, 0.2f));
     scene.world.surfels = drawn.world.surfels;
@@ -101,7 +102,8 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
 /// Measured: 0.1 m behind and 0.1 brighter than what is rendered at first.
 std::vector<DeviceTarget> targets_beside(const std::vector<shared::RenderedRay>& rendered) {
     std::vector<DeviceTarget> targets;
-    for (const shared::RenderedRay& r : rendered) targets.push_back({.range_m = r.depth + 0.1f, .intensity = r.intensity + 0.1f, .weight = 1.0f});
+    for (const shared::RenderedRay& r : rendered)
+        targets.push_back({.range_m = r.depth + 0.1f, .intensity = r.intensity + 0.1f, .weight = 1.0f});
     return targets;
 }
 
@@ -127,7 +129,8 @@ std::vector<float> train(Passes& passes) {
         renderer.record_forward(passes.batch());
         loss.compare(renderer.stream(), renderer.batch(), {&targets, 0, 1, n, double(n), double(n)}, terms);
         renderer.record_backward();
-        adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels, &renderer.gradients().touched, kRates, step, 3);
+        adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels, &renderer.gradients().touched, kRates,
+                  step, 3);
         renderer.stream().finish();
         const std::vector<float> all = terms.download();
         losses.push_back(std::accumulate(all.begin(), all.end(), 0.0f));
@@ -139,7 +142,8 @@ TEST_F(ManyActors, Train) {
     for (const bool own : {false, true}) {
         test::RandomScene scene = many_actors(own, kAcross * kAcross * kAcross);
         add_rays(scene, 300, nullptr);
-        Passes passes(device(), image_of(own), scene, std::vector<reference::PixelGradient>(scene.rays.size()), {.accel = {.proxy = Proxy::boxes}});
+        Passes passes(device(), image_of(own), scene, std::vector<reference::PixelGradient>(scene.rays.size()),
+                      {.accel = {.proxy = Proxy::boxes}});
         const std::vector<float> losses = train(passes);
         const char* what = own ? "1000 models" : "1000 instances of a model";
         std::printf("%s: loss %.5f, after 20 steps %.5f\n", what, double(losses.front()), double(losses.back()));
@@ -159,7 +163,8 @@ TEST_F(ManyActors, AreLaunchedTogether) {
     const auto launches = [&](int n_actors) {
         test::RandomScene scene = many_actors(true, n_actors);
         add_rays(scene, 10, nullptr);
-        Passes passes(device(), image_of(true), scene, std::vector<reference::PixelGradient>(scene.rays.size()), {.accel = {.proxy = Proxy::boxes}});
+        Passes passes(device(), image_of(true), scene, std::vector<reference::PixelGradient>(scene.rays.size()),
+                      {.accel = {.proxy = Proxy::boxes}});
         passes.run();   // builds the tree, whose number of launches is the logarithm of its size
         Stream& stream = passes.renderer.stream();
         stream.reset_times();

@@ -92,7 +92,8 @@ inline void add_surfel_rows(GradientTable& table, const std::vector<reference::S
         table.add_row("opacity_logit", {expected[i].opacity_logit}, {actual.opacity_logit[i]});
         const char* names[] = {"sh intensity", "sh hit", "sh drop"};
         for (int c = 0; c < kShChannels; ++c)
-            table.add_row(names[c], lanes(expected[i].sh.data() + c * kShCoefficients, kShCoefficients), lanes(actual.sh.data() + i * kShFloats + std::size_t(c * kShCoefficients), kShCoefficients));
+            table.add_row(names[c], lanes(expected[i].sh.data() + c * kShCoefficients, kShCoefficients),
+                          lanes(actual.sh.data() + i * kShFloats + std::size_t(c * kShCoefficients), kShCoefficients));
     }
 }
 

@@ -19,7 +19,9 @@ using test::GradientTable;
 using test::lanes;
 using test::Passes;
 
-glm::dquat turn_by(const glm::dvec3& w) { return glm::length(w) > 0.0 ? glm::angleAxis(glm::length(w), glm::normalize(w)) : glm::dquat(1.0, 0.0, 0.0, 0.0); }
+glm::dquat turn_by(const glm::dvec3& w) {
+    return glm::length(w) > 0.0 ? glm::angleAxis(glm::length(w), glm::normalize(w)) : glm::dquat(1.0, 0.0, 0.0, 0.0);
+}
 
 /// A random scene, its upstream gradients and the double loss.
 struct Problem {
@@ -51,7 +53,8 @@ struct Problem {
         reference::Settings s = settings;
         s.view_origin += v;
         std::vector<reference::Ray> rays = scene.rays;
-        for (reference::Ray& ray : rays) ray = {settings.view_origin + turn * (ray.origin - settings.view_origin) + v, turn * ray.direction};
+        for (reference::Ray& ray : rays)
+            ray = {settings.view_origin + turn * (ray.origin - settings.view_origin) + v, turn * ray.direction};
         return terms(rays, s);
     }
 };
@@ -66,7 +69,9 @@ std::vector<double> twist_differences(const std::function<std::vector<double>(co
 }
 
 void add_twist(GradientTable& table, const std::string& name, const std::vector<double>& expected, const std::vector<double>& actual) {
-    const auto half = [](const std::vector<double>& row, int i) { return std::vector<double>(row.begin() + 3 * i, row.begin() + 3 * i + 3); };
+    const auto half = [](const std::vector<double>& row, int i) {
+        return std::vector<double>(row.begin() + 3 * i, row.begin() + 3 * i + 3);
+    };
     table.add_row(name + " translation", half(expected, 0), half(actual, 0));
     table.add_row(name + " rotation", half(expected, 1), half(actual, 1));
 }
@@ -77,7 +82,8 @@ protected:
         Problem p(direction, options);
         const reference::BruteForce brute(p.scene.world, p.settings.image, reference::Precision::double_record);
         reference::Gradients expected(p.scene.world);
-        for (std::size_t i = 0; i < p.scene.rays.size(); ++i) reference::backward(p.scene.world, brute, p.settings, p.scene.rays[i], 16, p.upstream[i], expected);
+        for (std::size_t i = 0; i < p.scene.rays.size(); ++i)
+            reference::backward(p.scene.world, brute, p.settings, p.scene.rays[i], 16, p.upstream[i], expected);
         Passes passes(device(), p.settings.image, p.scene, p.upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}});
         passes.run();
         const std::vector<float> poses = passes.gradients().poses.download();
@@ -95,7 +101,8 @@ protected:
             placed.world_from_model = start;
             add_twist(table, "differences, pose", differences, lanes(poses.data() + 6 * k, 6));
         }
-        add_twist(table, "differences, sensor", twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) { return p.terms_of_moved_sensor(v, w); }),
+        add_twist(table, "differences, sensor",
+                  twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) { return p.terms_of_moved_sensor(v, w); }),
                   lanes(passes.gradients().sensor.download().data(), 6));
         table.print(title);
         for (const auto& [name, group] : table.groups()) {
@@ -166,7 +173,8 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
             glm::dvec3 force(0.0), torque(0.0), view(0.0);
             for (std::size_t i = layout.models[k].first; i < layout.models[k].first + layout.models[k].count; ++i) {
                 force += three(d_records, 16 * i);
-                for (const std::size_t lane : {0, 4, 8, 12}) torque += glm::cross(three(records, 16 * i + lane), three(d_records, 16 * i + lane));
+                for (const std::size_t lane : {0, 4, 8, 12})
+                    torque += glm::cross(three(records, 16 * i + lane), three(d_records, 16 * i + lane));
                 if (direction == ShDirection::surfel) view += three(d_view, 3 * i);
                 else torque -= glm::dvec3(d_records[16 * i + 7], d_records[16 * i + 11], d_records[16 * i + 15]);
             }

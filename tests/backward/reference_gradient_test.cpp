@@ -21,7 +21,8 @@ struct Problem {
     std::vector<PixelGradient> upstream;
     int chunk = 16;
 
-    Problem(ShDirection direction, const test::RandomSceneOptions& options, int chunk_size, bool single_drop_logit = false, test::Outputs outputs = test::Outputs::all)
+    Problem(ShDirection direction, const test::RandomSceneOptions& options, int chunk_size, bool single_drop_logit = false,
+            test::Outputs outputs = test::Outputs::all)
         : chunk(chunk_size) {
         settings.image.sh_direction = direction;
         settings.image.single_drop_logit = single_drop_logit;
@@ -79,13 +80,15 @@ void check_rays_and_poses(Problem& p, const Gradients& gradients, const std::vec
     for (std::size_t i = 0; i < p.scene.rays.size(); ++i) {
         const auto term = [&] { return std::vector<double>{p.term(provider, i)}; };
         table.add_row("ray origin", test::central_differences(&p.scene.rays[i].origin.x, 3, term), row(d_rays[i].origin));
-        table.add_row("ray direction", test::central_differences(&p.scene.rays[i].direction.x, 3, term, test::kAngleStep), row(d_rays[i].direction));
+        table.add_row("ray direction", test::central_differences(&p.scene.rays[i].direction.x, 3, term, test::kAngleStep),
+                      row(d_rays[i].direction));
     }
     const auto terms = [&] { return p.terms(); };
     table.add_row("view origin", test::central_differences(&p.settings.view_origin.x, 3, terms), row(gradients.view_origin));
     for (std::size_t i = 0; i < p.scene.world.instances.size(); ++i) {
         Pose& pose = p.scene.world.instances[i].world_from_model;
-        table.add_row("pose translation", test::central_differences(&pose.translation.x, 3, terms), row(gradients.instances[i].translation));
+        table.add_row("pose translation", test::central_differences(&pose.translation.x, 3, terms),
+                      row(gradients.instances[i].translation));
         const glm::dquat start = pose.rotation;
         const auto turn = [&](int k, double angle) {
             glm::dvec3 axis(0.0);
@@ -102,7 +105,8 @@ std::size_t most_hits(const Problem& p) {
     return most;
 }
 
-void expect_differences_agree(ShDirection direction, const test::RandomSceneOptions& options, int chunk, const char* title, bool single_drop_logit = false, test::Outputs outputs = test::Outputs::all) {
+void expect_differences_agree(ShDirection direction, const test::RandomSceneOptions& options, int chunk, const char* title,
+                              bool single_drop_logit = false, test::Outputs outputs = test::Outputs::all) {
     Problem problem(direction, options, chunk, single_drop_logit, outputs);
     EXPECT_GT(most_hits(problem), std::size_t(chunk)) << "the scene should need more than one chunk";
     std::vector<RayGradient> d_rays;
@@ -115,7 +119,8 @@ void expect_differences_agree(ShDirection direction, const test::RandomSceneOpti
         EXPECT_LE(group.worst_error(), test::kReferenceGradient) << name << ", seed " << options.seed;
         EXPECT_EQ(group.missing_rows(), 0u) << name;
         const bool values = outputs == test::Outputs::all;   // geometry alone does not depend on the channels
-        const bool constant = (name == "view origin" && !(direction == ShDirection::surfel && values)) || (name == "sh hit" && single_drop_logit) || (name.starts_with("sh ") && !values);
+        const bool constant = (name == "view origin" && !(direction == ShDirection::surfel && values)) ||
+                              (name == "sh hit" && single_drop_logit) || (name.starts_with("sh ") && !values);
         EXPECT_EQ(group.nonzero_rows() == 0u, constant) << name;
     }
 }

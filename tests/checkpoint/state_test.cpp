@@ -54,7 +54,8 @@ TEST_F(DeviceState, SurfelsAndArraysComeBack) {
     const Surfels surfels = example_surfels(n);
     SurfelArrays arrays(device(), n, "state"), back(device(), n, "state read back"), smaller(device(), n - 1, "too small");
     arrays.upload(surfels);
-    Array<float> statistics(device(), std::vector<float>{3.0f, 1.0f, 4.0f}, "statistics"), statistics_back(device(), 3, "statistics read back");
+    Array<float> statistics(device(), std::vector<float>{3.0f, 1.0f, 4.0f}, "statistics"),
+        statistics_back(device(), 3, "statistics read back");
     Checkpoint checkpoint;
     StateWriter write(checkpoint);
     write("parameters", arrays);
@@ -72,7 +73,8 @@ TEST_F(DeviceState, SurfelsAndArraysComeBack) {
         EXPECT_EQ(s->sh, surfels.sh);
     }
     EXPECT_EQ(statistics_back.download(), statistics.download());
-    EXPECT_NE(data_error([&] { read("parameters", smaller); }).find("array parameters/mean: found f4 [5, 3], expected f4 [4, 3]"), std::string::npos);
+    EXPECT_NE(data_error([&] { read("parameters", smaller); }).find("array parameters/mean: found f4 [5, 3], expected f4 [4, 3]"),
+              std::string::npos);
     std::erase_if(checkpoint.arrays, [](const NamedArray& a) { return a.name == "parameters/rotation"; });
     EXPECT_NE(data_error([&] { read.surfels("parameters"); }).find("array parameters/rotation: missing"), std::string::npos);
 }
@@ -81,7 +83,8 @@ TEST_F(DeviceState, GaussiansComeBackAndNothingElseInTheirPlace) {
     constexpr std::uint32_t n = 5;
     Surfels gaussians = example_surfels(n);
     make_gaussians(gaussians, 0.3);
-    SurfelArrays arrays(device(), n, "state", Primitive::gaussian), back(device(), n, "state read back", Primitive::gaussian), of_surfels(device(), n, "surfels");
+    SurfelArrays arrays(device(), n, "state", Primitive::gaussian), back(device(), n, "state read back", Primitive::gaussian),
+        of_surfels(device(), n, "surfels");
     arrays.upload(gaussians);
     Checkpoint checkpoint;
     StateWriter{checkpoint}("parameters", arrays);

@@ -47,7 +47,9 @@ Config through_toml(const Config& config, const std::filesystem::path& folder) {
 /// Gives a key another value that it accepts.
 bool change(Config& config, const std::string& key) {
     const std::string before = value_of(config, key);
-    for (const char* value : {"0.12345678", "0.6000001", "0.25", "2", "7", "123456", "true", "false", "kitti360", "cast", "columns", "ray", "surfel", "median", "expected", "boxes", "gaussian", "adaptive", "gather", "sensor", "none", "lane", "masked", "range", "a \"b\" \\c"}) {
+    for (const char* value : {"0.12345678", "0.6000001", "0.25", "2",      "7",      "123456",   "true",       "false",    "kitti360",
+                              "cast",       "columns",   "ray",  "surfel", "median", "expected", "boxes",      "gaussian", "adaptive",
+                              "gather",     "sensor",    "none", "lane",   "masked", "range",    "a \"b\" \\c"}) {
         if (value == before) continue;
         try {
             set_key(config, key, value);

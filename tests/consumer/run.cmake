@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-# Installs a built relidar into an empty folder, or takes PREFIX, where it is installed, and builds and runs the consumer project against it.
-# Where it installs, and a device is promised (RELIDAR_REQUIRE_GPU), also the programs of tools/examples, on a small street that the installed
+# Installs a built relidar into an empty folder, or takes PREFIX, where it is installed, and builds and runs the consumer project against
+# it.
+# Where it installs, and a device is promised (RELIDAR_REQUIRE_GPU), also the programs of tools/examples, on a small street that the
+# installed
 # relidar trains.
-#   cmake -DBUILD_DIR=<built relidar> -DWORK_DIR=<scratch> [-DPREFIX=...] [-DGENERATOR=...] [-DCXX_COMPILER=...] [-DCXX_FLAGS=...] -P run.cmake
+#   cmake -DBUILD_DIR=<built relidar> -DWORK_DIR=<scratch> [-DPREFIX=...] [-DGENERATOR=...] [-DCXX_COMPILER=...] [-DCXX_FLAGS=...] -P
+# run.cmake
 cmake_minimum_required(VERSION 3.25)
 foreach(needed BUILD_DIR WORK_DIR)
     if(NOT ${needed})

@@ -39,7 +39,8 @@ TEST_F(Files, WhatCannotBeReadIsToldApartFromWhatIsMissing) {
     fs::permissions(file, fs::perms::none);
     fs::permissions(folder, fs::perms::all);
     const Nobody nobody;
-    for (const auto& read : {std::function<void(const fs::path&)>([](const fs::path& p) { read_file(p); }), std::function<void(const fs::path&)>([](const fs::path& p) { list_folder(p); }),
+    for (const auto& read : {std::function<void(const fs::path&)>([](const fs::path& p) { read_file(p); }),
+                             std::function<void(const fs::path&)>([](const fs::path& p) { list_folder(p); }),
                              std::function<void(const fs::path&)>([](const fs::path& p) { path_exists(p); })}) {
         EXPECT_THAT(data_error([&] { read(locked / "inside"); }), testing::HasSubstr("inside: cannot be read: Permission denied"));
         EXPECT_THAT(data_error([&] { read(loop); }), testing::HasSubstr("loop: cannot be read: Too many levels"));
@@ -79,7 +80,10 @@ TEST(TomlDepth, DeepKeysAndBracketsAreRefused) {
     EXPECT_THAT(refused("a.\"b.\".'c'.d . e.f.g.h.i = 1\n"), testing::HasSubstr("a key"));
     EXPECT_THAT(refused("a = " + std::string(9, '[')), testing::HasSubstr("f.toml:1: brackets more than 8 deep"));
     EXPECT_THAT(refused("a = {b = [\n{c = [\n{d = [\n{e = [\n{f = 1"), testing::HasSubstr("f.toml:5: brackets"));
-    EXPECT_NO_THROW(check_toml_depth("# ........................\na = \"..........\\\"..........\"\nb = '..........'\nc.d.e.f.g.h.i.j = 1.5\n[k]\nl = [1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5]\n", "f.toml"));
+    EXPECT_NO_THROW(
+        check_toml_depth("# ........................\na = \"..........\\\"..........\"\nb = '..........'\nc.d.e.f.g.h.i.j = 1.5\n[k]\nl = "
+                         "[1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5]\n",
+                         "f.toml"));
 }
 
 }  // namespace

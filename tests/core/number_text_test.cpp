@@ -34,7 +34,21 @@ To bits(From value) {
 
 /// Borders of the format, and doubles of any bits.
 std::vector<double> many_numbers() {
-    std::vector<double> numbers{0.0, -0.0, 1.0, 0.1, 8.0, 1e15, 1e16, 1e21, 1e22, 1e23, 123456789012345680.0, 9007199254740993.0, 5e-324, 2.2250738585072014e-308, 1.7976931348623157e308};
+    std::vector<double> numbers{0.0,
+                                -0.0,
+                                1.0,
+                                0.1,
+                                8.0,
+                                1e15,
+                                1e16,
+                                1e21,
+                                1e22,
+                                1e23,
+                                123456789012345680.0,
+                                9007199254740993.0,
+                                5e-324,
+                                2.2250738585072014e-308,
+                                1.7976931348623157e308};
     std::mt19937_64 random(5);
     while (numbers.size() < 20'000)
         if (const double x = bits<double>(random()); std::isfinite(x)) numbers.push_back(x);
@@ -43,8 +57,10 @@ std::vector<double> many_numbers() {
 }
 
 TEST(NumberText, IsAsWritten) {
-    const std::vector<std::pair<double, const char*>> expected{{8.0, "8.0"}, {0.0, "0.0"}, {-0.0, "-0.0"}, {-3.0, "-3.0"}, {0.1, "0.1"}, {1e-9, "1e-09"}, {1e300, "1e+300"}, {1e15, "1e+15"},
-                                                               {10000.0, "10000.0"}, {100000.0, "1e+05"}, {1234.5, "1234.5"}, {-2.5e-7, "-2.5e-07"}, {kInfinity, "inf"}, {-kInfinity, "-inf"}, {NAN, "nan"}, {-NAN, "nan"}};
+    const std::vector<std::pair<double, const char*>> expected{
+        {8.0, "8.0"},       {0.0, "0.0"},         {-0.0, "-0.0"},       {-3.0, "-3.0"},      {0.1, "0.1"},       {1e-9, "1e-09"},
+        {1e300, "1e+300"},  {1e15, "1e+15"},      {10000.0, "10000.0"}, {100000.0, "1e+05"}, {1234.5, "1234.5"}, {-2.5e-7, "-2.5e-07"},
+        {kInfinity, "inf"}, {-kInfinity, "-inf"}, {NAN, "nan"},         {-NAN, "nan"}};
     for (const auto& [value, text] : expected) EXPECT_EQ(number_text(value), text);
     EXPECT_EQ(number_text(0.1f), "0.1") << "as a double it would have 17 digits";
     EXPECT_EQ(number_text(16777216.0f), "16777216.0");

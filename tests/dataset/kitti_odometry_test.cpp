@@ -54,7 +54,8 @@ TEST(KittiOdometry, IsRecognisedAndRead) {
     const std::vector<Pose>& poses = log.world_from_vehicle.pose;
     EXPECT_LT(glm::distance(log.world_offset_m, glm::dvec3(1.5, 0.0, 0.0)), 1e-9) << "forward is the LiDAR's x";
     EXPECT_LT(glm::distance(poses[0].translation, glm::dvec3(-1.5, 0.0, 0.0)), 1e-9);
-    // The camera has turned by 0.1 about its y, downwards: to the right. Its place is 3 m ahead of where it was, the LiDAR's 0.3 m behind it.
+    // The camera has turned by 0.1 about its y, downwards: to the right. Its place is 3 m ahead of where it was, the LiDAR's 0.3 m behind
+    // it.
     const glm::dvec3 ahead = poses[2].rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x), -0.1, 1e-9);
     EXPECT_LT(glm::distance(poses[2].translation, glm::dvec3(-1.5 + 0.3 + 3.0 - 0.3 * std::cos(0.1), 0.3 * std::sin(0.1), 0.0)), 1e-9);

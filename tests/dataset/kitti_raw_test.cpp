@@ -153,7 +153,8 @@ void blank_lines(const std::filesystem::path& path, const std::vector<std::size_
     const std::string whole = test::read_text(path);
     std::string text, line;
     std::istringstream lines(whole);
-    for (std::size_t n = 0; std::getline(lines, line); ++n) text += (std::find(numbers.begin(), numbers.end(), n) == numbers.end() ? line : "") + "\n";
+    for (std::size_t n = 0; std::getline(lines, line); ++n)
+        text += (std::find(numbers.begin(), numbers.end(), n) == numbers.end() ? line : "") + "\n";
     test::write_text(path, text);
 }
 
@@ -161,7 +162,8 @@ void blank_lines(const std::filesystem::path& path, const std::vector<std::size_
 TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     const KittiDrive drive("drive0009");
     std::filesystem::remove(drive.scan(1));
-    for (const char* name : {"timestamps.txt", "timestamps_start.txt", "timestamps_end.txt"}) blank_lines(drive.file(std::string("velodyne_points/") + name), {1});
+    for (const char* name : {"timestamps.txt", "timestamps_start.txt", "timestamps_end.txt"})
+        blank_lines(drive.file(std::string("velodyne_points/") + name), {1});
     const Sequence log = load_sequence(drive.folder.string(), {});
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[1].index, 2);
@@ -178,14 +180,16 @@ TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
 TEST(KittiRaw, TimesAreCountedFromTheFirstLineThatHasOne) {
     const KittiDrive drive("headless");
     std::filesystem::remove(drive.scan(0));
-    for (const char* name : {"timestamps.txt", "timestamps_start.txt", "timestamps_end.txt"}) blank_lines(drive.file(std::string("velodyne_points/") + name), {0});
+    for (const char* name : {"timestamps.txt", "timestamps_start.txt", "timestamps_end.txt"})
+        blank_lines(drive.file(std::string("velodyne_points/") + name), {0});
     const Sequence log = load_sequence(drive.folder.string(), {});
     EXPECT_NEAR(log.frames[0].time_s, 0.0, 1e-9);
     EXPECT_NEAR(log.frames[1].time_s, 0.1, 1e-9);
 }
 
 TEST(KittiRaw, CalibrationBesideAboveOrInItsArchive) {
-    for (const char* place : {"calib_imu_to_velo.txt", "calib/calib_imu_to_velo.txt", "../2011_12_31_calib/2011_12_31/calib_imu_to_velo.txt", "../../calib_imu_to_velo.txt"}) {
+    for (const char* place : {"calib_imu_to_velo.txt", "calib/calib_imu_to_velo.txt",
+                              "../2011_12_31_calib/2011_12_31/calib_imu_to_velo.txt", "../../calib_imu_to_velo.txt"}) {
         const KittiDrive drive("calibration_places");
         const glm::dvec3 usual = load_sequence(drive.folder.string(), {}).world_offset_m;
         const std::string text = test::read_text(drive.calibration());
@@ -213,7 +217,8 @@ TEST(KittiRaw, WithoutPosesAndTracklets) {
     EXPECT_EQ(log.boxes[0].world_from_box.pose[0].translation, glm::dvec3(10, 2, -0.5));   // as labelled
     set_vehicle_poses(log, whole.world_from_vehicle);
     for (std::size_t k = 0; k < 2; ++k)
-        EXPECT_NEAR(glm::distance(log.boxes[0].world_from_box.pose[k].translation, whole.boxes[0].world_from_box.pose[k].translation), 0.0, 1e-9);
+        EXPECT_NEAR(glm::distance(log.boxes[0].world_from_box.pose[k].translation, whole.boxes[0].world_from_box.pose[k].translation), 0.0,
+                    1e-9);
     std::filesystem::remove(drive.file("tracklet_labels.xml"));
     log = load_sequence(drive.folder.string(), options);
     EXPECT_THAT(log.notes, testing::Contains(testing::HasSubstr("no tracklet_labels.xml")));

@@ -51,7 +51,8 @@ TEST(Synthetic, StreetCastAgainWithItsOwnCarsIsTheSame) {
     const SyntheticOptions options = small();
     const Sequence street = make_synthetic_street(options);
     const RayTable rays = make_rays(street.lidars[0].sensor);
-    const Scan plain = cast_synthetic_street(options, rays, street.world_from_vehicle, 0.3), again = cast_synthetic_street(options, own_cars(options), rays, street.world_from_vehicle, 0.3);
+    const Scan plain = cast_synthetic_street(options, rays, street.world_from_vehicle, 0.3),
+               again = cast_synthetic_street(options, own_cars(options), rays, street.world_from_vehicle, 0.3);
     std::size_t on_cars = 0;
     const Scan without = cast_synthetic_street(options, {}, rays, street.world_from_vehicle, 0.3);
     for (std::size_t i = 0; i < rays.size(); ++i) {
@@ -69,7 +70,9 @@ TEST(Synthetic, EditedCarsAreMetWhereTheirTracksPutThem) {
     for (Pose& pose : cars[0].track.world_from_box.pose) pose.translation.x -= 4.0;
     EXPECT_NEAR(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2).range_m[0], rear - 4.0, 1e-4);
     for (double& time_s : cars[0].track.world_from_box.time_s) time_s += 1.0;
-    EXPECT_EQ(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2).range_m[0], cast_synthetic_street(options, {}, one_ray({1, 0, 0}), still, 0.2).range_m[0]) << "later: not there yet";
+    EXPECT_EQ(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2).range_m[0],
+              cast_synthetic_street(options, {}, one_ray({1, 0, 0}), still, 0.2).range_m[0])
+        << "later: not there yet";
     EXPECT_NEAR(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 1.2).range_m[0], rear - 4.0, 1e-4);
     cars[0].shapes_of = 2;
     EXPECT_THROW(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2), DataError);
@@ -163,7 +166,8 @@ TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     const Sequence moved = load_sequence(folder.string(), options);
     const auto expect_moved = [](const PoseTrack& from, const PoseTrack& to) {
         ASSERT_EQ(from.pose.size(), to.pose.size());
-        for (std::size_t k = 0; k < from.pose.size(); ++k) EXPECT_LT(glm::length(to.pose[k].translation - from.pose[k].translation - glm::dvec3(0.0, 0.5, 0.0)), 1e-9);
+        for (std::size_t k = 0; k < from.pose.size(); ++k)
+            EXPECT_LT(glm::length(to.pose[k].translation - from.pose[k].translation - glm::dvec3(0.0, 0.5, 0.0)), 1e-9);
     };
     expect_moved(exact.world_from_vehicle, moved.world_from_vehicle);
     for (std::size_t b = 0; b < exact.boxes.size(); ++b) expect_moved(exact.boxes[b].world_from_box, moved.boxes[b].world_from_box);
@@ -179,7 +183,10 @@ TEST(Synthetic, SizesAreBoundedByTheirProductToo) {
         load_sequence(folder.string(), {});
         FAIL();
     } catch (const DataError& error) {
-        EXPECT_NE(std::string(error.what()).find("street.toml: synthetic street: 10000 frames of 256 x 8192 rays are 2.1e+10 rays, expected at most 2e+08"), std::string::npos) << error.what();
+        EXPECT_NE(std::string(error.what())
+                      .find("street.toml: synthetic street: 10000 frames of 256 x 8192 rays are 2.1e+10 rays, expected at most 2e+08"),
+                  std::string::npos)
+            << error.what();
     }
     DatasetOptions one;
     one.frames = {0, 1};
@@ -249,7 +256,8 @@ TEST(Synthetic, SavedAndLoadedAgain) {
     EXPECT_EQ(whole.range_m, made.frames[2].scan.range_m);
     EXPECT_TRUE(read.rolling_shutter);
     range.rolling_shutter = false;
-    EXPECT_FALSE(load_sequence(folder.string(), range).rolling_shutter) << "the setting must reach initialisation and training, not rendering alone";
+    EXPECT_FALSE(load_sequence(folder.string(), range).rolling_shutter)
+        << "the setting must reach initialisation and training, not rendering alone";
     range.frames = {5, 9};
     EXPECT_THROW(load_sequence(folder.string(), range), UsageError);
 }

@@ -36,8 +36,12 @@ struct Case {
     Surfels moment1, moment2;
 
     Case(Device& device, Scene initial, const DensifyOptions& o, bool with_poison = false)
-        : scene(std::move(initial)), device_scene(device, scene), adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive()), options(o),
-          densifier(device, scene, options, kAlphaMin, kFrames, kSeed), stream(device) {
+        : scene(std::move(initial)),
+          device_scene(device, scene),
+          adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive()),
+          options(o),
+          densifier(device, scene, options, kAlphaMin, kFrames, kSeed),
+          stream(device) {
         if (with_poison) test::poison(scene.surfels);
         device_scene.parameters().upload(scene.surfels);
         std::mt19937 random(3);
@@ -79,14 +83,16 @@ std::vector<Fate> expected_fates(const Case& c, int step) {
         const double extent = c.densifier.extents_m()[m];
         reference::DensifyRules rules;
         rules.min_opacity = std::max(c.options.min_opacity, double(kAlphaMin));
-        rules.max_scale = step > c.options.large_from && c.options.strategy != DensifyStrategy::mcmc ? c.options.max_extent_share * extent : 1e30;
+        rules.max_scale =
+            step > c.options.large_from && c.options.strategy != DensifyStrategy::mcmc ? c.options.max_extent_share * extent : 1e30;
         rules.clone_scale = c.options.clone_extent_share * extent;
         if (c.options.strategy == DensifyStrategy::adaptive) rules.gradient_threshold = c.options.gradient_threshold;
         rules.half_size = glm::dvec3(model.half_size_m);
         rules.share = c.options.strategy == DensifyStrategy::mcmc;
         rules.key = static_cast<std::uint32_t>(hash64(hash64(kSeed, 1), std::uint64_t(step)));
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i)
-            fates.push_back(reference::fate_of(test::densified(c.scene.surfels, i), c.n_seen[i] ? double(c.gradient_sum[i]) / c.n_seen[i] : 0.0, true, rules, i));
+            fates.push_back(reference::fate_of(test::densified(c.scene.surfels, i),
+                                               c.n_seen[i] ? double(c.gradient_sum[i]) / c.n_seen[i] : 0.0, true, rules, i));
     }
     return fates;
 }
@@ -106,14 +112,18 @@ std::vector<Row> expected_rows(const Case& c, const std::vector<Fate>& fates, st
     std::uint32_t total = 0;
     for (std::size_t i = 0; i < fates.size(); ++i) {
         const bool grows = fates[i] == Fate::clone || fates[i] == Fate::split;
-        weight.push_back(fates[i] == Fate::share ? std::max(1u, std::uint32_t(float(test::densified(c.scene.surfels, i).opacity) * 255.0f + 0.5f)) : grows ? 1u : 0u);
+        weight.push_back(fates[i] == Fate::share
+                             ? std::max(1u, std::uint32_t(float(test::densified(c.scene.surfels, i).opacity) * 255.0f + 0.5f))
+                         : grows ? 1u
+                                 : 0u);
         total += weight.back();
     }
     const std::uint32_t phase = total ? static_cast<std::uint32_t>(hash64(hash64(kSeed, 2), std::uint64_t(step)) % total) : 0u;
     const std::vector<std::uint32_t> copies = reference::copies_of(weight, n_new, phase);
     std::vector<Row> rows;
     for (std::uint32_t i = 0; i < fates.size(); ++i)
-        for (std::uint32_t k = 0; survives(fates[i]) && k < 1 + copies[i]; ++k) rows.push_back({i, copies[i] ? fates[i] : Fate::keep, k > 0, 1 + copies[i]});
+        for (std::uint32_t k = 0; survives(fates[i]) && k < 1 + copies[i]; ++k)
+            rows.push_back({i, copies[i] ? fates[i] : Fate::keep, k > 0, 1 + copies[i]});
     return rows;
 }
 
@@ -125,7 +135,8 @@ void expect_values(const Case& c, const Row& row, const Surfels& now, std::size_
     EXPECT_TRUE(same_bits(&now.sh[i * kShFloats], &was.sh[row.source * kShFloats], kShFloats));
     EXPECT_EQ(now.rotation[i], was.rotation[row.source]);
     if (row.fate == Fate::split) {
-        s.mean = reference::point_of(s, reference::random_normal2(key, std::uint32_t(i), 2), reference::random_normal2(key, std::uint32_t(i), 3).x);
+        s.mean = reference::point_of(s, reference::random_normal2(key, std::uint32_t(i), 2),
+                                     reference::random_normal2(key, std::uint32_t(i), 3).x);
         s.scale /= 1.6;
         if (s.scale_w) *s.scale_w /= 1.6;
     } else if (row.fate == Fate::share) {
@@ -176,7 +187,8 @@ void expect_models(const Case& c, const std::vector<Row>& rows) {
     for (std::size_t m = 0; m < now.size(); ++m) {
         const Model& was = c.scene.models[m];
         EXPECT_EQ(now[m].first, next);
-        EXPECT_EQ(now[m].count, std::count_if(rows.begin(), rows.end(), [&](const Row& r) { return r.source >= was.first && r.source < was.first + was.count; }));
+        EXPECT_EQ(now[m].count, std::count_if(rows.begin(), rows.end(),
+                                              [&](const Row& r) { return r.source >= was.first && r.source < was.first + was.count; }));
         EXPECT_EQ(now[m].half_size_m, was.half_size_m);
         next += now[m].count;
     }
@@ -237,7 +249,8 @@ TEST_F(Densify, GaussiansAgreeWithTheReference) {
     options.max_extent_share = 0.004;
     Case c(device(), scene, options, true);
     const DensifyReport r = expect_reference(c, 3100);
-    for (const std::uint32_t n : {r.invalid, r.faint, r.large, r.outside, r.clones, r.splits}) EXPECT_GT(n, 5u) << "a case that is not tested";
+    for (const std::uint32_t n : {r.invalid, r.faint, r.large, r.outside, r.clones, r.splits})
+        EXPECT_GT(n, 5u) << "a case that is not tested";
     options.strategy = DensifyStrategy::mcmc;
     Case shared(device(), scene, options, true);
     EXPECT_GT(expect_reference(shared, 600).added, 50u);

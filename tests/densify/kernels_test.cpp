@@ -36,18 +36,21 @@ void expect_allotted(Device& device, std::uint32_t largest) {
     const Kernel<shared::AllotParams> allot(device, "densify/allot");
     for (const std::uint32_t n_new : {0u, 1u, 300u, 5000u}) {
         GrowthPlan plan{0, total, n_new, static_cast<std::uint32_t>(random() % total)};
-        const Array<std::uint32_t> w(device, std::span<const std::uint32_t>(weight), "weight"), c(device, std::span<const std::uint32_t>(cumulative), "cumulative");
+        const Array<std::uint32_t> w(device, std::span<const std::uint32_t>(weight), "weight"),
+            c(device, std::span<const std::uint32_t>(cumulative), "cumulative");
         const Array<std::uint32_t> a(device, std::span<const std::uint32_t>(action), "action"), rows(device, n, "rows");
         Stream stream(device);
         run(stream, allot, n,
             {.weight = w.address(), .cumulative = c.address(), .action = a.address(), .n_rows = rows.address(),
              .n_surfels = n, .n_new = n_new, .total_weight = total, .phase = plan.phase});
         stream.finish();
-        const std::vector<std::uint32_t> copies = reference::copies_of(weight, n_new, plan.phase), actual = rows.download(), fate = a.download();
+        const std::vector<std::uint32_t> copies = reference::copies_of(weight, n_new, plan.phase), actual = rows.download(),
+                                         fate = a.download();
         for (std::uint32_t i = 0; i < n; ++i) {
             EXPECT_EQ(actual[i], action[i] == RELIDAR_DENSIFY_DROP ? 0 : 1 + copies[i]);
             EXPECT_EQ(fate[i], action[i] == RELIDAR_DENSIFY_SHARE && copies[i] == 0 ? RELIDAR_DENSIFY_KEEP : action[i]);
-            EXPECT_EQ(plan.allotted_before(cumulative[i] + weight[i]) - plan.allotted_before(cumulative[i]), copies[i]) << "what the host expects";
+            EXPECT_EQ(plan.allotted_before(cumulative[i] + weight[i]) - plan.allotted_before(cumulative[i]), copies[i])
+                << "what the host expects";
         }
     }
 }
@@ -64,7 +67,10 @@ struct Trained {
     Adam adam;
     Densifier densifier;
     Trained(Device& device, Scene initial, const DensifyOptions& options)
-        : scene(std::move(initial)), device_scene(device, scene), adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive()), densifier(device, scene, options, 1.0f / 255.0f, 3, 9) {}
+        : scene(std::move(initial)),
+          device_scene(device, scene),
+          adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive()),
+          densifier(device, scene, options, 1.0f / 255.0f, 3, 9) {}
 };
 
 TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
@@ -114,7 +120,8 @@ TEST_P(Jitter, MovesFaintSurfelsInTheirPlaneAndGaussiansAlongAllAxes) {
     for (std::uint32_t i = 0; i < before.size(); ++i) {
         const reference::DensifiedSurfel s = test::densified(before, i);
         const double gate = 1.0 / (1.0 + std::exp(100.0 * (s.opacity - 0.005)));
-        const glm::dvec3 expected = reference::point_of(s, 0.2 * gate * reference::random_normal2(key, i, 0), 0.2 * gate * reference::random_normal2(key, i, 1).x);
+        const glm::dvec3 expected =
+            reference::point_of(s, 0.2 * gate * reference::random_normal2(key, i, 0), 0.2 * gate * reference::random_normal2(key, i, 1).x);
         EXPECT_LT(glm::length(glm::dvec3(after.mean[i]) - expected), 1e-5 * (1.0 + glm::length(expected)));
         moved += glm::length(expected - s.mean) > 0.02 * std::min(s.scale.x, s.scale.y);
     }

@@ -24,9 +24,16 @@ struct Observed {
     Stream stream;
     std::uint32_t n;
 
-    Observed(Device& d, std::uint32_t n_surfels, std::uint32_t n_frames) : Observed(d, test::random_model_scene({n_surfels}, 1), n_frames) {}
+    Observed(Device& d, std::uint32_t n_surfels, std::uint32_t n_frames)
+        : Observed(d, test::random_model_scene({n_surfels}, 1), n_frames) {}
     Observed(Device& d, const Scene& initial, std::uint32_t n_frames)
-        : device(d), scene(d, initial), densifier(d, initial, {}, 0.0f, n_frames, 1), gradients(d, scene.size(), "gradients"), touched(d, scene.size(), "touched"), stream(d), n(scene.size()) {}
+        : device(d),
+          scene(d, initial),
+          densifier(d, initial, {}, 0.0f, n_frames, 1),
+          gradients(d, scene.size(), "gradients"),
+          touched(d, scene.size(), "touched"),
+          stream(d),
+          n(scene.size()) {}
 
     void show(const std::vector<float>& d_mean, const std::vector<std::uint32_t>& is_touched, std::uint32_t frame, bool whole_frame) {
         gradients.mean.upload(d_mean);
@@ -54,7 +61,8 @@ TEST_F(Statistics, SumsAndCountsOverBatches) {
             for (std::uint32_t k = 0; k < 3; ++k) d_mean[3 * i + k] = touched[i] ? normal(random) : NAN;   // undefined where not touched
             if (touched[i] || (!whole && frames[i][frame])) ++seen[i];
             if (!touched[i]) continue;
-            sum[i] += std::sqrt(double(d_mean[3 * i]) * d_mean[3 * i] + double(d_mean[3 * i + 1]) * d_mean[3 * i + 1] + double(d_mean[3 * i + 2]) * d_mean[3 * i + 2]);
+            sum[i] += std::sqrt(double(d_mean[3 * i]) * d_mean[3 * i] + double(d_mean[3 * i + 1]) * d_mean[3 * i + 1] +
+                                double(d_mean[3 * i + 2]) * d_mean[3 * i + 2]);
             frames[i][frame] = true;
         }
         o.show(d_mean, touched, frame, whole);
@@ -102,7 +110,8 @@ TEST_F(Statistics, EveryStridethRayCountsAsTheWholeFrame) {
     const std::vector<double> whole = mean_of(1, 3), part = mean_of(kStride, 600);
     for (std::uint32_t i = 0; i < kN; ++i) {
         EXPECT_NEAR(whole[i], double(i + 1) / kRays, 1e-6);
-        EXPECT_NEAR(part[i] / whole[i], 1.0, 0.35) << i + 1 << " rays";   // a mean over the batches it is touched in alone is 16 times too large for one ray
+        // a mean over the batches it is touched in alone is 16 times too large for one ray
+        EXPECT_NEAR(part[i] / whole[i], 1.0, 0.35) << i + 1 << " rays";
     }
 }
 

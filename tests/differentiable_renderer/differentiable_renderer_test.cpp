@@ -37,7 +37,8 @@ RenderedGradients to_arrays(const std::vector<reference::PixelGradient>& d) {
 
 /// The reference's gradients of a scene's rays.
 reference::Gradients expected_gradients(const test::RandomScene& scene, reference::Settings settings,
-                                        const std::vector<reference::PixelGradient>& d_rendered, std::vector<reference::RayGradient>& d_rays) {
+                                        const std::vector<reference::PixelGradient>& d_rendered,
+                                        std::vector<reference::RayGradient>& d_rays) {
     settings.view_origin = scene.view_origin;
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
     reference::Gradients expected(scene.world);
@@ -119,7 +120,8 @@ TEST_F(Differentiable, ALossOfOnesOwnLearns) {
         }
         renderer.backward(d);
         const Gradients& gradients = renderer.gradients();
-        adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched, {0.0, 0.0, 0.0, 0.0, 0.05, 0.05}, step, 3);
+        adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched, {0.0, 0.0, 0.0, 0.0, 0.05, 0.05},
+                  step, 3);
     }
     EXPECT_LT(losses.back(), 0.1 * losses.front());
 }

@@ -78,7 +78,8 @@ TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
 }
 
 TEST(Edit, MoveIsInTheFrameOfTheBoxAtEachTime) {
-    const DrivingScene before = example(), after = move_track(example(), "van", {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {1.0, 3.5, 0.25}});
+    const DrivingScene before = example(),
+                       after = move_track(example(), "van", {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {1.0, 3.5, 0.25}});
     for (std::size_t i = 0; i < 10; ++i) {
         const Pose& from = box(before, "van").world_from_box.pose[i];
         const double yaw = 0.1 * double(i);   // the bend
@@ -92,7 +93,8 @@ TEST(Edit, MoveIsInTheFrameOfTheBoxAtEachTime) {
 
 TEST(Edit, RetimedActorsDoTheSameLaterAndAreAbsentOutside) {
     const DrivingScene before = example(), after = retime_track(example(), "van", 0.4);
-    for (const double t : {0.45, 0.6, 0.93}) expect_near(box(after, "van").world_from_box.at(t), box(before, "van").world_from_box.at(t - 0.4));
+    for (const double t : {0.45, 0.6, 0.93})
+        expect_near(box(after, "van").world_from_box.at(t), box(before, "van").world_from_box.at(t - 0.4));
     EXPECT_FALSE(box(after, "van").present(0.3));
     EXPECT_TRUE(box(after, "van").present(0.4));
     EXPECT_TRUE(box(after, "van").present(1.3));
@@ -171,7 +173,8 @@ TEST(Edit, UnknownTracksNameTheNearest) {
     EXPECT_NE(message("walker").find("the log has its box, but it has no surfels of its own"), std::string::npos);
     EXPECT_NE(message("walker").find("train with init.actor_tracks = van,car,walker"), std::string::npos) << message("walker");
     EXPECT_NE(message("").find("found no such track"), std::string::npos) << "the background is no track";
-    EXPECT_NE(error_message<UsageError>([] { remove_track(keep_background(example()), "van"); }).find("no actor at all"), std::string::npos);
+    EXPECT_NE(error_message<UsageError>([] { remove_track(keep_background(example()), "van"); }).find("no actor at all"),
+              std::string::npos);
     EXPECT_NE(error_message<UsageError>([] { insert_track(example(), example(), "bus", {}); }).find("did you mean"), std::string::npos);
     DrivingScene boxless = example();
     boxless.sequence.boxes.clear();
@@ -186,7 +189,8 @@ TEST_F(EditedRun, IsSavedAndLoadedLikeAnyOther) {
         for (glm::vec4& q : run.scene.surfels.rotation) q = {1, 0, 0, 0};
         run.sequence.lidars[0].sensor.beams = {{0.0}};
         run.sequence.lidars[0].sensor.columns = 4;
-        for (const Frame& f : run.sequence.frames) run.sequence.world_from_vehicle.time_s.push_back(f.time_s), run.sequence.world_from_vehicle.pose.push_back({});
+        for (const Frame& f : run.sequence.frames)
+            run.sequence.world_from_vehicle.time_s.push_back(f.time_s), run.sequence.world_from_vehicle.pose.push_back({});
         save_run(run);
         const relidar::Run read = load_run(run.folder);
         EXPECT_EQ(tracks({read.scene, read.sequence}), tracks(d));

@@ -36,14 +36,16 @@ TEST_F(TrajectoryFile, PitchAndRollComeAfterYaw) {
     const double degree = kPi / 180.0;   // R = Rz(90) Ry(30) Rx(20): columns by hand
     const glm::dvec3 forward(0.0, std::cos(30 * degree), -std::sin(30 * degree));
     EXPECT_LT(glm::length(track.pose[1].rotation * glm::dvec3(1, 0, 0) - forward), 1e-12) << "a positive pitch lowers the nose";
-    EXPECT_NEAR((track.pose[1].rotation * glm::dvec3(0, 1, 0)).z, std::cos(30 * degree) * std::sin(20 * degree), 1e-12) << "a positive roll raises the left side";
+    EXPECT_NEAR((track.pose[1].rotation * glm::dvec3(0, 1, 0)).z, std::cos(30 * degree) * std::sin(20 * degree), 1e-12)
+        << "a positive roll raises the left side";
 }
 
 TEST_F(TrajectoryFile, IsReadBackAsItWasWritten) {
     PoseTrack track;
     for (int i = 0; i < 50; ++i) {
         track.time_s.push_back(1317042272.25 + 0.1 * i);   // seconds since 1970, metres of a large world
-        track.pose.push_back({glm::normalize(glm::dquat(std::cos(i), std::sin(2.0 * i), std::cos(3.0 * i), std::sin(i))), {455000.123 + i, 5428000.5 - i, 113.0}});
+        track.pose.push_back({glm::normalize(glm::dquat(std::cos(i), std::sin(2.0 * i), std::cos(3.0 * i), std::sin(i))),
+                              {455000.123 + i, 5428000.5 - i, 113.0}});
     }
     write_trajectory(folder / "t.csv", track);
     const PoseTrack again = read_trajectory(folder / "t.csv");

@@ -166,7 +166,8 @@ TEST(NamedArray, ConvertsToFloat) {
     NamedArray half = bytes_array("a", "f2", {7}, 14);
     const std::uint16_t bits[7] = {0x3c00, 0xc000, 0x3555, 0x0001, 0x83ff, 0x7bff, 0xfc00};   // IEEE 754 binary16
     std::memcpy(half.bytes.data(), bits, sizeof bits);
-    EXPECT_EQ(half.as_float(), (std::vector<float>{1.0f, -2.0f, 0.333251953125f, 0x1p-24f, -1023.0f * 0x1p-24f, 65504.0f, -std::numeric_limits<float>::infinity()}));
+    EXPECT_EQ(half.as_float(), (std::vector<float>{1.0f, -2.0f, 0.333251953125f, 0x1p-24f, -1023.0f * 0x1p-24f, 65504.0f,
+                                                   -std::numeric_limits<float>::infinity()}));
     data_error([] { (void)bytes_array("a", "f4", {2}, 7).as_float(); });
 }
 

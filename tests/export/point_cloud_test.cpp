@@ -75,9 +75,19 @@ TEST_F(PointCloudFile, WritesPly) {
 TEST_F(PointCloudFile, WritesPcd) {
     write_pcd(folder / "a.pcd", some_cloud());
     const Parsed file = parse(contents(folder / "a.pcd"), "DATA binary");
-    const std::vector<std::string> expected{
-        "# .PCD v0.7 - Point Cloud Data file format", "# sensor VLP-16", "# run a b", "VERSION 0.7", "FIELDS x y z intensity ring time instance",
-        "SIZE 4 4 4 4 2 4 4", "TYPE F F F F U F I", "COUNT 1 1 1 1 1 1 1", "WIDTH 3", "HEIGHT 1", "VIEWPOINT 1.25 -2000000 0.1 0.5 0.5 -0.5 0.5", "POINTS 3", "DATA binary"};
+    const std::vector<std::string> expected{"# .PCD v0.7 - Point Cloud Data file format",
+                                            "# sensor VLP-16",
+                                            "# run a b",
+                                            "VERSION 0.7",
+                                            "FIELDS x y z intensity ring time instance",
+                                            "SIZE 4 4 4 4 2 4 4",
+                                            "TYPE F F F F U F I",
+                                            "COUNT 1 1 1 1 1 1 1",
+                                            "WIDTH 3",
+                                            "HEIGHT 1",
+                                            "VIEWPOINT 1.25 -2000000 0.1 0.5 0.5 -0.5 0.5",
+                                            "POINTS 3",
+                                            "DATA binary"};
     EXPECT_EQ(file.header, expected);
     expect_records(file.body, some_cloud(), 26);
 }
@@ -111,7 +121,8 @@ TEST_F(PointCloudFile, WritesNormalsByTheNamesOfEachFormat) {
     EXPECT_EQ(ply.body, pcd.body);
     ASSERT_EQ(ply.body.size(), 3u * 28u);
     for (std::size_t i = 0; i < 3; ++i)
-        for (int axis = 0; axis < 3; ++axis) EXPECT_EQ(value_at<float>(ply.body, 28 * i + 16 + 4 * std::size_t(axis)), (*cloud.normal)[i][axis]);
+        for (int axis = 0; axis < 3; ++axis)
+            EXPECT_EQ(value_at<float>(ply.body, 28 * i + 16 + 4 * std::size_t(axis)), (*cloud.normal)[i][axis]);
     cloud.normal->pop_back();
     data_error([&] { write_ply(folder / "b", cloud); });
 }
@@ -135,7 +146,8 @@ TEST_F(PointCloudFile, KeepsFieldsWithoutAPoint) {
     cloud.ring.emplace(), cloud.time.emplace(), cloud.instance.emplace();
     write_ply(folder / "a.ply", cloud);
     write_pcd(folder / "a.pcd", cloud);
-    EXPECT_NE(contents(folder / "a.ply").find("property uint16 ring\nproperty float time\nproperty int instance\nend_header"), std::string::npos);
+    EXPECT_NE(contents(folder / "a.ply").find("property uint16 ring\nproperty float time\nproperty int instance\nend_header"),
+              std::string::npos);
     EXPECT_EQ(parse(contents(folder / "a.pcd"), "DATA binary").header[2], "FIELDS x y z intensity ring time instance");
 }
 

@@ -117,7 +117,8 @@ TEST_F(Safetensors, RefusesHeadersThatDoNotHold) {
     refused("{\"a\":" + entry("F32", "[1]", "[4,8]") + "}");                                        // gap at the start
     refused("{\"a\":" + entry("F32", "[2]", "[0,8]") + ",\"b\":" + entry("F32", "[1]", "[4,8]") + "}");   // overlap
     refused("{\"a\":" + entry("F32", "[2]", "[0,8]") + ",\"a\":" + entry("F32", "[2]", "[0,8]") + "}");    // named twice
-    refused("{\"a\":" + entry("F32", "[2]", "[0,8]") + ",\"b\":" + entry("F32", "[0]", "[8,8]") + ",\"b\":" + entry("F32", "[0]", "[8,8]") + "}");
+    refused("{\"a\":" + entry("F32", "[2]", "[0,8]") + ",\"b\":" + entry("F32", "[0]", "[8,8]") + ",\"b\":" + entry("F32", "[0]", "[8,8]") +
+            "}");
     refused("{\"" + std::string(201, 'n') + "\":" + entry("F32", "[2]", "[0,8]") + "}");
     refused("{\"__metadata__\":{\"k\":1},\"a\":" + entry("F32", "[2]", "[0,8]") + "}");
     refused("{\"__metadata__\":3,\"a\":" + entry("F32", "[2]", "[0,8]") + "}");
@@ -127,7 +128,8 @@ TEST_F(Safetensors, RefusesHeadersThatDoNotHold) {
 TEST_F(Safetensors, ReadsManyArraysInTheOrderOfTheFile) {
     std::string header = "{";
     constexpr int kArrays = 25000;
-    for (int i = kArrays; i > 0; --i) header += "\"" + std::to_string(i) + R"(":{"dtype":"F32","shape":[0],"data_offsets":[0,0]})" + (i > 1 ? "," : "}");
+    for (int i = kArrays; i > 0; --i)
+        header += "\"" + std::to_string(i) + R"(":{"dtype":"F32","shape":[0],"data_offsets":[0,0]})" + (i > 1 ? "," : "}");
     put(folder / "many", file_of(header, ""));
     const std::vector<NamedArray> arrays = read_safetensors(folder / "many");
     ASSERT_EQ(arrays.size(), std::size_t(kArrays));

@@ -113,7 +113,9 @@ TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {
     const Scene scene = some_scene();
     write_surfel_ply(folder / "a.ply", scene);
     Parts file(contents(folder / "a.ply"));
-    std::string expected = "ply\nformat binary_little_endian 1.0\ncomment relidar surfels: metres, frame of each model; scale_2 only makes them flat\nelement vertex 7\n";
+    std::string expected =
+        "ply\nformat binary_little_endian 1.0\ncomment relidar surfels: metres, frame of each model; scale_2 only makes them flat\nelement "
+        "vertex 7\n";
     const auto add = [&](const std::string& name) { expected += "property float " + name + "\n"; };
     for (const char* name : {"x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"}) add(name);
     for (int k = 0; k < 45; ++k) add(fmt::format("f_rest_{}", k));
@@ -195,8 +197,10 @@ TEST_F(SurfelPly, RefusesFilesThatLie) {
     refused("found element face", [](Parts& p) { p.replace("end_header", "element face 3\nend_header"); });
     refused("before an element", [](Parts& p) { p.replace("element vertex 7\n", "property float e\nelement vertex 7\n"); });
     refused("found no format or no element", [](Parts& p) { p.replace("format binary_little_endian 1.0\n", ""); });
-    for (const char* count : {"6", "8", "0", "4294967295"}) refused("expected " + std::string(count) + " vertices", [&](Parts& p) { p.replace("vertex 7", fmt::format("vertex {}", count)); });
-    for (const char* count : {"99999999999999999999", "4294967296", "-1", "7x", ""}) refused("expected a count of at most", [&](Parts& p) { p.replace("vertex 7", fmt::format("vertex {}", count)); });
+    for (const char* count : {"6", "8", "0", "4294967295"})
+        refused("expected " + std::string(count) + " vertices", [&](Parts& p) { p.replace("vertex 7", fmt::format("vertex {}", count)); });
+    for (const char* count : {"99999999999999999999", "4294967296", "-1", "7x", ""})
+        refused("expected a count of at most", [&](Parts& p) { p.replace("vertex 7", fmt::format("vertex {}", count)); });
     refused("expected 7 vertices", [](Parts& p) { p.data += "x"; });
     refused("vertex 5: opacity is nan", [](Parts& p) { p.value(5, 54) = std::nanf(""); });
     refused("vertex 2: scale_1 is inf", [](Parts& p) { p.value(2, 56) = std::numeric_limits<float>::infinity(); });

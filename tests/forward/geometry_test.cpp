@@ -18,11 +18,15 @@ protected:
     std::vector<float> trace(const test::RandomScene& random, const ImageModel& model, int chunk, std::vector<float>* geometry) {
         const test::SceneAndPoses placed = test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
         const std::uint32_t n_rays = std::uint32_t(random.rays.size());
-        Renderer renderer(device(), placed.scene, model, {.trace = {.chunk = chunk, .geometry = geometry != nullptr}, .n_rays = n_rays + 1});   // a guard behind
+        // a guard behind
+        Renderer renderer(device(), placed.scene, model,
+                          {.trace = {.chunk = chunk, .geometry = geometry != nullptr}, .n_rays = n_rays + 1});
         renderer.scene().set_poses(placed.world_from_instance);
         const Array<DeviceRay> rays(device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(random.rays))), "rays");
         RayGeometry* wanted = renderer.rendered().geometry;
-        if (wanted) wanted->rendered.upload(std::vector<shared::RenderedGeometry>(n_rays + 1, {.normal = glm::vec3(-7.0f), .distortion = -7.0f, .moment = -7.0f}));
+        if (wanted)
+            wanted->rendered.upload(
+                std::vector<shared::RenderedGeometry>(n_rays + 1, {.normal = glm::vec3(-7.0f), .distortion = -7.0f, .moment = -7.0f}));
         renderer.place(glm::vec3(random.view_origin));
         renderer.record_forward({&rays, 0, 1, n_rays});
         renderer.stream().finish();
@@ -37,7 +41,8 @@ protected:
 TEST_F(Geometry, AgreesWithDoubleReference) {
     test::RandomSceneOptions few, many;
     few.seed = 24, few.rays = 200;
-    many.seed = 25, many.rays = 60, many.background_surfels = 120, many.actor_surfels = 0, many.actor_instances = 0, many.opacity_low = 0.02, many.opacity_high = 0.2;
+    many.seed = 25, many.rays = 60, many.background_surfels = 120, many.actor_surfels = 0, many.actor_instances = 0,
+    many.opacity_low = 0.02, many.opacity_high = 0.2;
     for (const test::RandomSceneOptions& options : {few, many}) {
         const reference::Settings settings;
         const test::RandomScene scene = test::make_random_scene(options, settings);

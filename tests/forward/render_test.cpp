@@ -22,7 +22,8 @@ namespace {
 class Forward : public test::DeviceTest {};
 
 /// All instances at the origin, as is the sensor.
-Rendering render_once(Device& device, const Scene& scene, const ImageModel& model, const WorldRays& rays, const RendererOptions& options = {}) {
+Rendering render_once(Device& device, const Scene& scene, const ImageModel& model, const WorldRays& rays,
+                      const RendererOptions& options = {}) {
     Renderer renderer(device, scene, model, options);
     renderer.place(glm::vec3(0.0f));
     return renderer.forward(rays);
@@ -50,14 +51,16 @@ Expected render_reference(const test::RandomScene& scene, const reference::Setti
     for (const reference::Ray& ray : scene.rays) {
         const reference::Pixel p = reference::render(scene.world, brute, settings, ray, 16);
         e.depth.push_back(p.depth), e.weight.push_back(p.weight), e.intensity.push_back(p.intensity), e.hit_logit.push_back(p.hit_logit);
-        e.drop_logit.push_back(p.drop_logit), e.transmittance.push_back(p.transmittance), e.median_depth.push_back(p.median_depth), e.hits.push_back(p.hits), e.instance.push_back(std::int32_t(p.instance));
+        e.drop_logit.push_back(p.drop_logit), e.transmittance.push_back(p.transmittance), e.median_depth.push_back(p.median_depth),
+            e.hits.push_back(p.hits), e.instance.push_back(std::int32_t(p.instance));
     }
     return e;
 }
 
 TEST_F(Forward, AgreesWithDoubleReference) {
     using enum ShDirection;
-    for (const auto& [direction, primitive] : {std::pair{ray, Primitive::surfel}, {surfel, Primitive::surfel}, {surfel, Primitive::gaussian}}) {
+    for (const auto& [direction, primitive] :
+         {std::pair{ray, Primitive::surfel}, {surfel, Primitive::surfel}, {surfel, Primitive::gaussian}}) {
         reference::Settings settings;
         settings.image.sh_direction = direction;
         settings.image.primitive = primitive;
@@ -211,7 +214,8 @@ TEST_F(Forward, EmptySceneIsBackground) {
 /// Copies of some surfels of a set, each made unusable in its own way.
 Surfels poisoned_copies(const Surfels& good, float bad) {
     const bool is_gaussian = good.primitive() == Primitive::gaussian;
-    Surfels extra = test::take(good, is_gaussian ? std::vector<std::uint32_t>{0, 1, 2, 3, 4, 5} : std::vector<std::uint32_t>{0, 1, 2, 3, 4});
+    Surfels extra =
+        test::take(good, is_gaussian ? std::vector<std::uint32_t>{0, 1, 2, 3, 4, 5} : std::vector<std::uint32_t>{0, 1, 2, 3, 4});
     extra.mean[0].x = bad, extra.rotation[1].y = bad, extra.log_scale[2].x = bad, extra.opacity_logit[3] = -std::abs(bad);
     extra.sh[4 * kShFloats] = std::isfinite(bad) ? std::nanf("") : bad;
     if (is_gaussian) extra.log_scale_w[5] = bad;
@@ -269,10 +273,12 @@ TEST_F(Forward, StreetEqualsImageByOthers) {
     Surfels street = make_benchmark_street(100000);
     street = street.permuted(kd_order(street.mean));
     const Rendering r = render_once(device(), make_background_scene(street), {}, rays, {.trace = {.chunk = 64}});
-    const std::vector<float> depth = find(arrays, "depth").as_float(), intensity = find(arrays, "intensity").as_float(), t = find(arrays, "T").as_float();
+    const std::vector<float> depth = find(arrays, "depth").as_float(), intensity = find(arrays, "intensity").as_float(),
+                             t = find(arrays, "T").as_float();
     std::size_t equal = 0;
     for (std::size_t i = 0; i < rays.size(); ++i)
-        equal += std::abs(r.depth[i] - depth[i]) <= 1e-3f && std::abs(r.intensity[i] - intensity[i]) <= 1e-4f && std::abs(r.transmittance[i] - t[i]) <= 1e-4f;
+        equal += std::abs(r.depth[i] - depth[i]) <= 1e-3f && std::abs(r.intensity[i] - intensity[i]) <= 1e-4f &&
+                 std::abs(r.transmittance[i] - t[i]) <= 1e-4f;
     std::printf("%zu of %zu rays differ from the image by others\n", rays.size() - equal, rays.size());
     EXPECT_GE(double(equal), 0.999 * double(rays.size()));
 }

@@ -20,7 +20,8 @@ namespace fs = std::filesystem;
 std::vector<NamedArray> some_arrays() {
     const float values[6] = {1.0f, -2.0f, 0.5f, 1e-20f, 3e38f, 0.0f};
     const std::int32_t counts[3] = {1, 2, -3};
-    return {make_array("a", {2, 3}, values, 6), make_array("count", {3}, counts, 3), make_array("none", {0, 4}, values, 0), make_text_array("names", {"background", "mover-1"})};
+    return {make_array("a", {2, 3}, values, 6), make_array("count", {3}, counts, 3), make_array("none", {0, 4}, values, 0),
+            make_text_array("names", {"background", "mover-1"})};
 }
 
 Scene small_scene() { return make_background_scene(example_surfels(3)); }
@@ -47,7 +48,9 @@ std::vector<std::byte> bytes_of(std::string_view input) {
 
 std::vector<std::string> npy_seeds(const fs::path&) {
     std::vector<std::string> seeds;
-    for (const NamedArray& array : some_arrays()) seeds.push_back(export_detail::npy_header(array) + std::string(reinterpret_cast<const char*>(array.bytes.data()), array.bytes.size()));
+    for (const NamedArray& array : some_arrays())
+        seeds.push_back(export_detail::npy_header(array) +
+                        std::string(reinterpret_cast<const char*>(array.bytes.data()), array.bytes.size()));
     return seeds;
 }
 
@@ -74,13 +77,28 @@ std::vector<Harness> array_harnesses() {
         {"npz", [](const fs::path& folder) { return written(folder, [](const fs::path& file) { write_npz(file, some_arrays()); }); },
          [](std::string_view input, const fs::path& folder) { read_as_file(input, folder, [](const fs::path& file) { read_npz(file); }); }},
         {"npy", npy_seeds, [](std::string_view input, const fs::path&) { export_detail::parse_npy("a", bytes_of(input)); }},
-        {"safetensors", safetensors_seeds, [](std::string_view input, const fs::path& folder) { read_as_file(input, folder, [](const fs::path& file) { read_safetensors(file); }); }},
+        {"safetensors", safetensors_seeds,
+         [](std::string_view input, const fs::path& folder) {
+             read_as_file(input, folder, [](const fs::path& file) { read_safetensors(file); });
+         }},
         {"model", [](const fs::path& folder) { return written(folder, [](const fs::path& file) { save_model(file, small_scene()); }); },
-         [](std::string_view input, const fs::path& folder) { read_as_file(input, folder, [](const fs::path& file) { load_model(file); }); }},
-        {"checkpoint", checkpoint_seeds, [](std::string_view input, const fs::path& folder) { read_as_file(input, folder, [](const fs::path& file) { read_checkpoint(file); }); }},
+         [](std::string_view input, const fs::path& folder) {
+             read_as_file(input, folder, [](const fs::path& file) { load_model(file); });
+         }},
+        {"checkpoint", checkpoint_seeds,
+         [](std::string_view input, const fs::path& folder) {
+             read_as_file(input, folder, [](const fs::path& file) { read_checkpoint(file); });
+         }},
         {"ply", [](const fs::path& folder) { return written(folder, [](const fs::path& file) { write_surfel_ply(file, small_scene()); }); },
-         [](std::string_view input, const fs::path& folder) { read_as_file(input, folder, [](const fs::path& file) { read_surfel_ply(file, small_scene()); }); }},
-        {"lpips", safetensors_seeds, [](std::string_view input, const fs::path& folder) { read_as_file(input, folder, [](const fs::path& file) { Lpips{read_lpips_weights(file)}; }); }, false},   // whole weights are 10 MB
+         [](std::string_view input, const fs::path& folder) {
+             read_as_file(input, folder, [](const fs::path& file) { read_surfel_ply(file, small_scene()); });
+         }},
+        // whole weights are 10 MB
+        {"lpips", safetensors_seeds,
+         [](std::string_view input, const fs::path& folder) {
+             read_as_file(input, folder, [](const fs::path& file) { Lpips{read_lpips_weights(file)}; });
+         },
+         false},
     };
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A whole small KITTI drive, and an odometry sequence of its scans: an input says what other bytes some of its files hold, so that each reader is reached whatever another one would
-// have said before. Input: options, then sections of file number, length (2 bytes, little-endian), bytes; the last may be cut.
+// A whole small KITTI drive, and an odometry sequence of its scans: an input says what other bytes some of its files hold, so that each
+// reader is reached whatever another one would have said before. Input: options, then sections of file number, length (2 bytes,
+// little-endian), bytes; the last may be cut.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -39,10 +40,20 @@ public:
         put(odometry() / "calib.txt", "P0: 1 0 0 0 0 1 0 0 0 0 1 0\nTr: 0 -1 0 0 0 0 -1 -0.1 1 0 0 -0.3\n");
         put(odometry() / "times.txt", "0.0e+00\n1.0e-01\n2.0e-01\n");
         put(odometry() / "poses.txt", contents(drive_.file("poses.txt")));
-        files_ = {drive_.file("velodyne_points/timestamps.txt"), drive_.file("velodyne_points/timestamps_start.txt"), drive_.file("velodyne_points/timestamps_end.txt"),
-                  drive_.file("oxts/data/0000000000.txt"), drive_.file("oxts/data/0000000001.txt"), drive_.calibration(), drive_.file("tracklet_labels.xml"),
-                  drive_.file("poses.txt"), drive_.scan(0), drive_.scan(2),
-                  odometry() / "calib.txt", odometry() / "times.txt", odometry() / "poses.txt", odometry() / "velodyne/000000.bin"};
+        files_ = {drive_.file("velodyne_points/timestamps.txt"),
+                  drive_.file("velodyne_points/timestamps_start.txt"),
+                  drive_.file("velodyne_points/timestamps_end.txt"),
+                  drive_.file("oxts/data/0000000000.txt"),
+                  drive_.file("oxts/data/0000000001.txt"),
+                  drive_.calibration(),
+                  drive_.file("tracklet_labels.xml"),
+                  drive_.file("poses.txt"),
+                  drive_.scan(0),
+                  drive_.scan(2),
+                  odometry() / "calib.txt",
+                  odometry() / "times.txt",
+                  odometry() / "poses.txt",
+                  odometry() / "velodyne/000000.bin"};
         for (const fs::path& file : files_) usual_.push_back(contents(file));
     }
 
@@ -132,7 +143,8 @@ std::vector<std::string> drive_seeds(const fs::path& folder) {
     for (const unsigned options : {0u, kNone, kAllFrames}) seeds.emplace_back(1, static_cast<char>(options));
     for (std::size_t file = 0; file < drive.size(); ++file) {
         const std::string bytes = drive.usual(file).substr(0, 4096);   // the start of a scan, all of a text
-        const std::string section = std::string(1, static_cast<char>(file)) + static_cast<char>(bytes.size() % 256) + static_cast<char>(bytes.size() / 256) + bytes;
+        const std::string section =
+            std::string(1, static_cast<char>(file)) + static_cast<char>(bytes.size() % 256) + static_cast<char>(bytes.size() / 256) + bytes;
         for (const unsigned options : {0u, kPosesFile}) seeds.push_back(static_cast<char>(options) + section);
     }
     return seeds;
@@ -143,9 +155,12 @@ std::vector<std::string> drive_seeds(const fs::path& folder) {
 /// The whole drive takes a hundred times as long as its texts.
 std::vector<Harness> drive_harnesses() {
     return {
-        {"drive_texts", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_texts); }, false},   // a piece of a scan is none
+        // a piece of a scan is none
+        {"drive_texts", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_texts); },
+         false},
         {"drive", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_whole); }, false},
-        {"odometry", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_odometry); }, false},
+        {"odometry", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_odometry); },
+         false},
     };
 }
 

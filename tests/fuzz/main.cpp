@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// libFuzzer's entry points. relidar_fuzz --harness=NAME [--seeds=FOLDER] CORPUS...; with --seeds it writes seeds and ends; --list names all.
+// libFuzzer's entry points. relidar_fuzz --harness=NAME [--seeds=FOLDER] CORPUS...; with --seeds it writes seeds and ends; --list names
+// all.
 #include "harness.hpp"
 
 #include <cstdint>

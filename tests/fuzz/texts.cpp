@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Text files: settings, scenes, streets, beam tables, trajectories. "toml" writes its text from tokens, so that it stays a TOML file more often
-// than not.
+// Text files: settings, scenes, streets, beam tables, trajectories. "toml" writes its text from tokens, so that it stays a TOML file more
+// often than not.
 #include "harness.hpp"
 
 #include <fmt/format.h>
@@ -43,7 +43,8 @@ void read_scene(std::string_view input, const fs::path& folder) {
     }();
     put(run.folder / "scene.json", input);
     const Run read = load_run(run.folder);
-    if (read.sequence.lidars[0].sensor.beams.size() * std::size_t(read.sequence.lidars[0].sensor.columns) < 10000) make_rays(read.sequence.lidars[0].sensor);
+    if (read.sequence.lidars[0].sensor.beams.size() * std::size_t(read.sequence.lidars[0].sensor.columns) < 10000)
+        make_rays(read.sequence.lidars[0].sensor);
     for (const BoxTrack& box : read.sequence.boxes) (void)box.present(read.sequence.frames[0].time_s);
     split_frames(read.sequence, 10);
 }
@@ -68,9 +69,53 @@ void read_track(std::string_view input, const fs::path& folder) {
 /// TOML from tokens: a byte each.
 std::string toml_of(std::string_view input) {
     static const std::vector<std::string> tokens = [] {
-        std::vector<std::string> all{"\n", "\n", " = ", " = ", ".", ".", "[", "]", "[[", "]]", "{", "}", ",", "\"", "'", "\"\"\"", "#", "\\", "\\u0000", "\xC3\xA9", "\xFF", "\t",
-                                     "0", "-1", "1e308", "-1e308", "1e-308", "nan", "inf", "9223372036854775807", "9223372036854775808", "0x10", "true", "false", "1979-05-27", "07:32:00", "\"none\"", "\"paper\"",
-                                     "preset", "seed", "n_frames", "rows", "columns", "range_noise_m", "speed_mps", "moving_cars", "a"};
+        std::vector<std::string> all{"\n",
+                                     "\n",
+                                     " = ",
+                                     " = ",
+                                     ".",
+                                     ".",
+                                     "[",
+                                     "]",
+                                     "[[",
+                                     "]]",
+                                     "{",
+                                     "}",
+                                     ",",
+                                     "\"",
+                                     "'",
+                                     "\"\"\"",
+                                     "#",
+                                     "\\",
+                                     "\\u0000",
+                                     "\xC3\xA9",
+                                     "\xFF",
+                                     "\t",
+                                     "0",
+                                     "-1",
+                                     "1e308",
+                                     "-1e308",
+                                     "1e-308",
+                                     "nan",
+                                     "inf",
+                                     "9223372036854775807",
+                                     "9223372036854775808",
+                                     "0x10",
+                                     "true",
+                                     "false",
+                                     "1979-05-27",
+                                     "07:32:00",
+                                     "\"none\"",
+                                     "\"paper\"",
+                                     "preset",
+                                     "seed",
+                                     "n_frames",
+                                     "rows",
+                                     "columns",
+                                     "range_noise_m",
+                                     "speed_mps",
+                                     "moving_cars",
+                                     "a"};
         for (const ConfigKey& key : config_keys({})) all.push_back(key.key);
         return all;
     }();
@@ -97,12 +142,37 @@ void read_tokens(std::string_view input, const fs::path& folder) {
 
 std::vector<Harness> text_harnesses() {
     return {
-        {"config", [](const fs::path&) { return std::vector{to_toml(make_preset("quick")), std::string("preset = \"paper\"\n[loss]\ndepth = 0.5\n")}; }, read_config},
-        {"street", [](const fs::path&) { return std::vector<std::string>{"seed = 5\nn_frames = 2\nrows = 8\ncolumns = 96\nrange_noise_m = 0.01\nspeed_mps = 8.0\nmoving_cars = true\n"}; }, read_street},
-        {"toml", [](const fs::path&) { return std::vector<std::string>{std::string("\x28\x02\x17\x00\x29\x02\x16\x00", 8), std::string("\x06\x30\x07\x00\x2e\x02\x16", 7)}; }, read_tokens, false},   // a file is settings or a street
+        {"config",
+         [](const fs::path&) {
+             return std::vector{to_toml(make_preset("quick")), std::string("preset = \"paper\"\n[loss]\ndepth = 0.5\n")};
+         },
+         read_config},
+        {"street",
+         [](const fs::path&) {
+             return std::vector<std::string>{
+                 "seed = 5\nn_frames = 2\nrows = 8\ncolumns = 96\nrange_noise_m = 0.01\nspeed_mps = 8.0\nmoving_cars = true\n"};
+         },
+         read_street},
+        // a file is settings or a street
+        {"toml",
+         [](const fs::path&) {
+             return std::vector<std::string>{std::string("\x28\x02\x17\x00\x29\x02\x16\x00", 8),
+                                             std::string("\x06\x30\x07\x00\x2e\x02\x16", 7)};
+         },
+         read_tokens, false},
         {"scene", scene_seeds, read_scene},
-        {"sensor", [](const fs::path&) { return std::vector<std::string>{"elevation_deg,azimuth_offset_deg,origin_offset_m,origin_up_m,origin_left_m\n2.0,-1.5,0.01,0.2,0.026\n-3,0.5,0,0.12,-0.026\n"}; }, read_sensor},
-        {"trajectory", [](const fs::path&) { return std::vector<std::string>{"time_s,x,y,z,yaw_deg\n0,1,2,3,90\n0.1,1.5,2,3,91\n", "0,1,2,3,90,1,2\n1,1,2,3,90,1,2\n"}; }, read_track},
+        {"sensor",
+         [](const fs::path&) {
+             return std::vector<std::string>{
+                 "elevation_deg,azimuth_offset_deg,origin_offset_m,origin_up_m,origin_left_m\n2.0,-1.5,0.01,0.2,0.026\n-3,0.5,0,0.12,-0."
+                 "026\n"};
+         },
+         read_sensor},
+        {"trajectory",
+         [](const fs::path&) {
+             return std::vector<std::string>{"time_s,x,y,z,yaw_deg\n0,1,2,3,90\n0.1,1.5,2,3,91\n", "0,1,2,3,90,1,2\n1,1,2,3,90,1,2\n"};
+         },
+         read_track},
     };
 }
 

@@ -12,7 +12,9 @@ namespace relidar {
 namespace {
 
 template <class Rendered, class Targets>
-concept FillParameters = requires(Rendered rendered, Targets targets) { shared::ImageLossParams{.rendered = rendered, .targets = targets}; };
+concept FillParameters = requires(Rendered rendered, Targets targets) {
+    shared::ImageLossParams{.rendered = rendered, .targets = targets};
+};
 
 static_assert(FillParameters<Address<shared::RenderedRay>, Address<shared::DeviceTarget>>);
 static_assert(!FillParameters<Address<shared::DeviceTarget>, Address<shared::RenderedRay>>, "swapped");
@@ -20,7 +22,8 @@ static_assert(!FillParameters<Address<shared::RenderedRay>, Address<float>>, "fl
 static_assert(!FillParameters<Address<shared::RenderedRay>, std::uint64_t>, "a number");
 static_assert(!FillParameters<Address<shared::RenderedRay>, int>, "0: nowhere is {}");
 
-static_assert(!std::is_assignable_v<Address<float>&, Address<std::uint32_t>> && !std::is_constructible_v<Address<float>, Address<std::uint32_t>>);
+static_assert(!std::is_assignable_v<Address<float>&, Address<std::uint32_t>> &&
+              !std::is_constructible_v<Address<float>, Address<std::uint32_t>>);
 static_assert(!std::is_constructible_v<Address<float>, std::uint64_t> && !std::is_convertible_v<Address<float>, std::uint64_t>);
 static_assert(std::same_as<decltype(Array<float>().address()), Address<float>>);
 static_assert(sizeof(Address<float>) == 8 && std::is_trivially_copyable_v<Address<float>> && std::is_standard_layout_v<Address<float>>);

@@ -62,7 +62,10 @@ TEST_F(Gpu, MemoryLimitIsKept) {
         first.reserve(limited, 2 << 20, "twice the first half");
         FAIL() << "4 MiB and 8 MiB do not fit into 8";
     } catch (const DeviceError& error) {
-        EXPECT_NE(std::string(error.what()).find("twice the first half: found 4.0 MiB in use, expected to stay within the limit of 8.0 MiB"), std::string::npos) << error.what();
+        EXPECT_NE(
+            std::string(error.what()).find("twice the first half: found 4.0 MiB in use, expected to stay within the limit of 8.0 MiB"),
+            std::string::npos)
+            << error.what();
     }
     EXPECT_EQ(first.size(), std::size_t(1) << 20) << "as before";
     first = {};
@@ -117,7 +120,8 @@ TEST_F(Gpu, ExtensionsOfRayQueryAreEnabledForRayQueryAlone) {
         const auto& enabled = impl_of(d).extensions;
         return std::any_of(enabled.begin(), enabled.end(), [](const char* name) {
             const std::string text = name;
-            return text.find("acceleration_structure") != std::string::npos || text.find("ray_query") != std::string::npos || text.find("deferred_host") != std::string::npos;
+            return text.find("acceleration_structure") != std::string::npos || text.find("ray_query") != std::string::npos ||
+                   text.find("deferred_host") != std::string::npos;
         });
     };
     if (device().info().software) {
@@ -142,7 +146,8 @@ TEST_F(Gpu, SubgroupsOfVaryingSizeMustBeControlled) {
     sizes.minSubgroupSize = 8;
     sizes.maxSubgroupSize = 32;
     gpu::OptionalFeatures optional;
-    EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, optional), "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
+    EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, optional),
+              "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     optional.subgroup_size = true;
     EXPECT_FALSE(gpu::known_subgroups(sizes, optional)) << "some lanes may be missing";
     optional.full_subgroups = true;

@@ -38,7 +38,8 @@ TEST(FreeRanges, NeverOverlapAndMergeAgain) {
         const std::uint64_t n = 1 + random() % 400, alignment = std::uint64_t(1) << random() % 9;
         const auto offset = free.take(n, alignment);
         bool fits = false;
-        for (std::uint64_t at = 0; at + n <= kBytes && !fits; at += alignment) fits = std::find(used.begin() + at, used.begin() + at + n, true) == used.begin() + at + n;
+        for (std::uint64_t at = 0; at + n <= kBytes && !fits; at += alignment)
+            fits = std::find(used.begin() + at, used.begin() + at + n, true) == used.begin() + at + n;
         ASSERT_EQ(offset.has_value(), fits) << n << " bytes aligned to " << alignment;
         n_refused += !fits;
         if (!offset) continue;
@@ -69,7 +70,8 @@ TEST_F(GpuMemory, MoreArraysThanAllocations) {
         for (std::uint32_t i = 0; i < kArrays; ++i) stream.fill(arrays.emplace_back(device(), 1 + i % 1000, "one of many"), i);
         stream.finish();
         EXPECT_LE(n_blocks(), blocks + 2);
-        for (std::uint32_t i = 0; i < kArrays; ++i) ASSERT_EQ(arrays[i].download(), std::vector<std::uint32_t>(1 + i % 1000, i)) << "array " << i;
+        for (std::uint32_t i = 0; i < kArrays; ++i)
+            ASSERT_EQ(arrays[i].download(), std::vector<std::uint32_t>(1 + i % 1000, i)) << "array " << i;
     }
     EXPECT_EQ(device().allocated_bytes(), held);
 }

@@ -35,7 +35,8 @@ TEST_F(PrefixSums, OfEverySize) {
     for (const std::uint32_t n : {1u, 2u, 255u, 256u, 257u, 4095u, 4096u, 4097u, 200'000u, 4096u * 4096u + 1u}) {   // one to three levels
         const std::uint32_t stride = n < 1'000'000 ? 3 : 1;
         const Words counts = numbers(std::size_t(stride) * n + 1, 50);
-        const Array<std::uint32_t> in(device(), std::span<const std::uint32_t>(counts), "counts"), out(device(), Words(n + 64, kGuard), "prefix"), total(device(), Words(2, kGuard), "total");
+        const Array<std::uint32_t> in(device(), std::span<const std::uint32_t>(counts), "counts"),
+            out(device(), Words(n + 64, kGuard), "prefix"), total(device(), Words(2, kGuard), "total");
         prefix_sum.reserve(device(), n);
         prefix_sum.run(stream, {in.address(), 1, stride}, out.address(), n, total.address());
         stream.finish();
@@ -72,17 +73,21 @@ protected:
     }
 
     /// Sorts on the device by the low bits. @param n_keys  that the device alone knows of; of the rest nothing may be moved
-    void compare(const std::vector<std::uint64_t>& keys, std::uint32_t key_words, std::uint32_t key_bits, std::optional<std::uint32_t> n_keys = {}) {
+    void compare(const std::vector<std::uint64_t>& keys, std::uint32_t key_words, std::uint32_t key_bits,
+                 std::optional<std::uint32_t> n_keys = {}) {
         const auto capacity = static_cast<std::uint32_t>(keys.size()), n = std::min(n_keys.value_or(capacity), capacity);
         Words words;
         for (const std::uint64_t key : keys)
             for (std::uint32_t w = 0; w < key_words; ++w) words.push_back(static_cast<std::uint32_t>(key >> 32 * w));
         const Array<std::uint32_t> count(device(), Words{n_keys.value_or(0)}, "count");
-        const Array<std::uint32_t> first(device(), std::span<const std::uint32_t>(words), "keys"), second(device(), Words(words.size(), kGuard), "keys");
-        const Array<std::uint32_t> first_order(device(), Words(capacity, kGuard), "order"), second_order(device(), Words(capacity, kGuard), "order");
+        const Array<std::uint32_t> first(device(), std::span<const std::uint32_t>(words), "keys"),
+            second(device(), Words(words.size(), kGuard), "keys");
+        const Array<std::uint32_t> first_order(device(), Words(capacity, kGuard), "order"),
+            second_order(device(), Words(capacity, kGuard), "order");
         const RadixSort sort(device(), capacity, key_words);
         Stream stream(device());
-        const SortSet result = sort.run(stream, {first.address(), first_order.address()}, {second.address(), second_order.address()}, key_bits, n_keys ? count.address() : Address<std::uint32_t>());
+        const SortSet result = sort.run(stream, {first.address(), first_order.address()}, {second.address(), second_order.address()},
+                                        key_bits, n_keys ? count.address() : Address<std::uint32_t>());
         stream.finish();
 
         const std::uint64_t mask = key_bits == 64 ? ~std::uint64_t(0) : (std::uint64_t(1) << (key_bits + 7) / 8 * 8) - 1;
@@ -108,7 +113,8 @@ TEST_F(Sort, EqualsStableSort) {
 }
 
 TEST_F(Sort, AsManyAsTheDeviceKnowsOf) {
-    for (const auto& [n, capacity] : {std::pair{0u, 10u}, {1u, 5000u}, {4096u, 30'000u}, {12'345u, 30'000u}, {20'000u, 12'345u}}) compare(numbers(capacity), 1, 20, n);
+    for (const auto& [n, capacity] : {std::pair{0u, 10u}, {1u, 5000u}, {4096u, 30'000u}, {12'345u, 30'000u}, {20'000u, 12'345u}})
+        compare(numbers(capacity), 1, 20, n);
     compare(numbers(9000), 2, 48, 5000);
 }
 

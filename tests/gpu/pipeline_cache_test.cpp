@@ -61,7 +61,9 @@ protected:
         const PrefixSum prefix_sum(opened);
         return {impl_of(opened).pipeline_cache->path(), impl_of(opened).pipeline_cache->read_bytes()};
     }
-    static std::size_t files(const fs::path& in) { return static_cast<std::size_t>(std::distance(fs::directory_iterator(in), fs::directory_iterator())); }
+    static std::size_t files(const fs::path& in) {
+        return static_cast<std::size_t>(std::distance(fs::directory_iterator(in), fs::directory_iterator()));
+    }
 
 private:
     static constexpr const char* kVariables[] = {"RELIDAR_PIPELINE_CACHE", "XDG_CACHE_HOME", "HOME"};
@@ -92,8 +94,9 @@ TEST_F(PipelineCacheFile, DamagedAndForeignOnesAreIgnoredAndReplaced) {
     };
     ASSERT_EQ(rehashed(good), good);
     constexpr std::size_t kVendor = 24 + 8, kUuid = 24 + 16;
-    for (const std::string& bad : {std::string(), std::string("garbage"), std::string(1000, '\xff'), good.substr(0, 20), good.substr(0, good.size() - 1), good + "x",
-                                   good.substr(24), changed(0), changed(8), changed(16), changed(24), rehashed(changed(kVendor)), rehashed(changed(kUuid)), changed(good.size() - 1)}) {
+    for (const std::string& bad : {std::string(), std::string("garbage"), std::string(1000, '\xff'), good.substr(0, 20),
+                                   good.substr(0, good.size() - 1), good + "x", good.substr(24), changed(0), changed(8), changed(16),
+                                   changed(24), rehashed(changed(kVendor)), rehashed(changed(kUuid)), changed(good.size() - 1)}) {
         put(path, bad);
         EXPECT_EQ(open().read_bytes, 0u) << bad.size() << " bytes";
         EXPECT_EQ(contents(path).size(), good.size()) << "written anew";

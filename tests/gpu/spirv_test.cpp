@@ -66,7 +66,8 @@ TEST(SpirvModes, ParametersAreReadOnlyInEveryModule) {
 TEST(SpirvModes, AreAllThatIsAddedToAModule) {
     for (const EmbeddedKernel& kernel : embedded_kernels())
         for (const gpu::ExecutionMode& mode : {gpu::kSubgroupUniformControlFlow, gpu::kMaximallyReconverges}) {
-            const std::vector<Words> before = instructions(kernel.words), after = instructions(gpu::with_execution_mode(kernel.words, mode));
+            const std::vector<Words> before = instructions(kernel.words),
+                                     after = instructions(gpu::with_execution_mode(kernel.words, mode));
             ASSERT_FALSE(after.empty()) << kernel.name;
             int n_extensions = 0, n_modes = 0, last = 0;
             std::vector<Words> rest;

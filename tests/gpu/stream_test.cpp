@@ -29,7 +29,8 @@ TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
         std::iota(values.begin(), values.end(), 1000u * s);
         impl_of(stream).write(words.buffer(), values.data(), 4 * kWords);
         sums.emplace_back(device(), kLaunches, "sums");
-        for (std::uint32_t i = 0; i < kLaunches; ++i) prefix_sum.run(stream, {words.address(), i, 1}, prefix.address(), 1, sums.back().address(i));
+        for (std::uint32_t i = 0; i < kLaunches; ++i)
+            prefix_sum.run(stream, {words.address(), i, 1}, prefix.address(), 1, sums.back().address(i));
         stream.submit();
     }
     stream.finish();
@@ -91,7 +92,8 @@ TEST_F(StreamTest, ReadbacksOutOfOrderAreBugs) {
 
 /// The validation layer's own tracking of hazards is the judge: it sees fills and copies.
 TEST_F(StreamTest, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
-    if (const char* wanted = ::getenv("RELIDAR_VALIDATION"); !wanted || std::string(wanted) != "1") GTEST_SKIP() << "no validation layer asked for";
+    if (const char* wanted = ::getenv("RELIDAR_VALIDATION"); !wanted || std::string(wanted) != "1")
+        GTEST_SKIP() << "no validation layer asked for";
     ::setenv("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT", 1);
     Device watched({.index = device().info().index, .validation = true});
     ::unsetenv("VK_LAYER_ENABLES");

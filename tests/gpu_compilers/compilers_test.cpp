@@ -24,7 +24,8 @@ std::string family() {
 }
 
 /// Waves that a kernel must leave room for. Exceptions: GCN (vega) has 64 registers a lane at four waves, RDNA2 128 and RDNA3 192, and what
-/// traces needs 84 to 128; the sums of hits with harmonics along the ray hold 64 of them in registers, or they would be read and written a hit.
+/// traces needs 84 to 128; the sums of hits with harmonics along the ray hold 64 of them in registers, or they would be read and written a
+/// hit.
 int least_waves(const PipelineStatistics& p) {
     const bool gcn = family().starts_with("vega");
     const bool sums_harmonics = p.kernel.starts_with("backward/gather@") && p.constants.find("SH_PER_SURFEL=0") != std::string::npos;
@@ -65,11 +66,14 @@ protected:
     void SetUp() override {
         if (!pipelines_.empty()) return;
         const char* required = std::getenv("RELIDAR_REQUIRE_GPU");
-        if (required && std::string(required) == "1") FAIL() << "RELIDAR_REQUIRE_GPU=1, but Mesa's AMD driver (radeon_icd) is not installed";
+        if (required && std::string(required) == "1")
+            FAIL() << "RELIDAR_REQUIRE_GPU=1, but Mesa's AMD driver (radeon_icd) is not installed";
         GTEST_SKIP() << "Mesa's AMD driver (radeon_icd) is not installed";
     }
 
-    static std::string name(const PipelineStatistics& p) { return fmt::format("{} [{}], {} threads", p.kernel, p.constants, p.workgroup_size); }
+    static std::string name(const PipelineStatistics& p) {
+        return fmt::format("{} [{}], {} threads", p.kernel, p.constants, p.workgroup_size);
+    }
 };
 
 std::vector<PipelineStatistics> GpuCompilers::pipelines_;
@@ -81,8 +85,10 @@ TEST_F(GpuCompilers, EveryKernelOfTheBuildIsCompiled) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const std::string text(kernel.name);
         if (text.starts_with("traversal/collect_hits") || text.find("@brute_force") != std::string::npos) continue;   // of the tests
-        const bool other = (text.find("@software_bvh") != std::string::npos && !suffixes_.count("@software_bvh")) || (text.find("@ray_query") != std::string::npos && !suffixes_.count("@ray_query")) ||
-                           (text.ends_with("_atomics") && !suffixes_.count("_atomics")) || (text.ends_with("_swap") && !suffixes_.count("_swap"));
+        const bool other = (text.find("@software_bvh") != std::string::npos && !suffixes_.count("@software_bvh")) ||
+                           (text.find("@ray_query") != std::string::npos && !suffixes_.count("@ray_query")) ||
+                           (text.ends_with("_atomics") && !suffixes_.count("_atomics")) ||
+                           (text.ends_with("_swap") && !suffixes_.count("_swap"));
         if (other) continue;
         EXPECT_TRUE(compiled.count(text)) << text << " is made by nothing that compile_pipelines() makes";
     }
@@ -100,7 +106,8 @@ TEST_F(GpuCompilers, NoKernelSpillsRegisters) {
 }
 
 TEST_F(GpuCompilers, WavesHideLatency) {
-    for (const PipelineStatistics& p : pipelines_) EXPECT_GE(waves_of_64(p), least_waves(p)) << name(p) << ": " << p.values.at("VGPRs") << " registers";
+    for (const PipelineStatistics& p : pipelines_)
+        EXPECT_GE(waves_of_64(p), least_waves(p)) << name(p) << ": " << p.values.at("VGPRs") << " registers";
 }
 
 TEST_F(GpuCompilers, SharedMemoryFitsTheSmallestDevices) {

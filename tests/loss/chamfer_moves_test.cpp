@@ -31,7 +31,8 @@ Scene wall(float shift) {
 /// Every ray measured the wall at kWall_m.
 void measure_wall(std::uint32_t side, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
     for (std::uint32_t i = 0; i < side * side; ++i) {
-        const glm::vec3 d = glm::normalize(glm::vec3(1.0f, 0.6f * (float(i % side) / float(side - 1) - 0.5f), 0.6f * (float(i / side) / float(side - 1) - 0.5f)));
+        const glm::vec3 d = glm::normalize(
+            glm::vec3(1.0f, 0.6f * (float(i % side) / float(side - 1) - 0.5f), 0.6f * (float(i / side) / float(side - 1) - 0.5f)));
         rays.push_back({glm::vec3(0.0f), d});
         targets.push_back({kWall_m / d.x, 0.5f, 1.0f});
     }
@@ -62,7 +63,8 @@ double distance_after(Device& device, float shift, bool cut_gradient, bool image
         if (cut_gradient) renderer.stream().fill(*renderer.batch().upstream);
         renderer.record_backward();
         const Gradients& gradients = renderer.gradients();
-        adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched, {0.02, 0.0, 0.0, 0.0, 0.0, 1.0}, step, 3);
+        adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched, {0.02, 0.0, 0.0, 0.0, 0.0, 1.0},
+                  step, 3);
         renderer.stream().finish();
     }
     double sum = 0.0, n = 0.0;

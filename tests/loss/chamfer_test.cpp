@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and chamfer_vjp: nearest neighbours against brute force on clouds of every shape,
-// value and derivative against the double reference.
+// loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and chamfer_vjp: nearest neighbours against brute force on clouds of every
+// shape, value and derivative against the double reference.
 #include <cmath>
 #include <functional>
 #include <limits>
@@ -37,8 +37,11 @@ Clouds lattice_scan(std::uint32_t rows, std::uint32_t columns, float missing) {
     Clouds c{{rows, columns, true}, {}, {}, {}};
     const auto on = [](float x, float steps) { return std::round(x * steps) / steps; };
     for (std::uint32_t i = 0; i < rows * columns; ++i) {
-        const float azimuth = 6.2831853f * float(i % columns) / float(columns), elevation = -0.4f * std::pow(float(i / columns) / float(rows), 1.7f);   // uneven rows
-        c.rays.push_back({{on(float(i % columns) / float(columns), 1024), 0, 0}, {on(std::cos(azimuth), 64), on(std::sin(azimuth), 64), on(elevation, 64)}});
+        // uneven rows
+        const float azimuth = 6.2831853f * float(i % columns) / float(columns),
+                    elevation = -0.4f * std::pow(float(i / columns) / float(rows), 1.7f);
+        c.rays.push_back({{on(float(i % columns) / float(columns), 1024), 0, 0},
+                          {on(std::cos(azimuth), 64), on(std::sin(azimuth), 64), on(elevation, 64)}});
         const float range = on(6.0f + 3.0f * std::sin(5.0f * azimuth) + unit(random), 16);
         c.simulated.push_back(unit(random) < missing ? 0.0f : range);
         c.measured.push_back(unit(random) < missing ? 0.0f : on(range + 0.5f * unit(random) - 0.25f, 16));
@@ -92,7 +95,8 @@ Found device_chamfer(Device& device, const Clouds& c, const Setting& s = {}) {
 /// Points as the device sees them, relative to the first ray's origin; infinite where there is none.
 std::vector<glm::vec3> points(const Clouds& c, const std::vector<float>& range) {
     std::vector<glm::vec3> result;
-    for (std::size_t i = 0; i < range.size(); ++i) result.push_back(range[i] > 0.0f ? c.rays[i].origin - c.rays[0].origin + range[i] * c.rays[i].direction : glm::vec3(kInfinity));
+    for (std::size_t i = 0; i < range.size(); ++i)
+        result.push_back(range[i] > 0.0f ? c.rays[i].origin - c.rays[0].origin + range[i] * c.rays[i].direction : glm::vec3(kInfinity));
     return result;
 }
 
@@ -102,7 +106,8 @@ float squared(const glm::vec3& a, const glm::vec3& b) {
     return (d.x * d.x + d.y * d.y) + d.z * d.z;
 }
 
-void expect_nearest(const std::vector<glm::vec3>& queries, const std::vector<glm::vec3>& cloud, const std::vector<std::uint32_t>& found, const char* what) {
+void expect_nearest(const std::vector<glm::vec3>& queries, const std::vector<glm::vec3>& cloud, const std::vector<std::uint32_t>& found,
+                    const char* what) {
     ASSERT_EQ(found.size(), queries.size());
     for (std::size_t i = 0; i < queries.size(); ++i) {
         float best = kInfinity;
@@ -135,7 +140,8 @@ TEST_F(Chamfer, CloudsWithoutImageOrderAreExactToo) {
         const std::size_t k = random() % (i + 1);
         std::swap(c.rays[i], c.rays[k]), std::swap(c.simulated[i], c.simulated[k]), std::swap(c.measured[i], c.measured[k]);
     }
-    for (const bool image : {false, true}) expect_exact(c, device_chamfer(device(), c, {.image = image}), image ? "shuffled image" : "shuffled list");
+    for (const bool image : {false, true})
+        expect_exact(c, device_chamfer(device(), c, {.image = image}), image ? "shuffled image" : "shuffled list");
     const Clouds ordered = lattice_scan(16, 100, 0.2f);
     expect_exact(ordered, device_chamfer(device(), ordered, {.image = false, .stride = 3}), "every third ray");
 }
@@ -200,12 +206,14 @@ TEST_F(Chamfer, AgreesWithReference) {
         std::vector<double> expected, actual;   // of the norm of all: differences of points 10 m away hold 1e-6 m
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const float* row = &found.upstream[5 * i];
-            expected.insert(expected.end(), {normalised ? d_range[i] / weight : d_range[i], normalised ? -d_range[i] * c.simulated[i] / weight : 0.0});
+            expected.insert(expected.end(),
+                            {normalised ? d_range[i] / weight : d_range[i], normalised ? -d_range[i] * c.simulated[i] / weight : 0.0});
             actual.insert(actual.end(), {row[0], row[1]});
             EXPECT_EQ(d_range[i] != 0.0, row[0] != 0.0f) << "ray " << i;
             for (std::size_t k = 2; k < 5; ++k) EXPECT_EQ(row[k], 0.0f);
         }
-        EXPECT_EQ(device_chamfer(device(), c, {.normalised = normalised, .weight = weight}).upstream, found.upstream) << "the same bits every time";
+        EXPECT_EQ(device_chamfer(device(), c, {.normalised = normalised, .weight = weight}).upstream, found.upstream)
+            << "the same bits every time";
         test::GradientTable table;
         table.add_row("depth and weight", expected, actual);
         EXPECT_GT(table.groups().begin()->second.largest_row(), 0.0);

@@ -64,7 +64,9 @@ Found device_terms(Device& device, const RangeImage& image, const LossWeights& w
         ray.depth = float(p.depth), ray.weight = float(p.weight);
         geometry.push_back({.normal = glm::vec3(p.normal), .distortion = float(p.distortion), .moment = 0.0f});
         rays[i * stride] = {glm::vec3(image.rays[i].origin), glm::vec3(image.rays[i].direction)};
-        targets[i * stride] = image.returned[i] ? DeviceTarget{5.0f, 0.5f, 1.0f} : i % 2 ? DeviceTarget{0.0f, 0.5f, 1.0f} : DeviceTarget{5.0f, 0.5f, 0.0f};
+        targets[i * stride] = image.returned[i] ? DeviceTarget{5.0f, 0.5f, 1.0f}
+                              : i % 2           ? DeviceTarget{0.0f, 0.5f, 1.0f}
+                                                : DeviceTarget{5.0f, 0.5f, 0.0f};
         n_returned += image.returned[i];
     }
     const Array<shared::RenderedRay> r(device, rendered, "rendered");
@@ -78,7 +80,8 @@ Found device_terms(Device& device, const RangeImage& image, const LossWeights& w
     Stream stream(device);
     const bool is_image = weights.normal > 0.0f;
     const ImageShape shape{is_image ? std::uint32_t(image.rows) : 0, is_image ? std::uint32_t(image.columns) : 0, image.circular};
-    loss.compare(stream, {{&device_rays, 0, stride, std::uint32_t(n)}, &r, &upstream, nullptr, &q}, {&device_targets, 0, stride, std::uint32_t(n), n_returned, double(n), shape}, terms);
+    loss.compare(stream, {{&device_rays, 0, stride, std::uint32_t(n)}, &r, &upstream, nullptr, &q},
+                 {&device_targets, 0, stride, std::uint32_t(n), n_returned, double(n), shape}, terms);
     stream.finish();
     const std::vector<float> t = terms.download();
     return {t[loss_term::distortion], t[loss_term::normal], upstream.download(), q.gradient.download()};
@@ -93,7 +96,9 @@ void add_differences(RangeImage image, const Found& found, test::GradientTable& 
     for (std::size_t i = 0; i < image.pixels.size(); ++i) {
         const shared::RayGradient& u = found.upstream[i];
         const shared::GeometryGradient& g = found.gradient[i];
-        const auto add = [&](const char* name, double* x, int n, const std::vector<double>& actual) { table.add_row(name, test::central_differences(x, n, terms), actual); };
+        const auto add = [&](const char* name, double* x, int n, const std::vector<double>& actual) {
+            table.add_row(name, test::central_differences(x, n, terms), actual);
+        };
         add("depth", &image.pixels[i].depth, 1, {u.depth});
         add("weight", &image.pixels[i].weight, 1, {u.weight});
         add("normal", &image.pixels[i].normal.x, 3, {g.normal.x, g.normal.y, g.normal.z});
@@ -108,7 +113,8 @@ TEST_F(GeometryTerms, AgreeWithReference) {
         bool circular, normalised;
         std::uint32_t stride;
     };
-    for (const Case& c : {Case{8, 60, true, true, 1}, Case{7, 25, false, true, 3}, Case{6, 40, true, false, 2}, Case{12, 9, false, false, 1}}) {
+    for (const Case& c :
+         {Case{8, 60, true, true, 1}, Case{7, 25, false, true, 3}, Case{6, 40, true, false, 2}, Case{12, 9, false, false, 1}}) {
         const RangeImage image = random_image(c.rows, c.columns, c.circular, c.normalised);
         const auto normals = image_normals(image);
         const auto n_normals = std::count_if(normals.begin(), normals.end(), [](const auto& n) { return n.has_value(); });

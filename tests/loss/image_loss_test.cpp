@@ -29,7 +29,8 @@ Data random_data(std::size_t n, std::uint64_t seed) {
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);
     Data d;
     for (std::size_t i = 0; i < n; ++i) {
-        const float weight = 0.2f + 0.8f * unit(random), range = 2.0f + 50.0f * unit(random), depth = weight * (range + unit(random) - 0.5f);
+        const float weight = 0.2f + 0.8f * unit(random), range = 2.0f + 50.0f * unit(random),
+                    depth = weight * (range + unit(random) - 0.5f);
         const float spread = i % 7 == 0 ? 80.0f : 3.0f;   // extreme logits, too
         const float hit = spread * (unit(random) - 0.5f), drop = spread * (unit(random) - 0.5f), intensity = unit(random);
         const bool dropped = unit(random) < 0.3f;
@@ -51,8 +52,9 @@ TEST_F(ImageLossTest, AgreesWithReference) {
             LossWeights weights;
             weights.normalised_depth = normalised;
             std::vector<reference::PixelGradient> expected;
-            const reference::LossTerms terms = reference::evaluate_loss(d.pixels, d.expected_targets, {weights.depth, weights.intensity, weights.drop},
-                                                                        normalised ? reference::DepthKind::normalised : reference::DepthKind::blended, &expected);
+            const reference::LossTerms terms =
+                reference::evaluate_loss(d.pixels, d.expected_targets, {weights.depth, weights.intensity, weights.drop},
+                                         normalised ? reference::DepthKind::normalised : reference::DepthKind::blended, &expected);
             ImageLoss loss(device(), weights);
             Stream stream(device());
             const Array<shared::RenderedRay> rendered(device(), d.rendered, "rendered");
@@ -69,8 +71,10 @@ TEST_F(ImageLossTest, AgreesWithReference) {
             EXPECT_NEAR(s[loss_term::intensity], weights.intensity * terms.intensity, 1e-4 * weights.intensity * terms.intensity);
             EXPECT_NEAR(s[loss_term::drop], weights.drop * terms.drop, 1e-4 * weights.drop * terms.drop);
             for (std::size_t i = 0; i < n; ++i) {
-                const double row[] = {expected[i].depth, expected[i].weight, expected[i].intensity, expected[i].hit_logit, expected[i].drop_logit};
-                for (std::size_t k = 0; k < 5; ++k) EXPECT_NEAR(g[5 * i + k], row[k], 1e-6 * (std::abs(row[k]) + 1.0 / double(n))) << "ray " << i << " lane " << k;
+                const double row[] = {expected[i].depth, expected[i].weight, expected[i].intensity, expected[i].hit_logit,
+                                      expected[i].drop_logit};
+                for (std::size_t k = 0; k < 5; ++k)
+                    EXPECT_NEAR(g[5 * i + k], row[k], 1e-6 * (std::abs(row[k]) + 1.0 / double(n))) << "ray " << i << " lane " << k;
             }
             for (std::size_t k = 0; k < 5; ++k) EXPECT_TRUE(std::isnan(g[5 * n + k])) << "wrote past the end";
         }

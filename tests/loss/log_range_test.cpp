@@ -28,7 +28,8 @@ TEST_F(LogRange, AgreesWithReference) {
         std::vector<reference::Target> expected_targets(kRays);
         double n_returned = 0.0;
         for (std::size_t i = 0; i < kRays; ++i) {
-            const float weight = 0.2f + 0.8f * unit(random), range = std::exp(5.0f * unit(random)) - 0.9f, depth = weight * range * (0.5f + unit(random));
+            const float weight = 0.2f + 0.8f * unit(random), range = std::exp(5.0f * unit(random)) - 0.9f,
+                        depth = weight * range * (0.5f + unit(random));
             const bool known = i % 5 != 0, returned = i % 7 != 0;
             shared::RenderedRay ray{};
             ray.depth = depth, ray.weight = weight;
@@ -39,7 +40,8 @@ TEST_F(LogRange, AgreesWithReference) {
             n_returned += known && returned;
         }
         std::vector<reference::PixelGradient> expected;
-        const double term = reference::log_range_loss(pixels, expected_targets, normalised ? reference::DepthKind::normalised : reference::DepthKind::blended, &expected);
+        const double term = reference::log_range_loss(
+            pixels, expected_targets, normalised ? reference::DepthKind::normalised : reference::DepthKind::blended, &expected);
 
         LossWeights weights;
         weights.log_range = 0.7f, weights.normalised_depth = normalised;
@@ -48,7 +50,8 @@ TEST_F(LogRange, AgreesWithReference) {
         const Array<shared::RenderedRay> r(device(), std::span<const shared::RenderedRay>(rendered), "rendered");
         const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
         const Array<DeviceTarget> t(device(), std::span<const DeviceTarget>(targets), "targets");
-        Array<shared::RayGradient> upstream(device(), std::vector<shared::RayGradient>(kRays, {kBefore, kBefore, kBefore, kBefore, kBefore}), "upstream");
+        Array<shared::RayGradient> upstream(
+            device(), std::vector<shared::RayGradient>(kRays, {kBefore, kBefore, kBefore, kBefore, kBefore}), "upstream");
         loss.compare(stream, {{}, &r, &upstream}, {&t, 0, kStride, kRays, n_returned, double(kRays)}, terms);
         stream.finish();
         EXPECT_NEAR(terms.download()[loss_term::log_range], 0.7 * term, 1e-5 * term);

@@ -45,7 +45,9 @@ Result device_ssim(Device& device, const Image& image, float share, std::uint32_
         known += image.known[i];
         shared::RenderedRay& ray = rendered.emplace_back();
         ray.depth = 10.0f, ray.weight = 1.0f, ray.intensity = image.known[i] ? float(image.x[i]) : 7.0f;
-        targets[i * stride] = image.known[i] ? DeviceTarget{10.0f, float(image.y[i]), 1.0f} : i % 2 ? DeviceTarget{0.0f, 5.0f, 1.0f} : DeviceTarget{10.0f, 5.0f, 0.0f};
+        targets[i * stride] = image.known[i] ? DeviceTarget{10.0f, float(image.y[i]), 1.0f}
+                              : i % 2        ? DeviceTarget{0.0f, 5.0f, 1.0f}
+                                             : DeviceTarget{10.0f, 5.0f, 0.0f};
     }
     LossWeights weights;
     weights.intensity = 1.0f;
@@ -71,7 +73,8 @@ TEST_F(Ssim, AgreesWithReference) {
         double known;
         std::uint32_t stride;
     };
-    for (const Case& c : {Case{16, 50, true, 0.8, 1}, Case{16, 50, false, 1.0, 3}, Case{1, 40, true, 0.7, 1}, Case{3, 7, true, 1.0, 1}, Case{33, 37, true, 0.15, 2}}) {
+    for (const Case& c : {Case{16, 50, true, 0.8, 1}, Case{16, 50, false, 1.0, 3}, Case{1, 40, true, 0.7, 1}, Case{3, 7, true, 1.0, 1},
+                          Case{33, 37, true, 0.15, 2}}) {
         const Image image = random_image(c.rows, c.columns, c.circular, c.known);
         std::vector<double> expected;
         const double loss = reference::ssim_loss(image, &expected);
@@ -82,13 +85,15 @@ TEST_F(Ssim, AgreesWithReference) {
         table.add_row("image", expected, found.d_x);
         EXPECT_EQ(table.groups().at("image").missing_rows(), 0u);
         EXPECT_LE(table.worst_error(), test::kKernelGradient) << c.rows << " x " << c.columns;
-        for (std::size_t i = 0; i < expected.size(); ++i) EXPECT_TRUE(image.known[i] || found.d_x[i] == 0.0) << "pixel " << i << " takes no part";
+        for (std::size_t i = 0; i < expected.size(); ++i)
+            EXPECT_TRUE(image.known[i] || found.d_x[i] == 0.0) << "pixel " << i << " takes no part";
     }
 }
 
 TEST_F(Ssim, SharesTheIntensityTermWithL1) {
     const Image image = random_image(8, 20, true, 0.9);
-    const Result all = device_ssim(device(), image, 1.0f), none = device_ssim(device(), image, 0.0f), some = device_ssim(device(), image, 0.15f);
+    const Result all = device_ssim(device(), image, 1.0f), none = device_ssim(device(), image, 0.0f),
+                 some = device_ssim(device(), image, 0.15f);
     EXPECT_EQ(none.ssim, 0.0);
     EXPECT_NEAR(some.ssim, 0.15 * all.ssim, 1e-6);
     EXPECT_NEAR(some.l1, 0.85 * none.l1, 1e-6);

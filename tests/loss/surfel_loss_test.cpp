@@ -29,7 +29,9 @@ Scene random_scene() {
     for (glm::vec2& s : scene.surfels.log_scale) s = 0.4f * glm::vec2(uniform(random), uniform(random) - 2.0f);
     for (float& o : scene.surfels.opacity_logit) o = 4.0f * uniform(random);
     scene.surfels.opacity_logit[3] = 500.0f, scene.surfels.opacity_logit[4] = -500.0f;
-    scene.models = {{"background", 0, kBackground}, {"a", kBackground, kActor, {2.0f, 0.9f, 0.75f}}, {"b", kBackground + kActor, kActor, {1.0f, 0.3f, 0.85f}}};
+    scene.models = {{"background", 0, kBackground},
+                    {"a", kBackground, kActor, {2.0f, 0.9f, 0.75f}},
+                    {"b", kBackground + kActor, kActor, {1.0f, 0.3f, 0.85f}}};
     scene.instances = {{0, ""}, {2, "b"}, {1, "a"}};
     return scene;
 }
@@ -72,7 +74,8 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
             }
             double slope = 0.0;
             entropy += reference::opacity_entropy(scene.surfels.opacity_logit[i], slope);
-            table.add_row("mean", {expected.mean[0], expected.mean[1], expected.mean[2]}, {found.mean[i].x, found.mean[i].y, found.mean[i].z});
+            table.add_row("mean", {expected.mean[0], expected.mean[1], expected.mean[2]},
+                          {found.mean[i].x, found.mean[i].y, found.mean[i].z});
             table.add_row("log_scale", {expected.log_scale[0], expected.log_scale[1]}, {found.log_scale[i].x, found.log_scale[i].y});
             if (is_gaussian) table.add_row("log_scale_w", {expected.log_scale_w.value_or(0.0)}, {found.log_scale_w[i]});
             table.add_row("opacity", {write ? 0.7 / double(n) * slope : 0.0}, {found.opacity_logit[i]});

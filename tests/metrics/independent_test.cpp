@@ -62,22 +62,27 @@ import numpy as np, evaluate
 z = np.load(sys.argv[2])
 for cut in (0.4, 0.5):
     evaluate.CUT = cut
-    r = evaluate.score(z['range'], z['intensity'], z['drop_prob'], z['real_range'], z['real_intensity'], z['real_drop'] < 0.5, dirs=z['direction'], dyn=z['moving'] > 0.5)
+    r = evaluate.score(z['range'], z['intensity'], z['drop_prob'], z['real_range'], z['real_intensity'], z['real_drop'] < 0.5,
+                       dirs=z['direction'], dyn=z['moving'] > 0.5)
     for k, v in r.items(): print('%g:%s %.17g' % (cut, k, v))
 )";
 
 std::map<std::string, double> independent_scores(const fs::path& bench, const Pair& pair) {
     const fs::path folder = fs::temp_directory_path() / fmt::format("relidar-metrics-{}", ::getpid());
     fs::create_directories(folder);
-    const auto image = [](const char* name, const std::vector<float>& v) { return make_array(name, {kRows, kColumns}, v.data(), v.size()); };
-    write_npz(folder / "pair.npz", {image("range", pair.rendered.range_m), image("intensity", pair.rendered.intensity), image("drop_prob", pair.rendered.drop_prob),
-                                    image("real_range", pair.real.range_m), image("real_intensity", pair.real.intensity), image("real_drop", pair.real.drop_prob),
-                                    image("moving", pair.moving), make_array("direction", {kRows, kColumns, 3}, &pair.real.direction[0].x, 3 * kPixels)});
+    const auto image = [](const char* name, const std::vector<float>& v) {
+        return make_array(name, {kRows, kColumns}, v.data(), v.size());
+    };
+    write_npz(
+        folder / "pair.npz",
+        {image("range", pair.rendered.range_m), image("intensity", pair.rendered.intensity), image("drop_prob", pair.rendered.drop_prob),
+         image("real_range", pair.real.range_m), image("real_intensity", pair.real.intensity), image("real_drop", pair.real.drop_prob),
+         image("moving", pair.moving), make_array("direction", {kRows, kColumns, 3}, &pair.real.direction[0].x, 3 * kPixels)});
     write_text(folder / "score.py", kScript);
     std::map<std::string, double> scores;
     for (const char* python : {"python3", "/usr/bin/python3"}) {
-        const std::string command = fmt::format("{} '{}' '{}' '{}' >'{}' 2>/dev/null", python, (folder / "score.py").string(), bench.string(), (folder / "pair.npz").string(),
-                                                (folder / "scores.txt").string());
+        const std::string command = fmt::format("{} '{}' '{}' '{}' >'{}' 2>/dev/null", python, (folder / "score.py").string(),
+                                                bench.string(), (folder / "pair.npz").string(), (folder / "scores.txt").string());
         if (std::system(command.c_str()) != 0) continue;
         std::ifstream file(folder / "scores.txt");
         std::string name;
@@ -97,12 +102,21 @@ TEST(Metrics, AgreeWithAnIndependentScript) {
     if (expected.empty()) GTEST_SKIP() << "no python3 with numpy and scipy";
     const std::vector<bool> moving(pair.moving.begin(), pair.moving.end());
     const MetricRow found = evaluate_all({{&pair.rendered, &pair.real, standard_regions(pair.real, moving)}}).front();
-    std::vector<std::pair<std::string, std::string>> names = {
-        {"0.4:cd_sq", "peer/cd_sq_m2"}, {"0.4:F22", "peer/f_score"}, {"0.5:cd_mean", "strict/cd_mean_m"}, {"0.5:cd_sq", "strict/cd_sq_m2"}, {"0.5:F5", "strict/f_5cm"},
-        {"0.5:F22", "strict/f_22cm"}, {"0.5:drop_acc", "strict/drop_accuracy"}, {"0.5:drop_f1", "strict/drop_f1"}, {"0.4:n_dyn", "moving_boxes/pixels"},
-        {"0.4:a_depth_psnr", "peer/depth_psnr_db"}, {"0.4:a_int_psnr", "peer/intensity_psnr_db"}, {"0.5:a_depth_psnr", "strict/image_depth_psnr_db"}};
+    std::vector<std::pair<std::string, std::string>> names = {{"0.4:cd_sq", "peer/cd_sq_m2"},
+                                                              {"0.4:F22", "peer/f_score"},
+                                                              {"0.5:cd_mean", "strict/cd_mean_m"},
+                                                              {"0.5:cd_sq", "strict/cd_sq_m2"},
+                                                              {"0.5:F5", "strict/f_5cm"},
+                                                              {"0.5:F22", "strict/f_22cm"},
+                                                              {"0.5:drop_acc", "strict/drop_accuracy"},
+                                                              {"0.5:drop_f1", "strict/drop_f1"},
+                                                              {"0.4:n_dyn", "moving_boxes/pixels"},
+                                                              {"0.4:a_depth_psnr", "peer/depth_psnr_db"},
+                                                              {"0.4:a_int_psnr", "peer/intensity_psnr_db"},
+                                                              {"0.5:a_depth_psnr", "strict/image_depth_psnr_db"}};
     for (const char* error : {"rmse", "mae", "medae"}) {
-        for (const auto& [theirs, ours] : {std::pair("0.4:a", "peer/"), {"0.5:a", "strict/image_"}, {"0.5:c", "strict/"}, {"0.4:b", "all/"}}) {
+        for (const auto& [theirs, ours] :
+             {std::pair("0.4:a", "peer/"), {"0.5:a", "strict/image_"}, {"0.5:c", "strict/"}, {"0.4:b", "all/"}}) {
             names.emplace_back(fmt::format("{}_depth_{}", theirs, error), fmt::format("{}depth_{}_m", ours, error));
             names.emplace_back(fmt::format("{}_int_{}", theirs, error), fmt::format("{}intensity_{}", ours, error));
         }

@@ -44,7 +44,9 @@ LpipsWeights random_weights() {
 struct Planes {
     int channels, rows, columns;
     std::vector<double> values;
-    double at(int c, int y, int x) const { return values[(std::size_t(c) * std::size_t(rows) + std::size_t(y)) * std::size_t(columns) + std::size_t(x)]; }
+    double at(int c, int y, int x) const {
+        return values[(std::size_t(c) * std::size_t(rows) + std::size_t(y)) * std::size_t(columns) + std::size_t(x)];
+    }
 };
 
 /// Convolution with zero padding, then ReLU, as its definition says.
@@ -60,7 +62,8 @@ Planes convolve(const Planes& in, const LpipsWeights& w, int layer, int stride, 
                         for (int j = 0; j < edge; ++j) {
                             const int v = y * stride + i - padding, u = x * stride + j - padding;
                             if (v < 0 || u < 0 || v >= in.rows || u >= in.columns) continue;
-                            sum += double(w.weight[std::size_t(layer)][std::size_t(((o * in.channels + c) * edge + i) * edge + j)]) * in.at(c, v, u);
+                            sum += double(w.weight[std::size_t(layer)][std::size_t(((o * in.channels + c) * edge + i) * edge + j)]) *
+                                   in.at(c, v, u);
                         }
                 out.values.push_back(std::max(sum, 0.0));
             }
@@ -160,7 +163,8 @@ TEST(LpipsNetwork, RefusesWrongSizes) {
 /// by the published code with single-precision weights; ours are rounded to half precision, 2^-11 of each.
 TEST(LpipsNetwork, AgreesWithPublishedWeightsAndValues) {
     const char* shared = std::getenv("RELIDAR_SHARED");
-    const std::filesystem::path folder = shared ? std::filesystem::path(shared) : std::filesystem::path(RELIDAR_SOURCE_DIR).parent_path() / "shared";
+    const std::filesystem::path folder =
+        shared ? std::filesystem::path(shared) : std::filesystem::path(RELIDAR_SOURCE_DIR).parent_path() / "shared";
     const std::filesystem::path file = folder / "data" / "lpips" / "lpips_alex_v0.1_f16.safetensors";
     if (!std::filesystem::exists(file)) GTEST_SKIP() << file << " is not there; RELIDAR_SHARED names another folder";
     constexpr int kRows = 64, kColumns = 96;
@@ -169,10 +173,13 @@ TEST(LpipsNetwork, AgreesWithPublishedWeightsAndValues) {
         for (int colour = 0; colour < 3; ++colour)
             for (int y = 0; y < kRows; ++y)
                 for (int x = 0; x < kColumns; ++x)
-                    values.push_back(float(colour == 0 ? std::sin(0.1 * x + y0 * y) : colour == 1 ? std::cos(0.07 * x - y1 * y) : std::sin(k2 * (x + y))));
+                    values.push_back(float(colour == 0   ? std::sin(0.1 * x + y0 * y)
+                                           : colour == 1 ? std::cos(0.07 * x - y1 * y)
+                                                         : std::sin(k2 * (x + y))));
         return values;
     };
-    const std::array<double, 5> found = Lpips(read_lpips_weights(file)).by_layer(image(0.05, 0.03, 0.11), image(0.08, 0.05, 0.13), kRows, kColumns);
+    const std::array<double, 5> found =
+        Lpips(read_lpips_weights(file)).by_layer(image(0.05, 0.03, 0.11), image(0.08, 0.05, 0.13), kRows, kColumns);
     const double expected[5] = {0.05731607973575592, 0.03482897952198982, 0.030503420159220695, 0.02966426871716976, 0.01576225645840168};
     double sum = 0.0;
     for (std::size_t l = 0; l < 5; ++l) {

@@ -51,7 +51,8 @@ TEST(Neighbours, AreTheNearestTrainingFramesMovedByThePoses) {
     const int frames[] = {1, 4};
     for (std::size_t k = 0; k < 2; ++k) {
         const auto f = std::size_t(frames[k]);
-        const glm::dvec3 expected = inverse(s.world_from_vehicle.pose[2]) * (s.world_from_vehicle.pose[f] * glm::dvec3(s.frames[f].scan.point(0)));
+        const glm::dvec3 expected =
+            inverse(s.world_from_vehicle.pose[2]) * (s.world_from_vehicle.pose[f] * glm::dvec3(s.frames[f].scan.point(0)));
         EXPECT_LT(glm::distance(glm::dvec3(points.point(k)), expected), 1e-5);
         EXPECT_EQ(points.intensity[k], float(frames[k]) + 0.25f);
     }
@@ -68,7 +69,8 @@ TEST(Neighbours, FollowTheRollingShutter) {
         const Frame& from = s.frames[k == 0 ? 1 : 3];
         const glm::dvec3 world = s.world_from_vehicle.at(from.time_s + 0.01) * glm::dvec3(from.scan.point(0));
         const glm::dvec3 seen(points.point(k));
-        const double azimuth = std::atan2(seen.y, seen.x), t_s = 0.2 - azimuth / (2.0 * kPi) * s.lidars[0].sensor.period_s;   // a clockwise head
+        // a clockwise head
+        const double azimuth = std::atan2(seen.y, seen.x), t_s = 0.2 - azimuth / (2.0 * kPi) * s.lidars[0].sensor.period_s;
         EXPECT_LT(glm::distance(s.world_from_vehicle.at(t_s) * seen, world), 2e-3);   // azimuth moves while the head gets there
         EXPECT_GT(glm::distance(s.world_from_vehicle.at(0.2) * seen, world), 0.01);
     }
@@ -83,7 +85,8 @@ TEST(Neighbours, MoveWithTheirBoxes) {
         box.world_from_box.pose.push_back(turned(0.1 * i, {9.5 + i, 2.0, 1.0}));
     }
     s.boxes = {box};
-    const Scan still = neighbour_points(s, 2, {1, 3}, BoxMotion::stay, 0.01), moved = neighbour_points(s, 2, {1, 3}, BoxMotion::follow, 0.01);
+    const Scan still = neighbour_points(s, 2, {1, 3}, BoxMotion::stay, 0.01),
+               moved = neighbour_points(s, 2, {1, 3}, BoxMotion::follow, 0.01);
     ASSERT_EQ(moved.range_m.size(), 2u);
     for (std::size_t k = 0; k < 2; ++k) {
         const std::size_t f = k == 0 ? 1 : 3;
@@ -101,7 +104,8 @@ TEST(Neighbours, MoveWithTheirBoxes) {
 SpinningSensor uneven_sensor() {
     SpinningSensor sensor;
     sensor.columns = 180;
-    for (const double elevation_deg : {4.0, 1.5, 1.0, -2.0, -9.0}) sensor.beams.push_back({elevation_deg * kPi / 180.0, 0.01, 0.02, 0.2, 0.03});
+    for (const double elevation_deg : {4.0, 1.5, 1.0, -2.0, -9.0})
+        sensor.beams.push_back({elevation_deg * kPi / 180.0, 0.01, 0.02, 0.2, 0.03});
     sensor.first_azimuth_rad = kPi - kPi / 180.0;
     return sensor;
 }
@@ -141,7 +145,13 @@ TEST(BinOntoRays, TakesTheNearestAndLeavesOutWhatNoBeamMeets) {
 
 RangeImage image_of(std::vector<float> range_m, std::vector<float> drop_prob) {
     const std::size_t n = range_m.size();
-    return {1, int(n), std::move(range_m), std::vector<float>(n, 0.5f), std::move(drop_prob), std::vector<glm::vec3>(n), std::vector<glm::vec3>(n, glm::vec3(1, 0, 0))};
+    return {1,
+            int(n),
+            std::move(range_m),
+            std::vector<float>(n, 0.5f),
+            std::move(drop_prob),
+            std::vector<glm::vec3>(n),
+            std::vector<glm::vec3>(n, glm::vec3(1, 0, 0))};
 }
 
 TEST(Regions, ScoreTheirRealReturnsWhateverIsDropped) {
@@ -168,7 +178,8 @@ TEST(Regions, KnowWhatMoves) {
     BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};   // around the point of frame 2 at the time it was fired
     for (int i = 0; i < 5; ++i) {
         box.world_from_box.time_s.push_back(0.1 * i);
-        box.world_from_box.pose.push_back({s.world_from_vehicle.at(0.21).rotation, s.world_from_vehicle.at(0.21) * glm::dvec3(12.0, 2.0 + 2.0 * (i - 2.1), 1.0)});
+        box.world_from_box.pose.push_back(
+            {s.world_from_vehicle.at(0.21).rotation, s.world_from_vehicle.at(0.21) * glm::dvec3(12.0, 2.0 + 2.0 * (i - 2.1), 1.0)});
     }
     s.boxes = {box};
     EXPECT_EQ(moving_returns(s, s.frames[2], 0.01), std::vector<bool>{true});

@@ -55,7 +55,8 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
         SurfelArrays parameters(device(), n, "parameters", primitive), gradients(device(), n, "gradients", primitive);
         const Surfels start = random_surfels(n, 1, primitive);
         parameters.upload(start);
-        const auto is_touched = [&](std::uint32_t i, int t) { return untouched == Untouched::none || i % 3 == 0 || int(i % 3) == t; };   // in all steps, or in one
+        // in all steps, or in one
+        const auto is_touched = [&](std::uint32_t i, int t) { return untouched == Untouched::none || i % 3 == 0 || int(i % 3) == t; };
         std::vector<Surfels> g;
         for (int t = 1; t <= 3; ++t) {
             g.push_back(random_surfels(n, 10 + std::uint64_t(t), primitive));   // that of the others must not be read
@@ -74,14 +75,20 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
                     if (is_touched(i, t) || !only_touched) s.step(is_touched(i, t) ? gradient(g[std::size_t(t - 1)]) : 0.0, rate, t);
                 EXPECT_NEAR(result, s.value, 2e-6 * (1.0 + std::abs(s.value)));
             };
-            for (int k = 0; k < 3; ++k) expect(start.mean[i][k], actual.mean[i][k], rates.mean, [&](const Surfels& s) { return s.mean[i][k]; });
-            for (int k = 0; k < 4; ++k) expect(start.rotation[i][k], actual.rotation[i][k], rates.rotation, [&](const Surfels& s) { return s.rotation[i][k]; });
-            for (int k = 0; k < 2; ++k) expect(start.log_scale[i][k], actual.log_scale[i][k], rates.log_scale, [&](const Surfels& s) { return s.log_scale[i][k]; });
-            if (primitive == Primitive::gaussian) expect(start.log_scale_w[i], actual.log_scale_w[i], rates.log_scale, [&](const Surfels& s) { return s.log_scale_w[i]; });
-            expect(start.opacity_logit[i], actual.opacity_logit[i], rates.opacity_logit, [&](const Surfels& s) { return s.opacity_logit[i]; });
+            for (int k = 0; k < 3; ++k)
+                expect(start.mean[i][k], actual.mean[i][k], rates.mean, [&](const Surfels& s) { return s.mean[i][k]; });
+            for (int k = 0; k < 4; ++k)
+                expect(start.rotation[i][k], actual.rotation[i][k], rates.rotation, [&](const Surfels& s) { return s.rotation[i][k]; });
+            for (int k = 0; k < 2; ++k)
+                expect(start.log_scale[i][k], actual.log_scale[i][k], rates.log_scale, [&](const Surfels& s) { return s.log_scale[i][k]; });
+            if (primitive == Primitive::gaussian)
+                expect(start.log_scale_w[i], actual.log_scale_w[i], rates.log_scale, [&](const Surfels& s) { return s.log_scale_w[i]; });
+            expect(start.opacity_logit[i], actual.opacity_logit[i], rates.opacity_logit,
+                   [&](const Surfels& s) { return s.opacity_logit[i]; });
             for (std::size_t k = 0; k < kShFloats; ++k) {
                 const std::size_t within = k % kShCoefficients, slot = i * kShFloats + k;
-                const double rate = within >= 9 ? 0.0 : rates.sh * (within == 0 ? 1.0 : rates.sh_rest_factor);   // degree 2: nine coefficients
+                // degree 2: nine coefficients
+                const double rate = within >= 9 ? 0.0 : rates.sh * (within == 0 ? 1.0 : rates.sh_rest_factor);
                 expect(start.sh[slot], actual.sh[slot], rate, [&](const Surfels& s) { return s.sh[slot]; });
             }
         }

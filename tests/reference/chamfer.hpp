@@ -16,7 +16,8 @@ struct ChamferRay {
     double measured_m = 0.0;
 };
 
-/// (sum over simulated of min |a - b|^2 + sum over measured of min |a - b|^2) / min(number of simulated, of measured); 0 where a cloud is empty
+/// (sum over simulated of min |a - b|^2 + sum over measured of min |a - b|^2) / min(number of simulated, of measured); 0 where a cloud is
+/// empty
 /// @param d_simulated  if given, receives the derivative by the simulated ranges [n], for the pairs as they are
 double chamfer_loss(const std::vector<ChamferRay>& rays, std::vector<double>* d_simulated = nullptr);
 

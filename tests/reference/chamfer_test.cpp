@@ -25,7 +25,10 @@ TEST(ReferenceChamfer, DerivativesAgreeWithDifferences) {
     std::uniform_real_distribution<double> uniform(-1.0, 1.0);
     std::vector<ChamferRay> rays;
     for (int i = 0; i < 40; ++i) {
-        ChamferRay ray{{0.1 * uniform(random), 0.0, 0.0}, glm::normalize(glm::dvec3(1.0, uniform(random), 0.3 * uniform(random))), 5.0 + uniform(random), 5.0 + uniform(random)};
+        ChamferRay ray{{0.1 * uniform(random), 0.0, 0.0},
+                       glm::normalize(glm::dvec3(1.0, uniform(random), 0.3 * uniform(random))),
+                       5.0 + uniform(random),
+                       5.0 + uniform(random)};
         if (i % 5 == 0) ray.simulated_m = 0.0;
         if (i % 7 == 0) ray.measured_m = 0.0;
         rays.push_back(ray);
@@ -35,7 +38,9 @@ TEST(ReferenceChamfer, DerivativesAgreeWithDifferences) {
     test::GradientTable table;
     for (std::size_t i = 0; i < rays.size(); ++i)
         if (rays[i].simulated_m > 0.0)
-            table.add_row("range", test::central_differences(&rays[i].simulated_m, 1, [&] { return std::vector<double>{chamfer_loss(rays)}; }), {d[i]});
+            table.add_row("range",
+                          test::central_differences(&rays[i].simulated_m, 1, [&] { return std::vector<double>{chamfer_loss(rays)}; }),
+                          {d[i]});
     table.print("Chamfer");
     EXPECT_LE(table.worst_error(), test::kReferenceGradient);
     EXPECT_EQ(table.groups().at("range").nonzero_rows(), 32u);

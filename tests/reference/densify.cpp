@@ -19,7 +19,8 @@ glm::dvec2 random_normal2(std::uint32_t key, std::uint32_t item, std::uint32_t d
     mix();
     for (std::uint32_t& x : v) x ^= x >> 16;
     mix();
-    const double radius = std::sqrt(-2.0 * std::log(((v[0] >> 8) + 1.0) / 16777216.0)), angle = 2.0 * 3.14159265358979323846 * double(v[1] >> 8) / 16777216.0;
+    const double radius = std::sqrt(-2.0 * std::log(((v[0] >> 8) + 1.0) / 16777216.0)),
+                 angle = 2.0 * 3.14159265358979323846 * double(v[1] >> 8) / 16777216.0;
     return {radius * std::cos(angle), radius * std::sin(angle)};
 }
 
@@ -57,7 +58,8 @@ std::vector<std::uint32_t> copies_of(const std::vector<std::uint32_t>& weight, s
     for (const std::uint32_t w : weight) cumulative.push_back(total += w);
     std::vector<std::uint32_t> copies(weight.size(), 0);
     for (std::uint64_t j = 0; j < n_new; ++j) {
-        const auto owner = std::find_if(cumulative.begin(), cumulative.end(), [&](std::uint64_t c) { return c * n_new + phase >= (j + 1) * total; });
+        const auto owner =
+            std::find_if(cumulative.begin(), cumulative.end(), [&](std::uint64_t c) { return c * n_new + phase >= (j + 1) * total; });
         ++copies.at(std::size_t(owner - cumulative.begin()));
     }
     return copies;

@@ -142,7 +142,8 @@ EmbreeFilter::State::State(const World& world, const ImageModel& image_model, co
     check(device.handle, "EmbreeFilter");
 }
 
-EmbreeFilter::State::ModelScene EmbreeFilter::State::build_model(const World& world, const Placement& placement, const ProxyMargin& margin) {
+EmbreeFilter::State::ModelScene EmbreeFilter::State::build_model(const World& world, const Placement& placement,
+                                                                 const ProxyMargin& margin) {
     ModelScene result{SceneHandle(rtcNewScene(device.handle)), {}};
     for (std::uint32_t s = placement.first; s < placement.first + placement.count; ++s)
         if (all_finite(records[s]) && records[s].sigma > model.alpha_min) result.ids.push_back(s);

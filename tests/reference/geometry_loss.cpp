@@ -23,7 +23,9 @@ std::optional<int> surface_beside(const RangeImage& image, int i, int down, int 
     return surface ? std::optional(j) : std::nullopt;
 }
 
-glm::dvec3 point(const RangeImage& image, int i) { return image.rays[std::size_t(i)].origin + range_of(image, i) * image.rays[std::size_t(i)].direction; }
+glm::dvec3 point(const RangeImage& image, int i) {
+    return image.rays[std::size_t(i)].origin + range_of(image, i) * image.rays[std::size_t(i)].direction;
+}
 
 /// From the pixel before to the pixel behind i along a row or a column, where the three are one surface.
 std::optional<glm::dvec3> tangent(const RangeImage& image, int i, int down, int right) {

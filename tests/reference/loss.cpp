@@ -49,7 +49,8 @@ LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Targ
     return terms;
 }
 
-double log_range_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, DepthKind kind, std::vector<PixelGradient>* d_pixels) {
+double log_range_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, DepthKind kind,
+                      std::vector<PixelGradient>* d_pixels) {
     std::vector<PixelGradient> d(pixels.size());
     double sum = 0.0, n_returned = 0.0;
     for (const Target& target : targets) n_returned += target.range_m > 0.0 ? 1.0 : 0.0;

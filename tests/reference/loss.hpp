@@ -36,7 +36,8 @@ LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Targ
                         std::vector<PixelGradient>* d_pixels = nullptr);
 
 /// Mean |ln(1 + r) - ln(1 + range)| over returned rays, r = D or D / W (left out where W = 0). @param d_pixels [n] as above
-double log_range_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, DepthKind kind, std::vector<PixelGradient>* d_pixels = nullptr);
+double log_range_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, DepthKind kind,
+                      std::vector<PixelGradient>* d_pixels = nullptr);
 
 /// M6: beta from the two blended logits.
 double drop_probability(double hit_logit, double drop_logit);

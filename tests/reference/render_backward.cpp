@@ -118,8 +118,8 @@ void gaussian_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
 
 /// Opacity and geometry of a surfel (M8): alpha = sigma exp(-(u^2 + v^2)/2), p = t d - q with q = mean - origin, t = n.q / n.d.
 /// @param d_normal  dL/d(normal), model frame, beside what flows through t
-void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s, const HitGradient& g, const glm::dvec3& d_normal,
-                       Surfel& d_surfel, LocalGradient& d_local) {
+void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s, const HitGradient& g,
+                       const glm::dvec3& d_normal, Surfel& d_surfel, LocalGradient& d_local) {
     const Activated a = activate(surfel);
     d_surfel.opacity_logit += g.alpha * s.gauss * a.opacity * (1.0 - a.opacity);
     const double d_u = -g.alpha * a.opacity * s.gauss * s.u;
@@ -135,7 +135,8 @@ void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
     d_surfel.mean += d_q;
     d_local.origin -= d_q;
     d_local.direction += s.t * d_p - normal * (d_t * s.t / facing);
-    const glm::dmat3 d_rotation(p * (d_u / a.scale.x), p * (d_v / a.scale.y), d_normal - p * (d_t / facing));   // dt/dn = (mean - hit) / (n.d)
+    // dt/dn = (mean - hit) / (n.d)
+    const glm::dmat3 d_rotation(p * (d_u / a.scale.x), p * (d_v / a.scale.y), d_normal - p * (d_t / facing));
     d_surfel.rotation += rotation_matrix_vjp(surfel.rotation, d_rotation);
 }
 

@@ -42,7 +42,8 @@ glm::dvec4 rotation_matrix_vjp(const glm::dvec4& quaternion, const glm::dmat3& d
 }
 
 Activated activate(const Surfel& surfel) {
-    Activated a{surfel.mean, rotation_matrix(surfel.rotation), glm::exp(surfel.log_scale), 1.0 / (1.0 + std::exp(-surfel.opacity_logit)), {}};
+    Activated a{
+        surfel.mean, rotation_matrix(surfel.rotation), glm::exp(surfel.log_scale), 1.0 / (1.0 + std::exp(-surfel.opacity_logit)), {}};
     if (surfel.log_scale_w) a.scale_w = std::exp(*surfel.log_scale_w);
     return a;
 }
@@ -107,7 +108,12 @@ glm::dvec3 sh_values(const Surfel& surfel, const glm::dvec3& direction, int degr
 
 DoubleRecord make_record(const Surfel& surfel) {
     const Activated a = activate(surfel);
-    return {a.mean, a.opacity, a.rotation[0] / a.scale.x, a.rotation[1] / a.scale.y, a.rotation[2] / a.scale_w.value_or(1.0), a.scale_w ? Primitive::gaussian : Primitive::surfel};
+    return {a.mean,
+            a.opacity,
+            a.rotation[0] / a.scale.x,
+            a.rotation[1] / a.scale.y,
+            a.rotation[2] / a.scale_w.value_or(1.0),
+            a.scale_w ? Primitive::gaussian : Primitive::surfel};
 }
 
 FloatRecord make_float_record(const Surfel& surfel) {

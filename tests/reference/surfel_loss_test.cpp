@@ -37,7 +37,8 @@ TEST(ReferenceSurfelLoss, DerivativesAgreeWithDifferences) {
         table.add_row("log_scale", test::central_differences(s.log_scale.data(), 2, loss), {d.log_scale[0], d.log_scale[1]});
         double logit = uniform(random), slope = 0.0, ignored = 0.0;
         opacity_entropy(logit, slope);
-        table.add_row("opacity", test::central_differences(&logit, 1, [&] { return std::vector<double>{opacity_entropy(logit, ignored)}; }), {slope});
+        table.add_row("opacity", test::central_differences(&logit, 1, [&] { return std::vector<double>{opacity_entropy(logit, ignored)}; }),
+                      {slope});
     }
     table.print("parameter terms");
     EXPECT_LE(table.worst_error(), test::kReferenceGradient);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registration on the synthetic street, whose poses are known exactly: wrong by white noise and by drift, held-out scans, a scan of garbage,
-// a correction that is not allowed.
+// Registration on the synthetic street, whose poses are known exactly: wrong by white noise and by drift, held-out scans, a scan of
+// garbage, a correction that is not allowed.
 #include <algorithm>
 #include <cmath>
 #include <random>
@@ -39,7 +39,9 @@ RegisterOptions leaving_out(const std::vector<BoxTrack>& movers) {
     return options;
 }
 
-Registration registered(const Sequence& street, int test_every = 0) { return register_scans(street, split_frames(street, test_every), leaving_out(street.boxes)); }
+Registration registered(const Sequence& street, int test_every = 0) {
+    return register_scans(street, split_frames(street, test_every), leaving_out(street.boxes));
+}
 
 /// Everything a registration is asked for: 1 cm and 0.05 degrees, in the poses of scans of training and of testing.
 void expect_found(const Registration& found, const PoseTrack& exact, const Split& split, const char* what) {
@@ -52,7 +54,8 @@ void expect_found(const Registration& found, const PoseTrack& exact, const Split
     const PoseError both = error_of(found.world_from_vehicle, exact, all);
     EXPECT_LT(both.median_m, 0.005) << what;
     for (const int k : split.test) {   // relative to the training pose before
-        const Pose exact_step = inverse(exact.pose[std::size_t(k - 1)]) * exact.pose[std::size_t(k)], step = inverse(found.world_from_vehicle.pose[std::size_t(k - 1)]) * found.world_from_vehicle.pose[std::size_t(k)];
+        const Pose exact_step = inverse(exact.pose[std::size_t(k - 1)]) * exact.pose[std::size_t(k)],
+                   step = inverse(found.world_from_vehicle.pose[std::size_t(k - 1)]) * found.world_from_vehicle.pose[std::size_t(k)];
         EXPECT_LT(glm::length(step.translation - exact_step.translation), 0.02) << what << ", held-out frame " << k;
     }
 }
@@ -61,7 +64,8 @@ TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
     const Sequence street = street_of(21);
     const PoseTrack& exact = street.world_from_vehicle;
     const Split split = split_frames(street, 10);
-    expect_found(registered(with_poses(street, test::perturbed(exact, 0.05, 0.3 * kDegree, 1)), 10), exact, split, "noise of 5 cm and 0.3 degrees");
+    expect_found(registered(with_poses(street, test::perturbed(exact, 0.05, 0.3 * kDegree, 1)), 10), exact, split,
+                 "noise of 5 cm and 0.3 degrees");
     expect_found(registered(with_poses(street, test::drifting(exact, 0.2, 0.3 * kDegree)), 10), exact, split, "drift of 20 cm");
 }
 
@@ -76,7 +80,8 @@ TEST(RegisterScans, WithoutARollingShutterToo) {
     }
     street.rolling_shutter = false;
     const PoseTrack exact = street.world_from_vehicle;
-    expect_found(registered(with_poses(street, test::perturbed(exact, 0.05, 0.3 * kDegree, 2)), 5), exact, split_frames(street, 5), "all rays at once");
+    expect_found(registered(with_poses(street, test::perturbed(exact, 0.05, 0.3 * kDegree, 2)), 5), exact, split_frames(street, 5),
+                 "all rays at once");
 }
 
 TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
@@ -91,7 +96,8 @@ TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
     EXPECT_LT(glm::length(v), 1e-6);
     EXPECT_LT(glm::length(w), 1e-6);
     const Registration kept = registered(street);
-    for (std::size_t k = 0; k < kept.world_from_vehicle.pose.size(); ++k) EXPECT_LT(glm::length(kept.world_from_vehicle.pose[k].translation - street.world_from_vehicle.pose[k].translation), 0.01) << k;
+    for (std::size_t k = 0; k < kept.world_from_vehicle.pose.size(); ++k)
+        EXPECT_LT(glm::length(kept.world_from_vehicle.pose[k].translation - street.world_from_vehicle.pose[k].translation), 0.01) << k;
     EXPECT_TRUE(kept.lost.empty());
 }
 
@@ -109,7 +115,9 @@ TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
         EXPECT_EQ(found.world_from_vehicle.pose[std::size_t(k)].translation, again.world_from_vehicle.pose[std::size_t(k)].translation);
         EXPECT_EQ(found.world_from_vehicle.pose[std::size_t(k)].rotation, again.world_from_vehicle.pose[std::size_t(k)].rotation);
     }
-    for (const int k : split.test) EXPECT_NE(found.world_from_vehicle.pose[std::size_t(k)].translation, again.world_from_vehicle.pose[std::size_t(k)].translation) << "its own pose follows its scan";
+    for (const int k : split.test)
+        EXPECT_NE(found.world_from_vehicle.pose[std::size_t(k)].translation, again.world_from_vehicle.pose[std::size_t(k)].translation)
+            << "its own pose follows its scan";
 }
 
 TEST(RegisterScans, AScanOfGarbageIsPlacedAsItsNeighbours) {

@@ -30,7 +30,8 @@ PoseTrack drifting(PoseTrack track, double amplitude_m, double amplitude_rad) {
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         const double x = 2.0 * kPi * double(k) / double(track.pose.size());
         const double m = amplitude_m, w = amplitude_rad;
-        track.pose[k] = moved(track.pose[k], {m * std::sin(x), m * std::cos(1.3 * x), 0.5 * m * std::sin(0.7 * x), 0.4 * w * std::sin(x), 0.5 * w * std::cos(x), w * std::sin(1.1 * x)});
+        track.pose[k] = moved(track.pose[k], {m * std::sin(x), m * std::cos(1.3 * x), 0.5 * m * std::sin(0.7 * x), 0.4 * w * std::sin(x),
+                                              0.5 * w * std::cos(x), w * std::sin(1.1 * x)});
     }
     return track;
 }
@@ -42,7 +43,8 @@ PoseTrack with_drift_and_jumps(const PoseTrack& exact) {
         Pose step = inverse(exact.pose[k - 1]) * exact.pose[k];
         const double way_m = glm::length(step.translation), turn_rad = 0.01 * way_m * kPi / 180.0;
         step.translation *= 1.01;
-        step.rotation = glm::normalize(step.rotation * glm::angleAxis(turn_rad, glm::dvec3(0, 0, 1)) * glm::angleAxis(0.3 * turn_rad, glm::dvec3(0, 1, 0)));
+        step.rotation = glm::normalize(step.rotation * glm::angleAxis(turn_rad, glm::dvec3(0, 0, 1)) *
+                                       glm::angleAxis(0.3 * turn_rad, glm::dvec3(0, 1, 0)));
         track.pose[k] = track.pose[k - 1] * step;
         if (k % (n / 5) == 0) track.pose[k].translation += 0.3 * glm::normalize(glm::dvec3(std::sin(double(k)), std::cos(double(k)), 0.2));
     }
@@ -79,7 +81,8 @@ PoseError error_of(PoseTrack track, const PoseTrack& exact, const std::vector<in
         degrees.push_back(glm::length(glm::dvec3(e[3], e[4], e[5])) * 180.0 / kPi);
         squares += metres.back() * metres.back();
     }
-    return {median(metres), median(degrees), std::sqrt(squares / double(positions.size())), *std::max_element(metres.begin(), metres.end()), *std::max_element(degrees.begin(), degrees.end())};
+    return {median(metres), median(degrees), std::sqrt(squares / double(positions.size())), *std::max_element(metres.begin(), metres.end()),
+            *std::max_element(degrees.begin(), degrees.end())};
 }
 
 }  // namespace relidar::test

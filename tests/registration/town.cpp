@@ -58,15 +58,18 @@ street::Street make_town() {
         for (double s = 0.0; s < length_of_loop() - 8.0;) {   // facades
             const double width = random.uniform(7.0, 14.0), depth = random.uniform(5.0, 9.0), height = random.uniform(5.0, 14.0);
             if (side < 0.0 || !(lane(s).in_curve || lane(s + width).in_curve)) {
-                const Shape wall{Shape::Kind::box, {}, 0.5 * glm::dvec3(width, depth, height), 0.0, Material::wall, random.uniform(0.3, 0.8)};
+                const Shape wall{Shape::Kind::box,        {}, 0.5 * glm::dvec3(width, depth, height), 0.0, Material::wall,
+                                 random.uniform(0.3, 0.8)};
                 town.shapes.push_back(beside(wall, s + 0.5 * width, side * (random.uniform(7.0, 9.0) + 0.5 * depth)));
             }
             s += width + (random.uniform() < 0.3 ? random.uniform(2.0, 5.0) : 0.0);
         }
         for (double s = random.uniform(2.0, 8.0); s < length_of_loop(); s += random.uniform(8.0, 15.0))   // poles
-            town.shapes.push_back(beside({Shape::Kind::cylinder, {}, {0.1, 0.1, random.uniform(2.0, 3.5)}, 0.0, Material::metal, 0.5}, s, 5.0 * side));
+            town.shapes.push_back(
+                beside({Shape::Kind::cylinder, {}, {0.1, 0.1, random.uniform(2.0, 3.5)}, 0.0, Material::metal, 0.5}, s, 5.0 * side));
         for (double s = random.uniform(2.0, 8.0); s < length_of_loop(); s += random.uniform(7.0, 20.0))   // parked cars
-            town.shapes.push_back(beside({Shape::Kind::box, {}, {2.1, 0.9, 0.7}, random.uniform(-0.04, 0.04), Material::paint, 0.5}, s, 3.5 * side));
+            town.shapes.push_back(
+                beside({Shape::Kind::box, {}, {2.1, 0.9, 0.7}, random.uniform(-0.04, 0.04), Material::paint, 0.5}, s, 3.5 * side));
     }
     return town;
 }
@@ -81,14 +84,16 @@ double driven_m(double t_s, double duration_s) {
 
 Pose sensor_at(double s_m) {
     const Place p = lane(s_m);
-    const glm::dquat turn = glm::angleAxis(p.yaw_rad + 0.01 * std::sin(0.31 * s_m), glm::dvec3(0, 0, 1)) * glm::angleAxis(0.004 * std::sin(0.43 * s_m), glm::dvec3(0, 1, 0)) *
+    const glm::dquat turn = glm::angleAxis(p.yaw_rad + 0.01 * std::sin(0.31 * s_m), glm::dvec3(0, 0, 1)) *
+                            glm::angleAxis(0.004 * std::sin(0.43 * s_m), glm::dvec3(0, 1, 0)) *
                             glm::angleAxis(0.004 * std::sin(0.23 * s_m), glm::dvec3(1, 0, 0));
     return {turn, {p.at_m.x, p.at_m.y, 1.8 + 0.02 * std::sin(0.5 * s_m)}};
 }
 
 SpinningSensor sensor() {
     SpinningSensor sensor;
-    for (int i = 0; i < 32; ++i) sensor.beams.push_back({.elevation_rad = (3.0 - 28.0 / 31.0 * (i + 0.2 * std::sin(2.1 * i))) * kPi / 180.0});
+    for (int i = 0; i < 32; ++i)
+        sensor.beams.push_back({.elevation_rad = (3.0 - 28.0 / 31.0 * (i + 0.2 * std::sin(2.1 * i))) * kPi / 180.0});
     sensor.columns = 256;
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     return sensor;
@@ -104,7 +109,8 @@ Sequence drive_around_block(int n_frames) {
     for (int k = 0; k < n_frames; ++k) {
         drive.world_from_vehicle.time_s.push_back(0.1 * k);
         drive.world_from_vehicle.pose.push_back(sensor_at(driven_m(0.1 * k, 0.1 * n_frames)));
-        drive.frames.push_back({.index = k, .time_s = 0.1 * k, .scan = {rays, std::vector<float>(rays.size(), 0.0f), std::vector<float>(rays.size(), 0.0f)}});
+        drive.frames.push_back(
+            {.index = k, .time_s = 0.1 * k, .scan = {rays, std::vector<float>(rays.size(), 0.0f), std::vector<float>(rays.size(), 0.0f)}});
     }
     const street::Street town = make_town();
     run_parallel(n_frames, [&](int k) {

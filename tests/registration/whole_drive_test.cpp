@@ -50,7 +50,8 @@ TEST(WholeDrive, NeedsNoPoses) {
     const Registration found = registered(none, false, split_frames(drive(), 10));
     expect_found(found, "no poses");
     const Split split = split_frames(drive(), 10);
-    EXPECT_EQ(found.world_from_vehicle.pose[std::size_t(split.train[split.train.size() / 2])].translation, glm::dvec3(0.0)) << "the middle pose stays";
+    EXPECT_EQ(found.world_from_vehicle.pose[std::size_t(split.train[split.train.size() / 2])].translation, glm::dvec3(0.0))
+        << "the middle pose stays";
 }
 
 }  // namespace

@@ -57,7 +57,8 @@ TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
 RenderedScan half_dropped_wall() {
     std::vector<glm::vec3> points;
     for (int row = 0; row < 64; ++row)
-        for (int column = 0; column < 256; ++column) points.push_back({10.0f, 10.0f * std::tan((128 - column) * 0.008f), 3.2f - 0.1f * float(row)});
+        for (int column = 0; column < 256; ++column)
+            points.push_back({10.0f, 10.0f * std::tan((128 - column) * 0.008f), 3.2f - 0.1f * float(row)});
     RenderedScan scan = scan_of(points, std::vector<float>(points.size(), 0.5f));
     scan.image.rows = 64, scan.image.columns = 256;
     scan.time_s = 1.5;
@@ -85,7 +86,8 @@ TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
     }
     EXPECT_NEAR(std::sqrt(square[0] / count[0]), 0.05, 0.005);
     EXPECT_NEAR(std::sqrt(square[1] / count[1]), 0.2, 0.02);
-    const double returned = double(std::count(scan.image.drop_prob.begin(), scan.image.drop_prob.end(), 0.0f)), all = double(scan.image.drop_prob.size());
+    const double returned = double(std::count(scan.image.drop_prob.begin(), scan.image.drop_prob.end(), 0.0f)),
+                 all = double(scan.image.drop_prob.size());
     EXPECT_NEAR(returned, 0.5 * all, 4.0 * std::sqrt(0.25 * all)) << "four standard deviations of as many coins";
 }
 
@@ -273,11 +275,13 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
     for (const bool rolling : {true, false}) {
         sequence.rolling_shutter = rolling;
         const SensorChoice sensor = configured_sensor({}, sequence);
-        const RenderedScan scan = ScanRenderer(device(), make_background_scene(wall_ahead()), {}, sequence).render(sensor, 0.5, {{1, 0, 0, 0}, {-1.0, 0.0, 0.0}});
+        const RenderedScan scan =
+            ScanRenderer(device(), make_background_scene(wall_ahead()), {}, sequence).render(sensor, 0.5, {{1, 0, 0, 0}, {-1.0, 0.0, 0.0}});
         std::size_t met = 0;
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
             if (!(scan.median_range_m[i] > 0.0f)) continue;
-            const glm::dvec3 p = scan.world_from_firing(i) * glm::dvec3(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
+            const glm::dvec3 p =
+                scan.world_from_firing(i) * glm::dvec3(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
             EXPECT_NEAR(p.x, 110.0, 1e-4);
             ++met;
         }
@@ -291,7 +295,8 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     Sequence sequence = cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
     sequence.rolling_shutter = true;
-    sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(1.0, glm::normalize(glm::dvec3(0.1, 0.2, 1))), {4.0, -1.0, 0.0}}}};
+    sequence.world_from_vehicle = {{0.0, 1.0},
+                                   {Pose{}, Pose{glm::angleAxis(1.0, glm::normalize(glm::dvec3(0.1, 0.2, 1))), {4.0, -1.0, 0.0}}}};
     Config config;
     const SensorChoice sensor = configured_sensor(config, sequence);
     EXPECT_TRUE(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5).normal.empty());
@@ -300,13 +305,16 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     std::size_t met = 0;
     for (std::size_t i = 0; i < scan.normal.size(); ++i) {
         if (scan.instance[i] < 0) EXPECT_EQ(scan.normal[i], glm::vec3(0.0f));
-        else EXPECT_LT(glm::length(scan.world_from_firing(i).rotation * glm::dvec3(scan.normal[i]) - glm::dvec3(-1.0, 0.0, 0.0)), 1e-5) << "ray " << i;
+        else
+            EXPECT_LT(glm::length(scan.world_from_firing(i).rotation * glm::dvec3(scan.normal[i]) - glm::dvec3(-1.0, 0.0, 0.0)), 1e-5)
+                << "ray " << i;
         met += scan.instance[i] >= 0;
     }
     EXPECT_GT(met, 5u);
     const RenderedScan binned = project_scan(scan, kitti360_grid());
     ASSERT_EQ(binned.normal.size(), binned.instance.size());
-    for (std::size_t i = 0; i < binned.normal.size(); ++i) EXPECT_NEAR(glm::length(binned.normal[i]), binned.instance[i] < 0 ? 0.0f : 1.0f, 1e-6f);
+    for (std::size_t i = 0; i < binned.normal.size(); ++i)
+        EXPECT_NEAR(glm::length(binned.normal[i]), binned.instance[i] < 0 ? 0.0f : 1.0f, 1e-6f);
     config.image.primitive = Primitive::gaussian;
     EXPECT_THROW(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence), UsageError);
 }
@@ -317,7 +325,8 @@ Scene two_placements(Sequence& sequence) {
     Surfels surfels;
     surfels.resize(2);
     surfels.mean = {{0.0f, -6.0f, 0.0f}, {0.5f, 0.0f, 0.0f}};
-    surfels.rotation = {{std::sqrt(0.5f), std::sqrt(0.5f), 0.0f, 0.0f}, {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f}};   // normals along y, x
+    // normals along y, x
+    surfels.rotation = {{std::sqrt(0.5f), std::sqrt(0.5f), 0.0f, 0.0f}, {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f}};
     std::fill(surfels.opacity_logit.begin(), surfels.opacity_logit.end(), 6.0f);
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
     surfels.sh[kShFloats + 3] = -0.5f;                      // intensity along x: bright from one side, dark from the other
@@ -328,7 +337,8 @@ Scene two_placements(Sequence& sequence) {
     scene.models = {{"background", 0, 1}, {"plate", 1, 1}};
     scene.instances = {{0, ""}, {1, "ahead"}, {1, "behind"}};
     const glm::dquat half_turn = glm::angleAxis(kPi, glm::dvec3(0, 0, 1));
-    sequence.boxes = {{"ahead", "Car", {1, 1, 1}, {{0.0}, {Pose{{1, 0, 0, 0}, {5, 0, 0}}}}}, {"behind", "Car", {1, 1, 1}, {{0.0}, {Pose{half_turn, {-5, 0, 0}}}}}};
+    sequence.boxes = {{"ahead", "Car", {1, 1, 1}, {{0.0}, {Pose{{1, 0, 0, 0}, {5, 0, 0}}}}},
+                      {"behind", "Car", {1, 1, 1}, {{0.0}, {Pose{half_turn, {-5, 0, 0}}}}}};
     return scene;
 }
 
@@ -353,7 +363,8 @@ TEST_F(Render, OnlyWhatIsShownIsMet) {
     const Scene scene = two_placements(sequence);
     const SensorChoice sensor = configured_sensor({}, sequence);
     ScanRenderer renderer(device(), scene, {}, sequence);
-    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}), behind = ray_towards(sensor.rays, {-1, 0, 0}), right = ray_towards(sensor.rays, {0, -1, 0});
+    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}), behind = ray_towards(sensor.rays, {-1, 0, 0}),
+                      right = ray_towards(sensor.rays, {0, -1, 0});
     const auto labels = [&](const std::vector<std::string>& names) {
         renderer.show_only(select_instances(scene, names));
         const RenderedScan scan = renderer.render(sensor, 0.0);

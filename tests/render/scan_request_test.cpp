@@ -75,7 +75,8 @@ protected:
 };
 
 TEST_F(ScanRequests, SensorIsWhereTheCallerHasIt) {
-    EXPECT_NEAR(range_ahead({0.5, {{0.0}, {at_x(1.0)}}, ActorPoses{}}), 9.0, 1e-4) << "one pose: it stands; no actor is given: none is there";
+    EXPECT_NEAR(range_ahead({0.5, {{0.0}, {at_x(1.0)}}, ActorPoses{}}), 9.0, 1e-4)
+        << "one pose: it stands; no actor is given: none is there";
     const RenderedScan scan = renderer->render(sensor, {0.5, {{0.0}, {at_x(1.0)}}});
     EXPECT_EQ(scan.world_from_sensor.translation, at_x(1.0).translation);
     EXPECT_NEAR(scan.median_range_m[ahead()], 3.0, 1e-4) << "actors as the log has them";
@@ -89,7 +90,8 @@ TEST_F(ScanRequests, EachRayIsFiredFromWhereTheSensorIsThen) {
     const RenderedScan scan = renderer->render(sensor, {1.0, way, ActorPoses{}});
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f)) continue;
-        const glm::dvec3 point = scan.world_from_firing(i) * glm::dvec3(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
+        const glm::dvec3 point =
+            scan.world_from_firing(i) * glm::dvec3(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
         EXPECT_NEAR(point.x, kDatasetOrigin_m.x + 10.0, 1e-4) << "ray " << i;
     }
 }
@@ -99,7 +101,8 @@ TEST_F(ScanRequests, ActorsAreWhereTheCallerHasThem) {
     EXPECT_NEAR(range_ahead({0.5, stands, ActorPoses{{"car", {{0.0}, {at_x(6.0)}}}}}), 6.0, 1e-4);
     const double faced_s = 0.5;   // straight ahead of a sweep at 0.5 s
     EXPECT_NEAR(range_ahead({0.5, stands, ActorPoses{{"car", {{0.0, 1.0}, {at_x(5.0), at_x(8.0)}}}}}), 5.0 + 3.0 * faced_s, 1e-4);
-    EXPECT_NEAR(range_ahead({70.0, stands, ActorPoses{{"car", {{0.0}, {at_x(6.0)}}}}}), 6.0, 1e-4) << "the log's time does not bind the caller";
+    EXPECT_NEAR(range_ahead({70.0, stands, ActorPoses{{"car", {{0.0}, {at_x(6.0)}}}}}), 6.0, 1e-4)
+        << "the log's time does not bind the caller";
     EXPECT_NEAR(range_ahead({70.0, stands}), 10.0, 1e-4) << "and its own actors have left by then";
     EXPECT_NEAR(range_ahead({0.5, stands}), 4.0, 1e-4) << "a request leaves nothing behind for the next";
 }

@@ -38,7 +38,11 @@ inline Run example_run(const std::filesystem::path& folder) {
     s.conventions = "none";
     s.world_offset_m = {1e6 / 3.0, -5e6 / 7.0, 0.1};
     s.rolling_shutter = false;
-    s.lidars[0].sensor = {"sensor", {{0.1, 0.0, 0.0, 0.2, 0.01, 1.1, -0.03, 0.02}, {-0.1 / 3.0, 1e-3, 0.0, 0.12, 0.0, 0.9, 0.03, -0.02}}, 1030, 0.1, true, 3.14, 0.5, 80.0, 1e-3};
+    s.lidars[0].sensor = {"sensor", {{0.1, 0.0, 0.0, 0.2, 0.01, 1.1, -0.03, 0.02}, {-0.1 / 3.0, 1e-3, 0.0, 0.12, 0.0, 0.9, 0.03, -0.02}},
+                          1030,     0.1,
+                          true,     3.14,
+                          0.5,      80.0,
+                          1e-3};
     for (int i = 0; i < 4; ++i) {
         s.frames.push_back({10 + i, 1.3e9 + i / 10.0, {}});
         s.world_from_vehicle.time_s.push_back(s.frames.back().time_s);

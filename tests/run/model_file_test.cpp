@@ -62,7 +62,8 @@ TEST_F(ModelFile, RoundTripsExactly) {
 }
 
 TEST_F(ModelFile, HasTheDocumentedArrays) {
-    const std::map<std::string, std::vector<std::size_t>> expected{{"mean", {4, 3}}, {"rotation", {4, 4}}, {"log_scale", {4, 2}}, {"opacity_logit", {4}}, {"sh", {4, 3, 16}}};
+    const std::map<std::string, std::vector<std::size_t>> expected{
+        {"mean", {4, 3}}, {"rotation", {4, 4}}, {"log_scale", {4, 2}}, {"opacity_logit", {4}}, {"sh", {4, 3, 16}}};
     ASSERT_EQ(arrays.size(), expected.size());
     for (const NamedArray& a : arrays) {
         EXPECT_EQ(a.shape, expected.at(a.name)) << a.name;
@@ -148,12 +149,20 @@ TEST_F(ModelFile, ValuesThatAreNotFiniteAreNamed) {
 
 TEST_F(ModelFile, ModelsMustCoverTheSurfels) {
     const std::string instances = R"(,"instances":[{"model":0,"track":""}]})";
-    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":3}])" + instances).find("models of 3 surfels, expected 4"), std::string::npos);
-    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":1,"count":3}])" + instances).find("models[0].first: found 1, expected 0"), std::string::npos);
-    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":4,"half_size_m":[1,-1,1]}])" + instances).find("half_size_m[1]: found -1"), std::string::npos);
-    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":-4}])" + instances).find("models[0].count: found -4"), std::string::npos);
-    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":4}],"instances":[{"model":1,"track":""}]})").find("instances[0].model: found 1"), std::string::npos);
-    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":4}],"instances":[]})").find("found no model or no instance"), std::string::npos);
+    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":3}])" + instances).find("models of 3 surfels, expected 4"),
+              std::string::npos);
+    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":1,"count":3}])" + instances).find("models[0].first: found 1, expected 0"),
+              std::string::npos);
+    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":4,"half_size_m":[1,-1,1]}])" + instances)
+                  .find("half_size_m[1]: found -1"),
+              std::string::npos);
+    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":-4}])" + instances).find("models[0].count: found -4"),
+              std::string::npos);
+    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":4}],"instances":[{"model":1,"track":""}]})")
+                  .find("instances[0].model: found 1"),
+              std::string::npos);
+    EXPECT_NE(error_with_layout(R"({"models":[{"name":"b","first":0,"count":4}],"instances":[]})").find("found no model or no instance"),
+              std::string::npos);
     EXPECT_NE(error_with_layout("{").find("metadata layout: not valid JSON"), std::string::npos);
 }
 

@@ -43,7 +43,9 @@ void expect_equal(const Pose& a, const Pose& b) {
 }
 
 TEST_F(RunFolder, IsTheSameInEveryLocale) {
-    const auto files = [&] { return contents(run.folder / "config.toml") + contents(run.folder / "scene.json") + contents(run.folder / "model.safetensors"); };
+    const auto files = [&] {
+        return contents(run.folder / "config.toml") + contents(run.folder / "scene.json") + contents(run.folder / "model.safetensors");
+    };
     const std::string before = files();
     const test::CommaLocale comma;
     save_run(load_run(run.folder));
@@ -143,12 +145,14 @@ TEST_F(RunFolder, TruncatedSceneIsRefused) {
 
 TEST_F(RunFolder, EveryFieldIsNeeded) {
     const Json whole = Json::parse(scene);
-    const std::vector<std::string> told = {"/relidar", "/units", "/conventions", "/lidars/0/sensor/beam_fields", "/edits"};   // for people only; edits: a run as trained has none
+    // for people only; edits: a run as trained has none
+    const std::vector<std::string> told = {"/relidar", "/units", "/conventions", "/lidars/0/sensor/beam_fields", "/edits"};
     int n_tried = 0;
     const Json flat = whole.flatten();
     for (const auto& [pointer, value] : flat.items()) {
         std::string field = pointer;
-        while (std::isdigit(static_cast<unsigned char>(field.back()))) field = field.substr(0, field.find_last_of('/'));   // an array goes as a whole
+        // an array goes as a whole
+        while (std::isdigit(static_cast<unsigned char>(field.back()))) field = field.substr(0, field.find_last_of('/'));
         if (std::any_of(told.begin(), told.end(), [&](const std::string& t) { return field.rfind(t, 0) == 0; })) continue;
         Json changed = whole;
         const Json::json_pointer at(field);
@@ -173,24 +177,33 @@ TEST_F(RunFolder, WrongKindsAreRefused) {
     EXPECT_NE(replaced("/frames/1/split", "tset").find("frames[1].split: found \"tset\""), std::string::npos);
     EXPECT_NE(replaced("/frames/1/world_from_vehicle", {1, 2, 3}).find("found 3 numbers, expected 7"), std::string::npos);
     EXPECT_NE(replaced("/frames/1/world_from_vehicle/4", 5.0).find("quaternion of length"), std::string::npos);
-    EXPECT_NE(replaced("/frames/1/world_from_vehicle/0", 1e308).find("frames[1].world_from_vehicle: found 1e+308, expected numbers within 1000000"), std::string::npos);
+    EXPECT_NE(replaced("/frames/1/world_from_vehicle/0", 1e308)
+                  .find("frames[1].world_from_vehicle: found 1e+308, expected numbers within 1000000"),
+              std::string::npos);
     EXPECT_NE(replaced("/boxes/0/world_from_box/1/2", -1e7).find("boxes[0].world_from_box[1]: found -10000000"), std::string::npos);
     EXPECT_NE(replaced("/world_offset_m/1", 1e308).find("world_offset_m: found 1e+308"), std::string::npos);
-    EXPECT_NE(replaced("/lidars/0/sensor/beams/1/7", 1e308).find("lidars[0].sensor.beams[1]: found 1e+308, expected numbers within 1000"), std::string::npos);
-    EXPECT_NE(replaced("/lidars/0/sensor/beams/1/3", 1e308).find("lidars[0].sensor.beams[1]: found 1e+308, expected numbers within 100"), std::string::npos);
+    EXPECT_NE(replaced("/lidars/0/sensor/beams/1/7", 1e308).find("lidars[0].sensor.beams[1]: found 1e+308, expected numbers within 1000"),
+              std::string::npos);
+    EXPECT_NE(replaced("/lidars/0/sensor/beams/1/3", 1e308).find("lidars[0].sensor.beams[1]: found 1e+308, expected numbers within 100"),
+              std::string::npos);
     Json many = whole;
     many["lidars"][0]["sensor"]["columns"] = 1000000;
     for (int i = 0; i < 200; ++i) many["lidars"][0]["sensor"]["beams"].push_back(many["lidars"][0]["sensor"]["beams"][0]);
-    EXPECT_NE(error_with(many).find("beams x 1000000 columns, expected at most 100000000 rays"), std::string::npos) << "sizes are bounded by their product too";
+    EXPECT_NE(error_with(many).find("beams x 1000000 columns, expected at most 100000000 rays"), std::string::npos)
+        << "sizes are bounded by their product too";
     EXPECT_NE(replaced("/frames", Json::array()).find("frames: found no frame"), std::string::npos);
     EXPECT_NE(replaced("/version", 3).find("version: found 3, this relidar"), std::string::npos);
     EXPECT_NE(replaced("/format", "other").find("format: found \"other\""), std::string::npos);
     EXPECT_NE(replaced("/counts/boxes", 3).find("counts.boxes: found 3, expected 2"), std::string::npos);
     EXPECT_NE(replaced("/counts/surfels", 3).find("counts.surfels: found 3, but model.safetensors holds 5"), std::string::npos);
     EXPECT_NE(replaced("/boxes/0/time_s", {1.0}).find("boxes[0].world_from_box: found 2 poses, expected 1"), std::string::npos);
-    EXPECT_NE(replaced("/lidars/0/sensor/columns", -1).find("lidars[0].sensor.columns: found -1, expected an integer in 0.."), std::string::npos);
-    EXPECT_NE(replaced("/lidars/0/sensor/beams/1", {0.0, 0.0, 0.0, 0.0, 0.0, 1.0}).find("lidars[0].sensor.beams[1]: found 6 numbers, expected 8"), std::string::npos);
-    EXPECT_NE(replaced("/lidars/0/sensor/beams/1", "x").find("lidars[0].sensor.beams[1]: found \"x\", expected an array"), std::string::npos);
+    EXPECT_NE(replaced("/lidars/0/sensor/columns", -1).find("lidars[0].sensor.columns: found -1, expected an integer in 0.."),
+              std::string::npos);
+    EXPECT_NE(
+        replaced("/lidars/0/sensor/beams/1", {0.0, 0.0, 0.0, 0.0, 0.0, 1.0}).find("lidars[0].sensor.beams[1]: found 6 numbers, expected 8"),
+        std::string::npos);
+    EXPECT_NE(replaced("/lidars/0/sensor/beams/1", "x").find("lidars[0].sensor.beams[1]: found \"x\", expected an array"),
+              std::string::npos);
     EXPECT_NE(replaced("/boxes/0/size_m/1", 0.0).find("boxes[0].size_m: found 4.2 x 0 x 1.5 m, expected all above 0"), std::string::npos);
     EXPECT_NE(replaced("/edits/1", 3).find("edits[1]: found 3, expected an object"), std::string::npos);
     EXPECT_NE(replaced("/rolling_shutter", 1).find("rolling_shutter: found 1, expected true or false"), std::string::npos);
@@ -233,9 +246,11 @@ TEST_F(RunFolder, UnwritableFoldersFailEarly) {
     put(folder / "file", "x");
     EXPECT_NE(data_error([&] { check_writable(folder / "file"); }).find("cannot be made a folder"), std::string::npos);
     EXPECT_NE(data_error([&] { check_writable(folder / "file" / "run"); }).find("cannot be made a folder"), std::string::npos);
-    EXPECT_NE(data_error([&] { check_writable(folder / std::string(300, 'x')); }).find("cannot be made a folder: File name too long"), std::string::npos);
+    EXPECT_NE(data_error([&] { check_writable(folder / std::string(300, 'x')); }).find("cannot be made a folder: File name too long"),
+              std::string::npos);
     std::filesystem::create_symlink(folder / "loop", folder / "loop");
-    EXPECT_NE(data_error([&] { check_writable(folder / "loop" / "run"); }).find("cannot be made a folder: Too many levels"), std::string::npos);
+    EXPECT_NE(data_error([&] { check_writable(folder / "loop" / "run"); }).find("cannot be made a folder: Too many levels"),
+              std::string::npos);
     EXPECT_NE(data_error([&] { check_writable("/proc/relidar"); }).find("/proc/relidar"), std::string::npos);
     check_writable(folder / "a" / "b");
     EXPECT_TRUE(std::filesystem::is_empty(folder / "a" / "b"));

@@ -41,7 +41,8 @@ protected:
         return DeviceScene(device(), scene, stages_harmonics());
     }
 };
-INSTANTIATE_TEST_SUITE_P(PrimitivesAndAccess, Activate, testing::Combine(testing::Values(Primitive::surfel, Primitive::gaussian), testing::Bool()));
+INSTANTIATE_TEST_SUITE_P(PrimitivesAndAccess, Activate,
+                         testing::Combine(testing::Values(Primitive::surfel, Primitive::gaussian), testing::Bool()));
 
 /// The 16 floats of a record in double, as shaders/shared/scene.h orders them.
 std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view_origin, int sh_degree) {
@@ -71,7 +72,8 @@ TEST_P(Activate, RecordsAgreeWithReference) {
         const std::vector<float> actual = test::floats_of(scene.records().download());
         for (std::size_t i = 0; i < surfels.size(); ++i) {
             const std::vector<double> expected = record_of(surfels[i], glm::dvec3(view), degree);
-            for (std::size_t k = 0; k < 16; ++k) EXPECT_NEAR(actual[16 * i + k], expected[k], 2e-6 * (1.0 + std::abs(expected[k]))) << "surfel " << i << " lane " << k;
+            for (std::size_t k = 0; k < 16; ++k)
+                EXPECT_NEAR(actual[16 * i + k], expected[k], 2e-6 * (1.0 + std::abs(expected[k]))) << "surfel " << i << " lane " << k;
         }
     }
 }
@@ -81,7 +83,8 @@ TEST_P(Activate, ModelsThatAreNoConsecutiveRangesAreRefused) {
     Scene scene = make_background_scene(test::to_surfels(some_surfels(primitive())));
     const auto n = static_cast<std::uint32_t>(scene.surfels.size());
     using Ranges = std::vector<Model>;
-    for (const Ranges& ranges : {Ranges{{"a", 0, 70}, {"b", 71, n - 71}}, Ranges{{"a", 0, 70}, {"b", 69, n - 69}}, Ranges{{"b", 70, n - 70}, {"a", 0, 70}}, Ranges{{"a", 0, n - 1}}}) {
+    for (const Ranges& ranges : {Ranges{{"a", 0, 70}, {"b", 71, n - 71}}, Ranges{{"a", 0, 70}, {"b", 69, n - 69}},
+                                 Ranges{{"b", 70, n - 70}, {"a", 0, 70}}, Ranges{{"a", 0, n - 1}}}) {
         scene.models = ranges;
         EXPECT_THROW(DeviceScene(device(), scene), DataError);
     }
@@ -142,11 +145,14 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
             table.add_row("mean", test::central_differences(&surfels[i].mean.x, 3, terms), row(&actual.mean[i].x, 3));
             table.add_row("rotation", test::central_differences(&surfels[i].rotation.x, 4, terms), row(&actual.rotation[i].x, 4));
             table.add_row("log_scale", test::central_differences(&surfels[i].log_scale.x, 2, terms), row(&actual.log_scale[i].x, 2));
-            if (surfels[i].log_scale_w) table.add_row("log_scale_w", test::central_differences(&*surfels[i].log_scale_w, 1, terms), row(&actual.log_scale_w[i], 1));
-            table.add_row("opacity_logit", test::central_differences(&surfels[i].opacity_logit, 1, terms), row(&actual.opacity_logit[i], 1));
+            if (surfels[i].log_scale_w)
+                table.add_row("log_scale_w", test::central_differences(&*surfels[i].log_scale_w, 1, terms), row(&actual.log_scale_w[i], 1));
+            table.add_row("opacity_logit", test::central_differences(&surfels[i].opacity_logit, 1, terms),
+                          row(&actual.opacity_logit[i], 1));
             const int active = (degree + 1) * (degree + 1);
             for (int first = 0; first < kShFloats; first += kShCoefficients)
-                table.add_row("sh", test::central_differences(surfels[i].sh.data() + first, active, terms, test::kLogitStep), row(actual.sh.data() + i * kShFloats + std::size_t(first), active));
+                table.add_row("sh", test::central_differences(surfels[i].sh.data() + first, active, terms, test::kLogitStep),
+                              row(actual.sh.data() + i * kShFloats + std::size_t(first), active));
         }
         table.print("activation on " + device().info().name);
         for (const auto& [name, group] : table.groups()) {
@@ -175,7 +181,8 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     const Surfels after = d_surfels.download();
     for (std::size_t i = 0; i < n; ++i) {
         EXPECT_EQ(after.mean[i] == glm::vec3(7.0f), i % 3 == 1) << "surfel " << i;
-        for (std::size_t k = 0; k < kShFloats; ++k) EXPECT_EQ(after.sh[kShFloats * i + k] == 7.0f, i % 3 == 1) << "surfel " << i << " coefficient " << k;
+        for (std::size_t k = 0; k < kShFloats; ++k)
+            EXPECT_EQ(after.sh[kShFloats * i + k] == 7.0f, i % 3 == 1) << "surfel " << i << " coefficient " << k;
     }
 }
 
@@ -190,7 +197,8 @@ TEST(KdOrder, IsAPermutationThatHalvesTheLongestAxis) {
     for (std::uint32_t i = 0; i < sorted.size(); ++i) ASSERT_EQ(sorted[i], i);
     const std::size_t middle = points.size() / 2;
     float below = 0.0f, above = 1e9f;
-    for (std::size_t i = 0; i < points.size(); ++i) (i < middle ? below = std::max(below, points[order[i]].x) : above = std::min(above, points[order[i]].x));
+    for (std::size_t i = 0; i < points.size(); ++i)
+        (i < middle ? below = std::max(below, points[order[i]].x) : above = std::min(above, points[order[i]].x));
     EXPECT_LE(below, above);
 }
 

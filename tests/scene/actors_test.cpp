@@ -30,7 +30,8 @@ TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
     ASSERT_EQ(scene.instances.size(), 3u);
     EXPECT_TRUE(scene.instances[0].track.empty());
     for (std::size_t m = 1; m < scene.models.size(); ++m) {
-        const auto box = std::find_if(street.boxes.begin(), street.boxes.end(), [&](const BoxTrack& b) { return b.id == scene.instances[m].track; });
+        const auto box =
+            std::find_if(street.boxes.begin(), street.boxes.end(), [&](const BoxTrack& b) { return b.id == scene.instances[m].track; });
         ASSERT_NE(box, street.boxes.end());
         EXPECT_EQ(scene.models[m].first, scene.models[m - 1].first + scene.models[m - 1].count);
         EXPECT_GT(glm::length(scene.models[m].half_size_m), 2.0f) << "a car has a box";
@@ -52,7 +53,8 @@ TEST(Actors, StandWhereTheirBoxIsAndAreAbsentOutsideItsLabels) {
     street.rolling_shutter = false;
     const Scene scene = initialise_scene(street, split_frames(street, 10).train, with_actors());
     ASSERT_GE(scene.instances.size(), 2u);
-    const auto box = std::find_if(street.boxes.begin(), street.boxes.end(), [&](const BoxTrack& b) { return b.id == scene.instances[1].track; });
+    const auto box =
+        std::find_if(street.boxes.begin(), street.boxes.end(), [&](const BoxTrack& b) { return b.id == scene.instances[1].track; });
     const double first = box->world_from_box.time_s.front(), last = box->world_from_box.time_s.back(), middle = 0.37 * first + 0.63 * last;
     const std::vector<InstancePose> placed = place_instances(scene, street, middle);
     EXPECT_TRUE(placed[0].present && placed[1].present);
@@ -69,7 +71,9 @@ const Model& model_of_track(const Scene& scene, const std::string& track) {
     return scene.models[instance->model];
 }
 
-std::size_t n_models(const Sequence& street, InitialiseOptions options) { return initialise_scene(street, split_frames(street, 10).train, options).models.size(); }
+std::size_t n_models(const Sequence& street, InitialiseOptions options) {
+    return initialise_scene(street, split_frames(street, 10).train, options).models.size();
+}
 
 TEST(Actors, AreChosenByModeClassOrTrack) {
     const Sequence street = make_synthetic_street(street_options());
@@ -130,7 +134,8 @@ TEST(Actors, ArePaddedInTheirBoxAndMirrored) {
     const Scene mirrored = initialise_scene(street, train, options);
     const Model& half = model_of_track(plain, "1"), &whole = model_of_track(mirrored, "1");
     const auto side = [](const Scene& s, const Model& m, float sign) {
-        return std::count_if(s.surfels.mean.begin() + m.first, s.surfels.mean.begin() + m.first + m.count, [&](const glm::vec3& p) { return sign * p.y > 0.6f; });
+        return std::count_if(s.surfels.mean.begin() + m.first, s.surfels.mean.begin() + m.first + m.count,
+                             [&](const glm::vec3& p) { return sign * p.y > 0.6f; });
     };
     EXPECT_GT(std::abs(side(plain, half, 1) - side(plain, half, -1)), 0.25 * half.count) << "the oncoming car is seen from one side";
     EXPECT_LT(std::abs(side(mirrored, whole, 1) - side(mirrored, whole, -1)), 0.1 * whole.count);

@@ -102,7 +102,8 @@ TEST(DiscoverTracks, LooksAtTrainingFramesOnly) {
     ASSERT_EQ(before.size(), after.size());
     for (std::size_t i = 0; i < before.size(); ++i) {
         ASSERT_EQ(before[i].world_from_box.time_s, after[i].world_from_box.time_s);
-        EXPECT_EQ(std::count(before[i].world_from_box.time_s.begin(), before[i].world_from_box.time_s.end(), street.log.frames[10].time_s), 0);
+        EXPECT_EQ(std::count(before[i].world_from_box.time_s.begin(), before[i].world_from_box.time_s.end(), street.log.frames[10].time_s),
+                  0);
         for (std::size_t k = 0; k < before[i].world_from_box.pose.size(); ++k)
             EXPECT_EQ(before[i].world_from_box.pose[k].translation, after[i].world_from_box.pose[k].translation);
     }

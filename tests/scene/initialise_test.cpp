@@ -91,7 +91,8 @@ TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
     options.remove_unlabelled_movers = true;
     const std::size_t removed = count_in_moving_boxes(street, initialise_background(unlabelled, train, options));
     EXPECT_GT(left_in, labelled + 50u) << "the cars leave a trail where nothing is done about it";
-    EXPECT_LT(double(removed - std::min(removed, labelled)), 0.35 * double(left_in - labelled)) << left_in << " in boxes without removal, " << removed << " with, " << labelled << " with labels";
+    EXPECT_LT(double(removed - std::min(removed, labelled)), 0.35 * double(left_in - labelled))
+        << left_in << " in boxes without removal, " << removed << " with, " << labelled << " with labels";
 }
 
 TEST(Initialise, HeldOutFramesDoNotMatter) {

@@ -42,7 +42,8 @@ bool is_of(const BoxTrack& found, const BoxTrack& truth) {
         const double t_s = found.world_from_box.time_s[i];
         inside += truth.present(t_s) && truth.holds(found.world_from_box.pose[i].translation, t_s, kInside_m);
     }
-    return 10 * inside >= 8 * found.world_from_box.time_s.size() && found.size_m.x < truth.size_m.x + kLarger_m && found.size_m.y < truth.size_m.y + kLarger_m;
+    return 10 * inside >= 8 * found.world_from_box.time_s.size() && found.size_m.x < truth.size_m.x + kLarger_m &&
+           found.size_m.y < truth.size_m.y + kLarger_m;
 }
 
 struct Score {
@@ -64,7 +65,9 @@ void add_street(const SyntheticOptions& options, Score& score) {
         for (std::size_t i = 0; i < found.size(); ++i) {
             if (taken[i] || !is_of(found[i], thing)) continue;
             const std::vector<double>& times = found[i].world_from_box.time_s;
-            if (2 * std::count_if(covered.begin(), covered.end(), [&](double t_s) { return t_s >= times.front() && t_s <= times.back(); }) > std::ptrdiff_t(times.size())) continue;
+            if (2 * std::count_if(covered.begin(), covered.end(), [&](double t_s) { return t_s >= times.front() && t_s <= times.back(); }) >
+                std::ptrdiff_t(times.size()))
+                continue;
             taken[i] = 1;
             ++score.right;
             covered.insert(covered.end(), times.begin(), times.end());
@@ -74,21 +77,34 @@ void add_street(const SyntheticOptions& options, Score& score) {
         ++score.present;
         const bool recalled = 2 * covered.size() >= seen;
         score.recalled += recalled;
-        if (!recalled) std::printf("street %d: %s %s, seen in %zu frames: found in %zu\n", int(options.seed), thing.category.c_str(), thing.id.c_str(), seen, covered.size());
+        if (!recalled)
+            std::printf("street %d: %s %s, seen in %zu frames: found in %zu\n", int(options.seed), thing.category.c_str(), thing.id.c_str(),
+                        seen, covered.size());
     }
     for (std::size_t i = 0; i < found.size(); ++i) {
         const PoseTrack& track = found[i].world_from_box;
         const glm::dvec3 at = track.pose.front().translation + log.world_offset_m, to = track.pose.back().translation + log.world_offset_m;
-        if (!taken[i]) std::printf("street %d: wrong %s, %.1f x %.1f x %.1f m, %zu frames, from %.1f %.1f to %.1f %.1f\n", int(options.seed), found[i].id.c_str(), found[i].size_m.x, found[i].size_m.y, found[i].size_m.z,
-                                  track.time_s.size(), at.x, at.y, to.x, to.y);
+        if (!taken[i])
+            std::printf("street %d: wrong %s, %.1f x %.1f x %.1f m, %zu frames, from %.1f %.1f to %.1f %.1f\n", int(options.seed),
+                        found[i].id.c_str(), found[i].size_m.x, found[i].size_m.y, found[i].size_m.z, track.time_s.size(), at.x, at.y, to.x,
+                        to.y);
     }
 }
 
 TEST(MoverScores, PrecisionAndRecallOnStreetsWithPeopleAndParkedCars) {
     Score score;
-    for (std::uint64_t seed = 1; seed <= 6; ++seed) add_street({.seed = seed, .n_frames = 40, .rows = 64, .columns = 768, .range_noise_m = 0.02, .speed_mps = seed % 2 ? 8.0 : 3.0, .people = true}, score);
-    std::printf("movers: %zu of %zu discovered are right (precision %.3f), %zu of %zu seen in %zu frames or more are discovered (recall %.3f)\n", score.right, score.found, score.precision(), score.recalled,
-                score.present, kSeenFrames, score.recall());
+    for (std::uint64_t seed = 1; seed <= 6; ++seed)
+        add_street({.seed = seed,
+                    .n_frames = 40,
+                    .rows = 64,
+                    .columns = 768,
+                    .range_noise_m = 0.02,
+                    .speed_mps = seed % 2 ? 8.0 : 3.0,
+                    .people = true},
+                   score);
+    std::printf(
+        "movers: %zu of %zu discovered are right (precision %.3f), %zu of %zu seen in %zu frames or more are discovered (recall %.3f)\n",
+        score.right, score.found, score.precision(), score.recalled, score.present, kSeenFrames, score.recall());
     EXPECT_GE(score.precision(), 0.95);
     EXPECT_GE(score.recall(), 0.95);
 }

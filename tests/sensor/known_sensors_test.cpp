@@ -66,19 +66,23 @@ TEST(KnownSensors, CsvTableHoldsRangeLimits) {
     EXPECT_DOUBLE_EQ(limited.min_range_m, 0.5);
     EXPECT_DOUBLE_EQ(limited.max_range_m, 30.0);
     EXPECT_DOUBLE_EQ(find_sensor(write("plain.csv", "elevation_deg\n5\n")).max_range_m, 80.0);
-    EXPECT_THAT(message(write("g.csv", "elevation_deg,max_range_m\n5,30\n-5,40\n")), HasSubstr("line 3: found ranges of 0 to 40 m, expected 0 to 30 m"));
+    EXPECT_THAT(message(write("g.csv", "elevation_deg,max_range_m\n5,30\n-5,40\n")),
+                HasSubstr("line 3: found ranges of 0 to 40 m, expected 0 to 30 m"));
     EXPECT_THAT(message(write("h.csv", "elevation_deg,min_range_m,max_range_m\n5,30,30\n")), HasSubstr("min_range_m below max_range_m"));
-    EXPECT_THAT(message(write("i.csv", "elevation_deg,max_range_m\n5,-1\n")), HasSubstr("max_range_m is '-1', expected a number in [0, 10000]"));
+    EXPECT_THAT(message(write("i.csv", "elevation_deg,max_range_m\n5,-1\n")),
+                HasSubstr("max_range_m is '-1', expected a number in [0, 10000]"));
 }
 
 TEST(KnownSensors, ColumnsThatAreNotKnownAreErrors) {
-    EXPECT_THAT(message(write("j.csv", "elevation_deg,azimuth_ofset_deg\n5,1\n")), HasSubstr("j.csv line 1: column 'azimuth_ofset_deg' is not known, did you mean 'azimuth_offset_deg'?"));
+    EXPECT_THAT(message(write("j.csv", "elevation_deg,azimuth_ofset_deg\n5,1\n")),
+                HasSubstr("j.csv line 1: column 'azimuth_ofset_deg' is not known, did you mean 'azimuth_offset_deg'?"));
     EXPECT_THAT(message(write("k.csv", "elevation_deg,elevation_deg\n5,1\n")), HasSubstr("'elevation_deg' is there twice"));
 }
 
 TEST(KnownSensors, SizesThatNoSensorHasAreRefused) {
     const std::string path = write("l.csv", "elevation_deg\n1\n");
-    EXPECT_THAT(message(path + ":99999999x10"), HasSubstr("99999999 columns at 10 Hz, expected a whole number from 1 to 1000000 and a rate above 0, at most 10000"));
+    EXPECT_THAT(message(path + ":99999999x10"),
+                HasSubstr("99999999 columns at 10 Hz, expected a whole number from 1 to 1000000 and a rate above 0, at most 10000"));
     std::string many = "elevation_deg\n";
     for (int i = 0; i < 17; ++i) many += "1\n";
     const SpinningSensor large = find_sensor(write("m.csv", many) + ":1000000x10");

@@ -31,7 +31,8 @@ Sequence drive(const std::vector<Beam>& beams, double noise_size) {
             const glm::dvec3 d(frame.scan.rays.direction[i]);
             const double range = -2.0 / d.z;
             const Beam& beam = beams[frame.scan.rays.channel[i]];
-            const double value = beam.intensity_gain * brightness(pose.translation + range * d) + beam.intensity_offset + noise_size * noise(++k);
+            const double value =
+                beam.intensity_gain * brightness(pose.translation + range * d) + beam.intensity_offset + noise_size * noise(++k);
             frame.scan.range_m.push_back(float(range));
             frame.scan.intensity.push_back(float(value));
         }
@@ -73,7 +74,9 @@ TEST(IntensityResponse, ComesBackFromSharedPlaces) {
         const double common = (a.intensity_gain * surface + a.intensity_offset - b.intensity_offset) / b.intensity_gain;
         for (std::size_t k = 1; k < truth.size(); ++k) {
             const Beam& beam = sequence.lidars[0].sensor.beams[k];
-            EXPECT_NEAR(beam.intensity_gain * common + beam.intensity_offset, truth[k].intensity_gain * surface + truth[k].intensity_offset, 0.02) << k << " at " << surface;
+            EXPECT_NEAR(beam.intensity_gain * common + beam.intensity_offset, truth[k].intensity_gain * surface + truth[k].intensity_offset,
+                        0.02)
+                << k << " at " << surface;
         }
     }
     double gain = 0.0, offset = 0.0;
@@ -100,7 +103,8 @@ Sequence street() {
 
 void expect_the_streets_fall(const IntensityResponse& found, double tolerance) {
     const auto exact = [](double range_m) { return (1.0 - range_m / 160.0) / (1.0 - 10.0 / 160.0); };
-    for (const double range_m : {4.0, 7.0, 15.0, 25.0, 40.0}) EXPECT_NEAR(found.at_range(range_m) / exact(range_m), 1.0, tolerance) << range_m;
+    for (const double range_m : {4.0, 7.0, 15.0, 25.0, 40.0})
+        EXPECT_NEAR(found.at_range(range_m) / exact(range_m), 1.0, tolerance) << range_m;
     EXPECT_NEAR(found.incidence, 0.7, 0.05);
 }
 
@@ -117,14 +121,16 @@ TEST(IntensityResponse, FallAndLasersAreToldApart) {
     Sequence sequence = street();
     std::vector<double> gains;
     double mean = 0.0;
-    for (std::size_t b = 0; b < sequence.lidars[0].sensor.beams.size(); ++b) gains.push_back(1.0 + 0.25 * noise(b + 5)), mean += gains.back() / double(sequence.lidars[0].sensor.beams.size());
+    for (std::size_t b = 0; b < sequence.lidars[0].sensor.beams.size(); ++b)
+        gains.push_back(1.0 + 0.25 * noise(b + 5)), mean += gains.back() / double(sequence.lidars[0].sensor.beams.size());
     for (Frame& frame : sequence.frames)
         for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i) frame.scan.intensity[i] *= float(gains[frame.scan.rays.channel[i]]);
     const IntensityCalibration found = calibrate_intensity(sequence, split_frames(sequence, 0).train);
     EXPECT_TRUE(found.shared && found.beams);
     expect_the_streets_fall(sequence.intensity_response, 0.06);   // what a beam sees on the ground, it sees at one range
     double ratio = 0.0;   // the mean beam is one by returns
-    for (std::size_t b = 0; b < gains.size(); ++b) ratio += sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / double(gains.size());
+    for (std::size_t b = 0; b < gains.size(); ++b)
+        ratio += sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / double(gains.size());
     for (std::size_t b = 4; b < gains.size(); ++b)   // the first beams look into the sky and see little
         EXPECT_NEAR(sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / ratio, 1.0, 0.08) << b;
 }

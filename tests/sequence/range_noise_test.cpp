@@ -24,7 +24,8 @@ TEST(RangeNoise, ComesBackFromASmoothStreet) {
     for (const double cosine : {0.5, 1.0}) {
         EXPECT_NEAR(street.range_noise.at(8.0, cosine), 0.01, 0.001) << cosine;
         EXPECT_NEAR(street.range_noise.at(15.0, cosine), 0.01, 0.001) << cosine;
-        EXPECT_NEAR(street.range_noise.at(25.0, cosine), 0.04, cosine < 0.6 ? 0.004 : 0.012) << cosine << ": so far away little is met squarely, and much of it is edges";
+        EXPECT_NEAR(street.range_noise.at(25.0, cosine), 0.04, cosine < 0.6 ? 0.004 : 0.012)
+            << cosine << ": so far away little is met squarely, and much of it is edges";
     }
     EXPECT_EQ(street.range_noise.at(500.0, 1.0), street.range_noise.at(79.0, 1.0)) << "the last bin goes on";
 }

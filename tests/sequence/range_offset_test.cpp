@@ -28,7 +28,8 @@ double cast(const glm::dvec3& o, const glm::dvec3& d) {
 /// A drive along the street; each beam adds its offset, and 5 mm of a deterministic noise.
 Sequence drive(bool held_out_is_garbage = false) {
     Sequence sequence;
-    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) sequence.lidars[0].sensor.beams.push_back({.elevation_rad = -0.03 - 0.04 * double(b)});
+    for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
+        sequence.lidars[0].sensor.beams.push_back({.elevation_rad = -0.03 - 0.04 * double(b)});
     sequence.lidars[0].sensor.columns = 1440;
     sequence.rolling_shutter = false;
     std::uint64_t k = 0;
@@ -58,8 +59,10 @@ TEST(RangeOffset, ComesBackFromSharedPlanes) {
     ASSERT_GT(found.returns, 20000u);
     EXPECT_GT(found.rms_before, 2.0 * found.rms_after);
     double mean = 0.0;   // all longer by the same is hardly seen: differences are compared
-    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) mean += (sequence.lidars[0].sensor.beams[b].range_offset_m - kOffsets_m[b]) / double(kOffsets_m.size());
-    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) EXPECT_NEAR(sequence.lidars[0].sensor.beams[b].range_offset_m - mean, kOffsets_m[b], 0.008) << b;
+    for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
+        mean += (sequence.lidars[0].sensor.beams[b].range_offset_m - kOffsets_m[b]) / double(kOffsets_m.size());
+    for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
+        EXPECT_NEAR(sequence.lidars[0].sensor.beams[b].range_offset_m - mean, kOffsets_m[b], 0.008) << b;
     EXPECT_NEAR(mean, 0.0, 0.02);
 }
 
@@ -67,7 +70,8 @@ TEST(RangeOffset, HeldOutFramesAreNotLookedAt) {
     Sequence clean = drive(), garbage = drive(true);
     calibrate_ranges(clean, kTrain);
     calibrate_ranges(garbage, kTrain);
-    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) EXPECT_EQ(clean.lidars[0].sensor.beams[b].range_offset_m, garbage.lidars[0].sensor.beams[b].range_offset_m);
+    for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
+        EXPECT_EQ(clean.lidars[0].sensor.beams[b].range_offset_m, garbage.lidars[0].sensor.beams[b].range_offset_m);
 }
 
 TEST(RangeOffset, ReturnsComeFromWhereTheSurfaceIs) {

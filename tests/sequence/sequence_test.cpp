@@ -34,7 +34,9 @@ TEST(PoseTrack, InterpolatesAndContinuesAtTheEnds) {
 }
 
 TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
-    const auto turned = [](double angle, const glm::dvec3& t) { return Pose{glm::angleAxis(angle, glm::normalize(glm::dvec3(1, 2, 3))), t}; };
+    const auto turned = [](double angle, const glm::dvec3& t) {
+        return Pose{glm::angleAxis(angle, glm::normalize(glm::dvec3(1, 2, 3))), t};
+    };
     Sequence log;
     log.world_from_vehicle = {{0.0, 1.0}, {turned(0.1, {0, 0, 0}), turned(0.3, {8, 1, 0})}};
     log.boxes.push_back({"0", "Car", {4, 2, 1.5}, {{0.25, 1.0}, {turned(0.7, {10, 3, 0}), turned(0.9, {15, 3, 1})}}});
@@ -44,7 +46,8 @@ TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
     EXPECT_EQ(log.world_from_vehicle.pose[1].translation, track.pose[1].translation);
     for (std::size_t k = 0; k < 2; ++k) {
         const double t_s = before.boxes[0].world_from_box.time_s[k];
-        const Pose seen = inverse(before.world_from_vehicle.at(t_s)) * before.boxes[0].world_from_box.pose[k], sees = inverse(log.world_from_vehicle.at(t_s)) * log.boxes[0].world_from_box.pose[k];
+        const Pose seen = inverse(before.world_from_vehicle.at(t_s)) * before.boxes[0].world_from_box.pose[k],
+                   sees = inverse(log.world_from_vehicle.at(t_s)) * log.boxes[0].world_from_box.pose[k];
         EXPECT_LT(glm::length(seen.translation - sees.translation), 1e-12);
         EXPECT_NEAR(std::abs(glm::dot(seen.rotation, sees.rotation)), 1.0, 1e-12);
         EXPECT_GT(glm::length(before.boxes[0].world_from_box.pose[k].translation - log.boxes[0].world_from_box.pose[k].translation), 0.1);

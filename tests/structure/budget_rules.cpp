@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "rules.hpp"
 
+#include <algorithm>
 #include <set>
 
 namespace relidar::structure {
@@ -8,6 +9,7 @@ namespace {
 
 constexpr int kFunctionLines = 60;
 constexpr int kArguments = 7;
+constexpr std::size_t kColumns = 140;
 
 const std::set<std::string> kCompositionRoots = {"src/train/train.cpp", "tools/relidar/main.cpp"};
 
@@ -21,6 +23,12 @@ int line_limit(const std::string& path) {
     return 0;
 }
 
+/// Characters of a line in UTF-8.
+std::size_t columns_of(const std::string& line) {
+    return static_cast<std::size_t>(
+        std::count_if(line.begin(), line.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xc0) != 0x80; }));
+}
+
 }  // namespace
 
 Violations check_budgets(const SourceTree& tree) {
@@ -30,11 +38,17 @@ Violations check_budgets(const SourceTree& tree) {
         if (limit == 0) continue;
         const int n_lines = static_cast<int>(file.lines.size());
         if (n_lines > limit) violations.push_back(path + ":1: " + std::to_string(n_lines) + " lines, at most " + std::to_string(limit));
+        for (std::size_t i = 0; i < file.lines.size(); ++i) {
+            if (columns_of(file.lines[i]) > kColumns)
+                violations.push_back(path + ":" + std::to_string(i + 1) + ": " + std::to_string(columns_of(file.lines[i])) +
+                                     " columns, at most " + std::to_string(kColumns));
+        }
         if (has_extension(path, {".cmake"})) continue;
         for (const Function& function : functions_of(file)) {
             const std::string where = path + ":" + std::to_string(function.first_line) + ": " + function.name;
             if (function.has_body && function.n_lines() > kFunctionLines) {
-                violations.push_back(where + " has " + std::to_string(function.n_lines()) + " lines, at most " + std::to_string(kFunctionLines));
+                violations.push_back(where + " has " + std::to_string(function.n_lines()) + " lines, at most " +
+                                     std::to_string(kFunctionLines));
             }
             if (function.n_arguments > kArguments) {
                 violations.push_back(where + " takes " + std::to_string(function.n_arguments) + " arguments, at most " +

@@ -16,7 +16,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"gpu", {}},
         {"sensor", {}},
         {"sequence", {"sensor"}},
-        {"reader", {"sequence", "sensor"}},   // what all readers of datasets share
+        {"reader", {"sequence", "sensor"}},  // what all readers of datasets share
         {"dataset", {"reader", "sequence", "sensor"}},
         {"registration", {"sequence", "sensor"}},
         {"scene", {"sequence", "sensor", "gpu"}},
@@ -26,21 +26,22 @@ const std::map<std::string, Stages>& layer_table() {
         {"loss", {"traversal", "scene", "gpu"}},
         {"metrics", {"sequence", "sensor", "gpu"}},
         {"refine", {"sequence", "sensor", "gpu"}},
-        {"export", {"metrics", "scene", "sequence", "sensor"}},   // metrics: the rows a report shows
+        {"export", {"metrics", "scene", "sequence", "sensor"}},  // metrics: the rows a report shows
         {"forward", {"traversal", "accel", "scene", "sequence", "sensor", "gpu"}},
         {"densify", {"optimizer", "scene", "gpu"}},
-        {"checkpoint", {"export", "scene", "optimizer", "refine", "gpu"}},   // export: safetensors
-        {"traversal", {"accel", "scene", "gpu"}},   // rays and hits: what forward and backward share
+        {"checkpoint", {"export", "scene", "optimizer", "refine", "gpu"}},  // export: safetensors
+        {"traversal", {"accel", "scene", "gpu"}},                           // rays and hits: what forward and backward share
         {"backward", {"traversal", "forward", "accel", "scene", "gpu"}},
         {"differentiable_renderer", {"backward", "forward", "traversal", "accel", "scene", "gpu"}},
-        {"config", {"traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "scene", "sequence", "sensor", "gpu"}},   // options of all of them
-        {"run", {"config", "export", "scene", "sequence", "sensor"}},   // a run's folder; export: safetensors
+        // options of all of them
+        {"config", {"traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "scene", "sequence", "sensor", "gpu"}},
+        {"run", {"config", "export", "scene", "sequence", "sensor"}},  // a run's folder; export: safetensors
         {"render", {"config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
         {"scan_files", {"render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
-        {"evaluation", {"render", "run", "config", "export", "metrics", "scene", "sequence", "sensor", "gpu"}},   // export: weights of LPIPS
+        {"evaluation", {"render", "run", "config", "export", "metrics", "scene", "sequence", "sensor", "gpu"}},  // export: weights of LPIPS
         {"train",
-         {"config", "run", "differentiable_renderer", "backward", "forward", "traversal", "densify", "checkpoint", "accel", "optimizer", "loss", "metrics", "refine", "dataset",
-          "registration", "scene", "sequence", "sensor", "gpu"}},
+         {"config", "run", "differentiable_renderer", "backward", "forward", "traversal", "densify", "checkpoint", "accel", "optimizer",
+          "loss", "metrics", "refine", "dataset", "registration", "scene", "sequence", "sensor", "gpu"}},
     };
     return table;
 }
@@ -78,17 +79,21 @@ std::string judge(const std::string& from_path, const std::string& to_path) {
     const std::string from = layer_of(from_path), to = layer_of(to_path);
     const bool to_face = to_path.starts_with(kFaces);
     if (from == to) return "";
-    if (from_path == kUmbrella) return to_path.starts_with(kFaces + "stages/") || to_path.starts_with(kFaces + "measure/") ? "the umbrella holds what users need" : "";
+    if (from_path == kUmbrella)
+        return to_path.starts_with(kFaces + "stages/") || to_path.starts_with(kFaces + "measure/") ? "the umbrella holds what users need"
+                                                                                                   : "";
     if (from_path.starts_with("shaders/")) return shader_may_include(from, to) ? "" : from + " may not include " + to;
     if (from.starts_with("tools/")) return to_face ? "" : "tools see only include/relidar";
     const bool is_test = stem(from_path).ends_with("_test");
     if (from == "tests/reference" && is_test && to == "tests/support") return "";
-    if (from == "tests/reference") return to_face && to != "shared" ? "" : "the reference includes nothing of src/, shaders/ or other tests";
+    if (from == "tests/reference")
+        return to_face && to != "shared" ? "" : "the reference includes nothing of src/, shaders/ or other tests";
     if (from.empty() || from.starts_with("tests/")) return "";
     if (!layer_table().contains(from)) return "'" + from + "' is no stage of the layer table";
     if (from_path.starts_with(kFaces) && !to_face) return "a face includes only other faces";
     if (!stage_may_include(from, to)) return from + " may not include " + to;
-    if (!to_face && !kOpenFolders.contains(to)) return "another stage is reached only through its faces, <relidar/" + to + ".hpp> or <relidar/stages/" + to + ".hpp>";
+    if (!to_face && !kOpenFolders.contains(to))
+        return "another stage is reached only through its faces, <relidar/" + to + ".hpp> or <relidar/stages/" + to + ".hpp>";
     return "";
 }
 
@@ -153,7 +158,8 @@ Violations check_include_edges(const SourceTree& tree) {
         if (!is_code(path)) continue;
         for (const Include& include : includes_of(tree, file)) {
             const std::string wrong = judge(path, include.target);
-            if (!wrong.empty()) violations.push_back(path + ":" + std::to_string(include.line) + ": includes " + include.target + ": " + wrong);
+            if (!wrong.empty())
+                violations.push_back(path + ":" + std::to_string(include.line) + ": includes " + include.target + ": " + wrong);
         }
     }
     return violations;

@@ -23,7 +23,7 @@ bool is_stage(const std::string& name);
 /// Each kernel shaders/<stage>/<stem>.comp has a binding in src/<stage>, a test, and a row in shaders/README.md.
 Violations check_kernels(const SourceTree& tree);
 
-/// Lengths of files and functions, numbers of arguments.
+/// Lengths of files, functions and lines, numbers of arguments.
 Violations check_budgets(const SourceTree& tree);
 
 /// Vulkan's names occur in src/gpu and src/accel only.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host and shaders see the same bytes: every struct of include/relidar/shared and shaders/shared, in every kernel that uses it. And no kernel needs what not every
-// device has.
+// Host and shaders see the same bytes: every struct of include/relidar/shared and shaders/shared, in every kernel that uses it. And no
+// kernel needs what not every device has.
 #include <cstddef>
 #include <map>
 #include <set>
@@ -42,7 +42,8 @@ TEST(SharedLayout, KernelsSeeWhatTheHostWrites) {
 TEST(Kernels, HaveNo64BitIntegers) {
     ASSERT_FALSE(embedded_kernels().empty());
     for (const EmbeddedKernel& kernel : embedded_kernels())
-        EXPECT_FALSE(read_spirv_capabilities(kernel.words).contains(kCapabilityInt64)) << kernel.name << ": see is_null() in relidar/shared/lang.h";
+        EXPECT_FALSE(read_spirv_capabilities(kernel.words).contains(kCapabilityInt64))
+            << kernel.name << ": see is_null() in relidar/shared/lang.h";
 }
 
 }  // namespace

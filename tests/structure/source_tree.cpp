@@ -18,7 +18,8 @@ const std::set<std::string> kSkippedFolders = {".git", "build", "demo", "runs", 
 bool is_skipped(const fs::path& root, const fs::directory_entry& entry) {
     const std::string name = entry.path().filename().string();
     // tools/demo is a script, demo/ the folder it writes; tests/data and the like hold no sources.
-    return entry.is_directory() && (kSkippedFolders.contains(name) || (entry.path().parent_path() == root && name.starts_with("cmake-build")));
+    return entry.is_directory() &&
+           (kSkippedFolders.contains(name) || (entry.path().parent_path() == root && name.starts_with("cmake-build")));
 }
 
 std::string read_text(const fs::path& path) {
@@ -272,7 +273,9 @@ std::vector<Include> includes_of(const SourceTree& tree, const SourceFile& file)
 std::vector<Function> functions_of(const SourceFile& file) { return Reader(file.code).read(); }
 
 bool contains_word(const std::string& text, const std::string& word) {
-    const auto is_part = [&](std::size_t i) { return i < text.size() && (std::isalnum(static_cast<unsigned char>(text[i])) || text[i] == '_'); };
+    const auto is_part = [&](std::size_t i) {
+        return i < text.size() && (std::isalnum(static_cast<unsigned char>(text[i])) || text[i] == '_');
+    };
     for (std::size_t at = text.find(word); at != std::string::npos; at = text.find(word, at + 1)) {
         if ((at == 0 || !is_part(at - 1)) && !is_part(at + word.size())) return true;
     }

@@ -46,8 +46,20 @@ public:
     }
 
 private:
-    enum Code : std::uint32_t { Name = 5, MemberName = 6, TypePointer = 32, Constant = 43, Variable = 59, Load = 61, Store = 62, AccessChain = 65, MemberDecorate = 72,
-                                Bitcast = 124, ControlBarrier = 224, MemoryBarrier = 225 };
+    enum Code : std::uint32_t {
+        Name = 5,
+        MemberName = 6,
+        TypePointer = 32,
+        Constant = 43,
+        Variable = 59,
+        Load = 61,
+        Store = 62,
+        AccessChain = 65,
+        MemberDecorate = 72,
+        Bitcast = 124,
+        ControlBarrier = 224,
+        MemoryBarrier = 225
+    };
     static constexpr std::uint32_t kCoherent = 23, kPhysicalStorage = 5349;
 
     std::map<std::uint32_t, std::string> names_;
@@ -123,6 +135,8 @@ private:
 }  // namespace spirv_detail
 
 /// Members of the parameters through which a kernel exchanges values between its threads without coherent accesses.
-inline std::vector<std::string> incoherent_exchanges(std::span<const std::uint32_t> words) { return spirv_detail::ExchangeReader().read(words); }
+inline std::vector<std::string> incoherent_exchanges(std::span<const std::uint32_t> words) {
+    return spirv_detail::ExchangeReader().read(words);
+}
 
 }  // namespace relidar::structure

@@ -87,7 +87,8 @@ inline void read_instruction(std::uint32_t opcode, std::span<const std::uint32_t
 inline std::map<std::string, StructLayout> read_spirv_layouts(std::span<const std::uint32_t> words) {
     using namespace spirv_detail;
     std::map<std::uint32_t, Struct> structs;
-    for_each_instruction(words, [&](std::uint32_t opcode, std::span<const std::uint32_t> operands) { read_instruction(opcode, operands, structs); });
+    for_each_instruction(
+        words, [&](std::uint32_t opcode, std::span<const std::uint32_t> operands) { read_instruction(opcode, operands, structs); });
     std::map<std::string, StructLayout> layouts;
     for (const auto& [id, type] : structs) {
         if (type.n_members == 0 || type.member_offset.size() != type.n_members) continue;

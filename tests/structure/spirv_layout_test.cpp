@@ -55,7 +55,8 @@ TEST(SpirvLayout, ReadsScalarOffsets) {
     if (words.empty()) GTEST_SKIP() << "no glslangValidator";
     const std::map<std::string, StructLayout> layouts = read_spirv_layouts(words);
     ASSERT_TRUE(layouts.contains("Params"));
-    EXPECT_THAT(layouts.at("Params"), UnorderedElementsAre(Pair("samples", 0u), Pair("address", 8u), Pair("n", 16u), Pair("origin", 20u), Pair("gain", 32u)));
+    EXPECT_THAT(layouts.at("Params"),
+                UnorderedElementsAre(Pair("samples", 0u), Pair("address", 8u), Pair("n", 16u), Pair("origin", 20u), Pair("gain", 32u)));
     ASSERT_TRUE(layouts.contains("Sample"));
     EXPECT_THAT(layouts.at("Sample"), UnorderedElementsAre(Pair("direction", 0u), Pair("range_m", 12u), Pair("channel", 16u)));
 }
@@ -76,7 +77,8 @@ TEST(SpirvLayout, RefusesWhatIsNoModule) {
 TEST(SpirvLayout, RefusesTwoLayoutsOfOneStruct) {
     const std::uint32_t a = 'A';
     const auto type = [&](std::uint32_t id, std::uint32_t offset) {
-        return std::vector<std::uint32_t>{(3u << 16) | 5u, id, a, (4u << 16) | 6u, id, 0, 'x', (5u << 16) | 72u, id, 0, 35, offset, (3u << 16) | 30u, id, 9};
+        return std::vector<std::uint32_t>{(3u << 16) | 5u,  id, a, (4u << 16) | 6u, id, 0, 'x', (5u << 16) | 72u, id, 0, 35, offset,
+                                          (3u << 16) | 30u, id, 9};
     };
     std::vector<std::uint32_t> words = {0x07230203u, 0, 0, 0, 0};
     for (const auto& part : {type(1, 0), type(2, 0)}) words.insert(words.end(), part.begin(), part.end());

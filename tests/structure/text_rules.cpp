@@ -75,7 +75,8 @@ Violations check_vulkan_names(const SourceTree& tree) {
         const std::vector<std::string> lines = split_lines(file.code);
         for (std::size_t i = 0; i < lines.size(); ++i) {
             std::smatch match;
-            if (std::regex_search(lines[i], match, kName)) violations.push_back(at(path, i + 1) + match[1].str() + " outside src/gpu and src/accel");
+            if (std::regex_search(lines[i], match, kName))
+                violations.push_back(at(path, i + 1) + match[1].str() + " outside src/gpu and src/accel");
         }
     }
     return violations;
@@ -96,16 +97,17 @@ Violations check_licence_lines(const SourceTree& tree) {
         const bool source = has_extension(path, {".cpp", ".hpp", ".h", ".comp", ".glsl", ".cmake", ".py", ".sh", ".in"});
         if (!script && !source && !path.ends_with("CMakeLists.txt")) continue;
         const std::size_t n = std::min<std::size_t>(file.lines.size(), 3);
-        const bool named = std::any_of(file.lines.begin(), file.lines.begin() + static_cast<std::ptrdiff_t>(n), [](const std::string& line) {
-            return line.find("SPDX-License-Identifier: Apache-2.0") != std::string::npos;
-        });
+        const bool named =
+            std::any_of(file.lines.begin(), file.lines.begin() + static_cast<std::ptrdiff_t>(n),
+                        [](const std::string& line) { return line.find("SPDX-License-Identifier: Apache-2.0") != std::string::npos; });
         if (!named) violations.push_back(at(path, 1) + "no SPDX-License-Identifier line at the top");
     }
     return violations;
 }
 
 Violations check_mirror_names(const SourceTree& tree) {
-    static const std::regex kMirror(R"(\b(deb|ftp|archive|security|snapshot|ports|mirrors?)[\w.-]*\.(debian|ubuntu|kernel|canonical)\.\w+)");
+    static const std::regex kMirror(
+        R"(\b(deb|ftp|archive|security|snapshot|ports|mirrors?)[\w.-]*\.(debian|ubuntu|kernel|canonical)\.\w+)");
     Violations violations;
     for (const auto& [path, file] : tree) {
         for (std::size_t i = 0; i < file.lines.size(); ++i) {

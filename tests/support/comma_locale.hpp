@@ -11,7 +11,8 @@ namespace relidar::test {
 
 class CommaLocale {
 public:
-    CommaLocale() : c_before_(std::setlocale(LC_ALL, nullptr)), cpp_before_(std::locale::global(std::locale(std::locale::classic(), new Comma))) {
+    CommaLocale()
+        : c_before_(std::setlocale(LC_ALL, nullptr)), cpp_before_(std::locale::global(std::locale(std::locale::classic(), new Comma))) {
         for (const char* name : {"de_DE.UTF-8", "de_DE.utf8", "fr_FR.UTF-8", "nl_NL.UTF-8", "es_ES.UTF-8", "it_IT.UTF-8", "pl_PL.UTF-8"})
             if (std::setlocale(LC_ALL, name)) break;
     }

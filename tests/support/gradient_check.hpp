@@ -71,7 +71,8 @@ public:
         return worst;
     }
     void print(const std::string& title) const {
-        std::printf("%s\n  %-16s %8s %8s %8s %14s %14s\n", title.c_str(), "group", "rows", "nonzero", "missing", "largest row", "worst rel.");
+        std::printf("%s\n  %-16s %8s %8s %8s %14s %14s\n", title.c_str(), "group", "rows", "nonzero", "missing", "largest row",
+                    "worst rel.");
         for (const auto& [name, g] : groups_)
             std::printf("  %-16s %8zu %8zu %8zu %14.4e %14.3e\n", name.c_str(), g.expected.size(), g.nonzero_rows(), g.missing_rows(),
                         g.largest_row(), g.worst_error());

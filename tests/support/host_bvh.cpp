@@ -24,7 +24,8 @@ using Indices = std::vector<std::uint32_t>;
 /// One tree: appends nodes, and primitives in leaf order. Children of a node lie together.
 class Builder {
 public:
-    Builder(const std::vector<Box>& boxes, std::vector<shared::BvhNode>& nodes, Indices& order) : boxes_(boxes), nodes_(nodes), order_(order) {}
+    Builder(const std::vector<Box>& boxes, std::vector<shared::BvhNode>& nodes, Indices& order)
+        : boxes_(boxes), nodes_(nodes), order_(order) {}
 
     /// @return index of the root
     std::uint32_t build(Indices primitives) {
@@ -51,7 +52,9 @@ private:
         const glm::vec3 size = centres.high - centres.low;
         const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
         const auto middle = primitives.begin() + std::ptrdiff_t(primitives.size() / 2);
-        std::nth_element(primitives.begin(), middle, primitives.end(), [&](std::uint32_t a, std::uint32_t b) { return boxes_[a].low[axis] + boxes_[a].high[axis] < boxes_[b].low[axis] + boxes_[b].high[axis]; });
+        std::nth_element(primitives.begin(), middle, primitives.end(), [&](std::uint32_t a, std::uint32_t b) {
+            return boxes_[a].low[axis] + boxes_[a].high[axis] < boxes_[b].low[axis] + boxes_[b].high[axis];
+        });
         Indices half(middle, primitives.end());
         primitives.erase(middle, primitives.end());
         return half;
@@ -60,7 +63,8 @@ private:
     std::vector<Indices> split(Indices primitives) const {
         std::vector<Indices> parts{std::move(primitives)};
         while (parts.size() < RELIDAR_BVH_WIDTH) {
-            const auto largest = std::max_element(parts.begin(), parts.end(), [](const Indices& a, const Indices& b) { return a.size() < b.size(); });
+            const auto largest =
+                std::max_element(parts.begin(), parts.end(), [](const Indices& a, const Indices& b) { return a.size() < b.size(); });
             if (largest->size() <= RELIDAR_BVH_LEAF_SIZE) break;
             Indices half = take_half(*largest);
             parts.push_back(std::move(half));
@@ -74,7 +78,8 @@ private:
         const std::vector<Indices> parts = primitives.empty() ? std::vector<Indices>{} : split(std::move(primitives));
         node.origin = parts.empty() ? glm::vec3(0.0f) : whole.low;
         node.first_leaf = static_cast<std::uint32_t>(order_.size());
-        const auto n_inner = static_cast<std::uint32_t>(std::count_if(parts.begin(), parts.end(), [](const Indices& p) { return p.size() > RELIDAR_BVH_LEAF_SIZE; }));
+        const auto n_inner = static_cast<std::uint32_t>(
+            std::count_if(parts.begin(), parts.end(), [](const Indices& p) { return p.size() > RELIDAR_BVH_LEAF_SIZE; }));
         node.first_child = static_cast<std::uint32_t>(nodes_.size());
         nodes_.resize(nodes_.size() + n_inner);
         for (int axis = 0; axis < 3; ++axis) set_axis(node, axis, parts, whole);
@@ -117,7 +122,8 @@ private:
 /// Boxes of all surfels, in their models' frames.
 std::vector<Box> surfel_boxes(Device& device, const DeviceScene& scene) {
     Stream stream(device);
-    const std::vector<Constant> constants{{ConstantId::BOXES, 1u}, {ConstantId::GAUSSIANS, scene.primitive() == Primitive::gaussian ? 1u : 0u}};
+    const std::vector<Constant> constants{{ConstantId::BOXES, 1u},
+                                          {ConstantId::GAUSSIANS, scene.primitive() == Primitive::gaussian ? 1u : 0u}};
     const Kernel<shared::ProxyParams> proxies(device, "accel/proxies", constants);
     const Array<float> boxes(device, 6 * std::size_t(scene.size()), "boxes");
     const AccelOptions margin;
@@ -133,7 +139,9 @@ std::vector<Box> surfel_boxes(Device& device, const DeviceScene& scene) {
     stream.finish();
     const std::vector<float> values = boxes.download();
     std::vector<Box> result;
-    for (std::size_t i = 0; i < scene.size(); ++i) result.push_back({{values[6 * i], values[6 * i + 1], values[6 * i + 2]}, {values[6 * i + 3], values[6 * i + 4], values[6 * i + 5]}});
+    for (std::size_t i = 0; i < scene.size(); ++i)
+        result.push_back(
+            {{values[6 * i], values[6 * i + 1], values[6 * i + 2]}, {values[6 * i + 3], values[6 * i + 4], values[6 * i + 5]}});
     return result;
 }
 
@@ -141,7 +149,8 @@ Box to_world(const Box& box, const Pose& world_from_model) {
     Box result;
     const glm::dmat4 m = to_matrix(world_from_model);
     for (int corner = 0; corner < 8; ++corner) {
-        const glm::dvec3 p((corner & 1) ? box.high.x : box.low.x, (corner & 2) ? box.high.y : box.low.y, (corner & 4) ? box.high.z : box.low.z);
+        const glm::dvec3 p((corner & 1) ? box.high.x : box.low.x, (corner & 2) ? box.high.y : box.low.y,
+                           (corner & 4) ? box.high.z : box.low.z);
         const glm::dvec3 q(m * glm::dvec4(p, 1.0));
         const double pad = 1e-6 * glm::length(q) + 1e-5;
         result.grow({glm::vec3(q - pad), glm::vec3(q + pad)});

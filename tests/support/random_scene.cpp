@@ -101,7 +101,8 @@ RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
 }
 
 /// Draws rays into the corridor and keeps those with margins, until there are enough or too many were drawn.
-void add_rays(Random& random, const RandomSceneOptions& options, const reference::Settings& settings, const Margins& margins, RandomScene& scene) {
+void add_rays(Random& random, const RandomSceneOptions& options, const reference::Settings& settings, const Margins& margins,
+              RandomScene& scene) {
     for (int attempt = 0; attempt < 200 * options.rays && int(scene.rays.size()) < options.rays; ++attempt) {
         const glm::dvec3 origin(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3));
         const glm::dvec3 towards(8.0, uniform(random, -0.8, 0.8), uniform(random, -0.8, 0.8));

@@ -129,10 +129,12 @@ TEST_F(Batch, SimilarityAndNormalsNeedImages) {
         Config config = config_for("rays", 40);
         set_key(config, setting, "0.15");
         const std::string found = "setting " + setting + ": found ";
-        EXPECT_EQ(error_message<UsageError>([&] { BatchSampler(device(), config, image); }), found + "batches of single rays, expected train.batch=columns or train.rays_per_iteration=0");
+        EXPECT_EQ(error_message<UsageError>([&] { BatchSampler(device(), config, image); }),
+                  found + "batches of single rays, expected train.batch=columns or train.rays_per_iteration=0");
         config.train.batch = "columns";
         BatchSampler(device(), config, image);
-        EXPECT_EQ(error_message<UsageError>([&] { BatchSampler(device(), config, cloud); }), found + "a sensor without image order, expected rows and columns, or 0");
+        EXPECT_EQ(error_message<UsageError>([&] { BatchSampler(device(), config, cloud); }),
+                  found + "a sensor without image order, expected rows and columns, or 0");
     }
     Config config = config_for("rays", 40);
     config.loss.distortion = 0.15f;   // a ray's own

@@ -61,7 +61,8 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
         EXPECT_GE(n, strategy == DensifyStrategy::none ? 1u : result.log.front().n_surfels * 11 / 10);
         std::printf("strategy %d: %u surfels, loss %.5f\n", int(strategy), n, loss[strategy]);
     }
-    EXPECT_LT(loss[DensifyStrategy::adaptive], loss[DensifyStrategy::none]);   // how much depends on rates, length and seed: 0.90 and 0.97 seen, and losses above 1 at the small rates of `quick`
+    // how much depends on rates, length and seed: 0.90 and 0.97 seen, and losses above 1 at the small rates of `quick`
+    EXPECT_LT(loss[DensifyStrategy::adaptive], loss[DensifyStrategy::none]);
     EXPECT_LT(loss[DensifyStrategy::mcmc], 0.97 * loss[DensifyStrategy::none]);   // 0.90 and 0.91 seen with two seeds
 }
 

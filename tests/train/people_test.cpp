@@ -17,7 +17,8 @@ class People : public test::DeviceTest {};
 
 /// Points in a box, grown by a margin that labels and surfels need. @param range_m, returned [rays] of the frame
 template <class Returned>
-int returns_in(const Sequence& street, const Frame& frame, const BoxTrack& box, const std::vector<float>& range_m, const Returned& returned) {
+int returns_in(const Sequence& street, const Frame& frame, const BoxTrack& box, const std::vector<float>& range_m,
+               const Returned& returned) {
     int n = 0;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         if (!returned(i)) continue;
@@ -35,7 +36,8 @@ BoxTrack above_ground(BoxTrack box) {
 
 /// By the surface that is met (median range): the mean of the light puts up to a quarter of so slim a thing's points behind it.
 TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
-    const Sequence street = make_synthetic_street({.seed = 3, .n_frames = 20, .rows = 64, .columns = 512, .range_noise_m = 0.01, .speed_mps = 5.0, .people = true});
+    const Sequence street = make_synthetic_street(
+        {.seed = 3, .n_frames = 20, .rows = 64, .columns = 512, .range_noise_m = 0.01, .speed_mps = 5.0, .people = true});
     const Split split = split_frames(street, 6);
     Config config = make_preset("quick");
     config.train.iterations = 200;
@@ -49,9 +51,13 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
         for (const BoxTrack& labelled : street.boxes) {
             if (labelled.category == "Car") continue;
             const BoxTrack box = above_ground(labelled);
-            const int real = returns_in(street, frame, box, frame.scan.range_m, [&](std::size_t i) { return frame.scan.range_m[i] > 0.0f; });
-            const int simulated = returns_in(street, frame, box, scan.median_range_m, [&](std::size_t i) { return scan.median_range_m[i] > 0.0f && scan.image.drop_prob[i] < 0.5f; });
-            std::printf("frame %d: %s %s, %d real returns, %d simulated\n", frame.index, labelled.category.c_str(), labelled.id.c_str(), real, simulated);
+            const int real =
+                returns_in(street, frame, box, frame.scan.range_m, [&](std::size_t i) { return frame.scan.range_m[i] > 0.0f; });
+            const int simulated = returns_in(street, frame, box, scan.median_range_m, [&](std::size_t i) {
+                return scan.median_range_m[i] > 0.0f && scan.image.drop_prob[i] < 0.5f;
+            });
+            std::printf("frame %d: %s %s, %d real returns, %d simulated\n", frame.index, labelled.category.c_str(), labelled.id.c_str(),
+                        real, simulated);
             counts[labelled.category].first += real;
             counts[labelled.category].second += simulated;
         }

@@ -51,7 +51,9 @@ TrackCorrection random_correction(const PoseTrack& track, std::mt19937_64& rando
     return correction;
 }
 
-double dot(const glm::dvec3& a, const std::vector<float>& b, std::size_t first) { return a.x * b[first] + a.y * b[first + 1] + a.z * b[first + 2]; }
+double dot(const glm::dvec3& a, const std::vector<float>& b, std::size_t first) {
+    return a.x * b[first] + a.y * b[first + 1] + a.z * b[first + 2];
+}
 
 TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
     for (const bool rolling : {true, false}) {
@@ -70,8 +72,10 @@ TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
             const Frame& frame = street.frames[std::size_t(frames[f].position)];
             double farthest = 0.0, base = 0.0;
             for (std::size_t i = 0; i < moved.size(); ++i) {
-                const WorldRay expected = world_ray(corrected, frame.time_s, frame.scan.rays, i, rolling), uncorrected = world_ray(street.world_from_vehicle, frame.time_s, frame.scan.rays, i, rolling);
-                farthest = std::max({farthest, glm::length(expected.origin_m - glm::dvec3(moved[i].origin)), glm::length(expected.direction - glm::dvec3(moved[i].direction))});
+                const WorldRay expected = world_ray(corrected, frame.time_s, frame.scan.rays, i, rolling),
+                               uncorrected = world_ray(street.world_from_vehicle, frame.time_s, frame.scan.rays, i, rolling);
+                farthest = std::max({farthest, glm::length(expected.origin_m - glm::dvec3(moved[i].origin)),
+                                     glm::length(expected.direction - glm::dvec3(moved[i].direction))});
                 base = std::max(base, glm::length(expected.origin_m - uncorrected.origin_m));
             }
             EXPECT_GT(base, 0.02) << "the correction moves something";
@@ -108,7 +112,10 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
         std::vector<std::size_t> ids;   // by where the batch's rays lie among the frame's
         for (std::uint32_t k = 0; k < batch.rays.n_rays; ++k) {
             const DeviceRay& ray = batch_rays[batch.rays.first + std::size_t(k) * batch.rays.stride];
-            ids.push_back(std::size_t(std::find_if(all.begin(), all.end(), [&](const DeviceRay& r) { return r.direction == ray.direction && r.origin == ray.origin; }) - all.begin()));
+            ids.push_back(
+                std::size_t(std::find_if(all.begin(), all.end(),
+                                         [&](const DeviceRay& r) { return r.direction == ray.direction && r.origin == ray.origin; }) -
+                            all.begin()));
         }
         const auto loss = [&](const PoseTrack& track) {
             double sum = 0.0;
@@ -160,7 +167,8 @@ TEST(TrackCorrectionOf, AQuadraticBowl) {
         correction.step({.rate_m = 5e-3 / (1 + 0.05 * i), .rate_rad = 5e-4 / (1 + 0.05 * i)});
     }
     for (std::size_t k = 0; k < 8; ++k)
-        for (std::size_t j = 0; j < 6; ++j) EXPECT_NEAR(correction.at(k)[j], k == 5 ? 0.5 * (wanted[4][j] + wanted[6][j]) : wanted[k][j], j < 3 ? 1e-3 : 1e-4) << k;
+        for (std::size_t j = 0; j < 6; ++j)
+            EXPECT_NEAR(correction.at(k)[j], k == 5 ? 0.5 * (wanted[4][j] + wanted[6][j]) : wanted[k][j], j < 3 ? 1e-3 : 1e-4) << k;
     TrackCorrection strict(track);
     for (int i = 0; i < 200; ++i) {
         strict.add_gradient(2, 1.0, {1e-3, 0, 0, 0, 0, 0});
@@ -189,7 +197,8 @@ std::pair<PoseError, PoseError> errors_of_training(Device& device, const Config&
     prepare_log(street, split, config);
     const TrainResult result = train(device, street, split, config, [](const TrainProgress&) { return true; });
     const std::pair<PoseError, PoseError> errors{before, error_of(result.poses.value().world_from_vehicle, exact, split.train)};
-    std::printf("%s: %.4f m, %.3f deg before, %.4f m, %.3f deg after\n", what, errors.first.median_m, errors.first.median_deg, errors.second.median_m, errors.second.median_deg);
+    std::printf("%s: %.4f m, %.3f deg before, %.4f m, %.3f deg after\n", what, errors.first.median_m, errors.first.median_deg,
+                errors.second.median_m, errors.second.median_deg);
     return errors;
 }
 
@@ -217,7 +226,9 @@ void keep_rays_near_boxes(Sequence& street, double margin_m) {
         std::size_t n = 0;
         for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
             const WorldReturn w = world_return(street, frame, ray);
-            if (std::none_of(street.boxes.begin(), street.boxes.end(), [&](const BoxTrack& box) { return box.holds(w.point_m, w.time_s, margin_m); })) continue;
+            if (std::none_of(street.boxes.begin(), street.boxes.end(),
+                             [&](const BoxTrack& box) { return box.holds(w.point_m, w.time_s, margin_m); }))
+                continue;
             scan.rays.origin[n] = scan.rays.origin[ray], scan.rays.direction[n] = scan.rays.direction[ray];
             scan.rays.time_offset_s[n] = scan.rays.time_offset_s[ray], scan.rays.channel[n] = scan.rays.channel[ray];
             scan.range_m[n] = scan.range_m[ray], scan.intensity[n] = scan.intensity[ray];
@@ -246,8 +257,10 @@ TEST_F(Poses, OfTheActorsComeBack) {
     ASSERT_TRUE(result.poses);
     const std::vector<int> all{0, 1, 2, 3, 4, 5, 6};
     for (std::size_t b = 0; b < exact.size(); ++b) {
-        const PoseError before = error_of(street.boxes[b].world_from_box, exact[b].world_from_box, all), after = error_of(result.poses->boxes[b].world_from_box, exact[b].world_from_box, all);
-        std::printf("box %s: %.4f m, %.3f deg before, %.4f m, %.3f deg after\n", exact[b].id.c_str(), before.median_m, before.median_deg, after.median_m, after.median_deg);
+        const PoseError before = error_of(street.boxes[b].world_from_box, exact[b].world_from_box, all),
+                        after = error_of(result.poses->boxes[b].world_from_box, exact[b].world_from_box, all);
+        std::printf("box %s: %.4f m, %.3f deg before, %.4f m, %.3f deg after\n", exact[b].id.c_str(), before.median_m, before.median_deg,
+                    after.median_m, after.median_deg);
         EXPECT_LT(after.median_m, 0.5 * before.median_m);
     }
 }

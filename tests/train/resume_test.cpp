@@ -66,7 +66,8 @@ void expect_same_scene(const Scene& a, const Scene& b, const Scene& initial) {
 
 void expect_equal_bits(const Scene& a, const Scene& b) {
     const Surfels &x = a.surfels, &y = b.surfels;
-    EXPECT_TRUE(x.mean == y.mean && x.rotation == y.rotation && x.log_scale == y.log_scale && x.opacity_logit == y.opacity_logit && x.sh == y.sh && x.log_scale_w == y.log_scale_w);
+    EXPECT_TRUE(x.mean == y.mean && x.rotation == y.rotation && x.log_scale == y.log_scale && x.opacity_logit == y.opacity_logit &&
+                x.sh == y.sh && x.log_scale_w == y.log_scale_w);
 }
 
 class Resume : public test::DeviceTest {
@@ -87,7 +88,8 @@ protected:
     /// @param stop_after iterations of this session
     TrainResult run(const Config& config, const Checkpoint* start = nullptr, int stop_after = 1 << 30) {
         int calls = 0;
-        TrainSession session{folder, start, [&calls, stop_after] { return ++calls >= stop_after; }, [this](const std::string& note) { notes.push_back(note); }};
+        TrainSession session{folder, start, [&calls, stop_after] { return ++calls >= stop_after; },
+                             [this](const std::string& note) { notes.push_back(note); }};
         return train(device(), street, split, config, [](const TrainProgress&) { return true; }, session);
     }
     std::optional<Checkpoint> newest() {
@@ -145,7 +147,8 @@ TEST_F(Resume, IsTheTrainingThatWasNotStopped) {
 /// line of the log, and after.
 TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
     using enum DensifyStrategy;
-    for (const auto& [strategy, primitive] : {std::pair{none, Primitive::surfel}, {adaptive, Primitive::surfel}, {mcmc, Primitive::surfel}, {adaptive, Primitive::gaussian}}) {
+    for (const auto& [strategy, primitive] :
+         {std::pair{none, Primitive::surfel}, {adaptive, Primitive::surfel}, {mcmc, Primitive::surfel}, {adaptive, Primitive::gaussian}}) {
         Config config = small_config();
         config.image.primitive = primitive;
         config.train.deterministic = true;
@@ -163,7 +166,8 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
         std::uint32_t changed = 0;
         for (std::size_t i = 0; i < whole.log.size(); ++i) {
             EXPECT_EQ(resumed.log[i].n_surfels, whole.log[i].n_surfels);
-            for (const auto& [name, count] : kDensifyCounts) EXPECT_EQ(resumed.log[i].densified.*count, whole.log[i].densified.*count) << name << ", line " << i;
+            for (const auto& [name, count] : kDensifyCounts)
+                EXPECT_EQ(resumed.log[i].densified.*count, whole.log[i].densified.*count) << name << ", line " << i;
             changed += whole.log[i].densified.added > 0;
         }
         EXPECT_EQ(changed > 2, strategy != DensifyStrategy::none) << "before and after the stop";
@@ -196,7 +200,8 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     prepare();
     const TrainResult resumed = run(config, &*checkpoint);
     expect_equal_bits(resumed.scene, whole.scene);
-    for (std::size_t k = 0; k < street.frames.size(); ++k) EXPECT_EQ(resumed.poses->world_from_vehicle.pose[k].translation, whole.poses->world_from_vehicle.pose[k].translation);
+    for (std::size_t k = 0; k < street.frames.size(); ++k)
+        EXPECT_EQ(resumed.poses->world_from_vehicle.pose[k].translation, whole.poses->world_from_vehicle.pose[k].translation);
     for (std::size_t b = 0; b < street.boxes.size(); ++b)
         for (std::size_t k = 0; k < street.boxes[b].world_from_box.pose.size(); ++k) {
             const glm::dvec3 end = whole.poses->boxes[b].world_from_box.pose[k].translation;
@@ -272,7 +277,12 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     EXPECT_NE(setting("train.seed", "2").find("setting train.seed: found 2, expected 1"), std::string::npos);
     EXPECT_NE(setting("train.iterations", "0").find("setting train.iterations: found 0"), std::string::npos);
     Config free = small_config();
-    for (const auto& [key, value] : {std::pair{"train.log_every", "3"}, {"train.checkpoint_every", "5"}, {"train.iterations", "99"}, {"render.range", "median"}, {"dataset.path", "moved"}}) set_key(free, key, value);
+    for (const auto& [key, value] : {std::pair{"train.log_every", "3"},
+                                     {"train.checkpoint_every", "5"},
+                                     {"train.iterations", "99"},
+                                     {"render.range", "median"},
+                                     {"dataset.path", "moved"}})
+        set_key(free, key, value);
     EXPECT_NO_THROW(check_resumable(start, street, split, free));
 
     const auto log = [&](const char* part, const Sequence& other, const Split& frames) {
@@ -306,7 +316,8 @@ TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
         EXPECT_EQ(result.scene.surfels.size(), start.array("parameters/mean").shape[0]);
     }
     ASSERT_EQ(notes.size(), 4u) << "10, 20, 30, 40";
-    EXPECT_NE(notes[0].find("checkpoint of iteration 10 not written, the last one is of iteration 5: writing"), std::string::npos) << notes[0];
+    EXPECT_NE(notes[0].find("checkpoint of iteration 10 not written, the last one is of iteration 5: writing"), std::string::npos)
+        << notes[0];
     EXPECT_EQ(newest()->iteration, 5);
     EXPECT_EQ(std::distance(fs::directory_iterator(folder), fs::directory_iterator()), 1) << "nothing half written";
 }
@@ -328,7 +339,8 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
         if (step == expected - 1) loop.save(checkpoint);
     }
     const std::string message = data_error([&] { loop.settle(); });
-    const std::string wanted = "training, iteration " + std::to_string(expected) + ", frame " + std::to_string(frame.index) + ": the intensity loss is ";
+    const std::string wanted =
+        "training, iteration " + std::to_string(expected) + ", frame " + std::to_string(frame.index) + ": the intensity loss is ";
     ASSERT_GT(expected, 1);
     EXPECT_EQ(message.rfind(wanted, 0), 0u) << message << "\nexpected " << wanted;
     EXPECT_NO_THROW(check_finite(checkpoint)) << "of the iteration before";
@@ -348,7 +360,8 @@ TEST_F(Resume, AFailureLeavesTheLastCheckpoint) {
     Config config = small_config();
     config.train.checkpoint_every = 5;
     int calls = 0;
-    const TrainSession session{folder, nullptr, [&]() -> bool { return ++calls == 13 ? throw DeviceError("out of device memory") : false; }, {}};
+    const TrainSession session{
+        folder, nullptr, [&]() -> bool { return ++calls == 13 ? throw DeviceError("out of device memory") : false; }, {}};
     EXPECT_THROW(train(device(), street, split, config, [](const TrainProgress&) { return true; }, session), DeviceError);
     const std::optional<Checkpoint> checkpoint = newest();
     ASSERT_TRUE(checkpoint);

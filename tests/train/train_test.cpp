@@ -50,9 +50,11 @@ TEST_P(TrainEither, LearnsTheStreet) {
     EXPECT_FALSE(result.interrupted);
     EXPECT_EQ(result.scene.surfels.primitive(), GetParam());
     config.train.iterations = 1;
-    config.train.mean_rate = config.train.rotation_rate = config.train.scale_rate = config.train.opacity_rate = config.train.sh_rate = 1e-12;
+    config.train.mean_rate = config.train.rotation_rate = config.train.scale_rate = config.train.opacity_rate = config.train.sh_rate =
+        1e-12;
     const TrainResult untrained = train(device(), street, split, config, [](const TrainProgress&) { return true; });
-    EXPECT_LT(held_out_error(device(), result.scene, config, street, split), 0.9 * held_out_error(device(), untrained.scene, config, street, split));
+    EXPECT_LT(held_out_error(device(), result.scene, config, street, split),
+              0.9 * held_out_error(device(), untrained.scene, config, street, split));
 }
 
 /// One drop logit starts at the same ray-drop probability as two and learns; hit logits stay 0, through training and in the saved scene.
@@ -106,9 +108,11 @@ TEST_F(Train, DeterministicTrainingRepeatsItself) {
         const TrainResult first = run(), second = run();
         EXPECT_GT(first.scene.models.size(), 1u);
         const Surfels &a = first.scene.surfels, &b = second.scene.surfels;
-        EXPECT_TRUE(a.mean == b.mean && a.rotation == b.rotation && a.log_scale == b.log_scale && a.opacity_logit == b.opacity_logit && a.sh == b.sh);
+        EXPECT_TRUE(a.mean == b.mean && a.rotation == b.rotation && a.log_scale == b.log_scale && a.opacity_logit == b.opacity_logit &&
+                    a.sh == b.sh);
         ASSERT_EQ(first.log.size(), second.log.size());
-        for (std::size_t i = 0; i < first.log.size(); ++i) EXPECT_NEAR(first.log[i].loss, second.log[i].loss, 1e-5 * first.log[i].loss) << "the log's sums use atomics";
+        for (std::size_t i = 0; i < first.log.size(); ++i)
+            EXPECT_NEAR(first.log[i].loss, second.log[i].loss, 1e-5 * first.log[i].loss) << "the log's sums use atomics";
         config.train.gather_hits = 1;
         EXPECT_THROW(run(), DeviceError);
     }
@@ -117,7 +121,8 @@ TEST_F(Train, DeterministicTrainingRepeatsItself) {
 TEST_F(Train, StopsWhenAskedAndKeepsTheScene) {
     const Sequence street = make_synthetic_street(small_street());
     int calls = 0;
-    const TrainResult result = train(device(), street, split_frames(street, 10), small_config(), [&](const TrainProgress&) { return ++calls < 2; });
+    const TrainResult result =
+        train(device(), street, split_frames(street, 10), small_config(), [&](const TrainProgress&) { return ++calls < 2; });
     EXPECT_TRUE(result.interrupted);
     EXPECT_EQ(result.log.back().iteration, 10);
     EXPECT_GT(result.scene.surfels.size(), 100u);
@@ -146,7 +151,8 @@ TEST_F(Train, ActorsBeatMasking) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
             const WorldRay w = world_ray(street.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
             const glm::dvec3 p = w.origin_m + double(frame.scan.range_m[i]) * w.direction;
-            if (in_moving_box(street.boxes, p, frame.time_s + frame.scan.rays.time_offset_s[i], 0.01, -0.05)) errors.push_back(std::abs(scan.image.range_m[i] - frame.scan.range_m[i]));
+            if (in_moving_box(street.boxes, p, frame.time_s + frame.scan.rays.time_offset_s[i], 0.01, -0.05))
+                errors.push_back(std::abs(scan.image.range_m[i] - frame.scan.range_m[i]));
         }
         ASSERT_GT(errors.size(), 20u);
         std::nth_element(errors.begin(), errors.begin() + std::ptrdiff_t(errors.size() / 2), errors.end());
@@ -228,7 +234,8 @@ TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
     ASSERT_FALSE(result.scene.sensor_drop.empty());
     ScanRenderer renderer(device(), result.scene, config, street);
     const Frame& frame = street.frames[std::size_t(split.test[0])];
-    const RenderedScan own = renderer.render({frame.scan.rays, std::nullopt, true}, frame.time_s), other = renderer.render({frame.scan.rays, std::nullopt, false}, frame.time_s);
+    const RenderedScan own = renderer.render({frame.scan.rays, std::nullopt, true}, frame.time_s),
+                       other = renderer.render({frame.scan.rays, std::nullopt, false}, frame.time_s);
     std::size_t hidden = 0, dropped = 0, seen_by_other = 0;
     for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
         if (!is_hidden(frame.scan.rays, i) || other.weight[i] < 0.9f) continue;

@@ -174,7 +174,8 @@ TraversalCase random_case(std::uint64_t seed, int n_surfels, int n_rays) {
     const auto n_background = std::uint32_t(n_surfels * 3 / 4), n_actor = std::uint32_t(n_surfels) - n_background;
     c.instances.push_back({0, n_background, {}});
     for (int i = 0; i < 3; ++i)
-        c.instances.push_back({n_background, n_actor, {glm::angleAxis(uniform(random, 0, kPi), unit_vector(random)), uniform_point(random, 2.0)}});
+        c.instances.push_back(
+            {n_background, n_actor, {glm::angleAxis(uniform(random, 0, kPi), unit_vector(random)), uniform_point(random, 2.0)}});
     for (int i = 0; i < n_rays; ++i) {
         const glm::dvec3 origin = uniform_point(random, 5.0);
         add_ray(c, origin, uniform_point(random, 3.0) - origin);
@@ -218,14 +219,16 @@ TraversalCase crowded_case(std::uint64_t seed, int n_gaussians, int n_rays) {
         surfels.push_back(s);
     }
     TraversalCase c{"crowded 3D Gaussians", to_surfels(surfels), {}, {}};
-    c.instances = {{0, std::uint32_t(n_gaussians), {}}, {0, std::uint32_t(n_gaussians / 2), {glm::angleAxis(0.8, unit_vector(random)), {0.5, -0.3, 0.2}}}};
+    c.instances = {{0, std::uint32_t(n_gaussians), {}},
+                   {0, std::uint32_t(n_gaussians / 2), {glm::angleAxis(0.8, unit_vector(random)), {0.5, -0.3, 0.2}}}};
     for (int i = 0; i < n_rays; ++i) add_ray(c, uniform_point(random, 5.0), unit_vector(random));
     return c;
 }
 
 std::vector<TraversalCase> gaussian_cases(std::uint64_t seed, int n_rays) {
     std::vector<TraversalCase> cases;
-    for (const TraversalCase& c : {single_case(), equal_depth_case(), degenerate_case(), outline_case(seed, n_rays), random_case(seed + 2, 400, n_rays)})
+    for (const TraversalCase& c :
+         {single_case(), equal_depth_case(), degenerate_case(), outline_case(seed, n_rays), random_case(seed + 2, 400, n_rays)})
         cases.push_back(as_gaussians(c, seed + 3));
     cases.push_back(crowded_case(seed + 4, 120, n_rays));
     return cases;

@@ -36,7 +36,8 @@ TraversalCase long_list_case();
 TraversalCase outline_case(std::uint64_t seed, int n_rays);
 /// |n . d| between 1e-3 and 1e-2.
 TraversalCase grazing_case(std::uint64_t seed, int n_rays);
-/// Surfels that must never be reported (not finite, zero or overflowing scale, zero quaternion, opacity at or under the cut) among good ones.
+/// Surfels that must never be reported (not finite, zero or overflowing scale, zero quaternion, opacity at or under the cut) among good
+/// ones.
 TraversalCase degenerate_case();
 /// Random surfels of many sizes, all orientations; a second model placed three times, rotated and overlapping.
 TraversalCase random_case(std::uint64_t seed, int n_surfels, int n_rays);

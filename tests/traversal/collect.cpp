@@ -8,7 +8,8 @@
 
 namespace relidar::test {
 
-CollectedHits collect(Device& device, const std::string& kernel, const std::vector<Constant>& constants, shared::TraceScene scene, const WorldRays& rays, std::uint32_t max_hits) {
+CollectedHits collect(Device& device, const std::string& kernel, const std::vector<Constant>& constants, shared::TraceScene scene,
+                      const WorldRays& rays, std::uint32_t max_hits) {
     const Kernel<shared::CollectHitsParams> collect_hits(device, kernel, constants);
     const std::size_t n = rays.size(), n_slots = n * max_hits;
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");

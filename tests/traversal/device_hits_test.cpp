@@ -18,7 +18,8 @@ protected:
         const test::SceneAndPoses placed = test::to_scene(c.surfels, c.instances);
         ImageModel model;
         model.primitive = c.surfels.primitive();
-        return test::in_world(collect_hits(device(), {&placed.scene, placed.world_from_instance, model, accel, trace}, c.rays, kMaxHits), placed);
+        return test::in_world(collect_hits(device(), {&placed.scene, placed.world_from_instance, model, accel, trace}, c.rays, kMaxHits),
+                              placed);
     }
     void expect_conformance(const std::vector<TraversalCase>& cases);
 };
@@ -32,7 +33,8 @@ struct Setting {
 /// What the test device's traversal can be told to do, brute force last.
 std::vector<Setting> providers(const Device& device, int chunk) {
     const Setting brute{"brute force", {}, {.chunk = chunk, .brute_force = true}};
-    if (device.traversal() == Traversal::software) return {{"lane", {}, {.chunk = chunk, .walk = Walk::lane}}, {"subgroup", {}, {.chunk = chunk, .walk = Walk::subgroup}}, brute};
+    if (device.traversal() == Traversal::software)
+        return {{"lane", {}, {.chunk = chunk, .walk = Walk::lane}}, {"subgroup", {}, {.chunk = chunk, .walk = Walk::subgroup}}, brute};
     return {{"triangles", {.proxy = Proxy::triangles}, {.chunk = chunk}}, {"boxes", {.proxy = Proxy::boxes}, {.chunk = chunk}}, brute};
 }
 
@@ -60,7 +62,8 @@ TEST_P(ChunkSize, DoesNotMatter) {
         for (const Setting& s : providers(device(), chunk)) {
             const CollectedHits actual = collect(c, s.accel, s.trace);
             EXPECT_EQ(actual.counts, expected.counts) << s.name << ", chunk " << chunk;
-            for (std::size_t ray = 0; ray < c.rays.size(); ++ray) ASSERT_EQ(hits_of(actual, ray), hits_of(expected, ray)) << s.name << ", chunk " << chunk << ", ray " << ray;
+            for (std::size_t ray = 0; ray < c.rays.size(); ++ray)
+                ASSERT_EQ(hits_of(actual, ray), hits_of(expected, ray)) << s.name << ", chunk " << chunk << ", ray " << ray;
         }
 }
 

@@ -31,14 +31,19 @@ bool on_boundary(const reference::World& world, const ImageModel& model, const r
     const reference::DoubleRecord r = reference::make_record(world.surfels[hit.surfel]);
     const auto local = reference::to_model(world.instances[hit.instance].world_from_model, ray);
     const reference::PlaneHit<double> met = reference::meet(r, local);
-    const glm::dvec3 uvw(met.u, met.v, met.w), along(glm::dot(r.axis_u, local.direction), glm::dot(r.axis_v, local.direction), glm::dot(r.normal, local.direction));
+    const glm::dvec3 uvw(met.u, met.v, met.w),
+        along(glm::dot(r.axis_u, local.direction), glm::dot(r.axis_v, local.direction), glm::dot(r.normal, local.direction));
     const double t = met.t, size_m = glm::length(ray.origin) + glm::length(r.mean) + glm::length(r.mean - local.origin) + std::abs(t);
-    const double of_axes = 4e-7 * size_m * (glm::length(r.axis_u) + glm::length(r.axis_v) + glm::length(r.normal));   // of a point, in standard deviations
+    // of a point, in standard deviations
+    const double of_axes = 4e-7 * size_m * (glm::length(r.axis_u) + glm::length(r.axis_v) + glm::length(r.normal));
     const bool is_flat = r.primitive == Primitive::surfel;
     const double t_error = is_flat ? 4e-7 * size_m / std::abs(along.z) : of_axes / glm::length(along);
     const double log_alpha = std::log(r.sigma) - 0.5 * glm::dot(uvw, uvw);
-    const double uvw_error = of_axes + (is_flat ? glm::length(glm::dvec2(along)) * t_error : 0.0);   // density does not change along a ray where it is largest
-    const bool at_cut = !(std::abs(log_alpha - std::log(double(model.alpha_min))) > 1e-5 + (glm::length(uvw) + (is_flat ? 0.0 : uvw_error)) * uvw_error);   // NaN: yes
+    // density does not change along a ray where it is largest
+    const double uvw_error = of_axes + (is_flat ? glm::length(glm::dvec2(along)) * t_error : 0.0);
+    // NaN: yes
+    const bool at_cut =
+        !(std::abs(log_alpha - std::log(double(model.alpha_min))) > 1e-5 + (glm::length(uvw) + (is_flat ? 0.0 : uvw_error)) * uvw_error);
     const bool at_near = !(std::abs(t - double(model.near_m)) > t_error);
     return at_cut || at_near;
 }
@@ -77,8 +82,8 @@ void compare_hits(const reference::World& world, const ImageModel& model, const 
 
 std::string HitDifferences::summary(const std::string& title) const {
     char text[240];
-    std::snprintf(text, sizeof text, "%-14s %7zu rays %9zu hits %6zu different: %5zu flips %4zu swaps %4zu errors", title.c_str(), n_rays, n_hits,
-                  n_different_rays, n_flips, n_swaps, n_errors);
+    std::snprintf(text, sizeof text, "%-14s %7zu rays %9zu hits %6zu different: %5zu flips %4zu swaps %4zu errors", title.c_str(), n_rays,
+                  n_hits, n_different_rays, n_flips, n_swaps, n_errors);
     return text + (first_error.empty() ? std::string() : "; first: " + first_error);
 }
 

@@ -74,7 +74,8 @@ TEST(HostProviders, GrazingRaysAreExactWithWiderProxies) {
 TEST(HostProviders, DoubleAndFloatDifferOnlyOnBoundaries) {
     for (const TraversalCase& c : test::conformance_cases(kSeed, 3000)) {
         const World world = to_world(c);
-        const HitDifferences d = compare(c, BruteForce(world, {}, Precision::double_record), BruteForce(world, {}, Precision::float_record));
+        const HitDifferences d =
+            compare(c, BruteForce(world, {}, Precision::double_record), BruteForce(world, {}, Precision::float_record));
         EXPECT_EQ(d.n_errors, 0u) << c.name << ", seed " << kSeed << ": " << d.first_error;
         EXPECT_LE(double(d.n_flips), 1e-3 * double(d.n_hits) + 1.0) << c.name;
     }

@@ -61,8 +61,9 @@ protected:
     }
 
     CollectedHits collect(const DeviceScene& scene, const Accel& accel, const TraceOptions& options) {
-        return test::collect(device(), "traversal/collect_hits" + traversal_variant(device(), options), trace_constants(device(), accel.proxy(), options, model_),
-                             trace_scene(scene, accel.addresses(), model_), case_.rays, 64);
+        return test::collect(device(), "traversal/collect_hits" + traversal_variant(device(), options),
+                             trace_constants(device(), accel.proxy(), options, model_), trace_scene(scene, accel.addresses(), model_),
+                             case_.rays, 64);
     }
 
     void expect_agreement(const DeviceScene& scene, const Accel& accel, const std::string& state) {
@@ -72,10 +73,12 @@ protected:
             const CollectedHits found = collect(scene, accel, {.walk = walk});
             std::size_t n_different = 0;
             for (std::size_t i = 0; i < case_.rays.size(); ++i) n_different += test::hits_of(found, i) != test::hits_of(brute, i);
-            EXPECT_EQ(n_different, 0u) << state << (walk == Walk::lane ? ", lane" : ", subgroup") << ": rays whose hits differ from brute force";
+            EXPECT_EQ(n_different, 0u) << state << (walk == Walk::lane ? ", lane" : ", subgroup")
+                                       << ": rays whose hits differ from brute force";
         }
         std::unique_ptr<reference::HitProvider> host;   // Embree knows rectangles alone
-        if (GetParam() == Primitive::gaussian) host = std::make_unique<reference::BruteForce>(test::to_world(case_), model_, reference::Precision::float_record);
+        if (GetParam() == Primitive::gaussian)
+            host = std::make_unique<reference::BruteForce>(test::to_world(case_), model_, reference::Precision::float_record);
         else host = std::make_unique<reference::EmbreeFilter>(test::to_world(case_), model_);
         const test::HitDifferences d = compare(case_, *host, brute);
         std::printf("%s\n", d.summary(state + ", against the host").c_str());

@@ -25,8 +25,10 @@ protected:
         const test::HostBvh bvh(device(), scene);
         const shared::TraceScene trace = trace_scene(scene, {.tlas = {}, .proxy_reach = {}, .bvh = bvh.pointers()}, model);
         const std::uint32_t gaussians = c.surfels.primitive() == Primitive::gaussian ? 1u : 0u;
-        const std::vector<Constant> constants{{ConstantId::CHUNK, chunk}, {ConstantId::TOGETHER, packet}, {ConstantId::GAUSSIANS, gaussians}};
-        return test::in_world(test::collect(device(), "traversal/collect_hits@software_bvh", constants, trace, c.rays, test::kMaxHits), placed);
+        const std::vector<Constant> constants{
+            {ConstantId::CHUNK, chunk}, {ConstantId::TOGETHER, packet}, {ConstantId::GAUSSIANS, gaussians}};
+        return test::in_world(test::collect(device(), "traversal/collect_hits@software_bvh", constants, trace, c.rays, test::kMaxHits),
+                              placed);
     }
 };
 
@@ -38,7 +40,8 @@ TEST_F(SoftwareWalk, ConformanceCases) {
         const reference::BruteForce brute(test::to_world(c), {}, reference::Precision::float_record);
         for (const std::uint32_t chunk : {1u, 5u, 16u, 64u})
             for (const std::uint32_t packet : {0u, 1u})
-                expect_equal(c, compare(c, brute, collect(c, chunk, packet)), c.name + (packet ? ", subgroup" : ", lane") + ", chunk " + std::to_string(chunk));
+                expect_equal(c, compare(c, brute, collect(c, chunk, packet)),
+                             c.name + (packet ? ", subgroup" : ", lane") + ", chunk " + std::to_string(chunk));
     }
 }
 

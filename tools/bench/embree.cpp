@@ -95,9 +95,22 @@ void on_candidate(const RTCFilterFunctionNArguments* args) {
 /// Real spherical harmonics of degree 3 (shaders/gaussian/sh.glsl).
 void sh_basis(const glm::vec3& d, float* b) {
     const float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
-    const float values[16] = {0.28209479f, -0.48860251f * y, 0.48860251f * z, -0.48860251f * x, 1.09254843f * x * y, -1.09254843f * y * z, 0.31539157f * (2 * zz - xx - yy),
-                              -1.09254843f * x * z, 0.54627422f * (xx - yy), -0.59004359f * y * (3 * xx - yy), 2.89061144f * x * y * z, -0.45704580f * y * (4 * zz - xx - yy),
-                              0.37317633f * z * (2 * zz - 3 * xx - 3 * yy), -0.45704580f * x * (4 * zz - xx - yy), 1.44530572f * z * (xx - yy), -0.59004359f * x * (xx - 3 * yy)};
+    const float values[16] = {0.28209479f,
+                              -0.48860251f * y,
+                              0.48860251f * z,
+                              -0.48860251f * x,
+                              1.09254843f * x * y,
+                              -1.09254843f * y * z,
+                              0.31539157f * (2 * zz - xx - yy),
+                              -1.09254843f * x * z,
+                              0.54627422f * (xx - yy),
+                              -0.59004359f * y * (3 * xx - yy),
+                              2.89061144f * x * y * z,
+                              -0.45704580f * y * (4 * zz - xx - yy),
+                              0.37317633f * z * (2 * zz - 3 * xx - 3 * yy),
+                              -0.45704580f * x * (4 * zz - xx - yy),
+                              1.44530572f * z * (xx - yy),
+                              -0.59004359f * x * (xx - 3 * yy)};
     std::copy(values, values + 16, b);
 }
 
@@ -108,11 +121,14 @@ struct Pixel {
 
 class Renderer {
 public:
-    Renderer(const Surfels& surfels, int chunk, const std::string& build_threads) : device_(rtcNewDevice(build_threads.c_str())), scene_(rtcNewScene(device_)), chunk_(chunk) {
+    Renderer(const Surfels& surfels, int chunk, const std::string& build_threads)
+        : device_(rtcNewDevice(build_threads.c_str())), scene_(rtcNewScene(device_)), chunk_(chunk) {
         world_.sh = surfels.sh;
         const RTCGeometry mesh = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_QUAD);
-        auto* corners = static_cast<glm::vec3*>(rtcSetNewGeometryBuffer(mesh, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, sizeof(glm::vec3), 4 * surfels.size()));
-        auto* indices = static_cast<unsigned*>(rtcSetNewGeometryBuffer(mesh, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT4, 4 * sizeof(unsigned), surfels.size()));
+        auto* corners = static_cast<glm::vec3*>(
+            rtcSetNewGeometryBuffer(mesh, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, sizeof(glm::vec3), 4 * surfels.size()));
+        auto* indices = static_cast<unsigned*>(
+            rtcSetNewGeometryBuffer(mesh, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT4, 4 * sizeof(unsigned), surfels.size()));
         for (std::size_t i = 0; i < surfels.size(); ++i) add(surfels, i, corners + 4 * i);
         for (unsigned i = 0; i < 4 * surfels.size(); ++i) indices[i] = i;
         rtcSetGeometryIntersectFilterFunction(mesh, on_candidate);
@@ -217,7 +233,8 @@ std::vector<Pixel> render(const Renderer& renderer, const RayTable& rays, int n_
     std::atomic<std::size_t> next{0};
     const auto work = [&] {
         for (std::size_t begin = next.fetch_add(kBlock); begin < image.size(); begin = next.fetch_add(kBlock))
-            for (std::size_t i = begin; i < std::min(begin + kBlock, image.size()); ++i) image[i] = renderer.trace(rays.origin[i], rays.direction[i]);
+            for (std::size_t i = begin; i < std::min(begin + kBlock, image.size()); ++i)
+                image[i] = renderer.trace(rays.origin[i], rays.direction[i]);
     };
     std::vector<std::thread> threads;
     for (int i = 1; i < n_threads; ++i) threads.emplace_back(work);
@@ -230,14 +247,17 @@ double cpu_seconds() { return double(std::clock()) / CLOCKS_PER_SEC; }
 
 RayTable make_rays(const std::string& text) {
     int rows = 0, columns = 0;
-    if (std::sscanf(text.c_str(), "%dx%d", &rows, &columns) == 2) return make_benchmark_rays(rows, columns, 2.0, -24.9);   // as relidar bench
+    // as relidar bench
+    if (std::sscanf(text.c_str(), "%dx%d", &rows, &columns) == 2) return make_benchmark_rays(rows, columns, 2.0, -24.9);
     return make_benchmark_rays(text);
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
-    CLI::App app("render a benchmark street with Embree and print a line: Mrays/s by wall time and by processor time, blended hits a ray, mean depth");
+    CLI::App app(
+        "render a benchmark street with Embree and print a line: Mrays/s by wall time and by processor time, blended hits a ray, mean "
+        "depth");
     std::string scene = "A", rays_name = "64x1024";
     unsigned n_surfels = 100000;
     int chunk = 16, repeat = 10, n_threads = 2;

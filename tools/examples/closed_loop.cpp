@@ -38,9 +38,11 @@ int main(int argc, char** argv) try {
     double ego_m = 0.0, ego_mps = 8.0, actor_m = 25.0, actor_mps = 8.0;
     for (int step = 0; step < 80; ++step) {
         const double t = step * kStep_s;
-        const RenderedScan scan = renderer.render(sensor, {.time_s = t,
-            .dataset_from_sensor = {{t, t + kStep_s}, {ahead(ego_m, 0), ahead(ego_m + ego_mps * kStep_s, 0)}},
-            .dataset_from_actor = ActorPoses{{actor, {{t, t + kStep_s}, {ahead(actor_m, -1.0), ahead(actor_m + actor_mps * kStep_s, -1.0)}}}}});
+        const RenderedScan scan = renderer.render(
+            sensor, {.time_s = t,
+                     .dataset_from_sensor = {{t, t + kStep_s}, {ahead(ego_m, 0), ahead(ego_m + ego_mps * kStep_s, 0)}},
+                     .dataset_from_actor =
+                         ActorPoses{{actor, {{t, t + kStep_s}, {ahead(actor_m, -1.0), ahead(actor_m + actor_mps * kStep_s, -1.0)}}}}});
         const double gap_m = gap_ahead(scan, point_ranges(scan, run.config));
         if (gap_m < 6.0 + ego_mps * ego_mps / (2.0 * kEgoBrakes_mps2) * 1.3) ego_mps = std::max(0.0, ego_mps - kEgoBrakes_mps2 * kStep_s);
         if (t > 2.0) actor_mps = std::max(0.0, actor_mps - kActorBrakes_mps2 * kStep_s);

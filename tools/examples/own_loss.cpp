@@ -50,7 +50,8 @@ int main(int argc, char** argv) try {
         renderer.place(place_instances(scene, log, frame.time_s), glm::vec3(way.at(frame.time_s).translation));
         last = compare(renderer.forward(rays), frame.scan, d);
         renderer.backward(d);
-        adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels, &renderer.gradients().touched, {}, step, 3);
+        adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels, &renderer.gradients().touched, {}, step,
+                  3);
         if (step == 1) first = last;
     }
     std::printf("loss %.4f -> %.4f\n", first, last);

@@ -48,7 +48,8 @@ std::vector<InstancePose> poses_at(int n_actors, int step) {
     std::vector<InstancePose> placed{InstancePose{}};
     for (int i = 0; i < n_actors; ++i) {
         const double radius_m = 8.0 + 3.0 * std::sqrt(double(i)), azimuth_rad = kGoldenAngle_rad * i;
-        placed.push_back({Pose{{1.0, 0.0, 0.0, 0.0}, {radius_m * std::cos(azimuth_rad) + 0.01 * step, radius_m * std::sin(azimuth_rad), 0.0}}});
+        placed.push_back(
+            {Pose{{1.0, 0.0, 0.0, 0.0}, {radius_m * std::cos(azimuth_rad) + 0.01 * step, radius_m * std::sin(azimuth_rad), 0.0}}});
     }
     return placed;
 }
@@ -120,19 +121,30 @@ ActorTimes measure_actors(Device& device, int n_actors, bool own_models, const B
 }
 
 std::string actors_text(const std::vector<ActorTimes>& times) {
-    std::vector<std::vector<std::string>> rows{{"actors", "models", "surfels", "build ms", "move ms", "scan ms", "step ms", "memory MiB", "bottom levels rebuilt"}};
+    std::vector<std::vector<std::string>> rows{
+        {"actors", "models", "surfels", "build ms", "move ms", "scan ms", "step ms", "memory MiB", "bottom levels rebuilt"}};
     for (const ActorTimes& t : times)
-        rows.push_back({fmt::format("{}", t.n_actors), t.own_models ? "own" : "one", fmt::format("{}", t.n_surfels()), fmt::format("{:.2f}", t.build_ms), milliseconds(t.move_ms),
-                        milliseconds(t.scan_ms), milliseconds(t.step_ms), fmt::format("{:.1f}", double(t.memory) / double(1 << 20)), fmt::format("{}", t.builds)});
+        rows.push_back({fmt::format("{}", t.n_actors), t.own_models ? "own" : "one", fmt::format("{}", t.n_surfels()),
+                        fmt::format("{:.2f}", t.build_ms), milliseconds(t.move_ms), milliseconds(t.scan_ms), milliseconds(t.step_ms),
+                        fmt::format("{:.1f}", double(t.memory) / double(1 << 20)), fmt::format("{}", t.builds)});
     return table(rows);
 }
 
 std::string actors_json(const std::vector<ActorTimes>& times, const Device& device, const std::string& command_line) {
     const auto json_of = [](const Spread& s) { return nlohmann::ordered_json{{"p10", s.p10}, {"median", s.median}, {"p90", s.p90}}; };
-    nlohmann::ordered_json json = {{"format", "relidar bench actors"}, {"version", 2}, {"relidar", RELIDAR_VERSION}, {"command", command_line}, {"device", device.info().name}, {"actors", nlohmann::ordered_json::array()}};
+    nlohmann::ordered_json json = {{"format", "relidar bench actors"}, {"version", 2},
+                                   {"relidar", RELIDAR_VERSION},       {"command", command_line},
+                                   {"device", device.info().name},     {"actors", nlohmann::ordered_json::array()}};
     for (const ActorTimes& t : times)
-        json["actors"].push_back({{"actors", t.n_actors}, {"own_models", t.own_models}, {"surfels", t.n_surfels()}, {"build_ms", t.build_ms}, {"move_ms", json_of(t.move_ms)},
-                                  {"scan_ms", json_of(t.scan_ms)}, {"step_ms", json_of(t.step_ms)}, {"memory_bytes", t.memory}, {"bottom_levels_rebuilt", t.builds}});
+        json["actors"].push_back({{"actors", t.n_actors},
+                                  {"own_models", t.own_models},
+                                  {"surfels", t.n_surfels()},
+                                  {"build_ms", t.build_ms},
+                                  {"move_ms", json_of(t.move_ms)},
+                                  {"scan_ms", json_of(t.scan_ms)},
+                                  {"step_ms", json_of(t.step_ms)},
+                                  {"memory_bytes", t.memory},
+                                  {"bottom_levels_rebuilt", t.builds}});
     return json.dump(1) + "\n";
 }
 

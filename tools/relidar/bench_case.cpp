@@ -57,7 +57,8 @@ BenchCase street_case(const BenchChoice& choice) {
     BenchCase bench;
     bench.name = "street " + choice.street;
     const std::optional<ImageSize> size = parse_rays(choice.rays);
-    RayTable table = size ? make_benchmark_rays(static_cast<int>(size->rows), static_cast<int>(size->columns), kTop_deg, kBottom_deg) : make_benchmark_rays(choice.rays);
+    RayTable table = size ? make_benchmark_rays(static_cast<int>(size->rows), static_cast<int>(size->columns), kTop_deg, kBottom_deg)
+                          : make_benchmark_rays(choice.rays);
     bench.rows = table.rows;
     bench.columns = table.columns;
     bench.view_origin_m = table.origin.front();
@@ -72,7 +73,8 @@ BenchCase street_case(const BenchChoice& choice) {
 
 BenchCase run_case(const BenchChoice& choice) {
     Run run = load_run(choice.run);
-    if (run.sequence.frames.empty() || run.scene.surfels.size() == 0) throw DataError(fmt::format("{}: a run without frames or surfels, expected at least one of each", choice.run));
+    if (run.sequence.frames.empty() || run.scene.surfels.size() == 0)
+        throw DataError(fmt::format("{}: a run without frames or surfels, expected at least one of each", choice.run));
     const Frame& frame = run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
     const RayTable table = configured_sensor(run.config, run.sequence, frame.lidar).rays;
     BenchCase bench;
@@ -95,8 +97,10 @@ BenchCase run_case(const BenchChoice& choice) {
 }  // namespace
 
 void check(const BenchChoice& choice) {
-    if (choice.street != "A" && choice.street != "B" && choice.street != "C") throw UsageError(fmt::format("--scene: found \"{}\", expected A, B or C", choice.street));
-    if (choice.n_surfels < 1 || choice.n_surfels > kMaxSurfels) throw UsageError(fmt::format("--surfels: found {}, expected 1 to {}", choice.n_surfels, kMaxSurfels));
+    if (choice.street != "A" && choice.street != "B" && choice.street != "C")
+        throw UsageError(fmt::format("--scene: found \"{}\", expected A, B or C", choice.street));
+    if (choice.n_surfels < 1 || choice.n_surfels > kMaxSurfels)
+        throw UsageError(fmt::format("--surfels: found {}, expected 1 to {}", choice.n_surfels, kMaxSurfels));
     parse_rays(choice.rays);
     Config unused;
     apply(choice, unused);

@@ -13,7 +13,8 @@ namespace relidar::cli {
 namespace {
 
 // Bytes of what the kernels exchange (shaders/shared).
-constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36, kTarget = 12, kUpstream = 20, kKeptHit = 8, kHitRecord = 16, kRow = 4, kMark = 4;
+constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36, kTarget = 12, kUpstream = 20,
+                 kKeptHit = 8, kHitRecord = 16, kRow = 4, kMark = 4;
 constexpr double kBox = 24, kCorners = 48, kKey = 8, kIndex = 4;
 constexpr double kFewestNodes = 1.0 / 28.0;   // wide nodes a surfel: 8 children, leaves of 4
 constexpr double kNodeOperations = 150, kSurfelOperations = 40;   // shaders/traversal/software_bvh.glsl
@@ -64,18 +65,23 @@ constexpr Row kRows[] = {
     {"accel/proxies", When::always, [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.boxes ? kBox : kCorners)); }},
     {"accel/build", When::software, build},
     {"accel/refit", When::software, refit},
-    {"forward/trace", When::always, [](const FloorSizes& s) { return s.n_rays * (kRay + kRendered) + s.n_hits_written * kKeptHit + s.n_touched * (kRecord + sh_along_ray(s)); }},
+    {"forward/trace", When::always,
+     [](const FloorSizes& s) {
+         return s.n_rays * (kRay + kRendered) + s.n_hits_written * kKeptHit + s.n_touched * (kRecord + sh_along_ray(s));
+     }},
     {"loss/image_loss", When::training, [](const FloorSizes& s) { return s.n_rays * (kRendered + kTarget + kUpstream); }},
     {"fill", When::training, [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.sh_per_surfel ? 0.0 : 192.0)); }},
     {"backward/trace", When::training, backward_trace},
     {"backward/sort", When::gather, [](const FloorSizes& s) { return s.n_hits * digits(s.n_surfels) * (kRow + 2 * (kRow + kIndex)); }},
-    {"backward/gather", When::gather, [](const FloorSizes& s) { return s.n_hits * (kHitRecord + kRow + kIndex) + s.n_touched * 2 * (kRecord + sh_along_ray(s)); }},
+    {"backward/gather", When::gather,
+     [](const FloorSizes& s) { return s.n_hits * (kHitRecord + kRow + kIndex) + s.n_touched * 2 * (kRecord + sh_along_ray(s)); }},
     {"scene/activate_vjp", When::training, activate_vjp},
     {"optimizer/adam", When::training, adam},
 };
 
 bool runs(const Row& row, const FloorSizes& s) {
-    return row.when == When::always || (row.when == When::software && s.software) || (row.when == When::training && s.training) || (row.when == When::gather && s.training && s.gather);
+    return row.when == When::always || (row.when == When::software && s.software) || (row.when == When::training && s.training) ||
+           (row.when == When::gather && s.training && s.gather);
 }
 
 /// Seconds of the fastest of a few copies.
@@ -89,7 +95,8 @@ double seconds_of_copy(Device& device, std::size_t n_bytes) {
         const auto start = std::chrono::steady_clock::now();
         stream.copy(from, to, n_bytes);
         stream.finish();
-        if (!device.info().timestamps) best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
+        if (!device.info().timestamps)
+            best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
     }
     if (device.info().timestamps) best = std::ranges::min(stream.times().milliseconds.at("copy")) / 1000.0;
     return best;

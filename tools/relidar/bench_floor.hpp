@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The least a kernel can take: the bytes it must move once, over what the device's own copy moves in the same run. Left out: latency,
-// divergence, what a cache of finite size loads twice, and arithmetic. A floor says which kernel has the most to gain, not what can be had; a case that fits the caches can even lie below it.
+// divergence, what a cache of finite size loads twice, and arithmetic. A floor says which kernel has the most to gain, not what can be had;
+// a case that fits the caches can even lie below it.
 #pragma once
 
 #include <cstdint>
@@ -44,8 +45,8 @@ std::map<std::string, double> cache_bytes(const FloorSizes& sizes);
 /// Arithmetic of the forward pass's search, operations; 0 where visits are not counted.
 double search_operations(const FloorSizes& sizes);
 
-/// Bytes a second that the device's copy reads and writes together: the best of several copies of 256 MiB, so that no cache holds them, or of
-/// less where memory is short. Nothing where not even 1 MiB is left.
+/// Bytes a second that the device's copy reads and writes together: the best of several copies of 256 MiB, so that no cache holds them, or
+/// of less where memory is short. Nothing where not even 1 MiB is left.
 std::optional<double> copy_bytes_per_s(Device& device);
 
 }  // namespace relidar::cli

@@ -27,12 +27,15 @@ using Clock = std::chrono::steady_clock;
 using Samples = std::map<std::string, std::vector<double>>;
 
 constexpr double kWarmUp_ms = 200.0;   // kernels are compiled and clocks raised in the first moments
-constexpr const char* kOrder[] = {"scene/activate", "accel/proxies", "accel/build", "accel/refit", "accel/top_level", "forward/trace",
-                                  "loss/image_loss", "fill", "backward/sort", "backward/trace", "backward/gather", "backward/gather_heads", "scene/activate_vjp", "optimizer/adam"};
+constexpr const char* kOrder[] = {"scene/activate",     "accel/proxies",  "accel/build",     "accel/refit",
+                                  "accel/top_level",    "forward/trace",  "loss/image_loss", "fill",
+                                  "backward/sort",      "backward/trace", "backward/gather", "backward/gather_heads",
+                                  "scene/activate_vjp", "optimizer/adam"};
 
 double ms_since(Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); }
 
-/// Row that a kernel counts in. Those of the software tree go together, under the names of the driver's builds; so do prefix sums and sorts.
+/// Row that a kernel counts in. Those of the software tree go together, under the names of the driver's builds; so do prefix sums and
+/// sorts.
 std::string row_of(const std::string& kernel, const std::string& phase) {
     if (kernel == "accel/bvh_top") return "accel/top_level";
     if (kernel.starts_with("accel/bvh_")) return phase == "rebuild" ? "accel/build" : "accel/refit";
@@ -93,7 +96,8 @@ struct TrainingStep {
         loss.compare(stream, renderer.batch(), {&targets, 0, 1, rays.n_rays, n_returned, static_cast<double>(rays.n_rays)}, terms);
         renderer.record_backward();
         const Gradients& gradients = renderer.gradients();
-        adam.step(stream, renderer.scene().parameters(), gradients.surfels, &gradients.touched, kStandStill, ++step, renderer.model().sh_degree);
+        adam.step(stream, renderer.scene().parameters(), gradients.surfels, &gradients.touched, kStandStill, ++step,
+                  renderer.model().sh_degree);
     }
 };
 
@@ -203,7 +207,8 @@ private:
         double total = 0.0;
         std::map<std::string, double> sums;
         Stream& stream = renderer().stream();
-        for (const auto& [kernel, times] : stream.times().milliseconds) sums[row_of(kernel, phase)] += std::accumulate(times.begin(), times.end(), 0.0);
+        for (const auto& [kernel, times] : stream.times().milliseconds)
+            sums[row_of(kernel, phase)] += std::accumulate(times.begin(), times.end(), 0.0);
         for (const auto& [row, ms] : sums) {
             kernels[row].push_back(ms);
             total += ms;
@@ -226,7 +231,10 @@ std::vector<BenchRow> rows_of(const Samples& samples, std::vector<std::string> o
 
 BenchResult Bench::result() {
     Renderer& r = renderer();
-    if (const std::uint32_t capped = r.forward_pass().pass_cap_count().download()[0]) throw DeviceError(fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, expected every ray to end", rays_.size(), capped));
+    if (const std::uint32_t capped = r.forward_pass().pass_cap_count().download()[0])
+        throw DeviceError(
+            fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, expected every ray to end",
+                        rays_.size(), capped));
     kernels_.merge(rebuild_kernels_);   // those that an iteration has not
     BenchResult result;
     result.proxy = r.accel().proxy() == Proxy::boxes ? "boxes" : "triangles";
@@ -238,7 +246,8 @@ BenchResult Bench::result() {
         if (row.name == "backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
     }
     result.hits_per_ray = sizes_.n_hits / static_cast<double>(rays_.size());
-    if (const auto visits = count_visits(device_, r.scene(), r.accel(), batch(), case_.config.image, trace_options(case_.config))) result.visits = BenchVisits{visits->nodes, visits->surfels};
+    if (const auto visits = count_visits(device_, r.scene(), r.accel(), batch(), case_.config.image, trace_options(case_.config)))
+        result.visits = BenchVisits{visits->nodes, visits->surfels};
     result.memory = memory_;
     result.memory.rays = device_.allocated_bytes() - allocated_before_ - memory_.scene - memory_.accel - memory_.training;
     result.memory.peak = device_.peak_bytes();
@@ -264,7 +273,8 @@ FloorSizes Bench::sizes(const BenchResult& result) {
         s.surfels_tested = result.visits->surfels * s.n_rays;
     }
     if (training_)
-        for (const std::uint32_t touched : training_->renderer.gradients().touched.download(renderer().scene().size())) s.n_touched += touched;
+        for (const std::uint32_t touched : training_->renderer.gradients().touched.download(renderer().scene().size()))
+            s.n_touched += touched;
     return s;
 }
 

@@ -21,7 +21,8 @@ bool line_open = false;   // a progress line without its line break is on the te
 
 /// Columns a text takes on the terminal: its UTF-8 characters.
 std::size_t width(const std::string& text) {
-    return static_cast<std::size_t>(std::count_if(text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; }));
+    return static_cast<std::size_t>(
+        std::count_if(text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; }));
 }
 
 /// A line that wraps could not be rewritten.
@@ -32,7 +33,8 @@ std::string cut_to_terminal(const std::string& text) {
 }
 
 bool is_number(const std::string& text) {
-    return text.empty() || text == "-" || std::isdigit(static_cast<unsigned char>(text.front())) || (text.size() > 1 && text.front() == '-' && std::isdigit(static_cast<unsigned char>(text[1])));
+    return text.empty() || text == "-" || std::isdigit(static_cast<unsigned char>(text.front())) ||
+           (text.size() > 1 && text.front() == '-' && std::isdigit(static_cast<unsigned char>(text[1])));
 }
 
 }  // namespace
@@ -83,7 +85,9 @@ std::string one_line(std::string text) {
 }
 
 std::string shell_word(const std::string& word) {
-    const bool plain = !word.empty() && std::all_of(word.begin(), word.end(), [](unsigned char c) { return std::isalnum(c) || std::string("-_./=:,+%@").find(static_cast<char>(c)) != std::string::npos; });
+    const bool plain = !word.empty() && std::all_of(word.begin(), word.end(), [](unsigned char c) {
+        return std::isalnum(c) || std::string("-_./=:,+%@").find(static_cast<char>(c)) != std::string::npos;
+    });
     if (plain) return word;
     std::string quoted = "'";
     for (const char c : word) quoted += c == '\'' ? "'\\''" : std::string(1, c);
@@ -107,7 +111,9 @@ Progress::Progress(bool quiet) : quiet_(quiet), terminal_(::isatty(STDERR_FILENO
 
 void Progress::show(const std::string& text, bool now) {
     const auto time = Clock::now();
-    const Clock::duration due = terminal_ ? Clock::duration(kTerminalInterval) : last_ == Clock::time_point{} ? Clock::duration(kPlainFirst) : Clock::duration(kPlainInterval);
+    const Clock::duration due = terminal_                      ? Clock::duration(kTerminalInterval)
+                                : last_ == Clock::time_point{} ? Clock::duration(kPlainFirst)
+                                                               : Clock::duration(kPlainInterval);
     if (quiet_ || (!now && time - std::max(start_, last_) < due)) return;
     last_ = time;
     std::fputs(terminal_ ? ("\r" + cut_to_terminal(text) + "\x1b[K").c_str() : (text + "\n").c_str(), stderr);
@@ -118,7 +124,9 @@ void Progress::show(const std::string& text, bool now) {
 void Progress::count(const std::string& what, std::size_t done, std::size_t total) {
     const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
     const double rate = static_cast<double>(done) / std::max(seconds, 1e-9);
-    show(fmt::format("{} {}/{}  {:.2f}/s  eta {}", what, done, total, rate, duration(static_cast<double>(total - done) / std::max(rate, 1e-9))), done == total);
+    show(fmt::format("{} {}/{}  {:.2f}/s  eta {}", what, done, total, rate,
+                     duration(static_cast<double>(total - done) / std::max(rate, 1e-9))),
+         done == total);
 }
 
 relidar::Progress shown_by(Progress& progress) {

@@ -24,7 +24,9 @@ namespace {
 namespace fs = std::filesystem;
 
 const Pose kShift{glm::dquat(1.0, 0.0, 0.0, 0.0), glm::dvec3(0.0, 2.0, 1.0)};   // 2 m to the left, 1 m up
-constexpr const char* kShownMetrics[] = {"strict/depth_medae_m", "strict/depth_rmse_m", "strict/intensity_mae", "strict/drop_accuracy", "strict/cd_mean_m", "points/cd_mean_m", "points/f_22cm", "peer/depth_psnr_db", "peer/depth_ssim"};
+constexpr const char* kShownMetrics[] = {"strict/depth_medae_m", "strict/depth_rmse_m", "strict/intensity_mae",
+                                         "strict/drop_accuracy", "strict/cd_mean_m",    "points/cd_mean_m",
+                                         "points/f_22cm",        "peer/depth_psnr_db",  "peer/depth_ssim"};
 
 struct Options {
     std::string out = "demo";
@@ -95,12 +97,16 @@ std::string short_table(const Evaluation& held_out, const Evaluation& shifted) {
 void finish(Device& device, const Run& run, const SyntheticOptions& street, Report report, const fs::path& out, bool quiet) {
     const Evaluation held_out = evaluate_held_out(device, run, quiet);
     const Evaluation shifted = evaluate_shifted(device, run, street, quiet);
-    write_text(run.folder / "metrics.json", metrics_json(held_out, with_lpips_weights(run.config), {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
+    write_text(run.folder / "metrics.json",
+               metrics_json(held_out, with_lpips_weights(run.config),
+                            {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
     write_scans(out / "held_out", held_out, run, {});
     write_scans(out / "shifted", shifted, run, kShift);
     report.title = "relidar demo: a synthetic street";
-    report.summary += " The shifted sensor stands 2 m to the left of the real one and 1 m higher; its exact scan comes from casting rays into the street itself, without noise. "
-                      "Moving cars are actors: surfel sets of their own, placed by their tracked boxes.";
+    report.summary +=
+        " The shifted sensor stands 2 m to the left of the real one and 1 m higher; its exact scan comes from casting rays into the street "
+        "itself, without noise. "
+        "Moving cars are actors: surfel sets of their own, placed by their tracked boxes.";
     report.same_scans = false;
     add_evaluation(report, held_out, run, {"held out", "real"});
     add_evaluation(report, shifted, run, {"shifted sensor", "exact"});
@@ -122,8 +128,9 @@ void run_demo(const Options& options, const std::string& command_line) {
     Sequence sequence = load_dataset(config, options.quiet);
     const Split split = split_frames(sequence, config.dataset.test_every);
     if (!options.quiet) {
-        print(fmt::format("{}: {} frames of {} x {} rays, {} held out; training {} iterations on {}\n", sequence.name, sequence.frames.size(), street.rows, street.columns,
-                          split.test.size(), config.train.iterations, device.info().name));
+        print(fmt::format("{}: {} frames of {} x {} rays, {} held out; training {} iterations on {}\n", sequence.name,
+                          sequence.frames.size(), street.rows, street.columns, split.test.size(), config.train.iterations,
+                          device.info().name));
         std::fflush(stdout);
     }
 

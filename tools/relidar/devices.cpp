@@ -35,7 +35,8 @@ void print_json(const std::vector<DeviceInfo>& devices) {
 }
 
 void print_table(const std::vector<DeviceInfo>& devices) {
-    std::vector<std::vector<std::string>> rows{{"", "name", "type", "API", "memory", "ray query", "software", "float atomics", "traversal"}};
+    std::vector<std::vector<std::string>> rows{
+        {"", "name", "type", "API", "memory", "ray query", "software", "float atomics", "traversal"}};
     std::string notes;
     for (const DeviceInfo& d : devices) {
         rows.push_back({fmt::format("{}", d.index), d.name, d.type, d.api_version, byte_size(d.memory_bytes), d.ray_query ? "yes" : "no",
@@ -59,7 +60,9 @@ void add_devices(CLI::App& app, Call& call) {
     command->callback([&call, json] {
         call.run = [json] {
             const std::vector<DeviceInfo> devices = list_devices();
-            if (devices.empty()) throw DeviceError("listing devices: found no Vulkan device, expected at least one; tools/dev/setup installs a software driver");
+            if (devices.empty())
+                throw DeviceError(
+                    "listing devices: found no Vulkan device, expected at least one; tools/dev/setup installs a software driver");
             *json ? print_json(devices) : print_table(devices);
         };
     });

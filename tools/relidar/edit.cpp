@@ -26,11 +26,14 @@ struct Options {
 
 void check_other_folder(const Options& options) {
     std::error_code failed;
-    if (std::filesystem::equivalent(options.run, options.out, failed)) throw UsageError(fmt::format("--out {}: found the run that is edited, expected another folder", options.out));
+    if (std::filesystem::equivalent(options.run, options.out, failed))
+        throw UsageError(fmt::format("--out {}: found the run that is edited, expected another folder", options.out));
 }
 
 void run_edit(const Options& options) {
-    if (options.edits.empty()) throw UsageError("found no edit, expected --remove, --move, --retime, --trajectory, --copy, --insert or --keep (see `relidar edit --help`)");
+    if (options.edits.empty())
+        throw UsageError(
+            "found no edit, expected --remove, --move, --retime, --trajectory, --copy, --insert or --keep (see `relidar edit --help`)");
     check_other_folder(options);
     const RunFolder folder(options.out, options.force ? Existing::replace : Existing::refuse);
     Run run = load_run(options.run);
@@ -47,7 +50,9 @@ void run_edit(const Options& options) {
     remove_run_files(folder.path());
     run.folder = folder.path();
     save_run(run);
-    if (!options.quiet) print(text + fmt::format("{} instances of {} models, {} surfels in {}\n", run.scene.instances.size(), run.scene.models.size(), run.scene.surfels.size(), options.out));
+    if (!options.quiet)
+        print(text + fmt::format("{} instances of {} models, {} surfels in {}\n", run.scene.instances.size(), run.scene.models.size(),
+                                 run.scene.surfels.size(), options.out));
 }
 
 }  // namespace
@@ -58,20 +63,31 @@ void add_edit(CLI::App& app, Call& call) {
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
     command->add_option("--out", options->out, "folder for the edited run")->required()->type_name("DIR");
     for (const EditOption& edit : edit_options()) {
-        const auto take = [options, option = std::string(edit.option)](const std::string& value) { options->edits.push_back({option, value}); };
-        command->add_option_function<std::string>(edit.option, take, edit.help)->type_name(edit.form)->trigger_on_parse()->allow_extra_args(false)->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
+        const auto take = [options, option = std::string(edit.option)](const std::string& value) {
+            options->edits.push_back({option, value});
+        };
+        command->add_option_function<std::string>(edit.option, take, edit.help)
+            ->type_name(edit.form)
+            ->trigger_on_parse()
+            ->allow_extra_args(false)
+            ->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
     }
     command->add_flag("--force", options->force, "overwrite the run in DIR");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer("Edits are repeatable and applied in the order given; `relidar info RUN` lists tracks, with their start as --copy takes it. DIR is a run like\n"
-                    "any other: it holds its own surfels (a model once, however often it is placed), moves without RUN, and scene.json tells its edits.\n"
-                    "Places are box centres in the dataset's world, metres; copies and inserted actors start there at the log's first frame and become TRACK-copy-1, ...\n"
-                    "A trajectory's times are those of the log; poses between its lines are interpolated, position linearly, rotation by slerp; actors are absent\n"
-                    "outside their interval. Actors may overlap: rays meet whichever surface comes first.\n"
-                    "Examples:\n"
-                    "  relidar edit run --out empty --remove 0\n"
-                    "  relidar edit run --out lane --move 0:0,3.5,0 --retime 1:-0.5\n"
-                    "  relidar edit run --out more --copy 0@12,3.5,0.9,180:8 --insert other#3@30,0,0.8,0:10");
+    command->footer(
+        "Edits are repeatable and applied in the order given; `relidar info RUN` lists tracks, with their start as --copy takes it. DIR is "
+        "a run like\n"
+        "any other: it holds its own surfels (a model once, however often it is placed), moves without RUN, and scene.json tells its "
+        "edits.\n"
+        "Places are box centres in the dataset's world, metres; copies and inserted actors start there at the log's first frame and become "
+        "TRACK-copy-1, ...\n"
+        "A trajectory's times are those of the log; poses between its lines are interpolated, position linearly, rotation by slerp; actors "
+        "are absent\n"
+        "outside their interval. Actors may overlap: rays meet whichever surface comes first.\n"
+        "Examples:\n"
+        "  relidar edit run --out empty --remove 0\n"
+        "  relidar edit run --out lane --move 0:0,3.5,0 --retime 1:-0.5\n"
+        "  relidar edit run --out more --copy 0@12,3.5,0.9,180:8 --insert other#3@30,0,0.8,0:10");
     command->callback([&call, options] { call.run = [options] { run_edit(*options); }; });
 }
 

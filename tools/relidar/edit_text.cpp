@@ -54,7 +54,9 @@ Start start_of(const TypedEdit& edit, const std::string& text) {
 
 const std::string& last_track(const DrivingScene& driving) { return driving.scene.instances.back().track; }
 
-AppliedEdit remove_one(DrivingScene driving, const TypedEdit& edit) { return {remove_track(std::move(driving), edit.value), "removed " + edit.value, ""}; }
+AppliedEdit remove_one(DrivingScene driving, const TypedEdit& edit) {
+    return {remove_track(std::move(driving), edit.value), "removed " + edit.value, ""};
+}
 
 AppliedEdit move(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, offset] = cut(edit, edit.value, edit.value.rfind(':'));
@@ -64,12 +66,14 @@ AppliedEdit move(DrivingScene driving, const TypedEdit& edit) {
 /// Whether an actor is there at any frame of the log.
 bool is_ever_present(const DrivingScene& driving, const std::string& track) {
     return std::any_of(driving.sequence.boxes.begin(), driving.sequence.boxes.end(), [&](const BoxTrack& b) {
-        return b.id == track && std::any_of(driving.sequence.frames.begin(), driving.sequence.frames.end(), [&](const Frame& f) { return b.present(f.time_s); });
+        return b.id == track && std::any_of(driving.sequence.frames.begin(), driving.sequence.frames.end(),
+                                            [&](const Frame& f) { return b.present(f.time_s); });
     });
 }
 
 std::string absence_note(const DrivingScene& driving, const std::string& track) {
-    return is_ever_present(driving, track) ? "" : fmt::format("track {} is there at no frame of the log now: its times lie outside it", track);
+    return is_ever_present(driving, track) ? ""
+                                           : fmt::format("track {} is there at no frame of the log now: its times lie outside it", track);
 }
 
 AppliedEdit retime(DrivingScene driving, const TypedEdit& edit) {
@@ -99,8 +103,11 @@ AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
     const Run other = load_run(folder);
     const SpinningSensor &theirs = other.sequence.lidars[0].sensor, &ours = driving.sequence.lidars[0].sensor;
     const bool same = theirs.name == ours.name && theirs.beams.size() == ours.beams.size();
-    const std::string note = same ? "" : fmt::format("{} was recorded by another sensor ({}, {} beams; here {}, {} beams): shape and motion of {} are right, its intensities and ray-drop are those of that sensor",
-                                                     folder, theirs.name, theirs.beams.size(), ours.name, ours.beams.size(), track);
+    const std::string note = same ? ""
+                                  : fmt::format(
+                                        "{} was recorded by another sensor ({}, {} beams; here {}, {} beams): shape and motion of {} are "
+                                        "right, its intensities and ray-drop are those of that sensor",
+                                        folder, theirs.name, theirs.beams.size(), ours.name, ours.beams.size(), track);
     driving = insert_track(std::move(driving), {other.scene, other.sequence}, track, start);
     return {driving, fmt::format("inserted {} of {} as {}", track, folder, last_track(driving)), note};
 }
@@ -127,8 +134,9 @@ const std::vector<EditOption>& edit_options() {
 
 AppliedEdit apply(DrivingScene driving, const TypedEdit& edit) {
     using Apply = AppliedEdit (*)(DrivingScene, const TypedEdit&);
-    static const std::vector<std::pair<std::string, Apply>> functions{{"--remove", remove_one}, {"--move", move}, {"--retime", retime}, {"--trajectory", trajectory},
-                                                                      {"--copy", copy}, {"--insert", insert}, {"--keep", keep}};
+    static const std::vector<std::pair<std::string, Apply>> functions{
+        {"--remove", remove_one}, {"--move", move},     {"--retime", retime}, {"--trajectory", trajectory},
+        {"--copy", copy},         {"--insert", insert}, {"--keep", keep}};
     const auto function = std::find_if(functions.begin(), functions.end(), [&](const auto& f) { return f.first == edit.option; });
     try {
         return function->second(std::move(driving), edit);

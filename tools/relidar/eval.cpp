@@ -65,18 +65,23 @@ void write_results(const Output& output, const Evaluation& evaluation, const Con
     print(metric_table(evaluation, origin.baseline));
     print(fmt::format("\n{} held-out frames", evaluation.frames.size()));
     if (evaluation.trace_ms > 0.0)
-        print(fmt::format(", {:.1f} ms of tracing a frame, {:.3f} Mrays/s, {} of device memory", evaluation.trace_ms, evaluation.mrays_per_s, byte_size(origin.peak_device_bytes)));
+        print(fmt::format(", {:.1f} ms of tracing a frame, {:.3f} Mrays/s, {} of device memory", evaluation.trace_ms,
+                          evaluation.mrays_per_s, byte_size(origin.peak_device_bytes)));
     if (!output.file.empty()) print("\nmetrics  " + absolute_path(output.file.string()));
     print("\n");
 }
 
-double seconds_since(std::chrono::steady_clock::time_point start) { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); }
+double seconds_since(std::chrono::steady_clock::time_point start) {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+}
 
 /// What the scans of an edited run are worth.
 std::string edit_note(const Run& run) {
     if (run.edits.empty()) return "";
-    if (is_recastable(run)) return "note: the street was cast again with the run's edits, without noise; edited/* is over the pixels they change\n";
-    return "note: the run is edited, but the log's scans show what was there before: where they differ, the numbers do not say how good the edit is\n";
+    if (is_recastable(run))
+        return "note: the street was cast again with the run's edits, without noise; edited/* is over the pixels they change\n";
+    return "note: the run is edited, but the log's scans show what was there before: where they differ, the numbers do not say how good "
+           "the edit is\n";
 }
 
 /// Scores of the pixels an edit changes.
@@ -108,13 +113,16 @@ void score_run(const Options& options) {
     const auto start = std::chrono::steady_clock::now();
     Progress progress(options.quiet);
     std::optional<Evaluation> baseline;
-    if (!options.baseline.empty()) baseline = evaluate_baseline(options.baseline, run.config, run.sequence, run.split, shown_until_interrupted(progress));
+    if (!options.baseline.empty())
+        baseline = evaluate_baseline(options.baseline, run.config, run.sequence, run.split, shown_until_interrupted(progress));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress));
     add_edited_scores(evaluation, run.config, before);
     if (!options.quiet) print(edit_note(run));
     write_results(output, evaluation, run.config,
-                  {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds_since(start), baseline ? &*baseline : nullptr}, options.quiet);
+                  {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds_since(start),
+                   baseline ? &*baseline : nullptr},
+                  options.quiet);
 }
 
 /// The baseline alone: a log, no run, no device.
@@ -122,7 +130,8 @@ void score_log(const Options& options) {
     Config config = make_preset("default");
     apply_options(config, options);
     config.dataset.path = absolute_dataset(options.target);
-    const FrameRange range = options.frames.empty() ? FrameRange{config.dataset.frames_begin, config.dataset.frames_end} : parse_frames(options.frames);
+    const FrameRange range =
+        options.frames.empty() ? FrameRange{config.dataset.frames_begin, config.dataset.frames_end} : parse_frames(options.frames);
     config.dataset.frames_begin = range.begin;
     config.dataset.frames_end = range.end;
     const Output output(options.out, options.pictures);
@@ -141,7 +150,8 @@ void score_log(const Options& options) {
 void run_eval(const Options& options) {
     if (!options.baseline.empty()) (void)find_baseline(options.baseline);   // a wrong name is found before the log is read
     if (!options.baseline.empty() && !is_run(options.target)) return score_log(options);
-    if (!options.frames.empty()) throw UsageError("--frames: found it beside a run, which has its own held-out frames; expected it with --baseline and a log");
+    if (!options.frames.empty())
+        throw UsageError("--frames: found it beside a run, which has its own held-out frames; expected it with --baseline and a log");
     score_run(options);
 }
 
@@ -152,22 +162,33 @@ void add_eval(CLI::App& app, Call& call) {
     const auto options = std::make_shared<Options>();
     command->add_option("RUN", options->target, "run folder of `relidar train`; with --baseline also a log")->required();
     command->add_option("--out", options->out, "JSON file for the numbers (default: RUN/metrics.json; of a log: none)")->type_name("FILE");
-    command->add_option("--baseline", options->baseline, "score the two neighbouring real scans too, moved by the poses: nearest, or nearest-actors, which moves boxes with their tracks")->type_name("NAME");
+    command
+        ->add_option("--baseline", options->baseline,
+                     "score the two neighbouring real scans too, moved by the poses: nearest, or nearest-actors, which moves boxes with "
+                     "their tracks")
+        ->type_name("NAME");
     command->add_option("--frames", options->frames, "frames of a log, first:end (default: all)")->type_name("A:B");
-    command->add_option("--pictures", options->pictures, "folder for pictures of each held-out frame: real, rendered, error")->type_name("DIR");
-    command->add_option("--lpips-weights", options->lpips, "safetensors file with the weights of LPIPS (default: eval.lpips_weights, else RELIDAR_LPIPS_WEIGHTS)")->type_name("FILE");
+    command->add_option("--pictures", options->pictures, "folder for pictures of each held-out frame: real, rendered, error")
+        ->type_name("DIR");
+    command
+        ->add_option("--lpips-weights", options->lpips,
+                     "safetensors file with the weights of LPIPS (default: eval.lpips_weights, else RELIDAR_LPIPS_WEIGHTS)")
+        ->type_name("FILE");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer("The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"
-                    "Metrics: peer/* as published tables do it, strict/* over pixels returned in both, moving_boxes/* and so on by region; units in the names.\n"
-                    "An edited run of a synthetic street is scored against the street cast again with the same edits (edited/*: the pixels they change);\n"
-                    "one of a real log against the log's scans, which show what was there before.\n"
-                    "Examples:\n"
-                    "  relidar eval run\n"
-                    "  relidar eval run --out median.json --set render.range=median\n"
-                    "  relidar eval run --baseline nearest --pictures pictures\n"
-                    "  relidar eval LOG --baseline nearest --frames 0:50 --set sensor.grid=kitti360");
+    command->footer(
+        "The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"
+        "Metrics: peer/* as published tables do it, strict/* over pixels returned in both, moving_boxes/* and so on by region; units in "
+        "the names.\n"
+        "An edited run of a synthetic street is scored against the street cast again with the same edits (edited/*: the pixels they "
+        "change);\n"
+        "one of a real log against the log's scans, which show what was there before.\n"
+        "Examples:\n"
+        "  relidar eval run\n"
+        "  relidar eval run --out median.json --set render.range=median\n"
+        "  relidar eval run --baseline nearest --pictures pictures\n"
+        "  relidar eval LOG --baseline nearest --frames 0:50 --set sensor.grid=kitti360");
     command->callback([&call, options] { call.run = [options] { run_eval(*options); }; });
 }
 

@@ -18,40 +18,54 @@ namespace {
 using Json = nlohmann::ordered_json;
 using Rows = std::vector<std::vector<std::string>>;
 
-constexpr const char* kPeer = "all pixels, dropped ones at 0, ranges clamped to [1e-6, max_range_m], intensity to [1e-6, 1]; PSNR peak max_range_m and 1; SSIM 7 x 7 uniform; "
-                              "squared Chamfer distance and F-score at 0.05 m^2 squared distance over returned points; returned: drop_prob < 0.4";
-constexpr const char* kStrict = "returned: drop_prob < 0.5; image_*: all pixels, dropped ones at 0; depth_*, intensity_*: pixels returned in both; Chamfer distance: both ways summed; "
-                                "F-score at 5 cm and 22.4 cm; drop_*: dropped is positive";
-constexpr const char* kPoints = "as strict/depth_*, cd_* and f_*, of point clouds as files hold them: render.points, by default the dominant surface; strict/* is of the image, render.range";
-constexpr const char* kRegions = "pixels with a real return, the rendered value whatever its drop probability; `returned`: share of them with drop_prob < 0.5";
-constexpr const char* kActors = "tail_share: of the returned points (drop_prob < 0.5), those above ground where a moving box is at another time of the log but none is now; tail_share_real: of the log's";
+constexpr const char* kPeer =
+    "all pixels, dropped ones at 0, ranges clamped to [1e-6, max_range_m], intensity to [1e-6, 1]; PSNR peak max_range_m and 1; SSIM 7 x 7 "
+    "uniform; "
+    "squared Chamfer distance and F-score at 0.05 m^2 squared distance over returned points; returned: drop_prob < 0.4";
+constexpr const char* kStrict =
+    "returned: drop_prob < 0.5; image_*: all pixels, dropped ones at 0; depth_*, intensity_*: pixels returned in both; Chamfer distance: "
+    "both ways summed; "
+    "F-score at 5 cm and 22.4 cm; drop_*: dropped is positive";
+constexpr const char* kPoints =
+    "as strict/depth_*, cd_* and f_*, of point clouds as files hold them: render.points, by default the dominant surface; strict/* is of "
+    "the image, render.range";
+constexpr const char* kRegions =
+    "pixels with a real return, the rendered value whatever its drop probability; `returned`: share of them with drop_prob < 0.5";
+constexpr const char* kActors =
+    "tail_share: of the returned points (drop_prob < 0.5), those above ground where a moving box is at another time of the log but none is "
+    "now; tail_share_real: of the log's";
 constexpr const char* kColumns[] = {"pixels", "returned", "depth_medae_m", "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 
 Json protocol_json(const Config& config) {
     const std::string& lpips = config.eval.lpips_weights;
-    return {{"frames", "held out of training; mean over frames, metric by metric, over the frames that have it"},
-            {"grid", config.sensor.grid},
-            {"grid_method", config.sensor.grid == "native" ? "rays of the real scan" : config.sensor.grid_method},
-            {"range", config.render.range},
-            {"points_range", config.render.points == "median" ? "median" : config.render.range},
-            {"min_range_m", config.dataset.min_range_m},
-            {"max_range_m", config.dataset.max_range_m},
-            {"lpips", lpips.empty() ? "no weights" : "AlexNet, v0.1, on metres and intensity, x -> 2 x - 1 without a clamp; weights " + lpips},
-            {"peer", kPeer},
-            {"strict", kStrict},
-            {"points", kPoints},
-            {"regions", kRegions},
-            {"actors", kActors},
-            {"drop_threshold", {{"peer", 0.4}, {"strict", 0.5}, {"regions", 0.5}}}};
+    return {
+        {"frames", "held out of training; mean over frames, metric by metric, over the frames that have it"},
+        {"grid", config.sensor.grid},
+        {"grid_method", config.sensor.grid == "native" ? "rays of the real scan" : config.sensor.grid_method},
+        {"range", config.render.range},
+        {"points_range", config.render.points == "median" ? "median" : config.render.range},
+        {"min_range_m", config.dataset.min_range_m},
+        {"max_range_m", config.dataset.max_range_m},
+        {"lpips", lpips.empty() ? "no weights" : "AlexNet, v0.1, on metres and intensity, x -> 2 x - 1 without a clamp; weights " + lpips},
+        {"peer", kPeer},
+        {"strict", kStrict},
+        {"points", kPoints},
+        {"regions", kRegions},
+        {"actors", kActors},
+        {"drop_threshold", {{"peer", 0.4}, {"strict", 0.5}, {"regions", 0.5}}}};
 }
 
 Json frames_json(const Evaluation& evaluation) {
     Json frames = Json::array();
-    for (const ScoredFrame& f : evaluation.frames) frames.push_back({{"frame", f.frame}, {"lidar", f.lidar}, {"time_s", f.time_s}, {"trace_ms", f.rendered.trace_ms}, {"metrics", f.metrics}});
+    for (const ScoredFrame& f : evaluation.frames)
+        frames.push_back(
+            {{"frame", f.frame}, {"lidar", f.lidar}, {"time_s", f.time_s}, {"trace_ms", f.rendered.trace_ms}, {"metrics", f.metrics}});
     return frames;
 }
 
-bool of_protocol(const std::string& name) { return name.starts_with("peer/") || name.starts_with("strict/") || name.starts_with("points/") || name.starts_with("actors/"); }
+bool of_protocol(const std::string& name) {
+    return name.starts_with("peer/") || name.starts_with("strict/") || name.starts_with("points/") || name.starts_with("actors/");
+}
 
 /// Lowest and highest of a metric over the frames that have it.
 std::pair<double, double> spread_of(const Evaluation& evaluation, const std::string& name) {
@@ -112,7 +126,8 @@ relidar::Progress shown_until_interrupted(Progress& progress) {
 
 std::string metric_table(const Evaluation& evaluation, const Evaluation* baseline) {
     Rows rows = protocol_rows(evaluation, baseline);
-    const bool lpips = std::any_of(evaluation.mean.begin(), evaluation.mean.end(), [](const auto& metric) { return metric.first.ends_with("_lpips"); });
+    const bool lpips =
+        std::any_of(evaluation.mean.begin(), evaluation.mean.end(), [](const auto& metric) { return metric.first.ends_with("_lpips"); });
     if (!lpips)
         for (const char* name : {"peer/depth_lpips", "peer/intensity_lpips"}) {
             rows.push_back({name, "no weights"});
@@ -120,7 +135,8 @@ std::string metric_table(const Evaluation& evaluation, const Evaluation* baselin
         }
     std::string text = table(rows) + "\n" + table(region_rows(evaluation));
     if (baseline) text += "\n" + table(region_rows(*baseline));
-    return text + fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n", kPeer, kStrict, kPoints, kRegions, kActors);
+    return text +
+           fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n", kPeer, kStrict, kPoints, kRegions, kActors);
 }
 
 std::string metrics_json(const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin) {
@@ -133,10 +149,15 @@ std::string metrics_json(const Evaluation& evaluation, const Config& config, con
                  {"protocol", protocol_json(config)},
                  {"mean", evaluation.mean},
                  {"frames", frames_json(evaluation)},
-                 {"timings", {{"kernel_ms", evaluation.kernel_ms}, {"trace_ms", evaluation.trace_ms}, {"mrays_per_s", evaluation.mrays_per_s}, {"seconds", origin.seconds}}},
+                 {"timings",
+                  {{"kernel_ms", evaluation.kernel_ms},
+                   {"trace_ms", evaluation.trace_ms},
+                   {"mrays_per_s", evaluation.mrays_per_s},
+                   {"seconds", origin.seconds}}},
                  {"device", origin.device},
                  {"peak_device_bytes", origin.peak_device_bytes}};
-    if (origin.baseline) json["baseline"] = {{"scored", origin.baseline->title}, {"mean", origin.baseline->mean}, {"frames", frames_json(*origin.baseline)}};
+    if (origin.baseline)
+        json["baseline"] = {{"scored", origin.baseline->title}, {"mean", origin.baseline->mean}, {"frames", frames_json(*origin.baseline)}};
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

@@ -34,28 +34,46 @@ std::string line(const std::string& name, const std::string& value) { return val
 
 std::string box_table(const std::vector<BoxSummary>& boxes, bool of_run) {
     if (boxes.empty()) return "";
-    std::vector<std::vector<std::string>> rows{{"track", "class", "length", "width", "height", "frames", "path", "speed", "start x,y,z,yaw_deg"}};
+    std::vector<std::vector<std::string>> rows{
+        {"track", "class", "length", "width", "height", "frames", "path", "speed", "start x,y,z,yaw_deg"}};
     if (of_run) rows[0].insert(rows[0].end(), {"instance", "surfels"});
     for (const BoxSummary& b : boxes) {
-        rows.push_back({b.id, b.category, fmt::format("{:.2f} m", b.size_m.x), fmt::format("{:.2f} m", b.size_m.y), fmt::format("{:.2f} m", b.size_m.z),
-                        b.n_frames ? fmt::format("{}-{}", b.first_frame, b.last_frame) : "none", fmt::format("{:.1f} m", b.path_m),
-                        b.parked ? "parked" : fmt::format("{:.1f} m/s", b.mean_speed_mps), fmt::format("{:.2f},{:.2f},{:.2f},{:.1f}", b.start_m.x, b.start_m.y, b.start_m.z, b.start_yaw_deg)});
-        if (of_run) rows.back().insert(rows.back().end(), {b.instance ? fmt::format("{}", *b.instance) : "-", b.instance ? fmt::format("{}", b.n_surfels) : "-"});
+        rows.push_back({b.id, b.category, fmt::format("{:.2f} m", b.size_m.x), fmt::format("{:.2f} m", b.size_m.y),
+                        fmt::format("{:.2f} m", b.size_m.z), b.n_frames ? fmt::format("{}-{}", b.first_frame, b.last_frame) : "none",
+                        fmt::format("{:.1f} m", b.path_m), b.parked ? "parked" : fmt::format("{:.1f} m/s", b.mean_speed_mps),
+                        fmt::format("{:.2f},{:.2f},{:.2f},{:.1f}", b.start_m.x, b.start_m.y, b.start_m.z, b.start_yaw_deg)});
+        if (of_run)
+            rows.back().insert(rows.back().end(),
+                               {b.instance ? fmt::format("{}", *b.instance) : "-", b.instance ? fmt::format("{}", b.n_surfels) : "-"});
     }
     return "\n" + table(rows);
 }
 
 Json json_of(const BoxSummary& b) {
-    Json json = {{"id", b.id}, {"category", b.category}, {"size_m", {b.size_m.x, b.size_m.y, b.size_m.z}}, {"frames", b.n_frames}, {"first_frame", b.first_frame},
-                 {"last_frame", b.last_frame}, {"path_m", b.path_m}, {"mean_speed_mps", b.mean_speed_mps}, {"moving", b.moves}, {"parked", b.parked},
-                 {"start_m", {b.start_m.x, b.start_m.y, b.start_m.z}}, {"start_yaw_deg", b.start_yaw_deg}, {"instance", nullptr}, {"surfels", b.n_surfels}};
+    Json json = {{"id", b.id},
+                 {"category", b.category},
+                 {"size_m", {b.size_m.x, b.size_m.y, b.size_m.z}},
+                 {"frames", b.n_frames},
+                 {"first_frame", b.first_frame},
+                 {"last_frame", b.last_frame},
+                 {"path_m", b.path_m},
+                 {"mean_speed_mps", b.mean_speed_mps},
+                 {"moving", b.moves},
+                 {"parked", b.parked},
+                 {"start_m", {b.start_m.x, b.start_m.y, b.start_m.z}},
+                 {"start_yaw_deg", b.start_yaw_deg},
+                 {"instance", nullptr},
+                 {"surfels", b.n_surfels}};
     if (b.instance) json["instance"] = *b.instance;
     return json;
 }
 
 Json json_of(const LidarSummary& l) {
-    return {{"name", l.name}, {"sensor", l.sensor}, {"rows", l.n_beams}, {"columns", l.columns}, {"top_deg", l.top_deg}, {"bottom_deg", l.bottom_deg},
-            {"period_s", l.period_s}, {"max_range_m", l.max_range_m}, {"frames", l.n_frames}, {"further_returns", l.n_further}};
+    return {{"name", l.name},         {"sensor", l.sensor},
+            {"rows", l.n_beams},      {"columns", l.columns},
+            {"top_deg", l.top_deg},   {"bottom_deg", l.bottom_deg},
+            {"period_s", l.period_s}, {"max_range_m", l.max_range_m},
+            {"frames", l.n_frames},   {"further_returns", l.n_further}};
 }
 
 Json json_of(const LogSummary& log) {
@@ -63,10 +81,20 @@ Json json_of(const LogSummary& log) {
     for (const BoxSummary& b : log.boxes) boxes.push_back(json_of(b));
     Json lidars = Json::array();
     for (const LidarSummary& l : log.lidars) lidars.push_back(json_of(l));
-    Json json = {{"name", log.name}, {"source", log.source}, {"conventions", log.conventions}, {"notes", log.notes},
+    Json json = {{"name", log.name},
+                 {"source", log.source},
+                 {"conventions", log.conventions},
+                 {"notes", log.notes},
                  {"lidars", lidars},
-                 {"rolling_shutter", log.rolling_shutter}, {"frames", log.n_frames}, {"first_frame", log.first_frame}, {"last_frame", log.last_frame},
-                 {"seconds", log.seconds}, {"path_m", log.path_m}, {"returns_share", nullptr}, {"boxes", boxes}, {"masked", log.masked}};
+                 {"rolling_shutter", log.rolling_shutter},
+                 {"frames", log.n_frames},
+                 {"first_frame", log.first_frame},
+                 {"last_frame", log.last_frame},
+                 {"seconds", log.seconds},
+                 {"path_m", log.path_m},
+                 {"returns_share", nullptr},
+                 {"boxes", boxes},
+                 {"masked", log.masked}};
     if (log.returns_share) json["returns_share"] = *log.returns_share;
     return json;
 }
@@ -106,7 +134,8 @@ LidarSummary summarise(const Sequence& sequence, int which) {
     for (const Frame& frame : sequence.frames) {
         if (frame.lidar != which) continue;
         ++l.n_frames;
-        for (const FurtherReturn& f : frame.scan.further) l.n_further += std::size_t(std::count_if(f.range_m.begin(), f.range_m.end(), [](float r) { return r > 0.0f; }));
+        for (const FurtherReturn& f : frame.scan.further)
+            l.n_further += std::size_t(std::count_if(f.range_m.begin(), f.range_m.end(), [](float r) { return r > 0.0f; }));
     }
     return l;
 }
@@ -115,18 +144,20 @@ std::string text_of(const LidarSummary& l) {
     const std::string name = l.name.empty() ? "" : fmt::format("{}, {} frames, ", l.name, l.n_frames);
     const std::string further = l.n_further == 0 ? "" : fmt::format(", {} further returns", l.n_further);
     if (l.n_beams == 0) return fmt::format("{}{}: no beams known, {:.4g} m{}", name, l.sensor, l.max_range_m, further);
-    return fmt::format("{}{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s a sweep, {:.4g} m{}", name, l.sensor, l.n_beams, l.columns, l.top_deg, l.bottom_deg, l.period_s,
-                       l.max_range_m, further);
+    return fmt::format("{}{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s a sweep, {:.4g} m{}", name, l.sensor, l.n_beams,
+                       l.columns, l.top_deg, l.bottom_deg, l.period_s, l.max_range_m, further);
 }
 
 std::string text_of(const LogSummary& log, bool of_run) {
     std::string text = line("log", log.name) + line("source", log.source) + line("conventions", log.conventions);
     for (const std::string& note : log.notes) text += line("note", note);
     for (const LidarSummary& lidar : log.lidars) text += line("sensor", text_of(lidar) + (log.rolling_shutter ? ", rolling shutter" : ""));
-    text += line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames, log.first_frame, log.last_frame, log.seconds, log.path_m));
+    text += line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames, log.first_frame, log.last_frame,
+                                       log.seconds, log.path_m));
     if (log.returns_share) text += line("returns", fmt::format("{:.1f} % of all rays", 100.0 * *log.returns_share));
     const auto parked = std::count_if(log.boxes.begin(), log.boxes.end(), [](const BoxSummary& b) { return b.parked; });
-    text += line("boxes", fmt::format("{}: {} moving, {} parked", log.boxes.size(), static_cast<std::ptrdiff_t>(log.boxes.size()) - parked, parked));
+    text += line("boxes",
+                 fmt::format("{}: {} moving, {} parked", log.boxes.size(), static_cast<std::ptrdiff_t>(log.boxes.size()) - parked, parked));
     text += line("masked", log.masked);
     return text + box_table(log.boxes, of_run);
 }
@@ -157,7 +188,8 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
 RunSummary summarise(const Run& run) {
     RunSummary summary;
     summary.log = summarise(run.sequence, run.config.init);
-    summary.log.masked = run.edits.empty() ? names_of(masked_boxes(run.scene, run.sequence, run.config.init)) : "";   // what an edit removed is told by it
+    // what an edit removed is told by it
+    summary.log.masked = run.edits.empty() ? names_of(masked_boxes(run.scene, run.sequence, run.config.init)) : "";
     summary.preset = run.config.preset;
     summary.iterations = run.config.train.iterations;
     summary.n_surfels = run.scene.surfels.size();
@@ -189,7 +221,8 @@ std::string to_text(const RunSummary& run) {
     text += line("instances", fmt::format("{}, the background is 0", run.n_instances));
     for (const RunEdit& e : run.edits) text += line("  edit", fmt::format("{} (of {})", e.edit, e.run));
     text += line("settings", fmt::format("preset {}, {} iterations", run.preset, run.iterations));
-    text += line("split", fmt::format("{} training frames, {} test frames ({})", run.n_train, run.test_frames.size(), fmt::join(run.test_frames, ", ")));
+    text += line("split", fmt::format("{} training frames, {} test frames ({})", run.n_train, run.test_frames.size(),
+                                      fmt::join(run.test_frames, ", ")));
     std::vector<std::vector<std::string>> rows{{"file", "size"}};
     for (const auto& [name, size] : run.files) rows.push_back({name, byte_size(size)});
     return text + text_of(run.log, true) + "\n" + table(rows);
@@ -198,8 +231,11 @@ std::string to_text(const RunSummary& run) {
 std::string to_json(const LogSummary& log) { return dumped(json_of(log)); }
 
 std::string to_json(const RunSummary& run) {
-    Json json = {{"preset", run.preset}, {"iterations", run.iterations}, {"surfels", run.n_surfels}, {"primitive", run.is_gaussian ? "gaussian" : "surfel"}, {"models", Json::array()},
-                 {"train_frames", run.n_train}, {"test_frames", run.test_frames}, {"files", Json::object()}, {"log", json_of(run.log)}};
+    Json json = {{"preset", run.preset},           {"iterations", run.iterations},
+                 {"surfels", run.n_surfels},       {"primitive", run.is_gaussian ? "gaussian" : "surfel"},
+                 {"models", Json::array()},        {"train_frames", run.n_train},
+                 {"test_frames", run.test_frames}, {"files", Json::object()},
+                 {"log", json_of(run.log)}};
     for (const auto& [name, count] : run.models) json["models"].push_back({{"name", name}, {"surfels", count}});
     json["instances"] = run.n_instances;
     json["edits"] = Json::array();

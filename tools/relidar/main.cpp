@@ -43,7 +43,9 @@ void run(int argc, char** argv) {
     app.set_version_flag("--version", std::string("relidar ") + RELIDAR_VERSION);
     app.require_subcommand(0, 1);
     app.footer(kFooter);
-    for (const auto& add : {cli::add_demo, cli::add_train, cli::add_render, cli::add_edit, cli::add_eval, cli::add_export, cli::add_import, cli::add_info, cli::add_bench, cli::add_config, cli::add_devices, cli::add_pipelines}) add(app, call);
+    for (const auto& add : {cli::add_demo, cli::add_train, cli::add_render, cli::add_edit, cli::add_eval, cli::add_export, cli::add_import,
+                            cli::add_info, cli::add_bench, cli::add_config, cli::add_devices, cli::add_pipelines})
+        add(app, call);
     try {
         app.parse(argc, argv);
     } catch (const CLI::Success& help) {
@@ -72,7 +74,9 @@ int main(int argc, char** argv) {
     } catch (const Error& error) {
         return report(error.code(), error.what());
     } catch (const std::bad_alloc&) {
-        return report(ExitCode::data, "out of memory: the machine cannot hold this log or scene; take fewer frames (--frames a:b) or larger voxels (--set init.voxel_m=...)");
+        return report(ExitCode::data,
+                      "out of memory: the machine cannot hold this log or scene; take fewer frames (--frames a:b) or larger voxels (--set "
+                      "init.voxel_m=...)");
     } catch (const std::filesystem::filesystem_error& error) {   // what the system refuses is no fault of ours
         return report(ExitCode::data, fmt::format("{}: {}", error.path1().string(), error.code().message()));
     } catch (const std::exception& error) {

@@ -27,24 +27,38 @@ bool parse(const std::string& text, T& value) {
 }  // namespace
 
 void add_device_options(CLI::App& command, DeviceChoice& choice) {
-    command.add_option("--device", choice.index, "Vulkan device by its number in `relidar devices` (default: a GPU, one with ray query first; else a CPU device)")->type_name("N");
-    command.add_option("--traversal", choice.traversal, "how rays find surfels: auto, ray_query or software; auto is ray_query on a GPU that has it, else software (default: auto)")->type_name("HOW");
+    command
+        .add_option("--device", choice.index,
+                    "Vulkan device by its number in `relidar devices` (default: a GPU, one with ray query first; else a CPU device)")
+        ->type_name("N");
+    command
+        .add_option(
+            "--traversal", choice.traversal,
+            "how rays find surfels: auto, ray_query or software; auto is ray_query on a GPU that has it, else software (default: auto)")
+        ->type_name("HOW");
 }
 
 DeviceOptions device_options(const DeviceChoice& choice) {
     DeviceOptions options;
-    if (choice.index < -1) throw UsageError(fmt::format("--device: found {}, expected a number that `relidar devices` lists", choice.index));
+    if (choice.index < -1)
+        throw UsageError(fmt::format("--device: found {}, expected a number that `relidar devices` lists", choice.index));
     options.index = choice.index;
     options.traversal = find_traversal(choice.traversal);
     return from_environment(options);
 }
 
 void add_set_option(CLI::App& command, std::vector<std::string>& sets) {
-    command.add_option("--set", sets, "change one setting, as in loss.depth=0.2; repeatable; `relidar config` lists all keys")->type_name("KEY=VALUE")->type_size(1)->allow_extra_args(false);
+    command.add_option("--set", sets, "change one setting, as in loss.depth=0.2; repeatable; `relidar config` lists all keys")
+        ->type_name("KEY=VALUE")
+        ->type_size(1)
+        ->allow_extra_args(false);
 }
 
 void add_settings_options(CLI::App& command, Settings& settings) {
-    command.add_option("--preset", settings.preset, "settings to start from: default, quick (minutes on a CPU), paper (its text) or released (its authors' settings)")->type_name("NAME");
+    command
+        .add_option("--preset", settings.preset,
+                    "settings to start from: default, quick (minutes on a CPU), paper (its text) or released (its authors' settings)")
+        ->type_name("NAME");
     command.add_option("--config", settings.file, "TOML file with settings, over the preset")->type_name("FILE");
     add_set_option(command, settings.sets);
 }
@@ -59,7 +73,8 @@ Config resolve(const Settings& settings) {
 void apply_sets(Config& config, const std::vector<std::string>& sets) {
     for (const std::string& set : sets) {
         const std::size_t equals = set.find('=');
-        if (equals == std::string::npos || equals == 0) throw UsageError(fmt::format("--set: found \"{}\", expected key=value, as in loss.depth=0.2", set));
+        if (equals == std::string::npos || equals == 0)
+            throw UsageError(fmt::format("--set: found \"{}\", expected key=value, as in loss.depth=0.2", set));
         set_key(config, set.substr(0, equals), set.substr(equals + 1));
     }
 }
@@ -72,12 +87,14 @@ FrameRange parse_frames(const std::string& text) {
     if (!good || range.begin < 0 || (!end.empty() && range.end < 0)) {
         throw UsageError(fmt::format("--frames: found \"{}\", expected first:end, end not included, as in 0:50", text));
     }
-    if (range.end != -1 && range.begin >= range.end) throw UsageError(fmt::format("--frames: found \"{}\", an empty range, expected first < end", text));
+    if (range.end != -1 && range.begin >= range.end)
+        throw UsageError(fmt::format("--frames: found \"{}\", an empty range, expected first < end", text));
     return range;
 }
 
 void note_frames_beyond(const FrameRange& range, int last, const std::string& where) {
-    if (range.end > last + 1) note(fmt::format("frames {}:{}: {} ends with frame {}; the rest is left out", range.begin, range.end, where, last));
+    if (range.end > last + 1)
+        note(fmt::format("frames {}:{}: {} ends with frame {}; the rest is left out", range.begin, range.end, where, last));
 }
 
 std::vector<double> parse_list(const std::string& option, const std::string& text) {
@@ -85,7 +102,8 @@ std::vector<double> parse_list(const std::string& option, const std::string& tex
     for (const std::string& typed : split(text, ',')) {
         const std::string word = without_blanks(typed);
         double value = 0.0;
-        if (!parse(word, value) || !std::isfinite(value)) throw UsageError(fmt::format("{}: found \"{}\" in \"{}\", expected numbers parted by commas", option, word, text));
+        if (!parse(word, value) || !std::isfinite(value))
+            throw UsageError(fmt::format("{}: found \"{}\" in \"{}\", expected numbers parted by commas", option, word, text));
         numbers.push_back(value);
     }
     return numbers;
@@ -114,7 +132,8 @@ std::string absolute_path(const std::string& path) {
 Sequence load_dataset(const Config& config, bool quiet) {
     Progress progress(quiet);
     Sequence sequence = load_log(config, shown_by(progress));
-    if (!sequence.frames.empty()) note_frames_beyond({config.dataset.frames_begin, config.dataset.frames_end}, sequence.frames.back().index, sequence.source);
+    if (!sequence.frames.empty())
+        note_frames_beyond({config.dataset.frames_begin, config.dataset.frames_end}, sequence.frames.back().index, sequence.source);
     return sequence;
 }
 

@@ -48,15 +48,20 @@ bool holds_run(const fs::path& folder) {
 
 void check_content(const fs::path& folder, Existing existing) {
     if (holds_nothing(folder)) return;
-    if (is_dataset(folder)) throw UsageError(fmt::format("--out {}: the folder holds a log, expected another one for the run", folder.string()));
-    if (!holds_run(folder)) throw UsageError(fmt::format("--out {}: the folder is not empty and holds no run, expected a new one", folder.string()));
-    if (existing == Existing::refuse) throw UsageError(fmt::format("--out {}: the folder is not empty, expected a new one; --force overwrites the run in it", folder.string()));
+    if (is_dataset(folder))
+        throw UsageError(fmt::format("--out {}: the folder holds a log, expected another one for the run", folder.string()));
+    if (!holds_run(folder))
+        throw UsageError(fmt::format("--out {}: the folder is not empty and holds no run, expected a new one", folder.string()));
+    if (existing == Existing::refuse)
+        throw UsageError(
+            fmt::format("--out {}: the folder is not empty, expected a new one; --force overwrites the run in it", folder.string()));
 }
 
 /// Whether the name still leads to the file that is open: whoever let it go has removed it.
 bool is_same_file(int descriptor, const fs::path& file) {
     struct stat opened {}, named {};
-    return ::fstat(descriptor, &opened) == 0 && ::stat(file.c_str(), &named) == 0 && opened.st_dev == named.st_dev && opened.st_ino == named.st_ino;
+    return ::fstat(descriptor, &opened) == 0 && ::stat(file.c_str(), &named) == 0 && opened.st_dev == named.st_dev &&
+           opened.st_ino == named.st_ino;
 }
 
 }  // namespace
@@ -75,7 +80,8 @@ OutputFolder::~OutputFolder() {
 FolderLock::FolderLock(const fs::path& folder) : file_(folder / kLockFile) {
     for (bool held = false; !held;) {
         descriptor_ = ::open(file_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
-        if (descriptor_ < 0) throw DataError(fmt::format("{}: cannot be written: {}", file_.string(), std::generic_category().message(errno)));
+        if (descriptor_ < 0)
+            throw DataError(fmt::format("{}: cannot be written: {}", file_.string(), std::generic_category().message(errno)));
         if (::flock(descriptor_, LOCK_EX | LOCK_NB) != 0 && errno == EWOULDBLOCK) {
             ::close(descriptor_);
             throw DataError(fmt::format("{}: another relidar is writing this run, expected one at a time", folder.string()));
@@ -99,7 +105,8 @@ RunFolder::RunFolder(const fs::path& path, Existing existing) {
 
 void remove_run_files(const fs::path& folder) {
     std::error_code failed;
-    for (const char* name : {"scene.json", "model.safetensors", "log.jsonl", "metrics.json", "report.html"}) fs::remove(folder / name, failed);
+    for (const char* name : {"scene.json", "model.safetensors", "log.jsonl", "metrics.json", "report.html"})
+        fs::remove(folder / name, failed);
     remove_temporaries(folder);
     remove_temporaries(checkpoint_folder(folder));
 }

@@ -58,8 +58,8 @@ private:
     std::optional<FolderLock> lock_;   ///< goes first: an empty folder can be removed
 };
 
-/// Removes the files of an earlier run but its settings and checkpoints, so that none is mistaken for one of this run, and what a killed one left
-/// half written.
+/// Removes the files of an earlier run but its settings and checkpoints, so that none is mistaken for one of this run, and what a killed
+/// one left half written.
 void remove_run_files(const std::filesystem::path& folder);
 /// Where a run keeps its checkpoints.
 std::filesystem::path checkpoint_folder(const std::filesystem::path& run);

@@ -28,7 +28,8 @@ std::vector<float> distance(const std::vector<float>& a, const std::vector<float
 
 }  // namespace
 
-std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title, const std::string& real_caption, double max_range_m) {
+std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title, const std::string& real_caption,
+                                             double max_range_m) {
     const RangeImage& real = frame.real;
     const RangeImage& rendered = frame.rendered.image;
     const std::vector<float> mask = both(returned_pixels(real), returned_pixels(rendered));
@@ -38,11 +39,13 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
     return {{title + ": range",
              {{real_caption, range_picture(real, max_range_m)},
               {"rendered", range_picture(rendered, max_range_m)},
-              {fmt::format("absolute error where both return, black 0 to white {} m", kRangeErrorScale_m), error(real.range_m, rendered.range_m, kRangeErrorScale_m, mask)}}},
+              {fmt::format("absolute error where both return, black 0 to white {} m", kRangeErrorScale_m),
+               error(real.range_m, rendered.range_m, kRangeErrorScale_m, mask)}}},
             {title + ": intensity",
              {{real_caption, intensity_picture(real)},
               {"rendered", intensity_picture(rendered)},
-              {fmt::format("absolute error where both return, black 0 to white {}", kIntensityErrorScale), error(real.intensity, rendered.intensity, kIntensityErrorScale, mask)}}},
+              {fmt::format("absolute error where both return, black 0 to white {}", kIntensityErrorScale),
+               error(real.intensity, rendered.intensity, kIntensityErrorScale, mask)}}},
             {title + ": ray drop",
              {{real_caption + ", white: dropped", drop_picture(real)},
               {"rendered drop probability", drop_picture(rendered)},

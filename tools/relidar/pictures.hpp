@@ -16,7 +16,8 @@ namespace relidar::cli {
 
 /// Range, intensity and ray-drop of a frame, each real, rendered and error.
 /// @param title in front of each figure's name @param real caption of the real images
-std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title, const std::string& real, double max_range_m);
+std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title, const std::string& real,
+                                             double max_range_m);
 
 /// Writes FOLDER/{range,intensity,drop}_000123.png for each frame: real, rendered and error stacked.
 void write_strips(const std::filesystem::path& folder, const Evaluation& evaluation, double max_range_m);

@@ -57,7 +57,8 @@ std::vector<std::vector<std::string>> rows_of(const std::vector<PipelineStatisti
     std::vector<std::vector<std::string>> rows{{"kernel", "constants", "workgroup", "subgroup", "failure"}};
     rows[0].insert(rows[0].end(), names.begin(), names.end());
     for (const PipelineStatistics& p : pipelines) {
-        std::vector<std::string> row{p.kernel, p.constants, fmt::format("{}", p.workgroup_size), fmt::format("{}", p.subgroup_size), p.failure};
+        std::vector<std::string> row{p.kernel, p.constants, fmt::format("{}", p.workgroup_size), fmt::format("{}", p.subgroup_size),
+                                     p.failure};
         for (const std::string& name : names) row.push_back(p.values.count(name) ? fmt::format("{}", p.values.at(name)) : "");
         rows.push_back(row);
     }
@@ -76,13 +77,16 @@ void run(const Options& options) {
 }  // namespace
 
 void add_pipelines(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("pipelines", "compile every kernel as the program uses it and print what the device's compiler says: registers, spills, waves");
+    CLI::App* command = app.add_subcommand(
+        "pipelines", "compile every kernel as the program uses it and print what the device's compiler says: registers, spills, waves");
     const auto options = std::make_shared<Options>();
     command->add_option("--device", options->device, "number of `relidar devices`");
-    command->add_option("--traversal", options->traversal, "software, ray_query or both")->check(CLI::IsMember({"software", "ray_query", "both"}));
+    command->add_option("--traversal", options->traversal, "software, ray_query or both")
+        ->check(CLI::IsMember({"software", "ray_query", "both"}));
     command->add_option("--kernel", options->kernel, "only kernels whose name contains this");
     command->add_flag("--tsv", options->tsv, "one line a pipeline, columns separated by tabs");
-    command->footer("Nothing is run, so a driver without hardware will do (tools/dev/gpu_report).\nExample: relidar pipelines --kernel trace");
+    command->footer(
+        "Nothing is run, so a driver without hardware will do (tools/dev/gpu_report).\nExample: relidar pipelines --kernel trace");
     command->callback([&call, options] { call.run = [options] { run(*options); }; });
 }
 

@@ -28,14 +28,16 @@ std::size_t car_of(const Model& model, const std::string& track) {
     std::size_t car = 0;
     const auto [end, error] = std::from_chars(model.name.data(), model.name.data() + model.name.size(), car);
     if (error != std::errc() || end != model.name.data() + model.name.size())
-        throw DataError(fmt::format("casting the edited street: track {} has the model \"{}\", expected the number of a car of the street", track, model.name));
+        throw DataError(fmt::format("casting the edited street: track {} has the model \"{}\", expected the number of a car of the street",
+                                    track, model.name));
     return car;
 }
 
 std::vector<StreetCar> cars_of(const Run& run) {
     std::vector<StreetCar> cars;
     for (const Instance& instance : run.scene.instances) {
-        const auto box = std::find_if(run.sequence.boxes.begin(), run.sequence.boxes.end(), [&](const BoxTrack& b) { return !instance.track.empty() && b.id == instance.track; });
+        const auto box = std::find_if(run.sequence.boxes.begin(), run.sequence.boxes.end(),
+                                      [&](const BoxTrack& b) { return !instance.track.empty() && b.id == instance.track; });
         if (box != run.sequence.boxes.end()) cars.push_back({car_of(run.scene.models[instance.model], instance.track), *box});
     }
     return cars;
@@ -67,7 +69,8 @@ std::vector<Scan> attach_recast(Run& run) {
 
 Region edited_region(const RangeImage& edited, const RangeImage& before) {
     Region region{"edited", std::vector<bool>(edited.range_m.size())};
-    for (std::size_t i = 0; i < region.pixels.size(); ++i) region.pixels[i] = std::abs(edited.range_m[i] - before.range_m[i]) > kSameRange_m;
+    for (std::size_t i = 0; i < region.pixels.size(); ++i)
+        region.pixels[i] = std::abs(edited.range_m[i] - before.range_m[i]) > kSameRange_m;
     return region;
 }
 

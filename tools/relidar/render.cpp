@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar render: scans of a run, from where the sensor was, beside it, or along a path of one's own, by its own sensor or another, as files.
+// relidar render: scans of a run, from where the sensor was, beside it, or along a path of one's own, by its own sensor or another, as
+// files.
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -75,7 +76,8 @@ std::vector<int> choose_frames(const Run& run, const std::optional<std::string>&
         if (!positions.empty()) note_frames_beyond(range, last, run.folder.string());
     }
     if (positions.empty()) {
-        throw UsageError(fmt::format("--frames {}: no frame of {} lies in it, expected numbers in {}..{}, or test, train or all", which, run.folder.string(), run.sequence.frames.front().index, last));
+        throw UsageError(fmt::format("--frames {}: no frame of {} lies in it, expected numbers in {}..{}, or test, train or all", which,
+                                     run.folder.string(), run.sequence.frames.front().index, last));
     }
     return positions;
 }
@@ -84,10 +86,12 @@ std::vector<int> choose_frames(const Run& run, const std::optional<std::string>&
 Pose parse_offset(const std::string& text) {
     if (text.empty()) return {};
     const std::vector<double> v = parse_list("--offset", text);
-    if (v.size() != 3 && v.size() != 4) throw UsageError(fmt::format("--offset: found {} numbers in \"{}\", expected x,y,z or x,y,z,yaw_deg", v.size(), text));
+    if (v.size() != 3 && v.size() != 4)
+        throw UsageError(fmt::format("--offset: found {} numbers in \"{}\", expected x,y,z or x,y,z,yaw_deg", v.size(), text));
     for (std::size_t i = 0; i < 3; ++i)
         if (std::abs(v[i]) > kFarthestOffset_m) {
-            throw UsageError(fmt::format("--offset: found {} in \"{}\", expected metres between -{} and {}", v[i], text, kFarthestOffset_m, kFarthestOffset_m));
+            throw UsageError(fmt::format("--offset: found {} in \"{}\", expected metres between -{} and {}", v[i], text, kFarthestOffset_m,
+                                         kFarthestOffset_m));
         }
     if (v.size() == 4 && std::abs(v[3]) > 360.0) {
         throw UsageError(fmt::format("--offset: found a turn of {} in \"{}\", expected degrees between -360 and 360", v[3], text));
@@ -103,7 +107,9 @@ std::vector<std::string> parse_formats(const std::string& list) {
     for (const std::string& word : split(list, ',')) {
         const std::string name = without_blanks(word);
         const std::optional<std::string> format = known_name(name, known);
-        if (!format) throw UsageError(fmt::format("--format: found \"{}\", did you mean {}? (known: {})", name, nearest_name(name, known), fmt::join(known, ", ")));
+        if (!format)
+            throw UsageError(fmt::format("--format: found \"{}\", did you mean {}? (known: {})", name, nearest_name(name, known),
+                                         fmt::join(known, ", ")));
         wanted.push_back(*format);
     }
     return wanted;
@@ -134,12 +140,15 @@ void check_options(const Options& options) {
     parse_point_frame(options.point_frame);
     const std::vector<std::filesystem::path> files = options.overwrite ? std::vector<std::filesystem::path>{} : scans_in(options.out);
     if (!files.empty()) {
-        throw UsageError(fmt::format("--out {}: the folder holds another rendering ({} files, one is {}), expected a new one; --overwrite replaces it", options.out,
-                                     files.size(), files.front().filename().string()));
+        throw UsageError(
+            fmt::format("--out {}: the folder holds another rendering ({} files, one is {}), expected a new one; --overwrite replaces it",
+                        options.out, files.size(), files.front().filename().string()));
     }
     const TrajectoryChoice& t = options.trajectory;
-    if (t.file.empty() && (t.rate_hz || !t.times.empty())) throw UsageError("--rate and --times: found no --trajectory, expected one: they say when scans are taken on it");
-    if (!t.file.empty() && options.frames) throw UsageError("--frames: found --trajectory too, expected one of them; --times chooses moments on a trajectory");
+    if (t.file.empty() && (t.rate_hz || !t.times.empty()))
+        throw UsageError("--rate and --times: found no --trajectory, expected one: they say when scans are taken on it");
+    if (!t.file.empty() && options.frames)
+        throw UsageError("--frames: found --trajectory too, expected one of them; --times chooses moments on a trajectory");
     if (t.rate_hz && !t.times.empty()) throw UsageError("--rate: found --times too, expected one of them");
 }
 
@@ -155,12 +164,14 @@ std::vector<Sweep> sweeps_of_log(const Run& run, const Options& options, int lid
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
         if (frame.lidar == lidar) sweeps.push_back({frame.index, frame.time_s});
     }
-    if (sweeps.empty()) throw UsageError(fmt::format("--lidar {}: took none of the chosen frames of {}", options.lidar, run.folder.string()));
+    if (sweeps.empty())
+        throw UsageError(fmt::format("--lidar {}: took none of the chosen frames of {}", options.lidar, run.folder.string()));
     return sweeps;
 }
 
 std::vector<Sweep> sweeps_along(const Run& run, const Options& options, const PoseTrack& track, int lidar) {
-    const std::vector<double> times_s = scan_times(options.trajectory, track, 1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar)].sensor.period_s);
+    const std::vector<double> times_s =
+        scan_times(options.trajectory, track, 1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar)].sensor.period_s);
     if (!options.quiet) note_beyond_log(run, track, times_s);
     std::vector<Sweep> sweeps;
     for (const double t : times_s) sweeps.push_back({static_cast<int>(sweeps.size()), t});
@@ -177,7 +188,8 @@ void run_render(const Options& options) {
     apply_sets(run.config, options.sets);
     const int lidar = find_lidar(run.sequence, options.lidar);
     const std::vector<Sweep> sweeps = drives ? sweeps_along(run, options, track, lidar) : sweeps_of_log(run, options, lidar);
-    const SensorChoice sensor = options.sensor.empty() ? configured_sensor(run.config, run.sequence, lidar) : choose_sensor(options.sensor, run.config, run.sequence, lidar);
+    const SensorChoice sensor = options.sensor.empty() ? configured_sensor(run.config, run.sequence, lidar)
+                                                       : choose_sensor(options.sensor, run.config, run.sequence, lidar);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(device_options(options.device));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
@@ -185,14 +197,16 @@ void run_render(const Options& options) {
     const ScanFormat format = wanted_format(options, run, sensor, offset);
     ScanFolder scans(folder.path(), format);
 
-    if (options.sample && run.sequence.range_noise.sigma_m.empty() && !options.quiet) note(fmt::format("{} knows no range noise: sampled ranges are exact", run.folder.string()));
+    if (options.sample && run.sequence.range_noise.sigma_m.empty() && !options.quiet)
+        note(fmt::format("{} knows no range noise: sampled ranges are exact", run.folder.string()));
     catch_interrupts();
     Progress progress(options.quiet);
     double trace_ms = 0.0;
     for (std::size_t done = 0; done < sweeps.size(); ++done) {
         stop_if_interrupted();
         const auto [number, time_s] = sweeps[done];
-        const RenderedScan scan = drives ? renderer.render(sensor, {time_s, track}, options.sample) : renderer.render(sensor, time_s, offset, options.sample);
+        const RenderedScan scan =
+            drives ? renderer.render(sensor, {time_s, track}, options.sample) : renderer.render(sensor, time_s, offset, options.sample);
         scans.write(number, scan);
         trace_ms += scan.trace_ms;
         progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", number), done + 1, sweeps.size());
@@ -201,8 +215,23 @@ void run_render(const Options& options) {
     end_progress_line();
     if (options.quiet) return;
     const double mrays = static_cast<double>(sensor.rays.size() * sweeps.size()) / 1e6;
-    print(fmt::format("{} scans of {} rays in {} ({}); tracing {:.1f} ms a scan, {:.3f} Mrays/s\n", sweeps.size(), sensor.rays.size(), options.out, fmt::join(format.formats, ", "),
-                      trace_ms / static_cast<double>(sweeps.size()), trace_ms > 0.0 ? 1000.0 * mrays / trace_ms : 0.0));
+    print(fmt::format("{} scans of {} rays in {} ({}); tracing {:.1f} ms a scan, {:.3f} Mrays/s\n", sweeps.size(), sensor.rays.size(),
+                      options.out, fmt::join(format.formats, ", "), trace_ms / static_cast<double>(sweeps.size()),
+                      trace_ms > 0.0 ? 1000.0 * mrays / trace_ms : 0.0));
+}
+
+void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
+    command
+        .add_option("--trajectory", trajectory.file,
+                     "drive the sensor along a path of its own: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in the dataset's world "
+                     "and the log's time, as `relidar export RUN --out FILE.csv` writes the log's; with --offset beside it")
+        ->type_name("FILE.csv");
+    command.add_option("--rate", trajectory.rate_hz, "scans a second on the trajectory (default: as the log's sensor turns)")
+        ->type_name("HZ");
+    command
+        .add_option("--times", trajectory.times,
+                     "when scans are taken on the trajectory instead: from, to and every so many seconds")
+        ->type_name("FIRST:LAST:STEP");
 }
 
 }  // namespace
@@ -212,37 +241,62 @@ void add_render(CLI::App& app, Call& call) {
     const auto options = std::make_shared<Options>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
     command->add_option("--out", options->out, "folder for the scans")->required()->type_name("DIR");
-    command->add_option("--frames", options->frames, "first:end by the dataset's numbers, or test, train or all (default: test; all where none was held out)")->type_name("WHICH");
-    command->add_option("--offset", options->offset, "move the sensor, in its own frame: forward, left, up in metres, turn left in degrees")->type_name("X,Y,Z,YAW_DEG");
-    command->add_option("--trajectory", options->trajectory.file, "drive the sensor along a path of its own: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in the dataset's world and the log's time, as `relidar export RUN --out FILE.csv` writes the log's; with --offset beside it")->type_name("FILE.csv");
-    command->add_option("--rate", options->trajectory.rate_hz, "scans a second on the trajectory (default: as the log's sensor turns)")->type_name("HZ");
-    command->add_option("--times", options->trajectory.times, "when scans are taken on the trajectory instead: from, to and every so many seconds")->type_name("FIRST:LAST:STEP");
-    command->add_option("--lidar", options->lidar, "whose frames and place, by its name in `relidar info` (default: the first of the log)")->type_name("NAME");
-    command->add_option("--sensor", options->sensor, "another sensor: native (the log's), kitti360, VLP-16, HDL-64E, OS1-64, OS1-128, waymo-top, or a CSV beam table as in beams.csv:1024x10, see below")->type_name("NAME|FILE");
+    command
+        ->add_option("--frames", options->frames,
+                     "first:end by the dataset's numbers, or test, train or all (default: test; all where none was held out)")
+        ->type_name("WHICH");
+    command->add_option("--offset", options->offset, "move the sensor, in its own frame: forward, left, up in metres, turn left in degrees")
+        ->type_name("X,Y,Z,YAW_DEG");
+    add_trajectory_options(*command, options->trajectory);
+    command->add_option("--lidar", options->lidar, "whose frames and place, by its name in `relidar info` (default: the first of the log)")
+        ->type_name("NAME");
+    command
+        ->add_option("--sensor", options->sensor,
+                     "another sensor: native (the log's), kitti360, VLP-16, HDL-64E, OS1-64, OS1-128, waymo-top, or a CSV beam table as in "
+                     "beams.csv:1024x10, see below")
+        ->type_name("NAME|FILE");
     command->add_option("--format", options->formats, "npz, exr, ply, pcd, bin, png, parted by commas (default: npz)")->type_name("LIST");
-    command->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")->type_name("WHAT")->type_size(1)->allow_extra_args(false);
-    command->add_option("--frame", options->point_frame, "frame of reference of points: sensor, each point at its own firing time; or world, the dataset's (default: sensor)")->type_name("WHAT");
-    command->add_flag("--deskew", options->deskew, "bring all points of a scan to the sensor's frame at the scan's time, as a motion-compensated log has them");
-    command->add_option("--sample", options->sample, "draw each scan from the likely ones: drops by their probability, ranges with the noise measured on the log (default: the likeliest scan, free of noise)")->type_name("SEED");
+    command->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")
+        ->type_name("WHAT")
+        ->type_size(1)
+        ->allow_extra_args(false);
+    command
+        ->add_option("--frame", options->point_frame,
+                     "frame of reference of points: sensor, each point at its own firing time; or world, the dataset's (default: sensor)")
+        ->type_name("WHAT");
+    command->add_flag("--deskew", options->deskew,
+                      "bring all points of a scan to the sensor's frame at the scan's time, as a motion-compensated log has them");
+    command
+        ->add_option("--sample", options->sample,
+                     "draw each scan from the likely ones: drops by their probability, ranges with the noise measured on the log (default: "
+                     "the likeliest scan, free of noise)")
+        ->type_name("SEED");
     command->add_flag("--overwrite", options->overwrite, "replace the rendering in DIR");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(std::string("Files are DIR/frame_000123.npz and so on, by the dataset's frame number (of a trajectory: counted from 0), and DIR/scans.json: run, sensor, offset, poses, times, settings.\n"
-                    "npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin [rows,columns,3];\n"
-                    "pose [4,4] sensor to the dataset's world at time_s. Metres, seconds. ply, pcd, bin: points of rays with drop_prob < 0.5, of the dominant\n"
-                    "surface (--set render.points=range: of the mean along the ray, which lies between two surfaces at edges). ring: beam, 0 the highest;\n"
-                    "time: of the ray, seconds from time_s. VIEWPOINT of a pcd takes its points to the dataset's world.\n"
-                    "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; npz has instance_names.\n"
-                    "--set render.normals=true: unit normals of surfaces, towards the sensor, in every format but bin and png.\n") +
-                    kBeamTableHelp + "\n"
-                    "Examples:\n"
-                    "  relidar render run --out scans\n"
-                    "  relidar render run --out cars --only actors --format ply\n"
-                    "  relidar render run --out map --frames all --frame world --format pcd\n"
-                    "  relidar render run --out lane --trajectory way.csv --rate 20 --format pcd\n"
-                    "  relidar render run --out left --frames 10:20 --offset 0,2,1,0 --format npz,ply\n"
-                    "  relidar render run --out small --sensor VLP-16 --format png");
+    command->footer(
+        std::string(
+            "Files are DIR/frame_000123.npz and so on, by the dataset's frame number (of a trajectory: counted from 0), and "
+            "DIR/scans.json: run, sensor, offset, poses, times, settings.\n"
+            "npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin [rows,columns,3];\n"
+            "pose [4,4] sensor to the dataset's world at time_s. Metres, seconds. ply, pcd, bin: points of rays with drop_prob < 0.5, of "
+            "the dominant\n"
+            "surface (--set render.points=range: of the mean along the ray, which lies between two surfaces at edges). ring: beam, 0 the "
+            "highest;\n"
+            "time: of the ray, seconds from time_s. VIEWPOINT of a pcd takes its points to the dataset's world.\n"
+            "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; "
+            "npz has instance_names.\n"
+            "--set render.normals=true: unit normals of surfaces, towards the sensor, in every format but bin and png.\n") +
+        kBeamTableHelp +
+        "\n"
+        "Examples:\n"
+        "  relidar render run --out scans\n"
+        "  relidar render run --out cars --only actors --format ply\n"
+        "  relidar render run --out map --frames all --frame world --format pcd\n"
+        "  relidar render run --out lane --trajectory way.csv --rate 20 --format pcd\n"
+        "  relidar render run --out left --frames 10:20 --offset 0,2,1,0 --format npz,ply\n"
+        "  relidar render run --out small --sensor VLP-16 --format png");
     command->callback([&call, options] { call.run = [options] { run_render(*options); }; });
 }
 

@@ -40,25 +40,29 @@ Report make_report(const Run& run, const TrainResult& result, const Device& devi
     const SpinningSensor& sensor = run.sequence.lidars[0].sensor;
     Report report;
     report.title = "relidar: " + run.sequence.name;
-    report.summary = fmt::format("{} of a {} x {} LiDAR became {} surfels; {} were held out and rendered again.", frame_count(run.split.train.size()), sensor.beams.size(),
-                                 sensor.columns, run.scene.surfels.size(), frame_count(run.split.test.size()));
-    report.facts = {{"Command", command_line},
-                    {"Log", run.sequence.source},
-                    {"Preset", run.config.preset},
-                    {"Image", run.config.sensor.grid == "native" ? "native" : run.config.sensor.grid + ", " + run.config.sensor.grid_method},
-                    {"Range", run.config.render.range},
-                    {"Surfels", fmt::format("{}", run.scene.surfels.size())},
-                    {"Iterations", fmt::format("{} of {}", done, run.config.train.iterations)},
-                    {"Initialisation", duration(result.initialise_s)},
-                    {"Training", fmt::format("{} ({:.2f} iterations/s)", duration(result.train_s), result.train_s > 0.0 ? done / result.train_s : 0.0)},
-                    {"Device", device.info().name},
-                    {"Driver", device.info().driver},
-                    {"Traversal", device.traversal() == Traversal::software ? "software" : "ray query"},
-                    {"Peak device memory", byte_size(result.peak_device_bytes)},
-                    {"relidar", RELIDAR_VERSION}};
-    if (const std::vector<BoxTrack> masked = masked_boxes(run.scene, run.sequence, run.config.init); !masked.empty()) report.facts.emplace_back("Moving boxes masked out", names_of(masked));
+    report.summary =
+        fmt::format("{} of a {} x {} LiDAR became {} surfels; {} were held out and rendered again.", frame_count(run.split.train.size()),
+                    sensor.beams.size(), sensor.columns, run.scene.surfels.size(), frame_count(run.split.test.size()));
+    report.facts = {
+        {"Command", command_line},
+        {"Log", run.sequence.source},
+        {"Preset", run.config.preset},
+        {"Image", run.config.sensor.grid == "native" ? "native" : run.config.sensor.grid + ", " + run.config.sensor.grid_method},
+        {"Range", run.config.render.range},
+        {"Surfels", fmt::format("{}", run.scene.surfels.size())},
+        {"Iterations", fmt::format("{} of {}", done, run.config.train.iterations)},
+        {"Initialisation", duration(result.initialise_s)},
+        {"Training", fmt::format("{} ({:.2f} iterations/s)", duration(result.train_s), result.train_s > 0.0 ? done / result.train_s : 0.0)},
+        {"Device", device.info().name},
+        {"Driver", device.info().driver},
+        {"Traversal", device.traversal() == Traversal::software ? "software" : "ray query"},
+        {"Peak device memory", byte_size(result.peak_device_bytes)},
+        {"relidar", RELIDAR_VERSION}};
+    if (const std::vector<BoxTrack> masked = masked_boxes(run.scene, run.sequence, run.config.init); !masked.empty())
+        report.facts.emplace_back("Moving boxes masked out", names_of(masked));
     report.curves = loss_curves(result);
-    if (const MetricRow times = mean_times(result.times); !times.empty()) report.timings_ms.emplace_back("Training: mean of one launch", times);
+    if (const MetricRow times = mean_times(result.times); !times.empty())
+        report.timings_ms.emplace_back("Training: mean of one launch", times);
     return report;
 }
 
@@ -66,10 +70,12 @@ void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run
     if (evaluation.frames.empty()) return;
     report.metrics.emplace_back(fmt::format("{} ({})", title.column, frame_count(evaluation.frames.size())), evaluation.mean);
     report.facts.emplace_back(fmt::format("Rendering, {}", title.column), fmt::format("{:.1f} ms a frame", evaluation.trace_ms));
-    if (!evaluation.kernel_ms.empty()) report.timings_ms.emplace_back(fmt::format("Rendering, {}: mean of one launch", title.column), evaluation.kernel_ms);
+    if (!evaluation.kernel_ms.empty())
+        report.timings_ms.emplace_back(fmt::format("Rendering, {}: mean of one launch", title.column), evaluation.kernel_ms);
     const ScoredFrame& shown = evaluation.frames[evaluation.frames.size() / 2];
     const std::string name = fmt::format("Frame {}, {}", shown.frame, title.column);
-    for (ReportFigure& figure : comparison_figures(shown, name, title.real, run.config.dataset.max_range_m)) report.figures.push_back(std::move(figure));
+    for (ReportFigure& figure : comparison_figures(shown, name, title.real, run.config.dataset.max_range_m))
+        report.figures.push_back(std::move(figure));
 }
 
 }  // namespace relidar::cli

@@ -53,7 +53,8 @@ Options sorted_out(Options options) {
     if (options.out.empty()) throw UsageError("--out is required, or --resume with a run folder (see `relidar train --help`)");
     const bool knows_log = options.resume && is_file(fs::path(options.out) / kConfigFile);
     if (options.dataset.empty() && !knows_log)
-        throw UsageError(fmt::format("DATASET is required: {} has no config.toml that would name it (see `relidar train --help`)", options.out));
+        throw UsageError(
+            fmt::format("DATASET is required: {} has no config.toml that would name it (see `relidar train --help`)", options.out));
     return options;
 }
 
@@ -95,14 +96,17 @@ std::optional<Checkpoint> find_start(const Options& options) {
     std::optional<Checkpoint> start = load_newest_checkpoint(checkpoint_folder(folder), note);
     if (start) return start;
     if (is_file(folder / "report.html"))
-        throw UsageError(fmt::format("resuming {}: its training has ended and left no checkpoint, expected one to go on from; --force trains anew", folder.string()));
+        throw UsageError(
+            fmt::format("resuming {}: its training has ended and left no checkpoint, expected one to go on from; --force trains anew",
+                        folder.string()));
     note(fmt::format("{} holds no checkpoint: training starts from the beginning", folder.string()));
     return std::nullopt;
 }
 
 void announce(const Sequence& sequence, const Split& split, const Device& device, const Checkpoint* start) {
-    print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name, sequence.frames.size(), split.train.size(), split.test.size(),
-                      device.info().name, device.traversal() == Traversal::software ? "software traversal" : "ray query"));
+    print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name, sequence.frames.size(),
+                      split.train.size(), split.test.size(), device.info().name,
+                      device.traversal() == Traversal::software ? "software traversal" : "ray query"));
     for (const std::string& note : sequence.notes) print("note    " + note + "\n");
     if (start) print(fmt::format("resume  from iteration {}\n", start->iteration));
     std::fflush(stdout);
@@ -136,7 +140,8 @@ Evaluation score(Device& device, const Run& run, const Options& options) {
     const auto start = std::chrono::steady_clock::now();
     Evaluation evaluation = evaluate_frames(renderer, config, run.sequence, run.split.test, shown_until_interrupted(progress));
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    write_text(run.folder / "metrics.json", metrics_json(evaluation, config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
+    write_text(run.folder / "metrics.json",
+               metrics_json(evaluation, config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
     return evaluation;
 }
 
@@ -145,23 +150,26 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Opt
     Report report = make_report(run, result, device, command_line);
     if (result.interrupted) {
         write_report(run.folder / "report.html", report);
-        throw Error(ExitCode::interrupted, fmt::format("interrupted after iteration {} of {}; {} holds the scene so far; continue with: {}", result.iterations,
-                                                       run.config.train.iterations, run.folder.string(), resume_command(options)));
+        throw Error(ExitCode::interrupted,
+                    fmt::format("interrupted after iteration {} of {}; {} holds the scene so far; continue with: {}", result.iterations,
+                                run.config.train.iterations, run.folder.string(), resume_command(options)));
     }
     const Evaluation evaluation = score(device, run, options);
     add_evaluation(report, evaluation, run, {"held out", "real"});
     write_report(run.folder / "report.html", report);
     if (options.quiet) return;
     if (!evaluation.frames.empty()) print("\n" + metric_table(evaluation) + "\n");
-    print(fmt::format("{} surfels in {} of training, {} of device memory\nreport  {}\n", run.scene.surfels.size(), duration(result.train_s), byte_size(result.peak_device_bytes),
-                      absolute_path((run.folder / "report.html").string())));
+    print(fmt::format("{} surfels in {} of training, {} of device memory\nreport  {}\n", run.scene.surfels.size(), duration(result.train_s),
+                      byte_size(result.peak_device_bytes), absolute_path((run.folder / "report.html").string())));
 }
 
 void run_train(const Options& given, const std::string& command_line) {
     const Options options = sorted_out(given);
     const Config config = config_of(options);
     if (options.resume && !options.force && is_finished(options.out, config)) {
-        if (!options.quiet) print(fmt::format("{} has all of its {} iterations: nothing to do; raise train.iterations to go on\n", options.out, config.train.iterations));
+        if (!options.quiet)
+            print(fmt::format("{} has all of its {} iterations: nothing to do; raise train.iterations to go on\n", options.out,
+                              config.train.iterations));
         return;
     }
     const bool resume = options.resume && !options.force;
@@ -189,7 +197,9 @@ void run_train(const Options& given, const std::string& command_line) {
 }
 
 void add_resume_option(CLI::App& command, const std::shared_ptr<Options>& options) {
-    command.add_option("--resume", options->resume_folder, "continue the run in --out, or in RUN, from its newest checkpoint; log and settings are the run's unless given")
+    command
+        .add_option("--resume", options->resume_folder,
+                    "continue the run in --out, or in RUN, from its newest checkpoint; log and settings are the run's unless given")
         ->type_name("[RUN]")
         ->expected(0, 1);
 }
@@ -201,7 +211,8 @@ void add_train(CLI::App& app, Call& call) {
     const auto options = std::make_shared<Options>();
     command->add_option("DATASET", options->dataset, "log: a path (format recognised), or kind:path with kind kitti_raw or synthetic");
     command->add_option("--out", options->out, "run folder to make")->type_name("RUN");
-    command->add_option("--frames", options->frames, "frames to use, first:end, by the dataset's own numbers (default: all)")->type_name("A:B");
+    command->add_option("--frames", options->frames, "frames to use, first:end, by the dataset's own numbers (default: all)")
+        ->type_name("A:B");
     add_settings_options(*command, options->settings);
     command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")->type_name("S");
     add_device_options(*command, options->device);
@@ -209,13 +220,15 @@ void add_train(CLI::App& app, Call& call) {
     command->add_flag("--force", options->force, "overwrite the run in RUN");
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames at the end");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer("RUN/ gets config.toml, scene.json, model.safetensors, log.jsonl, metrics.json, report.html, and checkpoints/ where training takes long.\n"
-                    "Ctrl-C stops training, saves the scene so far and a checkpoint; --resume goes on as if nothing had happened.\n"
-                    "Settings: preset, then --config, then --set, then the flags; the later one wins. `relidar config` lists them.\n"
-                    "Examples:\n"
-                    "  relidar train data/street --out run --preset quick\n"
-                    "  relidar train --resume run\n"
-                    "  relidar train data/2011_09_26_drive_0005_sync --out run --frames 0:50 --set sensor.grid=kitti360 --set dataset.poses=poses.txt");
+    command->footer(
+        "RUN/ gets config.toml, scene.json, model.safetensors, log.jsonl, metrics.json, report.html, and checkpoints/ where training takes "
+        "long.\n"
+        "Ctrl-C stops training, saves the scene so far and a checkpoint; --resume goes on as if nothing had happened.\n"
+        "Settings: preset, then --config, then --set, then the flags; the later one wins. `relidar config` lists them.\n"
+        "Examples:\n"
+        "  relidar train data/street --out run --preset quick\n"
+        "  relidar train --resume run\n"
+        "  relidar train data/2011_09_26_drive_0005_sync --out run --frames 0:50 --set sensor.grid=kitti360 --set dataset.poses=poses.txt");
     command->callback([&call, options, command] {
         options->resume = command->count("--resume") > 0;
         options->from_preset = command->count("--preset") + command->count("--config") > 0;

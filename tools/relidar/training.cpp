@@ -17,11 +17,13 @@ namespace {
 namespace fs = std::filesystem;
 
 std::string log_line(const TrainProgress& p) {
-    nlohmann::ordered_json json = {{"iteration", p.iteration}, {"seconds", p.seconds}, {"iterations_per_second", p.iterations_per_second}, {"loss", p.loss}};
+    nlohmann::ordered_json json = {
+        {"iteration", p.iteration}, {"seconds", p.seconds}, {"iterations_per_second", p.iterations_per_second}, {"loss", p.loss}};
     for (std::size_t k = 0; k < p.terms.size(); ++k) json[kLossTermNames[k]] = p.terms[k];
     json["surfels"] = p.n_surfels;
     if (const DensifyReport& d = p.densified; d.added || d.removed())
-        json["densified"] = {{"added", d.added}, {"clones_wanted", d.clones}, {"splits_wanted", d.splits}, {"invalid", d.invalid}, {"faint", d.faint}, {"large", d.large}, {"outside", d.outside}};
+        json["densified"] = {{"added", d.added}, {"clones_wanted", d.clones}, {"splits_wanted", d.splits}, {"invalid", d.invalid},
+                             {"faint", d.faint}, {"large", d.large},          {"outside", d.outside}};
     if (!p.densified.note.empty()) json["note"] = p.densified.note;
     return json.dump() + "\n";
 }
@@ -72,7 +74,8 @@ void prepare_log_shown(Sequence& sequence, const Split& split, const Config& con
     prepare_log(sequence, split, config, {tell, interrupted, shown_by(progress)});
 }
 
-TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const fs::path& folder, bool quiet, TrainSession session) {
+TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const fs::path& folder,
+                         bool quiet, TrainSession session) {
     LogFile log(folder / "log.jsonl", session.start ? resumed_log(*session.start, config) : std::vector<TrainProgress>{});
     Progress progress(quiet);
     session.progress = shown_by(progress);
@@ -95,7 +98,8 @@ std::string progress_text(const TrainProgress& p) {
     for (std::size_t k = 0; k < p.terms.size(); ++k) {
         if (p.terms[k] != 0.0) terms += fmt::format("{}{} {}", terms.empty() ? "" : " ", kLossTermNames[k], number(p.terms[k]));
     }
-    return fmt::format("iteration {}/{}  {:.2f} it/s  eta {}  loss {} ({})", p.iteration, p.n_iterations, p.iterations_per_second, duration(p.eta_s), number(p.loss), terms);
+    return fmt::format("iteration {}/{}  {:.2f} it/s  eta {}  loss {} ({})", p.iteration, p.n_iterations, p.iterations_per_second,
+                       duration(p.eta_s), number(p.loss), terms);
 }
 
 int last_logged_iteration(const fs::path& folder) {

@@ -16,8 +16,8 @@ void prepare_log_shown(Sequence& sequence, const Split& split, const Config& con
 /// Trains with a progress line on stderr and one JSON line of log.jsonl for each; the log of a run that continues starts with the lines
 /// up to its checkpoint. Ctrl-C stops after the current iteration. A log that cannot be written costs a note, not the training.
 /// @param session its stop and note are filled in here
-TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const std::filesystem::path& folder, bool quiet,
-                         TrainSession session = {});
+TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config,
+                         const std::filesystem::path& folder, bool quiet, TrainSession session = {});
 
 /// "iteration 1200/30000  4.20 it/s  eta 1:54:00  loss 0.0123 (depth 0.01 intensity 0.002 drop 0.0003)"
 std::string progress_text(const TrainProgress& progress);

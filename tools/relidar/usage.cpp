@@ -31,7 +31,8 @@ std::string in_our_words(const std::string& what) {
     const std::string start = "Could not convert: ", middle = " = ";
     const std::size_t at = what.find(middle);
     if (what.rfind(start, 0) != 0 || at == std::string::npos) return what;
-    return fmt::format("{}: found \"{}\", expected an integer", what.substr(start.size(), at - start.size()), what.substr(at + middle.size()));
+    return fmt::format("{}: found \"{}\", expected an integer", what.substr(start.size(), at - start.size()),
+                       what.substr(at + middle.size()));
 }
 
 std::string without_value(const std::string& option) { return option.substr(0, option.find('=')); }
@@ -48,7 +49,8 @@ std::string usage_message(const CLI::App& app, const std::string& what) {
     if (word.size() > 1 && word.front() == '-') {
         return fmt::format("option {}: unknown, did you mean {}? (see `{}`)", word, nearest_name(word, option_names(command)), help);
     }
-    if (chosen.empty()) return fmt::format("command {}: unknown, did you mean {}? (see `{}`)", word, nearest_name(word, command_names(app)), help);
+    if (chosen.empty())
+        return fmt::format("command {}: unknown, did you mean {}? (see `{}`)", word, nearest_name(word, command_names(app)), help);
     return fmt::format("argument {}: not expected (see `{}`)", word, help);
 }
 

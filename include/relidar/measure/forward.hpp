@@ -16,6 +16,7 @@ struct VisitCounts {
 };
 /// Counts by rendering a batch once more. The scene must have been activated and accel updated, and both submitted. Blocks; at most
 /// 2^32 visits. @return nothing where the device traverses by ray query: its driver does not say
-std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model, const TraceOptions& options);
+std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
+                                        const ImageModel& model, const TraceOptions& options);
 
 }  // namespace relidar

@@ -27,13 +27,14 @@ struct Gradients {
     bool zero_untouched = true;          ///< false: parameter gradients of the other surfels are left undefined (Adam takes them for zero)
     Array<float> rays;                   ///< [n_rays,6] dL/d(origin), dL/d(direction), world; empty unless asked for
 
-    /// [instances,6] dL/d(v, w) at 0, v metres, w radians, both in the world's axes: world_from_model becomes (exp([w]x) R, T + v), so w turns
-    /// the model about its own origin. Row 0 is the background's: a refinement keeps that where it is. Exactly 0 for instances that no ray
-    /// with a gradient meets, and for absent ones. With ShDirection::surfel a model is viewed from its first placement: further ones have
-    /// no share in what its SH directions do. Empty unless asked for.
+    /// [instances,6] dL/d(v, w) at 0, v metres, w radians, both in the world's axes: world_from_model becomes (exp([w]x) R, T + v), so w
+    /// turns the model about its own origin. Row 0 is the background's: a refinement keeps that where it is. Exactly 0 for instances that
+    /// no ray with a gradient meets, and for absent ones. With ShDirection::surfel a model is viewed from its first placement: further ones
+    /// have no share in what its SH directions do. Empty unless asked for.
     Array<float> poses;
     /// [6] dL/d(v, w) at 0: every ray of the batch moves as one body, origin' = c + exp([w]x) (origin - c) + v and direction' = exp([w]x)
-    /// direction, c = view_origin_m, which moves along. With a rolling shutter that is one correction for the whole frame. Empty unless asked for.
+    /// direction, c = view_origin_m, which moves along. With a rolling shutter that is one correction for the whole frame. Empty unless
+    /// asked for.
     Array<float> sensor;
 
     /// @param n_rays  of the largest batch
@@ -55,8 +56,10 @@ enum class Reduction { automatic, atomics, gather };
 
 struct BackwardOptions {
     Reduction reduction = Reduction::automatic;
-    std::optional<bool> subgroup_sums = std::nullopt;   ///< atomics: hits of neighbouring rays on the same surfel are summed first; not given: where subgroups have 16 lanes or more
-    std::uint32_t hits_per_ray = 64;   ///< gather: room for so many records a ray of the largest batch, 36 bytes each (42 with ShDirection::ray)
+    /// atomics: hits of neighbouring rays on the same surfel are summed first; not given: where subgroups have 16 lanes or more
+    std::optional<bool> subgroup_sums = std::nullopt;
+    /// gather: room for so many records a ray of the largest batch, 36 bytes each (42 with ShDirection::ray)
+    std::uint32_t hits_per_ray = 64;
 };
 
 /// Hit records of the gather.
@@ -72,11 +75,13 @@ public:
     ~BackwardPass();
     /// Records the second cast and the chain rule to the parameters. All gradients are overwritten.
     /// @param view_origin_m  the one the scene was activated with
-    void run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch, const glm::vec3& view_origin_m, Gradients& gradients);
+    void run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch, const glm::vec3& view_origin_m,
+             Gradients& gradients);
     void set_sh_degree(int degree);
     /// Blocks. Nothing with atomics.
     GatheredHits take_gathered_hits();
-    /// The same without a wait: [1] `most` on the device, growing until it is set to 0, and the capacity as it is now. Null and 0 with atomics.
+    /// The same without a wait: [1] `most` on the device, growing until it is set to 0, and the capacity as it is now. Null and 0 with
+    /// atomics.
     const Array<std::uint32_t>* most_hits() const;
     std::uint64_t hit_capacity() const;
     /// Makes room for so many hit records, at least. Waits for the stream.

@@ -80,7 +80,9 @@ public:
 
     /// A number, numbers on the host [n], numbers on the device [n].
     template <class T>
-    void operator()(const std::string& name, T& value) const requires std::is_arithmetic_v<T> { copy(find(name, dtype_of<T>(), {}), &value); }
+    void operator()(const std::string& name, T& value) const requires std::is_arithmetic_v<T> {
+        copy(find(name, dtype_of<T>(), {}), &value);
+    }
     template <class T>
     void operator()(const std::string& name, std::vector<T>& values) const {
         const NamedArray& found = find_rows(name, dtype_of<T>());

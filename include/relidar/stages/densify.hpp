@@ -61,16 +61,23 @@ struct DensifyReport {
 };
 
 /// All its counts by name.
-inline constexpr std::array<std::pair<const char*, std::uint32_t DensifyReport::*>, 10> kDensifyCounts{{
-    {"before", &DensifyReport::before}, {"after", &DensifyReport::after}, {"added", &DensifyReport::added}, {"clones", &DensifyReport::clones},
-    {"splits", &DensifyReport::splits}, {"invalid", &DensifyReport::invalid}, {"faint", &DensifyReport::faint}, {"large", &DensifyReport::large},
-    {"outside", &DensifyReport::outside}, {"unseen", &DensifyReport::unseen}}};
+inline constexpr std::array<std::pair<const char*, std::uint32_t DensifyReport::*>, 10> kDensifyCounts{
+    {{"before", &DensifyReport::before},
+     {"after", &DensifyReport::after},
+     {"added", &DensifyReport::added},
+     {"clones", &DensifyReport::clones},
+     {"splits", &DensifyReport::splits},
+     {"invalid", &DensifyReport::invalid},
+     {"faint", &DensifyReport::faint},
+     {"large", &DensifyReport::large},
+     {"outside", &DensifyReport::outside},
+     {"unseen", &DensifyReport::unseen}}};
 
 /// Statistics since the last densification, kept with the surfels; the arrays may have room for more than n. A checkpoint holds them.
 struct SurfelStatistics {
     Array<float> gradient_sum;        ///< [n] sum over batches of the norm of the gradient
     Array<std::uint32_t> n_seen;      ///< [n] batches whose frame shows the surfel
-    Array<std::uint32_t> frames;      ///< [n, n_words] bit f: the surfel, or what it was copied from, has had a gradient in training frame f
+    Array<std::uint32_t> frames;  ///< [n, n_words] bit f: the surfel, or what it was copied from, has had a gradient in training frame f
     std::uint32_t n_words = 1;
 };
 
@@ -86,7 +93,8 @@ class Densifier {
 public:
     /// @param initial  what training starts from, with its surfels @param alpha_min of the image model
     /// @param n_frames training frames @param seed of the random numbers, which depend on it, the step and the surfel alone
-    Densifier(Device& device, const Scene& initial, const DensifyOptions& options, float alpha_min, std::uint32_t n_frames, std::uint64_t seed);
+    Densifier(Device& device, const Scene& initial, const DensifyOptions& options, float alpha_min, std::uint32_t n_frames,
+              std::uint64_t seed);
     ~Densifier();
 
     /// Records one batch into the statistics.

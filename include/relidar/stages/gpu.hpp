@@ -63,7 +63,9 @@ public:
         return Address<U>(buffer_.address() + first * sizeof(T));
     }
     const Buffer& buffer() const { return buffer_; }
-    void upload(std::span<const T> values, std::size_t first = 0) { if (!values.empty()) buffer_.upload(values.data(), values.size_bytes(), first * sizeof(T)); }
+    void upload(std::span<const T> values, std::size_t first = 0) {
+        if (!values.empty()) buffer_.upload(values.data(), values.size_bytes(), first * sizeof(T));
+    }
     std::vector<T> download() const { return download(n_); }
     /// The first n values.
     std::vector<T> download(std::size_t n) const {

@@ -169,7 +169,8 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Terms of the parameters themselves, with mu the mean in the box frame, h the Model::half_size_m, s a standard deviation and sigma an opacity:
+/// Terms of the parameters themselves, with mu the mean in the box frame, h the Model::half_size_m, s a standard deviation and sigma an
+/// opacity:
 ///   box      mean over actors' surfels of  sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)
 ///   entropy  mean over all surfels of  -sigma ln sigma - (1 - sigma) ln(1 - sigma)
 class SurfelLoss final : public Loss {

@@ -15,7 +15,8 @@ struct AdamOptions {
     double beta1 = 0.9;
     double beta2 = 0.999;
     double epsilon = 1e-15;
-    bool only_touched = false;   ///< surfels without a gradient in this batch keep values and moments; false: their moments decay, and move them
+    /// surfels without a gradient in this batch keep values and moments; false: their moments decay, and move them
+    bool only_touched = false;
     std::optional<bool> thread_per_float = std::nullopt;   ///< instead of one thread a surfel and group; not given: on GPUs
 };
 

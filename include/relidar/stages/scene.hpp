@@ -51,7 +51,7 @@ struct LearningRates {
 /// A group of parameters: what whoever treats all parameters alike (arrays, optimiser, densification, files) has to know of it.
 struct ParameterGroup {
     const char* name;                                    ///< of its array in files
-    std::array<std::uint32_t, 2> row;                    ///< shape of the floats of one surfel; {3, 1} is a row of 3, {1, 1} a single number
+    std::array<std::uint32_t, 2> row;  ///< shape of the floats of one surfel; {3, 1} is a row of 3, {1, 1} a single number
     double LearningRates::*rate;
     bool harmonics;                                      ///< the last dimension is the coefficients of the SH basis
     Array<float> SurfelArrays::*device;                  ///< [n, floats()]
@@ -65,8 +65,8 @@ struct ParameterGroup {
 
 /// A group that the host keeps in the member kHost of Surfels.
 template <auto kHost>
-constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row, Array<float> SurfelArrays::*device, double LearningRates::*rate,
-                                        bool harmonics = false) {
+constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row, Array<float> SurfelArrays::*device,
+                                        double LearningRates::*rate, bool harmonics = false) {
     using Element = typename std::remove_reference_t<decltype(std::declval<Surfels&>().*kHost)>::value_type;
     constexpr std::size_t kFloats = sizeof(Element) / sizeof(float);
     return {name, row, rate, harmonics, device,
@@ -75,8 +75,8 @@ constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32
             [](Surfels& s, std::size_t n_floats) { (s.*kHost).resize(n_floats / kFloats); }};
 }
 
-/// Every group there is; those that 3D Gaussians alone have come last. A new parameter is a member of Surfels and of SurfelArrays, a pointer for
-/// kernels (shaders/shared/scene.h), and a row here.
+/// Every group there is; those that 3D Gaussians alone have come last. A new parameter is a member of Surfels and of SurfelArrays, a
+/// pointer for kernels (shaders/shared/scene.h), and a row here.
 inline constexpr std::array<ParameterGroup, 6> kParameterGroups{{
     describe_group<&Surfels::mean>("mean", {3, 1}, &SurfelArrays::mean, &LearningRates::mean),
     describe_group<&Surfels::rotation>("rotation", {4, 1}, &SurfelArrays::rotation, &LearningRates::rotation),
@@ -113,7 +113,8 @@ struct ActivationGradients {
     const Array<float>* d_records = nullptr;       ///< [gradient_rows,16] input
     SurfelArrays* d_surfels = nullptr;             ///< output
     Array<std::uint32_t>* touched = nullptr;       ///< [n] output: 1 where any record gradient is not zero
-    Array<float>* d_view = nullptr;                ///< [n,3] output with ShDirection::surfel: dL/d(view origin) by way of each surfel, model frame; null where not wanted
+    /// [n,3] output with ShDirection::surfel: dL/d(view origin) by way of each surfel, model frame; null where not wanted
+    Array<float>* d_view = nullptr;
     bool zero_untouched = true;                    ///< write zeros for surfels without a gradient
 };
 
@@ -121,14 +122,16 @@ struct ActivationGradients {
 class DeviceScene {
 public:
     /// @throws DataError where the models are not consecutive ranges that hold all surfels, or an instance places none of them
-    /// @param stage_harmonics  activation and its derivative move harmonics through shared memory, whole lines at a time, instead of each thread
+    /// @param stage_harmonics  activation and its derivative move harmonics through shared memory, whole lines at a time, instead of each
+    /// thread
     ///                         its own surfel's; not given: on GPUs
     DeviceScene(Device& device, const Scene& scene, std::optional<bool> stage_harmonics = std::nullopt);
     ~DeviceScene();
 
     /// Poses of all instances, world_from_model, one each: all present. Blocking upload.
     void set_poses(const std::vector<Pose>& world_from_instance);
-    /// The same as part of a stream, without a wait; instances may be absent. The acceleration structure follows with its next update or move.
+    /// The same as part of a stream, without a wait; instances may be absent. The acceleration structure follows with its next update or
+    /// move.
     void place(Stream& stream, const std::vector<InstancePose>& placed);
     const std::vector<InstancePose>& poses() const;
     /// Records the activation kernel: records from parameters (M1, M2, M9), channels too with ShDirection::surfel.

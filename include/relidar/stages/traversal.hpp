@@ -71,7 +71,7 @@ struct RenderedBatch {
     const Array<shared::RenderedRay>* rendered = nullptr;   ///< [n_rays] of ForwardPass::run
     Array<shared::RayGradient>* upstream = nullptr;         ///< [n_rays] dL/d(rendered): losses write it, the backward pass reads it
     const KeptHits* kept = nullptr;                         ///< of the same ForwardPass::run, or null
-    RayGeometry* geometry = nullptr;                        ///< of the same ForwardPass::run, with TraceOptions::geometry; its gradient is as upstream
+    RayGeometry* geometry = nullptr;  ///< of the same ForwardPass::run, with TraceOptions::geometry; its gradient is as upstream
 };
 
 /// Rays as kernels read them.
