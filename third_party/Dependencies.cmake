@@ -114,6 +114,14 @@ relidar_dependency(pugixml APT libpugixml-dev PACKAGE pugixml TARGETS pugixml::p
 relidar_dependency(png APT libpng-dev PACKAGE PNG TARGETS PNG::PNG)
 relidar_dependency(openexr APT libopenexr-dev PACKAGE OpenEXR TARGETS OpenEXR::OpenEXR)
 relidar_dependency(zlib APT zlib1g-dev PACKAGE ZLIB TARGETS ZLIB::ZLIB)
+# of dataset readers
+relidar_dependency(protozero APT libprotozero-dev BUILD_ONLY HEADER protozero/pbf_reader.hpp
+    FETCH https://github.com/mapbox/protozero.git v1.7.1 include)
+relidar_dependency(simdjson APT libsimdjson-dev PACKAGE simdjson TARGETS simdjson::simdjson HEADER simdjson.h LIBRARY simdjson)
+relidar_dependency(flatbuffers APT libflatbuffers-dev BUILD_ONLY HEADER flatbuffers/flatbuffers.h
+    FETCH https://github.com/google/flatbuffers.git v2.0.8 include)
+relidar_dependency(lz4 APT liblz4-dev HEADER lz4frame.h LIBRARY lz4)
+relidar_dependency(zstd APT libzstd-dev HEADER zstd.h LIBRARY zstd)
 
 # --- the command line tool -------------------------------------------------------------------------------------------
 if(RELIDAR_BUILD_TOOLS AND NOT RELIDAR_FOR_PACKAGE)
