@@ -24,7 +24,8 @@ function(relidar_dependency name)
         return()
     endif()
     add_library(${target} INTERFACE IMPORTED GLOBAL)
-    set_target_properties(${target} PROPERTIES RELIDAR_DEBIAN_PACKAGE ${dep_APT} RELIDAR_BUILD_ONLY ${dep_BUILD_ONLY})   # cmake/Package.cmake reads them
+    # cmake/Package.cmake reads them
+    set_target_properties(${target} PROPERTIES RELIDAR_DEBIAN_PACKAGE ${dep_APT} RELIDAR_BUILD_ONLY ${dep_BUILD_ONLY})
     target_compile_definitions(${target} INTERFACE ${dep_DEFINE})
     target_link_libraries(${target} INTERFACE ${dep_LINK})
 

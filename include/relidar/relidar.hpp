@@ -21,5 +21,6 @@
 #include <relidar/scan_files.hpp>
 #include <relidar/scene.hpp>
 #include <relidar/sensor.hpp>
+#include <relidar/sensor_files.hpp>
 #include <relidar/sequence.hpp>
 #include <relidar/train.hpp>

@@ -50,10 +50,11 @@ void sample_returns(RenderedScan& scan, const RangeNoise& noise, std::uint64_t s
 /// The sensor whose scan is wanted.
 struct SensorChoice {
     RayTable rays;
-    std::optional<RangeGrid> grid;   ///< bin the simulated points into this grid afterwards
+    std::optional<RangeGrid> grid = {};   ///< bin the simulated points into this grid afterwards
     bool is_own = false;             ///< a LiDAR of the log: its sensor-level ray-drop applies
     /// of the rays' channels, what these add to ranges and make of intensities; none: they measure what is there
     std::vector<Beam> beams = {};
+    std::optional<Rosette> rosette = {};  ///< makes the rays of each scan, in place of `rays`
     RangeLimits limits = {};         ///< of measured ranges
     std::string name = "";
     int lidar = 0;                   ///< of the log, which it is or in whose place it stands

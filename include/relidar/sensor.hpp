@@ -9,6 +9,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <variant>
 #include <vector>
 
 #include <glm/glm.hpp>
@@ -154,26 +155,60 @@ struct GridImage {
 /// Projects points into a grid. @param points_m [n] metres, sensor frame @param intensity [n]
 GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& points_m, const std::vector<float>& intensity);
 
-/// A sensor by name ("kitti360", "VLP-16", ..., in any case) or from a CSV beam table (kBeamTableHelp), optionally followed by
-/// ":columns[xHz]" as in "beams.csv:1024x10".
-/// @param also_known  names that the caller knows beside sensor_names(), for the message
-/// @throws UsageError for an unknown name (the nearest known one is named), DataError for a bad file
-SpinningSensor find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known = {});
+/// A LiDAR whose beam is bent by two prisms that turn against each other: a flower of petals about the x axis, other petals in every scan.
+///   direction = (cos r, sin r cos p, sin r sin p),   r e^(ip) = deflection (e^(i 2 pi f1 t) + e^(i 2 pi f2 t)),
+/// which is the paraxial form of a pair of thin prisms of equal wedge.
+struct Rosette {
+    std::string name;
+    double deflection_rad = 0.0;               ///< by one prism: half of the cone's half angle
+    double first_hz = 0.0, second_hz = 0.0;    ///< of the prisms, positive counter-clockwise seen from behind the sensor
+    int n_rays = 0;                            ///< of one scan, at even times
+    double period_s = 0.1;
+    double divergence_rad = 0.0;
+};
 
-/// What a CSV beam table holds, in lines for a user.
-inline constexpr const char* kBeamTableHelp =
-    "A CSV beam table has a header line and then a line for each beam, from the highest down. Columns, in any order:\n"
-    "  elevation_deg        needed; up is positive\n"
-    "  azimuth_offset_deg   of the beam from where the head points, to the left\n"
-    "  origin_offset_m      where the beam starts: along the head's direction,\n"
-    "  origin_up_m          at right angles to the beam, upwards,\n"
-    "  origin_left_m        and to its left\n"
-    "  min_range_m, max_range_m   of the sensor, the same in every line (default: 0, 80)\n"
-    "  channel              the maker's number of the beam; not used\n"
-    "Columns left out are 0; any other column is an error. FILE.csv:1024x10 is 1024 columns a sweep at 10 Hz (default: 1800x10).";
+/// Rays of the scan at a time, in the order of firing: rows = 1, channel 0, time offsets from -period/2 to period/2.
+/// @throws UsageError for no rays, more than kMaxRays, or a value that is not finite
+RayTable make_rays(const Rosette& rosette, double time_s);
 
-/// Names find_sensor knows.
+/// A LiDAR whose mirrors sweep a window: rows of even elevation, columns of even azimuth, all rows of a column fired together.
+struct ScanningWindow {
+    std::string name;
+    int rows = 0, columns = 0;
+    double left_rad = 0.0, right_rad = 0.0;    ///< azimuths of the first and last column, left positive
+    double top_rad = 0.0, bottom_rad = 0.0;    ///< elevations of the first and last row
+    double period_s = 0.1;                     ///< of one scan, from left to right at even speed
+    double divergence_rad = 0.0;
+};
+
+/// Rays of one scan, row 0 the highest; time 0 in the middle of the scan. @throws UsageError as for a SpinningSensor
+RayTable make_rays(const ScanningWindow& window);
+
+/// A sensor to simulate: what makes its rays, and between which ranges they see.
+struct SensorModel {
+    std::string name;
+    std::string about = {};    ///< what it is and where its figures are from, one line; empty for a file
+    RangeLimits limits = {};
+    std::variant<SpinningSensor, ScanningWindow, Rosette, RayTable> pattern;
+};
+
+/// Rays of the scan at a time; only a Rosette has others at another time. @throws UsageError as make_rays() of the pattern
+RayTable make_rays(const SensorModel& sensor, double time_s = 0.0);
+
+/// Names known_sensor() knows.
 std::vector<std::string> sensor_names();
+/// A built-in sensor by name ("VLP-16", "kitti360" ..., in any case), where one has it.
+/// @param columns @param rate_hz  of a spinning sensor, instead of its usual ones; 0: these
+/// @throws UsageError for a number of columns or a rate that a sensor which does not spin cannot have
+std::optional<SensorModel> known_sensor(const std::string& name, int columns = 0, double rate_hz = 0.0);
+
+/// A beam table, CSV: a header line, then a line for each beam from the highest down; lines that begin with # are left out. Columns, in any
+/// order, those left out 0: elevation_deg (needed), azimuth_offset_deg, origin_offset_m, origin_up_m, origin_left_m as in Beam;
+/// firing_offset_us, by how much a beam fires after the head was at its azimuth, which turns it on; min_range_m, max_range_m of the sensor;
+/// channel, the maker's number, which is not used.
+/// @param where  what messages call it @param columns @param rate_hz  of the sweep
+/// @throws DataError naming the line and the value that is wrong
+SpinningSensor parse_beam_table(const std::string& text, const std::string& where, int columns, double rate_hz);
 
 /// A grid by name ("kitti360", in any case). @throws UsageError for an unknown name
 RangeGrid find_grid(const std::string& name);

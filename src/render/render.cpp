@@ -160,12 +160,14 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
 RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed,
                                 std::optional<std::uint64_t> sample) {
     const Impl& s = *impl_;
-    if (sensor.rays.size() == 0)
+    const RayTable own_rays = sensor.rosette ? make_rays(*sensor.rosette, time_s) : RayTable{};
+    const RayTable& table = sensor.rosette ? own_rays : sensor.rays;
+    if (table.size() == 0)
         throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
     PoseTrack track = s.sweep.world_from_sensor(sensor.lidar);
     WorldRays rays;
-    for (std::size_t i = 0; i < sensor.rays.size(); ++i) {
-        const WorldRay w = world_ray(track, time_s, sensor.rays, i, s.sweep.rolling_shutter);
+    for (std::size_t i = 0; i < table.size(); ++i) {
+        const WorldRay w = world_ray(track, time_s, table, i, s.sweep.rolling_shutter);
         rays.origin.push_back(glm::vec3(w.origin_m));
         rays.direction.push_back(glm::vec3(w.direction));
     }
@@ -177,15 +179,15 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
 
     RenderedScan scan;
     scan.trace_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
-    scan.image.rows = sensor.rays.rows;
-    scan.image.columns = sensor.rays.columns;
-    scan.image.origin = sensor.rays.origin;
-    scan.image.direction = sensor.rays.direction;
+    scan.image.rows = table.rows;
+    scan.image.columns = table.columns;
+    scan.image.origin = table.origin;
+    scan.image.direction = table.direction;
     scan.weight = r.weight;
-    scan.time_offset_s = sensor.rays.time_offset_s;
-    scan.channel = sensor.rays.channel;
+    scan.time_offset_s = table.time_offset_s;
+    scan.channel = table.channel;
     for (std::size_t i = 0; i < r.size(); ++i) {
-        const Beam& beam = beam_of(sensor.beams, sensor.rays.channel[i]);
+        const Beam& beam = beam_of(sensor.beams, table.channel[i]);
         const double surface_m = chosen_range(r, i, s.config.render.range), median_surface_m = r.median_depth[i];
         const auto range_m = static_cast<float>(beam.measured_range(surface_m)),
                    median_m = static_cast<float>(beam.measured_range(median_surface_m));
@@ -194,8 +196,8 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
         scan.median_range_m.push_back(median_m);
         scan.image.intensity.push_back(static_cast<float>(beam.measured_intensity(r.intensity[i], fall)));
         scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
-        const auto own_beam = sensor.is_own ? s.sweep.beam_number(sensor.lidar, sensor.rays.channel[i]) : std::nullopt;
-        const float never_seen = own_beam ? s.layout.sensor_drop.at(*own_beam, sensor.rays.direction[i]) : 0.0f;
+        const auto own_beam = sensor.is_own ? s.sweep.beam_number(sensor.lidar, table.channel[i]) : std::nullopt;
+        const float never_seen = own_beam ? s.layout.sensor_drop.at(*own_beam, table.direction[i]) : 0.0f;
         const float returns = is_in_range(sensor.limits, range_m, median_m) ? (1.0f - drop_probability(r, i)) * (1.0f - never_seen) : 0.0f;
         scan.image.drop_prob.push_back(1.0f - returns);
     }

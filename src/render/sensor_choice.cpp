@@ -9,6 +9,7 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include <relidar/sensor_files.hpp>
 
 namespace relidar {
 
@@ -21,13 +22,18 @@ RangeLimits configured_limits(const Config& config) { return {config.dataset.min
 SensorChoice own_sensor(const Config& config, const Sequence& sequence, int lidar) {
     const SpinningSensor& sensor = sequence.lidars[std::size_t(lidar)].sensor;
     const RangeLimits limits = overlap(sensor.range_limits(), configured_limits(config));
-    return {sensor.beams.empty() ? RayTable{} : make_rays(sensor), std::nullopt, true, sensor.beams, limits, sensor.name, lidar};
+    return {.rays = sensor.beams.empty() ? RayTable{} : make_rays(sensor),
+            .is_own = true,
+            .beams = sensor.beams,
+            .limits = limits,
+            .name = sensor.name,
+            .lidar = lidar};
 }
 
 SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequence& sequence, int lidar) {
     const std::string& method = config.sensor.grid_method;
     const RangeLimits limits = overlap({0.0, grid.max_range_m}, configured_limits(config));
-    if (method == "cast") return {make_rays(grid), std::nullopt, false, {}, limits, grid.name, lidar};
+    if (method == "cast") return {.rays = make_rays(grid), .limits = limits, .name = grid.name, .lidar = lidar};
     if (method != "project") {
         throw UsageError(fmt::format("choosing the sensor: found sensor.grid_method = \"{}\", expected project or cast", method));
     }
@@ -61,8 +67,10 @@ SensorChoice configured_sensor(const Config& config, const Sequence& sequence, i
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence, int lidar) {
     if (known_name(name_or_file, {"native"})) return own_sensor(config, sequence, lidar);
     if (known_name(name_or_file, {kitti360_grid().name})) return grid_choice(kitti360_grid(), config, sequence, lidar);
-    const SpinningSensor sensor = find_sensor(name_or_file, {"native"});
-    return {make_rays(sensor), std::nullopt, false, sensor.beams, sensor.range_limits(), sensor.name, lidar};
+    const SensorModel sensor = find_sensor(name_or_file, {"native"});
+    SensorChoice choice{.rays = make_rays(sensor), .limits = sensor.limits, .name = sensor.name, .lidar = lidar};
+    if (const auto* rosette = std::get_if<Rosette>(&sensor.pattern)) choice.rosette = *rosette;
+    return choice;
 }
 
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {

@@ -1,95 +1,138 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors by name. The built-in ones are nominal: evenly spaced beams over the field of view that the maker's data sheet
-// states; a unit's own calibration comes as a CSV beam table (beam_table.cpp).
+// Sensors by name. Beams are those of src/sensor/tables, calibrations that were published for one unit of each model, or evenly spaced over
+// the field of view of a data sheet. Columns, ranges and beam divergence are the makers' data-sheet figures at 10 Hz; a divergence of 0 is
+// one that no source stated.
 #include <relidar/sensor.hpp>
+
+#include <algorithm>
 
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
 #include <relidar/math.hpp>
-#include "core/files.hpp"
-#include "sensor/beam_table.hpp"
+#include "sensor/sensor_tables.hpp"
 
 namespace relidar {
 namespace {
 
-struct Nominal {
+constexpr double kDegree = kPi / 180.0;
+
+/// A spinning sensor of a table.
+struct Tabled {
     const char* name;
-    int beams;
-    double top_deg, bottom_deg;
     int columns;
-    double max_range_m, divergence_rad;
+    double min_range_m, max_range_m, divergence_rad;
 };
 
-// Data-sheet facts: vertical field of view, points a sweep at 10 Hz, range, full beam divergence.
-constexpr Nominal kNominal[] = {
-    {"VLP-16", 16, 15.0, -15.0, 1800, 100.0, 3.0e-3},
-    {"OS1-64", 64, 16.6, -16.6, 1024, 120.0, 0.0},
-    {"OS1-128", 128, 22.5, -22.5, 1024, 120.0, 0.0},
-    {"waymo-top", 64, 2.4, -17.6, 2650, 75.0, 0.0},
+constexpr Tabled kTabled[] = {
+    {"HDL-64E-S2", 2083, 0.9, 120.0, 2.0e-3},    {"HDL-64E-S3", 2083, 0.9, 120.0, 2.0e-3},
+    {"HDL-64E-KITTI", 2083, 0.9, 120.0, 2.0e-3}, {"HDL-32E", 2170, 1.0, 100.0, 2.8e-3},
+    {"VLP-16", 1808, 0.5, 100.0, 3.0e-3},        {"VLP-32C", 1808, 1.0, 200.0, 3.0e-3},
+    {"VLS-128", 1876, 0.5, 245.0, 0.0},          {"Pandar40P", 1800, 0.3, 200.0, 0.0},
+    {"Pandar64", 1800, 0.3, 200.0, 0.0},         {"OT128", 1800, 0.3, 200.0, 0.0},
+    {"QT128", 900, 0.05, 50.0, 0.0},             {"XT32", 2000, 0.05, 120.0, 0.0},
+    {"OS0-32", 1024, 0.3, 50.0, 0.0},            {"OS0-128", 1024, 0.3, 50.0, 0.0},
+    {"OS1-64", 1024, 0.8, 120.0, 2.3e-3},        {"OS1-128", 1024, 0.8, 120.0, 3.1e-3},
+    {"OS2-128", 1024, 1.0, 240.0, 0.0},          {"waymo-top", 2650, 0.0, 75.0, 0.0},
 };
 
-void add_beams(SpinningSensor& sensor, int n, double top_deg, double bottom_deg) {
-    for (int i = 0; i < n; ++i) {
-        sensor.beams.push_back({.elevation_rad = (top_deg + (bottom_deg - top_deg) * i / (n - 1)) * kPi / 180.0});
-    }
-}
-
-SpinningSensor spinning(const std::string& name, int columns, double max_range_m, double divergence_rad) {
+SpinningSensor spinning(const std::string& name, int columns, double rate_hz) {
     SpinningSensor sensor;
     sensor.name = name;
     sensor.columns = columns;
+    sensor.period_s = 1.0 / rate_hz;
     sensor.first_azimuth_rad = kPi - kPi / columns;
-    sensor.max_range_m = max_range_m;
-    sensor.divergence_rad = divergence_rad;
     return sensor;
+}
+
+void add_beams(SpinningSensor& sensor, int n, double top_deg, double bottom_deg) {
+    for (int i = 0; i < n; ++i) {
+        sensor.beams.push_back({.elevation_rad = (top_deg + (bottom_deg - top_deg) * i / (n - 1)) * kDegree});
+    }
+}
+
+SensorModel model(SpinningSensor sensor, const std::string& about) {
+    return {sensor.name, about, sensor.range_limits(), std::move(sensor)};
 }
 
 /// The HDL-64E of the data sheet: 32 beams a third of a degree apart from +2, then 32 half a degree apart to -24.33.
-SpinningSensor hdl64e() {
-    SpinningSensor sensor = spinning("HDL-64E", 2083, 120.0, 2.0e-3);
+SensorModel hdl64e(int columns, double rate_hz) {
+    SpinningSensor sensor = spinning("HDL-64E", columns ? columns : 2083, rate_hz);
     add_beams(sensor, 32, 2.0, 2.0 - 31.0 / 3.0);
     add_beams(sensor, 32, -24.33 + 31.0 * 0.5, -24.33);
-    return sensor;
+    sensor.max_range_m = 120.0;
+    sensor.divergence_rad = 2.0e-3;
+    return model(std::move(sensor), "evenly spaced beams of the data sheet");
+}
+
+/// One of Waymo's four short-range LiDARs: its calibration states limits of elevation alone.
+SensorModel waymo_side(int columns, double rate_hz) {
+    SpinningSensor sensor = spinning("waymo-side", columns ? columns : 600, rate_hz);
+    constexpr double step_deg = 120.0 / 200.0;
+    add_beams(sensor, 200, 30.0 - 0.5 * step_deg, -90.0 + 0.5 * step_deg);
+    sensor.max_range_m = 20.0;
+    return model(std::move(sensor), "short-range LiDARs of the Waymo Open Dataset: 200 even beams from +30 to -90 degrees");
 }
 
 /// The rays of the KITTI-360 grid as a spinning sensor.
-SpinningSensor kitti360() {
+SensorModel kitti360(int columns, double rate_hz) {
     const RangeGrid grid = kitti360_grid();
-    SpinningSensor sensor = spinning(grid.name, grid.columns, grid.max_range_m, 0.0);
+    SpinningSensor sensor = spinning(grid.name, columns ? columns : grid.columns, rate_hz);
     sensor.first_azimuth_rad = kPi;
+    sensor.max_range_m = grid.max_range_m;
     for (int row = 0; row < grid.rows; ++row) {
         sensor.beams.push_back({.elevation_rad = grid.fov_up_rad - row * grid.fov_rad / grid.rows});
     }
-    return sensor;
+    return model(std::move(sensor), "the image of published results on KITTI-360, 66 x 1030");
+}
+
+SensorModel tabled(const Tabled& row, int columns, double rate_hz) {
+    const std::string& table = sensor_tables().at(row.name);
+    SpinningSensor sensor = parse_beam_table(table, row.name, columns ? columns : row.columns, rate_hz);
+    sensor.name = row.name;
+    sensor.min_range_m = row.min_range_m;
+    sensor.max_range_m = row.max_range_m;
+    sensor.divergence_rad = row.divergence_rad;
+    return model(std::move(sensor), table.substr(2, table.find('\n') - 2));
+}
+
+/// As Hesai's AT128 is specified: 128 rows in a window of 120 x 25.4 degrees, 0.1 degrees a column, mirrors that sweep it at 10 Hz.
+SensorModel window_128() {
+    return {"window-128", "a hybrid solid state as the AT128: mirrors sweep 120 x 25.4 degrees, 1200 columns of 128 rows", {0.5, 200.0},
+            ScanningWindow{.name = "window-128", .rows = 128, .columns = 1200, .left_rad = 59.95 * kDegree, .right_rad = -59.95 * kDegree,
+                           .top_rad = 12.9 * kDegree, .bottom_rad = -12.5 * kDegree}};
+}
+
+/// As Livox' Mid-40 is specified: a cone of 38.4 degrees, 100 000 rays a second. Turning rates of the prisms as observed on that sensor.
+SensorModel rosette() {
+    return {"rosette", "non-repetitive, as the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 rays a second", {1.0, 260.0},
+            Rosette{.name = "rosette", .deflection_rad = 9.6 * kDegree, .first_hz = 7294.0 / 60.0, .second_hz = -4664.0 / 60.0,
+                    .n_rays = 10'000}};
 }
 
 }  // namespace
 
 std::vector<std::string> sensor_names() {
     std::vector<std::string> names{"kitti360", "HDL-64E"};
-    for (const Nominal& n : kNominal) names.emplace_back(n.name);
+    for (const Tabled& row : kTabled) names.emplace_back(row.name);
+    for (const char* name : {"waymo-side", "window-128", "rosette"}) names.emplace_back(name);
     return names;
 }
 
-SpinningSensor find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known) {
-    const std::string name = known_name(name_or_file, sensor_names()).value_or(name_or_file);
-    if (name == "kitti360") return kitti360();
-    if (name == "HDL-64E") return hdl64e();
-    for (const Nominal& n : kNominal) {
-        if (name != n.name) continue;
-        SpinningSensor sensor = spinning(n.name, n.columns, n.max_range_m, n.divergence_rad);
-        add_beams(sensor, n.beams, n.top_deg, n.bottom_deg);
-        return sensor;
+std::optional<SensorModel> known_sensor(const std::string& name, int columns, double rate_hz) {
+    const auto known = known_name(name, sensor_names());
+    if (!known) return {};
+    const double rate = rate_hz > 0.0 ? rate_hz : 10.0;
+    const bool spins = *known != "window-128" && *known != "rosette";
+    if (!spins && (columns > 0 || rate_hz > 0.0)) {
+        throw UsageError(fmt::format("sensor '{}': found columns and a rate, expected the name alone: it does not spin", name));
     }
-    const BeamTableName table = parse_beam_table_name(name_or_file);
-    if (table.path.extension() == ".csv" || path_exists(table.path)) return read_beam_table(table);
-    std::vector<std::string> known = also_known;
-    for (const std::string& sensor : sensor_names()) known.push_back(sensor);
-    throw UsageError(
-        fmt::format("sensor '{}': unknown name, did you mean '{}'? (known: {}; the path of a CSV beam table "
-                    "works too, as beams.csv:1024x10)",
-                    name_or_file, nearest_name(name_or_file, known), fmt::join(known, ", ")));
+    if (*known == "kitti360") return kitti360(columns, rate);
+    if (*known == "HDL-64E") return hdl64e(columns, rate);
+    if (*known == "waymo-side") return waymo_side(columns, rate);
+    if (*known == "window-128") return window_128();
+    if (*known == "rosette") return rosette();
+    return tabled(*std::ranges::find(kTabled, *known, [](const Tabled& row) { return std::string(row.name); }), columns, rate);
 }
 
 }  // namespace relidar

@@ -10,7 +10,7 @@
 #include <relidar/edit.hpp>
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
-#include <relidar/sensor.hpp>
+#include <relidar/sensor_files.hpp>
 
 #include "run/example_run.hpp"
 
@@ -56,8 +56,9 @@ std::vector<std::string> scene_seeds(const fs::path& folder) {
 
 void read_sensor(std::string_view input, const fs::path& folder) {
     put(folder / "beams.csv", input);
-    const SpinningSensor sensor = find_sensor((folder / "beams.csv").string());
-    if (sensor.beams.size() < 1000) make_rays(sensor);
+    const SensorModel sensor = find_sensor((folder / "beams.csv").string());
+    const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
+    if (!spinning || spinning->beams.size() < 1000) make_rays(sensor);
 }
 
 void read_track(std::string_view input, const fs::path& folder) {

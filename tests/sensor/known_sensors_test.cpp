@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sensors by name and from CSV tables, and the messages for names and tables that are wrong.
-#include <relidar/sensor.hpp>
+#include <relidar/sensor_files.hpp>
 
 #include <filesystem>
 #include <fstream>
@@ -31,26 +31,35 @@ std::string message(const std::string& sensor) {
     return "";
 }
 
+SpinningSensor spinning(const std::string& name) { return std::get<SpinningSensor>(find_sensor(name).pattern); }
+
 TEST(KnownSensors, EveryNameMakesRaysHighestBeamFirst) {
     for (const std::string& name : sensor_names()) {
-        const SpinningSensor sensor = find_sensor(name);
-        EXPECT_EQ(make_rays(sensor).size(), sensor.beams.size() * static_cast<std::size_t>(sensor.columns)) << name;
-        for (std::size_t b = 1; b < sensor.beams.size(); ++b) EXPECT_LT(sensor.beams[b].elevation_rad, sensor.beams[b - 1].elevation_rad);
+        const SensorModel model = find_sensor(name);
+        EXPECT_EQ(model.name, name);
+        EXPECT_FALSE(model.about.empty()) << name << " does not say where its figures are from";
+        const RayTable rays = make_rays(model);
+        EXPECT_EQ(rays.size(), std::size_t(rays.rows) * std::size_t(rays.columns)) << name;
+        for (const glm::vec3& d : rays.direction) ASSERT_NEAR(glm::length(d), 1.0f, 1e-6f) << name;
+        const auto* sensor = std::get_if<SpinningSensor>(&model.pattern);
+        for (std::size_t b = 1; sensor && b < sensor->beams.size(); ++b) {
+            EXPECT_LT(sensor->beams[b].elevation_rad, sensor->beams[b - 1].elevation_rad) << name << " " << b;
+        }
     }
-    EXPECT_NEAR(find_sensor("VLP-16").beams[15].elevation_rad, -15 * kPi / 180, 1e-12);
+    EXPECT_NEAR(spinning("VLP-16").beams[15].elevation_rad, -15 * kPi / 180, 1e-12);
     EXPECT_EQ(make_rays(find_sensor("kitti360")).direction, make_rays(kitti360_grid()).direction);
 }
 
 TEST(KnownSensors, UnknownNameNamesTheNearestAndTheCsvWay) {
     EXPECT_EQ(find_sensor("vlp-16").name, "VLP-16") << "in any case";
-    EXPECT_EQ(find_sensor("KITTI360").columns, 1030);
-    EXPECT_THAT(message("vlp16"), testing::AllOf(HasSubstr("'VLP-16'"), HasSubstr("CSV")));
+    EXPECT_EQ(spinning("KITTI360").columns, 1030);
+    EXPECT_THAT(message("vlp16"), testing::AllOf(HasSubstr("'VLP-16'"), HasSubstr("beams.csv")));
     EXPECT_THROW(find_sensor("vlp16"), UsageError);
 }
 
 TEST(KnownSensors, CsvTableByHeaderName) {
     const std::string path = write("beams.csv", "channel,azimuth_offset_deg,elevation_deg,origin_up_m\n0,1.5,10,0.2\n1,-1.5,-10,0.1\n");
-    const SpinningSensor sensor = find_sensor(path + ":512x20");
+    const SpinningSensor sensor = spinning(path + ":512x20");
     ASSERT_EQ(sensor.beams.size(), 2u);
     EXPECT_EQ(sensor.columns, 512);
     EXPECT_DOUBLE_EQ(sensor.period_s, 0.05);
@@ -58,14 +67,14 @@ TEST(KnownSensors, CsvTableByHeaderName) {
     EXPECT_NEAR(sensor.beams[1].azimuth_offset_rad, -1.5 * kPi / 180, 1e-12);
     EXPECT_DOUBLE_EQ(sensor.beams[1].origin_up_m, 0.1);
     EXPECT_DOUBLE_EQ(sensor.beams[1].origin_left_m, 0.0);
-    EXPECT_EQ(find_sensor(path).columns, 1800);
+    EXPECT_EQ(spinning(path).columns, 1800);
 }
 
 TEST(KnownSensors, CsvTableHoldsRangeLimits) {
-    const SpinningSensor limited = find_sensor(write("near.csv", "elevation_deg,max_range_m,min_range_m\n5,30,0.5\n-5,30,0.5\n"));
+    const SpinningSensor limited = spinning(write("near.csv", "elevation_deg,max_range_m,min_range_m\n5,30,0.5\n-5,30,0.5\n"));
     EXPECT_DOUBLE_EQ(limited.min_range_m, 0.5);
     EXPECT_DOUBLE_EQ(limited.max_range_m, 30.0);
-    EXPECT_DOUBLE_EQ(find_sensor(write("plain.csv", "elevation_deg\n5\n")).max_range_m, 80.0);
+    EXPECT_DOUBLE_EQ(spinning(write("plain.csv", "elevation_deg\n5\n")).max_range_m, 80.0);
     EXPECT_THAT(message(write("g.csv", "elevation_deg,max_range_m\n5,30\n-5,40\n")),
                 HasSubstr("line 3: found ranges of 0 to 40 m, expected 0 to 30 m"));
     EXPECT_THAT(message(write("h.csv", "elevation_deg,min_range_m,max_range_m\n5,30,30\n")), HasSubstr("min_range_m below max_range_m"));
@@ -85,7 +94,7 @@ TEST(KnownSensors, SizesThatNoSensorHasAreRefused) {
                 HasSubstr("99999999 columns at 10 Hz, expected a whole number from 1 to 1000000 and a rate above 0, at most 10000"));
     std::string many = "elevation_deg\n";
     for (int i = 0; i < 17; ++i) many += "1\n";
-    const SpinningSensor large = find_sensor(write("m.csv", many) + ":1000000x10");
+    const SpinningSensor large = spinning(write("m.csv", many) + ":1000000x10");
     EXPECT_THROW(make_rays(large), UsageError);
 }
 

@@ -36,7 +36,9 @@ const std::map<std::string, Stages>& layer_table() {
         // options of all of them
         {"config", {"traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "scene", "sequence", "sensor", "gpu"}},
         {"run", {"config", "export", "scene", "sequence", "sensor"}},  // a run's folder; export: safetensors
-        {"render", {"config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
+        {"sensor_files", {"sensor", "export"}},                        // export: npz
+        {"render",
+         {"sensor_files", "config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
         {"scan_files", {"render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
         {"evaluation", {"render", "run", "config", "export", "metrics", "scene", "sequence", "sensor", "gpu"}},  // export: weights of LPIPS
         {"train",

@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include <relidar/sensor_files.hpp>
 #include "arrays.hpp"
 #include "module.hpp"
 
@@ -54,7 +55,8 @@ SensorChoice sensor_of(const py::handle& sensor, const Run& run, int lidar) {
     if (py::isinstance<py::str>(sensor)) return choose_sensor(sensor.cast<std::string>(), run.config, run.sequence, lidar);
     if (!py::isinstance<py::dict>(sensor))
         throw UsageError(
-            "sensor: found neither a name nor a dict of rays, expected one of relidar.sensors(), a CSV file or a dict with \"directions\"");
+            "sensor: found neither a name nor a dict of rays, expected one of relidar.sensors(), a sensor file or a dict with "
+            "\"directions\"");
     SensorChoice choice;
     choice.rays = rays_of(py::reinterpret_borrow<py::dict>(sensor));
     choice.limits = {run.config.dataset.min_range_m, run.config.dataset.max_range_m};
@@ -76,8 +78,10 @@ py::dict to_dict(const RayTable& rays) {
 void add_sensors(py::module_& module) {
     module.def("sensors", &sensor_names, "Names of the sensors that rays() and Run.render() know beside \"native\", the log's own.");
     module.def(
-        "rays", [](const std::string& sensor) { return to_dict(make_rays(find_sensor(sensor))); }, py::arg("sensor"),
-        "Rays of one sweep of a sensor, by name or CSV beam table (\"beams.csv:1024x10\").\n\n"
+        "rays", [](const std::string& sensor, double time) { return to_dict(make_rays(find_sensor(sensor), time)); }, py::arg("sensor"),
+        py::arg("time") = 0.0,
+        "Rays of one scan of a sensor, by name or file (a beam table as \"beams.csv:1024x10\", a ray table, an Ouster's metadata); a\n"
+        "rosette has other rays at another time, in seconds.\n\n"
         "Returns a dict: directions, origin [rows,columns,3] float32 (unit; metres; sensor frame), time [rows,columns] float32 (seconds "
         "from the moment the head\n"
         "faces forward), ring [rows,columns] uint16 (beam, 0 the highest). Such a dict, also one of your own, is a sensor for "

@@ -21,6 +21,7 @@ struct Call {
 };
 
 void add_devices(CLI::App& app, Call& call);
+void add_sensors(CLI::App& app, Call& call);
 void add_pipelines(CLI::App& app, Call& call);
 void add_config(CLI::App& app, Call& call);
 void add_info(CLI::App& app, Call& call);

@@ -3,11 +3,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include <fmt/format.h>
 
 #include "evaluation.hpp"
+#include <relidar/math.hpp>
 #include <relidar/scan_files.hpp>
+#include <relidar/sensor.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -66,6 +69,35 @@ void write_strips(const std::filesystem::path& folder, const Evaluation& evaluat
 
 Image range_pair(const ScoredFrame& frame, double max_range_m) {
     return stack({range_picture(frame.real, max_range_m), range_picture(frame.rendered.image, max_range_m)}, picture_stretch(frame.real));
+}
+
+Image ray_picture(const RayTable& rays) {
+    constexpr double kSector_rad = 20.0 * kPi / 180.0, kMargin_rad = 0.5 * kPi / 180.0;
+    constexpr int kWidth = 1200, kDot = 2;
+    std::vector<glm::dvec2> angle;   // azimuth, elevation
+    for (const glm::vec3& d : rays.direction)
+        angle.emplace_back(std::atan2(double(d.y), double(d.x)), std::asin(std::clamp(double(d.z), -1.0, 1.0)));
+    glm::dvec2 low = angle.front(), high = angle.front();
+    for (const glm::dvec2& a : angle) low = glm::min(low, a), high = glm::max(high, a);
+    if (high.x - low.x > 1.9 * kPi) low.x = -kSector_rad, high.x = kSector_rad;
+    low -= kMargin_rad;
+    high += kMargin_rad;
+    const double pixels_per_rad = kWidth / (high.x - low.x);
+    const int rows = std::clamp(static_cast<int>((high.y - low.y) * pixels_per_rad), 1, 8 * kWidth);
+    std::vector<float> seconds(std::size_t(rows) * kWidth, std::numeric_limits<float>::quiet_NaN());
+    for (std::size_t i = 0; i < angle.size(); ++i) {
+        const int row = static_cast<int>((high.y - angle[i].y) * pixels_per_rad),
+                  column = static_cast<int>((high.x - angle[i].x) * pixels_per_rad);
+        for (int y = std::max(row, 0); y < std::min(row + kDot, rows); ++y)
+            for (int x = std::max(column, 0); x < std::min(column + kDot, kWidth); ++x)
+                seconds[std::size_t(y) * kWidth + std::size_t(x)] = rays.time_offset_s[i];
+    }
+    const auto drawn = [](float value) { return !std::isnan(value); };
+    const auto first = std::ranges::find_if(seconds, drawn);
+    float earliest = first == seconds.end() ? 0.0f : *first, latest = earliest;
+    for (const float value : seconds)
+        if (drawn(value)) earliest = std::min(earliest, value), latest = std::max(latest, value);
+    return colour_map(seconds, rows, kWidth, earliest, std::max(latest, std::nextafter(earliest, 1e30f)), "turbo");
 }
 
 }  // namespace relidar::cli

@@ -9,6 +9,7 @@
 
 namespace relidar {
 struct Evaluation;
+struct RayTable;
 struct ScoredFrame;
 }
 
@@ -24,5 +25,9 @@ void write_strips(const std::filesystem::path& folder, const Evaluation& evaluat
 
 /// Real and rendered range stacked.
 Image range_pair(const ScoredFrame& frame, double max_range_m);
+
+/// A sensor's pattern: azimuth to the right as the sensor looks, elevation upwards, both by the same scale, a dot a ray in the colour of
+/// its firing time. Of a sensor that sees all round the 40 degrees ahead.
+Image ray_picture(const RayTable& rays);
 
 }  // namespace relidar::cli

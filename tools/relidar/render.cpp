@@ -20,6 +20,7 @@
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
 #include <relidar/scan_files.hpp>
+#include <relidar/sensor_files.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -234,6 +235,18 @@ void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
         ->type_name("FIRST:LAST:STEP");
 }
 
+/// What is written, in which frame of reference.
+void add_file_options(CLI::App& command, Options& options) {
+    command.add_option("--format", options.formats, "npz, exr, ply, pcd, bin, png, parted by commas (default: npz)")->type_name("LIST");
+    command
+        .add_option("--frame", options.point_frame,
+                     "frame of reference of points: sensor, each point at its own firing time; or world, the dataset's (default: sensor)")
+        ->type_name("WHAT");
+    command.add_flag("--deskew", options.deskew,
+                      "bring all points of a scan to the sensor's frame at the scan's time, as a motion-compensated log has them");
+    command.add_flag("--overwrite", options.overwrite, "replace the rendering in DIR");
+}
+
 }  // namespace
 
 void add_render(CLI::App& app, Call& call) {
@@ -252,26 +265,18 @@ void add_render(CLI::App& app, Call& call) {
         ->type_name("NAME");
     command
         ->add_option("--sensor", options->sensor,
-                     "another sensor: native (the log's), kitti360, VLP-16, HDL-64E, OS1-64, OS1-128, waymo-top, or a CSV beam table as in "
-                     "beams.csv:1024x10, see below")
+                     "another sensor: native (the log's), one of `relidar sensors`, or a file, see below")
         ->type_name("NAME|FILE");
-    command->add_option("--format", options->formats, "npz, exr, ply, pcd, bin, png, parted by commas (default: npz)")->type_name("LIST");
     command->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")
         ->type_name("WHAT")
         ->type_size(1)
         ->allow_extra_args(false);
     command
-        ->add_option("--frame", options->point_frame,
-                     "frame of reference of points: sensor, each point at its own firing time; or world, the dataset's (default: sensor)")
-        ->type_name("WHAT");
-    command->add_flag("--deskew", options->deskew,
-                      "bring all points of a scan to the sensor's frame at the scan's time, as a motion-compensated log has them");
-    command
         ->add_option("--sample", options->sample,
                      "draw each scan from the likely ones: drops by their probability, ranges with the noise measured on the log (default: "
                      "the likeliest scan, free of noise)")
         ->type_name("SEED");
-    command->add_flag("--overwrite", options->overwrite, "replace the rendering in DIR");
+    add_file_options(*command, *options);
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
@@ -288,7 +293,7 @@ void add_render(CLI::App& app, Call& call) {
             "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; "
             "npz has instance_names.\n"
             "--set render.normals=true: unit normals of surfaces, towards the sensor, in every format but bin and png.\n") +
-        kBeamTableHelp +
+        kSensorFileHelp +
         "\n"
         "Examples:\n"
         "  relidar render run --out scans\n"

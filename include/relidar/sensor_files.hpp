@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sensors as files, and the one place where a user's word for a sensor becomes one.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include <relidar/sensor.hpp>
+
+namespace relidar {
+
+/// A sensor by name or file, optionally followed by ":columns[xHz]" where it spins, as in "beams.csv:1024x10".
+///   NAME          of sensor_names(), in any case
+///   FILE.csv      a beam table (parse_beam_table()), or a ray table: a line a ray in the order of firing, with the columns azimuth_deg
+/// (left
+///                 positive) and elevation_deg, and where they are not 0 origin_x_m, origin_y_m, origin_z_m, time_s, channel; the same in
+///                 each line: divergence_mrad, min_range_m, max_range_m
+///   FILE.npz      a ray table under the names of a rendered scan: directions [n,3] or [rows,columns,3], origin, time, ring
+///   FILE.json     a ray table, as lists under the same names, with divergence_mrad, min_range_m and max_range_m; or the metadata of an
+///                 Ouster sensor as its own tools write it, old or new: beam angles, beam origin offset, columns and rate
+/// @param also_known  names that the caller knows beside sensor_names(), for the message
+/// @throws UsageError for an unknown name (the nearest known one is named), DataError for a bad file
+SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known = {});
+
+/// What sensor files hold, in lines for a user.
+inline constexpr const char* kSensorFileHelp =
+    "NAME is one of `relidar sensors`. A FILE holds a sensor of your own:\n"
+    "  beams.csv   a spinning one: a header line, then a line for each beam, from the highest down, with the columns elevation_deg\n"
+    "              (needed; up is positive), azimuth_offset_deg (from where the head points, to the left), origin_offset_m (where the\n"
+    "              beam starts: along the head's direction), origin_up_m (at right angles to the beam, upwards), origin_left_m,\n"
+    "              firing_offset_us, min_range_m, max_range_m (of the sensor; default 0, 80), channel (not used). Columns left out\n"
+    "              are 0; any other is an error. beams.csv:1024x10 is 1024 columns a sweep at 10 Hz (default: 1800x10);\n"
+    "              so are VLP-16:900x20 and other spinning sensors by name.\n"
+    "  rays.csv    any other: a line for each ray with azimuth_deg, elevation_deg, and where they are not 0 origin_x_m, origin_y_m,\n"
+    "              origin_z_m, time_s, channel; the same in each line: divergence_mrad, min_range_m, max_range_m.\n"
+    "  rays.npz    directions [n,3] or [rows,columns,3], origin, time, ring, as a rendered scan holds them.\n"
+    "  FILE.json   lists by the same names; or an Ouster sensor's own metadata.";
+
+}  // namespace relidar

@@ -1,0 +1,149 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sensors from files: ray tables in three formats against the rays they were written from, Ouster's metadata against Ouster's own equation
+// for its points, and the messages for files that are wrong.
+#include <relidar/sensor_files.hpp>
+
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <relidar/error.hpp>
+#include <relidar/export.hpp>
+#include <relidar/math.hpp>
+
+namespace relidar {
+namespace {
+
+using testing::HasSubstr;
+
+std::string path_of(const std::string& name) { return (std::filesystem::path(testing::TempDir()) / name).string(); }
+
+std::string write(const std::string& name, const std::string& text) {
+    std::ofstream(path_of(name)) << text;
+    return path_of(name);
+}
+
+std::string message(const std::string& sensor) {
+    try {
+        make_rays(find_sensor(sensor));
+    } catch (const Error& error) {
+        return error.what();
+    }
+    return "";
+}
+
+void expect_rays(const RayTable& rays, const std::vector<glm::dvec3>& directions, const std::vector<glm::dvec3>& origins) {
+    ASSERT_EQ(rays.size(), directions.size());
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        EXPECT_LT(glm::length(glm::dvec3(rays.direction[i]) - directions[i]), 1e-6) << i;
+        EXPECT_LT(glm::length(glm::dvec3(rays.origin[i]) - origins[i]), 1e-6) << i;
+    }
+}
+
+TEST(SensorFiles, RayTablesSayTheSameInEveryFormat) {
+    const std::vector<glm::dvec3> directions{{1, 0, 0}, {0, 1, 0}, {std::sqrt(0.5), 0, std::sqrt(0.5)}, {0, -1, 0}};
+    const std::vector<glm::dvec3> origins{{0, 0, 0}, {0, 0.1, 0}, {0, 0, 0.2}, {0.3, 0, 0}};
+    const std::string csv = write("rays.csv",
+                                  "azimuth_deg,elevation_deg,origin_x_m,origin_y_m,origin_z_m,time_s,channel,divergence_mrad,max_range_m\n"
+                                  "0,0,0,0,0,-0.01,3,2,50\n90,0,0,0.1,0,0,2,2,50\n0,45,0,0,0.2,0.01,1,2,50\n-90,0,0.3,0,0,0.02,0,2,50\n");
+    const std::string json = write("rays.json",
+                                   R"({"directions": [[[1,0,0],[0,1,0]],[[0.70710678118,0,0.70710678118],[0,-1,0]]],
+                                       "origin": [[0,0,0],[0,0.1,0],[0,0,0.2],[0.3,0,0]], "time": [-0.01,0,0.01,0.02], "ring": [3,2,1,0],
+                                       "divergence_mrad": 2, "max_range_m": 50})");
+    std::vector<float> d, o;
+    for (const glm::dvec3& v : directions) d.insert(d.end(), {float(v.x), float(v.y), float(v.z)});
+    for (const glm::dvec3& v : origins) o.insert(o.end(), {float(v.x), float(v.y), float(v.z)});
+    const std::vector<float> time{-0.01f, 0.0f, 0.01f, 0.02f}, divergence{2.0f}, farthest{50.0f};
+    const std::vector<std::uint16_t> ring{3, 2, 1, 0};
+    write_npz(path_of("rays.npz"),
+              {make_array("directions", {2, 2, 3}, d.data(), d.size()), make_array("origin", {2, 2, 3}, o.data(), o.size()),
+               make_array("time", {2, 2}, time.data(), 4), make_array("ring", {2, 2}, ring.data(), 4),
+               make_array("divergence_mrad", {1}, divergence.data(), 1), make_array("max_range_m", {1}, farthest.data(), 1)});
+    for (const std::string& file : {csv, json, path_of("rays.npz")}) {
+        const SensorModel sensor = find_sensor(file);
+        const RayTable rays = make_rays(sensor);
+        expect_rays(rays, directions, origins);
+        EXPECT_EQ(rays.rows, file == csv ? 1 : 2) << file;
+        EXPECT_EQ(rays.time_offset_s, time) << file;
+        EXPECT_EQ(rays.channel, ring) << file;
+        EXPECT_FLOAT_EQ(rays.divergence_rad, 2e-3f) << file;
+        EXPECT_EQ(sensor.limits.max_m, 50.0) << file;
+    }
+}
+
+/// A point as Ouster's manual computes it, in the sensor's frame but for its height. @param m column of w, range from the axis
+glm::dvec3 ouster_point(double range_m, double offset_m, double altitude_deg, double azimuth_deg, int m, int w) {
+    const double encoder = 2.0 * kPi * (1.0 - double(m) / w), azimuth = -azimuth_deg * kPi / 180.0, altitude = altitude_deg * kPi / 180.0;
+    const double r = range_m - offset_m;
+    const glm::dvec3 lidar(r * std::cos(encoder + azimuth) * std::cos(altitude) + offset_m * std::cos(encoder),
+                           r * std::sin(encoder + azimuth) * std::cos(altitude) + offset_m * std::sin(encoder), r * std::sin(altitude));
+    return {-lidar.x, -lidar.y, lidar.z};
+}
+
+TEST(SensorFiles, OustersMetadataMakesOustersPoints) {
+    const double altitude[] = {20.5, 0.25, -19.0}, azimuth[] = {-4.2, 1.4, 3.9}, offset_m = 0.015806;
+    const std::string angles = R"("beam_altitude_angles": [20.5, 0.25, -19.0], "beam_azimuth_angles": [-4.2, 1.4, 3.9],
+                                  "lidar_origin_to_beam_origin_mm": 15.806)";
+    const std::string old = write("old.json", "{\"lidar_mode\": \"512x20\", \"prod_line\": \"OS-1-128\", " + angles + "}");
+    const std::string nested = write("new.json",
+                                     "{\"config_params\": {\"lidar_mode\": \"512x20\"}, \"sensor_info\": {\"prod_line\": \"OS-1-128\"},"
+                                     "\"beam_intrinsics\": {" +
+                                         angles + "}}");
+    for (const std::string& file : {old, nested}) {
+        const auto spinning = std::get<SpinningSensor>(find_sensor(file).pattern);
+        ASSERT_EQ(spinning.columns, 512);
+        EXPECT_DOUBLE_EQ(spinning.period_s, 0.05);
+        EXPECT_DOUBLE_EQ(spinning.max_range_m, 120.0);
+        for (int beam = 0; beam < 3; ++beam) {
+            for (const int m : {0, 1, 100, 511}) {
+                const double head = spinning.first_azimuth_rad - 2.0 * kPi * m / 512.0;
+                const BeamRay ray = beam_ray(spinning.beams[std::size_t(beam)], head);
+                const glm::dvec3 expected = ouster_point(30.0, offset_m, altitude[beam], azimuth[beam], m, 512);
+                EXPECT_LT(glm::length(ray.origin_m + (30.0 - offset_m) * ray.direction - expected), 1e-9) << beam << " " << m;
+            }
+        }
+    }
+    EXPECT_EQ(std::get<SpinningSensor>(find_sensor(old + ":1024x10").pattern).columns, 1024);
+}
+
+TEST(SensorFiles, SpinningSensorsByNameTakeColumnsAndRate) {
+    const auto usual = std::get<SpinningSensor>(find_sensor("VLP-16").pattern),
+               fast = std::get<SpinningSensor>(find_sensor("vlp-16:904x20").pattern);
+    EXPECT_EQ(fast.columns, 904);
+    EXPECT_DOUBLE_EQ(fast.period_s, 0.05);
+    // The top beam fires 34.56 us after the head was at its azimuth: twice as far at 20 Hz.
+    EXPECT_NEAR(usual.beams[0].azimuth_offset_rad, -2.0 * kPi * 10.0 * 34.56e-6, 1e-9);
+    EXPECT_NEAR(fast.beams[0].azimuth_offset_rad, -2.0 * kPi * 20.0 * 34.56e-6, 1e-9);
+    EXPECT_THAT(message("rosette:100x10"), HasSubstr("does not spin"));
+}
+
+TEST(SensorFiles, WrongFilesAreNamed) {
+    EXPECT_THAT(message(path_of("missing.npz")), HasSubstr("missing.npz"));
+    EXPECT_THAT(message(write("a.csv", "azimuth_deg,elevation_deg\n0,nan\n")), HasSubstr("a.csv line 2: elevation_deg is 'nan'"));
+    EXPECT_THAT(message(write("b.csv", "azimuth_deg,elevation_deg\n")), HasSubstr("b.csv: found 0 rays"));
+    EXPECT_THAT(message(write("c.csv", "azimuth_deg,elevation_deg,wavelength\n1,1,905\n")), HasSubstr("column 'wavelength' is not known"));
+    EXPECT_THAT(message(write("d.csv", "azimuth_deg,elevation_deg,max_range_m\n1,1,50\n1,1,60\n")),
+                HasSubstr("d.csv line 3: max_range_m is 60, expected 50 as in the first line"));
+    EXPECT_THAT(message(write("e.csv", "azimuth_deg,time_s\n1,1\n")), HasSubstr("no azimuth_deg or no elevation_deg"));
+    EXPECT_THAT(message(write("a.json", "{\"directions\": [[1,0,0],[0,2,0]]}")), HasSubstr("directions number 1 has length 2, expected 1"));
+    EXPECT_THAT(message(write("b.json", "{\"directions\": [[1,0,0]], \"time\": [1,2]}")), HasSubstr("time has 2 numbers, expected 1"));
+    EXPECT_THAT(message(write("c.json", "{\"directions\": [[1,0,\"x\"]]}")), HasSubstr("directions: found string, expected numbers"));
+    EXPECT_THAT(message(write("d.json", "{\"directions\": " + std::string(50'000, '[') + std::string(50'000, ']') + "}")),
+                HasSubstr("nested too deep"));
+    EXPECT_THAT(message(write("e.json", "[1,")), HasSubstr("e.json: no valid JSON"));
+    EXPECT_THAT(message(write("f.json", "{}")), HasSubstr("neither \"directions\" nor \"beam_altitude_angles\""));
+    EXPECT_THAT(message(write("g.json", R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1,2], "lidar_mode": "512x10"})")),
+                HasSubstr("found 1 beam_altitude_angles and 2 beam_azimuth_angles"));
+    EXPECT_THAT(message(write("h.json", R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1], "lidar_mode": "fast"})")),
+                HasSubstr("lidar_mode is \"fast\""));
+    EXPECT_THAT(message(write("i.json", R"({"directions": [[1,0,0]], "time": [1e300]})")), HasSubstr("time number 0 is 1e+300"));
+    write_npz(path_of("a.npz"), {make_text("name", "x")});
+    EXPECT_THAT(message(path_of("a.npz")), HasSubstr("found no array \"directions\""));
+}
+
+}  // namespace
+}  // namespace relidar
