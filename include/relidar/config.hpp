@@ -38,6 +38,11 @@ struct SensorConfig {
     bool rolling_shutter = true;          ///< rays start where the sensor was when they were fired
     bool calibrate_intensity = false;     ///< find gain and offset of each beam's intensity before training (see calibrate_intensity())
     bool calibrate_range = false;         ///< find what each beam adds to its ranges before training (see calibrate_ranges())
+    int sub_rays = 1;                     ///< rays cast for each one that is simulated, over the footprint of its beam: 1, 5 or 9
+    double divergence_mrad = 0.0;         ///< full beam divergence of the simulated sensor; 0: the sensor's own
+    int returns = 1;                      ///< simulated for each ray, 1 or 2; 2: the strongest and the last, with sub_rays of 5 or 9
+    double return_separation_m = 0.5;     ///< surfaces nearer to each other than this are one return
+    double second_return_share = 0.1;     ///< light that a second return needs, over the strongest's
 };
 
 struct TrainConfig {

@@ -28,6 +28,7 @@ struct RenderedScan {
     std::vector<glm::vec3> normal;
     std::vector<float> time_offset_s;   ///< [n] firing time of each ray
     std::vector<std::uint16_t> channel; ///< [n]
+    std::vector<FurtherReturn> further = {};   ///< second returns with sensor.returns = 2; of the dominant surfaces
     Pose world_from_sensor;             ///< at the reference time, in the dataset's world
     PoseTrack track;                    ///< of the sensor, in the dataset's world; a single pose where all rays were fired from it
     double time_s = 0.0;

@@ -59,6 +59,18 @@ void visit_sensor(C& c, Visitor&& f) {
     f("sensor.rolling_shutter", c.sensor.rolling_shutter, anything(), "rays start where the sensor was when they were fired");
     f("sensor.calibrate_intensity", c.sensor.calibrate_intensity, anything(),
       "find gain and offset of each beam's intensity from the training scans: surfaces have one brightness, beams differ");
+    f("sensor.sub_rays", c.sensor.sub_rays, between(1, 9),
+      "rays cast for each one that is simulated, over the footprint of its beam: 1, 5 or 9; what they meet is put together as a receiver "
+      "does");
+    f("sensor.divergence_mrad", c.sensor.divergence_mrad, between(0, 100),
+      "full beam divergence of the simulated sensor, milliradians; 0: the sensor's own");
+    f("sensor.returns", c.sensor.returns, between(1, 2),
+      "returns simulated for each ray: 1, or with sensor.sub_rays the strongest and the last (where that is the strongest, the next "
+      "strongest)");
+    f("sensor.return_separation_m", c.sensor.return_separation_m, above(0),
+      "surfaces nearer to each other than this are one return, metres");
+    f("sensor.second_return_share", c.sensor.second_return_share, Accepts{0.0, 1.0, true, {}},
+      "light that a second return needs, over the strongest's");
     f("sensor.calibrate_range", c.sensor.calibrate_range, anything(),
       "find what each beam adds to its ranges from the training scans: centimetres, that differ between beams");
 }

@@ -12,6 +12,7 @@
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
 #include <relidar/stages/forward.hpp>
+#include "render/footprint.hpp"
 
 namespace relidar {
 
@@ -80,6 +81,23 @@ Sequence without_scans(const Sequence& sequence, const Config& config) {
     result.range_noise = sequence.range_noise;
     result.rolling_shutter = sequence.rolling_shutter && config.sensor.rolling_shutter;
     return result;
+}
+
+/// The rays to cast: those of the sensor, or of the parts of their footprints. @throws UsageError for a beam without divergence
+RayTable split_beams(const RayTable& rays, const SensorConfig& config, const std::string& sensor) {
+    if (config.sub_rays == 1 && config.returns > 1)
+        throw UsageError("sensor.returns: found 2 with sensor.sub_rays = 1, expected sub-rays: a single ray has one return");
+    if (config.sub_rays == 1) return rays;
+    if (config.sub_rays != 5 && config.sub_rays != 9)
+        throw UsageError(fmt::format("sensor.sub_rays: found {}, expected 1, 5 or 9", config.sub_rays));
+    const double divergence_rad = config.divergence_mrad > 0.0 ? config.divergence_mrad * 1e-3 : double(rays.divergence_rad);
+    if (!(divergence_rad > 0.0))
+        throw UsageError(
+            fmt::format("sensor.sub_rays: nothing is known of the beam divergence of {}, expected sensor.divergence_mrad", sensor));
+    if (rays.size() * std::size_t(config.sub_rays) > kMaxRays)
+        throw UsageError(
+            fmt::format("sensor.sub_rays: found {} for {} rays, expected at most {} in all", config.sub_rays, rays.size(), kMaxRays));
+    return split_rays(rays, config.sub_rays, divergence_rad);
 }
 
 }  // namespace
@@ -160,8 +178,10 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
 RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed,
                                 std::optional<std::uint64_t> sample) {
     const Impl& s = *impl_;
-    const RayTable own_rays = sensor.rosette ? make_rays(*sensor.rosette, time_s) : RayTable{};
-    const RayTable& table = sensor.rosette ? own_rays : sensor.rays;
+    const RayTable whole = sensor.rosette ? make_rays(*sensor.rosette, time_s) : sensor.rays;
+    if (sensor.grid && s.config.sensor.returns > 1)
+        throw UsageError(fmt::format("sensor.returns: found 2 for {}, expected 1: its image has one range a pixel", sensor.name));
+    const RayTable table = split_beams(whole, s.config.sensor, sensor.name);
     if (table.size() == 0)
         throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
     PoseTrack track = s.sweep.world_from_sensor(sensor.lidar);
@@ -207,6 +227,7 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     scan.time_s = time_s;
     for (std::size_t i = 0; i < r.normal.size(); ++i)
         scan.normal.push_back(seen_normal(r.normal[i], r.weight[i], scan.world_from_firing(i)));
+    if (s.config.sensor.sub_rays > 1) scan = join_footprints(scan, whole, s.config.sensor);
     if (sample) sample_returns(scan, s.sweep.range_noise, *sample);
     return sensor.grid ? project_scan(scan, *sensor.grid) : scan;
 }

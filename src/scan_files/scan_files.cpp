@@ -105,6 +105,10 @@ std::vector<NamedArray> arrays_of(const PlacedScan& placed) {
                                    make_text("run", placed.format.run),
                                    make_text("units", kUnits)};
     if (!placed.normal.empty()) arrays.push_back(vector_array("normals", image, placed.normal));
+    if (!scan.further.empty()) {
+        arrays.push_back(image_array("range_2", image, scan.further[0].range_m));
+        arrays.push_back(image_array("intensity_2", image, scan.further[0].intensity));
+    }
     return arrays;
 }
 
@@ -115,6 +119,7 @@ void exr(const fs::path& path, const PlacedScan& placed) {
                                                        {"intensity", image.intensity},   {"drop_prob", image.drop_prob},
                                                        {"weight", scan.weight},          {"time", scan.time_offset_s},
                                                        {"instance", {scan.instance.begin(), scan.instance.end()}}};
+    if (!scan.further.empty()) channels["range_2"] = scan.further[0].range_m, channels["intensity_2"] = scan.further[0].intensity;
     constexpr const char* kAxes = "xyz";
     for (int axis = 0; axis < 3; ++axis) {
         const auto add = [&](const char* name, const std::vector<glm::vec3>& vectors) {
@@ -130,6 +135,18 @@ bool is_point(const RenderedScan& scan, std::size_t ray, float range_m) {
     return returned(scan.image.drop_prob[ray], range_m);
 }
 
+/// @param number  of the return, from 1; normal and instance are known of the first
+void add_point(PointCloud& cloud, const PlacedScan& placed, std::size_t ray, float range_m, float intensity, int number) {
+    const RenderedScan& scan = placed.scan;
+    cloud.position_m.push_back(placed.origin[ray] + range_m * placed.direction[ray]);
+    cloud.intensity.push_back(intensity);
+    cloud.ring->push_back(scan.channel[ray]);
+    cloud.time->push_back(scan.time_offset_s[ray]);
+    cloud.instance->push_back(number == 1 ? scan.instance[ray] : -1);
+    if (cloud.normal) cloud.normal->push_back(number == 1 ? placed.normal[ray] : glm::vec3(0.0f));
+    if (cloud.return_number) cloud.return_number->push_back(static_cast<std::uint8_t>(number));
+}
+
 PointCloud cloud_of(const PlacedScan& placed) {
     const RenderedScan& scan = placed.scan;
     const std::vector<float> range_m = point_ranges(scan, placed.format.config);
@@ -137,15 +154,13 @@ PointCloud cloud_of(const PlacedScan& placed) {
     cloud.ring.emplace(), cloud.time.emplace(), cloud.instance.emplace();
     if (!placed.normal.empty()) cloud.normal.emplace();
     cloud.notes = placed.notes;
+    if (!scan.further.empty()) cloud.return_number.emplace();
     if (placed.format.frame == PointFrame::sensor) cloud.world_from_points = scan.world_from_sensor;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         if (!is_point(scan, i, range_m[i])) continue;
-        cloud.position_m.push_back(placed.origin[i] + range_m[i] * placed.direction[i]);
-        cloud.intensity.push_back(scan.image.intensity[i]);
-        cloud.ring->push_back(scan.channel[i]);
-        cloud.time->push_back(scan.time_offset_s[i]);
-        cloud.instance->push_back(scan.instance[i]);
-        if (cloud.normal) cloud.normal->push_back(placed.normal[i]);
+        add_point(cloud, placed, i, range_m[i], scan.image.intensity[i], 1);
+        if (!scan.further.empty() && scan.further[0].range_m[i] > 0.0f)
+            add_point(cloud, placed, i, scan.further[0].range_m[i], scan.further[0].intensity[i], 2);
     }
     return cloud;
 }

@@ -72,7 +72,12 @@ void ScanFolder::finish() const {
     const bool world = format_.frame == PointFrame::world;
     const std::string range = config.render.points == "median" ? "median" : config.render.range;
     const Json points = {
-        {"frame", world ? "world" : "sensor"}, {"deskewed", world || format_.deskew}, {"range", range}, {"returned", "drop_prob < 0.5"}};
+        {"frame", world ? "world" : "sensor"},
+        {"deskewed", world || format_.deskew},
+        {"range", range},
+        {"returned", "drop_prob < 0.5"},
+        {"returns",
+         config.sensor.returns == 2 ? "1 the strongest, 2 the last, or the next strongest where that is the last" : "one a ray"}};
     Json json = {{"format", "relidar scans"},
                  {"version", 1},
                  {"relidar", RELIDAR_VERSION},

@@ -134,6 +134,72 @@ Surfels wall_ahead() {
     return wall;
 }
 
+/// Four rays, one a quarter turn, from the origin.
+Sequence cross_sequence() {
+    Sequence sequence;
+    sequence.lidars[0].sensor.beams = {{0.0}};
+    sequence.lidars[0].sensor.columns = 4;
+    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
+    sequence.rolling_shutter = false;
+    sequence.world_from_vehicle.time_s = {0.0};
+    sequence.world_from_vehicle.pose = {Pose{}};
+    return sequence;
+}
+
+/// A post 8 cm wide, 10 m away, in front of a wall at 14 m.
+Surfels post_before_wall() {
+    Surfels scene = wall_ahead();
+    scene.resize(2);
+    for (std::size_t k = 0; k < kShFloats; ++k) scene.sh[kShFloats + k] = scene.sh[k];
+    scene.sh[0] = scene.sh[kShFloats] = 1.0f;   // alike in brightness
+    scene.mean = {{10.0f, 0.0f, 0.0f}, {14.0f, 0.0f, 0.0f}};
+    scene.rotation[1] = scene.rotation[0];
+    scene.log_scale[0] = {std::log(5.0f), std::log(0.02f)};   // tall, narrow
+    scene.log_scale[1] = glm::vec2(std::log(5.0f));
+    scene.opacity_logit[1] = scene.opacity_logit[0];
+    return scene;
+}
+
+/// A footprint of 0.2 m across, aimed at the post: three of nine parts meet it, in a column, the others the wall.
+TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
+    Sequence sequence;
+    sequence.lidars[0].sensor.beams = {{0.0}};
+    sequence.lidars[0].sensor.columns = 1;
+    sequence.lidars[0].sensor.first_azimuth_rad = 0.0;
+    sequence.lidars[0].sensor.divergence_rad = 0.02;
+    sequence.world_from_vehicle = {{0.0}, {Pose{}}};
+    const auto render = [&](int sub_rays, int returns) {
+        Config config;
+        config.sensor.sub_rays = sub_rays;
+        config.sensor.returns = returns;
+        ScanRenderer renderer(device(), make_background_scene(post_before_wall()), config, sequence);
+        return renderer.render(configured_sensor(config, sequence), 0.0);
+    };
+    EXPECT_NEAR(render(1, 1).median_range_m[0], 10.0f, 1e-3f) << "the middle of the beam meets the post";
+    EXPECT_TRUE(render(9, 1).further.empty());
+    const RenderedScan scan = render(9, 2);
+    ASSERT_EQ(scan.image.range_m.size(), 1u);
+    EXPECT_NEAR(scan.median_range_m[0], 14.0f, 2e-3f) << "six of nine";
+    EXPECT_NEAR(scan.further[0].range_m[0], 10.0f, 2e-3f);
+    EXPECT_NEAR(scan.further[0].intensity[0] / scan.image.intensity[0], 0.5f, 1e-2f);
+    EXPECT_LT(scan.image.drop_prob[0], 0.1f);
+}
+
+TEST_F(Render, SubRaysNeedADivergence) {
+    Sequence sequence = cross_sequence();
+    Config config;
+    config.sensor.sub_rays = 5;
+    ScanRenderer renderer(device(), make_background_scene(wall_ahead()), config, sequence);
+    EXPECT_THROW(renderer.render(configured_sensor(config, sequence), 0.0), UsageError);
+    config.sensor.divergence_mrad = 2.0;
+    ScanRenderer with(device(), make_background_scene(wall_ahead()), config, sequence);
+    EXPECT_EQ(with.render(configured_sensor(config, sequence), 0.0).image.range_m.size(), 4u);
+    config.sensor.sub_rays = 1;
+    config.sensor.returns = 2;
+    ScanRenderer two(device(), make_background_scene(wall_ahead()), config, sequence);
+    EXPECT_THROW(two.render(configured_sensor(config, sequence), 0.0), UsageError);
+}
+
 TEST_F(Render, WallIsWhereItStands) {
     const Surfels wall = wall_ahead();
     Sequence sequence;
@@ -157,18 +223,6 @@ TEST_F(Render, WallIsWhereItStands) {
     Pose back;
     back.translation.x = -3.0;
     EXPECT_NEAR(renderer.render(sensor, 0.5, back).image.range_m[ahead], 13.0 - 2.0 * fired_at, 1e-4);
-}
-
-/// Four rays, one a quarter turn, from the origin.
-Sequence cross_sequence() {
-    Sequence sequence;
-    sequence.lidars[0].sensor.beams = {{0.0}};
-    sequence.lidars[0].sensor.columns = 4;
-    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
-    sequence.rolling_shutter = false;
-    sequence.world_from_vehicle.time_s = {0.0};
-    sequence.world_from_vehicle.pose = {Pose{}};
-    return sequence;
 }
 
 std::size_t ray_towards(const RayTable& rays, const glm::vec3& direction) {

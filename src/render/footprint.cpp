@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "render/footprint.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include <relidar/math.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr float kDarkest = 1e-3f;   // weight of a part that returns no light at all: its range still counts
+
+/// Offsets of the parts from their ray, in units of half the divergence.
+std::vector<glm::dvec2> pattern(int n) {
+    std::vector<glm::dvec2> offsets{{0.0, 0.0}};
+    const auto add_ring = [&](double radius, double first) {
+        for (int k = 0; k < 4; ++k)
+            offsets.push_back(radius * glm::dvec2(std::cos(first + k * kPi / 2.0), std::sin(first + k * kPi / 2.0)));
+    };
+    // sum of radius^2 = n / 2
+    if (n == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
+    if (n == 9) add_ring(0.5, kPi / 4.0), add_ring(std::sqrt(7.0 / 8.0), 0.0);
+    return offsets;
+}
+
+/// Two directions at right angles to a third and to each other.
+std::pair<glm::dvec3, glm::dvec3> across(const glm::dvec3& direction) {
+    const glm::dvec3 helper = std::abs(direction.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0);
+    const glm::dvec3 left = glm::normalize(glm::cross(helper, direction));
+    return {left, glm::cross(direction, left)};
+}
+
+/// Parts of one footprint that are one return.
+struct Group {
+    std::vector<std::size_t> parts;   ///< indices into the scan of parts, by range
+    float light = 0.0f;               ///< sum of intensities
+};
+
+std::vector<Group> groups_of(const RenderedScan& scan, const std::vector<float>& range_m, std::size_t first, int n, float separation_m) {
+    std::vector<std::size_t> hits;
+    for (std::size_t i = first; i < first + std::size_t(n); ++i)
+        if (returned(scan.image.drop_prob[i], range_m[i])) hits.push_back(i);
+    std::ranges::stable_sort(hits, {}, [&](std::size_t i) { return range_m[i]; });
+    std::vector<Group> groups;
+    for (const std::size_t i : hits) {
+        if (groups.empty() || range_m[i] - range_m[groups.back().parts.back()] >= separation_m) groups.emplace_back();
+        groups.back().parts.push_back(i);
+        groups.back().light += std::max(scan.image.intensity[i], kDarkest);
+    }
+    return groups;
+}
+
+/// Mean of values over the parts of a group, by their light.
+float mean_of(const Group& group, const std::vector<float>& values, const RenderedScan& scan) {
+    double sum = 0.0;
+    for (const std::size_t i : group.parts) sum += double(std::max(scan.image.intensity[i], kDarkest)) * double(values[i]);
+    return static_cast<float>(sum / double(group.light));
+}
+
+float intensity_of(const Group& group, const RenderedScan& scan, int n) {
+    float sum = 0.0f;
+    for (const std::size_t i : group.parts) sum += scan.image.intensity[i];
+    return sum / static_cast<float>(n);
+}
+
+/// Which group is the second return, or none.
+const Group* second_of(const std::vector<Group>& groups, const Group& strongest, double share) {
+    const Group* second = nullptr;
+    if (&strongest != &groups.back()) {
+        second = &groups.back();
+    } else {
+        for (const Group& group : groups)
+            if (&group != &strongest && (!second || group.light > second->light)) second = &group;
+    }
+    return second && double(second->light) >= share * double(strongest.light) ? second : nullptr;
+}
+
+/// The joined scan, to which rays are added one by one.
+class Joiner {
+public:
+    Joiner(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
+        : parts_(parts), range_m_(surface_ranges(parts)), config_(config) {
+        scan_.image.rows = rays.rows;
+        scan_.image.columns = rays.columns;
+        scan_.image.origin = rays.origin;
+        scan_.image.direction = rays.direction;
+        scan_.time_offset_s = rays.time_offset_s;
+        scan_.channel = rays.channel;
+        scan_.world_from_sensor = parts.world_from_sensor;
+        scan_.track = parts.track;
+        scan_.time_s = parts.time_s;
+        scan_.trace_ms = parts.trace_ms;
+        if (config.returns == 2) scan_.further.resize(1);
+    }
+
+    void add(std::size_t ray) {
+        const int n = config_.sub_rays;
+        const std::size_t first = ray * std::size_t(n);
+        float drop = 0.0f;
+        for (std::size_t i = first; i < first + std::size_t(n); ++i) drop += parts_.image.drop_prob[i];
+        scan_.image.drop_prob.push_back(drop / static_cast<float>(n));
+        const std::vector<Group> groups = groups_of(parts_, range_m_, first, n, static_cast<float>(config_.return_separation_m));
+        const Group middle{{first}, std::max(parts_.image.intensity[first], kDarkest)};
+        const Group& strongest = groups.empty() ? middle : *std::ranges::max_element(groups, {}, &Group::light);
+        scan_.image.range_m.push_back(mean_of(strongest, parts_.image.range_m, parts_));
+        scan_.median_range_m.push_back(mean_of(strongest, groups.empty() ? parts_.median_range_m : range_m_, parts_));
+        scan_.image.intensity.push_back(groups.empty() ? parts_.image.intensity[first] : intensity_of(strongest, parts_, n));
+        const std::size_t nearest = std::ranges::min(strongest.parts);   // parts go outwards from the middle
+        scan_.weight.push_back(parts_.weight[nearest]);
+        scan_.instance.push_back(parts_.instance[nearest]);
+        if (!parts_.normal.empty()) scan_.normal.push_back(parts_.normal[nearest]);
+        if (scan_.further.empty()) return;
+        const bool returns = returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
+        const Group* second = returns && groups.size() > 1 ? second_of(groups, strongest, config_.second_return_share) : nullptr;
+        scan_.further[0].range_m.push_back(second ? mean_of(*second, range_m_, parts_) : 0.0f);
+        scan_.further[0].intensity.push_back(second ? intensity_of(*second, parts_, n) : 0.0f);
+    }
+
+    RenderedScan take() { return std::move(scan_); }
+
+private:
+    const RenderedScan& parts_;
+    const std::vector<float> range_m_;
+    const SensorConfig& config_;
+    RenderedScan scan_;
+};
+
+}  // namespace
+
+RayTable split_rays(const RayTable& rays, int n, double divergence_rad) {
+    const std::vector<glm::dvec2> offsets = pattern(n);
+    RayTable parts;
+    parts.rows = rays.rows;
+    parts.columns = rays.columns * n;
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        const glm::dvec3 direction(rays.direction[i]);
+        const auto [left, up] = across(direction);
+        for (const glm::dvec2& offset : offsets) {
+            const glm::dvec2 angle = 0.5 * divergence_rad * offset;
+            parts.origin.push_back(rays.origin[i]);
+            parts.direction.emplace_back(glm::normalize(direction + std::tan(angle.x) * left + std::tan(angle.y) * up));
+            parts.time_offset_s.push_back(rays.time_offset_s[i]);
+            parts.channel.push_back(rays.channel[i]);
+        }
+    }
+    return parts;
+}
+
+RenderedScan join_footprints(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config) {
+    Joiner joiner(parts, rays, config);
+    for (std::size_t ray = 0; ray < rays.size(); ++ray) joiner.add(ray);
+    return joiner.take();
+}
+
+}  // namespace relidar

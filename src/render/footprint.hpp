@@ -1,0 +1,24 @@
+// SPDX-License-Identifier: Apache-2.0
+// A beam is a cone: its footprint is cast in parts, and what they return is put together as a receiver would. Private to render.
+#pragma once
+
+#include <relidar/render.hpp>
+#include <relidar/sensor.hpp>
+
+namespace relidar {
+
+/// Rays of the parts of every footprint, n for a ray, its own first; the others lie in the cone so that, all weighted alike, their spread
+/// is that of a disc that is lit evenly: mean of angle^2 = (divergence / 2)^2 / 2. Parts keep the origin, time and channel of their ray.
+/// @param n  1, 5 or 9 @param divergence_rad  full divergence
+RayTable split_rays(const RayTable& rays, int n, double divergence_rad);
+
+/// One scan of the rays from the scan of their parts. The parts that return are grouped by range, where neighbours lie less than
+/// config.return_separation_m apart; a group is one return, of their mean range, weighted by intensity, and of the sum of their intensities
+/// over the number of parts. The strongest group is the ray's return. With config.returns = 2 the last group is its second return where it
+/// is not the strongest, else the strongest of the others, and only where it has config.second_return_share of the strongest's intensity.
+/// The ray's probability of a drop is the mean of its parts': what comes back is the sum over the footprint. Weight, normal and instance
+/// are those of the strongest group's part nearest to the middle.
+/// @param parts  a scan of split_rays(rays, config.sub_rays, ...)
+RenderedScan join_footprints(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config);
+
+}  // namespace relidar
