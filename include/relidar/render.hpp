@@ -67,6 +67,13 @@ SensorChoice configured_sensor(const Config& config, const Sequence& sequence, i
 /// "native", or a sensor by name, CSV file or grid name. "kitti360" follows config.sensor.grid_method.
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence, int lidar = 0);
 
+/// A sensor in the place of a LiDAR of the log.
+SensorChoice sensor_choice(const SensorModel& sensor, int lidar = 0);
+
+/// Scans of a rig's sensors, taken together, as one without image order: rays in the frame of the rig, which is the sensor of the scan;
+/// channels are counted through. @param scans  at the same time @param rig_from_sensor [scans] as they were mounted
+RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vector<Pose>& rig_from_sensor);
+
 /// A scan to be taken, wherever its sensor was driven: by a file, or by a simulator that owns the traffic too. Poses are in the dataset's
 /// world, times in the log's (Frame::time_s).
 struct ScanRequest {

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include <relidar/math.hpp>
 #include <relidar/sensor.hpp>
 
 namespace relidar {
@@ -22,6 +23,22 @@ namespace relidar {
 /// @throws UsageError for an unknown name (the nearest known one is named), DataError for a bad file
 SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known = {});
 
+/// A sensor of a rig.
+struct MountedSensor {
+    std::string name;
+    SensorModel sensor;
+    Pose rig_from_sensor;
+};
+
+/// Whether a path is a rig's file: JSON with a list "sensors". A file that cannot be read is none.
+bool is_rig(const std::string& path);
+/// The sensors of a rig, from JSON:
+///   {"sensors": [{"name": "front", "sensor": "VLP-16", "translation_m": [1, 0, 2], "yaw_pitch_roll_deg": [90, 0, 0]}, ...]}
+/// sensor is what find_sensor() takes, files beside the rig's; translation_m and yaw_pitch_roll_deg (each 0 where left out) mount it, x
+/// forward, y left, z up, yaw to the left first. Names are folders of files: letters, digits, -, _ and ., each once.
+/// @throws DataError naming the sensor and key that is wrong, or as find_sensor()
+std::vector<MountedSensor> read_rig(const std::string& path);
+
 /// What sensor files hold, in lines for a user.
 inline constexpr const char* kSensorFileHelp =
     "NAME is one of `relidar sensors`. A FILE holds a sensor of your own:\n"
@@ -34,6 +51,8 @@ inline constexpr const char* kSensorFileHelp =
     "  rays.csv    any other: a line for each ray with azimuth_deg, elevation_deg, and where they are not 0 origin_x_m, origin_y_m,\n"
     "              origin_z_m, time_s, channel; the same in each line: divergence_mrad, min_range_m, max_range_m.\n"
     "  rays.npz    directions [n,3] or [rows,columns,3], origin, time, ring, as a rendered scan holds them.\n"
-    "  FILE.json   lists by the same names; or an Ouster sensor's own metadata.";
+    "  FILE.json   lists by the same names; or an Ouster sensor's own metadata.\n"
+    "  rig.json    several sensors: {\"sensors\": [{\"name\": \"front\", \"sensor\": \"VLP-16\", \"translation_m\": [1,0,2],\n"
+    "              \"yaw_pitch_roll_deg\": [90,0,0]}, ...]}, mounted in the frame of the sensor they stand in for.";
 
 }  // namespace relidar

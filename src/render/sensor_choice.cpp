@@ -64,13 +64,16 @@ SensorChoice configured_sensor(const Config& config, const Sequence& sequence, i
     return grid_choice(find_grid(config.sensor.grid), config, sequence, lidar);
 }
 
-SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence, int lidar) {
-    if (known_name(name_or_file, {"native"})) return own_sensor(config, sequence, lidar);
-    if (known_name(name_or_file, {kitti360_grid().name})) return grid_choice(kitti360_grid(), config, sequence, lidar);
-    const SensorModel sensor = find_sensor(name_or_file, {"native"});
+SensorChoice sensor_choice(const SensorModel& sensor, int lidar) {
     SensorChoice choice{.rays = make_rays(sensor), .limits = sensor.limits, .name = sensor.name, .lidar = lidar};
     if (const auto* rosette = std::get_if<Rosette>(&sensor.pattern)) choice.rosette = *rosette;
     return choice;
+}
+
+SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence, int lidar) {
+    if (known_name(name_or_file, {"native"})) return own_sensor(config, sequence, lidar);
+    if (known_name(name_or_file, {kitti360_grid().name})) return grid_choice(kitti360_grid(), config, sequence, lidar);
+    return sensor_choice(find_sensor(name_or_file, {"native"}), lidar);
 }
 
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {

@@ -145,5 +145,41 @@ TEST(SensorFiles, WrongFilesAreNamed) {
     EXPECT_THAT(message(path_of("a.npz")), HasSubstr("found no array \"directions\""));
 }
 
+TEST(Rigs, SensorsAreMountedAsTheFileSays) {
+    write("near.csv", "elevation_deg\n5\n-5\n");
+    const std::string file = write("rig.json", R"({"sensors": [{"name": "top", "sensor": "VLP-16:900x20"},
+        {"name": "left", "sensor": "near.csv:360x10", "translation_m": [1, 2, 3], "yaw_pitch_roll_deg": [90, 0, 180]}]})");
+    EXPECT_TRUE(is_rig(file));
+    EXPECT_FALSE(is_rig(write("no_rig.json", "{}")));
+    EXPECT_FALSE(is_rig("VLP-16"));
+    const std::vector<MountedSensor> rig = read_rig(file);
+    ASSERT_EQ(rig.size(), 2u);
+    EXPECT_EQ(rig[0].name, "top");
+    EXPECT_EQ(make_rays(rig[0].sensor).columns, 900);
+    EXPECT_EQ(make_rays(rig[1].sensor).size(), 720u) << "a file beside the rig's";
+    // Rolled about x first, then turned left: up comes down, forward goes left.
+    EXPECT_LT(glm::length(rig[1].rig_from_sensor * glm::dvec3(1, 0, 0) - glm::dvec3(1, 3, 3)), 1e-12);
+    EXPECT_LT(glm::length(rig[1].rig_from_sensor * glm::dvec3(0, 0, 1) - glm::dvec3(1, 2, 2)), 1e-12);
+}
+
+TEST(Rigs, WrongRigsAreNamed) {
+    const auto complaint = [](const std::string& text) {
+        try {
+            read_rig(write("bad_rig.json", text));
+        } catch (const Error& error) {
+            return std::string(error.what());
+        }
+        return std::string();
+    };
+    EXPECT_THAT(complaint("{\"sensors\": []}"), HasSubstr("expected a list \"sensors\" of 1 to 64"));
+    EXPECT_THAT(complaint(R"({"sensors": [{"sensor": "VLP-16"}]})"), HasSubstr("sensor 0: name: expected a text"));
+    EXPECT_THAT(complaint(R"({"sensors": [{"name": "../x", "sensor": "VLP-16"}]})"), HasSubstr("name: found \"../x\""));
+    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16"}, {"name": "a", "sensor": "VLP-16"}]})"),
+                HasSubstr("sensor 1: name: \"a\" is there twice"));
+    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "translation_m": [1, 2]}]})"),
+                HasSubstr("sensor 0: translation_m: expected three numbers of at most 1000"));
+    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP"}]})"), HasSubstr("did you mean"));
+}
+
 }  // namespace
 }  // namespace relidar

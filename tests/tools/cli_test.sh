@@ -40,10 +40,10 @@ bad() {
 
 help_tells() {
     good --help
-    for command in devices config info train render edit eval export import bench demo; do
+    for command in devices sensors config info train render edit eval export import bench demo; do
         says "^  $command "
     done
-    for command in devices config info train render edit eval export import bench demo; do
+    for command in devices sensors config info train render edit eval export import bench demo; do
         good "$command" --help
         says "Example"
     done
@@ -273,6 +273,26 @@ rendering() {
     bad 3 "typo.csv line 1: column 'azimuth_ofset_deg' is not known, did you mean 'azimuth_offset_deg'" render run --out x --sensor typo.csv
     bad 2 "offset: found \"x\"" render run --out x --offset 1,2,x
     bad 2 "did you mean 'VLP-16'" render run --out x --sensor VLP16
+    good sensors
+    says "^rosette +10000 "
+    good sensors OS1-64:512x20 --out pattern.png
+    says "^rays +32768 \\(64 rows of 512\\)"
+    check "sensors --out writes no png" test "$(head -c 4 pattern.png | tail -c 3)" = PNG
+    bad 2 "did you mean 'VLP-16'" sensors VLP16
+    bad 2 "--out: found no sensor" sensors --out x.png
+    printf '%s' '{"sensors": [{"name": "top", "sensor": "VLP-16"}, {"name": "left", "sensor": "rosette", "translation_m": [0, 1, 0],' \
+        ' "yaw_pitch_roll_deg": [90, 0, 0]}]}' >rig.json
+    good render run --out rig --frames 5:6 --sensor rig.json --format pcd,npz
+    check "a rig has a folder for each sensor" test -s rig/top/scans.json -a -s rig/left/frame_000005.pcd
+    good render run --out merged --frames 5:6 --sensor rig.json --format pcd --merge
+    check "a merged rig has not the points of its sensors" test "$(points_of merged/frame_000005.pcd)" -eq \
+        "$(($(points_of rig/top/frame_000005.pcd) + $(points_of rig/left/frame_000005.pcd)))"
+    bad 2 "--merge: found no rig" render run --out x --sensor VLP-16 --merge
+    bad 2 "rig/top: the folder holds another rendering" render run --out rig --frames 5:6 --sensor rig.json
+    good render run --out wide --frames 5:6 --sensor VLP-16 --format npz,pcd --set sensor.sub_rays=5 --set sensor.returns=2
+    check "a second return is missing from the pcd" grep -aq "^FIELDS x y z intensity ring time instance return$" wide/frame_000005.pcd
+    bad 2 "sensor.sub_rays: nothing is known of the beam divergence of XT32" render run --out x --sensor XT32 --set sensor.sub_rays=5
+    bad 2 "sensor.returns: found 2 with sensor.sub_rays = 1" render run --out x --sensor VLP-16 --set sensor.returns=2
     bad 3 "cannot be made a folder" render run --out broken.toml/x
     absent x
 }
@@ -296,6 +316,7 @@ range_limits() {
 
 # x y z yaw of a track's start, as --copy takes it.
 # Largest difference between the numbers of two .bin scans.
+points_of() { grep -am1 "^POINTS" "$1" | cut -d" " -f2; }
 difference() { paste <(od -An -v -t f4 -w4 "$1") <(od -An -v -t f4 -w4 "$2") | awk 'NF != 2 { most = 1e9 } { d = $1 - $2; if (d < 0) d = -d; if (d > most) most = d } END { print most + 0 }'; }
 
 # Along the path of the log's own sensor, as it was exported, there are the log's own scans; every path and moment that makes no sense is refused.

@@ -40,6 +40,7 @@ struct Options {
     std::string point_frame = "sensor";
     std::optional<std::uint64_t> sample;
     bool deskew = false;
+    bool merge = false;
     bool overwrite = false;
     bool quiet = false;
 };
@@ -135,16 +136,23 @@ ScanFormat wanted_format(const Options& options, const Run& run, const SensorCho
     return format;
 }
 
+/// @throws UsageError where an earlier rendering would be overwritten unasked
+void check_empty(const std::filesystem::path& folder, const Options& options) {
+    const std::vector<std::filesystem::path> files = options.overwrite ? std::vector<std::filesystem::path>{} : scans_in(folder);
+    if (!files.empty()) {
+        throw UsageError(
+            fmt::format("--out {}: the folder holds another rendering ({} files, one is {}), expected a new one; --overwrite replaces it",
+                        folder.string(), files.size(), files.front().filename().string()));
+    }
+}
+
 /// @throws UsageError for what can be refused before the run is loaded
 void check_options(const Options& options) {
     parse_formats(options.formats);
     parse_point_frame(options.point_frame);
-    const std::vector<std::filesystem::path> files = options.overwrite ? std::vector<std::filesystem::path>{} : scans_in(options.out);
-    if (!files.empty()) {
-        throw UsageError(
-            fmt::format("--out {}: the folder holds another rendering ({} files, one is {}), expected a new one; --overwrite replaces it",
-                        options.out, files.size(), files.front().filename().string()));
-    }
+    check_empty(options.out, options);
+    if (options.merge && !is_rig(options.sensor))
+        throw UsageError("--merge: found no rig as --sensor, expected one: there is nothing to merge");
     const TrajectoryChoice& t = options.trajectory;
     if (t.file.empty() && (t.rate_hz || !t.times.empty()))
         throw UsageError("--rate and --times: found no --trajectory, expected one: they say when scans are taken on it");
@@ -179,6 +187,41 @@ std::vector<Sweep> sweeps_along(const Run& run, const Options& options, const Po
     return sweeps;
 }
 
+/// A sensor that is simulated, and where it is in the place of the log's, or on its own path.
+struct Wanted {
+    std::string folder;   ///< of its files, in that of the rendering; empty: that itself
+    SensorChoice sensor;
+    Pose mounting;
+};
+
+std::vector<Wanted> wanted_sensors(const Options& options, const Run& run, int lidar) {
+    if (options.sensor.empty()) return {{"", configured_sensor(run.config, run.sequence, lidar), {}}};
+    if (!is_rig(options.sensor)) return {{"", choose_sensor(options.sensor, run.config, run.sequence, lidar), {}}};
+    std::vector<Wanted> rig;
+    for (const MountedSensor& mounted : read_rig(options.sensor))
+        rig.push_back({mounted.name, sensor_choice(mounted.sensor, lidar), mounted.rig_from_sensor});
+    return rig;
+}
+
+/// Folders that scans go to: one for each sensor, or one for all that are merged.
+std::vector<ScanFolder> scan_folders(const Options& options, const Run& run, const std::vector<Wanted>& wanted, const Pose& offset) {
+    std::vector<ScanFolder> folders;
+    if (options.merge) {
+        SensorChoice rig = wanted.front().sensor;
+        rig.name = std::filesystem::path(options.sensor).stem().string();
+        for (const Wanted& w : wanted)
+            rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m), std::max(rig.limits.max_m, w.sensor.limits.max_m)};
+        folders.emplace_back(options.out, wanted_format(options, run, rig, offset));
+        return folders;
+    }
+    for (const Wanted& w : wanted) {
+        const std::filesystem::path folder = std::filesystem::path(options.out) / w.folder;
+        if (!w.folder.empty()) check_empty(folder, options), std::filesystem::create_directories(folder);
+        folders.emplace_back(folder, wanted_format(options, run, w.sensor, offset * w.mounting));
+    }
+    return folders;
+}
+
 void run_render(const Options& options) {
     check_options(options);
     const Pose offset = parse_offset(options.offset);
@@ -189,36 +232,40 @@ void run_render(const Options& options) {
     apply_sets(run.config, options.sets);
     const int lidar = find_lidar(run.sequence, options.lidar);
     const std::vector<Sweep> sweeps = drives ? sweeps_along(run, options, track, lidar) : sweeps_of_log(run, options, lidar);
-    const SensorChoice sensor = options.sensor.empty() ? configured_sensor(run.config, run.sequence, lidar)
-                                                       : choose_sensor(options.sensor, run.config, run.sequence, lidar);
+    const std::vector<Wanted> wanted = wanted_sensors(options, run, lidar);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(device_options(options.device));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     if (!options.only.empty()) renderer.show_only(shown);
-    const ScanFormat format = wanted_format(options, run, sensor, offset);
-    ScanFolder scans(folder.path(), format);
+    std::vector<ScanFolder> folders = scan_folders(options, run, wanted, offset);
 
     if (options.sample && run.sequence.range_noise.sigma_m.empty() && !options.quiet)
         note(fmt::format("{} knows no range noise: sampled ranges are exact", run.folder.string()));
     catch_interrupts();
     Progress progress(options.quiet);
-    double trace_ms = 0.0;
+    std::vector<Pose> mountings;
+    for (const Wanted& w : wanted) mountings.push_back(w.mounting);
+    double trace_ms = 0.0, n_rays = 0.0;
     for (std::size_t done = 0; done < sweeps.size(); ++done) {
-        stop_if_interrupted();
         const auto [number, time_s] = sweeps[done];
-        const RenderedScan scan =
-            drives ? renderer.render(sensor, {time_s, track}, options.sample) : renderer.render(sensor, time_s, offset, options.sample);
-        scans.write(number, scan);
-        trace_ms += scan.trace_ms;
+        std::vector<RenderedScan> scans;
+        for (const Wanted& w : wanted) {
+            stop_if_interrupted();
+            scans.push_back(drives ? renderer.render(w.sensor, {time_s, moved_track(track, w.mounting)}, options.sample)
+                                   : renderer.render(w.sensor, time_s, offset * w.mounting, options.sample));
+            trace_ms += scans.back().trace_ms;
+            n_rays += double(scans.back().image.range_m.size());
+        }
+        if (options.merge) scans = {merge_scans(scans, mountings)};
+        for (std::size_t s = 0; s < scans.size(); ++s) folders[s].write(number, scans[s]);
         progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", number), done + 1, sweeps.size());
     }
-    scans.finish();
+    for (const ScanFolder& scans : folders) scans.finish();
     end_progress_line();
     if (options.quiet) return;
-    const double mrays = static_cast<double>(sensor.rays.size() * sweeps.size()) / 1e6;
-    print(fmt::format("{} scans of {} rays in {} ({}); tracing {:.1f} ms a scan, {:.3f} Mrays/s\n", sweeps.size(), sensor.rays.size(),
-                      options.out, fmt::join(format.formats, ", "), trace_ms / static_cast<double>(sweeps.size()),
-                      trace_ms > 0.0 ? 1000.0 * mrays / trace_ms : 0.0));
+    const double n = double(sweeps.size());
+    print(fmt::format("{} scans of {} rays in {} ({}); tracing {:.1f} ms a scan, {:.3f} Mrays/s\n", sweeps.size(), n_rays / n, options.out,
+                      fmt::join(parse_formats(options.formats), ", "), trace_ms / n, trace_ms > 0.0 ? 1e-3 * n_rays / trace_ms : 0.0));
 }
 
 void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
@@ -244,6 +291,7 @@ void add_file_options(CLI::App& command, Options& options) {
         ->type_name("WHAT");
     command.add_flag("--deskew", options.deskew,
                       "bring all points of a scan to the sensor's frame at the scan's time, as a motion-compensated log has them");
+    command.add_flag("--merge", options.merge, "the scans of a rig's sensors as one, in the frame of the rig (default: a folder for each)");
     command.add_flag("--overwrite", options.overwrite, "replace the rendering in DIR");
 }
 
@@ -265,7 +313,7 @@ void add_render(CLI::App& app, Call& call) {
         ->type_name("NAME");
     command
         ->add_option("--sensor", options->sensor,
-                     "another sensor: native (the log's), one of `relidar sensors`, or a file, see below")
+                     "another sensor: native (the log's), one of `relidar sensors`, or the file of a sensor or rig, see below")
         ->type_name("NAME|FILE");
     command->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")
         ->type_name("WHAT")
