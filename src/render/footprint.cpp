@@ -38,9 +38,47 @@ struct Group {
     float light = 0.0f;               ///< sum of intensities
 };
 
-std::vector<Group> groups_of(const RenderedScan& scan, const std::vector<float>& range_m, std::size_t first, int n, float separation_m) {
+/// Whether parts lie on one plane: then 1 / range is linear in their offsets. A surface met at a grazing angle has far apart ranges in one
+/// footprint and is one return all the same. Four parameters' worth of parts or fewer prove nothing.
+bool on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float>& range_m, std::size_t first,
+                  const std::vector<glm::dvec2>& offsets, double tolerance_m) {
+    if (parts.size() < 5) return false;
+    glm::dmat3 normal_matrix(0.0);
+    glm::dvec3 right(0.0);
+    const auto row = [&](std::size_t i) { return glm::dvec3(1.0, offsets[i - first].x, offsets[i - first].y); };
+    for (const std::size_t i : parts) {
+        normal_matrix += glm::outerProduct(row(i), row(i));
+        right += row(i) / double(range_m[i]);
+    }
+    if (std::abs(glm::determinant(normal_matrix)) < 1e-9) return false;
+    const glm::dvec3 plane = glm::inverse(normal_matrix) * right;
+    return std::ranges::all_of(parts, [&](std::size_t i) {
+        const double inverse_m = glm::dot(plane, row(i));
+        return inverse_m > 0.0 && std::abs(1.0 / inverse_m - double(range_m[i])) < tolerance_m;
+    });
+}
+
+/// Joins neighbouring groups that lie on one plane.
+void join_slopes(std::vector<Group>& groups, const std::vector<float>& range_m, std::size_t first, const std::vector<glm::dvec2>& offsets,
+                 double tolerance_m) {
+    for (std::size_t length = groups.size(); length >= 2; --length) {   // the longest run first: all of them, where all are one surface
+        for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
+            Group joined;
+            for (std::size_t g = begin; g < begin + length; ++g) {
+                joined.parts.insert(joined.parts.end(), groups[g].parts.begin(), groups[g].parts.end());
+                joined.light += groups[g].light;
+            }
+            if (!on_one_plane(joined.parts, range_m, first, offsets, tolerance_m)) continue;
+            groups[begin] = std::move(joined);
+            groups.erase(groups.begin() + std::ptrdiff_t(begin) + 1, groups.begin() + std::ptrdiff_t(begin + length));
+        }
+    }
+}
+
+std::vector<Group> groups_of(const RenderedScan& scan, const std::vector<float>& range_m, std::size_t first,
+                             const std::vector<glm::dvec2>& offsets, float separation_m) {
     std::vector<std::size_t> hits;
-    for (std::size_t i = first; i < first + std::size_t(n); ++i)
+    for (std::size_t i = first; i < first + offsets.size(); ++i)
         if (returned(scan.image.drop_prob[i], range_m[i])) hits.push_back(i);
     std::ranges::stable_sort(hits, {}, [&](std::size_t i) { return range_m[i]; });
     std::vector<Group> groups;
@@ -49,6 +87,7 @@ std::vector<Group> groups_of(const RenderedScan& scan, const std::vector<float>&
         groups.back().parts.push_back(i);
         groups.back().light += std::max(scan.image.intensity[i], kDarkest);
     }
+    join_slopes(groups, range_m, first, offsets, 0.5 * double(separation_m));
     return groups;
 }
 
@@ -81,7 +120,7 @@ const Group* second_of(const std::vector<Group>& groups, const Group& strongest,
 class Joiner {
 public:
     Joiner(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
-        : parts_(parts), range_m_(surface_ranges(parts)), config_(config) {
+        : parts_(parts), range_m_(surface_ranges(parts)), offsets_(pattern(config.sub_rays)), config_(config) {
         scan_.image.rows = rays.rows;
         scan_.image.columns = rays.columns;
         scan_.image.origin = rays.origin;
@@ -101,7 +140,7 @@ public:
         float drop = 0.0f;
         for (std::size_t i = first; i < first + std::size_t(n); ++i) drop += parts_.image.drop_prob[i];
         scan_.image.drop_prob.push_back(drop / static_cast<float>(n));
-        const std::vector<Group> groups = groups_of(parts_, range_m_, first, n, static_cast<float>(config_.return_separation_m));
+        const std::vector<Group> groups = groups_of(parts_, range_m_, first, offsets_, static_cast<float>(config_.return_separation_m));
         const Group middle{{first}, std::max(parts_.image.intensity[first], kDarkest)};
         const Group& strongest = groups.empty() ? middle : *std::ranges::max_element(groups, {}, &Group::light);
         scan_.image.range_m.push_back(mean_of(strongest, parts_.image.range_m, parts_));
@@ -123,6 +162,7 @@ public:
 private:
     const RenderedScan& parts_;
     const std::vector<float> range_m_;
+    const std::vector<glm::dvec2> offsets_;
     const SensorConfig& config_;
     RenderedScan scan_;
 };

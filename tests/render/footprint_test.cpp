@@ -3,6 +3,7 @@
 // beam straddles.
 #include "render/footprint.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -91,6 +92,24 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
     EXPECT_EQ(scan.instance[0], 0) << "of the part nearest to the middle";
     EXPECT_NEAR(scan.further[0].range_m[0], 10.0f, 1e-5f) << "the strongest is the last: the next strongest is the second";
     EXPECT_NEAR(scan.further[0].intensity[0], 2 * 0.2f / 5, kNear);
+}
+
+/// A road met at a grazing angle, its ranges metres apart within one footprint, and the same with a wall in the way of its upper part.
+TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
+    const RayTable ray = one_ray({std::cos(0.04f), 0.0f, -std::sin(0.04f)}), parts = split_rays(ray, 9, 4e-3);
+    const auto cast = [&](float wall_m) {
+        std::vector<Part> cone;
+        for (const glm::vec3& d : parts.direction) cone.push_back({std::min(-1.8f / d.z, wall_m / d.x), 0.4f, 0.0f});
+        return cone;
+    };
+    const auto [nearest, farthest] = std::ranges::minmax(cast(1e6f), {}, &Part::range_m);
+    ASSERT_GT(farthest.range_m - nearest.range_m, 4.0f);
+    const RenderedScan road = joined(cast(1e6f));
+    EXPECT_NEAR(road.median_range_m[0], 1.8f / std::sin(0.04f), 0.3f);
+    EXPECT_EQ(road.further[0].range_m[0], 0.0f);
+    SensorConfig fine;
+    fine.return_separation_m = 0.2;
+    EXPECT_GT(joined(cast(45.5f), fine).further[0].range_m[0], 0.0f) << "road and wall are no plane";
 }
 
 TEST(Footprint, TheLastOfThreeIsTheSecondReturn) {
