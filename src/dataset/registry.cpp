@@ -10,6 +10,7 @@
 #include <relidar/error.hpp>
 #include <relidar/reader.hpp>
 #include "core/files.hpp"
+#include "dataset/kitti_360.hpp"
 #include "dataset/kitti_files.hpp"
 #include "dataset/kitti_odometry.hpp"
 #include "dataset/kitti_raw.hpp"
@@ -25,11 +26,13 @@ struct Kind {
     const char* marker;  ///< file or folder that tells the kind
     const char* describe;
     Sequence (*load)(const fs::path&, const DatasetOptions&);
+    bool holds_drives = false;   ///< several, of which DatasetOptions::sequence names one
 };
 
 constexpr Kind kKinds[] = {
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
     {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_kitti_odometry},
+    {"kitti360", "data_3d_raw", "KITTI-360", load_kitti_360, true},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
 };
 
@@ -107,7 +110,11 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
                                      options.min_range_m, options.max_range_m));
     }
     const auto [kind, path] = parted(dataset);
-    Sequence sequence = find_kind(kind.empty() ? recognise_dataset(path) : kind).load(path, options);
+    const Kind& reader = find_kind(kind.empty() ? recognise_dataset(path) : kind);
+    if (!options.sequence.empty() && !reader.holds_drives)
+        throw UsageError(fmt::format("dataset.sequence: found '{}' for {}, which is one drive; expected none", excerpt(options.sequence),
+                                     reader.describe));
+    Sequence sequence = reader.load(path, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
     check_sequence(sequence);
     apply_limits(sequence, {options.min_range_m, options.max_range_m});
