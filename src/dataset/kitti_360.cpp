@@ -17,23 +17,13 @@
 #include "core/list_text.hpp"
 #include "dataset/kitti_files.hpp"
 #include "dataset/kitti_sweeps.hpp"
+#include "dataset/paper_parts.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
 using namespace kitti;
-
-/// A part of drive 0000 that the LiDAR-RT paper evaluates; its tables name first and last frame.
-struct PaperPart {
-    const char* name;
-    int first, last;
-};
-constexpr PaperPart kPaperParts[] = {
-    {"ks1", 1538, 1601}, {"ks2", 1728, 1791}, {"ks3", 1908, 1971},   {"ks4", 3353, 3415},   {"kd1", 2351, 2400},
-    {"kd2", 4951, 5000}, {"kd3", 8121, 8170}, {"kd4", 10201, 10250}, {"kd5", 10751, 10800}, {"kd6", 11401, 11450},
-};
-constexpr const char* kPaperDrive = "0000";
 
 /// The drive that is read, and which of its frames.
 struct Drive {
@@ -50,32 +40,19 @@ std::vector<std::string> list_drives(const fs::path& folder) {
     return names;
 }
 
-/// The drive whose folder has this name or number. @throws UsageError where there is none
-std::string find_drive(const std::vector<std::string>& drives, const std::string& wanted, const fs::path& folder) {
-    for (const std::string& drive : drives)
-        if (drive == wanted || drive.find("_drive_" + wanted + "_") != std::string::npos) return drive;
-    throw UsageError(fmt::format("dataset.sequence: found '{}', expected a drive of {} ({}), its number, or ks1 to ks4 or kd1 to kd6 of {}",
-                                 excerpt(wanted), folder.string(), excerpt(fmt::format("{}", fmt::join(drives, ", "))), kPaperDrive));
-}
-
 Drive choose_drive(const fs::path& folder, const DatasetOptions& options) {
     const std::vector<std::string> drives = list_drives(folder);
-    if (options.sequence.empty()) {
-        Drive drive{drives.front(), options.frames};
+    const ChosenPart part = choose_part(options, kKitti360Parts);
+    if (part.drive.empty()) {
+        Drive drive{drives.front(), part.frames};
         if (drives.size() > 1) drive.notes = {fmt::format("the first of {} drives; dataset.sequence names another", drives.size())};
         return drive;
     }
-    for (const PaperPart& part : kPaperParts) {
-        if (options.sequence != part.name) continue;
-        Drive drive{find_drive(drives, kPaperDrive, folder), options.frames};
-        drive.frames.begin = std::max(drive.frames.begin, part.first);
-        drive.frames.end = drive.frames.end < 0 ? part.last + 1 : std::min(drive.frames.end, part.last + 1);
-        if (drive.frames.begin >= drive.frames.end)
-            throw UsageError(fmt::format("frames {}:{}: none of {}, which has {} to {}", options.frames.begin, options.frames.end,
-                                         part.name, part.first, part.last));
-        return drive;
-    }
-    return {find_drive(drives, options.sequence, folder), options.frames};
+    for (const std::string& drive : drives)
+        if (drive == part.drive || drive.find("_drive_" + part.drive + "_") != std::string::npos) return {drive, part.frames};
+    throw UsageError(
+        fmt::format("dataset.sequence: found '{}', expected a drive of {} ({}), its number, or ks1 to ks4 or kd1 to kd6 of 0000",
+                    excerpt(options.sequence), folder.string(), excerpt(fmt::format("{}", fmt::join(drives, ", ")))));
 }
 
 /// world_from_velo by frame; not every frame has one.
@@ -146,15 +123,6 @@ void read_world(Sequence& sequence, const fs::path& folder, const Drive& drive, 
         for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], {});
         sequence.notes.push_back("no data_poses: boxes have no place");
     }
-    if (poses_file.empty()) return;
-    PoseTrack given{sequence.world_from_vehicle.time_s, std::vector<Pose>(sequence.frames.size())};
-    std::vector<int> kept;
-    for (const Frame& frame : sequence.frames) kept.push_back(frame.index);
-    if (poses_file != kNoPoses)
-        given.pose = read_pose_file(poses_file, kept);
-    else
-        sequence.notes.push_back("no poses are read (dataset.poses=none): they have to be found from the scans");
-    set_vehicle_poses(sequence, std::move(given));
 }
 
 }  // namespace
@@ -180,6 +148,7 @@ Sequence load_kitti_360(const fs::path& given, const DatasetOptions& options) {
     sensor.period_s = read_step(points / "timestamps.txt");
     sensor.max_range_m = options.max_range_m;
     read_world(sequence, folder, drive, frames, options.poses_file);
+    take_given_poses(sequence, options.poses_file);
     recentre(sequence);
     read_sweeps(sequence, points / "data", 10, options.progress);
     return sequence;

@@ -52,6 +52,9 @@ std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive, const std:
 /// world_from_sensor of the given frames: 12 numbers a line, 3x4 row-major, frame i on line i.
 std::vector<Pose> read_pose_file(const std::filesystem::path& file, const std::vector<int>& frames);
 
+/// Gives a sequence the poses of DatasetOptions::poses_file; its boxes go along. Leaves it as it is where that is empty.
+void take_given_poses(Sequence& sequence, const std::filesystem::path& poses_file);
+
 /// Poses of a file with a frame's number and 12 numbers a line, 3x4 row-major, the frames rising.
 std::map<int, Pose> read_numbered_poses(const std::filesystem::path& file);
 

@@ -6,9 +6,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include <fmt/format.h>
 
+#include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
 #include "core/files.hpp"
 
@@ -163,6 +165,17 @@ std::vector<Pose> read_pose_file(const fs::path& file, const std::vector<int>& f
     }
     check_extent(poses, frames, file.string());
     return poses;
+}
+
+void take_given_poses(Sequence& sequence, const fs::path& poses_file) {
+    if (poses_file.empty()) return;
+    PoseTrack given{sequence.world_from_vehicle.time_s, std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
+    std::vector<int> frames;   // one a pose: LiDARs that sweep together share theirs
+    for (const Frame& frame : sequence.frames)
+        if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
+    if (poses_file != kNoPoses) given.pose = read_pose_file(poses_file, frames);
+    else sequence.notes.push_back("no poses are read (dataset.poses=none): they have to be found from the scans");
+    set_vehicle_poses(sequence, std::move(given));
 }
 
 std::map<int, Pose> read_numbered_poses(const fs::path& file) {

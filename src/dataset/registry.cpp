@@ -15,6 +15,7 @@
 #include "dataset/kitti_odometry.hpp"
 #include "dataset/kitti_raw.hpp"
 #include "dataset/synthetic.hpp"
+#include "dataset/waymo.hpp"
 
 namespace relidar {
 namespace {
@@ -23,7 +24,7 @@ namespace fs = std::filesystem;
 
 struct Kind {
     const char* name;
-    const char* marker;  ///< file or folder that tells the kind
+    const char* marker;  ///< file or folder that tells the kind; ".ending": a file with it, or a folder of such files
     const char* describe;
     Sequence (*load)(const fs::path&, const DatasetOptions&);
     bool holds_drives = false;   ///< several, of which DatasetOptions::sequence names one
@@ -33,6 +34,7 @@ constexpr Kind kKinds[] = {
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
     {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_kitti_odometry},
     {"kitti360", "data_3d_raw", "KITTI-360", load_kitti_360, true},
+    {"waymo", ".tfrecord", "a segment of Waymo Open", load_waymo, true},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
 };
 
@@ -48,6 +50,14 @@ const Kind& find_kind(const std::string& name) {
     }
     throw UsageError(fmt::format("dataset kind '{}': unknown, did you mean '{}'? (known: {})", name, nearest_name(name, kind_names()),
                                  fmt::join(kind_names(), ", ")));
+}
+
+bool is_kind(const fs::path& path, const Kind& kind) {
+    if (kind.marker[0] != '.') return path_exists(path / kind.marker);
+    const auto has_ending = [&](const fs::path& file) { return file.extension() == kind.marker; };
+    if (!path_exists(path) || !fs::is_directory(path)) return has_ending(path) && path_exists(path);
+    const std::vector<fs::path> files = list_folder(path);
+    return std::any_of(files.begin(), files.end(), has_ending);
 }
 
 /// No LiDAR sees anything beyond its own limits and the given ones.
@@ -78,17 +88,20 @@ void check_range(const FrameRange& range) {
 }  // namespace
 
 bool is_dataset(const fs::path& path) {
-    std::error_code failed;
-    return std::any_of(std::begin(kKinds), std::end(kKinds), [&](const Kind& kind) { return fs::exists(path / kind.marker, failed); });
+    try {
+        return std::any_of(std::begin(kKinds), std::end(kKinds), [&](const Kind& kind) { return is_kind(path, kind); });
+    } catch (const DataError&) {
+        return false;   // what cannot be read
+    }
 }
 
 std::string recognise_dataset(const fs::path& path) {
-    check_folder(path, "a dataset");
     std::string known;
     for (const Kind& kind : kKinds) {
-        if (path_exists(path / kind.marker)) return kind.name;
+        if (is_kind(path, kind)) return kind.name;
         known += fmt::format("{}{} ({})", known.empty() ? "" : ", ", kind.describe, kind.marker);
     }
+    check_folder(path, "a dataset");
     for (const Kind& kind : kKinds) {
         const std::string stranger = kitti::describe_stranger(path, kind.marker);
         if (!stranger.empty()) throw DataError(fmt::format("{}: not a dataset, but {}", path.string(), stranger));

@@ -14,6 +14,7 @@
 #include "dataset/kitti_360_folder.hpp"
 #include "dataset/kitti_drive.hpp"
 #include "dataset/hdl64_rings.hpp"
+#include "dataset/kitti_360.hpp"
 #include "dataset/kitti_files.hpp"
 
 namespace relidar::fuzz {
@@ -67,25 +68,31 @@ const Drive& drive_in(const fs::path& folder) {
     return drive;
 }
 
-/// Every reader of text, each alone.
-void read_texts(const Drive& drive, unsigned options) {
-    const std::vector<int> frames = kitti::list_scans(drive.folder() / "velodyne_points/data", 0, -1);
+/// Readers, each tried whatever the others say; of their failures the last one is looked at, a crash is one at once.
+void attempt_all(const std::vector<std::function<void()>>& readers) {
     std::exception_ptr failure;
-    const auto attempt = [&](const std::function<void()>& read) {
+    for (const auto& read : readers) {
         try {
             read();
         } catch (const std::exception&) {
-            failure = std::current_exception();   // the last one is looked at; a crash is one at once
+            failure = std::current_exception();
         }
-    };
-    PoseTrack track{{0.0, 0.1, 0.2}, std::vector<Pose>(3)};
-    attempt([&] { kitti::read_period(drive.folder()); });
-    attempt([&] { kitti::read_times(drive.folder() / "velodyne_points/timestamps.txt", frames); });
-    if (options & kPosesFile) attempt([&] { kitti::read_pose_file(drive.poses(), frames); });
-    else attempt([&] { kitti::read_oxts_poses(drive.folder(), frames); });
-    attempt([&] { kitti::split_rings(kitti::read_scan(drive.scan())); });
-    attempt([&] { kitti::read_tracklets(drive.folder() / "tracklet_labels.xml", frames, track); });
+    }
     if (failure) std::rethrow_exception(failure);
+}
+
+/// Every reader of text, each alone.
+void read_texts(const Drive& drive, unsigned options) {
+    const std::vector<int> frames = kitti::list_scans(drive.folder() / "velodyne_points/data", 0, -1);
+    const PoseTrack track{{0.0, 0.1, 0.2}, std::vector<Pose>(3)};
+    attempt_all({[&] { kitti::read_period(drive.folder()); },
+                 [&] { kitti::read_times(drive.folder() / "velodyne_points/timestamps.txt", frames); },
+                 [&] {
+                     if (options & kPosesFile) kitti::read_pose_file(drive.poses(), frames);
+                     else kitti::read_oxts_poses(drive.folder(), frames);
+                 },
+                 [&] { kitti::split_rings(kitti::read_scan(drive.scan())); },
+                 [&] { kitti::read_tracklets(drive.folder() / "tracklet_labels.xml", frames, track); }});
 }
 
 void read_whole(const Drive& drive, unsigned options) {
@@ -141,6 +148,16 @@ void read_kitti_360(std::string_view input, const fs::path& folder) {
     });
 }
 
+void read_kitti_360_texts(std::string_view input, const fs::path& folder) {
+    const Kitti360& kitti = kitti_360_in(folder);
+    static const std::vector<Frame> frames{{0, 0.0, {}, 0}, {1, 0.1, {}, 0}, {2, 0.2, {}, 0}};
+    kitti.files.read(input, [&](unsigned) {
+        attempt_all({[&] { kitti::read_step(kitti.folder.raw() / "timestamps.txt"); },
+                     [&] { kitti::read_numbered_poses(kitti.folder.poses()); },
+                     [&] { kitti::read_360_boxes(kitti.folder.boxes(), frames); }});
+    });
+}
+
 std::vector<std::string> kitti_360_seeds(const fs::path& folder) {
     return kitti_360_in(folder).files.seeds({0u, kAllFrames}, {kAllFrames, kNone});
 }
@@ -156,6 +173,7 @@ std::vector<Harness> drive_harnesses() {
         {"drive", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_whole); }, false},
         {"odometry", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_odometry); },
          false},
+        {"kitti360_texts", kitti_360_seeds, read_kitti_360_texts, false},
         {"kitti360", kitti_360_seeds, read_kitti_360, false},
     };
 }
