@@ -26,7 +26,7 @@ std::string describe_stranger(const fs::path& folder, const std::string& marker)
         return "a KITTI odometry sequence, whose scans are motion-compensated; expected its calib.txt there too, or the drive of KITTI raw "
                "that it was cut from";
     for (fs::path up = fs::canonical(folder, failed).parent_path(); !failed && up.has_relative_path(); up = up.parent_path()) {
-        if (fs::exists(up / marker, failed)) return fmt::format("a folder within a dataset; expected {}", up.string());
+        if (fs::exists(up / marker, failed)) return fmt::format("something within a dataset; expected {}", up.string());
     }
     std::string first;
     std::size_t n = 0;

@@ -96,12 +96,13 @@ bool is_dataset(const fs::path& path) {
 }
 
 std::string recognise_dataset(const fs::path& path) {
+    std::error_code failed;
+    if (!fs::is_regular_file(path, failed)) check_folder(path, "a dataset");
     std::string known;
     for (const Kind& kind : kKinds) {
         if (is_kind(path, kind)) return kind.name;
         known += fmt::format("{}{} ({})", known.empty() ? "" : ", ", kind.describe, kind.marker);
     }
-    check_folder(path, "a dataset");
     for (const Kind& kind : kKinds) {
         const std::string stranger = kitti::describe_stranger(path, kind.marker);
         if (!stranger.empty()) throw DataError(fmt::format("{}: not a dataset, but {}", path.string(), stranger));

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Waymo Open. Pixel (row, column) of a range image is a ray of
 //   elevation(row),  azimuth pi - 2 pi (column + 0.5) / columns - yaw of the mounting,
-// in the LiDAR's frame, so with the frame turned by that yaw the image is the ray table of a spinning sensor. Points of TOP were brought from
-// the vehicle at their own pixel's pose, those of the other LiDARs to the vehicle of the record: each ray is placed in the world by that pose,
-// and stored as seen from the vehicle that the track has at the ray's time.
+// in the LiDAR's frame, so with the frame turned by that yaw the image is the ray table of a spinning sensor. Points of TOP were brought
+// from the vehicle at their own pixel's pose, those of the other LiDARs to the vehicle of the record: each ray is placed in the world by
+// that pose, and stored as seen from the vehicle that the track has at the ray's time.
 #include "dataset/waymo.hpp"
 
 #include <algorithm>
