@@ -24,6 +24,7 @@ inline constexpr const char* kNoPoses = "none";
 
 /// What to read of a log.
 struct DatasetOptions {
+    std::string sequence;   ///< which drive of a dataset that holds several, by its own name; empty: the only one, or the first
     FrameRange frames;
     /// 12 numbers a line, world_from_sensor of frame i on line i, in the dataset's world; empty = the dataset's own; kNoPoses
     std::filesystem::path poses_file;
@@ -34,17 +35,18 @@ struct DatasetOptions {
     Progress progress = {};             ///< of reading
 };
 
-/// Reads a log. @param dataset a path (format recognised) or "kind:path" with kind kitti_raw or synthetic
+/// Reads a log. @param dataset a path (format recognised) or "kind:path" with a kind that recognise_dataset() gives
 /// @throws DataError naming the file and what is wrong with it; UsageError for an unknown kind or an empty frame range
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options);
 
 /// A dataset as load_sequence() takes it, made independent of the working folder; a kind in front stays.
 std::string absolute_dataset(const std::string& dataset);
 
-/// Kind of a dataset path ("kitti_raw", "synthetic"). @throws DataError where it is none of the known ones
+/// Kind of a dataset path ("kitti_raw", "kitti_odometry", "kitti360", "waymo", "synthetic").
+/// @throws DataError where it is none of the known ones
 std::string recognise_dataset(const std::filesystem::path& path);
 
-/// Whether a folder is a log of one of these kinds.
+/// Whether a folder or file is a log of one of these kinds.
 bool is_dataset(const std::filesystem::path& path);
 
 /// Parameters of the synthetic street: facades, poles, parked cars and what moves, cast exactly.

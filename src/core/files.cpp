@@ -115,14 +115,14 @@ std::optional<double> parse_number(std::string_view text) {
     return value;
 }
 
-std::optional<std::vector<double>> parse_numbers(std::string_view line) {
+std::optional<std::vector<double>> parse_numbers(std::string_view text) {
     std::vector<double> numbers;
-    for (line = trimmed(line); !line.empty(); line = trimmed(line)) {
-        const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
-        const std::optional<double> number = parse_number(line.substr(0, end));
+    for (text = trimmed(text); !text.empty(); text = trimmed(text)) {
+        const std::size_t end = std::min(text.find_first_of(" \t\r\n"), text.size());
+        const std::optional<double> number = parse_number(text.substr(0, end));
         if (!number) return std::nullopt;
         numbers.push_back(*number);
-        line.remove_prefix(end);
+        text.remove_prefix(end);
     }
     return numbers;
 }

@@ -37,7 +37,7 @@ std::string_view trimmed(std::string_view text);
 /// One number that fills the text, "nan" and "inf" included. @return nothing where it is no number
 std::optional<double> parse_number(std::string_view text);
 
-/// All numbers of a line parted by blanks. @return nothing where a word is no number
-std::optional<std::vector<double>> parse_numbers(std::string_view line);
+/// All numbers of a text parted by blanks or line ends. @return nothing where a word is no number
+std::optional<std::vector<double>> parse_numbers(std::string_view text);
 
 }  // namespace relidar

@@ -26,7 +26,7 @@ std::string describe_stranger(const fs::path& folder, const std::string& marker)
         return "a KITTI odometry sequence, whose scans are motion-compensated; expected its calib.txt there too, or the drive of KITTI raw "
                "that it was cut from";
     for (fs::path up = fs::canonical(folder, failed).parent_path(); !failed && up.has_relative_path(); up = up.parent_path()) {
-        if (fs::exists(up / marker, failed)) return fmt::format("a folder within a dataset; expected {}", up.string());
+        if (fs::exists(up / marker, failed)) return fmt::format("something within a dataset; expected {}", up.string());
     }
     std::string first;
     std::size_t n = 0;
@@ -40,7 +40,7 @@ std::string describe_stranger(const fs::path& folder, const std::string& marker)
                                 (folder / first).string());
 }
 
-std::string describe_gaps(const std::vector<int>& frames) {
+std::string note_gaps(const fs::path& folder, const std::vector<int>& frames, bool allow_missing) {
     constexpr std::size_t kShown = 5;
     const std::size_t n = static_cast<std::size_t>(frames.back() - frames.front() + 1) - frames.size();
     if (n == 0) return "";
@@ -48,8 +48,11 @@ std::string describe_gaps(const std::vector<int>& frames) {
     for (std::size_t i = 1; i < frames.size(); ++i) {
         for (int frame = frames[i - 1] + 1; frame < frames[i] && shown.size() < kShown; ++frame) shown.push_back(frame);
     }
-    return fmt::format("{} of the scans {} to {} missing ({}{})", n, frames.front(), frames.back(), fmt::join(shown, ", "),
-                       n > kShown ? ", ..." : "");
+    const std::string gaps = fmt::format("{} of the scans {} to {} missing ({}{})", n, frames.front(), frames.back(),
+                                         fmt::join(shown, ", "), n > kShown ? ", ..." : "");
+    if (!allow_missing)
+        throw DataError(fmt::format("{}: {}, expected all; dataset.allow_missing_scans=true leaves them out", folder.string(), gaps));
+    return gaps + ": left out";
 }
 
 std::vector<int> list_scans(const fs::path& folder, int begin, int end) {

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <filesystem>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -19,8 +20,9 @@ std::vector<int> list_scans(const std::filesystem::path& folder, int begin, int 
 /// Points of a scan: x, y, z (metres, sensor frame), reflectance. @throws DataError for a truncated, empty or impossible scan
 std::vector<glm::vec4> read_scan(const std::filesystem::path& file);
 
-/// Which scans between the first and the last of the frames are missing, in words; empty where none is.
-std::string describe_gaps(const std::vector<int>& frames);
+/// Which scans between the first and the last of the frames are missing and left out, in words; empty where none is.
+/// @throws DataError where some are missing that may not be
+std::string note_gaps(const std::filesystem::path& folder, const std::vector<int>& frames, bool allow_missing);
 
 /// What a folder is that is no drive, and what to give instead: a KITTI odometry sequence, a folder of drives, a folder within one.
 /// @param marker  folder that tells a drive @return empty where it is none of these
@@ -32,6 +34,9 @@ std::vector<double> read_times(const std::filesystem::path& file, const std::vec
 
 /// Median time of one sweep from timestamps_start.txt and timestamps_end.txt, over the lines that both have.
 double read_period(const std::filesystem::path& drive);
+
+/// Median time of one sweep from a single file of timestamps: from each line to the next.
+double read_step(const std::filesystem::path& file);
 
 /// Rigid transform with the keys R (9 numbers, row-major) and T (3).
 Pose read_calibration(const std::filesystem::path& file);
@@ -46,6 +51,15 @@ std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive, const std:
 
 /// world_from_sensor of the given frames: 12 numbers a line, 3x4 row-major, frame i on line i.
 std::vector<Pose> read_pose_file(const std::filesystem::path& file, const std::vector<int>& frames);
+
+/// Gives a sequence the poses of DatasetOptions::poses_file; its boxes go along. Leaves it as it is where that is empty.
+void take_given_poses(Sequence& sequence, const std::filesystem::path& poses_file);
+
+/// Poses of a file with a frame's number and 12 numbers a line, 3x4 row-major, the frames rising.
+std::map<int, Pose> read_numbered_poses(const std::filesystem::path& file);
+
+/// Rotation and translation as a pose. @throws DataError where the matrix is no rotation within 1e-3
+Pose make_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where);
 
 /// Boxes of tracklet_labels.xml for the given frames, in the world of the poses; none without that file.
 /// @param world_from_sensor one entry for each of `frames`

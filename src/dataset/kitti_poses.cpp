@@ -6,31 +6,17 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include <fmt/format.h>
 
+#include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
 #include "core/files.hpp"
 
 namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
-
-/// Rotation and translation as a pose. @throws DataError where the matrix is no rotation within 1e-3
-Pose make_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where) {
-    const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
-    double worst = 0.0;
-    for (int c = 0; c < 3; ++c) {
-        for (int r = 0; r < 3; ++r) worst = std::max(worst, std::abs(excess[c][r]));
-    }
-    if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0) {
-        throw DataError(
-            fmt::format("{}: the 3x3 block is no rotation (R^T R differs from 1 by {:.3g}, determinant {:.3g}), "
-                        "expected orthonormal within 0.001",
-                        where, worst, glm::determinant(rotation)));
-    }
-    return {glm::normalize(glm::quat_cast(rotation)), translation};
-}
 
 constexpr double kLargestCoordinate_m = 1e8;   // of poses as written: UTM has 10^7
 constexpr double kLongestLog_m = 1e5;          // between two poses of a log: cells of 0.1 m (core/cell_key.hpp) reach 105 km
@@ -118,6 +104,21 @@ fs::path find_calibration(const fs::path& drive) {
 
 }  // namespace
 
+Pose make_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where) {
+    const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
+    double worst = 0.0;
+    for (int c = 0; c < 3; ++c) {
+        for (int r = 0; r < 3; ++r) worst = std::max(worst, std::abs(excess[c][r]));
+    }
+    if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0) {
+        throw DataError(
+            fmt::format("{}: the 3x3 block is no rotation (R^T R differs from 1 by {:.3g}, determinant {:.3g}), "
+                        "expected orthonormal within 0.001",
+                        where, worst, glm::determinant(rotation)));
+    }
+    return {glm::normalize(glm::quat_cast(rotation)), translation};
+}
+
 Pose read_calibration(const fs::path& file) {
     std::vector<double> r, t;
     for (const std::string& line : split_lines(read_file(file))) {
@@ -164,6 +165,39 @@ std::vector<Pose> read_pose_file(const fs::path& file, const std::vector<int>& f
     }
     check_extent(poses, frames, file.string());
     return poses;
+}
+
+void take_given_poses(Sequence& sequence, const fs::path& poses_file) {
+    if (poses_file.empty()) return;
+    PoseTrack given{sequence.world_from_vehicle.time_s, std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
+    std::vector<int> frames;   // one a pose: LiDARs that sweep together share theirs
+    for (const Frame& frame : sequence.frames)
+        if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
+    if (poses_file != kNoPoses) given.pose = read_pose_file(poses_file, frames);
+    else sequence.notes.push_back("no poses are read (dataset.poses=none): they have to be found from the scans");
+    set_vehicle_poses(sequence, std::move(given));
+}
+
+std::map<int, Pose> read_numbered_poses(const fs::path& file) {
+    const std::vector<std::string> lines = split_lines(read_file(file));
+    std::vector<int> frames;
+    std::vector<Pose> poses;
+    for (std::size_t l = 0; l < lines.size(); ++l) {
+        const std::string where = fmt::format("{} line {}", file.string(), l + 1);
+        const std::string_view line = trimmed(lines[l]);
+        const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
+        const std::optional<int> frame = file_number(std::string(line.substr(0, end)));
+        if (!frame || (!frames.empty() && *frame <= frames.back()))
+            throw DataError(fmt::format("{}: frame '{}'{}, expected frame numbers that rise", where, excerpt(line.substr(0, end)),
+                                        frames.empty() ? "" : fmt::format(" after {}", frames.back())));
+        frames.push_back(*frame);
+        poses.push_back(parse_matrix(std::string(line.substr(end)), where));
+    }
+    if (poses.empty()) throw DataError(fmt::format("{}: empty, expected a frame number and 12 numbers a line", file.string()));
+    check_extent(poses, frames, file.string());
+    std::map<int, Pose> by_frame;
+    for (std::size_t i = 0; i < frames.size(); ++i) by_frame.emplace_hint(by_frame.end(), frames[i], poses[i]);
+    return by_frame;
 }
 
 }  // namespace relidar::kitti

@@ -30,11 +30,8 @@ std::string describe_poses(const fs::path& poses_file) {
 /// What the drive lacks. Scans may be missing in the middle of it (drive 0009 lacks four), labels and poses altogether.
 std::vector<std::string> take_notes(const fs::path& drive, const std::vector<int>& frames, const DatasetOptions& options) {
     std::vector<std::string> notes;
-    const std::string gaps = describe_gaps(frames);
-    if (!gaps.empty() && !options.allow_missing_scans)
-        throw DataError(fmt::format("{}/velodyne_points/data: {}, expected all; dataset.allow_missing_scans=true leaves them out",
-                                    drive.string(), gaps));
-    if (!gaps.empty()) notes.push_back(gaps + ": left out");
+    const std::string gaps = note_gaps(drive / "velodyne_points/data", frames, options.allow_missing_scans);
+    if (!gaps.empty()) notes.push_back(gaps);
     if (!path_exists(drive / "tracklet_labels.xml")) notes.push_back("no tracklet_labels.xml: nothing in this drive is labelled");
     if (options.poses_file == kNoPoses) notes.push_back("no poses are read (dataset.poses=none): they have to be found from the scans");
     return notes;
@@ -49,6 +46,9 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
         if (!stranger.empty()) throw DataError(fmt::format("{}: no drive, but {}", folder.string(), stranger));
     }
     const fs::path drive = fs::canonical(folder);
+    if (drive.parent_path().filename() == "data_3d_raw")
+        throw DataError(fmt::format("{}: a drive of KITTI-360, expected {} with dataset.sequence={}", folder.string(),
+                                    drive.parent_path().parent_path().string(), drive.filename().string()));
     const std::vector<int> frames = list_scans(drive / "velodyne_points/data", options.frames.begin, options.frames.end);
 
     Sequence sequence;

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <cstdio>
 #include <optional>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -74,6 +75,20 @@ std::vector<double> read_times(const fs::path& file, const std::vector<int>& fra
     return time_s;
 }
 
+namespace {
+
+/// @param lasts_s  times that sweeps took
+double median_period(std::vector<double> lasts_s, const fs::path& file) {
+    std::nth_element(lasts_s.begin(), lasts_s.begin() + static_cast<std::ptrdiff_t>(lasts_s.size() / 2), lasts_s.end());
+    const double period_s = lasts_s[lasts_s.size() / 2];
+    if (!(period_s > 0.01 && period_s < 1.0)) {
+        throw DataError(fmt::format("{}: a sweep lasts {:.6g} s from start to end, expected 0.01 ... 1 s", file.string(), period_s));
+    }
+    return period_s;
+}
+
+}  // namespace
+
 double read_period(const fs::path& drive) {
     const fs::path file = drive / "velodyne_points/timestamps_end.txt";
     const auto start = parse_timestamps(drive / "velodyne_points/timestamps_start.txt"), end = parse_timestamps(file);
@@ -83,12 +98,18 @@ double read_period(const fs::path& drive) {
     }
     if (lasts_s.empty())
         throw DataError(fmt::format("{}: no line with a time here and in timestamps_start.txt, expected one a sweep", file.string()));
-    std::nth_element(lasts_s.begin(), lasts_s.begin() + static_cast<std::ptrdiff_t>(lasts_s.size() / 2), lasts_s.end());
-    const double period_s = lasts_s[lasts_s.size() / 2];
-    if (!(period_s > 0.01 && period_s < 1.0)) {
-        throw DataError(fmt::format("{}: a sweep lasts {} s from start to end, expected 0.01 ... 1 s", file.string(), period_s));
+    return median_period(std::move(lasts_s), file);
+}
+
+double read_step(const fs::path& file) {
+    const auto time_ns = parse_timestamps(file);
+    std::vector<double> lasts_s;
+    for (std::size_t i = 1; i < time_ns.size(); ++i) {
+        if (time_ns[i - 1] && time_ns[i]) lasts_s.push_back(static_cast<double>(*time_ns[i] - *time_ns[i - 1]) * 1e-9);
     }
-    return period_s;
+    if (lasts_s.empty())
+        throw DataError(fmt::format("{}: no two lines with times that follow one another, expected a time a sweep", file.string()));
+    return median_period(std::move(lasts_s), file);
 }
 
 }  // namespace relidar::kitti

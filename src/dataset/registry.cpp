@@ -10,10 +10,12 @@
 #include <relidar/error.hpp>
 #include <relidar/reader.hpp>
 #include "core/files.hpp"
+#include "dataset/kitti_360.hpp"
 #include "dataset/kitti_files.hpp"
 #include "dataset/kitti_odometry.hpp"
 #include "dataset/kitti_raw.hpp"
 #include "dataset/synthetic.hpp"
+#include "dataset/waymo.hpp"
 
 namespace relidar {
 namespace {
@@ -22,14 +24,17 @@ namespace fs = std::filesystem;
 
 struct Kind {
     const char* name;
-    const char* marker;  ///< file or folder that tells the kind
+    const char* marker;  ///< file or folder that tells the kind; ".ending": a file with it, or a folder of such files
     const char* describe;
     Sequence (*load)(const fs::path&, const DatasetOptions&);
+    bool holds_drives = false;   ///< several, of which DatasetOptions::sequence names one
 };
 
 constexpr Kind kKinds[] = {
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
     {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_kitti_odometry},
+    {"kitti360", "data_3d_raw", "KITTI-360", load_kitti_360, true},
+    {"waymo", ".tfrecord", "a segment of Waymo Open", load_waymo, true},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
 };
 
@@ -45,6 +50,14 @@ const Kind& find_kind(const std::string& name) {
     }
     throw UsageError(fmt::format("dataset kind '{}': unknown, did you mean '{}'? (known: {})", name, nearest_name(name, kind_names()),
                                  fmt::join(kind_names(), ", ")));
+}
+
+bool is_kind(const fs::path& path, const Kind& kind) {
+    if (kind.marker[0] != '.') return path_exists(path / kind.marker);
+    const auto has_ending = [&](const fs::path& file) { return file.extension() == kind.marker; };
+    if (!path_exists(path) || !fs::is_directory(path)) return has_ending(path) && path_exists(path);
+    const std::vector<fs::path> files = list_folder(path);
+    return std::any_of(files.begin(), files.end(), has_ending);
 }
 
 /// No LiDAR sees anything beyond its own limits and the given ones.
@@ -75,15 +88,19 @@ void check_range(const FrameRange& range) {
 }  // namespace
 
 bool is_dataset(const fs::path& path) {
-    std::error_code failed;
-    return std::any_of(std::begin(kKinds), std::end(kKinds), [&](const Kind& kind) { return fs::exists(path / kind.marker, failed); });
+    try {
+        return std::any_of(std::begin(kKinds), std::end(kKinds), [&](const Kind& kind) { return is_kind(path, kind); });
+    } catch (const DataError&) {
+        return false;   // what cannot be read
+    }
 }
 
 std::string recognise_dataset(const fs::path& path) {
-    check_folder(path, "a dataset");
+    std::error_code failed;
+    if (!fs::is_regular_file(path, failed)) check_folder(path, "a dataset");
     std::string known;
     for (const Kind& kind : kKinds) {
-        if (path_exists(path / kind.marker)) return kind.name;
+        if (is_kind(path, kind)) return kind.name;
         known += fmt::format("{}{} ({})", known.empty() ? "" : ", ", kind.describe, kind.marker);
     }
     for (const Kind& kind : kKinds) {
@@ -107,7 +124,11 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
                                      options.min_range_m, options.max_range_m));
     }
     const auto [kind, path] = parted(dataset);
-    Sequence sequence = find_kind(kind.empty() ? recognise_dataset(path) : kind).load(path, options);
+    const Kind& reader = find_kind(kind.empty() ? recognise_dataset(path) : kind);
+    if (!options.sequence.empty() && !reader.holds_drives)
+        throw UsageError(fmt::format("dataset.sequence: found '{}' for {}, which is one drive; expected none", excerpt(options.sequence),
+                                     reader.describe));
+    Sequence sequence = reader.load(path, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
     check_sequence(sequence);
     apply_limits(sequence, {options.min_range_m, options.max_range_m});

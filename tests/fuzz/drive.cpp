@@ -1,18 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
-// A whole small KITTI drive, and an odometry sequence of its scans: an input says what other bytes some of its files hold, so that each
-// reader is reached whatever another one would have said before. Input: options, then sections of file number, length (2 bytes,
-// little-endian), bytes; the last may be cut.
+// A whole small KITTI drive, an odometry sequence of its scans, and a KITTI-360 of them: an input says what other bytes some files hold.
 #include "harness.hpp"
 
 #include <cstdlib>
 #include <functional>
+#include <optional>
 
 #include <fmt/format.h>
 
 #include <relidar/dataset.hpp>
 
+#include "changed_files.hpp"
+#include "dataset/kitti_360_folder.hpp"
 #include "dataset/kitti_drive.hpp"
 #include "dataset/hdl64_rings.hpp"
+#include "dataset/kitti_360.hpp"
 #include "dataset/kitti_files.hpp"
 
 namespace relidar::fuzz {
@@ -22,16 +24,19 @@ namespace fs = std::filesystem;
 
 constexpr unsigned kPosesFile = 1, kNone = 2, kAllScans = 4, kAllFrames = 8;   // options
 
-/// The drive, a seventh of its points left: a sweep takes milliseconds to read.
+/// A seventh of the points of a scan are left: a sweep takes milliseconds to read.
+void thin(const fs::path& scan) {
+    const std::string whole = contents(scan);
+    std::string some;
+    for (std::size_t at = 0; at + 16 <= whole.size(); at += 7 * 16) some += whole.substr(at, 16);
+    put(scan, some);
+}
+
+/// The drive, and what an input may change of it.
 class Drive {
 public:
     explicit Drive(const fs::path& folder) : drive_((::setenv("TEST_TMPDIR", folder.c_str(), 1), "fuzz")) {
-        for (int frame = 0; frame < 3; ++frame) {
-            const std::string whole = test::read_text(drive_.scan(frame));
-            std::string some;
-            for (std::size_t at = 0; at + 16 <= whole.size(); at += 7 * 16) some += whole.substr(at, 16);
-            put(drive_.scan(frame), some);
-        }
+        for (int frame = 0; frame < 3; ++frame) thin(drive_.scan(frame));
         put(drive_.file("poses.txt"), "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n1 0 0 2 0 1 0 0 0 0 1 0\n");
         for (int frame = 0; frame < 3; ++frame) {
             fs::create_directories(odometry() / "velodyne");
@@ -40,35 +45,22 @@ public:
         put(odometry() / "calib.txt", "P0: 1 0 0 0 0 1 0 0 0 0 1 0\nTr: 0 -1 0 0 0 0 -1 -0.1 1 0 0 -0.3\n");
         put(odometry() / "times.txt", "0.0e+00\n1.0e-01\n2.0e-01\n");
         put(odometry() / "poses.txt", contents(drive_.file("poses.txt")));
-        files_ = {drive_.file("velodyne_points/timestamps.txt"),
-                  drive_.file("velodyne_points/timestamps_start.txt"),
-                  drive_.file("velodyne_points/timestamps_end.txt"),
-                  drive_.file("oxts/data/0000000000.txt"),
-                  drive_.file("oxts/data/0000000001.txt"),
-                  drive_.calibration(),
-                  drive_.file("tracklet_labels.xml"),
-                  drive_.file("poses.txt"),
-                  drive_.scan(0),
-                  drive_.scan(2),
-                  odometry() / "calib.txt",
-                  odometry() / "times.txt",
-                  odometry() / "poses.txt",
-                  odometry() / "velodyne/000000.bin"};
-        for (const fs::path& file : files_) usual_.push_back(contents(file));
+        files_.emplace({drive_.file("velodyne_points/timestamps.txt"), drive_.file("velodyne_points/timestamps_start.txt"),
+                        drive_.file("velodyne_points/timestamps_end.txt"), drive_.file("oxts/data/0000000000.txt"),
+                        drive_.file("oxts/data/0000000001.txt"), drive_.calibration(), drive_.file("tracklet_labels.xml"),
+                        drive_.file("poses.txt"), drive_.scan(0), drive_.scan(2), odometry() / "calib.txt", odometry() / "times.txt",
+                        odometry() / "poses.txt", odometry() / "velodyne/000000.bin"});
     }
 
-    std::size_t size() const { return files_.size(); }
-    const std::string& usual(std::size_t file) const { return usual_[file]; }
     const fs::path& folder() const { return drive_.folder; }
     fs::path scan() const { return drive_.scan(0); }
     fs::path odometry() const { return drive_.file("odometry"); }
     fs::path poses() const { return drive_.file("poses.txt"); }
-    void write(std::size_t file, std::string_view bytes) const { put(files_[file], bytes); }
+    const ChangedFiles& files() const { return *files_; }
 
 private:
     test::KittiDrive drive_;
-    std::vector<fs::path> files_;
-    std::vector<std::string> usual_;
+    std::optional<ChangedFiles> files_;
 };
 
 const Drive& drive_in(const fs::path& folder) {
@@ -76,25 +68,31 @@ const Drive& drive_in(const fs::path& folder) {
     return drive;
 }
 
-/// Every reader of text, each alone.
-void read_texts(const Drive& drive, unsigned options) {
-    const std::vector<int> frames = kitti::list_scans(drive.folder() / "velodyne_points/data", 0, -1);
+/// Readers, each tried whatever the others say; of their failures the last one is looked at, a crash is one at once.
+void attempt_all(const std::vector<std::function<void()>>& readers) {
     std::exception_ptr failure;
-    const auto attempt = [&](const std::function<void()>& read) {
+    for (const auto& read : readers) {
         try {
             read();
         } catch (const std::exception&) {
-            failure = std::current_exception();   // the last one is looked at; a crash is one at once
+            failure = std::current_exception();
         }
-    };
-    PoseTrack track{{0.0, 0.1, 0.2}, std::vector<Pose>(3)};
-    attempt([&] { kitti::read_period(drive.folder()); });
-    attempt([&] { kitti::read_times(drive.folder() / "velodyne_points/timestamps.txt", frames); });
-    if (options & kPosesFile) attempt([&] { kitti::read_pose_file(drive.poses(), frames); });
-    else attempt([&] { kitti::read_oxts_poses(drive.folder(), frames); });
-    attempt([&] { kitti::split_rings(kitti::read_scan(drive.scan())); });
-    attempt([&] { kitti::read_tracklets(drive.folder() / "tracklet_labels.xml", frames, track); });
+    }
     if (failure) std::rethrow_exception(failure);
+}
+
+/// Every reader of text, each alone.
+void read_texts(const Drive& drive, unsigned options) {
+    const std::vector<int> frames = kitti::list_scans(drive.folder() / "velodyne_points/data", 0, -1);
+    const PoseTrack track{{0.0, 0.1, 0.2}, std::vector<Pose>(3)};
+    attempt_all({[&] { kitti::read_period(drive.folder()); },
+                 [&] { kitti::read_times(drive.folder() / "velodyne_points/timestamps.txt", frames); },
+                 [&] {
+                     if (options & kPosesFile) kitti::read_pose_file(drive.poses(), frames);
+                     else kitti::read_oxts_poses(drive.folder(), frames);
+                 },
+                 [&] { kitti::split_rings(kitti::read_scan(drive.scan())); },
+                 [&] { kitti::read_tracklets(drive.folder() / "tracklet_labels.xml", frames, track); }});
 }
 
 void read_whole(const Drive& drive, unsigned options) {
@@ -113,41 +111,55 @@ void read_odometry(const Drive& drive, unsigned options) {
     load_sequence("kitti_odometry:" + drive.odometry().string(), dataset);
 }
 
-/// Writes what an input says, reads, and puts back what was there.
 void read_changed(std::string_view input, const fs::path& folder, void (*read)(const Drive& drive, unsigned options)) {
     const Drive& drive = drive_in(folder);
-    const unsigned options = input.empty() ? 0u : static_cast<unsigned char>(input[0]);
-    std::vector<std::size_t> changed;
-    for (std::size_t at = 1; at + 3 <= input.size();) {
-        const auto byte = [&](std::size_t i) { return static_cast<std::size_t>(static_cast<unsigned char>(input[i])); };
-        const std::size_t file = byte(at) % drive.size(), length = byte(at + 1) + 256 * byte(at + 2);
-        const std::string_view bytes = input.substr(at + 3, length);
-        drive.write(file, bytes);
-        changed.push_back(file);
-        at += 3 + bytes.size();
-    }
-    struct Restore {
-        const Drive& drive;
-        const std::vector<std::size_t>& changed;
-        ~Restore() {
-            for (const std::size_t file : changed) drive.write(file, drive.usual(file));
-        }
-    } restore{drive, changed};
-    read(drive, options);
+    drive.files().read(input, [&](unsigned options) { read(drive, options); });
 }
 
-/// Each file by itself.
 std::vector<std::string> drive_seeds(const fs::path& folder) {
-    const Drive& drive = drive_in(folder);
-    std::vector<std::string> seeds;
-    for (const unsigned options : {0u, kNone, kAllFrames}) seeds.emplace_back(1, static_cast<char>(options));
-    for (std::size_t file = 0; file < drive.size(); ++file) {
-        const std::string bytes = drive.usual(file).substr(0, 4096);   // the start of a scan, all of a text
-        const std::string section =
-            std::string(1, static_cast<char>(file)) + static_cast<char>(bytes.size() % 256) + static_cast<char>(bytes.size() / 256) + bytes;
-        for (const unsigned options : {0u, kPosesFile}) seeds.push_back(static_cast<char>(options) + section);
+    return drive_in(folder).files().seeds({0u, kNone, kAllFrames}, {0u, kPosesFile});
+}
+
+struct Kitti360 {
+    test::Kitti360Folder folder;
+    ChangedFiles files;
+
+    explicit Kitti360(const fs::path& at) : folder((::setenv("TEST_TMPDIR", at.c_str(), 1), "fuzz_360"), 0), files(thinned(folder)) {}
+
+    static std::vector<fs::path> thinned(const test::Kitti360Folder& folder) {
+        for (int frame = 0; frame < 3; ++frame) thin(folder.scan(frame));
+        return {folder.raw() / "timestamps.txt", folder.poses(), folder.boxes(), folder.calibration("calib_cam_to_pose.txt"),
+                folder.calibration("calib_cam_to_velo.txt"), folder.scan(0)};
     }
-    return seeds;
+};
+
+const Kitti360& kitti_360_in(const fs::path& folder) {
+    static const Kitti360 kitti(folder);
+    return kitti;
+}
+
+void read_kitti_360(std::string_view input, const fs::path& folder) {
+    const Kitti360& kitti = kitti_360_in(folder);
+    kitti.files.read(input, [&](unsigned options) {
+        DatasetOptions dataset;
+        if (options & kNone) dataset.poses_file = kNoPoses;
+        if (!(options & kAllFrames)) dataset.frames = {0, 1};
+        load_sequence("kitti360:" + kitti.folder.folder.string(), dataset);
+    });
+}
+
+void read_kitti_360_texts(std::string_view input, const fs::path& folder) {
+    const Kitti360& kitti = kitti_360_in(folder);
+    static const std::vector<Frame> frames{{0, 0.0, {}, 0}, {1, 0.1, {}, 0}, {2, 0.2, {}, 0}};
+    kitti.files.read(input, [&](unsigned) {
+        attempt_all({[&] { kitti::read_step(kitti.folder.raw() / "timestamps.txt"); },
+                     [&] { kitti::read_numbered_poses(kitti.folder.poses()); },
+                     [&] { kitti::read_360_boxes(kitti.folder.boxes(), frames); }});
+    });
+}
+
+std::vector<std::string> kitti_360_seeds(const fs::path& folder) {
+    return kitti_360_in(folder).files.seeds({0u, kAllFrames}, {kAllFrames, kNone});
 }
 
 }  // namespace
@@ -161,6 +173,8 @@ std::vector<Harness> drive_harnesses() {
         {"drive", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_whole); }, false},
         {"odometry", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_odometry); },
          false},
+        {"kitti360_texts", kitti_360_seeds, read_kitti_360_texts, false},
+        {"kitti360", kitti_360_seeds, read_kitti_360, false},
     };
 }
 

@@ -27,7 +27,7 @@ namespace {
 struct Options {
     std::string target;
     std::string out;
-    std::string frames;
+    LogPart part;
     std::string baseline;
     std::string pictures;
     std::string lpips;
@@ -130,10 +130,7 @@ void score_log(const Options& options) {
     Config config = make_preset("default");
     apply_options(config, options);
     config.dataset.path = absolute_dataset(options.target);
-    const FrameRange range =
-        options.frames.empty() ? FrameRange{config.dataset.frames_begin, config.dataset.frames_end} : parse_frames(options.frames);
-    config.dataset.frames_begin = range.begin;
-    config.dataset.frames_end = range.end;
+    apply_log_part(config, options.part);
     const Output output(options.out, options.pictures);
     const Sequence log = load_dataset(config);
     for (const std::string& text : log.notes) note(text);
@@ -150,8 +147,9 @@ void score_log(const Options& options) {
 void run_eval(const Options& options) {
     if (!options.baseline.empty()) (void)find_baseline(options.baseline);   // a wrong name is found before the log is read
     if (!options.baseline.empty() && !is_run(options.target)) return score_log(options);
-    if (!options.frames.empty())
-        throw UsageError("--frames: found it beside a run, which has its own held-out frames; expected it with --baseline and a log");
+    if (!options.part.frames.empty() || !options.part.sequence.empty())
+        throw UsageError(fmt::format("{}: found it beside a run, which has its own held-out frames; expected it with --baseline and a log",
+                                     options.part.frames.empty() ? "--sequence" : "--frames"));
     score_run(options);
 }
 
@@ -167,7 +165,7 @@ void add_eval(CLI::App& app, Call& call) {
                      "score the two neighbouring real scans too, moved by the poses: nearest, or nearest-actors, which moves boxes with "
                      "their tracks")
         ->type_name("NAME");
-    command->add_option("--frames", options->frames, "frames of a log, first:end (default: all)")->type_name("A:B");
+    add_log_part_options(*command, options->part);
     command->add_option("--pictures", options->pictures, "folder for pictures of each held-out frame: real, rendered, error")
         ->type_name("DIR");
     command

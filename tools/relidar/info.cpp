@@ -15,7 +15,7 @@ namespace {
 
 struct Options {
     std::string path;
-    std::string frames;
+    LogPart part;
     Settings settings;
     bool json = false;
 };
@@ -28,11 +28,7 @@ void show_run(const Options& options) {
 void show_log(const Options& options) {
     Config config = resolve(options.settings);
     config.dataset.path = options.path;
-    if (!options.frames.empty()) {
-        const FrameRange range = parse_frames(options.frames);
-        config.dataset.frames_begin = range.begin;
-        config.dataset.frames_end = range.end;
-    }
+    apply_log_part(config, options.part);
     const LogSummary summary = summarise(load_dataset(config), config.init);
     print(options.json ? to_json(summary) : to_text(summary));
 }
@@ -43,7 +39,7 @@ void add_info(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("info", "say what a log or a run holds");
     const auto options = std::make_shared<Options>();
     command->add_option("DATASET|RUN", options->path, "log (path, or kind:path) or run folder")->required();
-    command->add_option("--frames", options->frames, "frames of a log to read, first:end (default: all)")->type_name("A:B");
+    add_log_part_options(*command, options->part);
     add_set_option(*command, options->settings.sets);
     command->add_flag("--json", options->json, "print JSON");
     command->footer("Examples:\n"

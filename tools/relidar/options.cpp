@@ -79,6 +79,22 @@ void apply_sets(Config& config, const std::vector<std::string>& sets) {
     }
 }
 
+void add_log_part_options(CLI::App& command, LogPart& part) {
+    command.add_option("--frames", part.frames, "frames of a log to read, first:end, by the dataset's own numbers (default: all)")
+        ->type_name("A:B");
+    command
+        .add_option("--sequence", part.sequence, "which drive of a dataset that holds several, by its own name (default: the first)")
+        ->type_name("NAME");
+}
+
+void apply_log_part(Config& config, const LogPart& part) {
+    if (!part.sequence.empty()) config.dataset.sequence = part.sequence;
+    if (part.frames.empty()) return;
+    const FrameRange range = parse_frames(part.frames);
+    config.dataset.frames_begin = range.begin;
+    config.dataset.frames_end = range.end;
+}
+
 FrameRange parse_frames(const std::string& text) {
     FrameRange range;
     const std::size_t colon = text.find(':');

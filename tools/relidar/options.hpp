@@ -37,6 +37,14 @@ void add_set_option(CLI::App& command, std::vector<std::string>& sets);
 Config resolve(const Settings& settings);
 void apply_sets(Config& config, const std::vector<std::string>& sets);
 
+/// --frames and --sequence: what of a log is read.
+struct LogPart {
+    std::string frames;
+    std::string sequence;
+};
+void add_log_part_options(CLI::App& command, LogPart& part);
+void apply_log_part(Config& config, const LogPart& part);
+
 /// "a:b", either side may be empty. @throws UsageError
 FrameRange parse_frames(const std::string& text);
 /// Tells that a log or a run ends before the frames that are wanted do. @param last frame of it

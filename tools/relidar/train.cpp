@@ -26,7 +26,7 @@ namespace fs = std::filesystem;
 struct Options {
     std::string dataset;
     std::string out;
-    std::string frames;
+    LogPart part;
     Settings settings;
     DeviceChoice device;
     std::string seed;
@@ -73,11 +73,7 @@ Config config_of(const Options& options) {
     if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
     config.eval.lpips_weights = absolute_path(config.eval.lpips_weights);
-    if (!options.frames.empty()) {
-        const FrameRange range = parse_frames(options.frames);
-        config.dataset.frames_begin = range.begin;
-        config.dataset.frames_end = range.end;
-    }
+    apply_log_part(config, options.part);
     if (!options.seed.empty()) {
         set_key(config, "init.seed", options.seed);
         set_key(config, "train.seed", options.seed);
@@ -209,10 +205,9 @@ void add_resume_option(CLI::App& command, const std::shared_ptr<Options>& option
 void add_train(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("train", "train a scene on a log");
     const auto options = std::make_shared<Options>();
-    command->add_option("DATASET", options->dataset, "log: a path (format recognised), or kind:path with kind kitti_raw or synthetic");
+    command->add_option("DATASET", options->dataset, "log: a path (format recognised), or kind:path");
     command->add_option("--out", options->out, "run folder to make")->type_name("RUN");
-    command->add_option("--frames", options->frames, "frames to use, first:end, by the dataset's own numbers (default: all)")
-        ->type_name("A:B");
+    add_log_part_options(*command, options->part);
     add_settings_options(*command, options->settings);
     command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")->type_name("S");
     add_device_options(*command, options->device);

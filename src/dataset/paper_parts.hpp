@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// The parts of two datasets that the LiDAR-RT paper evaluates, by the names of its supplementary tables.
+#pragma once
+
+#include <optional>
+#include <span>
+#include <string>
+
+#include <relidar/dataset.hpp>
+
+namespace relidar {
+
+struct PaperPart {
+    const char* name;
+    const char* drive;  ///< part of the drive's name in its dataset
+    int first, last;    ///< frames
+};
+
+inline constexpr PaperPart kKitti360Parts[] = {
+    {"ks1", "0000", 1538, 1601},   {"ks2", "0000", 1728, 1791},   {"ks3", "0000", 1908, 1971}, {"ks4", "0000", 3353, 3415},
+    {"kd1", "0000", 2351, 2400},   {"kd2", "0000", 4951, 5000},   {"kd3", "0000", 8121, 8170}, {"kd4", "0000", 10201, 10250},
+    {"kd5", "0000", 10751, 10800}, {"kd6", "0000", 11401, 11450},
+};
+inline constexpr PaperPart kWaymoParts[] = {
+    {"ws1", "113792", 1, 50},    {"ws2", "106762", 1, 50},   {"ws3", "177619", 1, 50}, {"ws4", "117240", 1, 50},
+    {"wd1", "108305", 148, 197}, {"wd2", "132712", 51, 100}, {"wd3", "100721", 1, 50}, {"wd4", "105003", 148, 197},
+};
+
+/// What DatasetOptions::sequence and frames ask for.
+struct ChosenPart {
+    std::string drive;  ///< as given, or the paper's
+    FrameRange frames;  ///< of a part of the paper those that were asked for as well
+    bool of_paper = false;
+};
+/// @throws UsageError where the frames asked for have none in common with the paper's part
+ChosenPart choose_part(const DatasetOptions& options, std::span<const PaperPart> parts);
+
+}  // namespace relidar
