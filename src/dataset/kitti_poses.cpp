@@ -10,27 +10,12 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include <relidar/reader.hpp>
 #include "core/files.hpp"
 
 namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
-
-/// Rotation and translation as a pose. @throws DataError where the matrix is no rotation within 1e-3
-Pose make_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where) {
-    const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
-    double worst = 0.0;
-    for (int c = 0; c < 3; ++c) {
-        for (int r = 0; r < 3; ++r) worst = std::max(worst, std::abs(excess[c][r]));
-    }
-    if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0) {
-        throw DataError(
-            fmt::format("{}: the 3x3 block is no rotation (R^T R differs from 1 by {:.3g}, determinant {:.3g}), "
-                        "expected orthonormal within 0.001",
-                        where, worst, glm::determinant(rotation)));
-    }
-    return {glm::normalize(glm::quat_cast(rotation)), translation};
-}
 
 constexpr double kLargestCoordinate_m = 1e8;   // of poses as written: UTM has 10^7
 constexpr double kLongestLog_m = 1e5;          // between two poses of a log: cells of 0.1 m (core/cell_key.hpp) reach 105 km
@@ -63,7 +48,7 @@ std::vector<double> finite_numbers(const std::string& line, std::size_t n, const
 /// 3x4, row-major.
 Pose parse_matrix(const std::string& line, const std::string& where) {
     const std::vector<double> m = finite_numbers(line, 12, where);
-    return make_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]), {m[3], m[7], m[11]}, where);
+    return rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]), {m[3], m[7], m[11]}, where);
 }
 
 fs::path oxts_file(const fs::path& drive, int frame) {
@@ -128,7 +113,7 @@ Pose read_calibration(const fs::path& file) {
     if (r.empty() || t.empty()) {
         throw DataError(fmt::format("{}: no line '{}:', expected the keys R and T", file.string(), r.empty() ? "R" : "T"));
     }
-    return make_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]), {t[0], t[1], t[2]}, file.string());
+    return rigid_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]), {t[0], t[1], t[2]}, file.string());
 }
 
 Pose read_transform(const fs::path& file, const std::string& key) {

@@ -13,6 +13,7 @@
 #include "dataset/kitti_files.hpp"
 #include "dataset/kitti_odometry.hpp"
 #include "dataset/kitti_raw.hpp"
+#include "dataset/plain_folder.hpp"
 #include "dataset/synthetic.hpp"
 
 namespace relidar {
@@ -30,6 +31,7 @@ struct Kind {
 constexpr Kind kKinds[] = {
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
     {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_kitti_odometry},
+    {"folder", "sequence.json", "a plain folder", load_plain_folder},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
 };
 

@@ -23,6 +23,7 @@ struct Call {
 void add_devices(CLI::App& app, Call& call);
 void add_pipelines(CLI::App& app, Call& call);
 void add_config(CLI::App& app, Call& call);
+void add_convert(CLI::App& app, Call& call);
 void add_info(CLI::App& app, Call& call);
 void add_train(CLI::App& app, Call& call);
 void add_edit(CLI::App& app, Call& call);

@@ -1,15 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checked access to JSON values; what was found is quoted, shortened to one line.
-#include "run/json_field.hpp"
+#include "core/json_field.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 #include <relidar/error.hpp>
+#include "core/files.hpp"
 
-namespace relidar::run_detail {
+namespace relidar {
 namespace {
 
 std::string shown(const nlohmann::json& value) {
@@ -39,6 +41,17 @@ JsonField JsonField::at(std::size_t index) const { return {value_->at(index), *f
 std::size_t JsonField::size() const {
     if (!value_->is_array()) fail(shown(*value_), "expected an array");
     return value_->size();
+}
+
+bool JsonField::is_text() const { return value_->is_string(); }
+
+bool JsonField::is_array() const { return value_->is_array(); }
+
+void JsonField::check_members(const std::vector<std::string>& known) const {
+    if (!value_->is_object()) fail(shown(*value_), "expected an object");
+    for (const auto& [key, value] : value_->items())
+        if (std::find(known.begin(), known.end(), key) == known.end())
+            fail(fmt::format("found the unknown member '{}'", excerpt(key)), fmt::format("did you mean '{}'?", nearest_name(key, known)));
 }
 
 double JsonField::number() const {
@@ -71,6 +84,14 @@ std::string JsonField::text() const {
     return value_->get<std::string>();
 }
 
+std::string JsonField::text(std::size_t most) const {
+    const std::string found = text();
+    const auto is_control = [](unsigned char c) { return c < 0x20 || c == 0x7F; };
+    if (found.size() > most || std::any_of(found.begin(), found.end(), is_control))
+        fail(fmt::format("found {} bytes of text", found.size()), fmt::format("expected one line of at most {}", most));
+    return found;
+}
+
 std::vector<double> JsonField::numbers() const {
     std::vector<double> result(size());
     for (std::size_t i = 0; i < result.size(); ++i) result[i] = at(i).number();
@@ -88,4 +109,4 @@ nlohmann::json parse_json(const std::string& text, const std::string& file) {
     }
 }
 
-}  // namespace relidar::run_detail
+}  // namespace relidar
