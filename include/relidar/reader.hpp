@@ -57,8 +57,8 @@ Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const
 /// dropped is not known. Further returns of a ray follow its first one in the list. @throws as spinning_scan, but rings are not needed
 Scan unordered_scan(const ScanPoints& points);
 
-/// Beams of a spinning LiDAR from points without rings: the elevations at which the farther half of the points gathers, highest first, each
-/// beam starting at the sensor's centre. A few scans are enough.
+/// Beams of a spinning LiDAR from points without rings: the elevations at which the farther points gather, highest first, each beam
+/// starting at the sensor's centre. A few scans are enough.
 /// @return nothing where elevations do not gather in at least 4 narrow bands with nothing between them, as those of a LiDAR that scans in
 /// another way, or whose beams start so far from its centre that bands overlap (HDL-64E)
 std::vector<Beam> find_beams(const std::vector<ScanPoints>& scans);

@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
 #include <relidar/error.hpp>
@@ -51,7 +52,7 @@ void JsonField::check_members(const std::vector<std::string>& known) const {
     if (!value_->is_object()) fail(shown(*value_), "expected an object");
     for (const auto& [key, value] : value_->items())
         if (std::find(known.begin(), known.end(), key) == known.end())
-            fail(fmt::format("found the unknown member '{}'", excerpt(key)), fmt::format("did you mean '{}'?", nearest_name(key, known)));
+            fail(fmt::format("found the unknown member '{}'", excerpt(key)), fmt::format("expected only {}", fmt::join(known, ", ")));
 }
 
 double JsonField::number() const {

@@ -24,7 +24,7 @@ public:
     std::size_t size() const;                     ///< of an array
     bool is_text() const;
     bool is_array() const;
-    /// @throws DataError where an object has a member that is none of these, naming the nearest
+    /// @throws DataError where an object has a member that is none of these
     void check_members(const std::vector<std::string>& known) const;
     double number() const;                        ///< finite
     double number(double low, double high) const;

@@ -71,6 +71,7 @@ public:
             std::vector<std::size_t> with_points;   // frames
             for (std::size_t i = 0; i < files_.size(); ++i)
                 if (sequence_.frames[i].lidar == int(l) && is_point_file(files_[i])) with_points.push_back(i);
+            if (sequence_.lidars[l].sensor.name.empty()) sequence_.lidars[l].sensor.name = sequence_.name;
             if (with_points.empty()) check_rays(l);
             else make_plan(l, with_points);
         }
@@ -190,7 +191,7 @@ private:
             for (ScanPoints& sample : samples) recover_rings(sample, beams);
         }
         SpinningSensor found = fitted(l, samples, sensor.period_s);
-        found.name = sensor.name.empty() ? "fitted to " + sequence_.name : sensor.name;
+        found.name = sensor.name;
         found.min_range_m = sensor.min_range_m;
         found.max_range_m = sensor.max_range_m;
         found.divergence_rad = sensor.divergence_rad;

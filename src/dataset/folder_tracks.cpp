@@ -94,10 +94,11 @@ std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vec
     return kitti::read_pose_file(file, numbers);
 }
 
-std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<HeadFrame>& frames, const std::vector<HeadFrame>& all) {
-    if (!path_exists(file)) return {};
-    const nlohmann::json json = parse_json(read_file(file), file.string());
-    const JsonField root(json, file.string(), "");
+std::vector<BoxTrack> read_boxes(const fs::path& path, const std::vector<HeadFrame>& frames, const std::vector<HeadFrame>& all) {
+    if (!path_exists(path)) return {};
+    const std::string file = path.string();
+    const nlohmann::json json = parse_json(read_file(file), file);
+    const JsonField root(json, file, "");
     root.check_members({"boxes"});
     const JsonField boxes = root.at("boxes");
     const double first_s = frames.front().time_s, last_s = frames.back().time_s;

@@ -21,18 +21,25 @@ constexpr std::ptrdiff_t kReach = 6;  // beams to either side that are tried: or
 
 double elevation_of(const glm::dvec3& v) { return std::atan2(v.z, std::hypot(v.x, v.y)); }
 
-/// Elevations of the farther half of the points, where the origins of beams matter least; ascending.
+/// Elevations of the farther half of the points within each degree, where the origins of beams matter least; ascending. Beams that look down
+/// have no far points at all.
 std::vector<double> far_elevations(const std::vector<ScanPoints>& scans) {
-    std::vector<float> ranges;
+    struct Seen {
+        float range_m;
+        double elevation_rad;
+    };
+    std::vector<std::vector<Seen>> seen(181);   // by degree
     for (const ScanPoints& scan : scans)
-        for (const glm::vec3& p : scan.point_m) ranges.push_back(glm::length(p));
-    if (ranges.empty()) return {};
-    const auto middle = ranges.begin() + std::ptrdiff_t(ranges.size() / 2);
-    std::nth_element(ranges.begin(), middle, ranges.end());
+        for (const glm::vec3& p : scan.point_m) {
+            const double elevation = elevation_of(glm::dvec3(p));
+            seen[std::size_t((elevation / kPi + 0.5) * 180.0)].push_back({glm::length(p), elevation});
+        }
     std::vector<double> elevations;
-    for (const ScanPoints& scan : scans)
-        for (const glm::vec3& p : scan.point_m)
-            if (glm::length(p) >= *middle) elevations.push_back(elevation_of(glm::dvec3(p)));
+    for (std::vector<Seen>& degree : seen) {
+        const auto half = degree.begin() + std::ptrdiff_t(degree.size() / 2);
+        std::nth_element(degree.begin(), half, degree.end(), [](const Seen& a, const Seen& b) { return a.range_m < b.range_m; });
+        for (auto s = half; s != degree.end(); ++s) elevations.push_back(s->elevation_rad);
+    }
     std::sort(elevations.begin(), elevations.end());
     return elevations;
 }
