@@ -19,13 +19,15 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kLargest = 1e12;           // of any length or time
-constexpr double kFarthestWorld_m = 1e9;    // of the world's origin
-constexpr double kLargestBeam_m = 100.0;    // of where a beam starts
+constexpr double kLargest = 1e12;         // of any length or time
+constexpr double kFarthestWorld_m = 1e9;  // of the world's origin
+constexpr double kLargestBeam_m = 100.0;  // of where a beam starts
 constexpr std::int64_t kMostColumns = 1000000, kMaxFrame = 99999999;
-constexpr std::size_t kMostFields = 64;     // of a point
+constexpr std::size_t kMostFields = 64;  // of a point
 
-double radians(double degrees) { return degrees * kPi / 180.0; }
+double radians(double degrees) {
+    return degrees * kPi / 180.0;
+}
 
 std::string text_or(const JsonField& field, const std::string& key, const std::string& usual, std::size_t most = kLongestName) {
     return field.has(key) ? field.at(key).text(most) : usual;
@@ -35,7 +37,9 @@ double number_or(const JsonField& field, const std::string& key, double usual, d
     return field.has(key) ? field.at(key).number(low, high) : usual;
 }
 
-bool flag_or(const JsonField& field, const std::string& key, bool usual) { return field.has(key) ? field.at(key).boolean() : usual; }
+bool flag_or(const JsonField& field, const std::string& key, bool usual) {
+    return field.has(key) ? field.at(key).boolean() : usual;
+}
 
 std::vector<std::string> texts_or_none(const JsonField& field, const std::string& key) {
     std::vector<std::string> texts;
@@ -47,15 +51,17 @@ std::vector<std::string> texts_or_none(const JsonField& field, const std::string
 /// Position in a list of words.
 std::size_t choice(const JsonField& field, const std::vector<std::string>& words) {
     const auto at = std::find(words.begin(), words.end(), field.text());
-    if (at == words.end()) field.fail(fmt::format("found \"{}\"", excerpt(field.text())), "did you mean \"" + nearest_name(field.text(), words) + "\"?");
+    if (at == words.end())
+        field.fail(fmt::format("found \"{}\"", excerpt(field.text())), "did you mean \"" + nearest_name(field.text(), words) + "\"?");
     return std::size_t(at - words.begin());
 }
 
 glm::dquat quaternion(const JsonField& field) {
     const auto q = field.numbers<4>();
     const glm::dquat rotation(q[0], q[1], q[2], q[3]);
-    if (std::abs(glm::length(rotation) - 1.0) > 1e-3) field.fail(fmt::format("found a quaternion of length {}", glm::length(rotation)), "expected 1");
-    return rotation;   // as written: check_sequence allows what normalising would only move in the last digit
+    if (std::abs(glm::length(rotation) - 1.0) > 1e-3)
+        field.fail(fmt::format("found a quaternion of length {}", glm::length(rotation)), "expected 1");
+    return rotation;  // as written: check_sequence allows what normalising would only move in the last digit
 }
 
 Pose mounting(const JsonField& field, const std::string& where) {
@@ -80,7 +86,8 @@ Beam read_beam(const JsonField& field) {
 void read_beams(const JsonField& field, SpinningSensor& sensor) {
     const JsonField beams = field.at("beams");
     for (std::size_t i = 0; i < beams.size(); ++i) sensor.beams.push_back(read_beam(beams.at(i)));
-    if (sensor.beams.empty() || sensor.beams.size() >= kNoBeam) beams.fail(fmt::format("found {} beams", sensor.beams.size()), "expected 1 to 65534");
+    if (sensor.beams.empty() || sensor.beams.size() >= kNoBeam)
+        beams.fail(fmt::format("found {} beams", sensor.beams.size()), "expected 1 to 65534");
     if (sensor.beams.front().elevation_rad < sensor.beams.back().elevation_rad)
         beams.fail("found the lowest beam first", "expected the highest (\"ring_0\": \"lowest\" says that scans count from below)");
     sensor.columns = int(field.at("columns").integer(1, kMostColumns));
@@ -92,10 +99,11 @@ SpinningSensor read_sensor(const JsonField& field, const fs::path& folder, doubl
         const std::string name = field.text(kLongestPath);
         return find_sensor(name.find(".csv") == std::string::npos ? name : (folder / name).string());
     }
-    field.check_members({"name", "beams", "columns", "period_s", "clockwise", "first_azimuth_deg", "min_range_m", "max_range_m", "divergence_rad"});
+    field.check_members(
+        {"name", "beams", "columns", "period_s", "clockwise", "first_azimuth_deg", "min_range_m", "max_range_m", "divergence_rad"});
     SpinningSensor sensor;
     sensor.name = text_or(field, "name", "");
-    sensor.period_s = number_or(field, "period_s", 0.0, 0.0, 9.999);   // 0: from the times of frames
+    sensor.period_s = number_or(field, "period_s", 0.0, 0.0, 9.999);  // 0: from the times of frames
     sensor.clockwise = flag_or(field, "clockwise", true);
     sensor.min_range_m = number_or(field, "min_range_m", 0.0, 0.0, kLargest);
     sensor.max_range_m = number_or(field, "max_range_m", max_range_m, 0.0, kLargest);
@@ -174,7 +182,8 @@ std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadL
 PointUnits read_units(const JsonField& root) {
     PointUnits units;
     units.columns = texts_or_none(root, "columns");
-    if (units.columns.size() > kMostFields) root.at("columns").fail(fmt::format("found {}", units.columns.size()), fmt::format("expected at most {}", kMostFields));
+    if (units.columns.size() > kMostFields)
+        root.at("columns").fail(fmt::format("found {}", units.columns.size()), fmt::format("expected at most {}", kMostFields));
     if (root.has("intensity_max")) units.intensity_max = root.at("intensity_max").number(1e-12, kLargest);
     constexpr double kSeconds[] = {1.0, 1e-3, 1e-6, 1e-9};
     if (root.has("time_unit")) units.time_unit_s = kSeconds[choice(root.at("time_unit"), {"s", "ms", "us", "ns"})];
@@ -188,8 +197,8 @@ Head read_head(const fs::path& folder, double max_range_m) {
     const std::string file = (folder / kHeadFile).string();
     const nlohmann::json json = parse_json(read_file(file), file);
     const JsonField root(json, file, "");
-    root.check_members({"format", "version", "relidar", "name", "conventions", "notes", "lidars", "frames", "rate_hz", "motion_compensated", "columns",
-                        "intensity_max", "time_unit", "point_times", "world_offset_m"});
+    root.check_members({"format", "version", "relidar", "name", "conventions", "notes", "lidars", "frames", "rate_hz", "motion_compensated",
+                        "columns", "intensity_max", "time_unit", "point_times", "world_offset_m"});
     if (root.at("format").text() != kFormat) root.at("format").fail("found another one", fmt::format("expected \"{}\"", kFormat));
     root.at("version").integer(1, kVersion);
     Head head;
@@ -197,7 +206,8 @@ Head read_head(const fs::path& folder, double max_range_m) {
     head.conventions = text_or(root, "conventions", "sensor x forward, y left, z up; metres; a plain folder", kLongestText);
     head.notes = texts_or_none(root, "notes");
     head.lidars = read_lidars(root, file, folder, max_range_m);
-    if (root.has("frames") == root.has("rate_hz")) root.fail(root.has("frames") ? "found frames and rate_hz" : "found neither frames nor rate_hz", "expected one of the two");
+    if (root.has("frames") == root.has("rate_hz"))
+        root.fail(root.has("frames") ? "found frames and rate_hz" : "found neither frames nor rate_hz", "expected one of the two");
     head.frames = root.has("frames") ? listed_frames(root.at("frames"), head.lidars, folder)
                                      : frames_in_folders(root.at("rate_hz").number(1e-3, 1e3), head.lidars, folder);
     std::stable_sort(head.frames.begin(), head.frames.end(),

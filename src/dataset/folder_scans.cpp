@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a plain folder: rays as npz has them, or points that are put on the rays that took them. What points do not say, rings and beams,
-// is found from a few scans of each LiDAR first.
+// Scans of a plain folder: rays as npz has them, or points that are put on the rays that took them. What points do not say, rings and
+// beams, is found from a few scans of each LiDAR first.
 #include <algorithm>
 #include <cmath>
 
@@ -18,16 +18,16 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kSamples = 6;      // scans of a LiDAR from which its beams are found
-constexpr double kUsualPeriod_s = 0.1;   // of a sweep, where there is one frame alone
+constexpr std::size_t kSamples = 6;     // scans of a LiDAR from which its beams are found
+constexpr double kUsualPeriod_s = 0.1;  // of a sweep, where there is one frame alone
 constexpr double kFarthest_m = 1e6;
 
 /// How the points of a LiDAR become scans.
 struct Plan {
-    bool ordered = false;                      ///< by beams and columns
-    bool has_rings = false, has_times = false;   ///< in its files
-    bool undo = false;                         ///< motion compensation
-    std::vector<std::uint16_t> beam_of_ring;   ///< kNoBeam: points of the ring are left out
+    bool ordered = false;                       ///< by beams and columns
+    bool has_rings = false, has_times = false;  ///< in its files
+    bool undo = false;                          ///< motion compensation
+    std::vector<std::uint16_t> beam_of_ring;    ///< kNoBeam: points of the ring are left out
 };
 
 std::size_t count_points(const PointTable& table, const std::vector<double>& x) {
@@ -39,7 +39,7 @@ ScanPoints points_of(const PointTable& table, const PointUnits& units, double ti
     const std::vector<double>*x = table.find({"x"}), *y = table.find({"y"}), *z = table.find({"z"});
     if (!x || !y || !z) throw DataError(fmt::format("{}: no field {}, expected x, y and z", where, !x ? "x" : !y ? "y" : "z"));
     const std::vector<double>*intensity = table.find({"intensity"}), *ring = table.find({"ring", "channel"}),
-                             *time = table.find({"time", "t", "timestamp", "offset_time"}), *number = table.find({"return", "return_number"});
+          *time = table.find({"time", "t", "timestamp", "offset_time"}), *number = table.find({"return", "return_number"});
     ScanPoints points;
     points.point_m.reserve(count_points(table, *x));
     for (std::size_t i = 0; i < table.n; ++i) {
@@ -68,12 +68,14 @@ public:
 
     void find_sensors() {
         for (std::size_t l = 0; l < plans_.size(); ++l) {
-            std::vector<std::size_t> with_points;   // frames
+            std::vector<std::size_t> with_points;  // frames
             for (std::size_t i = 0; i < files_.size(); ++i)
                 if (sequence_.frames[i].lidar == int(l) && is_point_file(files_[i])) with_points.push_back(i);
             if (sequence_.lidars[l].sensor.name.empty()) sequence_.lidars[l].sensor.name = sequence_.name;
-            if (with_points.empty()) check_rays(l);
-            else make_plan(l, with_points);
+            if (with_points.empty())
+                check_rays(l);
+            else
+                make_plan(l, with_points);
         }
         const auto stands = [&](const Plan& plan) { return !plan.undo; };
         sequence_.rolling_shutter = !head_.motion_compensated || std::none_of(plans_.begin(), plans_.end(), stands);
@@ -96,8 +98,10 @@ public:
             frame.scan = unordered_scan(points);
             return;
         }
-        if (plan.has_rings) points = renumbered(points, plan, i);
-        else recover_rings(points, sensor.beams);
+        if (plan.has_rings)
+            points = renumbered(points, plan, i);
+        else
+            recover_rings(points, sensor.beams);
         frame.scan = spinning_scan(points, sensor, even_sweep(points, sensor));
     }
 
@@ -112,8 +116,8 @@ private:
     const Head& head_;
     const std::vector<fs::path>& files_;
     const bool has_poses_;
-    std::vector<Plan> plans_;              ///< [lidars]
-    std::vector<std::size_t> left_out_;    ///< [frames] points
+    std::vector<Plan> plans_;            ///< [lidars]
+    std::vector<std::size_t> left_out_;  ///< [frames] points
 
     void note(const std::string& text) {
         if (std::find(sequence_.notes.begin(), sequence_.notes.end(), text) == sequence_.notes.end()) sequence_.notes.push_back(text);
@@ -147,28 +151,34 @@ private:
     /// A LiDAR whose scans are rays spins where its sensor is given.
     void check_rays(std::size_t l) {
         SpinningSensor& sensor = sequence_.lidars[l].sensor;
-        if (!head_.lidars[l].has_beams) sensor.period_s = 0.0;
-        else if (sensor.period_s == 0.0) sensor.period_s = frame_step_s(l);
+        if (!head_.lidars[l].has_beams)
+            sensor.period_s = 0.0;
+        else if (sensor.period_s == 0.0)
+            sensor.period_s = frame_step_s(l);
     }
 
     void make_plan(std::size_t l, const std::vector<std::size_t>& frames) {
         Plan& plan = plans_[l];
         std::vector<ScanPoints> samples;
         const std::size_t n = std::min(kSamples, frames.size());
-        for (std::size_t k = 0; k < n; ++k) samples.push_back(read_points(frames[k * frames.size() / n], head_.motion_compensated && has_poses_));
+        for (std::size_t k = 0; k < n; ++k)
+            samples.push_back(read_points(frames[k * frames.size() / n], head_.motion_compensated && has_poses_));
         plan.has_rings = !samples[0].ring.empty();
         plan.has_times = !samples[0].time_offset_s.empty();
         plan.undo = head_.motion_compensated && has_poses_ && plan.has_times;
         SpinningSensor& sensor = sequence_.lidars[l].sensor;
         if (sensor.period_s == 0.0 || !head_.lidars[l].has_beams) sensor.period_s = frame_step_s(l);
-        if (head_.lidars[l].has_beams) take_beams(l);
-        else if (head_.lidars[l].spins) fit_beams(l, samples);
+        if (head_.lidars[l].has_beams)
+            take_beams(l);
+        else if (head_.lidars[l].spins)
+            fit_beams(l, samples);
         if (!plan.ordered) sensor.period_s = 0.0;
         if (plan.ordered && !plan.has_times && !head_.motion_compensated)
             note(l, "points have no times: a ray was fired when a head that faces forward at the frame's time got there");
         if (head_.motion_compensated && !plan.undo)
-            note(l, "scans are motion-compensated, and points have no times (or the log no poses) to undo it: rays start at the sensor of the "
-                    "frame's time");
+            note(l,
+                 "scans are motion-compensated, and points have no times (or the log no poses) to undo it: rays start at the sensor of the "
+                 "frame's time");
     }
 
     void take_beams(std::size_t l) {
@@ -185,7 +195,9 @@ private:
         if (!plan.has_rings) {
             const std::vector<Beam> beams = find_beams(samples);
             if (beams.empty()) {
-                note(l, "points have no rings, and their elevations show none: rays that were dropped are unknown, and so is the order of an image");
+                note(l,
+                     "points have no rings, and their elevations show none: rays that were dropped are unknown, and so is the order of an "
+                     "image");
                 return;
             }
             for (ScanPoints& sample : samples) recover_rings(sample, beams);
@@ -205,7 +217,8 @@ private:
         try {
             const FittedSensor fit = fit_sensor(samples, period_s);
             if (fit.sensor.beams.size() * std::size_t(fit.sensor.columns) > kMaxRays)
-                throw DataError(fmt::format("{} beams x {} columns, expected at most {} rays", fit.sensor.beams.size(), fit.sensor.columns, kMaxRays));
+                throw DataError(
+                    fmt::format("{} beams x {} columns, expected at most {} rays", fit.sensor.beams.size(), fit.sensor.columns, kMaxRays));
             plans_[l].beam_of_ring = fit.beam_of_ring;
             return fit.sensor;
         } catch (const DataError& error) {
@@ -220,7 +233,8 @@ private:
         for (std::size_t p = 0; p < points.size(); ++p) {
             const std::uint16_t ring = points.ring[p], beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
             if (beam == kNoBeam && head_.lidars[std::size_t(sequence_.frames[i].lidar)].has_beams)
-                throw DataError(fmt::format("{}: a point of ring {}, expected one of {} beams", files_[i].string(), ring, plan.beam_of_ring.size()));
+                throw DataError(
+                    fmt::format("{}: a point of ring {}, expected one of {} beams", files_[i].string(), ring, plan.beam_of_ring.size()));
             if (beam == kNoBeam) {
                 ++left_out_[i];
                 continue;

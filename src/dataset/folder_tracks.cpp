@@ -18,12 +18,14 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kMostBeyond_s = 0.1;   // of a frame before the first and after the last pose: about a sweep
-constexpr double kLargest = 1e12;       // of any length or time
-constexpr double kUnit = 1e-3;          // a quaternion's length may differ from 1 by this
+constexpr double kMostBeyond_s = 0.1;  // of a frame before the first and after the last pose: about a sweep
+constexpr double kLargest = 1e12;      // of any length or time
+constexpr double kUnit = 1e-3;         // a quaternion's length may differ from 1 by this
 
 /// A line without what follows a '#'.
-std::string_view content(const std::string& line) { return trimmed(std::string_view(line).substr(0, line.find('#'))); }
+std::string_view content(const std::string& line) {
+    return trimmed(std::string_view(line).substr(0, line.find('#')));
+}
 
 PoseTrack read_track(const std::vector<std::string>& lines, const std::string& file) {
     PoseTrack track;
@@ -71,13 +73,17 @@ Pose pose_of(const JsonField& label) {
     const glm::dvec3 position(p[0], p[1], p[2]);
     if (label.has("yaw_deg")) return {glm::angleAxis(label.at("yaw_deg").number(-1e6, 1e6) * kPi / 180.0, glm::dvec3(0, 0, 1)), position};
     const auto q = label.at("quaternion").numbers<4>();
-    return {glm::dquat(q[0], q[1], q[2], q[3]), position};   // check_sequence looks at its length
+    return {glm::dquat(q[0], q[1], q[2], q[3]), position};  // check_sequence looks at its length
 }
 
 BoxLabel read_label(const JsonField& label, const std::vector<HeadFrame>& all) {
     label.check_members({"track", "category", "time_s", "frame", "size", "position", "yaw_deg", "quaternion"});
     const auto size = label.at("size").numbers<3>();
-    return {label.at("track").text(kLongestName), label.at("category").text(kLongestName), {size[0], size[1], size[2]}, time_of(label, all), pose_of(label)};
+    return {label.at("track").text(kLongestName),
+            label.at("category").text(kLongestName),
+            {size[0], size[1], size[2]},
+            time_of(label, all),
+            pose_of(label)};
 }
 
 }  // namespace

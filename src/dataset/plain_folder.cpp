@@ -83,8 +83,10 @@ Sequence load_plain_folder(const fs::path& given, const DatasetOptions& options)
     }
     sequence.boxes = folder::read_boxes(folder / folder::kBoxesFile, frames, head.frames);
     if (!options.poses_file.empty()) replace_poses(sequence, frames, options.poses_file);
-    if (head.world_offset_m && options.poses_file.empty()) recentre(sequence, *head.world_offset_m);
-    else recentre(sequence);
+    if (head.world_offset_m && options.poses_file.empty())
+        recentre(sequence, *head.world_offset_m);
+    else
+        recentre(sequence);
     folder::read_scans(sequence, head, files, options.poses_file != kNoPoses, options.progress);
     return sequence;
 }

@@ -13,16 +13,16 @@
 namespace relidar::folder {
 namespace {
 
-constexpr std::size_t kMostFields = 256, kMostBytes = 65536;   // of a point
-constexpr std::size_t kMostExpansion = 264;                    // LZF: three bytes give at most this many
+constexpr std::size_t kMostFields = 256, kMostBytes = 65536;  // of a point
+constexpr std::size_t kMostExpansion = 264;                   // LZF: three bytes give at most this many
 
 struct Header {
     std::vector<std::string> names;
     std::vector<double> sizes, counts;
-    std::string types;   ///< a letter a field
+    std::string types;  ///< a letter a field
     double points = -1.0, width = 0.0, height = 1.0;
     std::string data;
-    std::size_t length = 0;   ///< bytes of the header
+    std::size_t length = 0;  ///< bytes of the header
 };
 
 std::vector<std::string> words_of(std::string_view line) {
@@ -55,15 +55,22 @@ Header parse_header(std::string_view bytes, const std::string& where) {
         const std::vector<std::string> words = words_of(bytes.substr(header.length, end - header.length));
         header.length = end + 1;
         if (words.empty() || words[0].front() == '#') continue;
-        if (words[0] == "FIELDS") header.names.assign(words.begin() + 1, words.end());
-        else if (words[0] == "SIZE") header.sizes = numbers_of(words, where);
-        else if (words[0] == "COUNT") header.counts = numbers_of(words, where);
-        else if (words[0] == "WIDTH") header.width = numbers_of(words, where)[0];
-        else if (words[0] == "HEIGHT") header.height = numbers_of(words, where)[0];
-        else if (words[0] == "POINTS") header.points = numbers_of(words, where)[0];
+        if (words[0] == "FIELDS")
+            header.names.assign(words.begin() + 1, words.end());
+        else if (words[0] == "SIZE")
+            header.sizes = numbers_of(words, where);
+        else if (words[0] == "COUNT")
+            header.counts = numbers_of(words, where);
+        else if (words[0] == "WIDTH")
+            header.width = numbers_of(words, where)[0];
+        else if (words[0] == "HEIGHT")
+            header.height = numbers_of(words, where)[0];
+        else if (words[0] == "POINTS")
+            header.points = numbers_of(words, where)[0];
         else if (words[0] == "TYPE")
             for (std::size_t i = 1; i < words.size(); ++i) header.types += words[i].front();
-        else if (words[0] == "DATA") header.data = words.size() == 2 ? words[1] : "?";
+        else if (words[0] == "DATA")
+            header.data = words.size() == 2 ? words[1] : "?";
         else if (words[0] != "VERSION" && words[0] != "VIEWPOINT")
             throw DataError(fmt::format("{}: the line '{}', expected the header of a PCD file", where, excerpt(words[0])));
     }
@@ -80,7 +87,8 @@ std::vector<PointField> fields_of(const Header& header, const std::string& where
     std::vector<PointField> fields;
     double record = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
-        if (header.counts[i] < 1.0) throw DataError(fmt::format("{}: COUNT 0 of field '{}', expected at least 1", where, excerpt(header.names[i])));
+        if (header.counts[i] < 1.0)
+            throw DataError(fmt::format("{}: COUNT 0 of field '{}', expected at least 1", where, excerpt(header.names[i])));
         record += header.sizes[i] * header.counts[i];
         fields.push_back({header.names[i], header.types[i], std::size_t(header.sizes[i]), std::size_t(header.counts[i])});
     }
@@ -113,7 +121,7 @@ std::string unpack_lzf(std::string_view packed, std::size_t size, const std::str
         length += 2;
         const std::size_t back = ((control & 31) << 8) + next() + 1;
         if (back > out.size() || length > size - out.size()) fail_packed(where);
-        for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];   // it may repeat what it has just written
+        for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];  // it may repeat what it has just written
     }
     if (out.size() != size) fail_packed(where);
     return out;
@@ -121,7 +129,8 @@ std::string unpack_lzf(std::string_view packed, std::size_t size, const std::str
 
 /// Sizes, then the bytes that unpack to the fields one after the other.
 std::string unpack(std::string_view data, const std::string& where) {
-    if (data.size() < 8) throw DataError(fmt::format("{}: truncated: {} bytes behind the header, expected 8 with sizes", where, data.size()));
+    if (data.size() < 8)
+        throw DataError(fmt::format("{}: truncated: {} bytes behind the header, expected 8 with sizes", where, data.size()));
     std::uint32_t packed = 0, size = 0;
     std::memcpy(&packed, data.data(), 4);
     std::memcpy(&size, data.data() + 4, 4);

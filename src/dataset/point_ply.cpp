@@ -33,7 +33,7 @@ struct Header {
     std::string format;
     std::size_t n = 0;
     std::vector<PointField> fields;
-    std::size_t length = 0;   ///< bytes of the header
+    std::size_t length = 0;  ///< bytes of the header
 };
 
 void parse_line(const std::string& line, Header& header, int& elements, const std::string& where) {

@@ -17,7 +17,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kMostPoints = std::size_t(1) << 24;   // as many as a scan may have rays
+constexpr std::size_t kMostPoints = std::size_t(1) << 24;  // as many as a scan may have rays
 
 /// Other fields, colours and normals for instance, are not kept.
 bool is_known(std::string_view name) {
@@ -40,9 +40,9 @@ Get getter(const PointField& field, const std::string& where) {
         std::size_t size;
         Get get;
     };
-    static constexpr Row kRows[] = {{'F', 4, get<float>},         {'F', 8, get<double>},        {'I', 1, get<std::int8_t>},
-                                    {'I', 2, get<std::int16_t>},  {'I', 4, get<std::int32_t>},  {'I', 8, get<std::int64_t>},
-                                    {'U', 1, get<std::uint8_t>},  {'U', 2, get<std::uint16_t>}, {'U', 4, get<std::uint32_t>},
+    static constexpr Row kRows[] = {{'F', 4, get<float>},        {'F', 8, get<double>},        {'I', 1, get<std::int8_t>},
+                                    {'I', 2, get<std::int16_t>}, {'I', 4, get<std::int32_t>},  {'I', 8, get<std::int64_t>},
+                                    {'U', 1, get<std::uint8_t>}, {'U', 2, get<std::uint16_t>}, {'U', 4, get<std::uint32_t>},
                                     {'U', 8, get<std::uint64_t>}};
     for (const Row& row : kRows)
         if (row.kind == field.kind && row.size == field.size) return row.get;
@@ -66,16 +66,17 @@ PointTable read_bin(const fs::path& file, const std::vector<std::string>& column
     for (const std::string& column : columns) fields.push_back({column, 'F', sizeof(float)});
     const std::size_t record = fields.size() * sizeof(float);
     if (bytes.size() % record != 0)
-        throw DataError(fmt::format("{}: {} bytes, expected a multiple of {}: {} float32 a point (\"columns\")", file.string(), bytes.size(),
-                                    record, fields.size()));
+        throw DataError(fmt::format("{}: {} bytes, expected a multiple of {}: {} float32 a point (\"columns\")", file.string(),
+                                    bytes.size(), record, fields.size()));
     return read_packed(bytes, fields, bytes.size() / record, Packing::by_point, file.string());
 }
 
 PointTable read_npy_points(const fs::path& file, const std::vector<std::string>& columns) {
     const NamedArray array = read_npy(file);
     if (array.shape.size() != 2 || array.shape[1] != columns.size())
-        throw DataError(fmt::format("{}: an array of {} dimensions{}, expected [points, {}] (\"columns\")", file.string(), array.shape.size(),
-                                    array.shape.empty() ? "" : fmt::format(", the last of {}", array.shape.back()), columns.size()));
+        throw DataError(fmt::format("{}: an array of {} dimensions{}, expected [points, {}] (\"columns\")", file.string(),
+                                    array.shape.size(), array.shape.empty() ? "" : fmt::format(", the last of {}", array.shape.back()),
+                                    columns.size()));
     check_count(array.shape[0], file.string());
     const std::vector<double> values = array.as_double();
     PointTable table{array.shape[0], {}};
@@ -103,7 +104,7 @@ PointTable read_packed(std::string_view bytes, const std::vector<PointField>& fi
     if (bytes.size() / n < record)
         throw DataError(fmt::format("{}: truncated: {} bytes of points, expected {} x {}", where, bytes.size(), n, record));
     PointTable table{n, {}};
-    std::size_t before = 0;   // bytes of the fields before this one, of a point
+    std::size_t before = 0;  // bytes of the fields before this one, of a point
     for (const PointField& field : fields) {
         const std::size_t width = field.size * field.count;
         if (is_known(field.name)) {
@@ -122,7 +123,7 @@ PointTable read_lines(std::string_view text, const std::vector<PointField>& fiel
     check_count(n, where);
     if (n > text.size()) throw DataError(fmt::format("{}: truncated: {} bytes of text, expected {} points", where, text.size(), n));
     PointTable table{n, {}};
-    std::vector<std::pair<std::size_t, std::vector<double>*>> kept;   // place in the line
+    std::vector<std::pair<std::size_t, std::vector<double>*>> kept;  // place in the line
     std::size_t width = 0;
     for (const PointField& field : fields) {
         if (is_known(field.name)) kept.emplace_back(width, &add_field(table, field.name, where));

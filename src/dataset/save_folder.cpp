@@ -24,10 +24,16 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-double degrees(double radians) { return radians * 180.0 / kPi; }
+double degrees(double radians) {
+    return radians * 180.0 / kPi;
+}
 
-Json json_of(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
-Json json_of(const glm::dquat& q) { return {q.w, q.x, q.y, q.z}; }
+Json json_of(const glm::dvec3& v) {
+    return {v.x, v.y, v.z};
+}
+Json json_of(const glm::dquat& q) {
+    return {q.w, q.x, q.y, q.z};
+}
 
 Json json_of(const SpinningSensor& sensor) {
     Json json = {{"name", sensor.name}, {"min_range_m", sensor.min_range_m}};
@@ -145,7 +151,8 @@ void check_place(const fs::path& folder, bool overwrite) {
     if (!path_exists(folder) || (fs::is_directory(folder) && list_folder(folder).empty())) return;
     if (!fs::is_directory(folder) || !path_exists(folder / folder::kHeadFile))
         throw UsageError(fmt::format("{}: found something that is no plain folder, expected a new name", folder.string()));
-    if (!overwrite) throw UsageError(fmt::format("{}: found a plain folder, expected a new name; --overwrite replaces it", folder.string()));
+    if (!overwrite)
+        throw UsageError(fmt::format("{}: found a plain folder, expected a new name; --overwrite replaces it", folder.string()));
 }
 
 }  // namespace

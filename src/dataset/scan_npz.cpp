@@ -73,7 +73,8 @@ std::vector<float> ranges_of(const Arrays& arrays, const std::string& name) {
     return range_m;
 }
 
-std::vector<float> intensities_of(const Arrays& arrays, const std::string& name, const std::vector<float>& range_m, const PointUnits& units) {
+std::vector<float> intensities_of(const Arrays& arrays, const std::string& name, const std::vector<float>& range_m,
+                                  const PointUnits& units) {
     const std::vector<double> found = arrays.image(name, 0.0);
     std::vector<float> intensity;
     for (std::size_t i = 0; i < found.size(); ++i)
@@ -102,9 +103,10 @@ RayTable rays_of(const Arrays& arrays, const PointUnits& units, double time_s) {
 void check_frame(const Arrays& arrays, bool motion_compensated) {
     const NamedArray* deskewed = arrays.find("deskewed");
     if (deskewed && deskewed->count() == 1 && deskewed->as_float()[0] != 0.0f && !motion_compensated)
-        throw DataError(fmt::format("{}: its rays are deskewed or in the world, expected the sensor at each ray's time: render it without "
-                                    "--deskew and --frame world, or say \"motion_compensated\": true",
-                                    arrays.where()));
+        throw DataError(
+            fmt::format("{}: its rays are deskewed or in the world, expected the sensor at each ray's time: render it without "
+                        "--deskew and --frame world, or say \"motion_compensated\": true",
+                        arrays.where()));
 }
 
 }  // namespace
@@ -120,9 +122,10 @@ float unit_intensity(double found, const PointUnits& units, const std::string& w
 float time_offset(double found, const PointUnits& units, double frame_time_s, const std::string& where) {
     const double offset_s = found * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
     if (!(std::abs(offset_s) <= kLongestOffset_s))
-        throw DataError(fmt::format("{}: time {} is {} s from the frame's, expected at most {} s; \"time_unit\" and \"point_times\" in "
-                                    "sequence.json say what times mean",
-                                    where, found, offset_s, kLongestOffset_s));
+        throw DataError(
+            fmt::format("{}: time {} is {} s from the frame's, expected at most {} s; \"time_unit\" and \"point_times\" in "
+                        "sequence.json say what times mean",
+                        where, found, offset_s, kLongestOffset_s));
     return float(offset_s);
 }
 
@@ -152,7 +155,9 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan) {
     const RayTable& rays = scan.rays;
     const std::vector<std::size_t> shape = {std::size_t(rays.rows), std::size_t(rays.columns)};
     std::vector<NamedArray> arrays;
-    const auto add = [&](const std::string& name, const auto& values) { arrays.push_back(make_array(name, shape, values.data(), values.size())); };
+    const auto add = [&](const std::string& name, const auto& values) {
+        arrays.push_back(make_array(name, shape, values.data(), values.size()));
+    };
     const auto add_vectors = [&](const char* name, const std::vector<glm::vec3>& v) {
         arrays.push_back(make_array(name, {shape[0], shape[1], 3}, v.empty() ? nullptr : &v.front().x, v.size() * 3));
     };

@@ -16,13 +16,15 @@
 namespace relidar {
 namespace {
 
-constexpr double kLeastStep_rad = 2e-4;   // between two firings: 0.01 degrees
+constexpr double kLeastStep_rad = 2e-4;  // between two firings: 0.01 degrees
 constexpr double kLargestStep_rad = 0.2;
-constexpr double kTried = 0.03;           // share of the estimated columns to either side that is tried
-constexpr double kCoherent = 0.5;         // of |S_r| by the number of points: below it the head has no even steps
+constexpr double kTried = 0.03;    // share of the estimated columns to either side that is tried
+constexpr double kCoherent = 0.5;  // of |S_r| by the number of points: below it the head has no even steps
 constexpr std::size_t kFewestSteps = 16;
 
-double azimuth_of(const glm::vec3& p) { return std::atan2(double(p.y), double(p.x)); }
+double azimuth_of(const glm::vec3& p) {
+    return std::atan2(double(p.y), double(p.x));
+}
 
 double middle_of(std::vector<double>& values, double share) {
     const auto at = values.begin() + std::ptrdiff_t(share * double(values.size() - 1));
@@ -92,7 +94,7 @@ std::vector<std::complex<double>> phases_of(const ScanPoints& scan, const Rings&
 
 struct Lattice {
     int columns = 0;
-    std::vector<double> offset_rad;   ///< [rings] within half a step
+    std::vector<double> offset_rad;  ///< [rings] within half a step
 };
 
 Lattice find_lattice(const ScanPoints& scan, const Rings& rings) {
@@ -137,7 +139,8 @@ FittedSensor fit_sensor(const std::vector<ScanPoints>& scans, double period_s) {
     const ScanPoints* fullest = nullptr;
     for (const ScanPoints& scan : scans) {
         if (scan.ring.size() != scan.size())
-            throw UsageError(fmt::format("fitting a spinning LiDAR: {} rings of {} points, expected one a point", scan.ring.size(), scan.size()));
+            throw UsageError(
+                fmt::format("fitting a spinning LiDAR: {} rings of {} points, expected one a point", scan.ring.size(), scan.size()));
         for (const std::uint16_t ring : scan.ring) n_rings = std::max(n_rings, std::size_t(ring) + 1);
         if (!fullest || scan.size() > fullest->size()) fullest = &scan;
     }
@@ -146,7 +149,7 @@ FittedSensor fit_sensor(const std::vector<ScanPoints>& scans, double period_s) {
     const Lattice lattice = find_lattice(*fullest, rings);
     const std::vector<std::optional<double>> elevations = elevations_of(scans, n_rings);
 
-    std::vector<std::size_t> order;   // rings from the highest down
+    std::vector<std::size_t> order;  // rings from the highest down
     for (std::size_t r = 0; r < n_rings; ++r)
         if (elevations[r]) order.push_back(r);
     std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return *elevations[a] > *elevations[b]; });

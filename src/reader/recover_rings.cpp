@@ -15,20 +15,22 @@ namespace {
 constexpr double kBin_rad = 0.01 * kPi / 180.0;  // the closest beams of real sensors are 0.1 degrees apart
 constexpr int kLeastGap = 3;                     // empty bins between two bands
 constexpr std::size_t kFewestBands = 4;
-constexpr double kWidest = 0.5;     // of a band, as a share of the distance to its nearest neighbour
-constexpr double kStray = 0.005;    // bins with less than this share of what a full bin holds count as empty
+constexpr double kWidest = 0.5;       // of a band, as a share of the distance to its nearest neighbour
+constexpr double kStray = 0.005;      // bins with less than this share of what a full bin holds count as empty
 constexpr std::ptrdiff_t kReach = 6;  // beams to either side that are tried: origins of beams move elevations by a few
 
-double elevation_of(const glm::dvec3& v) { return std::atan2(v.z, std::hypot(v.x, v.y)); }
+double elevation_of(const glm::dvec3& v) {
+    return std::atan2(v.z, std::hypot(v.x, v.y));
+}
 
-/// Elevations of the farther half of the points within each degree, where the origins of beams matter least; ascending. Beams that look down
-/// have no far points at all.
+/// Elevations of the farther half of the points within each degree, where the origins of beams matter least; ascending. Beams that look
+/// down have no far points at all.
 std::vector<double> far_elevations(const std::vector<ScanPoints>& scans) {
     struct Seen {
         float range_m;
         double elevation_rad;
     };
-    std::vector<std::vector<Seen>> seen(181);   // by degree
+    std::vector<std::vector<Seen>> seen(181);  // by degree
     for (const ScanPoints& scan : scans)
         for (const glm::vec3& p : scan.point_m) {
             const double elevation = elevation_of(glm::dvec3(p));
@@ -45,7 +47,7 @@ std::vector<double> far_elevations(const std::vector<ScanPoints>& scans) {
 }
 
 struct Band {
-    int first, last;     ///< bins
+    int first, last;       ///< bins
     double elevation_rad;  ///< median
 };
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Real scans of two Ouster sensors as plain folders: points by Ouster's own equation (docs of the sensor: beam angles, offset n of the beam's
-// origin), beams by its calibration. Every return has to be on the ray that took it. Skipped where RELIDAR_SHARED (default: ../shared beside
-// the repository) does not hold the scans.
+// Real scans of two Ouster sensors as plain folders: points by Ouster's own equation (beam angles, offset n of the beam's origin), beams by
+// its calibration. Every return has to be on the ray that took it. Skipped where RELIDAR_SHARED (default: ../shared beside the repository)
+// does not hold the scans.
 #include <relidar/dataset.hpp>
 
 #include <cmath>
@@ -74,9 +74,12 @@ fs::path write_folder(const OusterScans& scans, const std::string& name) {
         poses += "1 0 0 0 0 1 0 0 0 0 1 0\n";
     }
     test::write_text(folder / "poses.txt", poses);
-    test::write_text(folder / "sequence.json",
-                     fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": 10, "lidars": [{{"sensor": {{"columns": {}, "max_range_m": 400, "beams": [{}]}}}}]}})",
-                                 scans.columns, beams));
+    test::write_text(
+        folder / "sequence.json",
+        fmt::format(
+            R"({{"format": "relidar log", "version": 1, "rate_hz": 10,
+                                "lidars": [{{"sensor": {{"columns": {}, "max_range_m": 400, "beams": [{}]}}}}]}})",
+            scans.columns, beams));
     return folder;
 }
 
@@ -96,7 +99,8 @@ Found compare(const OusterScans& scans, std::size_t f, const Scan& found, const 
             const std::size_t firing = (column + scans.columns / 2 + first) % scans.columns;
             const std::size_t at = row * scans.columns + (firing + scans.columns - std::size_t(shift + sensor.columns)) % scans.columns;
             const double off_m = glm::distance(glm::dvec3(found.point(at)), scans.point(f, row, column));
-            counts.right += found.rays.channel[at] == row && std::abs(double(found.range_m[at]) - (range_m - scans.n_m)) < 1e-3 && off_m < 1e-3;
+            counts.right +=
+                found.rays.channel[at] == row && std::abs(double(found.range_m[at]) - (range_m - scans.n_m)) < 1e-3 && off_m < 1e-3;
         }
     }
     return counts;
@@ -113,7 +117,8 @@ TEST(OusterFolder, EveryReturnFindsItsBeamAndColumn) {
         ASSERT_EQ(log.frames.size(), scans.frames);
         for (std::size_t f = 0; f < scans.frames; ++f) {
             std::size_t right = 0, all = 0;
-            for (const std::size_t first : {std::size_t(0), std::size_t(1), scans.columns - 1}) {   // a firing at exactly +180 degrees may be the last
+            for (const std::size_t first :
+                 {std::size_t(0), std::size_t(1), scans.columns - 1}) {  // a firing at exactly +180 degrees may be the last
                 const Found found = compare(scans, f, log.frames[f].scan, log.lidars[0].sensor, first);
                 right = std::max(right, found.right), all = found.all;
             }

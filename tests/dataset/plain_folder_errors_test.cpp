@@ -33,7 +33,8 @@ protected:
         put("scans/b.pcd", test::pcd_compressed(points));
         put("sequence.json", head);
         put("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n");
-        put("boxes.json", R"({"boxes": [{"track": "a", "category": "Car", "time_s": 0, "size": [4, 2, 1], "position": [5, 0, 0], "yaw_deg": 0}]})");
+        put("boxes.json",
+            R"({"boxes": [{"track": "a", "category": "Car", "time_s": 0, "size": [4, 2, 1], "position": [5, 0, 0], "yaw_deg": 0}]})");
     }
     void put(const std::string& name, const std::string& text) const { test::write_text(folder / name, text); }
 
@@ -94,7 +95,8 @@ TEST_F(FolderDamage, OfTheHead) {
     expect("sequence.json", with("\"lidars\": [{\"scans\": \"nowhere\"}]"), "nowhere: no such folder");
     expect("sequence.json", with("\"lidars\": [{\"sensor\": {\"beams\": [], \"columns\": 8}}]"), "beams: found 0 beams");
     expect("sequence.json", with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}]}}]"), "columns: missing");
-    expect("sequence.json", with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}, {\"elevation_deg\": 2}], \"columns\": 8}}]"),
+    expect("sequence.json",
+           with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}, {\"elevation_deg\": 2}], \"columns\": 8}}]"),
            "found the lowest beam first");
     expect("sequence.json", with("\"lidars\": [{\"spins\": false, \"sensor\": {\"beams\": [{\"elevation_deg\": 1}], \"columns\": 8}}]"),
            "spins: found false beside beams");
@@ -112,11 +114,14 @@ TEST_F(FolderDamage, OfListedFrames) {
     expect("sequence.json", frames(R"({"number": 0, "scan": "scans/a.pcd"})"), "frames[0].time_s: missing");
     expect("sequence.json", frames(R"({"number": -1, "time_s": 0, "scan": "scans/a.pcd"})"), "frames[0].number: found -1");
     expect("sequence.json", frames(a + R"(, {"number": 1, "time_s": 0, "scan": "scans/a.pcd"})"), "time 0 s after 0 s of frame 0");
-    expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.pcd", "lidar": "x"})"), "found \"x\", expected the name of");
-    expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.txt"})"), "no scan of relidar_folder_damage lies in it, 1 are missing");
+    expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.pcd", "lidar": "x"})"),
+           "found \"x\", expected the name of");
+    expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.txt"})"),
+           "no scan of relidar_folder_damage lies in it, 1 are missing");
     DatasetOptions strict;
     strict.allow_missing_scans = false;
-    expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/x.pcd"})"), "x.pcd: no such file, expected the scan of frame 0", strict);
+    expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/x.pcd"})"),
+           "x.pcd: no such file, expected the scan of frame 0", strict);
     strict.frames = {7, 9};
     expect("poses.txt", test::read_text(folder / "poses.txt"), "frames 7:9: no scan", strict);
 }
@@ -132,7 +137,8 @@ TEST_F(FolderDamage, OfPosesAndBoxes) {
     expect("poses.txt", "5 0 0 0 1 0 0 0\n6 0 0 0 1 0 0 0\n", "poses from 5 to 6 s, but frame 0 is at 0 s");
     const std::string good = test::read_text(folder / "boxes.json");
     expect("boxes.json", good.substr(0, 30), "boxes.json: not valid JSON");
-    expect("boxes.json", replaced(good, "\"yaw_deg\": 0", "\"yaw\": 0"), "boxes[0]: found the unknown member 'yaw', expected only track, category, time_s, frame, size, position, yaw_deg, quaternion");
+    expect("boxes.json", replaced(good, "\"yaw_deg\": 0", "\"yaw\": 0"),
+           "boxes[0]: found the unknown member 'yaw', expected only track, category, time_s, frame, size, position, yaw_deg, quaternion");
     expect("boxes.json", replaced(good, "[4, 2, 1]", "[4, 2, 0]"), "box 'a': a size of 4 x 2 x 0 m");
     expect("boxes.json", replaced(good, "\"time_s\": 0", "\"frame\": 9"), "frame: found 9, expected the number of a frame");
 }
@@ -181,7 +187,8 @@ TEST_F(FolderDamage, OfValues) {
     expect("scans/a.pcd", changed([](auto& p) { p.time_s = 1e9; }), "\"time_unit\" and \"point_times\" in sequence.json");
     expect("scans/a.pcd", changed([](auto& p) { p.ring = 65535; }), "a.pcd: point 7: ring 65535");
     expect("sequence.json", replaced(head, "\"intensity_max\": 255, ", ""), "intensity 51, expected 0..1, or \"intensity_max\"");
-    expect("sequence.json", with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}], \"columns\": 8}}]"), "expected one of 1 beams");
+    expect("sequence.json", with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}], \"columns\": 8}}]"),
+           "expected one of 1 beams");
     for (test::FilePoint& p : points) p.ring = 0, p.point_m = {5.0f, 0.0f, 0.0f};
     expect("scans/a.pcd", test::pcd_binary(points), "\"spins\": false in sequence.json takes points as they are");
 }

@@ -36,10 +36,11 @@ Sequence rich_street() {
         Scan& scan = frame.scan;
         scan.further.assign(1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});
         for (std::size_t i = 0; i < scan.range_m.size(); i += 7)
-            if (scan.range_m[i] > 0.0f && scan.range_m[i] < 77.0f) scan.further[0].range_m[i] = scan.range_m[i] + 2.5f, scan.further[0].intensity[i] = 0.125f;
+            if (scan.range_m[i] > 0.0f && scan.range_m[i] < 77.0f)
+                scan.further[0].range_m[i] = scan.range_m[i] + 2.5f, scan.further[0].intensity[i] = 0.125f;
     }
     street.notes = {"a first note", "a second one"};
-    street.world_offset_m += glm::dvec3(457123.4, 5428765.3, 112.9);   // as of a map
+    street.world_offset_m += glm::dvec3(457123.4, 5428765.3, 112.9);  // as of a map
     return street;
 }
 
@@ -58,7 +59,7 @@ void expect_same_log(const Sequence& found, const Sequence& truth) {
     EXPECT_EQ(found.notes, truth.notes);
     EXPECT_EQ(found.rolling_shutter, truth.rolling_shutter);
     EXPECT_EQ(found.world_offset_m, truth.world_offset_m);
-    expect_same_poses(found.world_from_vehicle, truth.world_from_vehicle, 2e-9);   // 5 million metres from the origin: the last digit
+    expect_same_poses(found.world_from_vehicle, truth.world_from_vehicle, 2e-9);  // 5 million metres from the origin: the last digit
     ASSERT_EQ(found.lidars.size(), truth.lidars.size());
     for (std::size_t l = 0; l < truth.lidars.size(); ++l) {
         EXPECT_EQ(found.lidars[l].name, truth.lidars[l].name);
@@ -98,7 +99,8 @@ void expect_same_scans(const Sequence& found, const Sequence& truth) {
         EXPECT_TRUE(a.scan.rays.time_offset_s == b.scan.rays.time_offset_s && a.scan.rays.channel == b.scan.rays.channel) << "frame " << i;
         ASSERT_EQ(a.scan.further.size(), b.scan.further.size());
         for (std::size_t k = 0; k < b.scan.further.size(); ++k)
-            EXPECT_TRUE(a.scan.further[k].range_m == b.scan.further[k].range_m && a.scan.further[k].intensity == b.scan.further[k].intensity);
+            EXPECT_TRUE(a.scan.further[k].range_m == b.scan.further[k].range_m &&
+                        a.scan.further[k].intensity == b.scan.further[k].intensity);
     }
 }
 
@@ -251,18 +253,28 @@ void expect_street(const PointLog& log, double time_s) {
 
 constexpr const char* kStamped = R"(, "intensity_max": 255, "point_times": "absolute")";
 
-TEST(PlainFolder, PcdAsText) { expect_street({"pcd_text", "pcd", test::pcd_text, kStamped}, 1e-6); }
-TEST(PlainFolder, PcdPacked) { expect_street({"pcd_binary", "pcd", test::pcd_binary, kStamped}, 1e-6); }
-TEST(PlainFolder, PcdCompressed) { expect_street({"pcd_lzf", "pcd", test::pcd_compressed, kStamped}, 1e-6); }
-TEST(PlainFolder, PlyAsText) { expect_street({"ply_text", "ply", test::ply_text, R"(, "point_times": "absolute")"}, 1e-6); }
-TEST(PlainFolder, PlyPacked) { expect_street({"ply_binary", "ply", test::ply_binary, R"(, "point_times": "absolute")"}, 1e-6); }
+TEST(PlainFolder, PcdAsText) {
+    expect_street({"pcd_text", "pcd", test::pcd_text, kStamped}, 1e-6);
+}
+TEST(PlainFolder, PcdPacked) {
+    expect_street({"pcd_binary", "pcd", test::pcd_binary, kStamped}, 1e-6);
+}
+TEST(PlainFolder, PcdCompressed) {
+    expect_street({"pcd_lzf", "pcd", test::pcd_compressed, kStamped}, 1e-6);
+}
+TEST(PlainFolder, PlyAsText) {
+    expect_street({"ply_text", "ply", test::ply_text, R"(, "point_times": "absolute")"}, 1e-6);
+}
+TEST(PlainFolder, PlyPacked) {
+    expect_street({"ply_binary", "ply", test::ply_binary, R"(, "point_times": "absolute")"}, 1e-6);
+}
 TEST(PlainFolder, NpyOfColumns) {
     expect_street({"npy", "npy", test::npy, R"(, "columns": ["x", "y", "z", "intensity", "ring", "timestamp"], "point_times": "absolute")"},
                   1e-6);
 }
 TEST(PlainFolder, BinWithRingsAlone) {
     const PointLog log("bin", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
-    expect_street(log, 1e-4);   // the head faces forward at the frame's time
+    expect_street(log, 1e-4);  // the head faces forward at the frame's time
     EXPECT_NE(load_sequence(log.folder.string(), {}).notes.back().find("have no times"), std::string::npos);
 }
 
@@ -291,13 +303,14 @@ TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
         for (test::FilePoint& p : points) p.ring = std::uint16_t(15 - p.ring);
         return test::bin(points);
     };
-    expect_street({"lowest", "bin", upside_down, R"(, "columns": ["x", "y", "z", "intensity", "ring"])"}, 1e-4);   // fitted
+    expect_street({"lowest", "bin", upside_down, R"(, "columns": ["x", "y", "z", "intensity", "ring"])"}, 1e-4);  // fitted
     std::string csv = "elevation_deg\n";
     const Sequence street = make_synthetic_street({.n_frames = 1, .rows = 16, .columns = 8});
     for (const Beam& beam : street.lidars[0].sensor.beams) csv += fmt::format("{}\n", beam.elevation_rad * 180.0 / kPi);
     test::write_text(fs::path(testing::TempDir()) / "relidar_folder/lowest/beams.csv", csv);
-    const PointLog log("lowest_given", "bin", upside_down,
-                       R"(, "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{"ring_0": "lowest", "sensor": "../lowest/beams.csv:360x10"}])");
+    const PointLog log(
+        "lowest_given", "bin", upside_down,
+        R"(, "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{"ring_0": "lowest", "sensor": "../lowest/beams.csv:360x10"}])");
     expect_street(log, 1e-4);
 }
 
@@ -323,8 +336,9 @@ TEST(PlainFolder, UndoesMotionCompensation) {
         for (test::FilePoint& p : points) p.point_m = glm::vec3(inverse(track.at(t_s)) * (track.at(p.time_s) * glm::dvec3(p.point_m)));
         return test::npy(points);
     };
-    const PointLog log("compensated", "npy", compensated,
-                       R"(, "motion_compensated": true, "columns": ["x", "y", "z", "intensity", "ring", "timestamp"], "point_times": "absolute")");
+    const PointLog log(
+        "compensated", "npy", compensated,
+        R"(, "motion_compensated": true, "columns": ["x", "y", "z", "intensity", "ring", "timestamp"], "point_times": "absolute")");
     expect_street(log, 1e-6);
     EXPECT_TRUE(load_sequence(log.folder.string(), {}).rolling_shutter);
     DatasetOptions without;
@@ -334,13 +348,14 @@ TEST(PlainFolder, UndoesMotionCompensation) {
 
 TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
     const PointLog log("track", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
-    test::write_text(log.folder / "poses.txt",
-                     "# time x y z qw qx qy qz\n-0.05 0 0 0 1 0 0 0\n0.15 2 0 0 1 0 0 0\n0.25 2 3 0 0.9238795325112867 0 0 0.3826834323650898\n"
-                     "0.35 2 3 1 0.7071067811865476 0 0 0.7071067811865476\n");
+    test::write_text(
+        log.folder / "poses.txt",
+        "# time x y z qw qx qy qz\n-0.05 0 0 0 1 0 0 0\n0.15 2 0 0 1 0 0 0\n0.25 2 3 0 0.9238795325112867 0 0 0.3826834323650898\n"
+        "0.35 2 3 1 0.7071067811865476 0 0 0.7071067811865476\n");
     const Sequence found = load_sequence(log.folder.string(), {});
     const PoseTrack world = shifted_track(found.world_from_vehicle, found.world_offset_m);
-    EXPECT_LT(glm::distance(world.pose[1].translation, glm::dvec3(1.5, 0, 0)), 1e-12);   // 0.1 s
-    EXPECT_LT(glm::distance(world.pose[2].translation, glm::dvec3(2, 1.5, 0)), 1e-12);   // 0.2 s
+    EXPECT_LT(glm::distance(world.pose[1].translation, glm::dvec3(1.5, 0, 0)), 1e-12);  // 0.1 s
+    EXPECT_LT(glm::distance(world.pose[2].translation, glm::dvec3(2, 1.5, 0)), 1e-12);  // 0.2 s
     EXPECT_NEAR(world.pose[2].rotation.z, std::sin(kPi / 16), 1e-12) << "an eighth of a turn half way";
 }
 
@@ -348,8 +363,9 @@ TEST(PlainFolder, BoxesByFrameAndYaw) {
     const PointLog log("boxes", "bin", test::bin, "");
     test::write_text(log.folder / "sequence.json",
                      R"({"format": "relidar log", "version": 1, "rate_hz": 10, "columns": ["x", "y", "z", "intensity", "ring"]})");
-    test::write_text(log.folder / "boxes.json",
-                     R"({"boxes": [{"track": "7", "category": "Car", "frame": 1, "size": [4, 2, 1.5], "position": [10, 1, 0.75], "yaw_deg": 90},
+    test::write_text(
+        log.folder / "boxes.json",
+        R"({"boxes": [{"track": "7", "category": "Car", "frame": 1, "size": [4, 2, 1.5], "position": [10, 1, 0.75], "yaw_deg": 90},
                                    {"track": "8", "category": "Van", "time_s": 0.1, "size": [5, 2, 2], "position": [1, 9, 1], "quaternion": [1, 0, 0, 0]},
                                    {"track": "7", "category": "Car", "frame": 2, "size": [4, 2, 1.5], "position": [11, 1, 0.75], "yaw_deg": 90}]})");
     const Sequence found = load_sequence(log.folder.string(), {});
@@ -367,9 +383,12 @@ TEST(PlainFolder, ReadsRenderedScans) {
     fs::create_directories(folder / "scans");
     const std::vector<float> range = {5.0f, 7.0f}, median = {5.5f, 7.5f}, drop = {0.2f, 0.9f}, intensity = {0.25f, 0.5f};
     const std::vector<float> directions = {1, 0, 0, 0, 1, 0};
-    std::vector<NamedArray> arrays{make_array("range", {1, 2}, range.data(), 2), make_array("median_range", {1, 2}, median.data(), 2),
-                                   make_array("drop_prob", {1, 2}, drop.data(), 2), make_array("intensity", {1, 2}, intensity.data(), 2),
-                                   make_array("directions", {1, 2, 3}, directions.data(), 6), make_text("sensor", "native")};
+    std::vector<NamedArray> arrays{make_array("range", {1, 2}, range.data(), 2),
+                                   make_array("median_range", {1, 2}, median.data(), 2),
+                                   make_array("drop_prob", {1, 2}, drop.data(), 2),
+                                   make_array("intensity", {1, 2}, intensity.data(), 2),
+                                   make_array("directions", {1, 2, 3}, directions.data(), 6),
+                                   make_text("sensor", "native")};
     write_npz(folder / "scans/frame_000000.npz", arrays);
     test::write_text(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10})");
     test::write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");

@@ -15,19 +15,24 @@ void append(std::string& bytes, T value) {
     bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
 }
 
-std::uint8_t byte_of(float intensity) { return std::uint8_t(std::lround(intensity * 255.0f)); }
+std::uint8_t byte_of(float intensity) {
+    return std::uint8_t(std::lround(intensity * 255.0f));
+}
 
 std::string pcd_header(std::size_t n, const char* data) {
     return fmt::format(
-        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z _ intensity ring timestamp\nSIZE 4 4 4 1 1 2 8\nTYPE F F F U U U F\n"
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z _ intensity ring timestamp\nSIZE 4 4 4 1 1 2 8\nTYPE F F F "
+        "U U U F\n"
         "COUNT 1 1 1 3 1 1 1\nWIDTH {}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {}\nDATA {}\n",
         n, n, data);
 }
 
 std::string ply_header(std::size_t n, const char* format) {
     return fmt::format(
-        "ply\nformat {} 1.0\ncomment by hand\nelement vertex {}\nproperty double x\nproperty float64 y\nproperty double z\nproperty float intensity\n"
-        "property ushort channel\nproperty double t\nproperty uchar red\nelement face 0\nproperty list uchar int vertex_indices\nend_header\n",
+        "ply\nformat {} 1.0\ncomment by hand\nelement vertex {}\nproperty double x\nproperty float64 y\nproperty double z\nproperty float "
+        "intensity\n"
+        "property ushort channel\nproperty double t\nproperty uchar red\nelement face 0\nproperty list uchar int "
+        "vertex_indices\nend_header\n",
         format, n);
 }
 
@@ -104,7 +109,7 @@ std::string npy(const FilePoints& points) {
 
 std::string lzf(const std::string& bytes) {
     std::string out, plain;
-    std::map<std::string, std::size_t> last;   // where three bytes stood last
+    std::map<std::string, std::size_t> last;  // where three bytes stood last
     const auto flush = [&] {
         for (std::size_t at = 0; at < plain.size(); at += 32) {
             const std::string run = plain.substr(at, 32);

@@ -14,7 +14,7 @@ struct FilePoint {
     glm::vec3 point_m;
     float intensity;
     std::uint16_t ring;
-    double time_s;   ///< of the log
+    double time_s;  ///< of the log
 };
 using FilePoints = std::vector<FilePoint>;
 

@@ -62,13 +62,13 @@ TEST(FindBeams, NoneWhereElevationsDoNotGather) {
     EXPECT_TRUE(find_beams({points}).empty());
     EXPECT_TRUE(find_beams({}).empty());
     SpinningSensor wide = true_sensor();
-    for (Beam& beam : wide.beams) beam.origin_up_m = 1.0;   // seen from the centre its bands are wider than the distance between beams
+    for (Beam& beam : wide.beams) beam.origin_up_m = 1.0;  // seen from the centre its bands are wider than the distance between beams
     EXPECT_TRUE(find_beams({points_on(wide, 1)}).empty());
 }
 
 TEST(RecoverRings, OfBeamsThatStartBesideTheCentre) {
     SpinningSensor s = true_sensor();
-    for (Beam& beam : s.beams) beam.origin_offset_m = 0.03, beam.origin_up_m = 0.15;   // 2 degrees at 3 m: as much as three beams
+    for (Beam& beam : s.beams) beam.origin_offset_m = 0.03, beam.origin_up_m = 0.15;  // 2 degrees at 3 m: as much as three beams
     ScanPoints points = points_on(s, 4);
     std::vector<std::uint16_t> truth;
     for (const std::uint16_t ring : points.ring) truth.push_back(std::uint16_t(kBeams - 1 - ring));
@@ -87,7 +87,7 @@ TEST(FitSensor, BeamsColumnsAndTurning) {
         EXPECT_NEAR(fit.sensor.period_s, 0.05, 1e-4);
         ASSERT_EQ(fit.beam_of_ring.size(), std::size_t(kBeams));
         for (int ring = 0; ring < kBeams; ++ring) EXPECT_EQ(fit.beam_of_ring[std::size_t(ring)], kBeams - 1 - ring);
-        for (std::size_t b = 1; b < truth.beams.size(); ++b)   // where the head stands itself is not known
+        for (std::size_t b = 1; b < truth.beams.size(); ++b)  // where the head stands itself is not known
             EXPECT_NEAR(fit.sensor.beams[b].azimuth_offset_rad - fit.sensor.beams[0].azimuth_offset_rad,
                         truth.beams[b].azimuth_offset_rad - truth.beams[0].azimuth_offset_rad, 1e-5);
     }

@@ -2,8 +2,8 @@
 // relidar convert: any log as a plain folder.
 #include <memory>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <relidar/dataset.hpp>
 
@@ -42,8 +42,8 @@ void run_convert(const Options& options) {
                                         }});
     end_progress_line();
     if (!options.quiet)
-        print(fmt::format("{}: {} scans of {} LiDAR{}, {} boxes\n", absolute_path(options.out), sequence.frames.size(), sequence.lidars.size(),
-                          sequence.lidars.size() == 1 ? "" : "s", sequence.boxes.size()));
+        print(fmt::format("{}: {} scans of {} LiDAR{}, {} boxes\n", absolute_path(options.out), sequence.frames.size(),
+                          sequence.lidars.size(), sequence.lidars.size() == 1 ? "" : "s", sequence.boxes.size()));
 }
 
 }  // namespace
@@ -58,7 +58,8 @@ void add_convert(CLI::App& app, Call& call) {
     command->add_flag("--overwrite", options->overwrite, "replace a plain folder of that name");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
-        "Every ray is kept, dropped ones and further returns too, with beams, mountings, poses and boxes: the folder is read back as the same\n"
+        "Every ray is kept, dropped ones and further returns too, with beams, mountings, poses and boxes: the folder is read back as the "
+        "same\n"
         "log. docs/datasets.md has the format, which a few lines of Python write as well.\n"
         "Examples:\n"
         "  relidar convert data/2011_09_26_drive_0005_sync --out log --frames 0:50\n"
