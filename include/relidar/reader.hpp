@@ -73,8 +73,8 @@ struct FittedSensor {
 };
 inline constexpr std::uint16_t kNoBeam = 0xFFFF;
 /// Fits a spinning LiDAR to points whose rings are known, in whatever order the dataset counts them. Elevations are medians over the
-/// farther half of a ring; columns follow from the steps of the azimuth, offsets of beams within a step from its phase; period and direction from
-/// the times, where there are any. Beams start at the sensor's centre; a stagger by whole steps is not found.
+/// farther half of a ring; columns follow from the steps of the azimuth, offsets of beams within a step from its phase; period and
+/// direction from the times, where there are any. Beams start at the sensor's centre; a stagger by whole steps is not found.
 /// @param scans  a few, with rings, whole sweeps @param period_s  of a sweep, for points without times
 /// @throws UsageError for points without rings, DataError where their azimuths have no steps
 FittedSensor fit_sensor(const std::vector<ScanPoints>& scans, double period_s);

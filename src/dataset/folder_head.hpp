@@ -17,7 +17,7 @@ inline constexpr const char* kPosesFile = "poses.txt";
 inline constexpr const char* kBoxesFile = "boxes.json";
 inline constexpr const char* kFormat = "relidar log";
 inline constexpr int kVersion = 1;
-inline constexpr std::size_t kLongestName = 100, kLongestText = 10000, kLongestPath = 255;  // bytes
+inline constexpr std::size_t kLongestName = 200, kLongestText = 10000, kLongestPath = 255;  // bytes
 
 /// What numbers of points mean.
 struct PointUnits {

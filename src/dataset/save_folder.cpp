@@ -15,6 +15,7 @@
 
 #include "core/files.hpp"
 #include "core/number_text.hpp"
+#include "core/progress_blocks.hpp"
 #include "dataset/folder_head.hpp"
 #include "dataset/scan_npz.hpp"
 
@@ -133,14 +134,15 @@ public:
 
     const fs::path& path() const { return path_; }
 
-    /// What had the name goes away once it is free to.
+    /// What has the name goes away once the new one is in its place.
     void finish(const fs::path& wanted) {
         const fs::path old = path_.string() + "-old";
-        std::error_code failed;
+        std::error_code failed, ignored;
         if (path_exists(wanted)) fs::rename(wanted, old, failed);
         if (!failed) fs::rename(path_, wanted, failed);
+        if (failed) fs::rename(old, wanted, ignored);
         if (failed) throw DataError(fmt::format("{}: renaming what was written: {}", wanted.string(), failed.message()));
-        fs::remove_all(old, failed);
+        fs::remove_all(old, ignored);
     }
 
 private:
@@ -161,11 +163,10 @@ void save_folder(const Sequence& sequence, const fs::path& given, const FolderOp
     const fs::path wanted = (fs::absolute(given) / "").lexically_normal().parent_path();
     check_place(wanted, options.overwrite);
     UnfinishedFolder unfinished(wanted);
-    for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
-        if (options.progress) options.progress("writing scans", double(i) / double(sequence.frames.size()));
+    for_each_told(sequence.frames.size(), options.progress, "writing scans", [&](std::size_t i) {
         const Frame& frame = sequence.frames[i];
         folder::write_scan_npz(unfinished.path() / scan_name(sequence, frame), frame.scan);
-    }
+    });
     if (options.poses) write_text(unfinished.path() / folder::kPosesFile, poses_text(sequence));
     if (!sequence.boxes.empty()) write_text(unfinished.path() / folder::kBoxesFile, boxes_text(sequence));
     write_text(unfinished.path() / folder::kHeadFile, head_text(sequence));

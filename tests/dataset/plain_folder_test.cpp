@@ -363,11 +363,10 @@ TEST(PlainFolder, BoxesByFrameAndYaw) {
     const PointLog log("boxes", "bin", test::bin, "");
     test::write_text(log.folder / "sequence.json",
                      R"({"format": "relidar log", "version": 1, "rate_hz": 10, "columns": ["x", "y", "z", "intensity", "ring"]})");
-    test::write_text(
-        log.folder / "boxes.json",
-        R"({"boxes": [{"track": "7", "category": "Car", "frame": 1, "size": [4, 2, 1.5], "position": [10, 1, 0.75], "yaw_deg": 90},
-                                   {"track": "8", "category": "Van", "time_s": 0.1, "size": [5, 2, 2], "position": [1, 9, 1], "quaternion": [1, 0, 0, 0]},
-                                   {"track": "7", "category": "Car", "frame": 2, "size": [4, 2, 1.5], "position": [11, 1, 0.75], "yaw_deg": 90}]})");
+    test::write_text(log.folder / "boxes.json", R"({"boxes": [
+        {"track": "7", "category": "Car", "frame": 1, "size": [4, 2, 1.5], "position": [10, 1, 0.75], "yaw_deg": 90},
+        {"track": "8", "category": "Van", "time_s": 0.1, "size": [5, 2, 2], "position": [1, 9, 1], "quaternion": [1, 0, 0, 0]},
+        {"track": "7", "category": "Car", "frame": 2, "size": [4, 2, 1.5], "position": [11, 1, 0.75], "yaw_deg": 90}]})");
     const Sequence found = load_sequence(log.folder.string(), {});
     ASSERT_EQ(found.boxes.size(), 2u);
     EXPECT_EQ(found.boxes[0].id, "7");

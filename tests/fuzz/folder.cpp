@@ -77,7 +77,8 @@ std::vector<std::string> folder_seeds(const fs::path& folder) {
                [{"number": 0, "time_s": 0, "scan": "scans/1.bin"}, {"number": 1, "time_s": 0.1, "scan": "scans/1.bin"}]})"
         "\n=====\n0 0 0 0 1 0 0 0\n1 0 0 0 1 0 0 0\n=====\n"
         R"({"boxes": [{"track": "a", "category": "Car", "frame": 0, "size": [4, 2, 1], "position": [5, 0, 0], "yaw_deg": 0}]})",
-        R"({"format": "relidar log", "version": 1, "time_unit": "ms", "point_times": "absolute", "motion_compensated": true, "intensity_max": 9,
+        R"({"format": "relidar log", "version": 1, "time_unit": "ms", "point_times": "absolute", "intensity_max": 9,
+               "motion_compensated": true,
                "lidars": [{"name": "a", "ring_0": "lowest", "vehicle_from_sensor": {"translation": [0, 0, 1], "quaternion": [1, 0, 0, 0]},
                            "sensor": {"columns": 40, "period_s": 0.1, "beams": [{"elevation_deg": 1}, {"elevation_deg": 0}]}}],
                "frames": [{"number": 0, "time_s": 0, "scan": "scans/0.pcd", "lidar": "a"}]})"
