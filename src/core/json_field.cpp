@@ -105,6 +105,7 @@ nlohmann::json parse_json(const std::string& text, const std::string& file) {
     } catch (const nlohmann::json::exception& error) {
         std::string why = error.what();   // "[json.exception.parse_error.101] parse error at line 1, column 2: ..."
         if (const std::size_t bracket = why.find("] "); bracket != std::string::npos) why.erase(0, bracket + 2);
+        why = why.substr(0, why.find("; last read"));   // quotes the file, at any length
         for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
         throw DataError(fmt::format("{}: not valid JSON, truncated or damaged: {}", file, why));
     }
