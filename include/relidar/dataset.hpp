@@ -46,6 +46,18 @@ std::string absolute_dataset(const std::string& dataset);
 /// @throws DataError where it is none of the known ones
 std::string recognise_dataset(const std::filesystem::path& path);
 
+/// How save_folder() writes.
+struct FolderOptions {
+    bool overwrite = false;   ///< a plain folder of this name is replaced, once the new one is complete
+    bool poses = true;        ///< false: those of a log that was read without any (kNoPoses) are no poses
+    Progress progress = {};   ///< what it throws ends the writing; nothing is left
+};
+/// Writes a log as a plain folder (kind "folder", docs/datasets.md) from which load_sequence() reads it again: the same rays, dropped ones
+/// and further returns included, bit by bit; times, boxes, notes; poses to a nanometre. What is estimated of sensors later, such as the
+/// response of beams, is not part of a log. The folder appears under its name when it is complete.
+/// @throws UsageError where something of that name is there that may not be replaced, DataError where it cannot be written
+void save_folder(const Sequence& sequence, const std::filesystem::path& folder, const FolderOptions& options = {});
+
 /// Whether a folder or file is a log of one of these kinds.
 bool is_dataset(const std::filesystem::path& path);
 

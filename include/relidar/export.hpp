@@ -43,6 +43,7 @@ struct NamedArray {
     std::size_t count() const;
     /// Values converted to float (b1 as 0 or 1). @throws DataError for text, or where bytes do not fill the shape
     std::vector<float> as_float() const;
+    std::vector<double> as_double() const;   ///< the same, for times and large coordinates
 };
 
 /// Array of float, double, int32 or uint16 values. @throws DataError where n is not the product of shape
@@ -59,6 +60,8 @@ NamedArray make_text(std::string name, const std::string& text);
 void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays);
 /// Arrays of an npz file, stored or deflated, row-major and little-endian. @throws DataError for anything else, or damage
 std::vector<NamedArray> read_npz(const std::filesystem::path& path);
+/// The array of a .npy file, named after it. @throws DataError as read_npz
+NamedArray read_npy(const std::filesystem::path& path);
 /// safetensors, arrays in the given order. @throws DataError for names used twice or not UTF-8, as for write_atomically
 void write_safetensors(const std::filesystem::path& path, const std::vector<NamedArray>& arrays,
                        const std::map<std::string, std::string>& metadata);

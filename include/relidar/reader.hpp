@@ -57,9 +57,35 @@ Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const
 /// dropped is not known. Further returns of a ray follow its first one in the list. @throws as spinning_scan, but rings are not needed
 Scan unordered_scan(const ScanPoints& points);
 
+/// Beams of a spinning LiDAR from points without rings: the elevations at which the farther points gather, highest first, each beam
+/// starting at the sensor's centre. A few scans are enough.
+/// @return nothing where elevations do not gather in at least 4 narrow bands with nothing between them, as those of a LiDAR that scans in
+/// another way, or whose beams start so far from its centre that bands overlap (HDL-64E)
+std::vector<Beam> find_beams(const std::vector<ScanPoints>& scans);
+
+/// Gives every point the ring of the beam that passes nearest to it. @param beams  at least one
+void recover_rings(ScanPoints& points, const std::vector<Beam>& beams);
+
+/// A spinning LiDAR as its points show it.
+struct FittedSensor {
+    SpinningSensor sensor;                     ///< name and range limits are left to the reader
+    std::vector<std::uint16_t> beam_of_ring;   ///< [highest ring + 1] beam that took the points of a ring; kNoBeam: there was no point
+};
+inline constexpr std::uint16_t kNoBeam = 0xFFFF;
+/// Fits a spinning LiDAR to points whose rings are known, in whatever order the dataset counts them. Elevations are medians over the
+/// farther half of a ring; columns follow from the steps of the azimuth, offsets of beams within a step from its phase; period and
+/// direction from the times, where there are any. Beams start at the sensor's centre; a stagger by whole steps is not found.
+/// @param scans  a few, with rings, whole sweeps @param period_s  of a sweep, for points without times
+/// @throws UsageError for points without rings, DataError where their azimuths have no steps
+FittedSensor fit_sensor(const std::vector<ScanPoints>& scans, double period_s);
+
 /// Undoes motion compensation: points that a dataset has brought to the sensor at the frame's reference time go back to the sensor as it
 /// was when each was measured. @param points  with times @param world_from_sensor  of the LiDAR that measured them
 void undo_compensation(ScanPoints& points, const PoseTrack& world_from_sensor, double time_s);
+
+/// Rotation and translation as a pose. @param where  file and field, for the message
+/// @throws DataError where the matrix is no rotation within 1e-3
+Pose rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where);
 
 /// Appends a frame, its scan still empty, and the vehicle's pose at its time unless a frame of another LiDAR at the same time has given it.
 Frame& add_frame(Sequence& sequence, int index, double time_s, const Pose& world_from_vehicle, int lidar = 0);

@@ -12,6 +12,7 @@
 
 #include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
+#include <relidar/reader.hpp>
 #include "core/files.hpp"
 
 namespace relidar::kitti {
@@ -49,7 +50,7 @@ std::vector<double> finite_numbers(const std::string& line, std::size_t n, const
 /// 3x4, row-major.
 Pose parse_matrix(const std::string& line, const std::string& where) {
     const std::vector<double> m = finite_numbers(line, 12, where);
-    return make_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]), {m[3], m[7], m[11]}, where);
+    return rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]), {m[3], m[7], m[11]}, where);
 }
 
 fs::path oxts_file(const fs::path& drive, int frame) {
@@ -129,7 +130,7 @@ Pose read_calibration(const fs::path& file) {
     if (r.empty() || t.empty()) {
         throw DataError(fmt::format("{}: no line '{}:', expected the keys R and T", file.string(), r.empty() ? "R" : "T"));
     }
-    return make_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]), {t[0], t[1], t[2]}, file.string());
+    return rigid_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]), {t[0], t[1], t[2]}, file.string());
 }
 
 Pose read_transform(const fs::path& file, const std::string& key) {

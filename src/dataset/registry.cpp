@@ -14,6 +14,7 @@
 #include "dataset/kitti_files.hpp"
 #include "dataset/kitti_odometry.hpp"
 #include "dataset/kitti_raw.hpp"
+#include "dataset/plain_folder.hpp"
 #include "dataset/synthetic.hpp"
 #include "dataset/waymo.hpp"
 
@@ -35,6 +36,7 @@ constexpr Kind kKinds[] = {
     {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_kitti_odometry},
     {"kitti360", "data_3d_raw", "KITTI-360", load_kitti_360, true},
     {"waymo", ".tfrecord", "a segment of Waymo Open", load_waymo, true},
+    {"folder", "sequence.json", "a plain folder", load_plain_folder},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
 };
 

@@ -32,39 +32,50 @@ NamedArray make(std::string name, std::vector<std::size_t> shape, const char* dt
 struct Half {
     std::uint16_t bits;
 
-    explicit operator float() const {
+    template <class Number>
+    explicit operator Number() const {
         const int exponent = bits >> 10 & 31, mantissa = bits & 1023;
         float value = std::ldexp(float(exponent ? mantissa + 1024 : mantissa), exponent ? exponent - 25 : -24);
         if (exponent == 31) value = mantissa ? std::numeric_limits<float>::quiet_NaN() : std::numeric_limits<float>::infinity();
-        return bits & 0x8000 ? -value : value;
+        return Number(bits & 0x8000 ? -value : value);
     }
 };
 
-template <class T>
-std::vector<float> convert(const NamedArray& array) {
-    std::vector<float> result(array.bytes.size() / sizeof(T));
+template <class Out, class T>
+std::vector<Out> convert(const NamedArray& array) {
+    std::vector<Out> result(array.bytes.size() / sizeof(T));
     for (std::size_t i = 0; i < result.size(); ++i) {
         T value;
         std::memcpy(&value, array.bytes.data() + i * sizeof(T), sizeof(T));
-        result[i] = static_cast<float>(value);
+        result[i] = static_cast<Out>(value);
     }
     return result;
 }
 
-using Converter = std::vector<float> (*)(const NamedArray&);
+template <class Out>
+using Converter = std::vector<Out> (*)(const NamedArray&);
 
-Converter converter(std::string_view dtype) {
-    static constexpr std::array<std::pair<std::string_view, Converter>, 12> kConverters{{
-        {"f2", convert<Half>}, {"f4", convert<float>}, {"f8", convert<double>},
-        {"i1", convert<std::int8_t>}, {"i2", convert<std::int16_t>},
-        {"i4", convert<std::int32_t>}, {"i8", convert<std::int64_t>},
-        {"u1", convert<std::uint8_t>}, {"u2", convert<std::uint16_t>},
-        {"u4", convert<std::uint32_t>}, {"u8", convert<std::uint64_t>},
-        {"b1", convert<std::uint8_t>},
+template <class Out>
+Converter<Out> converter(std::string_view dtype) {
+    static constexpr std::array<std::pair<std::string_view, Converter<Out>>, 12> kConverters{{
+        {"f2", convert<Out, Half>}, {"f4", convert<Out, float>}, {"f8", convert<Out, double>},
+        {"i1", convert<Out, std::int8_t>}, {"i2", convert<Out, std::int16_t>},
+        {"i4", convert<Out, std::int32_t>}, {"i8", convert<Out, std::int64_t>},
+        {"u1", convert<Out, std::uint8_t>}, {"u2", convert<Out, std::uint16_t>},
+        {"u4", convert<Out, std::uint32_t>}, {"u8", convert<Out, std::uint64_t>},
+        {"b1", convert<Out, std::uint8_t>},
     }};
     for (const auto& [name, function] : kConverters)
         if (name == dtype) return function;
     return nullptr;
+}
+
+template <class Out>
+std::vector<Out> values_of(const NamedArray& array) {
+    export_detail::check_array(array);
+    const Converter<Out> function = converter<Out>(array.dtype);
+    if (!function) throw DataError(fmt::format("array '{}': type '{}' cannot be read as numbers", array.name, array.dtype));
+    return function(array);
 }
 
 }  // namespace
@@ -77,7 +88,7 @@ std::size_t item_size(std::string_view dtype) {
         const auto [end, error] = std::from_chars(dtype.data() + 1, dtype.data() + dtype.size(), length);
         return error == std::errc() && end == dtype.data() + dtype.size() ? length : 0;
     }
-    if (!converter(dtype)) return 0;
+    if (!converter<float>(dtype)) return 0;
     return std::size_t(dtype[1] - '0');
 }
 
@@ -111,12 +122,8 @@ std::size_t NamedArray::count() const {
     return *n;
 }
 
-std::vector<float> NamedArray::as_float() const {
-    export_detail::check_array(*this);
-    const Converter function = converter(dtype);
-    if (!function) throw DataError(fmt::format("array '{}': type '{}' cannot be read as float", name, dtype));
-    return function(*this);
-}
+std::vector<float> NamedArray::as_float() const { return values_of<float>(*this); }
+std::vector<double> NamedArray::as_double() const { return values_of<double>(*this); }
 
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values, std::size_t n) {
     return make(std::move(name), std::move(shape), "f4", values, n);

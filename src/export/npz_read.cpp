@@ -210,4 +210,13 @@ std::vector<NamedArray> read_npz(const std::filesystem::path& path) {
     }
 }
 
+NamedArray read_npy(const std::filesystem::path& path) {
+    const std::vector<std::byte> bytes = export_detail::read_file(path);
+    try {
+        return export_detail::parse_npy(path.stem().string(), bytes);
+    } catch (const DataError& error) {
+        throw DataError(fmt::format("reading npy '{}': {}", path.string(), error.what()));
+    }
+}
+
 }  // namespace relidar

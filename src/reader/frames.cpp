@@ -2,9 +2,30 @@
 // Frames, poses and boxes of a log as it is read.
 #include <relidar/reader.hpp>
 
+#include <algorithm>
+#include <cmath>
 #include <unordered_map>
 
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
 namespace relidar {
+
+Pose rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where) {
+    const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
+    double worst = 0.0;
+    for (int c = 0; c < 3; ++c) {
+        for (int r = 0; r < 3; ++r) worst = std::max(worst, std::abs(excess[c][r]));
+    }
+    if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0) {
+        throw DataError(
+            fmt::format("{}: the 3x3 block is no rotation (R^T R differs from 1 by {:.3g}, determinant {:.3g}), "
+                        "expected orthonormal within 0.001",
+                        where, worst, glm::determinant(rotation)));
+    }
+    return {glm::normalize(glm::quat_cast(rotation)), translation};
+}
 
 Frame& add_frame(Sequence& sequence, int index, double time_s, const Pose& world_from_vehicle, int lidar) {
     PoseTrack& track = sequence.world_from_vehicle;

@@ -13,15 +13,13 @@
 #include <nlohmann/json.hpp>
 
 #include "core/files.hpp"
-#include "run/json_field.hpp"
+#include "core/json_field.hpp"
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
 #include <relidar/stages/scene.hpp>
 
 namespace relidar {
 namespace {
-
-using run_detail::JsonField;
 
 constexpr const char* kFormat = "relidar model";
 constexpr const char* kVersion = "1";
@@ -123,7 +121,7 @@ std::string layout_to_json(const Scene& scene) {
 }
 
 void read_layout_json(const std::string& text, const std::string& where, Scene& scene) {
-    const nlohmann::json layout = run_detail::parse_json(text, where);
+    const nlohmann::json layout = parse_json(text, where);
     read_layout(JsonField(layout, where, ""), scene);
 }
 

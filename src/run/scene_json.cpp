@@ -11,7 +11,7 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include "run/json_field.hpp"
+#include "core/json_field.hpp"
 #include <relidar/error.hpp>
 
 namespace relidar::run_detail {

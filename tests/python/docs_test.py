@@ -6,6 +6,7 @@ import os
 import pathlib
 import re
 import runpy
+import subprocess
 import sys
 import types
 import unittest
@@ -85,6 +86,24 @@ class Docs(TestCase):
         self.assertEqual(len(gradients), 4 + len(names["names"]))
         for name, gradient in zip(names["names"], gradients[4:]):
             np.testing.assert_allclose(gradient.numpy(), expected[name], rtol=1e-3, atol=1e-3 * np.abs(expected[name]).max())
+
+    def test_folder_of_ones_own(self):
+        """Three sweeps of 16 beams in a round room, 1 m apart: info finds their sensor and their path."""
+        text = (SOURCE / "docs/datasets.md").read_text()
+        blocks = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+        self.assertEqual(len(blocks), 1)
+        names = {}
+        exec(compile(blocks[0], "docs/datasets.md", "exec"), names)
+        ring, column = np.divmod(np.arange(16 * 360), 360)
+        azimuth, slope = np.pi - np.radians(column + 0.5), np.tan(np.radians(10 - ring))
+        points = np.column_stack([20 * np.cos(azimuth), 20 * np.sin(azimuth), 20 * slope, 255 * (ring % 2), ring, -azimuth / (20 * np.pi)])
+        poses = np.array([[float(i), 0, 0, 1, 0, 0, 0] for i in range(3)])
+        folder = FOLDER / "own_log"
+        names["write_log"](folder, [points] * 3, 1e6 + 0.1 * np.arange(3), poses)
+        said = subprocess.run([os.environ["RELIDAR_TOOL"], "info", str(folder)], check=True, capture_output=True, text=True).stdout
+        self.assertIn("16 rows x 360 columns, +10.00 to -5.00 degrees", said)
+        self.assertIn("3 (0 to 2), 0.2 s, 2.0 m driven", said)
+        self.assertIn("100.0 % of all rays", said)
 
     def test_example(self):
         script, folder, printed = SOURCE / "tools/examples/train_and_plot.py", FOLDER / "example", io.StringIO()

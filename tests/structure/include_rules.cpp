@@ -17,7 +17,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"sensor", {}},
         {"sequence", {"sensor"}},
         {"reader", {"sequence", "sensor"}},  // what all readers of datasets share
-        {"dataset", {"reader", "sequence", "sensor"}},
+        {"dataset", {"reader", "sensor_files", "export", "sequence", "sensor"}},  // export: npz
         {"registration", {"sequence", "sensor"}},
         {"scene", {"sequence", "sensor", "gpu"}},
         {"edit", {"scene", "sequence", "sensor"}},

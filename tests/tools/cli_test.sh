@@ -40,10 +40,10 @@ bad() {
 
 help_tells() {
     good --help
-    for command in devices sensors config info train render edit eval export import bench demo; do
+    for command in devices sensors config convert info train render edit eval export import bench demo; do
         says "^  $command "
     done
-    for command in devices sensors config info train render edit eval export import bench demo; do
+    for command in devices sensors config convert info train render edit eval export import bench demo; do
         good "$command" --help
         says "Example"
     done
@@ -178,6 +178,38 @@ log_info() {
     good info synthetic:street --frames 2:5 --json
     says '"frames": 3'
     says '"returns_share": 0\.'
+}
+
+converting() {
+    good convert street --out plain --frames 2:6
+    says "plain: 4 scans of 1 LiDAR, 2 boxes$"
+    for file in sequence.json poses.txt boxes.json scans/000002.npz scans/000005.npz; do exists plain/$file; done
+    good info street --frames 2:6
+    grep -v ^source out >street.txt
+    good info plain
+    check "info says other things of a log and of the folder it was converted to" cmp -s street.txt <(grep -v ^source out)
+    bad 2 "plain: found a plain folder, expected a new name; --overwrite replaces it" convert street --out plain
+    good convert plain --out plain --frames 3: --overwrite --quiet
+    check "--quiet prints" test ! -s out -a ! -s err
+    check "--overwrite left scans of the log before" test "$(ls plain/scans | wc -l)" = 3
+    bad 2 "street: found something that is no plain folder" convert street --out street --overwrite
+    good convert street --out free --set dataset.poses=none
+    absent free/poses.txt
+    bad 3 "free/poses.txt: no such file; expected poses of the vehicle" info free
+    good info free --set dataset.poses=none
+    bad 3 "nowhere: no such folder" convert nowhere --out x
+    bad 2 "out is required" convert street
+    bad 3 "x.*: cannot be made a folder" convert street --out street/street.toml/x
+    printf 'seed = 5\nn_frames = 60\nrows = 32\ncolumns = 512\n' >long.toml && mkdir long && mv long.toml long/street.toml
+    "$relidar" convert long --out stopped >out 2>err &
+    local process=$!
+    until ls -d .stopped.tmp-* >/dev/null 2>&1 || ! kill -0 $process 2>/dev/null; do sleep 0.05; done
+    kill -TERM $process
+    wait $process
+    local code=$?
+    check "interrupted convert: exit code $code, expected 130" test "$code" = 130
+    check "interrupted convert left something behind" test -z "$(ls -d stopped .stopped* 2>/dev/null)"
+    rm -rf long
 }
 
 training() {
@@ -630,6 +662,7 @@ help_tells
 wrong_usage
 no_driver
 log_info
+converting
 baseline
 if "$relidar" devices >out 2>err; then
     devices

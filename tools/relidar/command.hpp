@@ -24,6 +24,7 @@ void add_devices(CLI::App& app, Call& call);
 void add_sensors(CLI::App& app, Call& call);
 void add_pipelines(CLI::App& app, Call& call);
 void add_config(CLI::App& app, Call& call);
+void add_convert(CLI::App& app, Call& call);
 void add_info(CLI::App& app, Call& call);
 void add_train(CLI::App& app, Call& call);
 void add_edit(CLI::App& app, Call& call);

@@ -1,15 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checked access to JSON values; what was found is quoted, shortened to one line.
-#include "run/json_field.hpp"
+#include "core/json_field.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
 #include <relidar/error.hpp>
+#include "core/files.hpp"
 
-namespace relidar::run_detail {
+namespace relidar {
 namespace {
 
 std::string shown(const nlohmann::json& value) {
@@ -39,6 +42,17 @@ JsonField JsonField::at(std::size_t index) const { return {value_->at(index), *f
 std::size_t JsonField::size() const {
     if (!value_->is_array()) fail(shown(*value_), "expected an array");
     return value_->size();
+}
+
+bool JsonField::is_text() const { return value_->is_string(); }
+
+bool JsonField::is_array() const { return value_->is_array(); }
+
+void JsonField::check_members(const std::vector<std::string>& known) const {
+    if (!value_->is_object()) fail(shown(*value_), "expected an object");
+    for (const auto& [key, value] : value_->items())
+        if (std::find(known.begin(), known.end(), key) == known.end())
+            fail(fmt::format("found the unknown member '{}'", excerpt(key)), fmt::format("expected only {}", fmt::join(known, ", ")));
 }
 
 double JsonField::number() const {
@@ -71,6 +85,14 @@ std::string JsonField::text() const {
     return value_->get<std::string>();
 }
 
+std::string JsonField::text(std::size_t most) const {
+    const std::string found = text();
+    const auto is_control = [](unsigned char c) { return c < 0x20 || c == 0x7F; };
+    if (found.size() > most || std::any_of(found.begin(), found.end(), is_control))
+        fail(fmt::format("found {} bytes of text", found.size()), fmt::format("expected one line of at most {}", most));
+    return found;
+}
+
 std::vector<double> JsonField::numbers() const {
     std::vector<double> result(size());
     for (std::size_t i = 0; i < result.size(); ++i) result[i] = at(i).number();
@@ -83,9 +105,10 @@ nlohmann::json parse_json(const std::string& text, const std::string& file) {
     } catch (const nlohmann::json::exception& error) {
         std::string why = error.what();   // "[json.exception.parse_error.101] parse error at line 1, column 2: ..."
         if (const std::size_t bracket = why.find("] "); bracket != std::string::npos) why.erase(0, bracket + 2);
+        why = why.substr(0, why.find("; last read"));   // quotes the file, at any length
         for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
         throw DataError(fmt::format("{}: not valid JSON, truncated or damaged: {}", file, why));
     }
 }
 
-}  // namespace relidar::run_detail
+}  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reading a JSON file that may hold anything: each value knows the file and the field it came from, so that every complaint
-// names both, as in "run/scene.json: frames[3].time_s: found null, expected a finite number". Private to run.
+// names both, as in "run/scene.json: frames[3].time_s: found null, expected a finite number".
 #pragma once
 
 #include <array>
@@ -10,7 +10,7 @@
 
 #include <nlohmann/json_fwd.hpp>
 
-namespace relidar::run_detail {
+namespace relidar {
 
 class JsonField {
 public:
@@ -22,11 +22,16 @@ public:
     bool has(const std::string& key) const;       ///< whether an object has such a member
     JsonField at(std::size_t index) const;        ///< entry of an array
     std::size_t size() const;                     ///< of an array
+    bool is_text() const;
+    bool is_array() const;
+    /// @throws DataError where an object has a member that is none of these
+    void check_members(const std::vector<std::string>& known) const;
     double number() const;                        ///< finite
     double number(double low, double high) const;
     std::int64_t integer(std::int64_t low, std::int64_t high) const;
     bool boolean() const;
     std::string text() const;
+    std::string text(std::size_t most) const;   ///< of at most so many bytes, all in one line
     std::vector<double> numbers() const;
     /// Exactly n numbers.
     template <std::size_t n>
@@ -49,4 +54,4 @@ private:
 /// Parses a JSON text. @throws DataError naming the file and the place where it is malformed
 nlohmann::json parse_json(const std::string& text, const std::string& file);
 
-}  // namespace relidar::run_detail
+}  // namespace relidar

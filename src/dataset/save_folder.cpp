@@ -1,0 +1,176 @@
+// SPDX-License-Identifier: Apache-2.0
+// A log as a plain folder. It is written beside its name and then renamed, so that no partial one ever has it.
+#include <relidar/dataset.hpp>
+
+#include <cmath>
+#include <system_error>
+
+#include <unistd.h>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include <relidar/error.hpp>
+#include <relidar/export.hpp>
+
+#include "core/files.hpp"
+#include "core/number_text.hpp"
+#include "core/progress_blocks.hpp"
+#include "dataset/folder_head.hpp"
+#include "dataset/scan_npz.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+
+double degrees(double radians) {
+    return radians * 180.0 / kPi;
+}
+
+Json json_of(const glm::dvec3& v) {
+    return {v.x, v.y, v.z};
+}
+Json json_of(const glm::dquat& q) {
+    return {q.w, q.x, q.y, q.z};
+}
+
+Json json_of(const SpinningSensor& sensor) {
+    Json json = {{"name", sensor.name}, {"min_range_m", sensor.min_range_m}};
+    if (std::isfinite(sensor.max_range_m)) json["max_range_m"] = sensor.max_range_m;
+    json["divergence_rad"] = sensor.divergence_rad;
+    if (sensor.beams.empty()) return json;
+    json["columns"] = sensor.columns;
+    json["period_s"] = sensor.period_s;
+    json["clockwise"] = sensor.clockwise;
+    json["first_azimuth_deg"] = degrees(sensor.first_azimuth_rad);
+    json["beams"] = Json::array();
+    for (const Beam& beam : sensor.beams)
+        json["beams"].push_back({{"elevation_deg", degrees(beam.elevation_rad)},
+                                 {"azimuth_offset_deg", degrees(beam.azimuth_offset_rad)},
+                                 {"origin_offset_m", beam.origin_offset_m},
+                                 {"origin_up_m", beam.origin_up_m},
+                                 {"origin_left_m", beam.origin_left_m}});
+    return json;
+}
+
+Json json_of(const Lidar& lidar) {
+    const Pose& mounting = lidar.vehicle_from_sensor;
+    return {{"name", lidar.name},
+            {"vehicle_from_sensor", {{"translation", json_of(mounting.translation)}, {"quaternion", json_of(mounting.rotation)}}},
+            {"spins", !lidar.sensor.beams.empty()},
+            {"sensor", json_of(lidar.sensor)}};
+}
+
+std::string scan_name(const Sequence& sequence, const Frame& frame) {
+    if (sequence.lidars.size() == 1) return fmt::format("scans/{:06}.npz", frame.index);
+    return fmt::format("scans/{:06}_{}.npz", frame.index, frame.lidar);
+}
+
+std::string head_text(const Sequence& sequence) {
+    Json json = {{"format", folder::kFormat},
+                 {"version", folder::kVersion},
+                 {"relidar", RELIDAR_VERSION},
+                 {"name", sequence.name},
+                 {"conventions", sequence.conventions},
+                 {"notes", sequence.notes},
+                 {"motion_compensated", !sequence.rolling_shutter},
+                 {"world_offset_m", json_of(sequence.world_offset_m)},
+                 {"lidars", Json::array()},
+                 {"frames", Json::array()}};
+    for (const Lidar& lidar : sequence.lidars) json["lidars"].push_back(json_of(lidar));
+    for (const Frame& frame : sequence.frames)
+        json["frames"].push_back({{"number", frame.index},
+                                  {"time_s", frame.time_s},
+                                  {"lidar", sequence.lidar_of(frame).name},
+                                  {"scan", scan_name(sequence, frame)}});
+    return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+std::string poses_text(const Sequence& sequence) {
+    const PoseTrack track = shifted_track(sequence.world_from_vehicle, sequence.world_offset_m);
+    std::string text = "# time_s x y z qw qx qy qz\n";
+    for (std::size_t i = 0; i < track.pose.size(); ++i) {
+        const auto& [q, t] = track.pose[i];
+        text += number_text(track.time_s[i]);
+        for (const double v : {t.x, t.y, t.z, q.w, q.x, q.y, q.z}) text += " " + number_text(v);
+        text += "\n";
+    }
+    return text;
+}
+
+std::string boxes_text(const Sequence& sequence) {
+    Json json = {{"boxes", Json::array()}};
+    for (const BoxTrack& box : sequence.boxes) {
+        const PoseTrack track = shifted_track(box.world_from_box, sequence.world_offset_m);
+        for (std::size_t k = 0; k < track.pose.size(); ++k)
+            json["boxes"].push_back({{"track", box.id},
+                                     {"category", box.category},
+                                     {"time_s", track.time_s[k]},
+                                     {"size", json_of(box.size_m)},
+                                     {"position", json_of(track.pose[k].translation)},
+                                     {"quaternion", json_of(track.pose[k].rotation)}});
+    }
+    return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+/// A folder beside the wanted one, removed unless it got its name.
+class UnfinishedFolder {
+public:
+    explicit UnfinishedFolder(const fs::path& wanted)
+        : path_(wanted.parent_path() / fmt::format(".{}.tmp-{}", wanted.filename().string(), ::getpid())) {
+        std::error_code failed;
+        fs::remove_all(path_, failed);
+        fs::create_directories(path_ / "scans", failed);
+        if (failed) throw DataError(fmt::format("{}: cannot be made a folder: {}", path_.string(), failed.message()));
+    }
+    ~UnfinishedFolder() {
+        std::error_code failed;
+        fs::remove_all(path_, failed);
+    }
+    UnfinishedFolder(const UnfinishedFolder&) = delete;
+    UnfinishedFolder& operator=(const UnfinishedFolder&) = delete;
+
+    const fs::path& path() const { return path_; }
+
+    /// What has the name goes away once the new one is in its place.
+    void finish(const fs::path& wanted) {
+        const fs::path old = path_.string() + "-old";
+        std::error_code failed, ignored;
+        if (path_exists(wanted)) fs::rename(wanted, old, failed);
+        if (!failed) fs::rename(path_, wanted, failed);
+        if (failed) fs::rename(old, wanted, ignored);
+        if (failed) throw DataError(fmt::format("{}: renaming what was written: {}", wanted.string(), failed.message()));
+        fs::remove_all(old, ignored);
+    }
+
+private:
+    fs::path path_;
+};
+
+void check_place(const fs::path& folder, bool overwrite) {
+    if (!path_exists(folder) || (fs::is_directory(folder) && list_folder(folder).empty())) return;
+    if (!fs::is_directory(folder) || !path_exists(folder / folder::kHeadFile))
+        throw UsageError(fmt::format("{}: found something that is no plain folder, expected a new name", folder.string()));
+    if (!overwrite)
+        throw UsageError(fmt::format("{}: found a plain folder, expected a new name; --overwrite replaces it", folder.string()));
+}
+
+}  // namespace
+
+void save_folder(const Sequence& sequence, const fs::path& given, const FolderOptions& options) {
+    const fs::path wanted = (fs::absolute(given) / "").lexically_normal().parent_path();
+    check_place(wanted, options.overwrite);
+    UnfinishedFolder unfinished(wanted);
+    for_each_told(sequence.frames.size(), options.progress, "writing scans", [&](std::size_t i) {
+        const Frame& frame = sequence.frames[i];
+        folder::write_scan_npz(unfinished.path() / scan_name(sequence, frame), frame.scan);
+    });
+    if (options.poses) write_text(unfinished.path() / folder::kPosesFile, poses_text(sequence));
+    if (!sequence.boxes.empty()) write_text(unfinished.path() / folder::kBoxesFile, boxes_text(sequence));
+    write_text(unfinished.path() / folder::kHeadFile, head_text(sequence));
+    unfinished.finish(wanted);
+}
+
+}  // namespace relidar

@@ -1,0 +1,178 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "dataset/scan_npz.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/error.hpp>
+#include <relidar/export.hpp>
+
+namespace relidar::folder {
+namespace {
+
+constexpr double kLongestOffset_s = 10.0;
+constexpr std::size_t kMostReturns = 8;
+
+/// The arrays of one file, looked up by name, their sizes checked against the image's.
+class Arrays {
+public:
+    explicit Arrays(const std::filesystem::path& file) : where_(file.string()), arrays_(read_npz(file)) {
+        const std::vector<std::size_t>& shape = at("range").shape;
+        if (shape.empty() || shape.size() > 2 || at("range").count() > kMaxRays)
+            throw DataError(fmt::format("{}: range of shape [{}], expected [rows, columns] or [rays], at most {} rays", where_,
+                                        fmt::join(shape, ", "), kMaxRays));
+        rows = shape.size() == 2 ? shape[0] : 1;
+        columns = shape.back();
+    }
+    std::size_t rows = 0, columns = 0;
+
+    const NamedArray* find(const std::string& name) const {
+        const auto found = std::find_if(arrays_.begin(), arrays_.end(), [&](const NamedArray& a) { return a.name == name; });
+        return found == arrays_.end() ? nullptr : &*found;
+    }
+    const NamedArray& at(const std::string& name) const {
+        if (const NamedArray* array = find(name)) return *array;
+        throw DataError(fmt::format("{}: no array '{}', expected it", where_, name));
+    }
+    /// A number a ray. @param usual  of all, where the array is missing
+    std::vector<double> image(const std::string& name, double usual) const {
+        return find(name) ? values(name, 1) : std::vector<double>(rows * columns, usual);
+    }
+    /// `width` numbers a ray.
+    std::vector<double> values(const std::string& name, std::size_t width) const {
+        if (at(name).count() != rows * columns * width)
+            throw DataError(fmt::format("{}: {} of shape [{}], expected {} x {} x {}", where_, name, fmt::join(at(name).shape, ", "), rows,
+                                        columns, width));
+        return at(name).as_double();
+    }
+    std::vector<glm::vec3> vectors(const std::string& name) const {
+        const std::vector<double> v = values(name, 3);
+        std::vector<glm::vec3> vectors;
+        for (std::size_t i = 0; i < v.size(); i += 3) vectors.emplace_back(v[i], v[i + 1], v[i + 2]);
+        return vectors;
+    }
+    std::string ray(const char* name, std::size_t i) const { return fmt::format("{}: {} of ray {}", where_, name, i); }
+    const std::string& where() const { return where_; }
+
+private:
+    std::string where_;
+    std::vector<NamedArray> arrays_;
+};
+
+std::vector<float> ranges_of(const Arrays& arrays, const std::string& name) {
+    const std::vector<double> found = arrays.values(name, 1), drop = arrays.image("drop_prob", 0.0);
+    std::vector<float> range_m;
+    for (std::size_t i = 0; i < found.size(); ++i) {
+        if (!(found[i] >= 0.0 && found[i] <= 1e6))
+            throw DataError(fmt::format("{} is {}, expected metres, 0 where there is no return", arrays.ray(name.c_str(), i), found[i]));
+        range_m.push_back(drop[i] < 0.5 ? float(found[i]) : 0.0f);
+    }
+    return range_m;
+}
+
+std::vector<float> intensities_of(const Arrays& arrays, const std::string& name, const std::vector<float>& range_m,
+                                  const PointUnits& units) {
+    const std::vector<double> found = arrays.image(name, 0.0);
+    std::vector<float> intensity;
+    for (std::size_t i = 0; i < found.size(); ++i)
+        intensity.push_back(range_m[i] > 0.0f ? unit_intensity(found[i], units, arrays.ray(name.c_str(), i)) : 0.0f);
+    return intensity;
+}
+
+RayTable rays_of(const Arrays& arrays, const PointUnits& units, double time_s) {
+    RayTable rays;
+    rays.rows = int(arrays.rows);
+    rays.columns = int(arrays.columns);
+    rays.direction = arrays.vectors("directions");
+    rays.origin = arrays.find("origin") ? arrays.vectors("origin") : std::vector<glm::vec3>(rays.direction.size(), glm::vec3(0.0f));
+    const std::vector<double> time = arrays.image("time", units.absolute_times ? time_s : 0.0);
+    const bool has_rings = arrays.find("ring") != nullptr;
+    const std::vector<double> ring = arrays.image("ring", 0.0);
+    for (std::size_t i = 0; i < time.size(); ++i) {
+        rays.time_offset_s.push_back(time_offset(time[i], units, time_s, arrays.ray("time", i)));
+        rays.channel.push_back(has_rings ? ring_number(ring[i], arrays.ray("ring", i)) : std::uint16_t(i / arrays.columns));
+    }
+    if (arrays.find("divergence_rad")) rays.divergence_rad = arrays.at("divergence_rad").as_float().at(0);
+    return rays;
+}
+
+/// A rendering may have brought its rays to one moment, or to the world.
+void check_frame(const Arrays& arrays, bool motion_compensated) {
+    const NamedArray* deskewed = arrays.find("deskewed");
+    if (deskewed && deskewed->count() == 1 && deskewed->as_float()[0] != 0.0f && !motion_compensated)
+        throw DataError(
+            fmt::format("{}: its rays are deskewed or in the world, expected the sensor at each ray's time: render it without "
+                        "--deskew and --frame world, or say \"motion_compensated\": true",
+                        arrays.where()));
+}
+
+}  // namespace
+
+float unit_intensity(double found, const PointUnits& units, const std::string& where) {
+    if (!std::isfinite(found)) throw DataError(fmt::format("{}: intensity {}, expected a number", where, found));
+    if (units.intensity_max) return float(std::clamp(found / *units.intensity_max, 0.0, 1.0));
+    if (found < 0.0 || found > 1.0)
+        throw DataError(fmt::format("{}: intensity {}, expected 0..1, or \"intensity_max\" in sequence.json", where, found));
+    return float(found);
+}
+
+float time_offset(double found, const PointUnits& units, double frame_time_s, const std::string& where) {
+    const double offset_s = found * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
+    if (!(std::abs(offset_s) <= kLongestOffset_s))
+        throw DataError(
+            fmt::format("{}: time {} is {} s from the frame's, expected at most {} s; \"time_unit\" and \"point_times\" in "
+                        "sequence.json say what times mean",
+                        where, found, offset_s, kLongestOffset_s));
+    return float(offset_s);
+}
+
+std::uint16_t ring_number(double found, const std::string& where) {
+    if (!(found >= 0.0 && found < kNoBeam) || found != std::floor(found))
+        throw DataError(fmt::format("{}: ring {}, expected a whole number below {}", where, found, kNoBeam));
+    return std::uint16_t(found);
+}
+
+Scan read_scan_npz(const std::filesystem::path& file, const Head& head, double time_s) {
+    const Arrays arrays(file);
+    check_frame(arrays, head.motion_compensated);
+    Scan scan;
+    scan.rays = rays_of(arrays, head.units, time_s);
+    // of a rendering: the surface that a ray met, where the mean lies between two
+    scan.range_m = ranges_of(arrays, arrays.find("median_range") ? "median_range" : "range");
+    scan.intensity = intensities_of(arrays, "intensity", scan.range_m, head.units);
+    for (std::size_t number = 2; number <= kMostReturns && arrays.find(fmt::format("range_{}", number)); ++number) {
+        FurtherReturn further{ranges_of(arrays, fmt::format("range_{}", number)), {}};
+        further.intensity = intensities_of(arrays, fmt::format("intensity_{}", number), further.range_m, head.units);
+        scan.further.push_back(std::move(further));
+    }
+    return scan;
+}
+
+void write_scan_npz(const std::filesystem::path& file, const Scan& scan) {
+    const RayTable& rays = scan.rays;
+    const std::vector<std::size_t> shape = {std::size_t(rays.rows), std::size_t(rays.columns)};
+    std::vector<NamedArray> arrays;
+    const auto add = [&](const std::string& name, const auto& values) {
+        arrays.push_back(make_array(name, shape, values.data(), values.size()));
+    };
+    const auto add_vectors = [&](const char* name, const std::vector<glm::vec3>& v) {
+        arrays.push_back(make_array(name, {shape[0], shape[1], 3}, v.empty() ? nullptr : &v.front().x, v.size() * 3));
+    };
+    add("range", scan.range_m);
+    add("intensity", scan.intensity);
+    add_vectors("directions", rays.direction);
+    add_vectors("origin", rays.origin);
+    add("time", rays.time_offset_s);
+    add("ring", rays.channel);
+    for (std::size_t k = 0; k < scan.further.size(); ++k) {
+        add(fmt::format("range_{}", k + 2), scan.further[k].range_m);
+        add(fmt::format("intensity_{}", k + 2), scan.further[k].intensity);
+    }
+    arrays.push_back(make_array("divergence_rad", {}, &rays.divergence_rad, 1));
+    write_npz(file, arrays);
+}
+
+}  // namespace relidar::folder

@@ -1,0 +1,144 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "point_writers.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include <fmt/format.h>
+
+namespace relidar::test {
+namespace {
+
+template <class T>
+void append(std::string& bytes, T value) {
+    bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
+}
+
+std::uint8_t byte_of(float intensity) {
+    return std::uint8_t(std::lround(intensity * 255.0f));
+}
+
+std::string pcd_header(std::size_t n, const char* data) {
+    return fmt::format(
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z _ intensity ring timestamp\nSIZE 4 4 4 1 1 2 8\nTYPE F F F "
+        "U U U F\n"
+        "COUNT 1 1 1 3 1 1 1\nWIDTH {}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {}\nDATA {}\n",
+        n, n, data);
+}
+
+std::string ply_header(std::size_t n, const char* format) {
+    return fmt::format(
+        "ply\nformat {} 1.0\ncomment by hand\nelement vertex {}\nproperty double x\nproperty float64 y\nproperty double z\nproperty float "
+        "intensity\n"
+        "property ushort channel\nproperty double t\nproperty uchar red\nelement face 0\nproperty list uchar int "
+        "vertex_indices\nend_header\n",
+        format, n);
+}
+
+}  // namespace
+
+std::string pcd_text(const FilePoints& points) {
+    std::string text = pcd_header(points.size(), "ascii");
+    for (const FilePoint& p : points)
+        text += fmt::format("{} {} {} 7 7 7 {} {} {}\n", p.point_m.x, p.point_m.y, p.point_m.z, byte_of(p.intensity), p.ring, p.time_s);
+    return text;
+}
+
+std::string pcd_binary(const FilePoints& points) {
+    std::string bytes = pcd_header(points.size(), "binary");
+    for (const FilePoint& p : points) {
+        for (int axis = 0; axis < 3; ++axis) append(bytes, p.point_m[axis]);
+        bytes += "___";
+        append(bytes, byte_of(p.intensity)), append(bytes, p.ring), append(bytes, p.time_s);
+    }
+    return bytes;
+}
+
+std::string pcd_compressed(const FilePoints& points) {
+    std::string fields;
+    for (int axis = 0; axis < 3; ++axis)
+        for (const FilePoint& p : points) append(fields, p.point_m[axis]);
+    fields += std::string(3 * points.size(), '_');
+    for (const FilePoint& p : points) append(fields, byte_of(p.intensity));
+    for (const FilePoint& p : points) append(fields, p.ring);
+    for (const FilePoint& p : points) append(fields, p.time_s);
+    const std::string packed = lzf(fields);
+    std::string bytes = pcd_header(points.size(), "binary_compressed");
+    append(bytes, std::uint32_t(packed.size())), append(bytes, std::uint32_t(fields.size()));
+    return bytes + packed;
+}
+
+std::string ply_text(const FilePoints& points) {
+    std::string text = ply_header(points.size(), "ascii");
+    for (const FilePoint& p : points)
+        text += fmt::format("{} {} {} {} {} {} 255\n", p.point_m.x, p.point_m.y, p.point_m.z, p.intensity, p.ring, p.time_s);
+    return text;
+}
+
+std::string ply_binary(const FilePoints& points) {
+    std::string bytes = ply_header(points.size(), "binary_little_endian");
+    for (const FilePoint& p : points) {
+        for (int axis = 0; axis < 3; ++axis) append(bytes, double(p.point_m[axis]));
+        append(bytes, p.intensity), append(bytes, p.ring), append(bytes, p.time_s), append(bytes, std::uint8_t(255));
+    }
+    return bytes;
+}
+
+std::string bin(const FilePoints& points) {
+    std::string bytes;
+    for (const FilePoint& p : points) {
+        for (int axis = 0; axis < 3; ++axis) append(bytes, p.point_m[axis]);
+        append(bytes, p.intensity), append(bytes, float(p.ring));
+    }
+    return bytes;
+}
+
+std::string npy(const FilePoints& points) {
+    std::string header = fmt::format("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 6), }}", points.size());
+    header.resize(118 - 1, ' ');
+    std::string bytes = "\x93NUMPY";
+    bytes += {'\x01', '\x00', char(118), '\x00'};
+    bytes += header + "\n";
+    for (const FilePoint& p : points) {
+        for (int axis = 0; axis < 3; ++axis) append(bytes, double(p.point_m[axis]));
+        append(bytes, double(p.intensity)), append(bytes, double(p.ring)), append(bytes, p.time_s);
+    }
+    return bytes;
+}
+
+std::string lzf(const std::string& bytes) {
+    std::string out, plain;
+    std::map<std::string, std::size_t> last;  // where three bytes stood last
+    const auto flush = [&] {
+        for (std::size_t at = 0; at < plain.size(); at += 32) {
+            const std::string run = plain.substr(at, 32);
+            out += char(run.size() - 1);
+            out += run;
+        }
+        plain.clear();
+    };
+    for (std::size_t at = 0; at < bytes.size();) {
+        const std::string key = bytes.substr(at, 3);
+        const auto known = last.find(key);
+        const std::size_t back = known == last.end() ? 0 : at - known->second;
+        std::size_t length = 0;
+        if (key.size() == 3 && back > 0 && back <= 8192)
+            while (length < 264 && at + length < bytes.size() && bytes[at + length] == bytes[at + length - back]) ++length;
+        if (key.size() == 3) last[key] = at;
+        if (length < 3) {
+            plain += bytes[at++];
+            continue;
+        }
+        flush();
+        const std::size_t code = length - 2, distance = back - 1;
+        out += char((std::min<std::size_t>(code, 7) << 5) | (distance >> 8));
+        if (code >= 7) out += char(code - 7);
+        out += char(distance & 255);
+        at += length;
+    }
+    flush();
+    return out;
+}
+
+}  // namespace relidar::test

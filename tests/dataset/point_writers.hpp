@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+// Points as files of other programs hold them, written byte by byte: PCD (text, packed, compressed), PLY (text, packed), .bin, .npy.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <glm/glm.hpp>
+
+namespace relidar::test {
+
+struct FilePoint {
+    glm::vec3 point_m;
+    float intensity;
+    std::uint16_t ring;
+    double time_s;  ///< of the log
+};
+using FilePoints = std::vector<FilePoint>;
+
+/// Fields x y z float32, intensity uint8 (of 255), ring uint16, timestamp float64; a field "_" of 3 bytes between.
+std::string pcd_text(const FilePoints& points);
+std::string pcd_binary(const FilePoints& points);
+std::string pcd_compressed(const FilePoints& points);
+/// Properties x y z double, intensity float, channel ushort, t double, red uchar.
+std::string ply_text(const FilePoints& points);
+std::string ply_binary(const FilePoints& points);
+/// n x float32: x y z intensity ring.
+std::string bin(const FilePoints& points);
+/// [n, 6] float64: x y z intensity ring timestamp.
+std::string npy(const FilePoints& points);
+
+/// LZF by its rules: matches of 3 bytes and more at any distance it can say, the rest as it is.
+std::string lzf(const std::string& bytes);
+
+}  // namespace relidar::test

@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: Apache-2.0
+// Plain folders. "points" reads one scan of points, its format by the input's first byte; "folder" the text files of a whole folder, parted
+// by lines of "=====": sequence.json, poses.txt, boxes.json.
+#include "harness.hpp"
+
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/dataset.hpp>
+#include <relidar/math.hpp>
+
+#include "dataset/point_table.hpp"
+#include "dataset/point_writers.hpp"
+
+namespace relidar::fuzz {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kEndings[] = {"pcd", "ply", "bin", "npy"};
+constexpr std::string_view kParting = "\n=====\n";
+
+/// 16 beams x 40 columns on a cylinder.
+test::FilePoints cylinder() {
+    test::FilePoints points;
+    for (int b = 0; b < 16; ++b)
+        for (int c = 0; c < 40; ++c) {
+            const double a = kPi - (c + 0.5) * 2.0 * kPi / 40, e = 0.1 - 0.02 * b;
+            const glm::vec3 p(20.0 * std::cos(a), 20.0 * std::sin(a), 20.0 * std::tan(e));
+            points.push_back({p, 0.2f, std::uint16_t(b), 0.001 * c});
+        }
+    return points;
+}
+
+std::vector<std::string> point_seeds(const fs::path&) {
+    test::FilePoints some = cylinder();
+    some.resize(12);
+    std::vector<std::string> seeds;
+    const auto add = [&](char format, const std::string& bytes) { seeds.push_back(format + bytes); };
+    add(0, test::pcd_text(some)), add(0, test::pcd_binary(some)), add(0, test::pcd_compressed(some));
+    add(1, test::ply_text(some)), add(1, test::ply_binary(some));
+    add(2, test::bin(some)), add(3, test::npy(some));
+    return seeds;
+}
+
+void read_points(std::string_view input, const fs::path& folder) {
+    if (input.empty()) return;
+    const char* ending = kEndings[static_cast<unsigned char>(input[0]) % 4];
+    const fs::path file = folder / fmt::format("scan.{}", ending);
+    put(file, input.substr(1));
+    std::vector<std::string> columns = {"x", "y", "z", "intensity", "ring"};
+    if (ending == kEndings[3]) columns.push_back("timestamp");
+    folder::read_point_file(file, columns);
+}
+
+fs::path log_in(const fs::path& folder) {
+    static const fs::path log = [&] {
+        fs::create_directories(folder / "log/scans");
+        put(folder / "log/scans/0.pcd", test::pcd_binary(cylinder()));
+        put(folder / "log/scans/1.bin", test::bin(cylinder()));
+        put(folder / "log/scans/2.npy", test::npy(cylinder()));
+        return folder / "log";
+    }();
+    return log;
+}
+
+std::vector<std::string> folder_seeds(const fs::path& folder) {
+    const Sequence street = make_synthetic_street({.n_frames = 2, .rows = 4, .columns = 16});
+    save_folder(street, folder / "saved", {.overwrite = true});
+    std::string saved;
+    for (const char* name : {"sequence.json", "poses.txt", "boxes.json"})
+        saved += contents(folder / "saved" / name) + std::string(kParting);
+    return {
+        saved,
+        R"({"format": "relidar log", "version": 1, "columns": ["x", "y", "z", "intensity", "ring"], "intensity_max": 255, "frames":
+               [{"number": 0, "time_s": 0, "scan": "scans/1.bin"}, {"number": 1, "time_s": 0.1, "scan": "scans/1.bin"}]})"
+        "\n=====\n0 0 0 0 1 0 0 0\n1 0 0 0 1 0 0 0\n=====\n"
+        R"({"boxes": [{"track": "a", "category": "Car", "frame": 0, "size": [4, 2, 1], "position": [5, 0, 0], "yaw_deg": 0}]})",
+        R"({"format": "relidar log", "version": 1, "time_unit": "ms", "point_times": "absolute", "intensity_max": 9,
+               "motion_compensated": true,
+               "lidars": [{"name": "a", "ring_0": "lowest", "vehicle_from_sensor": {"translation": [0, 0, 1], "quaternion": [1, 0, 0, 0]},
+                           "sensor": {"columns": 40, "period_s": 0.1, "beams": [{"elevation_deg": 1}, {"elevation_deg": 0}]}}],
+               "frames": [{"number": 0, "time_s": 0, "scan": "scans/0.pcd", "lidar": "a"}]})"
+        "\n=====\n1 0 0 0 0 1 0 0 0 0 1 0\n=====\n"};
+}
+
+void read_folder(std::string_view input, const fs::path& folder) {
+    const fs::path log = log_in(folder);
+    for (const char* name : {"sequence.json", "poses.txt", "boxes.json"}) {
+        const std::size_t end = std::min(input.find(kParting), input.size());
+        put(log / name, input.substr(0, end));
+        input.remove_prefix(std::min(end + kParting.size(), input.size()));
+    }
+    load_sequence("folder:" + log.string(), {});
+}
+
+}  // namespace
+
+std::vector<Harness> folder_harnesses() {
+    return {{"points", point_seeds, read_points}, {"folder", folder_seeds, read_folder, false}};
+}
+
+}  // namespace relidar::fuzz

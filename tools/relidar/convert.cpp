@@ -1,0 +1,70 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar convert: any log as a plain folder.
+#include <memory>
+
+#include <fmt/format.h>
+#include <CLI/CLI.hpp>
+
+#include <relidar/dataset.hpp>
+
+#include "command.hpp"
+#include "console.hpp"
+#include "interrupt.hpp"
+#include "options.hpp"
+
+namespace relidar::cli {
+namespace {
+
+struct Options {
+    std::string dataset;
+    std::string out;
+    std::string frames;
+    Settings settings;
+    bool overwrite = false;
+    bool quiet = false;
+};
+
+void run_convert(const Options& options) {
+    Config config = resolve(options.settings);
+    config.dataset.path = options.dataset;
+    if (!options.frames.empty()) {
+        const FrameRange range = parse_frames(options.frames);
+        config.dataset.frames_begin = range.begin;
+        config.dataset.frames_end = range.end;
+    }
+    const Sequence sequence = load_dataset(config, options.quiet);
+    catch_interrupts();
+    Progress progress(options.quiet);
+    const relidar::Progress shown = shown_by(progress);
+    save_folder(sequence, options.out, {options.overwrite, config.dataset.poses != kNoPoses, [&](std::string_view what, double done) {
+                                            stop_if_interrupted();
+                                            shown(what, done);
+                                        }});
+    end_progress_line();
+    if (!options.quiet)
+        print(fmt::format("{}: {} scans of {} LiDAR{}, {} boxes\n", absolute_path(options.out), sequence.frames.size(),
+                          sequence.lidars.size(), sequence.lidars.size() == 1 ? "" : "s", sequence.boxes.size()));
+}
+
+}  // namespace
+
+void add_convert(CLI::App& app, Call& call) {
+    CLI::App* command = app.add_subcommand("convert", "write a log as a plain folder: npz, text and JSON that any tool can read");
+    const auto options = std::make_shared<Options>();
+    command->add_option("DATASET", options->dataset, "log (path, or kind:path)")->required();
+    command->add_option("--out", options->out, "folder to make")->required()->type_name("FOLDER");
+    command->add_option("--frames", options->frames, "frames to convert, first:end (default: all)")->type_name("A:B");
+    add_set_option(*command, options->settings.sets);
+    command->add_flag("--overwrite", options->overwrite, "replace a plain folder of that name");
+    command->add_flag("--quiet", options->quiet, "print errors only");
+    command->footer(
+        "Every ray is kept, dropped ones and further returns too, with beams, mountings, poses and boxes: the folder is read back as the "
+        "same\n"
+        "log. docs/datasets.md has the format, which a few lines of Python write as well.\n"
+        "Examples:\n"
+        "  relidar convert data/2011_09_26_drive_0005_sync --out log --frames 0:50\n"
+        "  relidar train log --out run");
+    command->callback([&call, options] { call.run = [options] { run_convert(*options); }; });
+}
+
+}  // namespace relidar::cli
