@@ -10,6 +10,7 @@
 #include <relidar/error.hpp>
 #include <relidar/reader.hpp>
 #include "core/files.hpp"
+#include "dataset/argoverse2.hpp"
 #include "dataset/kitti_files.hpp"
 #include "dataset/kitti_odometry.hpp"
 #include "dataset/kitti_raw.hpp"
@@ -28,6 +29,7 @@ struct Kind {
 };
 
 constexpr Kind kKinds[] = {
+    {"argoverse2", "city_SE3_egovehicle.feather", "an Argoverse 2 log", load_argoverse2},
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
     {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_kitti_odometry},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
