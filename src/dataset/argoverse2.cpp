@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Argoverse 2 sensor. A sweep is a table of points that the dataset has brought to the vehicle at the time in the file's name; both LiDARs are
-// in it. Compensation is undone with the poses of the frames, by which the rays are placed again: points lie in the world where the dataset
-// has them.
+// Argoverse 2 sensor. A sweep is a table of points of both LiDARs, brought by the dataset to the vehicle at the time in the file's name.
+// That is undone with the poses of the frames, by which rays are placed again: points lie in the world where the dataset has them.
 #include "dataset/argoverse2.hpp"
 
 #include <algorithm>
@@ -25,8 +24,8 @@ namespace fs = std::filesystem;
 using namespace argoverse2;
 
 constexpr const char* kLidarNames[] = {"up_lidar", "down_lidar"};
-constexpr std::int64_t kLongestOffset_ns = 200'000'000;   // two turns
-constexpr double kFarthest_m = 1e4;                       // of a point
+constexpr std::int64_t kLongestOffset_ns = 200'000'000;  // two turns
+constexpr double kFarthest_m = 1e4;                      // of a point
 
 /// A sweep's file, and its number in the whole log.
 struct SweepFile {
@@ -70,7 +69,8 @@ std::vector<Pose> read_poses(const Feather& table) {
     for (std::size_t i = 0; i < table.rows(); ++i) {
         const glm::dquat rotation(q[0][i], q[1][i], q[2][i], q[3][i]);
         if (!(std::abs(glm::length(rotation) - 1.0) < 1e-3))
-            throw DataError(fmt::format("{}, columns 'qw' to 'qz': row {} has length {}, expected 1", table.name(), i, glm::length(rotation)));
+            throw DataError(
+                fmt::format("{}, columns 'qw' to 'qz': row {} has length {}, expected 1", table.name(), i, glm::length(rotation)));
         poses.push_back({glm::normalize(rotation), {t[0][i], t[1][i], t[2][i]}});
     }
     return poses;
@@ -130,10 +130,11 @@ RawSweep read_sweep(const fs::path& file) {
     for (std::size_t i = 0; i < x.size(); ++i) {
         sweep.point_m.emplace_back(x[i], y[i], z[i]);
         if (!(glm::length(sweep.point_m[i]) < kFarthest_m))
-            throw DataError(fmt::format("{}: point {} at ({}, {}, {}), expected metres within {}", table.name(), i, x[i], y[i], z[i], kFarthest_m));
+            throw DataError(
+                fmt::format("{}: point {} at ({}, {}, {}), expected metres within {}", table.name(), i, x[i], y[i], z[i], kFarthest_m));
         if (sweep.laser[i] < 0 || sweep.laser[i] >= 2 * kLasers)
-            throw DataError(fmt::format("{}, column 'laser_number': row {} is {}, expected 0 to {}", table.name(), i, sweep.laser[i],
-                                        2 * kLasers - 1));
+            throw DataError(
+                fmt::format("{}, column 'laser_number': row {} is {}, expected 0 to {}", table.name(), i, sweep.laser[i], 2 * kLasers - 1));
         if (std::abs(sweep.offset_ns[i]) > kLongestOffset_ns)
             throw DataError(fmt::format("{}, column 'offset_ns': row {} is {}, expected nanoseconds within {}", table.name(), i,
                                         sweep.offset_ns[i], kLongestOffset_ns));
@@ -144,8 +145,10 @@ RawSweep read_sweep(const fs::path& file) {
 /// Both LiDARs' points of each sweep.
 using SweepPairs = std::vector<std::array<LidarSweep, 2>>;
 
-SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars, const PoseTrack& way, const Progress& progress) {
-    const std::array<int, 2> halves = find_halves(read_sweep(files[0].path), {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
+SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars, const PoseTrack& way,
+                       const Progress& progress) {
+    const std::array<int, 2> halves =
+        find_halves(read_sweep(files[0].path), {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
     std::array<PoseTrack, 2> ways;
     for (std::size_t l = 0; l < 2; ++l) ways[l] = moved_track(way, lidars[l].vehicle_from_sensor);
     SweepPairs sweeps(files.size());
@@ -157,7 +160,8 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
 }
 
 /// Frames of the sweeps and their scans. A LiDAR without any point in a sweep has no frame there.
-void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const PoseTrack& poses, SweepPairs sweeps, const Progress& progress) {
+void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const PoseTrack& poses, SweepPairs sweeps,
+                const Progress& progress) {
     std::vector<LidarSweep*> of_frame;
     std::size_t missing = 0;
     for (std::size_t at = 0; at < files.size(); ++at) {
@@ -195,8 +199,8 @@ std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFi
     for (std::size_t i = 0; i < table.rows(); ++i) {
         const glm::dvec3 size_m(length[i], width[i], height[i]);
         if (!(std::min({size_m.x, size_m.y, size_m.z}) > 0.0))
-            throw DataError(fmt::format("{}, columns 'length_m' to 'height_m': row {} is {} x {} x {}, expected all above 0", table.name(), i,
-                                        size_m.x, size_m.y, size_m.z));
+            throw DataError(fmt::format("{}, columns 'length_m' to 'height_m': row {} is {} x {} x {}, expected all above 0", table.name(),
+                                        i, size_m.x, size_m.y, size_m.z));
         const auto sweep = sweep_at.find(times_ns[i]);
         if (sweep == sweep_at.end()) continue;
         const std::size_t at = sweep->second;
@@ -227,7 +231,8 @@ Sequence load_argoverse2(const fs::path& given, const DatasetOptions& options) {
     sequence.name = "Argoverse 2 " + folder.filename().string();
     sequence.source = given.string();
     sequence.conventions =
-        "vehicle x forward, y left, z up, origin at the rear axle; metres; time = name of the sweep, seconds after the log's first; world: the "
+        "vehicle x forward, y left, z up, origin at the rear axle; metres; time = name of the sweep, seconds after the log's first; world: "
+        "the "
         "city's frame; motion compensation undone; boxes all around";
     sequence.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;

@@ -12,7 +12,7 @@
 namespace relidar::arrow {
 namespace {
 
-constexpr flatbuffers::uoffset_t kMostTables = 10000;   // of a file: datasets have tens of columns
+constexpr flatbuffers::uoffset_t kMostTables = 10000;  // of a file: datasets have tens of columns
 constexpr std::size_t kLongestName = 200;
 
 // Numbers of Arrow's unions and enums.
@@ -95,7 +95,7 @@ public:
 private:
     Table(Bytes& bytes, const std::uint8_t* at) : bytes_(&bytes), table_(reinterpret_cast<const flatbuffers::Table*>(at)) {
         if (!table_->VerifyTableStart(bytes.verifier)) malformed("table");
-        bytes.verifier.EndTable();   // its depth is bounded by the code that reads it
+        bytes.verifier.EndTable();  // its depth is bounded by the code that reads it
     }
 
     static flatbuffers::voffset_t entry(int field) { return flatbuffers::voffset_t(4 + 2 * field); }
@@ -130,11 +130,13 @@ Field field_of(const Table& table) {
     Field field;
     field.name = table.name(0);
     const auto type = table.scalar<std::uint8_t>(2, 0);
-    if (type == kTypeInt) field.type = integer_type(table.needed(3, "type"));
-    else if (type == kTypeFloat) field.type = floating_type(table.needed(3, "type"));
+    if (type == kTypeInt)
+        field.type = integer_type(table.needed(3, "type"));
+    else if (type == kTypeFloat)
+        field.type = floating_type(table.needed(3, "type"));
     else if (type != kTypeUtf8)
-        throw DataError(fmt::format("column '{}' is of Arrow's type {}, expected integers, floating point numbers or utf8 text", field.name,
-                                    type));
+        throw DataError(
+            fmt::format("column '{}' is of Arrow's type {}, expected integers, floating point numbers or utf8 text", field.name, type));
     if (const std::optional<Table> encoding = table.table(4)) {
         const std::optional<Table> index = encoding->table(1);
         field.dictionary = {encoding->scalar<std::int64_t>(0, 0), index ? integer_type(*index) : Field::Type{Kind::integer, 32, true}};
@@ -147,7 +149,8 @@ Codec codec_of(const Table& batch) {
     const std::optional<Table> compression = batch.table(3);
     if (!compression) return Codec::none;
     const auto codec = compression->scalar<std::int8_t>(0, kCodecLz4);
-    if (codec != kCodecLz4 && codec != kCodecZstd) throw DataError(fmt::format("compressed by codec {}, expected lz4 frames or zstd", codec));
+    if (codec != kCodecLz4 && codec != kCodecZstd)
+        throw DataError(fmt::format("compressed by codec {}, expected lz4 frames or zstd", codec));
     return codec == kCodecLz4 ? Codec::lz4_frame : Codec::zstd;
 }
 

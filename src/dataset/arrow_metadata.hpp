@@ -18,8 +18,8 @@ enum class Codec { none, lz4_frame, zstd };
 struct Field {
     struct Type {
         Kind kind = Kind::text;
-        int bits = 0;              ///< 8, 16, 32 or 64; 0 of text
-        bool is_signed = false;    ///< of an integer
+        int bits = 0;            ///< 8, 16, 32 or 64; 0 of text
+        bool is_signed = false;  ///< of an integer
     };
     std::string name;
     Type type;
@@ -36,7 +36,7 @@ struct Field {
 /// Where a record batch lies in the file: the message, then the body.
 struct Block {
     std::int64_t offset;
-    std::int32_t metadata_bytes;   ///< of the message, with the 8 bytes before it
+    std::int32_t metadata_bytes;  ///< of the message, with the 8 bytes before it
     std::int32_t padding;
     std::int64_t body_bytes;
 };
@@ -59,7 +59,7 @@ struct Footer {
 };
 
 struct RecordBatch {
-    std::optional<std::int64_t> dictionary;   ///< whose values it holds; nothing where it holds rows of the table
+    std::optional<std::int64_t> dictionary;  ///< whose values it holds; nothing where it holds rows of the table
     std::int64_t length = 0;
     std::vector<Node> nodes;
     std::vector<Buffer> buffers;

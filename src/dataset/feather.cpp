@@ -8,9 +8,9 @@
 #include <limits>
 
 #include <fmt/format.h>
-#include <glm/gtc/packing.hpp>
 #include <lz4frame.h>
 #include <zstd.h>
+#include <glm/gtc/packing.hpp>
 
 #include <relidar/error.hpp>
 #include "core/files.hpp"
@@ -24,8 +24,8 @@ using arrow::Kind;
 using Batch = Feather::Batch;
 
 constexpr std::string_view kMagic = "ARROW1";
-constexpr std::size_t kMostRows = 64, kMostText = 1024;   // for each byte of the file: lz4 comes to 255 bytes, zstd on equal values farther
-constexpr std::size_t kPadding = 64;                      // writers may fill buffers up to this
+constexpr std::size_t kMostRows = 64, kMostText = 1024;  // for each byte of the file: lz4 comes to 255 bytes, zstd on equal values farther
+constexpr std::size_t kPadding = 64;                     // writers may fill buffers up to this
 
 template <class T>
 T load(std::string_view bytes, std::size_t at) {
@@ -97,8 +97,10 @@ std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
         throw DataError(fmt::format("a buffer of {} bytes, expected {}", n, n_bytes));
     if (!compressed) return std::string(stored.substr(0, n_bytes));
     std::string bytes(std::size_t(n), '\0');
-    if (batch.layout.codec == Codec::lz4_frame) decompress_lz4(stored, bytes);
-    else decompress_zstd(stored, bytes);
+    if (batch.layout.codec == Codec::lz4_frame)
+        decompress_lz4(stored, bytes);
+    else
+        decompress_zstd(stored, bytes);
     return bytes;
 }
 
@@ -125,10 +127,14 @@ template <class T>
 void append_integers(std::vector<T>& values, const Batch& batch, const Feather::Column& column, const Field::Type& type) {
     const auto as = [](auto value) { return T(value); };
     switch (type.bits) {
-        case 8: return type.is_signed ? append<std::int8_t>(values, batch, column, as) : append<std::uint8_t>(values, batch, column, as);
-        case 16: return type.is_signed ? append<std::int16_t>(values, batch, column, as) : append<std::uint16_t>(values, batch, column, as);
-        case 32: return type.is_signed ? append<std::int32_t>(values, batch, column, as) : append<std::uint32_t>(values, batch, column, as);
-        default: break;
+        case 8:
+            return type.is_signed ? append<std::int8_t>(values, batch, column, as) : append<std::uint8_t>(values, batch, column, as);
+        case 16:
+            return type.is_signed ? append<std::int16_t>(values, batch, column, as) : append<std::uint16_t>(values, batch, column, as);
+        case 32:
+            return type.is_signed ? append<std::int32_t>(values, batch, column, as) : append<std::uint32_t>(values, batch, column, as);
+        default:
+            break;
     }
     if (type.is_signed) return append<std::int64_t>(values, batch, column, as);
     append<std::uint64_t>(values, batch, column, [](std::uint64_t value) {
@@ -139,15 +145,18 @@ void append_integers(std::vector<T>& values, const Batch& batch, const Feather::
 
 void append_floats(std::vector<double>& values, const Batch& batch, const Feather::Column& column, int bits) {
     const auto as = [](auto value) { return double(value); };
-    if (bits == 64) append<double>(values, batch, column, as);
-    else if (bits == 32) append<float>(values, batch, column, as);
-    else append<std::uint16_t>(values, batch, column, [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
+    if (bits == 64)
+        append<double>(values, batch, column, as);
+    else if (bits == 32)
+        append<float>(values, batch, column, as);
+    else
+        append<std::uint16_t>(values, batch, column, [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
 }
 
 /// Text i lies between offsets i and i + 1. @param most  bytes of it that are believed
 void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node, std::size_t first_buffer, std::size_t most) {
     const std::size_t n = rows_of(batch, node, first_buffer + 2);
-    if (n == 0) return;   // writers leave the offsets of no rows out
+    if (n == 0) return;  // writers leave the offsets of no rows out
     const std::string offsets = buffer_of(batch, first_buffer + 1, (n + 1) * sizeof(std::int32_t));
     const auto offset = [&](std::size_t i) { return load<std::int32_t>(offsets, i * sizeof(std::int32_t)); };
     for (std::size_t i = 0; i < n; ++i)
@@ -163,7 +172,8 @@ std::size_t count_rows(const std::vector<Batch>& batches, std::size_t most) {
     std::size_t rows = 0;
     for (const Batch& batch : batches) {
         const std::int64_t n = batch.layout.length;
-        if (n < 0 || std::uint64_t(n) > most - rows) throw DataError(fmt::format("a batch of {} rows, expected at most {}", n, most - rows));
+        if (n < 0 || std::uint64_t(n) > most - rows)
+            throw DataError(fmt::format("a batch of {} rows, expected at most {}", n, most - rows));
         rows += std::size_t(n);
     }
     return rows;
@@ -181,7 +191,7 @@ Feather::Feather(const std::filesystem::path& file) : name_(file.string()), byte
             at.node += 1;
             at.buffer += n_buffers;
         }
-        std::int64_t left = std::int64_t(bytes_.size());   // blocks do not overlap
+        std::int64_t left = std::int64_t(bytes_.size());  // blocks do not overlap
         const auto read = [&](const std::vector<arrow::Block>& blocks, std::vector<Batch>& batches) {
             for (const arrow::Block& block : blocks) {
                 batches.push_back(batch_at(bytes_, block));
@@ -222,8 +232,10 @@ std::vector<double> Feather::numbers(const std::string& name) const {
         if (type.kind == Kind::text || column.field.dictionary) throw DataError("text, expected numbers");
         std::vector<double> values;
         for (const Batch& batch : batches_) {
-            if (type.kind == Kind::integer) append_integers(values, batch, column, type);
-            else append_floats(values, batch, column, type.bits);
+            if (type.kind == Kind::integer)
+                append_integers(values, batch, column, type);
+            else
+                append_floats(values, batch, column, type.bits);
         }
         for (std::size_t i = 0; i < values.size(); ++i)
             if (!std::isfinite(values[i])) throw DataError(fmt::format("row {} is {}, expected a finite number", i, values[i]));

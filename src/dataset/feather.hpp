@@ -18,7 +18,7 @@ class Feather {
 public:
     /// @throws DataError naming the file: no such file, cut short or damaged
     explicit Feather(const std::filesystem::path& file);
-    Feather(const Feather&) = delete;   // batches look into the bytes
+    Feather(const Feather&) = delete;  // batches look into the bytes
     Feather& operator=(const Feather&) = delete;
 
     const std::string& name() const { return name_; }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every 55.296 us a VLP-32C fires its 32 lasers, a pair every 2.304 us. The head turns on meanwhile, so a laser's azimuth in the scan of one
-// firing is its own minus the turn since the first pair.
+// Every 55.296 us a VLP-32C fires its 32 lasers, a pair every 2.304 us. The head turns on meanwhile: a laser's azimuth from the head of its
+// firing is its own and the turn since the first pair.
 #include "dataset/vlp32c_pair.hpp"
 
 #include <algorithm>
@@ -13,10 +13,10 @@ namespace relidar::argoverse2 {
 namespace {
 
 constexpr double kCycle_ns = 55296.0, kPair_ns = 2304.0, kRate_hz = 10.0;
-constexpr int kTicks = 1 << 16;   // of a turn: firings lie 36 of them apart
+constexpr int kTicks = 1 << 16;  // of a turn: firings lie 36 of them apart
 
 struct Laser {
-    int number;   ///< Argoverse's laser_number, modulo 32
+    int number;  ///< Argoverse's laser_number, modulo 32
     double elevation_deg, azimuth_deg;
 };
 // In order of firing, a pair a line. Angles: VeloView-VLP-32C.yaml of ros-drivers/velodyne (BSD), nominal. Argoverse's numbers and the
@@ -94,15 +94,27 @@ std::vector<int> firing_numbers(const std::vector<double>& first_pair_ns) {
     return numbers;
 }
 
-/// Firings by azimuth of the head, the mean of their points', and the index of each point's. More than a turn is fired in a sweep: two
-/// firings of one azimuth stay two.
-void arrange_firings(LidarSweep& found, const std::vector<int>& numbers, const SpinningSensor& sensor) {
-    const ScanPoints& points = found.points;
-    std::map<int, std::complex<double>> heads;
+/// Azimuth of the head at each firing from the first number to the last, the mean of its points'. A firing without a point is looked for
+/// between its neighbours, as far from an even turn as they are.
+std::map<int, double> head_azimuths(const ScanPoints& points, const std::vector<int>& numbers, const SpinningSensor& sensor) {
+    const double step = (sensor.clockwise ? -2.0 : 2.0) * kPi * kRate_hz * kCycle_ns * 1e-9;
+    std::map<int, std::complex<double>> sums;  // of points about an even turn
     for (std::size_t i = 0; i < points.size(); ++i)
-        heads[numbers[i]] += std::polar(1.0, head_azimuth(sensor.beams[points.ring[i]], glm::dvec3(points.point_m[i])));
+        sums[numbers[i]] += std::polar(1.0, head_azimuth(sensor.beams[points.ring[i]], glm::dvec3(points.point_m[i])) - numbers[i] * step);
+    std::map<int, double> heads;
+    for (auto at = sums.begin(); at != sums.end(); ++at) {
+        const auto next = std::next(at) == sums.end() ? at : std::next(at);
+        const double uneven = std::arg(at->second), change = std::remainder(std::arg(next->second) - uneven, 2.0 * kPi);
+        const int first = at->first, gap = std::max(next->first - first, 1);
+        for (int n = first; n < first + gap; ++n) heads[n] = std::remainder(uneven + change * (n - first) / gap + n * step, 2.0 * kPi);
+    }
+    return heads;
+}
+
+/// Firings by azimuth of the head, and the index of each point's. A sweep is more than a turn: two firings of one azimuth stay two.
+void arrange_firings(LidarSweep& found, const std::vector<int>& numbers, const SpinningSensor& sensor) {
     std::vector<std::pair<double, int>> by_azimuth;
-    for (const auto& [number, sum] : heads) by_azimuth.emplace_back(-std::arg(sum), number);
+    for (const auto& [number, head] : head_azimuths(found.points, numbers, sensor)) by_azimuth.emplace_back(-head, number);
     std::sort(by_azimuth.begin(), by_azimuth.end());
     found.sweep.lattice = {kTicks, 0.0};
     std::map<int, std::uint32_t> place;

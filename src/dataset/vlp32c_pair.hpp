@@ -11,14 +11,14 @@
 
 namespace relidar::argoverse2 {
 
-constexpr int kLasers = 32;   ///< of one LiDAR
+constexpr int kLasers = 32;  ///< of one LiDAR
 
 /// A sweep as the file has it.
 struct RawSweep {
-    std::vector<glm::dvec3> point_m;       ///< [n] vehicle frame at the sweep's time
-    std::vector<double> intensity;         ///< [n] 0..255
-    std::vector<std::int64_t> laser;       ///< [n] 0..63
-    std::vector<std::int64_t> offset_ns;   ///< [n] when it was measured, after the sweep's time
+    std::vector<glm::dvec3> point_m;      ///< [n] vehicle frame at the sweep's time
+    std::vector<double> intensity;        ///< [n] 0..255
+    std::vector<std::int64_t> laser;      ///< [n] 0..63
+    std::vector<std::int64_t> offset_ns;  ///< [n] when it was measured, after the sweep's time
 };
 
 /// Nominal VLP-32C in its own frame, beams highest first. @param clockwise  as it turns in its own frame, z up
@@ -30,11 +30,12 @@ std::array<int, 2> find_halves(const RawSweep& sweep, const std::array<Pose, 2>&
 
 /// What one LiDAR measured.
 struct LidarSweep {
-    ScanPoints points;   ///< in the LiDAR's frame at the moment of each, with rings, times and firings
+    ScanPoints points;  ///< in the LiDAR's frame at the moment of each, with rings, times and firings
     Sweep sweep;
 };
-/// Points of a half of the laser numbers. Lasers fire in 16 pairs, so that time and laser tell the firing; firings without any point are
-/// taken for lost packets. @param world_from_sensor  poses by which the points were brought to the sweep's time
+/// Points of a half of the laser numbers. Lasers fire in 16 pairs, so that time and laser tell the firing; one without any point, as where
+/// the vehicle hides the world from all beams, is a firing too.
+/// @param world_from_sensor  poses by which the points were brought to the sweep's time
 LidarSweep lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar, const PoseTrack& world_from_sensor, double time_s);
 
 }  // namespace relidar::argoverse2

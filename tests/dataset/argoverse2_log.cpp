@@ -15,10 +15,10 @@ namespace fs = std::filesystem;
 namespace {
 
 // By Argoverse's laser number, modulo 32 (../shared/data/sensors/VLP-32C_Argoverse2.csv; pairs as measured in a published sweep).
-constexpr double kElevation_deg[32] = {7,      -1.667,  1.667, -0.667, 15, -0.333, 3.333,  0.667,  1.333,  0,      1,
-                                       2.333,  0.333,   -1,    4.667,  10.333, -6.148, -15.639, -3, -2,  -4,     -8.843,
-                                       -4.667, -3.333,  -2.667, -5.333, -1.333, -7.254, -3.667, -11.31, -2.333, -25};
-constexpr double kAzimuth_deg[32] = {1.4, -1.4, 4.2, -4.2, 1.4, -1.4, 1.4,  -4.2, 1.4,  1.4, -1.4, -1.4, 4.2,  4.2, -1.4, -1.4,
+constexpr double kElevation_deg[32] = {7,      -1.667, 1.667,  -0.667, 15,     -0.333, 3.333,   0.667,  1.333,  0,  1,
+                                       2.333,  0.333,  -1,     4.667,  10.333, -6.148, -15.639, -3,     -2,     -4, -8.843,
+                                       -4.667, -3.333, -2.667, -5.333, -1.333, -7.254, -3.667,  -11.31, -2.333, -25};
+constexpr double kAzimuth_deg[32] = {1.4, -1.4, 4.2,  -4.2, 1.4, -1.4, 1.4,  -4.2, 1.4, 1.4,  -1.4, -1.4, 4.2, 4.2,  -1.4, -1.4,
                                      1.4, 1.4,  -1.4, -4.2, 1.4, 1.4,  -1.4, -4.2, 1.4, -4.2, 1.4,  -1.4, 4.2, -1.4, 4.2,  -1.4};
 constexpr int kPair[32] = {12, 1, 8, 3, 14, 5, 10, 7, 6, 2, 9, 11, 4, 0, 13, 15, 5, 1, 12, 14, 7, 3, 8, 10, 11, 6, 15, 4, 9, 2, 13, 0};
 
@@ -63,7 +63,8 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, int half, double
             const Pose city_from_lidar = Argoverse2Log::vehicle_at(sweep_s + ray.time_s) * mounted;
             ray.origin_m = city_from_lidar.translation;
             ray.point_m = cast(ray.origin_m, city_from_lidar.rotation * ray.direction);
-            ray.returned = hash64(std::uint64_t(n * 32 + k), std::uint64_t(1000.0 * sweep_s) + std::uint64_t(lidar)) % 10 != 0;
+            const bool hidden = lidar == 1 && n >= 700 && n < 741;  // by the vehicle, from all beams
+            ray.returned = !hidden && hash64(std::uint64_t(n * 32 + k), std::uint64_t(1000.0 * sweep_s) + std::uint64_t(lidar)) % 10 != 0;
             rays.push_back(ray);
             if (!ray.returned) continue;
             const glm::dvec3 p = inverse(vehicle_at_sweep) * ray.point_m;
@@ -80,17 +81,17 @@ std::string sweep_bytes(const Points& points, const Argoverse2Options& options) 
     const auto coordinate = [&](const char* name, const std::vector<float>& values) {
         return options.half_precision ? half_column(name, values) : number_column(name, values);
     };
-    return feather_bytes({coordinate("x", points.x), coordinate("y", points.y), coordinate("z", points.z),
-                          number_column("intensity", points.intensity), number_column("laser_number", points.laser),
-                          number_column("offset_ns", points.offset_ns)},
-                         options.codec);
+    return feather_bytes(
+        {coordinate("x", points.x), coordinate("y", points.y), coordinate("z", points.z), number_column("intensity", points.intensity),
+         number_column("laser_number", points.laser), number_column("offset_ns", points.offset_ns)},
+        options.codec);
 }
 
 std::string annotation_bytes(int sweeps, FeatherCodec codec) {
     std::vector<std::int64_t> time_ns, n_points;
     std::vector<double> length, width, height;
     std::vector<Pose> poses;
-    for (int i = sweeps - 1; i >= 0; --i) {   // not in order of time
+    for (int i = sweeps - 1; i >= 0; --i) {  // not in order of time
         const double time_s = 1e-9 * double(Argoverse2Log::sweep_ns(i) - Argoverse2Log::kFirstSweep_ns);
         time_ns.push_back(Argoverse2Log::sweep_ns(i));
         n_points.push_back(7);
@@ -98,9 +99,9 @@ std::string annotation_bytes(int sweeps, FeatherCodec codec) {
         poses.push_back(inverse(Argoverse2Log::vehicle_at(time_s)) * Argoverse2Log::box_at(time_s));
     }
     const std::vector<std::string> id(std::size_t(sweeps), "1046f12a"), category(std::size_t(sweeps), "REGULAR_VEHICLE");
-    std::vector<FeatherColumn> columns{number_column("timestamp_ns", time_ns), text_column("track_uuid", id),
+    std::vector<FeatherColumn> columns{number_column("timestamp_ns", time_ns),  text_column("track_uuid", id),
                                        text_column("category", category, true), number_column("length_m", length),
-                                       number_column("width_m", width), number_column("height_m", height)};
+                                       number_column("width_m", width),         number_column("height_m", height)};
     for (FeatherColumn& column : pose_columns(poses)) columns.push_back(std::move(column));
     columns.push_back(number_column("num_interior_pts", n_points));
     return feather_bytes(columns, codec);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small Argoverse 2 log written by the tests: two virtual VLP-32C on a vehicle that drives and turns between four walls, its points brought
-// to the time of each sweep as the dataset does.
+// A small Argoverse 2 log written by the tests: two virtual VLP-32C on a vehicle that drives and turns between four walls, their points
+// brought to the time of each sweep as the dataset does.
 #pragma once
 
 #include <array>
@@ -17,29 +17,29 @@ namespace relidar::test {
 std::vector<FeatherColumn> pose_columns(const std::vector<Pose>& poses);
 
 struct Argoverse2Options {
-    bool half_precision = false;    ///< coordinates as the dataset has them; else single precision, so that truth can be compared
-    bool lower_half_up = false;     ///< lasers 32..63 are the upper LiDAR's
+    bool half_precision = false;  ///< coordinates as the dataset has them; else single precision, so that truth can be compared
+    bool lower_half_up = false;   ///< lasers 32..63 are the upper LiDAR's
     int sweeps = 3;
     FeatherCodec codec = FeatherCodec::lz4;
 };
 
 /// One firing of one laser.
 struct Argoverse2Ray {
-    double elevation_rad = 0.0;   ///< in the LiDAR's own frame
-    double time_s = 0.0;          ///< after the sweep's
-    glm::dvec3 origin_m{0.0};     ///< city frame
-    glm::dvec3 direction{0.0};    ///< of its LiDAR's frame at that moment
-    glm::dvec3 point_m{0.0};      ///< city frame
+    double elevation_rad = 0.0;  ///< in the LiDAR's own frame
+    double time_s = 0.0;         ///< after the sweep's
+    glm::dvec3 origin_m{0.0};    ///< city frame
+    glm::dvec3 direction{0.0};   ///< of its LiDAR's frame at that moment
+    glm::dvec3 point_m{0.0};     ///< city frame
     bool returned = false;
 };
 
 struct Argoverse2Log {
-    static constexpr int kFirings = 1813;   ///< of each LiDAR in a sweep: more than a turn
+    static constexpr int kFirings = 1813;  ///< of each LiDAR in a sweep: more than a turn
     static constexpr std::int64_t kFirstSweep_ns = 315966265259836000;
 
     std::filesystem::path folder;
-    std::array<Pose, 2> vehicle_from_lidar;                           ///< up, down
-    std::vector<std::array<std::vector<Argoverse2Ray>, 2>> rays;      ///< [sweep][up, down] all that were fired
+    std::array<Pose, 2> vehicle_from_lidar;                       ///< up, down
+    std::vector<std::array<std::vector<Argoverse2Ray>, 2>> rays;  ///< [sweep][up, down] all that were fired
 
     /// Writes a log into a fresh folder under the tests' temporary one.
     explicit Argoverse2Log(const std::string& name, const Argoverse2Options& options = {});

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Two consecutive sweeps of a published Argoverse 2 log (../shared/data/argoverse2; skipped where RELIDAR_SHARED does not hold them, or Python
-// with numpy is missing), written as a log and read back. The data has no calibration: where the LiDARs are mounted was fitted to the same
-// sweeps, five numbers each, so that elevations of 64 lasers still tell whether halves, order and compensation are right.
+// Two consecutive sweeps of a published Argoverse 2 log (../shared/data/argoverse2; skipped where RELIDAR_SHARED does not hold them, or
+// Python with numpy is missing), written as a log and read back. The data has no calibration: where the LiDARs are mounted was fitted to
+// the same sweeps, five numbers each, so that elevations of 64 lasers still tell whether halves, order and compensation are right.
 #include <relidar/dataset.hpp>
 
 #include <cmath>
@@ -54,7 +54,7 @@ struct RealSweep {
     std::vector<std::uint8_t> intensity, laser;
     std::vector<std::int32_t> offset_ns;
     Pose city_from_vehicle;
-    std::vector<double> boxes;   ///< [n, 10] centre, size, quaternion w x y z
+    std::vector<double> boxes;  ///< [n, 10] centre, size, quaternion w x y z
     std::vector<std::string> category, track;
 };
 
@@ -62,23 +62,30 @@ struct RealSweep {
 std::vector<RealSweep> read_real(const fs::path& scratch) {
     std::vector<RealSweep> sweeps;
     for (const std::int64_t time_ns : kTimes_ns) {
-        const fs::path source = shared_folder() / "data/argoverse2" / fmt::format("7fab2350_{}.npz", time_ns), bytes = scratch / "sweep.npz";
+        const fs::path source = shared_folder() / "data/argoverse2" / fmt::format("7fab2350_{}.npz", time_ns),
+                       bytes = scratch / "sweep.npz";
         if (!fs::exists(source)) return {};
         fs::create_directories(scratch);
-        const std::string script = "import sys, numpy as np; z = np.load(sys.argv[1]); "
-                                   "np.savez(sys.argv[2], **{k: z[k].astype('S') if z[k].dtype.kind == 'U' else z[k] for k in z.files})";
+        const std::string script =
+            "import sys, numpy as np; z = np.load(sys.argv[1]); "
+            "np.savez(sys.argv[2], **{k: z[k].astype('S') if z[k].dtype.kind == 'U' else z[k] for k in z.files})";
         const auto run = [&](const char* python) {
-            return std::system(fmt::format("{} -c \"{}\" '{}' '{}' 2>/dev/null", python, script, source.string(), bytes.string()).c_str()) == 0;
+            return std::system(
+                       fmt::format("{} -c \"{}\" '{}' '{}' 2>/dev/null", python, script, source.string(), bytes.string()).c_str()) == 0;
         };
         if (!run("python3") && !run("/usr/bin/python3")) return {};
         std::map<std::string, NamedArray> arrays;
         for (NamedArray& array : read_npz(bytes)) arrays[array.name] = std::move(array);
         const std::vector<double> m = values_of<double>(arrays.at("city_T_ego"));
-        const glm::dmat3 rotation(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]);   // GLM: column by column
-        sweeps.push_back({values_of<float>(arrays.at("xyz")), values_of<std::uint8_t>(arrays.at("intensity")),
-                          values_of<std::uint8_t>(arrays.at("laser")), values_of<std::int32_t>(arrays.at("offset_ns")),
-                          {glm::normalize(glm::quat_cast(rotation)), {m[3], m[7], m[11]}}, values_of<double>(arrays.at("boxes")),
-                          texts_of(arrays.at("category")), texts_of(arrays.at("track"))});
+        const glm::dmat3 rotation(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]);  // GLM: column by column
+        sweeps.push_back({values_of<float>(arrays.at("xyz")),
+                          values_of<std::uint8_t>(arrays.at("intensity")),
+                          values_of<std::uint8_t>(arrays.at("laser")),
+                          values_of<std::int32_t>(arrays.at("offset_ns")),
+                          {glm::normalize(glm::quat_cast(rotation)), {m[3], m[7], m[11]}},
+                          values_of<double>(arrays.at("boxes")),
+                          texts_of(arrays.at("category")),
+                          texts_of(arrays.at("track"))});
     }
     return sweeps;
 }
@@ -115,11 +122,10 @@ void write_log(const fs::path& folder, const std::vector<RealSweep>& sweeps) {
     const auto write = [&](const char* file, const std::vector<test::FeatherColumn>& columns) {
         test::write_text(folder / file, test::feather_bytes(columns, test::FeatherCodec::lz4));
     };
-    write("annotations.feather",
-          with_poses({test::number_column("timestamp_ns", time_ns), test::text_column("track_uuid", track),
-                      test::text_column("category", category), test::number_column("length_m", size[0]),
-                      test::number_column("width_m", size[1]), test::number_column("height_m", size[2])},
-                     boxes));
+    write("annotations.feather", with_poses({test::number_column("timestamp_ns", time_ns), test::text_column("track_uuid", track),
+                                             test::text_column("category", category), test::number_column("length_m", size[0]),
+                                             test::number_column("width_m", size[1]), test::number_column("height_m", size[2])},
+                                            boxes));
     write("city_SE3_egovehicle.feather",
           with_poses({test::number_column("timestamp_ns", std::vector<std::int64_t>{kTimes_ns[0], kTimes_ns[1]})},
                      {sweeps[0].city_from_vehicle, sweeps[1].city_from_vehicle}));
@@ -148,7 +154,9 @@ protected:
         fs::remove_all(folder_, failed);
     }
     void SetUp() override {
-        if (real_.empty()) GTEST_SKIP() << shared_folder() / "data/argoverse2" << " or python3 with numpy is not there";
+        if (real_.empty())
+            GTEST_SKIP() << shared_folder() / "data/argoverse2"
+                         << " or python3 with numpy is not there";
     }
 
     /// A stored point in a LiDAR's frame when it was measured: the vehicle moves evenly from sweep to sweep.
@@ -162,7 +170,7 @@ protected:
     inline static fs::path folder_;
     inline static std::vector<RealSweep> real_;
     inline static Sequence log_;
-    inline static std::vector<Beam> beams_;   ///< of the table, highest first
+    inline static std::vector<Beam> beams_;  ///< of the table, highest first
 };
 
 TEST_F(Argoverse2Real, ElevationsAreThoseOfTheTable) {
@@ -181,12 +189,13 @@ TEST_F(Argoverse2Real, ElevationsAreThoseOfTheTable) {
         EXPECT_LT(worst, 0.1) << log_.lidar_of(frame).name;
         EXPECT_LT(double(off), 5e-3 * double(returns));
         RecordProperty(fmt::format("worst_beam_deg_{}_{}", frame.index, frame.lidar), fmt::format("{:.4f}", worst));
-        RecordProperty(fmt::format("share_beyond_0.1_deg_{}_{}", frame.index, frame.lidar), fmt::format("{:.5f}", double(off) / double(returns)));
+        RecordProperty(fmt::format("share_beyond_0.1_deg_{}_{}", frame.index, frame.lidar),
+                       fmt::format("{:.5f}", double(off) / double(returns)));
     }
 }
 
 TEST_F(Argoverse2Real, SwappedHalvesAreClearlyWorse) {
-    double error[2] = {0.0, 0.0};   // straight, swapped
+    double error[2] = {0.0, 0.0};  // straight, swapped
     std::map<int, double> elevation;
     const std::string table = test::read_text(shared_folder() / "data/sensors/VLP-32C_Argoverse2.csv");
     for (std::size_t at = table.find('\n') + 1; at < table.size(); at = table.find('\n', at) + 1) {
@@ -198,8 +207,8 @@ TEST_F(Argoverse2Real, SwappedHalvesAreClearlyWorse) {
     for (std::size_t i = 0; i < real_[0].laser.size(); ++i) {
         const int laser = real_[0].laser[i];
         for (int swapped = 0; swapped < 2; ++swapped)
-            error[swapped] += std::abs(elevation_deg(measured(0, i, laser / 32 ^ swapped)) - elevation.at(laser % 32)) /
-                              double(real_[0].laser.size());
+            error[swapped] +=
+                std::abs(elevation_deg(measured(0, i, laser / 32 ^ swapped)) - elevation.at(laser % 32)) / double(real_[0].laser.size());
     }
     RecordProperty("straight_deg", fmt::format("{:.4f}", error[0]));
     RecordProperty("swapped_deg", fmt::format("{:.4f}", error[1]));
@@ -208,7 +217,7 @@ TEST_F(Argoverse2Real, SwappedHalvesAreClearlyWorse) {
 }
 
 TEST_F(Argoverse2Real, BoxesHoldPoints) {
-    std::vector<glm::dvec3> points;   // of the first sweep, in the world at its time: as published
+    std::vector<glm::dvec3> points;  // of the first sweep, in the world at its time: as published
     for (std::size_t i = 0; i < real_[0].laser.size(); ++i)
         points.push_back(real_[0].city_from_vehicle * glm::dvec3(real_[0].xyz[3 * i], real_[0].xyz[3 * i + 1], real_[0].xyz[3 * i + 2]));
     std::vector<glm::dvec3> read;

@@ -42,7 +42,8 @@ public:
     }
     const Argoverse2Ray& at(std::uint16_t channel, double time_s) const {
         const auto& rays = of_channel_[channel];
-        const auto after = std::lower_bound(rays.begin(), rays.end(), time_s, [](const Argoverse2Ray* r, double t) { return r->time_s < t; });
+        const auto after =
+            std::lower_bound(rays.begin(), rays.end(), time_s, [](const Argoverse2Ray* r, double t) { return r->time_s < t; });
         if (after == rays.begin()) return **after;
         if (after == rays.end() || time_s - after[-1]->time_s < (*after)->time_s - time_s) return *after[-1];
         return **after;
@@ -83,7 +84,8 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             ASSERT_EQ(range_m > 0.0f, ray.returned) << i;
             ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), range_m > 0.0f ? off_m : 2e-3);
-            ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction), range_m > 0.0f ? off_m / kNearest_m : 5e-4) << i;
+            ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction), range_m > 0.0f ? off_m / kNearest_m : 5e-4)
+                << i;
             if (range_m > 0.0f) {
                 ASSERT_LT(glm::distance(placed.origin_m + double(range_m) * placed.direction + found.world_offset_m, ray.point_m), 1e-4);
                 ASSERT_EQ(frame.scan.intensity[i], 0.2f);
@@ -176,12 +178,12 @@ TEST(Argoverse2, FrameRangePosesAndNoLabels) {
 
 TEST(Argoverse2, ASweepMayLackALidar) {
     const Argoverse2Log log("lacking");
-    test::write_text(log.sweep(1),
-                     test::feather_bytes({test::number_column("x", std::vector<float>{8.0f}), test::number_column("y", std::vector<float>{1.0f}),
-                                          test::number_column("z", std::vector<float>{2.0f}),
-                                          test::number_column("intensity", std::vector<std::uint8_t>{1}),
-                                          test::number_column("laser_number", std::vector<std::uint8_t>{40}),
-                                          test::number_column("offset_ns", std::vector<std::int32_t>{5000000})}));
+    test::write_text(log.sweep(1), test::feather_bytes({test::number_column("x", std::vector<float>{8.0f}),
+                                                        test::number_column("y", std::vector<float>{1.0f}),
+                                                        test::number_column("z", std::vector<float>{2.0f}),
+                                                        test::number_column("intensity", std::vector<std::uint8_t>{1}),
+                                                        test::number_column("laser_number", std::vector<std::uint8_t>{40}),
+                                                        test::number_column("offset_ns", std::vector<std::int32_t>{5000000})}));
     const Sequence found = load_sequence(log.folder.string(), {});
     ASSERT_EQ(found.frames.size(), 5u);
     EXPECT_EQ(found.frames[2].lidar, 1);
@@ -237,11 +239,12 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
     };
     refuse(boxes, label(-1.0), "columns 'length_m' to 'height_m': row 0 is -1 x 1 x 1, expected all above 0");
     const auto point = [](float x, std::uint8_t laser, std::int32_t offset_ns) {
-        return std::vector<test::FeatherColumn>{
-            test::number_column("x", std::vector<float>{x}),           test::number_column("y", std::vector<float>{1.0f}),
-            test::number_column("z", std::vector<float>{1.0f}),        test::number_column("intensity", std::vector<std::uint8_t>{1}),
-            test::number_column("laser_number", std::vector<std::uint8_t>{laser}),
-            test::number_column("offset_ns", std::vector<std::int32_t>{offset_ns})};
+        return std::vector<test::FeatherColumn>{test::number_column("x", std::vector<float>{x}),
+                                                test::number_column("y", std::vector<float>{1.0f}),
+                                                test::number_column("z", std::vector<float>{1.0f}),
+                                                test::number_column("intensity", std::vector<std::uint8_t>{1}),
+                                                test::number_column("laser_number", std::vector<std::uint8_t>{laser}),
+                                                test::number_column("offset_ns", std::vector<std::int32_t>{offset_ns})};
     };
     refuse(sweep, point(2e4f, 1, 0), "point 0 at (20000, 1, 1), expected metres within 10000");
     refuse(sweep, point(NAN, 1, 0), "column 'x': row 0 is nan");

@@ -73,15 +73,16 @@ TEST(Feather, ValuesOfEveryTypeComeBack) {
 }
 
 TEST(Feather, CompressibleColumnsAreBounded) {
-    const std::vector<double> zeros(20000, 0.0);   // zstd makes 160 kB about 20 bytes: more than a file of nothing else is believed to hold
+    const std::vector<double> zeros(20000, 0.0);  // zstd makes 160 kB about 20 bytes: more than a file of nothing else is believed to hold
     std::vector<std::int64_t> noise;
     for (std::int64_t i = 0; i < 20000; ++i) noise.push_back(i * 7919 % 20011);
     EXPECT_EQ(Feather(file_of(test::feather_bytes({test::number_column("zeros", zeros), test::number_column("noise", noise)},
                                                   FeatherCodec::zstd)))
                   .numbers("zeros"),
               zeros);
-    EXPECT_THROW(Feather(file_of(test::feather_bytes({test::number_column("zeros", std::vector<double>(200000, 0.0))}, FeatherCodec::zstd))),
-                 DataError);
+    EXPECT_THROW(
+        Feather(file_of(test::feather_bytes({test::number_column("zeros", std::vector<double>(200000, 0.0))}, FeatherCodec::zstd))),
+        DataError);
 }
 
 TEST(Feather, SaysWhatIsWrong) {
@@ -101,7 +102,7 @@ TEST(Feather, SaysWhatIsWrong) {
     expect("FEA1" + std::string(100, '\0') + "FEA1", "108 bytes that do not begin with ARROW1", only_open);
     expect(good.substr(0, good.size() - 1), "cut short: it does not end with ARROW1", only_open);
     std::string bad = good;
-    bad[bad.size() - 7] = '\x7f';   // the footer's length
+    bad[bad.size() - 7] = '\x7f';  // the footer's length
     expect(bad, "a footer at -", only_open);
     expect(good, "column 'wider': no such column among 'wide, narrow, ", [](const Feather& t) { t.numbers("wider"); });
     expect(good, "column 'text': text, expected numbers", [](const Feather& t) { t.numbers("text"); });
@@ -113,7 +114,7 @@ TEST(Feather, SaysWhatIsWrong) {
     expect(large, "column 'x': 9223372036854775808 is beyond 63 bits", [](const Feather& t) { t.integers("x"); });
 }
 
-/// Every byte of a small file in turn, three values each.
+/// Every byte of a small file in turn.
 TEST(Feather, DamagedBytesAreErrorsOrOtherValues) {
     for (const FeatherCodec codec : {FeatherCodec::none, FeatherCodec::lz4, FeatherCodec::zstd}) {
         const std::string good = test::feather_bytes(
@@ -122,26 +123,23 @@ TEST(Feather, DamagedBytesAreErrorsOrOtherValues) {
             codec);
         std::size_t refused = 0;
         for (std::size_t i = 0; i < good.size(); ++i) {
-            for (const char change : {'\x01', '\x80', '\xff'}) {
-                std::string bad = good;
-                bad[i] = char(bad[i] ^ change);
-                try {
-                    const Feather table(file_of(bad));
-                    table.integers("x");
-                    for (const char* name : {"t", "u"}) table.texts(name);
-                } catch (const DataError&) {
-                    ++refused;
-                }
+            std::string bad = good;
+            bad[i] = char(bad[i] ^ "\x01\x80\xff"[i % 3]);
+            try {
+                const Feather table(file_of(bad));
+                table.integers("x");
+                for (const char* name : {"t", "u"}) table.texts(name);
+            } catch (const DataError&) {
+                ++refused;
             }
         }
-        EXPECT_GT(refused, good.size() / 2);
+        EXPECT_GT(refused, good.size() / 6);
     }
 }
 
 TEST(Feather, ReadsWhatPyarrowWrote) {
     const char* shared = std::getenv("RELIDAR_SHARED");
-    const fs::path folder =
-        (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") / "data" / "fixtures";
+    const fs::path folder = (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") / "data" / "fixtures";
     if (!fs::exists(folder / "av2.npz")) GTEST_SKIP() << folder << " is not there; RELIDAR_SHARED names another folder";
     const std::vector<NamedArray> truth = read_npz(folder / "av2.npz");
     ASSERT_EQ(truth.size(), 6u);
@@ -149,7 +147,7 @@ TEST(Feather, ReadsWhatPyarrowWrote) {
         const Feather table(folder / file);
         EXPECT_EQ(table.rows(), 5000u);
         for (const NamedArray& array : truth) {
-            if (array.name == "offset_ns") {   // beyond a float's digits
+            if (array.name == "offset_ns") {  // beyond a float's digits
                 std::vector<std::int32_t> expected(5000);
                 ASSERT_EQ(array.bytes.size(), 4 * expected.size());
                 std::memcpy(expected.data(), array.bytes.data(), array.bytes.size());

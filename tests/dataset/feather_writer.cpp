@@ -5,10 +5,10 @@
 #include <cstring>
 
 #include <flatbuffers/flatbuffers.h>
-#include <glm/gtc/packing.hpp>
 #include <gtest/gtest.h>
 #include <lz4frame.h>
 #include <zstd.h>
+#include <glm/gtc/packing.hpp>
 
 namespace relidar::test {
 namespace {
@@ -28,7 +28,9 @@ struct Block {
     std::int64_t body_bytes;
 };
 
-flatbuffers::voffset_t entry(int field) { return flatbuffers::voffset_t(4 + 2 * field); }
+flatbuffers::voffset_t entry(int field) {
+    return flatbuffers::voffset_t(4 + 2 * field);
+}
 
 /// A table whose fields a function adds.
 template <class Add>
@@ -64,7 +66,7 @@ Offset schema_of(Builder& builder, const std::vector<FeatherColumn>& columns) {
                 builder.AddOffset(entry(1), index);
             });
         }
-        const std::uint8_t kinds[] = {2, 3, 5};   // Int, FloatingPoint, Utf8
+        const std::uint8_t kinds[] = {2, 3, 5};  // Int, FloatingPoint, Utf8
         fields.push_back(table(builder, [&] {
             builder.AddOffset(entry(0), name);
             builder.AddElement<std::uint8_t>(entry(1), 1, 0);
@@ -79,10 +81,10 @@ Offset schema_of(Builder& builder, const std::vector<FeatherColumn>& columns) {
 }
 
 std::string compressed(const std::string& bytes, FeatherCodec codec) {
-    std::string packed(codec == FeatherCodec::lz4 ? LZ4F_compressFrameBound(bytes.size(), nullptr) : ZSTD_compressBound(bytes.size()), '\0');
-    const std::size_t n = codec == FeatherCodec::lz4
-                              ? LZ4F_compressFrame(packed.data(), packed.size(), bytes.data(), bytes.size(), nullptr)
-                              : ZSTD_compress(packed.data(), packed.size(), bytes.data(), bytes.size(), 3);
+    std::string packed(codec == FeatherCodec::lz4 ? LZ4F_compressFrameBound(bytes.size(), nullptr) : ZSTD_compressBound(bytes.size()),
+                       '\0');
+    const std::size_t n = codec == FeatherCodec::lz4 ? LZ4F_compressFrame(packed.data(), packed.size(), bytes.data(), bytes.size(), nullptr)
+                                                     : ZSTD_compress(packed.data(), packed.size(), bytes.data(), bytes.size(), 3);
     packed.resize(n);
     return packed;
 }
@@ -163,7 +165,7 @@ Offset batch_of(Builder& builder, const Body& body, std::size_t rows) {
 /// Appends a message with its body. @param header  table of a kind: 1 schema, 2 dictionary, 3 record batch
 Block append_message(std::string& file, Builder& builder, std::uint8_t kind, Offset header, const std::string& body) {
     builder.Finish(table(builder, [&] {
-        builder.AddElement<std::int16_t>(entry(0), 4, 0);   // metadata version 5
+        builder.AddElement<std::int16_t>(entry(0), 4, 0);  // metadata version 5
         builder.AddElement<std::uint8_t>(entry(1), kind, 0);
         builder.AddOffset(entry(2), header);
         builder.AddElement<std::int64_t>(entry(3), std::int64_t(body.size()), 0);
@@ -212,7 +214,8 @@ std::string feather_bytes(const std::vector<FeatherColumn>& columns, FeatherCode
         });
         dictionaries.push_back(append_message(file, builder, 2, header, body.bytes));
     }
-    const std::size_t rows = columns.empty() ? 0 : columns[0].rows(), step = rows_a_batch == 0 ? std::max<std::size_t>(rows, 1) : rows_a_batch;
+    const std::size_t rows = columns.empty() ? 0 : columns[0].rows(),
+                      step = rows_a_batch == 0 ? std::max<std::size_t>(rows, 1) : rows_a_batch;
     for (std::size_t begin = 0; begin < rows; begin += step) {
         const std::size_t end = std::min(rows, begin + step);
         Body body{codec, {}, {}, {}};
@@ -223,7 +226,7 @@ std::string feather_bytes(const std::vector<FeatherColumn>& columns, FeatherCode
         Builder builder;
         batches.push_back(append_message(file, builder, 3, batch_of(builder, body, end - begin), body.bytes));
     }
-    file += std::string("\xFF\xFF\xFF\xFF\0\0\0\0", 8);   // end of the messages
+    file += std::string("\xFF\xFF\xFF\xFF\0\0\0\0", 8);  // end of the messages
     Builder builder;
     const Offset schema = schema_of(builder, columns);
     const auto of_dictionaries = builder.CreateVectorOfStructs(dictionaries), of_batches = builder.CreateVectorOfStructs(batches);

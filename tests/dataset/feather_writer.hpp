@@ -13,8 +13,8 @@ struct FeatherColumn {
     std::string name;
     int bits = 0;
     bool is_signed = false;
-    std::string values;                ///< of numbers: their bytes
-    std::vector<std::string> texts;    ///< of text
+    std::string values;              ///< of numbers: their bytes
+    std::vector<std::string> texts;  ///< of text
     bool by_dictionary = false;
 
     std::size_t rows() const { return kind == Kind::text ? texts.size() : values.size() / std::size_t(bits / 8); }
@@ -22,8 +22,13 @@ struct FeatherColumn {
 
 template <class T>
 FeatherColumn number_column(const std::string& name, const std::vector<T>& values) {
-    FeatherColumn column{std::is_floating_point_v<T> ? FeatherColumn::Kind::floating : FeatherColumn::Kind::integer, name,
-                         int(8 * sizeof(T)), std::is_signed_v<T>, {}, {}, false};
+    FeatherColumn column{std::is_floating_point_v<T> ? FeatherColumn::Kind::floating : FeatherColumn::Kind::integer,
+                         name,
+                         int(8 * sizeof(T)),
+                         std::is_signed_v<T>,
+                         {},
+                         {},
+                         false};
     column.values.assign(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
     return column;
 }

@@ -136,7 +136,8 @@ TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
     const HeadLattice lattice{360, 0.0};
     const Sweep sweep{lattice, {lattice.tick(3.0), lattice.tick(3.0), lattice.tick(1.0)}};
     const auto point = [](double azimuth, float range_m) { return range_m * glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0); };
-    const ScanPoints points{{point(1.0, 7.0f), point(3.0, 5.0f), point(3.0, 6.0f)}, {0.1f, 0.2f, 0.3f}, {0, 0, 0}, {0.05f, 0.0f, 0.1f}, {}, {2, 1, 0}};
+    const ScanPoints points{{point(1.0, 7.0f), point(3.0, 5.0f), point(3.0, 6.0f)}, {0.1f, 0.2f, 0.3f}, {0, 0, 0}, {0.05f, 0.0f, 0.1f}, {},
+                            {2, 1, 0}};
     const Scan scan = spinning_scan(points, one, sweep);
     EXPECT_EQ(scan.rays.time_offset_s, (std::vector<float>{0.1f, 0.0f, 0.05f}));
     for (std::size_t i = 0; i < 3; ++i) EXPECT_NEAR(scan.range_m[i], (std::array{6.0f, 5.0f, 7.0f}[i]), 1e-6f);
