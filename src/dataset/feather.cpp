@@ -181,7 +181,9 @@ std::size_t count_rows(const std::vector<Batch>& batches, std::size_t most) {
 
 }  // namespace
 
-Feather::Feather(const std::filesystem::path& file) : name_(file.string()), bytes_(read_file(file)) {
+Feather::Feather(const std::filesystem::path& file) : Feather(file.string(), read_file(file)) {}
+
+Feather::Feather(std::string name, std::string bytes) : name_(std::move(name)), bytes_(std::move(bytes)) {
     try {
         arrow::Footer footer = arrow::parse_footer(footer_of(bytes_));
         Column at;

@@ -18,6 +18,8 @@ class Feather {
 public:
     /// @throws DataError naming the file: no such file, cut short or damaged
     explicit Feather(const std::filesystem::path& file);
+    /// @param name  of the bytes in messages
+    Feather(std::string name, std::string bytes);
     Feather(const Feather&) = delete;  // batches look into the bytes
     Feather& operator=(const Feather&) = delete;
 

@@ -46,10 +46,11 @@ struct Points {
 };
 
 /// What a LiDAR fires in a sweep, and what of it is in the file. @param lidar 0 up, 1 down
-std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, int half, double sweep_s, Points& points) {
+std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2Options& options, double sweep_s, Points& points) {
+    const int half = lidar ^ int(options.lower_half_up);
     std::vector<Argoverse2Ray> rays;
     const Pose vehicle_at_sweep = Argoverse2Log::vehicle_at(sweep_s);
-    for (int n = 0; n < Argoverse2Log::kFirings; ++n) {
+    for (int n = 0; n < options.firings; ++n) {
         for (int k = 0; k < 32; ++k) {
             const std::int64_t offset_ns = 2654000 + 611 * lidar + n * kCycle_ns + kPair[k] * kPair_ns;
             Argoverse2Ray ray;
@@ -157,8 +158,7 @@ Argoverse2Log::Argoverse2Log(const std::string& name, const Argoverse2Options& o
         const double sweep_s = 1e-9 * double(sweep_ns(i) - kFirstSweep_ns);
         rays.emplace_back();
         for (int lidar = 0; lidar < 2; ++lidar)
-            rays.back()[std::size_t(lidar)] =
-                fire(vehicle_from_lidar[std::size_t(lidar)], lidar, lidar ^ int(options.lower_half_up), sweep_s, points);
+            rays.back()[std::size_t(lidar)] = fire(vehicle_from_lidar[std::size_t(lidar)], lidar, options, sweep_s, points);
         write_text(sweep(i), sweep_bytes(points, options));
     }
 }

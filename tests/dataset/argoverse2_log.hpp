@@ -20,6 +20,7 @@ struct Argoverse2Options {
     bool half_precision = false;  ///< coordinates as the dataset has them; else single precision, so that truth can be compared
     bool lower_half_up = false;   ///< lasers 32..63 are the upper LiDAR's
     int sweeps = 3;
+    int firings = 1813;             ///< of each LiDAR in a sweep: more than a turn
     FeatherCodec codec = FeatherCodec::lz4;
 };
 
@@ -34,7 +35,6 @@ struct Argoverse2Ray {
 };
 
 struct Argoverse2Log {
-    static constexpr int kFirings = 1813;  ///< of each LiDAR in a sweep: more than a turn
     static constexpr std::int64_t kFirstSweep_ns = 315966265259836000;
 
     std::filesystem::path folder;

@@ -71,7 +71,7 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
     for (const Frame& frame : found.frames) {
         const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
         const Lidar& lidar = found.lidar_of(frame);
-        ASSERT_EQ(frame.scan.rays.columns, Argoverse2Log::kFirings);
+        ASSERT_EQ(frame.scan.rays.columns, Argoverse2Options().firings);
         EXPECT_EQ(frame.scan.count_returns(), std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
         const TrueRays truth(rays, lidar.sensor);
         const PoseTrack track = found.world_from_sensor(frame.lidar);
@@ -120,7 +120,7 @@ TEST(Argoverse2, TimesPosesAndBoxes) {
 
 /// Half precision rounds a coordinate by up to 2^-11 of it.
 TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
-    const Argoverse2Log log("half", {true, false, 2, test::FeatherCodec::zstd});
+    const Argoverse2Log log("half", {.half_precision = true, .sweeps = 2, .codec = test::FeatherCodec::zstd});
     const Sequence found = load_sequence(log.folder.string(), far_options());
     double worst = 0.0;
     for (const Frame& frame : found.frames) {
@@ -142,7 +142,7 @@ TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
 }
 
 TEST(Argoverse2, PointsTellWhichHalfIsUp) {
-    const Argoverse2Log log("halves", {false, true, 2, test::FeatherCodec::none});
+    const Argoverse2Log log("halves", {.lower_half_up = true, .sweeps = 2, .codec = test::FeatherCodec::none});
     const Sequence found = load_sequence(log.folder.string(), far_options());
     for (const Frame& frame : found.frames) {
         const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
@@ -211,7 +211,7 @@ std::vector<test::FeatherColumn> with_poses(std::vector<test::FeatherColumn> col
 }
 
 TEST(Argoverse2, SaysWhichFileIsWrong) {
-    const Argoverse2Log log("errors", {false, false, 2, test::FeatherCodec::none});
+    const Argoverse2Log log("errors", {.sweeps = 2, .codec = test::FeatherCodec::none});
     const auto refuse = [&](const fs::path& file, const std::vector<test::FeatherColumn>& columns, const std::string& part) {
         expect_refused(log, file, test::feather_bytes(columns), part);
     };
@@ -258,7 +258,7 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
 }
 
 TEST(Argoverse2, SaysWhatIsMissing) {
-    const Argoverse2Log log("missing", {false, false, 1, test::FeatherCodec::none});
+    const Argoverse2Log log("missing", {.sweeps = 1, .codec = test::FeatherCodec::none});
     const auto expect = [&](const std::string& part) {
         try {
             load_sequence("argoverse2:" + log.folder.string(), {});

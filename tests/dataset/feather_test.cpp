@@ -15,7 +15,6 @@
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
 #include "dataset/feather_writer.hpp"
-#include "dataset/kitti_drive.hpp"
 
 namespace relidar {
 namespace {
@@ -23,12 +22,6 @@ namespace {
 namespace fs = std::filesystem;
 using test::FeatherCodec;
 using test::FeatherColumn;
-
-fs::path file_of(const std::string& bytes) {
-    const fs::path file = fs::path(testing::TempDir()) / "relidar_table.feather";
-    test::write_text(file, bytes);
-    return file;
-}
 
 struct Table {
     std::vector<std::int64_t> wide{std::numeric_limits<std::int64_t>::min(), 315966265259836001, -1, 0, 1, 2, 3};
@@ -57,7 +50,7 @@ TEST(Feather, ValuesOfEveryTypeComeBack) {
     const Table truth;
     for (const FeatherCodec codec : {FeatherCodec::none, FeatherCodec::lz4, FeatherCodec::zstd}) {
         for (const std::size_t rows_a_batch : {0, 3}) {
-            const Feather table(file_of(test::feather_bytes(truth.columns(), codec, rows_a_batch)));
+            const Feather table("table.feather", test::feather_bytes(truth.columns(), codec, rows_a_batch));
             ASSERT_EQ(table.rows(), 7u);
             EXPECT_EQ(table.integers("wide"), truth.wide);
             EXPECT_EQ(table.numbers("narrow"), as_double(truth.narrow));
@@ -76,19 +69,16 @@ TEST(Feather, CompressibleColumnsAreBounded) {
     const std::vector<double> zeros(20000, 0.0);  // zstd makes 160 kB about 20 bytes: more than a file of nothing else is believed to hold
     std::vector<std::int64_t> noise;
     for (std::int64_t i = 0; i < 20000; ++i) noise.push_back(i * 7919 % 20011);
-    EXPECT_EQ(Feather(file_of(test::feather_bytes({test::number_column("zeros", zeros), test::number_column("noise", noise)},
-                                                  FeatherCodec::zstd)))
-                  .numbers("zeros"),
-              zeros);
-    EXPECT_THROW(
-        Feather(file_of(test::feather_bytes({test::number_column("zeros", std::vector<double>(200000, 0.0))}, FeatherCodec::zstd))),
-        DataError);
+    const std::vector<FeatherColumn> both{test::number_column("zeros", zeros), test::number_column("noise", noise)};
+    EXPECT_EQ(Feather("both", test::feather_bytes(both, FeatherCodec::zstd)).numbers("zeros"), zeros);
+    const auto nothing_else = test::feather_bytes({test::number_column("zeros", std::vector<double>(200000, 0.0))}, FeatherCodec::zstd);
+    EXPECT_THROW(Feather("zeros", nothing_else), DataError);
 }
 
 TEST(Feather, SaysWhatIsWrong) {
     const auto expect = [](const std::string& bytes, const std::string& part, const auto& read) {
         try {
-            read(Feather(file_of(bytes)));
+            read(Feather("table.feather", bytes));
             ADD_FAILURE() << "no failure, expected " << part;
         } catch (const DataError& error) {
             EXPECT_THAT(error.what(), testing::HasSubstr("table.feather"));
@@ -126,7 +116,7 @@ TEST(Feather, DamagedBytesAreErrorsOrOtherValues) {
             std::string bad = good;
             bad[i] = char(bad[i] ^ "\x01\x80\xff"[i % 3]);
             try {
-                const Feather table(file_of(bad));
+                const Feather table("table.feather", bad);
                 table.integers("x");
                 for (const char* name : {"t", "u"}) table.texts(name);
             } catch (const DataError&) {
