@@ -24,6 +24,7 @@ inline constexpr const char* kNoPoses = "none";
 
 /// What to read of a log.
 struct DatasetOptions {
+    std::string sequence;   ///< which drive of a dataset that holds several, by its own name; empty: the only one, or the first
     FrameRange frames;
     /// 12 numbers a line, world_from_sensor of frame i on line i, in the dataset's world; empty = the dataset's own; kNoPoses
     std::filesystem::path poses_file;

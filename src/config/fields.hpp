@@ -36,6 +36,8 @@ inline constexpr double kMaxSeed = 9007199254740992.0;   // 2^53: a TOML integer
 template <class C, class Visitor>
 void visit_dataset(C& c, Visitor&& f) {
     f("dataset.path", c.dataset.path, anything(), "dataset: a path, or kind:path; training fills it in");
+    f("dataset.sequence", c.dataset.sequence, anything(),
+      "which drive of a dataset that holds several, by its own name; empty: the only one, or the first");
     f("dataset.frames_begin", c.dataset.frames_begin, between(0, kMaxCount), "first frame, by the dataset's own number");
     f("dataset.frames_end", c.dataset.frames_end, between(-1, kMaxCount), "frame after the last one; -1: to the end of the log");
     f("dataset.test_every", c.dataset.test_every, between(0, kMaxCount), "every so many frames one is held out for testing; 0: none");

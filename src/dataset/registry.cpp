@@ -14,6 +14,7 @@
 #include "dataset/kitti_files.hpp"
 #include "dataset/kitti_odometry.hpp"
 #include "dataset/kitti_raw.hpp"
+#include "dataset/nuscenes.hpp"
 #include "dataset/synthetic.hpp"
 
 namespace relidar {
@@ -23,7 +24,7 @@ namespace fs = std::filesystem;
 
 struct Kind {
     const char* name;
-    const char* marker;  ///< file or folder that tells the kind
+    const char* marker;  ///< file or folder that tells the kind; a name that ends with * may go on
     const char* describe;
     Sequence (*load)(const fs::path&, const DatasetOptions&);
 };
@@ -32,6 +33,7 @@ constexpr Kind kKinds[] = {
     {"argoverse2", "city_SE3_egovehicle.feather", "an Argoverse 2 log", load_argoverse2},
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
     {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_kitti_odometry},
+    {"nuscenes", "v1.0-*", "nuScenes", load_nuscenes},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
 };
 
@@ -47,6 +49,14 @@ const Kind& find_kind(const std::string& name) {
     }
     throw UsageError(fmt::format("dataset kind '{}': unknown, did you mean '{}'? (known: {})", name, nearest_name(name, kind_names()),
                                  fmt::join(kind_names(), ", ")));
+}
+
+bool has_marker(const fs::path& path, const Kind& kind) {
+    std::string marker = kind.marker;
+    if (!marker.ends_with('*')) return path_exists(path / marker);
+    marker.pop_back();
+    const std::vector<fs::path> entries = list_folder(path);
+    return std::any_of(entries.begin(), entries.end(), [&](const fs::path& entry) { return entry.filename().string().starts_with(marker); });
 }
 
 /// No LiDAR sees anything beyond its own limits and the given ones.
@@ -78,14 +88,19 @@ void check_range(const FrameRange& range) {
 
 bool is_dataset(const fs::path& path) {
     std::error_code failed;
-    return std::any_of(std::begin(kKinds), std::end(kKinds), [&](const Kind& kind) { return fs::exists(path / kind.marker, failed); });
+    if (!fs::is_directory(path, failed)) return false;
+    try {
+        return std::any_of(std::begin(kKinds), std::end(kKinds), [&](const Kind& kind) { return has_marker(path, kind); });
+    } catch (const DataError&) {
+        return false;   // what cannot be read is none
+    }
 }
 
 std::string recognise_dataset(const fs::path& path) {
     check_folder(path, "a dataset");
     std::string known;
     for (const Kind& kind : kKinds) {
-        if (path_exists(path / kind.marker)) return kind.name;
+        if (has_marker(path, kind)) return kind.name;
         known += fmt::format("{}{} ({})", known.empty() ? "" : ", ", kind.describe, kind.marker);
     }
     for (const Kind& kind : kKinds) {

@@ -6,14 +6,14 @@
 #include <algorithm>
 #include <cmath>
 #include <complex>
-#include <map>
 #include <numeric>
+
+#include "dataset/told_firings.hpp"
 
 namespace relidar::argoverse2 {
 namespace {
 
 constexpr double kCycle_ns = 55296.0, kPair_ns = 2304.0, kRate_hz = 10.0;
-constexpr int kTicks = 1 << 16;  // of a turn: firings lie 36 of them apart
 
 struct Laser {
     int number;  ///< Argoverse's laser_number, modulo 32
@@ -94,37 +94,6 @@ std::vector<int> firing_numbers(const std::vector<double>& first_pair_ns) {
     return numbers;
 }
 
-/// Azimuth of the head at each firing from the first number to the last, the mean of its points'. A firing without a point is looked for
-/// between its neighbours, as far from an even turn as they are.
-std::map<int, double> head_azimuths(const ScanPoints& points, const std::vector<int>& numbers, const SpinningSensor& sensor) {
-    const double step = (sensor.clockwise ? -2.0 : 2.0) * kPi * kRate_hz * kCycle_ns * 1e-9;
-    std::map<int, std::complex<double>> sums;  // of points about an even turn
-    for (std::size_t i = 0; i < points.size(); ++i)
-        sums[numbers[i]] += std::polar(1.0, head_azimuth(sensor.beams[points.ring[i]], glm::dvec3(points.point_m[i])) - numbers[i] * step);
-    std::map<int, double> heads;
-    for (auto at = sums.begin(); at != sums.end(); ++at) {
-        const auto next = std::next(at) == sums.end() ? at : std::next(at);
-        const double uneven = std::arg(at->second), change = std::remainder(std::arg(next->second) - uneven, 2.0 * kPi);
-        const int first = at->first, gap = std::max(next->first - first, 1);
-        for (int n = first; n < first + gap; ++n) heads[n] = std::remainder(uneven + change * (n - first) / gap + n * step, 2.0 * kPi);
-    }
-    return heads;
-}
-
-/// Firings by azimuth of the head, and the index of each point's. A sweep is more than a turn: two firings of one azimuth stay two.
-void arrange_firings(LidarSweep& found, const std::vector<int>& numbers, const SpinningSensor& sensor) {
-    std::vector<std::pair<double, int>> by_azimuth;
-    for (const auto& [number, head] : head_azimuths(found.points, numbers, sensor)) by_azimuth.emplace_back(-head, number);
-    std::sort(by_azimuth.begin(), by_azimuth.end());
-    found.sweep.lattice = {kTicks, 0.0};
-    std::map<int, std::uint32_t> place;
-    for (const auto& [azimuth, number] : by_azimuth) {
-        place[number] = std::uint32_t(found.sweep.firings.size());
-        found.sweep.firings.push_back(found.sweep.lattice.tick(-azimuth));
-    }
-    for (const int number : numbers) found.points.firing.push_back(place[number]);
-}
-
 }  // namespace
 
 SpinningSensor vlp32c(bool clockwise) {
@@ -163,7 +132,8 @@ LidarSweep lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar, const 
     }
     if (found.points.size() == 0) return found;
     undo_compensation(found.points, world_from_sensor, time_s);
-    arrange_firings(found, firing_numbers(first_pair_ns), lidar.sensor);
+    const double step_rad = (lidar.sensor.clockwise ? -2.0 : 2.0) * kPi * kRate_hz * kCycle_ns * 1e-9;
+    found.sweep = arrange_firings(found.points, firing_numbers(first_pair_ns), lidar.sensor, step_rad);
     return found;
 }
 

@@ -25,6 +25,7 @@ constexpr const char* kLog = "log/";
 /// itself is compared.
 constexpr std::array kFree{"preset",
                            "dataset.path",
+                           "dataset.sequence",
                            "dataset.poses",
                            "train.iterations",
                            "train.log_every",

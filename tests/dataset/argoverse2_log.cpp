@@ -2,13 +2,13 @@
 #include "dataset/argoverse2_log.hpp"
 
 #include <cmath>
-#include <limits>
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include "core/random.hpp"
 #include "dataset/kitti_drive.hpp"
+#include "dataset/yard.hpp"
 
 namespace relidar::test {
 namespace fs = std::filesystem;
@@ -24,19 +24,6 @@ constexpr int kPair[32] = {12, 1, 8, 3, 14, 5, 10, 7, 6, 2, 9, 11, 4, 0, 13, 15,
 
 constexpr glm::dvec3 kCity_m(5223.8, 2385.4, 69.1);
 constexpr std::int64_t kCycle_ns = 55296, kPair_ns = 2304;
-
-/// Where a ray from inside meets the ground or one of four walls, city frame.
-glm::dvec3 cast(const glm::dvec3& origin_m, const glm::dvec3& direction) {
-    const glm::dvec3 o = origin_m - kCity_m;
-    double t = std::numeric_limits<double>::infinity();
-    const auto plane = [&](double from, double along, double at) {
-        if (along != 0.0 && (at - from) / along > 0.0) t = std::min(t, (at - from) / along);
-    };
-    plane(o.z, direction.z, -0.35);
-    for (const double x : {-31.0, 42.0}) plane(o.x, direction.x, x);
-    for (const double y : {-24.0, 29.0}) plane(o.y, direction.y, y);
-    return origin_m + t * direction;
-}
 
 /// Points of a sweep as the file lists them.
 struct Points {
@@ -63,7 +50,7 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
                              std::sin(ray.elevation_rad)};
             const Pose city_from_lidar = Argoverse2Log::vehicle_at(sweep_s + ray.time_s) * mounted;
             ray.origin_m = city_from_lidar.translation;
-            ray.point_m = cast(ray.origin_m, city_from_lidar.rotation * ray.direction);
+            ray.point_m = kCity_m + yard_hit(ray.origin_m - kCity_m, city_from_lidar.rotation * ray.direction);
             const bool hidden = lidar == 1 && n >= 700 && n < 741;  // by the vehicle, from all beams
             ray.returned = !hidden && hash64(std::uint64_t(n * 32 + k), std::uint64_t(1000.0 * sweep_s) + std::uint64_t(lidar)) % 10 != 0;
             rays.push_back(ray);
