@@ -35,14 +35,14 @@ struct DatasetOptions {
     Progress progress = {};             ///< of reading
 };
 
-/// Reads a log. @param dataset a path (format recognised) or "kind:path" with kind kitti_raw or synthetic
+/// Reads a log. @param dataset a path (format recognised) or "kind:path" with a kind that recognise_dataset() gives
 /// @throws DataError naming the file and what is wrong with it; UsageError for an unknown kind or an empty frame range
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options);
 
 /// A dataset as load_sequence() takes it, made independent of the working folder; a kind in front stays.
 std::string absolute_dataset(const std::string& dataset);
 
-/// Kind of a dataset path ("kitti_raw", "synthetic"). @throws DataError where it is none of the known ones
+/// Kind of a dataset path ("kitti_raw", "nuscenes", ...). @throws DataError where it is none of the known ones
 std::string recognise_dataset(const std::filesystem::path& path);
 
 /// Whether a folder is a log of one of these kinds.
