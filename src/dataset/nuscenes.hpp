@@ -8,8 +8,8 @@
 
 namespace relidar {
 
-/// Reads the scene that DatasetOptions::sequence names, with or without the zeros of "scene-0061". Frames are keyframes and sweeps in order.
-/// The dataset's world is the map's frame.
+/// Reads the scene that DatasetOptions::sequence names, by its name or its number: "scene-0061", "61". Frames are keyframes and sweeps in
+/// order. The dataset's world is the map's frame.
 /// @throws DataError naming file, record and key; UsageError where there is no such scene, or no sweep in the asked frame range
 Sequence load_nuscenes(const std::filesystem::path& folder, const DatasetOptions& options);
 

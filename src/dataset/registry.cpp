@@ -56,7 +56,8 @@ bool has_marker(const fs::path& path, const Kind& kind) {
     if (!marker.ends_with('*')) return path_exists(path / marker);
     marker.pop_back();
     const std::vector<fs::path> entries = list_folder(path);
-    return std::any_of(entries.begin(), entries.end(), [&](const fs::path& entry) { return entry.filename().string().starts_with(marker); });
+    return std::any_of(entries.begin(), entries.end(),
+                       [&](const fs::path& entry) { return entry.filename().string().starts_with(marker); });
 }
 
 /// No LiDAR sees anything beyond its own limits and the given ones.

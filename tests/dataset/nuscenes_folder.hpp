@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small nuScenes folder written by the tests: two scenes, the second of which is driven through with a virtual HDL-32E between four walls.
+// A small nuScenes folder written by the tests: two scenes, the second of which is driven through with a virtual HDL-32E in a walled yard.
 #pragma once
 
 #include <filesystem>

@@ -15,8 +15,8 @@ namespace fs = std::filesystem;
 class Folder {
 public:
     explicit Folder(const fs::path& folder) : data_((::setenv("TEST_TMPDIR", folder.c_str(), 1), "fuzz"), 6) {
-        for (const char* table : {"scene", "sample", "sensor", "calibrated_sensor", "sample_data", "ego_pose", "sample_annotation", "instance",
-                                  "category"})
+        for (const char* table : {"scene", "sample", "sensor", "calibrated_sensor", "sample_data", "ego_pose", "sample_annotation",
+                                  "instance", "category"})
             files_.push_back(data_.table(table));
         files_.push_back(data_.sweep(0));
         files_.push_back(data_.sweep(4));
