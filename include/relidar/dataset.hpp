@@ -42,8 +42,7 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
 /// A dataset as load_sequence() takes it, made independent of the working folder; a kind in front stays.
 std::string absolute_dataset(const std::string& dataset);
 
-/// Kind of a dataset path ("kitti_raw", "kitti_odometry", "kitti360", "waymo", "synthetic").
-/// @throws DataError where it is none of the known ones
+/// Kind of a dataset path ("kitti_raw", "waymo", ... as in docs/datasets.md). @throws DataError where it is none of the known ones
 std::string recognise_dataset(const std::filesystem::path& path);
 
 /// How save_folder() writes.

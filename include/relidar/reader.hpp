@@ -18,6 +18,7 @@ struct ScanPoints {
     std::vector<std::uint16_t> ring;           ///< [n] beam, 0 = highest
     std::vector<float> time_offset_s;          ///< [n] from the reference time of the frame
     std::vector<std::uint8_t> return_number;   ///< [n] of its ray, 0 = strongest
+    std::vector<std::uint32_t> firing;         ///< [n] index in Sweep::firings, where the dataset tells it; else the nearest in azimuth
 
     std::size_t size() const { return point_m.size(); }
 };

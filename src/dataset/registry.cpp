@@ -10,10 +10,12 @@
 #include <relidar/error.hpp>
 #include <relidar/reader.hpp>
 #include "core/files.hpp"
+#include "dataset/argoverse2.hpp"
 #include "dataset/kitti_360.hpp"
 #include "dataset/kitti_files.hpp"
 #include "dataset/kitti_odometry.hpp"
 #include "dataset/kitti_raw.hpp"
+#include "dataset/nuscenes.hpp"
 #include "dataset/plain_folder.hpp"
 #include "dataset/synthetic.hpp"
 #include "dataset/waymo.hpp"
@@ -25,17 +27,20 @@ namespace fs = std::filesystem;
 
 struct Kind {
     const char* name;
-    const char* marker;  ///< file or folder that tells the kind; ".ending": a file with it, or a folder of such files
+    /// File or folder that tells the kind; "name*": one whose name begins so; ".ending": a file with it, or a folder of such files.
+    const char* marker;
     const char* describe;
     Sequence (*load)(const fs::path&, const DatasetOptions&);
     bool holds_drives = false;   ///< several, of which DatasetOptions::sequence names one
 };
 
 constexpr Kind kKinds[] = {
+    {"argoverse2", "city_SE3_egovehicle.feather", "an Argoverse 2 log", load_argoverse2},
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
     {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_kitti_odometry},
     {"kitti360", "data_3d_raw", "KITTI-360", load_kitti_360, true},
     {"waymo", ".tfrecord", "a segment of Waymo Open", load_waymo, true},
+    {"nuscenes", "v1.0-*", "nuScenes", load_nuscenes, true},
     {"folder", "sequence.json", "a plain folder", load_plain_folder},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
 };
@@ -55,11 +60,16 @@ const Kind& find_kind(const std::string& name) {
 }
 
 bool is_kind(const fs::path& path, const Kind& kind) {
-    if (kind.marker[0] != '.') return path_exists(path / kind.marker);
-    const auto has_ending = [&](const fs::path& file) { return file.extension() == kind.marker; };
-    if (!path_exists(path) || !fs::is_directory(path)) return has_ending(path) && path_exists(path);
+    const std::string_view marker = kind.marker;
+    if (!marker.starts_with('.') && !marker.ends_with('*')) return path_exists(path / marker);
+    const auto matches = [&](const fs::path& file) {
+        return marker.starts_with('.') ? file.extension() == marker
+                                       : file.filename().string().starts_with(marker.substr(0, marker.size() - 1));
+    };
+    if (!path_exists(path)) return false;
+    if (!fs::is_directory(path)) return marker.starts_with('.') && matches(path);
     const std::vector<fs::path> files = list_folder(path);
-    return std::any_of(files.begin(), files.end(), has_ending);
+    return std::any_of(files.begin(), files.end(), matches);
 }
 
 /// No LiDAR sees anything beyond its own limits and the given ones.

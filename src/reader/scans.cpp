@@ -40,6 +40,7 @@ void check_points(const ScanPoints& points, std::size_t n_beams) {
     check("ring", points.ring.size(), n_beams == 0);
     check("time_offset_s", points.time_offset_s.size(), true);
     check("return_number", points.return_number.size(), true);
+    check("firing", points.firing.size(), true);
     for (std::size_t i = 0; i < points.size(); ++i) {
         if (n_beams > 0 && points.ring[i] >= n_beams)
             throw UsageError(fmt::format("making a scan: point {} is of ring {}, expected one of {} beams", i, points.ring[i], n_beams));
@@ -85,7 +86,8 @@ std::vector<int> fill_columns(const Sweep& sweep, int columns) {
 class Assignment {
 public:
     Assignment(const ScanPoints& points, const SpinningSensor& sensor, const Sweep& sweep)
-        : points_(points), sensor_(sensor), sweep_(sweep), nearest_(nearest_firings(sweep.firings, sweep.lattice.n_ticks)) {
+        : points_(points), sensor_(sensor), sweep_(sweep) {
+        if (points.firing.empty()) nearest_ = nearest_firings(sweep.firings, sweep.lattice.n_ticks);
         cells_of(0);
         for (std::size_t i = 0; i < points.size(); ++i) add(i);
     }
@@ -96,7 +98,7 @@ private:
     const ScanPoints& points_;
     const SpinningSensor& sensor_;
     const Sweep& sweep_;
-    std::vector<int> nearest_;
+    std::vector<int> nearest_;   ///< firing of each tick, where points do not tell theirs
 
     float range_of(int point) const { return glm::length(points_.point_m[static_cast<std::size_t>(point)]); }
 
@@ -106,13 +108,17 @@ private:
         return by_return[number];
     }
 
+    std::size_t nearest_firing(std::size_t i) const {
+        const int tick = sweep_.lattice.tick(head_azimuth(sensor_.beams[points_.ring[i]], glm::dvec3(points_.point_m[i])));
+        return static_cast<std::size_t>(nearest_[static_cast<std::size_t>(tick)]);
+    }
+
     void add(std::size_t i) {
         const std::size_t ring = points_.ring[i], n = sweep_.firings.size(), number = number_of(points_, i);
         const double range = range_of(static_cast<int>(i));
         firing_of.push_back(kEmpty);
         if (range > sensor_.max_range_m || range < kLeastRange_m) return;
-        const int tick = sweep_.lattice.tick(head_azimuth(sensor_.beams[ring], glm::dvec3(points_.point_m[i])));
-        const std::size_t firing = static_cast<std::size_t>(nearest_[static_cast<std::size_t>(tick)]);
+        const std::size_t firing = points_.firing.empty() ? nearest_firing(i) : points_.firing[i];
         firing_of.back() = static_cast<int>(firing);
         Cells& cells = cells_of(number);
         int point = static_cast<int>(i);
@@ -200,6 +206,9 @@ Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const
                                      sensor.beams.size(), sensor.columns, sweep.lattice.n_ticks, kMaxRays, kMostTicks));
     if (sweep.firings.empty())
         throw UsageError(fmt::format("making a scan of {} points: no firing, expected those of a sweep", points.size()));
+    for (const std::uint32_t firing : points.firing)
+        if (firing >= sweep.firings.size())
+            throw UsageError(fmt::format("making a scan: a point of firing {}, expected one of {}", firing, sweep.firings.size()));
     Assignment assigned(points, sensor, sweep);
     const std::vector<double> times = firing_times(points, sensor, sweep, assigned.firing_of);
     const std::vector<int> slot = fill_columns(sweep, sensor.columns);

@@ -115,7 +115,8 @@ TEST(FitSensor, WhatItCannotFit) {
     points.ring.clear();
     EXPECT_THROW(fit_sensor({points}, 0.1), UsageError);
     EXPECT_THROW(fit_sensor({}, 0.1), UsageError);
-    const ScanPoints one{.point_m = {{5.0f, 0.0f, 0.0f}}, .intensity = {0.5f}, .ring = {0}, .time_offset_s = {}, .return_number = {}};
+    const ScanPoints one{
+        .point_m = {{5.0f, 0.0f, 0.0f}}, .intensity = {0.5f}, .ring = {0}, .time_offset_s = {}, .return_number = {}, .firing = {}};
     EXPECT_THROW(fit_sensor({one}, 0.1), DataError);
 }
 

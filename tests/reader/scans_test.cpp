@@ -3,6 +3,7 @@
 #include <relidar/reader.hpp>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numeric>
 
@@ -125,6 +126,24 @@ TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     float nearest = 1e9f;
     for (const float range : scan.range_m) nearest = range > 0.0f ? std::min(nearest, range) : nearest;
     EXPECT_NEAR(nearest, 9.0f, 1e-3f) << "the nearer is kept";
+}
+
+/// A sweep of more than a turn: both firings at azimuth 3 keep their points and times, though their azimuths are the same.
+TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
+    SpinningSensor one = sensor();
+    one.beams = {{.elevation_rad = 0.0}};
+    one.columns = 3;
+    const HeadLattice lattice{360, 0.0};
+    const Sweep sweep{lattice, {lattice.tick(3.0), lattice.tick(3.0), lattice.tick(1.0)}};
+    const auto point = [](double azimuth, float range_m) { return range_m * glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0); };
+    const ScanPoints points{{point(1.0, 7.0f), point(3.0, 5.0f), point(3.0, 6.0f)}, {0.1f, 0.2f, 0.3f}, {0, 0, 0}, {0.05f, 0.0f, 0.1f}, {},
+                            {2, 1, 0}};
+    const Scan scan = spinning_scan(points, one, sweep);
+    EXPECT_EQ(scan.rays.time_offset_s, (std::vector<float>{0.1f, 0.0f, 0.05f}));
+    for (std::size_t i = 0; i < 3; ++i) EXPECT_NEAR(scan.range_m[i], (std::array{6.0f, 5.0f, 7.0f}[i]), 1e-6f);
+    ScanPoints beyond = points;
+    beyond.firing[0] = 3;
+    EXPECT_THROW(spinning_scan(beyond, one, sweep), UsageError);
 }
 
 TEST(UnorderedScan, HasARayForEachPointAndNoOther) {

@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+// Feather files by themselves, and a small Argoverse 2 log of which an input replaces one file: its first byte says which.
+#include "harness.hpp"
+
+#include <cstdlib>
+
+#include <relidar/dataset.hpp>
+#include <relidar/error.hpp>
+#include "dataset/argoverse2_log.hpp"
+#include "dataset/feather.hpp"
+
+namespace relidar::fuzz {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::vector<std::string> feather_seeds(const fs::path&) {
+    const std::vector<std::int64_t> times{315966265259836000, 7, -1};
+    std::vector<std::string> seeds;
+    for (const test::FeatherCodec codec : {test::FeatherCodec::none, test::FeatherCodec::lz4, test::FeatherCodec::zstd})
+        seeds.push_back(test::feather_bytes({test::number_column("a", times), test::half_column("b", {1.0f, -2.0f, 3.0f}),
+                                             test::text_column("c", {"up_lidar", "", "x"}), test::text_column("d", {"y", "y", "z"}, true)},
+                                            codec, 2));
+    return seeds;
+}
+
+/// Every column as all it might be.
+void read_feather(std::string_view input, const fs::path&) {
+    const Feather table("input", std::string(input));
+    std::string failure;
+    for (const char* column : {"a", "b", "c", "d"}) {
+        for (const int as : {0, 1, 2}) {
+            try {
+                if (as == 0) table.numbers(column);
+                if (as == 1) table.integers(column);
+                if (as == 2) table.texts(column);
+            } catch (const DataError& error) {
+                failure = error.what();   // the last one is looked at
+            }
+        }
+    }
+    if (!failure.empty()) throw DataError(failure);
+}
+
+/// Two sweeps of three firings.
+class Log {
+public:
+    explicit Log(const fs::path& folder)
+        : log_((::setenv("TEST_TMPDIR", folder.c_str(), 1), "fuzz"), {.sweeps = 2, .firings = 3, .codec = test::FeatherCodec::none}),
+          files_{log_.sweep(0), log_.sweep(1), log_.file("annotations.feather"), log_.file("city_SE3_egovehicle.feather"),
+                 log_.file("calibration/egovehicle_SE3_sensor.feather")} {
+        for (const fs::path& file : files_) usual_.push_back(contents(file));
+    }
+    std::size_t size() const { return files_.size(); }
+    const std::string& usual(std::size_t file) const { return usual_[file]; }
+    void read_with(std::size_t file, std::string_view bytes) const {
+        struct Restore {
+            const Log& log;
+            std::size_t file;
+            ~Restore() { put(log.files_[file], log.usual_[file]); }
+        } restore{*this, file};
+        put(files_[file], bytes);
+        load_sequence("argoverse2:" + log_.folder.string(), {});
+    }
+
+private:
+    test::Argoverse2Log log_;
+    std::vector<fs::path> files_;
+    std::vector<std::string> usual_;
+};
+
+const Log& log_in(const fs::path& folder) {
+    static const Log log(folder);
+    return log;
+}
+
+std::vector<std::string> log_seeds(const fs::path& folder) {
+    const Log& log = log_in(folder);
+    std::vector<std::string> seeds;
+    for (std::size_t file = 0; file < log.size(); ++file) seeds.push_back(char(file) + log.usual(file));
+    return seeds;
+}
+
+void read_log(std::string_view input, const fs::path& folder) {
+    if (input.empty()) return;
+    const Log& log = log_in(folder);
+    log.read_with(static_cast<unsigned char>(input[0]) % log.size(), input.substr(1));
+}
+
+}  // namespace
+
+std::vector<Harness> argoverse2_harnesses() {
+    return {{"feather", feather_seeds, read_feather, false}, {"argoverse2", log_seeds, read_log}};
+}
+
+}  // namespace relidar::fuzz
