@@ -18,6 +18,7 @@ struct ScoredFrame {
     int frame = 0;  ///< the dataset's own number
     int lidar = 0;  ///< that took it
     double time_s = 0.0;
+    std::optional<SweepStart> start = {};   ///< of the sweep, see Frame
     std::size_t n_rays = 0;  ///< traced; a grid of binned points has fewer pixels or more
     RenderedScan rendered;
     RangeImage real;

@@ -175,7 +175,8 @@ std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseO
 std::string names_of(const std::vector<BoxTrack>& boxes);
 
 /// Poses of all instances at a time, each taken when the head of a LiDAR faces its box; a box is absent outside its first and last label.
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, int lidar = 0);
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, int lidar = 0,
+                                          const std::optional<SweepStart>& start = {});
 
 /// Where actors are, by their tracks' names: centres of their boxes (relidar's world), interpolated and extrapolated as PoseTrack::at.
 /// Those not named are absent.
@@ -183,7 +184,7 @@ using ActorPoses = std::map<std::string, PoseTrack>;
 /// The same with the actors where the caller has them. The sequence says how the sensor turns and where it is.
 /// @throws UsageError for a name that no instance has, naming the nearest
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, const ActorPoses& world_from_actor,
-                                          int lidar = 0);
+                                          int lidar = 0, const std::optional<SweepStart>& start = {});
 
 /// Recursive object-median order of points along the longest axis, split at (first + last) / 2.
 /// @return [n] permutation: position i of the sorted array holds point order[i]

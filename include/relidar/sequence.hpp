@@ -54,12 +54,23 @@ struct Scan {
 /// Drops the rays of a scan whose range lies outside the limits, and their further returns that do.
 void drop_outside(Scan& scan, const RangeLimits& limits);
 
+/// Where a head pointed and how long after the frame's time when a sweep began.
+struct SweepStart {
+    double azimuth_rad = 0.0;
+    double time_s = 0.0;
+};
+
+/// Where a sweep of these rays began, by their own times. Nothing where it began backward, half a sweep before time 0, as one that faces
+/// forward at time 0; where the LiDAR does not spin, or times and azimuths do not go together.
+std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor);
+
 /// One sweep of one LiDAR of the log.
 struct Frame {
     int index = 0;          ///< the dataset's own frame number; LiDARs that sweep together share it
-    double time_s = 0.0;    ///< reference time: the head faces forward
+    double time_s = 0.0;    ///< reference time: the head faces forward, but for a sweep with a `start`
     Scan scan;
     int lidar = 0;          ///< in Sequence::lidars
+    std::optional<SweepStart> start = {};   ///< see find_start(); load_sequence() looks for it
 };
 
 /// One LiDAR of a log.
@@ -166,8 +177,9 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
 
 /// When the head of a LiDAR faces a point: the moment of the sweep at which a static or moving thing there is seen.
 /// @param point_m [3] metres, sensor frame @param time_s reference time of the sweep
-/// @return time_s itself without a rolling shutter
-double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s, int lidar = 0);
+/// @param start  of the sweep @return time_s itself without a rolling shutter
+double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s, int lidar = 0,
+                   const std::optional<SweepStart>& start = {});
 
 /// What a ray returned from. The angle of incidence is left in the intensity.
 struct SurfaceReturn {

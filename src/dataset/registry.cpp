@@ -143,6 +143,7 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
     Sequence sequence = reader.load(path, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
     check_sequence(sequence);
+    for (Frame& frame : sequence.frames) frame.start = find_start(frame.scan.rays, sequence.lidar_of(frame).sensor);
     apply_limits(sequence, {options.min_range_m, options.max_range_m});
     return sequence;
 }

@@ -57,6 +57,7 @@ RenderedFrame real_frame(const Config& config, const Sequence& sequence, const F
     result.frame.frame = frame.index;
     result.frame.lidar = frame.lidar;
     result.frame.time_s = frame.time_s;
+    result.frame.start = frame.start;
     result.frame.real = real_image(config, frame.scan);
     result.moving = moving_pixels(config, sequence, frame, sensor_offset);
     return result;
@@ -97,8 +98,8 @@ std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config
 
 void add_tail_shares(std::vector<ScoredFrame>& frames, const Sequence& sequence, const Config& config) {
     for (ScoredFrame& frame : frames)
-        frame.metrics.merge(
-            tail_shares(frame.rendered.image, frame.real, sequence, {frame.lidar, frame.time_s}, config.init.actor_min_step_m));
+        frame.metrics.merge(tail_shares(frame.rendered.image, frame.real, sequence, {frame.lidar, frame.time_s, frame.start},
+                                        config.init.actor_min_step_m));
 }
 
 }  // namespace
@@ -116,6 +117,7 @@ void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& l
                                         frame.index, it->time_s, frame.time_s, run.folder.string()));
         }
         frame.scan = it->scan;
+        frame.start = it->start;
     }
 }
 

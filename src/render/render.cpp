@@ -125,6 +125,10 @@ struct ScanRenderer::Impl {
     Renderer renderer;
     std::vector<bool> shown;   ///< [instances]
 
+    /// Where the sweep of a sensor's rays begins, by the period of the LiDAR in whose place it stands.
+    std::optional<SweepStart> start_of(const SensorChoice& sensor) const {
+        return find_start(sensor.rays, sweep.lidars[std::size_t(sensor.lidar)].sensor);
+    }
     /// The vehicle is where it has to be for the sensor to be here.
     void drive(PoseTrack world_from_sensor, int lidar) {
         sweep.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(sweep.lidars[std::size_t(lidar)].vehicle_from_sensor));
@@ -153,7 +157,7 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     Impl& s = *impl_;
     s.sweep.world_from_vehicle = s.log_world_from_vehicle;
     s.drive(moved_track(s.sweep.world_from_sensor(sensor.lidar), sensor_offset), sensor.lidar);
-    return take(sensor, time_s, place_instances(s.layout, s.sweep, time_s, sensor.lidar), sample);
+    return take(sensor, time_s, place_instances(s.layout, s.sweep, time_s, sensor.lidar, s.start_of(sensor)), sample);
 }
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample) {
@@ -167,11 +171,12 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
             fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s", request.time_s, kFarthest));
     }
     s.drive(in_world(request.dataset_from_sensor, "the sensor"), sensor.lidar);
+    const std::optional<SweepStart> start = s.start_of(sensor);
     if (!request.dataset_from_actor)
-        return take(sensor, request.time_s, place_instances(s.layout, s.sweep, request.time_s, sensor.lidar), sample);
+        return take(sensor, request.time_s, place_instances(s.layout, s.sweep, request.time_s, sensor.lidar, start), sample);
     ActorPoses world_from_actor;
     for (const auto& [name, track] : *request.dataset_from_actor) world_from_actor[name] = in_world(track, "actor " + name);
-    return take(sensor, request.time_s, place_instances(s.layout, s.sweep, request.time_s, world_from_actor, sensor.lidar), sample);
+    return take(sensor, request.time_s, place_instances(s.layout, s.sweep, request.time_s, world_from_actor, sensor.lidar, start), sample);
 }
 
 /// @param placed  instances at their moments; those that are not shown are left out

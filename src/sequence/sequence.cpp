@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <complex>
 #include <map>
 #include <numeric>
 
@@ -184,9 +185,34 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
     return placed_ray(world_from_sensor.at(firing_time(time_s, rays, ray, rolling_shutter)), rays, ray);
 }
 
-double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s, int lidar) {
+std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor) {
+    constexpr double kTogether = 0.9;   // resultant of the phases: beams' own azimuths and uneven turns take little of it
+    constexpr double kUsual = 0.02;     // of a period: so near to the usual start is the usual start
+    if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
+    const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
+    std::complex<double> sum = 0.0;   // of the azimuth that the head had at time 0
+    const float first_s = *std::ranges::min_element(rays.time_offset_s);
+    const std::size_t step = 1 + rays.size() / 4096;
+    double n = 0.0;
+    for (std::size_t i = 0; i < rays.size(); i += step, n += 1.0) {
+        const double azimuth = std::atan2(double(rays.direction[i].y), double(rays.direction[i].x));
+        sum += std::polar(1.0, azimuth - rad_per_s * double(rays.time_offset_s[i]));
+    }
+    if (std::abs(sum) < kTogether * n) return {};
+    const double at_zero = std::arg(sum);
+    const bool usual =
+        std::abs(at_zero) < 2.0 * kPi * kUsual && std::abs(double(first_s) + 0.5 * sensor.period_s) < kUsual * sensor.period_s;
+    if (usual) return {};
+    return SweepStart{std::remainder(at_zero + rad_per_s * double(first_s), 2.0 * kPi), double(first_s)};
+}
+
+double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s, int lidar, const std::optional<SweepStart>& start) {
     const SpinningSensor& sensor = sequence.lidars[std::size_t(lidar)].sensor;
     if (!sequence.rolling_shutter) return time_s;
+    if (start) {
+        const double turned = (sensor.clockwise ? -1.0 : 1.0) * (std::atan2(point_m.y, point_m.x) - start->azimuth_rad) / (2.0 * kPi);
+        return time_s + start->time_s + (turned - std::floor(turned)) * sensor.period_s;
+    }
     const double after_s = std::atan2(point_m.y, point_m.x) / (2.0 * kPi) * sensor.period_s;
     return time_s + (sensor.clockwise ? -after_s : after_s);
 }

@@ -23,7 +23,7 @@ Sequence without_scans(const Sequence& sequence) {
     result.world_from_vehicle = sequence.world_from_vehicle;
     result.boxes = sequence.boxes;
     result.rolling_shutter = sequence.rolling_shutter;
-    for (const Frame& frame : sequence.frames) result.frames.push_back({frame.index, frame.time_s, {}, frame.lidar});
+    for (const Frame& frame : sequence.frames) result.frames.push_back({frame.index, frame.time_s, {}, frame.lidar, frame.start});
     return result;
 }
 
@@ -76,7 +76,7 @@ WantedGradients PoseRefiner::wanted() const { return {.rays = sensor_.has_value(
 void PoseRefiner::place(Stream& stream, std::size_t frame_index, FrameData& frame) {
     if (rays_) rays_->move(stream, *sensor_, frame_index, frame);
     const Frame& sweep = poses_.frames[std::size_t(frame.position)];
-    frame.placed = place_instances(layout_, poses_, sweep.time_s, sweep.lidar);
+    frame.placed = place_instances(layout_, poses_, sweep.time_s, sweep.lidar, sweep.start);
     frame.sensor_position_m = glm::vec3(poses_.world_from_vehicle.at(sweep.time_s, poses_.lidar_of(sweep).vehicle_from_sensor).translation);
 }
 

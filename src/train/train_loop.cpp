@@ -102,7 +102,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       sampler_(frames_.size(), config.train.seed) {
     for (FrameData& frame : frames_) {
         const Frame& sweep = sequence.frames[std::size_t(frame.position)];
-        frame.placed = place_instances(initial, sequence, sweep.time_s, sweep.lidar);
+        frame.placed = place_instances(initial, sequence, sweep.time_s, sweep.lidar, sweep.start);
     }
     if (config.densify.strategy != DensifyStrategy::none || config.densify.prune_unseen)
         densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.size()),

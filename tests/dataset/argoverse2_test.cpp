@@ -94,6 +94,23 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
     }
 }
 
+/// The heads face forward at times of their own: what moves is placed at the time of its rays all the same.
+TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
+    const Argoverse2Log log("facing");
+    const Sequence found = load_sequence(log.folder.string(), far_options());
+    for (const Frame& frame : found.frames) {
+        ASSERT_TRUE(frame.start.has_value());
+        std::size_t late = 0;
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            const glm::dvec3 point_m(frame.scan.rays.origin[i] + 10.0f * frame.scan.rays.direction[i]);
+            const double facing_s = facing_time(found, point_m, frame.time_s, frame.lidar, frame.start);
+            late += std::abs(facing_s - frame.time_s - double(frame.scan.rays.time_offset_s[i])) > 3e-3;
+        }
+        // Beams up to 4.2 degrees beside the head, so 1.2 ms; the sweep is more than a turn, so its ends are seen twice.
+        EXPECT_LT(double(late), 0.03 * double(frame.scan.rays.size())) << frame.index << " " << frame.lidar;
+    }
+}
+
 TEST(Argoverse2, TimesPosesAndBoxes) {
     const Argoverse2Log log("boxes");
     const Sequence found = load_sequence(log.folder.string(), {});

@@ -127,6 +127,49 @@ TEST(MovingBox, OnlyMovingBoxesAtTheirTimes) {
     EXPECT_FALSE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.06, 0.5, 0.0));
 }
 
+/// Rays of a head that turns evenly, from an azimuth and a time on, half a turn or more.
+RayTable turning_rays(const SpinningSensor& sensor, double from_rad, double from_s, int n) {
+    RayTable rays;
+    rays.rows = 1;
+    rays.columns = n;
+    for (int i = 0; i < n; ++i) {
+        const double azimuth = from_rad + (sensor.clockwise ? -1.0 : 1.0) * 2.0 * kPi * i / 500.0;
+        rays.direction.emplace_back(std::cos(azimuth), std::sin(azimuth), 0.0);
+        rays.time_offset_s.push_back(static_cast<float>(from_s + sensor.period_s * i / 500.0));
+    }
+    return rays;
+}
+
+TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
+    Sequence sequence;
+    SpinningSensor& sensor = sequence.lidars[0].sensor;
+    for (const bool clockwise : {true, false}) {
+        sensor.clockwise = clockwise;
+        for (const double from_rad : {-2.5, 0.3, 2.0}) {
+            for (const double from_s : {-0.05, -0.099, 0.003}) {
+                const RayTable rays = turning_rays(sensor, from_rad, from_s, 500);
+                const auto start = find_start(rays, sensor);
+                ASSERT_TRUE(start.has_value());
+                for (std::size_t i = 1; i < 500; i += 7) {   // the first is as near to the end of the turn as to its beginning
+                    const double facing_s = facing_time(sequence, 9.0 * glm::dvec3(rays.direction[i]), 100.0, 0, start);
+                    ASSERT_NEAR(facing_s, 100.0 + double(rays.time_offset_s[i]), 1e-6) << from_rad << " " << from_s << " " << i;
+                }
+            }
+        }
+    }
+}
+
+TEST(SweepStart, TheUsualOneIsNoneAndNothingIsMadeUp) {
+    SpinningSensor sensor;
+    EXPECT_FALSE(find_start(turning_rays(sensor, kPi, -0.05, 500), sensor).has_value());
+    EXPECT_TRUE(find_start(turning_rays(sensor, kPi, 0.0, 500), sensor).has_value());
+    RayTable at_once = turning_rays(sensor, 0.0, 0.0, 500);
+    for (float& t : at_once.time_offset_s) t = 0.0f;
+    EXPECT_FALSE(find_start(at_once, sensor).has_value()) << "all rays of one moment";
+    sensor.period_s = 0.0;
+    EXPECT_FALSE(find_start(at_once, sensor).has_value());
+}
+
 TEST(Split, EveryTenthOfFiftyButTheFirst) {
     Sequence sequence;
     for (int i = 0; i < 50; ++i) sequence.frames.emplace_back().index = i;
