@@ -66,18 +66,18 @@ SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& 
 }
 
 /// Points of a file on their rings and columns, in the LiDAR's frame at the moment of each.
-struct Turn {
+struct ReadSweep {
     ScanPoints points;
     Sweep sweep;
 };
 
-Turn read_turn(const fs::path& file, const SpinningSensor& sensor, const PoseTrack& world_from_sensor, double time_s) {
+ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const PoseTrack& world_from_sensor, double time_s) {
     const std::string bytes = read_file(file);
     if (bytes.empty() || bytes.size() % (kBeams * kPointBytes) != 0 || bytes.size() / (kBeams * kPointBytes) > kMostColumns)
         throw DataError(fmt::format("{}: {} bytes, expected columns of {} points of {} bytes, 1 to {} of them", file.string(), bytes.size(),
                                     kBeams, kPointBytes, kMostColumns));
     const std::size_t n = bytes.size() / kPointBytes, columns = n / kBeams;
-    Turn turn;
+    ReadSweep read;
     std::vector<int> numbers;
     for (std::size_t i = 0; i < n; ++i) {
         float v[5];  // x right, y forward, z up, intensity, ring
@@ -90,16 +90,16 @@ Turn read_turn(const fs::path& file, const SpinningSensor& sensor, const PoseTra
             throw DataError(fmt::format("{}: point {} of ring {}, expected 0 to {}", file.string(), i, v[4], kBeams - 1));
         if (range_m < kNoReturn_m) continue;
         const std::size_t column = i / kBeams;
-        turn.points.point_m.emplace_back(v[1], -v[0], v[2]);
-        turn.points.intensity.push_back(v[3] / 255.0f);
-        turn.points.ring.push_back(std::uint16_t(kBeams - 1 - std::size_t(v[4])));
-        turn.points.time_offset_s.push_back(float(-kPeriod_s * (1.0 - double(column) / double(columns))));
+        read.points.point_m.emplace_back(v[1], -v[0], v[2]);
+        read.points.intensity.push_back(v[3] / 255.0f);
+        read.points.ring.push_back(std::uint16_t(kBeams - 1 - std::size_t(v[4])));
+        read.points.time_offset_s.push_back(float(-kPeriod_s * (1.0 - double(column) / double(columns))));
         numbers.push_back(int(column));
     }
-    if (turn.points.size() == 0) throw DataError(fmt::format("{}: no point beyond {} m, expected some", file.string(), kNoReturn_m));
-    undo_compensation(turn.points, world_from_sensor, time_s);
-    turn.sweep = arrange_firings(turn.points, numbers, sensor, -2.0 * kPi / double(columns));
-    return turn;
+    if (read.points.size() == 0) throw DataError(fmt::format("{}: no point beyond {} m, expected some", file.string(), kNoReturn_m));
+    undo_compensation(read.points, world_from_sensor, time_s);
+    read.sweep = arrange_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));
+    return read;
 }
 
 /// Boxes at the times of frames, between the keyframes at which they were labelled.
@@ -139,17 +139,17 @@ Frames frames_in(const SceneTables& scene, const fs::path& folder, const FrameRa
     return frames;
 }
 
-void read_turns(Sequence& sequence, const Frames& frames, const Progress& progress) {
+void read_sweeps(Sequence& sequence, const Frames& frames, const Progress& progress) {
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     const PoseTrack way = moved_track(frames.own, sequence.lidars[0].vehicle_from_sensor);
-    std::vector<Turn> turns(frames.files.size());
-    for_each_told(turns.size(), progress, "reading sweeps",
-                  [&](std::size_t at) { turns[at] = read_turn(frames.files[at], sensor, way, way.time_s[at]); });
-    for (const Turn& turn : turns) sensor.columns = std::max(sensor.columns, int(turn.sweep.firings.size()));
+    std::vector<ReadSweep> sweeps(frames.files.size());
+    for_each_told(sweeps.size(), progress, "reading sweeps",
+                  [&](std::size_t at) { sweeps[at] = read_sweep(frames.files[at], sensor, way, way.time_s[at]); });
+    for (const ReadSweep& read : sweeps) sensor.columns = std::max(sensor.columns, int(read.sweep.firings.size()));
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
-    for_each_told(turns.size(), progress, "putting points on the rays that were fired", [&](std::size_t at) {
-        sequence.frames[at].scan = spinning_scan(turns[at].points, sensor, turns[at].sweep);
-        turns[at] = {};
+    for_each_told(sweeps.size(), progress, "putting points on the rays that were fired", [&](std::size_t at) {
+        sequence.frames[at].scan = spinning_scan(sweeps[at].points, sensor, sweeps[at].sweep);
+        sweeps[at] = {};
     });
 }
 
@@ -187,7 +187,7 @@ Sequence load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
         set_vehicle_poses(sequence, given);
     }
     recentre(sequence);
-    read_turns(sequence, frames, options.progress);
+    read_sweeps(sequence, frames, options.progress);
     return sequence;
 }
 

@@ -17,7 +17,6 @@ namespace {
 
 constexpr double kUnit = 1e-3;              // by which the length of a direction may differ from 1
 constexpr double kFarthestOrigin_m = 100.0, kLongestScan_s = 100.0, kMostRange_m = 10'000.0;
-const double kDegree = kPi / 180.0;
 
 void check_length(const std::vector<double>& values, std::size_t wanted, const char* what, const std::string& where) {
     if (!values.empty() && values.size() != wanted)
