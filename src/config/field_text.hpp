@@ -3,6 +3,7 @@
 // text is not what the setting accepts. Private to config.
 #pragma once
 
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <cstdint>

@@ -136,7 +136,8 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
                                      options.min_range_m, options.max_range_m));
     }
     const auto [kind, path] = parted(dataset);
-    const Kind& reader = find_kind(kind.empty() ? recognise_dataset(path) : kind);
+    const std::string name = kind.empty() ? recognise_dataset(path) : kind;
+    const Kind& reader = find_kind(name);
     if (!options.sequence.empty() && !reader.holds_drives)
         throw UsageError(fmt::format("dataset.sequence: found '{}' for {}, which is one drive; expected none", excerpt(options.sequence),
                                      reader.describe));

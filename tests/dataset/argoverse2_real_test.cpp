@@ -5,6 +5,7 @@
 #include <relidar/dataset.hpp>
 #include <relidar/sensor_files.hpp>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <cstring>

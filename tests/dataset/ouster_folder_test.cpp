@@ -4,6 +4,7 @@
 // does not hold the scans.
 #include <relidar/dataset.hpp>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
