@@ -46,7 +46,7 @@ DrivingScene example() {
     return d;
 }
 
-const BoxTrack& box(const DrivingScene& d, const std::string& id) {
+const BoxTrack& box(const DrivingScene& d, std::string_view id) {
     return *std::find_if(d.sequence.boxes.begin(), d.sequence.boxes.end(), [&](const BoxTrack& b) { return b.id == id; });
 }
 

@@ -65,7 +65,7 @@ TEST(Actors, StandWhereTheirBoxIsAndAreAbsentOutsideItsLabels) {
     EXPECT_TRUE(place_instances(scene, street, last + 1.0)[0].present);
 }
 
-const Model& model_of_track(const Scene& scene, const std::string& track) {
+const Model& model_of_track(const Scene& scene, std::string_view track) {
     const auto instance = std::find_if(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.track == track; });
     EXPECT_NE(instance, scene.instances.end());
     return scene.models[instance->model];
