@@ -8,6 +8,7 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -45,6 +46,9 @@ struct NamedArray {
     std::vector<float> as_float() const;
     std::vector<double> as_double() const;   ///< the same, for times and large coordinates
 };
+
+/// The array of a name; nothing where there is none.
+const NamedArray* find_array(const std::vector<NamedArray>& arrays, std::string_view name);
 
 /// Array of float, double, int32 or uint16 values. @throws DataError where n is not the product of shape
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values, std::size_t n);

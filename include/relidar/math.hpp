@@ -36,6 +36,12 @@ inline Pose interpolate(const Pose& a, const Pose& b, double s) {
     return {glm::normalize(glm::slerp(a.rotation, b.rotation, s)), a.translation + s * (b.translation - a.translation)};
 }
 
+/// R_z(yaw) R_y(pitch) R_x(roll): rolled first, turned last; x forward, y left, z up, radians.
+inline glm::dquat rotation_of(double yaw_rad, double pitch_rad, double roll_rad) {
+    return glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)) * glm::angleAxis(pitch_rad, glm::dvec3(0, 1, 0)) *
+           glm::angleAxis(roll_rad, glm::dvec3(1, 0, 0));
+}
+
 /// Small motion of a pose: translation v in metres of the world, rotation vector w in radians, in the world's axes about the pose's own
 /// origin; or the derivative by them.
 using Twist = std::array<double, 6>;

@@ -29,9 +29,9 @@ void check_finite(const NamedArray& array) {
 }  // namespace
 
 const NamedArray& Checkpoint::array(const std::string& name) const {
-    const auto it = std::find_if(arrays.begin(), arrays.end(), [&](const NamedArray& a) { return a.name == name; });
-    if (it == arrays.end()) throw DataError(fmt::format("checkpoint of iteration {}: array {}: missing, expected it", iteration, name));
-    return *it;
+    const NamedArray* found = find_array(arrays, name);
+    if (!found) throw DataError(fmt::format("checkpoint of iteration {}: array {}: missing, expected it", iteration, name));
+    return *found;
 }
 
 const std::string& Checkpoint::text(const std::string& name) const {
@@ -70,9 +70,8 @@ Surfels StateReader::surfels(const std::string& name) const {
 }
 
 Surfels StateReader::surfels_of(const std::string& name, std::size_t n) const {
-    const Primitive primitive = primitive_of([&](const char* group) {
-        return std::ranges::any_of(checkpoint_.arrays, [&](const NamedArray& a) { return a.name == name + "/" + group; });
-    });
+    const Primitive primitive =
+        primitive_of([&](const char* group) { return find_array(checkpoint_.arrays, name + "/" + group) != nullptr; });
     for (const ParameterGroup& group : groups_of(primitive))   // before anything is allocated
         find(name + "/" + group.name, "f4", group.shape(n));
     Surfels host;

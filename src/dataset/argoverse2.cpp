@@ -210,15 +210,6 @@ std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFi
     return tracks_of(labels);
 }
 
-/// The poses that were asked for.
-PoseTrack chosen_poses(const PoseTrack& own, const std::vector<SweepFile>& sweeps, const fs::path& poses_file) {
-    PoseTrack poses{own.time_s, std::vector<Pose>(own.pose.size())};
-    std::vector<int> numbers;
-    for (const SweepFile& sweep : sweeps) numbers.push_back(sweep.number);
-    if (poses_file != kNoPoses) poses.pose = poses_file.empty() ? own.pose : kitti::read_pose_file(poses_file, numbers);
-    return poses;
-}
-
 }  // namespace
 
 Sequence load_argoverse2(const fs::path& given, const DatasetOptions& options) {
@@ -226,7 +217,6 @@ Sequence load_argoverse2(const fs::path& given, const DatasetOptions& options) {
     const fs::path folder = fs::canonical(given);
     const std::vector<SweepFile> all = list_sweeps(folder / "sensors" / "lidar"), sweeps = in_range(all, options.frames);
     const PoseTrack own = read_way(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
-    const PoseTrack poses = chosen_poses(own, sweeps, options.poses_file);
     Sequence sequence;
     sequence.name = "Argoverse 2 " + folder.filename().string();
     sequence.source = given.string();
@@ -236,13 +226,12 @@ Sequence load_argoverse2(const fs::path& given, const DatasetOptions& options) {
         "city's frame; motion compensation undone; boxes all around";
     sequence.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
-    if (options.poses_file == kNoPoses)
-        sequence.notes.push_back("no poses are read (dataset.poses=none): they have to be found from the scans");
     if (path_exists(folder / "annotations.feather"))
-        sequence.boxes = read_boxes(folder / "annotations.feather", sweeps, poses);
+        sequence.boxes = read_boxes(folder / "annotations.feather", sweeps, own);
     else
         sequence.notes.push_back("no annotations.feather: nothing in this log is labelled");
-    add_sweeps(sequence, sweeps, poses, read_sweeps(sweeps, sequence.lidars, own, options.progress), options.progress);
+    add_sweeps(sequence, sweeps, own, read_sweeps(sweeps, sequence.lidars, own, options.progress), options.progress);
+    kitti::take_given_poses(sequence, options.poses_file);
     recentre(sequence);
     return sequence;
 }

@@ -82,7 +82,7 @@ void place(BoxLabel& label, const glm::dmat4& m, const std::string& where) {
                                     label.size_m.y, label.size_m.z));
     for (int c = 0; c < 3; ++c) axes[c] /= label.size_m[c];
     if (glm::determinant(axes) < 0.0) axes[1] = -axes[1];
-    label.world_from_box = make_pose(axes, glm::dvec3(m[3]), where + ": transform");
+    label.world_from_box = rigid_pose(axes, glm::dvec3(m[3]), where + ": transform");
 }
 
 /// semanticId * 1000 + instanceId, as everywhere in KITTI-360; in drive 0004 the number of the moving thing or of the object.

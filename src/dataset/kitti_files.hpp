@@ -52,14 +52,14 @@ std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive, const std:
 /// world_from_sensor of the given frames: 12 numbers a line, 3x4 row-major, frame i on line i.
 std::vector<Pose> read_pose_file(const std::filesystem::path& file, const std::vector<int>& frames);
 
+/// What a log says of itself with kNoPoses.
+inline constexpr const char* kNoPosesNote = "no poses are read (dataset.poses=none): they have to be found from the scans";
+
 /// Gives a sequence the poses of DatasetOptions::poses_file; its boxes go along. Leaves it as it is where that is empty.
 void take_given_poses(Sequence& sequence, const std::filesystem::path& poses_file);
 
 /// Poses of a file with a frame's number and 12 numbers a line, 3x4 row-major, the frames rising.
 std::map<int, Pose> read_numbered_poses(const std::filesystem::path& file);
-
-/// Rotation and translation as a pose. @throws DataError where the matrix is no rotation within 1e-3
-Pose make_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where);
 
 /// Boxes of tracklet_labels.xml for the given frames, in the world of the poses; none without that file.
 /// @param world_from_sensor one entry for each of `frames`

@@ -66,8 +66,7 @@ Sequence load_kitti_odometry(const fs::path& given, const DatasetOptions& option
     sequence.conventions =
         "sensor x forward, y left, z up; metres; seconds of times.txt; world: the LiDAR of frame 0; scans motion-compensated; no boxes";
     sequence.notes = {"nothing in this log is labelled", "scans are motion-compensated: rays start at the sensor of the reference time"};
-    if (options.poses_file == kNoPoses)
-        sequence.notes.push_back("no poses are read (dataset.poses=none): they have to be found from the scans");
+    if (options.poses_file == kNoPoses) sequence.notes.push_back(kitti::kNoPosesNote);
     sequence.rolling_shutter = false;
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;

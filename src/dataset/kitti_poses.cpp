@@ -67,9 +67,8 @@ Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
     constexpr double kEarthRadius_m = 6378137.0;
     const double lat = v[0] * kPi / 180.0, lon = v[1] * kPi / 180.0;
     if (!scale) scale = std::cos(lat);
-    const glm::dquat rotation =
-        glm::angleAxis(v[5], glm::dvec3(0, 0, 1)) * glm::angleAxis(v[4], glm::dvec3(0, 1, 0)) * glm::angleAxis(v[3], glm::dvec3(1, 0, 0));
-    return {rotation, {*scale * kEarthRadius_m * lon, *scale * kEarthRadius_m * std::log(std::tan(kPi / 4 + lat / 2)), v[2]}};
+    return {rotation_of(v[5], v[4], v[3]),
+            {*scale * kEarthRadius_m * lon, *scale * kEarthRadius_m * std::log(std::tan(kPi / 4 + lat / 2)), v[2]}};
 }
 
 /// Smallest frame number with an OXTS file; the Mercator scale and the origin belong to it, whatever frames are loaded.
@@ -104,21 +103,6 @@ fs::path find_calibration(const fs::path& drive) {
 }
 
 }  // namespace
-
-Pose make_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where) {
-    const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
-    double worst = 0.0;
-    for (int c = 0; c < 3; ++c) {
-        for (int r = 0; r < 3; ++r) worst = std::max(worst, std::abs(excess[c][r]));
-    }
-    if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0) {
-        throw DataError(
-            fmt::format("{}: the 3x3 block is no rotation (R^T R differs from 1 by {:.3g}, determinant {:.3g}), "
-                        "expected orthonormal within 0.001",
-                        where, worst, glm::determinant(rotation)));
-    }
-    return {glm::normalize(glm::quat_cast(rotation)), translation};
-}
 
 Pose read_calibration(const fs::path& file) {
     std::vector<double> r, t;
@@ -175,7 +159,7 @@ void take_given_poses(Sequence& sequence, const fs::path& poses_file) {
     for (const Frame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     if (poses_file != kNoPoses) given.pose = read_pose_file(poses_file, frames);
-    else sequence.notes.push_back("no poses are read (dataset.poses=none): they have to be found from the scans");
+    else sequence.notes.push_back(kNoPosesNote);
     set_vehicle_poses(sequence, std::move(given));
 }
 

@@ -33,7 +33,7 @@ std::vector<std::string> take_notes(const fs::path& drive, const std::vector<int
     const std::string gaps = note_gaps(drive / "velodyne_points/data", frames, options.allow_missing_scans);
     if (!gaps.empty()) notes.push_back(gaps);
     if (!path_exists(drive / "tracklet_labels.xml")) notes.push_back("no tracklet_labels.xml: nothing in this drive is labelled");
-    if (options.poses_file == kNoPoses) notes.push_back("no poses are read (dataset.poses=none): they have to be found from the scans");
+    if (options.poses_file == kNoPoses) notes.push_back(kNoPosesNote);
     return notes;
 }
 

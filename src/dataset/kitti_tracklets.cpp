@@ -30,8 +30,7 @@ double number_of(const pugi::xml_node& node, const char* field, const std::strin
 /// Box in the sensor frame of its frame.
 Pose sensor_from_box(const pugi::xml_node& item, double height_m, const std::string& where) {
     const auto get = [&](const char* field) { return number_of(item, field, where); };
-    const glm::dquat rotation = glm::angleAxis(get("rz"), glm::dvec3(0, 0, 1)) * glm::angleAxis(get("ry"), glm::dvec3(0, 1, 0)) *
-                                glm::angleAxis(get("rx"), glm::dvec3(1, 0, 0));
+    const glm::dquat rotation = rotation_of(get("rz"), get("ry"), get("rx"));
     return {rotation, glm::dvec3(get("tx"), get("ty"), get("tz")) + rotation * glm::dvec3(0, 0, 0.5 * height_m)};
 }
 

@@ -160,11 +160,6 @@ Sequence load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
     const SceneName chosen = choose_scene(list_scenes_of(folder), options.sequence);
     const SceneTables scene = read_scene(chosen.tables, chosen.name);
     const Frames frames = frames_in(scene, folder, options.frames);
-    std::vector<Pose> poses = frames.own.pose;
-    if (options.poses_file == kNoPoses)
-        poses.assign(poses.size(), Pose{});
-    else if (!options.poses_file.empty())
-        poses = kitti::read_pose_file(options.poses_file, frames.numbers);
     Sequence sequence;
     sequence.name = "nuScenes " + chosen.name;
     sequence.source = folder.string();
@@ -177,15 +172,10 @@ Sequence load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
     sequence.lidars[0] = {"", hdl32e(), scene.ego_from_lidar * theirs_from_ours};
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     if (scene.labels.empty()) sequence.notes.push_back("no annotations of this scene: nothing in it is labelled");
-    if (options.poses_file == kNoPoses)
-        sequence.notes.push_back("no poses are read (dataset.poses=none): they have to be found from the scans");
-    for (std::size_t i = 0; i < poses.size(); ++i) add_frame(sequence, frames.numbers[i], frames.own.time_s[i], poses[i]);
+    for (std::size_t i = 0; i < frames.numbers.size(); ++i)
+        add_frame(sequence, frames.numbers[i], frames.own.time_s[i], frames.own.pose[i]);
     sequence.boxes = boxes_at(scene.labels, frames.own.time_s);
-    if (!options.poses_file.empty()) {  // they were labelled in the world of the dataset's own poses
-        const PoseTrack given = sequence.world_from_vehicle;
-        sequence.world_from_vehicle.pose = frames.own.pose;
-        set_vehicle_poses(sequence, given);
-    }
+    kitti::take_given_poses(sequence, options.poses_file);
     recentre(sequence);
     read_sweeps(sequence, frames, options.progress);
     return sequence;

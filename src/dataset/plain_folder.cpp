@@ -9,6 +9,7 @@
 
 #include "core/files.hpp"
 #include "dataset/folder_head.hpp"
+#include "dataset/kitti_files.hpp"
 
 namespace relidar {
 namespace {
@@ -50,8 +51,8 @@ void replace_poses(Sequence& sequence, const std::vector<HeadFrame>& frames, con
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
     if (file == kNoPoses) {
         track.pose.resize(track.time_s.size());
-        const std::string note = "no poses are read (dataset.poses=none): they have to be found from the scans";
-        if (std::find(sequence.notes.begin(), sequence.notes.end(), note) == sequence.notes.end()) sequence.notes.push_back(note);
+        const auto& notes = sequence.notes;   // a converted log may have it
+        if (std::find(notes.begin(), notes.end(), kitti::kNoPosesNote) == notes.end()) sequence.notes.push_back(kitti::kNoPosesNote);
     } else {
         const std::optional<std::vector<Pose>> poses = folder::read_poses(file, frames);
         if (!poses) throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)", file.string()));

@@ -29,10 +29,7 @@ public:
     }
     std::size_t rows = 0, columns = 0;
 
-    const NamedArray* find(const std::string& name) const {
-        const auto found = std::find_if(arrays_.begin(), arrays_.end(), [&](const NamedArray& a) { return a.name == name; });
-        return found == arrays_.end() ? nullptr : &*found;
-    }
+    const NamedArray* find(const std::string& name) const { return find_array(arrays_, name); }
     const NamedArray& at(const std::string& name) const {
         if (const NamedArray* array = find(name)) return *array;
         throw DataError(fmt::format("{}: no array '{}', expected it", where_, name));

@@ -194,9 +194,7 @@ Pose sensor_pose(const SyntheticOptions& options, double t_s) {
     const double x = options.speed_mps * (t_s - middle_time_s(options));
     const double yaw = std::atan(kSwing_m * kWave * std::cos(kWave * x)) + 0.01 * std::sin(0.31 * x);
     const double pitch = 0.004 * std::sin(0.43 * x), roll = 0.004 * std::sin(0.23 * x + 1.0);
-    const glm::dquat rotation =
-        glm::angleAxis(yaw, glm::dvec3(0, 0, 1)) * glm::angleAxis(pitch, glm::dvec3(0, 1, 0)) * glm::angleAxis(roll, glm::dvec3(1, 0, 0));
-    return {rotation, {x, kSwing_m * std::sin(kWave * x), kHeight_m}};
+    return {rotation_of(yaw, pitch, roll), {x, kSwing_m * std::sin(kWave * x), kHeight_m}};
 }
 
 }  // namespace relidar::street

@@ -85,9 +85,7 @@ Pose pixel_pose(const Image& poses, std::size_t pixel, const std::string& where)
     const float* v = poses.pixel(pixel);
     if (!std::all_of(v, v + 6, [](float x) { return std::abs(x) <= 1e8f; }))
         throw DataError(fmt::format("{}: pose of pixel {} is ({}), expected finite numbers", where, pixel, fmt::join(v, v + 6, ", ")));
-    const glm::dquat rotation = glm::angleAxis(double(v[2]), glm::dvec3(0, 0, 1)) * glm::angleAxis(double(v[1]), glm::dvec3(0, 1, 0)) *
-                                glm::angleAxis(double(v[0]), glm::dvec3(1, 0, 0));
-    return {rotation, {v[3], v[4], v[5]}};
+    return {rotation_of(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
 }
 
 constexpr int kImageChannels = 4, kPoseChannels = 6;  // range, intensity, elongation, no-label zone; roll, pitch, yaw, x, y, z

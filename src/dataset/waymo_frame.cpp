@@ -11,8 +11,8 @@
 #include <protozero/pbf_reader.hpp>
 
 #include <relidar/error.hpp>
+#include <relidar/reader.hpp>
 #include "core/files.hpp"
-#include "dataset/kitti_files.hpp"
 
 namespace relidar::waymo {
 namespace {
@@ -68,7 +68,7 @@ Pose parse_transform(pbf_reader from, const std::string& where) {
     }
     if (m.size() != 16) throw DataError(fmt::format("{}: a transform of {} numbers, expected 16", where, m.size()));
     for (const double value : m) checked(value, "a number of the transform", where);
-    return kitti::make_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]}, where);
+    return rigid_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]}, where);
 }
 
 Calibration parse_calibration(pbf_reader from, const std::string& where) {

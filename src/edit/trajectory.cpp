@@ -45,8 +45,8 @@ std::vector<double> read_row(const std::vector<std::string>& cells, const std::s
 }
 
 Pose pose_of(const std::vector<double>& row) {
-    const auto turn = [&](std::size_t column, const glm::dvec3& axis) { return glm::angleAxis(row[column] * kPi / 180.0, axis); };
-    return {turn(4, {0, 0, 1}) * turn(5, {0, 1, 0}) * turn(6, {1, 0, 0}), {row[1], row[2], row[3]}};
+    const double radians = kPi / 180.0;
+    return {rotation_of(row[4] * radians, row[5] * radians, row[6] * radians), {row[1], row[2], row[3]}};
 }
 
 }  // namespace

@@ -13,10 +13,10 @@ namespace relidar {
 LpipsWeights read_lpips_weights(const std::filesystem::path& path) {
     const std::vector<NamedArray> arrays = read_safetensors(path);
     const auto values = [&](const std::string& name) {
-        const auto it = std::find_if(arrays.begin(), arrays.end(), [&](const NamedArray& a) { return a.name == name; });
-        if (it == arrays.end())
+        const NamedArray* array = find_array(arrays, name);
+        if (!array)
             throw DataError(fmt::format("{}: array {}: missing, expected it among the weights of LPIPS", path.string(), name));
-        return it->as_float();
+        return array->as_float();
     };
     LpipsWeights weights;
     for (std::size_t l = 0; l < weights.weight.size(); ++l) {

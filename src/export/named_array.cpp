@@ -122,6 +122,11 @@ std::size_t NamedArray::count() const {
     return *n;
 }
 
+const NamedArray* find_array(const std::vector<NamedArray>& arrays, std::string_view name) {
+    const auto found = std::ranges::find(arrays, name, &NamedArray::name);
+    return found == arrays.end() ? nullptr : &*found;
+}
+
 std::vector<float> NamedArray::as_float() const { return values_of<float>(*this); }
 std::vector<double> NamedArray::as_double() const { return values_of<double>(*this); }
 

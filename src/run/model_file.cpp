@@ -33,10 +33,10 @@ void check_finite(const ParameterGroup& group, const Surfels& surfels, const std
     throw DataError(fmt::format("{}: array {}: row {} holds {}, expected finite numbers", file, group.name, row, *bad));
 }
 
-const NamedArray& find_array(const std::vector<NamedArray>& arrays, std::string_view name, const std::string& file) {
-    const auto it = std::find_if(arrays.begin(), arrays.end(), [&](const NamedArray& a) { return a.name == name; });
-    if (it == arrays.end()) throw DataError(fmt::format("{}: array {}: missing, expected it", file, name));
-    return *it;
+const NamedArray& array_of(const std::vector<NamedArray>& arrays, std::string_view name, const std::string& file) {
+    const NamedArray* found = find_array(arrays, name);
+    if (!found) throw DataError(fmt::format("{}: array {}: missing, expected it", file, name));
+    return *found;
 }
 
 void read_group(const ParameterGroup& group, const NamedArray& array, Surfels& surfels, const std::string& file) {
@@ -147,22 +147,19 @@ Scene load_model(const std::filesystem::path& path) {
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
     check_metadata(metadata, file);
-    const NamedArray& mean = find_array(arrays, "mean", file);
+    const NamedArray& mean = array_of(arrays, "mean", file);
     if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
         throw DataError(fmt::format("{}: array mean: found shape [{}], expected [n, 3]", file, fmt::join(mean.shape, ", ")));
-    const auto has_array = [&](const char* name) {
-        return std::ranges::any_of(arrays, [&](const NamedArray& a) { return a.name == name; });
-    };
-    const Primitive primitive = primitive_of(has_array);
+    const Primitive primitive = primitive_of([&](const char* name) { return find_array(arrays, name) != nullptr; });
     for (const ParameterGroup& group : groups_of(primitive)) {   // row counts first: nothing is allocated for a file that lies
-        const NamedArray& array = find_array(arrays, group.name, file);
+        const NamedArray& array = array_of(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])
             throw DataError(fmt::format("{}: array {}: found shape [{}], expected {} rows as in mean", file, group.name,
                                         fmt::join(array.shape, ", "), mean.shape[0]));
     }
     Scene scene;
     scene.surfels.resize(mean.shape[0], primitive);
-    for (const ParameterGroup& group : groups_of(primitive)) read_group(group, find_array(arrays, group.name, file), scene.surfels, file);
+    for (const ParameterGroup& group : groups_of(primitive)) read_group(group, array_of(arrays, group.name, file), scene.surfels, file);
     read_layout_json(metadata.at("layout"), file + ": metadata layout", scene);
     read_sensor_drop(arrays, scene, file);
     return scene;

@@ -11,6 +11,7 @@
 
 #include <relidar/error.hpp>
 #include <relidar/math.hpp>
+#include "core/csv.hpp"
 #include "core/files.hpp"
 
 namespace relidar {
@@ -34,38 +35,9 @@ const std::array<FieldRule, kFieldCount> kFields{{{"elevation_deg", -90.0, 90.0,
                                                   {"max_range_m", 0.0, kFarthest_m, SpinningSensor{}.max_range_m},
                                                   {"channel", 0.0, 65535.0, 0.0}}};
 
-using Columns = std::array<int, kFieldCount>;     ///< of each field, -1 where it is missing
 using Values = std::array<double, kFieldCount>;
 
-std::vector<std::string_view> split_commas(std::string_view line) {
-    std::vector<std::string_view> cells;
-    for (std::size_t begin = 0; begin <= line.size();) {
-        const std::size_t end = std::min(line.find(',', begin), line.size());
-        cells.push_back(trimmed(line.substr(begin, end - begin)));
-        begin = end + 1;
-    }
-    return cells;
-}
-
-/// Where the header has each field. @throws DataError for a column that is not known, or there twice
-Columns find_fields(const std::vector<std::string_view>& header, const std::string& where) {
-    std::vector<std::string> known;
-    for (const FieldRule& field : kFields) known.emplace_back(field.name);
-    Columns at;
-    at.fill(-1);
-    for (std::size_t c = 0; c < header.size(); ++c) {
-        const auto f = static_cast<std::size_t>(std::find(known.begin(), known.end(), header[c]) - known.begin());
-        if (f == known.size()) {
-            throw DataError(fmt::format("{}: column '{}' is not known, did you mean '{}'? (known: {})", where, header[c],
-                                        nearest_name(header[c], known), fmt::join(known, ", ")));
-        }
-        if (at[f] >= 0) throw DataError(fmt::format("{}: column '{}' is there twice, expected once", where, header[c]));
-        at[f] = static_cast<int>(c);
-    }
-    return at;
-}
-
-Values parse_line(const std::vector<std::string_view>& cells, const Columns& at, const std::string& where) {
+Values parse_line(const std::vector<std::string_view>& cells, const std::vector<int>& at, const std::string& where) {
     Values value{};
     for (std::size_t f = 0; f < kFields.size(); ++f) {
         const FieldRule& rule = kFields[f];
@@ -111,8 +83,10 @@ SpinningSensor parse_beam_table(const std::string& text, const std::string& wher
     const std::vector<std::string> lines = split_lines(text);
     const auto first = static_cast<std::size_t>(
         std::find_if(lines.begin(), lines.end(), [](const std::string& line) { return !line.starts_with('#'); }) - lines.begin());
-    const std::vector<std::string_view> header = first == lines.size() ? std::vector<std::string_view>{} : split_commas(lines[first]);
-    const Columns at = find_fields(header, fmt::format("{} line {}", where, first + 1));
+    const std::vector<std::string_view> header = first == lines.size() ? std::vector<std::string_view>{} : csv_cells(lines[first]);
+    std::vector<std::string> known;
+    for (const FieldRule& field : kFields) known.emplace_back(field.name);
+    const std::vector<int> at = find_columns(header, known, fmt::format("{} line {}", where, first + 1));
     if (at[kElevation] < 0)
         throw DataError(fmt::format("{}: no column 'elevation_deg' in the first line, expected a CSV beam table", where));
 
@@ -123,7 +97,7 @@ SpinningSensor parse_beam_table(const std::string& text, const std::string& wher
     for (std::size_t l = first + 1; l < lines.size(); ++l) {
         if (trimmed(lines[l]).empty() || lines[l].starts_with('#')) continue;
         const std::string line = fmt::format("{} line {}", where, l + 1);
-        const auto cells = split_commas(lines[l]);
+        const auto cells = csv_cells(lines[l]);
         if (cells.size() != header.size()) {
             throw DataError(fmt::format("{}: {} values, expected {} as in the header", line, cells.size(), header.size()));
         }

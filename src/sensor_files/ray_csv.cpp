@@ -8,6 +8,7 @@
 
 #include <relidar/error.hpp>
 #include <relidar/math.hpp>
+#include "core/csv.hpp"
 #include "core/files.hpp"
 #include "sensor_files/ray_table.hpp"
 
@@ -15,43 +16,15 @@ namespace relidar::sensor_files {
 namespace {
 
 enum Field { kAzimuth, kElevation, kOriginX, kOriginY, kOriginZ, kTime, kChannel, kDivergence, kMinRange, kMaxRange, kFieldCount };
-constexpr std::array<const char*, kFieldCount> kNames{"azimuth_deg", "elevation_deg", "origin_x_m", "origin_y_m", "origin_z_m", "time_s",
-                                                      "channel", "divergence_mrad", "min_range_m", "max_range_m"};
+const std::vector<std::string> kNames{"azimuth_deg", "elevation_deg", "origin_x_m", "origin_y_m", "origin_z_m", "time_s",
+                                      "channel", "divergence_mrad", "min_range_m", "max_range_m"};
 constexpr std::array<Field, 3> kOfSensor{kDivergence, kMinRange, kMaxRange};   // the same in every line
 
 using Values = std::array<double, kFieldCount>;
 
-std::vector<std::string_view> cells_of(std::string_view line) {
-    std::vector<std::string_view> cells;
-    for (std::size_t begin = 0; begin <= line.size();) {
-        const std::size_t end = std::min(line.find(',', begin), line.size());
-        cells.push_back(trimmed(line.substr(begin, end - begin)));
-        begin = end + 1;
-    }
-    return cells;
-}
-
-std::array<int, kFieldCount> find_fields(const std::vector<std::string_view>& header, const std::string& where) {
-    const std::vector<std::string> known(kNames.begin(), kNames.end());
-    std::array<int, kFieldCount> at;
-    at.fill(-1);
-    for (std::size_t c = 0; c < header.size(); ++c) {
-        const auto f = static_cast<std::size_t>(std::find(known.begin(), known.end(), header[c]) - known.begin());
-        if (f == known.size()) {
-            throw DataError(fmt::format("{} line 1: column '{}' is not known, did you mean '{}'? (known: {})", where, excerpt(header[c]),
-                                        nearest_name(header[c], known), fmt::join(known, ", ")));
-        }
-        if (at[f] >= 0) throw DataError(fmt::format("{} line 1: column '{}' is there twice, expected once", where, header[c]));
-        at[f] = static_cast<int>(c);
-    }
-    if (at[kAzimuth] < 0 || at[kElevation] < 0)
-        throw DataError(fmt::format("{} line 1: found no azimuth_deg or no elevation_deg, expected both in a ray table", where));
-    return at;
-}
-
 /// Values of a line; limits that are not given are those of RayColumns.
-Values parse_line(const std::string& line, const std::array<int, kFieldCount>& at, std::size_t n_cells, const std::string& where) {
-    const std::vector<std::string_view> cells = cells_of(line);
+Values parse_line(const std::string& line, const std::vector<int>& at, std::size_t n_cells, const std::string& where) {
+    const std::vector<std::string_view> cells = csv_cells(line);
     if (cells.size() != n_cells) throw DataError(fmt::format("{}: {} values, expected {} as in the header", where, cells.size(), n_cells));
     Values value{};
     value[kMaxRange] = RayColumns{}.limits.max_m;
@@ -78,8 +51,10 @@ void add_ray(RayColumns& rays, const Values& v) {
 
 SensorModel parse_ray_csv(const std::string& text, const std::string& name, const std::string& where) {
     const std::vector<std::string> lines = split_lines(text);
-    const std::vector<std::string_view> header = lines.empty() ? std::vector<std::string_view>{} : cells_of(lines[0]);
-    const std::array<int, kFieldCount> at = find_fields(header, where);
+    const std::vector<std::string_view> header = lines.empty() ? std::vector<std::string_view>{} : csv_cells(lines[0]);
+    const std::vector<int> at = find_columns(header, kNames, where + " line 1");
+    if (at[kAzimuth] < 0 || at[kElevation] < 0)
+        throw DataError(fmt::format("{} line 1: found no azimuth_deg or no elevation_deg, expected both in a ray table", where));
     RayColumns rays;
     Values first{};
     for (std::size_t l = 1; l < lines.size(); ++l) {

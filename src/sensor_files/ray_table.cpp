@@ -78,21 +78,17 @@ SensorModel ray_sensor(const RayColumns& c, const std::string& name, const std::
 
 SensorModel read_ray_npz(const std::string& path, const std::string& name) {
     const std::vector<NamedArray> arrays = read_npz(path);
-    const auto find = [&](const std::string& wanted) {
-        return std::find_if(arrays.begin(), arrays.end(), [&](const NamedArray& array) { return array.name == wanted; });
-    };
     const auto values = [&](const std::string& wanted) {
-        const auto array = find(wanted);
-        const std::vector<float> floats = array == arrays.end() ? std::vector<float>{} : array->as_float();
-        return std::vector<double>(floats.begin(), floats.end());
+        const NamedArray* array = find_array(arrays, wanted);
+        return array ? array->as_double() : std::vector<double>{};
     };
     const auto number = [&](const std::string& wanted, double missing) {
         const std::vector<double> found = values(wanted);
         if (found.size() > 1) throw DataError(fmt::format("{}: {} has {} numbers, expected one", path, wanted, found.size()));
         return found.empty() ? missing : found[0];
     };
-    const auto directions = find("directions");
-    if (directions == arrays.end()) throw DataError(fmt::format("{}: found no array \"directions\", expected rays of a sensor", path));
+    const NamedArray* directions = find_array(arrays, "directions");
+    if (!directions) throw DataError(fmt::format("{}: found no array \"directions\", expected rays of a sensor", path));
     const std::vector<std::size_t>& shape = directions->shape;
     if ((shape.size() != 2 && shape.size() != 3) || shape.back() != 3 || shape[0] > kMaxRays || shape[1] > kMaxRays) {
         throw DataError(fmt::format("{}: directions has shape [{}], expected [n,3] or [rows,columns,3]", path, fmt::join(shape, ",")));

@@ -42,9 +42,7 @@ std::string text_of(const Json& sensor, const char* key, const std::string& wher
 
 Pose mounting(const Json& sensor, const std::string& where) {
     const glm::dvec3 angle = vector_of(sensor, "yaw_pitch_roll_deg", 360.0, where) * (kPi / 180.0);
-    const glm::dquat turned = glm::angleAxis(angle.x, glm::dvec3(0, 0, 1)) * glm::angleAxis(angle.y, glm::dvec3(0, 1, 0)) *
-                              glm::angleAxis(angle.z, glm::dvec3(1, 0, 0));
-    return {turned, vector_of(sensor, "translation_m", kFarthest_m, where)};
+    return {rotation_of(angle.x, angle.y, angle.z), vector_of(sensor, "translation_m", kFarthest_m, where)};
 }
 
 /// A sensor's file as the rig's folder has it; a name, or a path from elsewhere, as it is.

@@ -82,8 +82,8 @@ void add_poses(py::module_& module) {
     module.def(
         "pose",
         [](double x, double y, double z, double yaw_deg, double pitch_deg, double roll_deg) {
-            const auto turn = [](double degrees, const glm::dvec3& axis) { return glm::angleAxis(degrees * kPi / 180.0, axis); };
-            return to_matrix_array({turn(yaw_deg, {0, 0, 1}) * turn(pitch_deg, {0, 1, 0}) * turn(roll_deg, {1, 0, 0}), {x, y, z}});
+            const double radians = kPi / 180.0;
+            return to_matrix_array({rotation_of(yaw_deg * radians, pitch_deg * radians, roll_deg * radians), {x, y, z}});
         },
         py::arg("x"), py::arg("y"), py::arg("z"), py::arg("yaw_deg") = 0.0, py::arg("pitch_deg") = 0.0, py::arg("roll_deg") = 0.0,
         "A pose a_from_b as [4,4] float64: b's origin at x, y, z of a, metres, turned by Rz(yaw) Ry(pitch) Rx(roll).");
