@@ -19,6 +19,9 @@
     X(KEY_WORDS, 11u)          /* 32-bit words of a sort key */                                                              \
     X(UNTIL_DONE, 12u)         /* 1: a single workgroup goes on until nothing is left */                                     \
     X(STAGED, 13u)             /* 1: threads of a workgroup move harmonics together, through shared memory */                \
-    X(PER_FLOAT, 14u)          /* 1: one thread a float; 0: a row */
+    X(PER_FLOAT, 14u)          /* 1: one thread a float; 0: a row */                                                         \
+    X(TAPS, 15u)               /* weights of a convolution for two channels: 1 or 9 */                                       \
+    X(PIXELS, 16u)             /* pixels of a thread */                                                                      \
+    X(LANES, 17u)              /* of a subgroup */
 
 #endif

@@ -3,6 +3,10 @@
 // the presets dev, ci and sanitize turn them on (RELIDAR_ASSERTS). What a caller or a file can get wrong is an Error instead.
 #pragma once
 
+/// RELIDAR_ASSERT_LE(a, b): a <= b, both printed where not. RELIDAR_ASSERT_EQ(a, b): a == b.
+#define RELIDAR_ASSERT_LE(a, b) RELIDAR_ASSERT_THAT(a, <=, b)
+#define RELIDAR_ASSERT_EQ(a, b) RELIDAR_ASSERT_THAT(a, ==, b)
+
 #ifdef RELIDAR_ASSERTS
 
 #include <cstdio>
@@ -10,19 +14,18 @@
 
 #include <fmt/format.h>
 
-/// RELIDAR_ASSERT_LE(a, b): a <= b, both printed where not.
-#define RELIDAR_ASSERT_LE(a, b)                                                                                                       \
-    do {                                                                                                                              \
-        const auto relidar_a = (a);                                                                                                   \
-        const auto relidar_b = (b);                                                                                                   \
-        if (!(relidar_a <= relidar_b)) {                                                                                              \
-            std::fputs(                                                                                                               \
-                fmt::format("{}:{}: expected {} <= {}, found {} and {}\n", __FILE__, __LINE__, #a, #b, relidar_a, relidar_b).c_str(), \
-                stderr);                                                                                                              \
-            std::abort();                                                                                                             \
-        }                                                                                                                             \
+#define RELIDAR_ASSERT_THAT(a, is, b)                                                                                                     \
+    do {                                                                                                                                  \
+        const auto relidar_a = (a);                                                                                                       \
+        const auto relidar_b = (b);                                                                                                       \
+        if (!(relidar_a is relidar_b)) {                                                                                                  \
+            std::fputs(                                                                                                                   \
+                fmt::format("{}:{}: expected {} " #is " {}, found {} and {}\n", __FILE__, __LINE__, #a, #b, relidar_a, relidar_b).c_str(), \
+                stderr);                                                                                                                  \
+            std::abort();                                                                                                                 \
+        }                                                                                                                                 \
     } while (false)
 
 #else
-#define RELIDAR_ASSERT_LE(a, b) static_cast<void>(0)
+#define RELIDAR_ASSERT_THAT(a, is, b) static_cast<void>(0)
 #endif

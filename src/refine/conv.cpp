@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of refine/conv, refine/conv_weights and refine/sum_parts.
+#include "refine/conv.hpp"
+
+#include <algorithm>
+
+#include "core/assert.hpp"
+
+namespace relidar::refine {
+namespace {
+
+constexpr std::uint32_t kThreads = 64;           // of a workgroup
+constexpr std::uint32_t kLinesOfPart = 8;        // rows of an image that a subgroup of refine/conv_weights sums
+constexpr std::size_t kMostPartial = 1 << 24;    // floats
+
+std::uint32_t tiles(std::uint32_t n, std::uint32_t size) { return (n + size - 1) / size; }
+std::uint32_t inputs_of_subgroup(std::uint32_t taps) { return taps == 1 ? RELIDAR_CONV_IN : 1; }
+
+std::uint32_t parts_of(const Grid& grid, std::size_t n_weights) {
+    const std::uint32_t lines = grid.n * grid.rows;
+    const std::size_t most = std::max<std::size_t>(1, kMostPartial / n_weights);
+    return std::uint32_t(std::clamp<std::size_t>(tiles(lines, kLinesOfPart), 1, most));
+}
+
+}  // namespace
+
+Conv::Conv(Device& device, std::uint32_t taps)
+    : taps_(taps),
+      pixels_(coalesces(device) ? 8 : 4),
+      lanes_(std::uint32_t(device.info().subgroup_size)),
+      conv_(device, "refine/conv",
+            {{ConstantId::TAPS, taps},
+             {ConstantId::PIXELS, pixels_},
+             {ConstantId::LANES, lanes_},
+             {ConstantId::STAGED, coalesces(device) ? 1u : 0u},
+             {ConstantId::WORKGROUP_SIZE, kThreads}},
+            Subgroups::full),
+      conv_weights_(device, "refine/conv_weights",
+                    {{ConstantId::TAPS, taps}, {ConstantId::LANES, lanes_}, {ConstantId::WORKGROUP_SIZE, kThreads}}, Subgroups::full),
+      sum_parts_(device, "refine/sum_parts") {
+    RELIDAR_ASSERT_EQ(taps == 1 || taps == 9, true);
+}
+
+void Conv::run_conv(Stream& stream, shared::ConvParams params) const {
+    const std::uint32_t segments = params.n_images * params.rows * tiles(params.columns, lanes_ * pixels_);
+    run(stream, conv_, std::size_t(tiles(segments, kThreads / lanes_)) * tiles(params.n_out, RELIDAR_CONV_OUT) * kThreads, params);
+}
+
+void Conv::forward(Stream& stream, const Slice& from, Address<float> weights, Address<float> bias, const Slice& to) {
+    RELIDAR_ASSERT_EQ(from.grid.all_pixels(), to.grid.all_pixels());
+    run_conv(stream, {.from = from.view, .to = to.view, .weights = weights, .bias = bias, .n_images = from.grid.n,
+                      .rows = from.grid.rows, .columns = from.grid.columns, .n_in = from.channels, .n_out = to.channels,
+                      .transposed = 0, .accumulate = 0});
+}
+
+void Conv::input_vjp(Stream& stream, const Slice& d_to, Address<float> weights, const Slice& d_from, bool accumulate) {
+    RELIDAR_ASSERT_EQ(d_from.grid.all_pixels(), d_to.grid.all_pixels());
+    run_conv(stream, {.from = d_to.view, .to = d_from.view, .weights = weights, .bias = {}, .n_images = d_to.grid.n,
+                      .rows = d_to.grid.rows, .columns = d_to.grid.columns, .n_in = d_to.channels, .n_out = d_from.channels,
+                      .transposed = 1, .accumulate = accumulate ? 1u : 0u});
+}
+
+std::size_t Conv::partial_floats(const Grid& grid, std::uint32_t n_in, std::uint32_t n_out) const {
+    const std::size_t n = std::size_t(n_in) * n_out * taps_;
+    return parts_of(grid, n) * n;
+}
+
+void Conv::weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Address<float> d_weights) {
+    RELIDAR_ASSERT_EQ(from.grid.all_pixels(), d_to.grid.all_pixels());
+    const std::uint32_t n = from.channels * d_to.channels * taps_, n_parts = parts_of(from.grid, n);
+    RELIDAR_ASSERT_LE(std::size_t(n_parts) * n, partial_.size());
+    const std::uint32_t subgroups = n_parts * tiles(from.channels, inputs_of_subgroup(taps_)) * tiles(d_to.channels, RELIDAR_CONV_OUT);
+    run(stream, conv_weights_, std::size_t(tiles(subgroups, kThreads / lanes_)) * kThreads,
+        {.from = from.view, .d_to = d_to.view, .partial = partial_.address(), .n_images = from.grid.n, .rows = from.grid.rows,
+         .columns = from.grid.columns, .n_in = from.channels, .n_out = d_to.channels, .n_parts = n_parts});
+    run(stream, sum_parts_, n, {.partial = partial_.address(), .sum = d_weights, .n_parts = n_parts, .n = n});
+}
+
+}  // namespace relidar::refine

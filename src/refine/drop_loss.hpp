@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a network's logits are worth: drop probabilities, their cross-entropy and its derivative.
+#pragma once
+
+#include "gpu/stream.hpp"
+#include "refine/tensor.hpp"
+
+namespace relidar::refine {
+
+/// Mean over the known pixels of a batch.
+struct DropScore {
+    double entropy = 0.0;    ///< of what happened
+    double accuracy = 0.0;   ///< share of pixels of which the likelier answer is right
+};
+
+class DropLoss {
+public:
+    DropLoss(Device& device, std::size_t n_pixels);
+
+    /// Records it for n pixels. @param start  added to the logits @param target 1 dropped, 0 returned, negative not known; nowhere: none is
+    /// known @param d_logit @param probability  outputs, or nowhere @param known  pixels, over which the derivative's mean is taken
+    void run(Stream& stream, std::size_t n, Address<float> logit, Address<float> start, Address<float> target, Address<float> d_logit,
+             Address<float> probability, std::size_t known);
+    /// Of the last run that is done. @param known  pixels
+    DropScore score(std::size_t known) const;
+
+private:
+    std::uint32_t lanes_, n_parts_;
+    Kernel<shared::DropLossParams> kernel_;
+    Array<float> partial_;
+};
+
+}  // namespace relidar::refine

@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of refine/channel_sums, refine/norm_finish, refine/norm, refine/norm_vjp.
+#include "refine/norm.hpp"
+
+#include <algorithm>
+
+#include "core/assert.hpp"
+
+namespace relidar::refine {
+namespace {
+
+constexpr std::uint32_t kThreads = 64;   // of a workgroup
+constexpr float kMomentum = 0.1f, kEpsilon = 1e-5f;
+
+std::uint32_t parts_of(const Grid& grid) { return std::uint32_t(std::clamp<std::size_t>(grid.all_pixels() / 4096, 1, 64)); }
+
+std::vector<Constant> in_subgroups(std::uint32_t lanes) { return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kThreads}}; }
+
+}  // namespace
+
+Norm::Norm(Device& device)
+    : lanes_(std::uint32_t(device.info().subgroup_size)),
+      sums_(device, "refine/channel_sums", in_subgroups(lanes_), Subgroups::full),
+      finish_(device, "refine/norm_finish"),
+      norm_(device, "refine/norm"),
+      norm_vjp_(device, "refine/norm_vjp"),
+      sum_parts_(device, "refine/sum_parts") {}
+
+void Norm::reserve(Device& device, std::uint32_t channels, const Grid& grid) {
+    partial_.reserve(device, 2 * std::size_t(channels) * parts_of(grid), "partial sums of channels");
+}
+
+void Norm::run_sums(Stream& stream, shared::ChannelSumsParams params) const {
+    RELIDAR_ASSERT_LE(2 * std::size_t(params.n_channels) * params.n_parts, partial_.size());
+    const std::uint32_t of_workgroup = kThreads / lanes_, jobs = params.n_channels * params.n_parts;
+    run(stream, sums_, std::size_t((jobs + of_workgroup - 1) / of_workgroup) * kThreads, params);
+}
+
+void Norm::finish(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, bool training) const {
+    run(stream, finish_, from.channels,
+        {.partial = partial_.address(), .beta_gamma = weights.beta_gamma, .running = weights.running, .moments = state.moments.address(),
+         .scale_shift = state.scale_shift.address(), .n_channels = from.channels, .n_parts = parts_of(from.grid),
+         .n_all = std::uint32_t(from.grid.all_pixels()), .training = training ? 1u : 0u, .momentum = kMomentum, .epsilon = kEpsilon});
+}
+
+void Norm::apply(Stream& stream, const Slice& from, const NormState& state, const Slice& to, bool training) const {
+    RELIDAR_ASSERT_EQ(from.channels * from.grid.all_pixels(), to.channels * to.grid.all_pixels());
+    run(stream, norm_, from.channels * from.grid.all_pixels(),
+        {.from = from.view, .to = to.view, .scale_shift = state.scale_shift.address(), .n_images = from.grid.n,
+         .n_pixels = std::uint32_t(from.grid.pixels()), .n_channels = from.channels, .dropout_key = state.dropout_key,
+         .dropout = training ? state.dropout : 0.0f});
+}
+
+void Norm::forward(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, const Slice& to) {
+    run_sums(stream, {.from = from.view, .d_to = from.view, .partial = partial_.address(), .scale_shift = {}, .moments = {},
+                      .kind = shared::kSums_moments, .n_images = from.grid.n, .n_pixels = std::uint32_t(from.grid.pixels()),
+                      .n_channels = from.channels, .n_parts = parts_of(from.grid), .dropout_key = 0, .dropout = 0.0f});
+    finish(stream, from, weights, state, true);
+    apply(stream, from, state, to, true);
+}
+
+void Norm::evaluate(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, const Slice& to) {
+    finish(stream, from, weights, state, false);
+    apply(stream, from, state, to, false);
+}
+
+void Norm::vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to, const Slice& d_from,
+               const Array<float>& d_parameters, std::size_t first) {
+    const auto n_pixels = std::uint32_t(from.grid.pixels()), n_parts = parts_of(from.grid);
+    run_sums(stream, {.from = from.view, .d_to = d_to.view, .partial = partial_.address(), .scale_shift = state.scale_shift.address(),
+                      .moments = state.moments.address(), .kind = shared::kSums_norm_vjp, .n_images = from.grid.n, .n_pixels = n_pixels,
+                      .n_channels = from.channels, .n_parts = n_parts, .dropout_key = state.dropout_key, .dropout = state.dropout});
+    run(stream, sum_parts_, 2 * from.channels,
+        {.partial = partial_.address(), .sum = d_parameters.address(first), .n_parts = n_parts, .n = 2 * from.channels});
+    run(stream, norm_vjp_, from.channels * from.grid.all_pixels(),
+        {.from = from.view, .d_to = d_to.view, .d_from = d_from.view, .d_beta_gamma = d_parameters.address_as<glm::vec2>(first),
+         .scale_shift = state.scale_shift.address(), .moments = state.moments.address(), .n_images = from.grid.n, .n_pixels = n_pixels,
+         .n_channels = from.channels, .dropout_key = state.dropout_key, .dropout = state.dropout});
+}
+
+void Norm::bias_vjp(Stream& stream, const Slice& d_to, Address<float> d_bias) {
+    const std::uint32_t n_parts = parts_of(d_to.grid);
+    run_sums(stream, {.from = d_to.view, .d_to = d_to.view, .partial = partial_.address(), .scale_shift = {}, .moments = {},
+                      .kind = shared::kSums_plain, .n_images = d_to.grid.n, .n_pixels = std::uint32_t(d_to.grid.pixels()),
+                      .n_channels = d_to.channels, .n_parts = n_parts, .dropout_key = 0, .dropout = 0.0f});
+    run(stream, sum_parts_, d_to.channels, {.partial = partial_.address(), .sum = d_bias, .n_parts = n_parts, .n = d_to.channels});
+}
+
+}  // namespace relidar::refine
