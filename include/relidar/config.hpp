@@ -12,6 +12,7 @@
 
 #include <relidar/stages/densify.hpp>
 #include <relidar/stages/loss.hpp>
+#include <relidar/refine.hpp>
 #include <relidar/scene.hpp>
 
 namespace relidar {
@@ -112,6 +113,7 @@ struct Config {
     LossWeights loss;
     TrainConfig train;
     DensifyOptions densify;
+    RefineOptions refine;
     RenderConfig render;
     EvalConfig eval;
     TraceConfig trace;

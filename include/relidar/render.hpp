@@ -11,6 +11,7 @@
 #include <relidar/config.hpp>
 #include <relidar/gpu.hpp>
 #include <relidar/metrics.hpp>
+#include <relidar/refine.hpp>
 #include <relidar/scene.hpp>
 #include <relidar/sequence.hpp>
 
@@ -42,6 +43,13 @@ struct RenderedScan {
 std::vector<float> surface_ranges(const RenderedScan& scan);
 /// [n] Ranges of the points of a scan, by config.render.points: of the dominant surface, where a ray has one, or those of the image.
 std::vector<float> point_ranges(const RenderedScan& scan, const Config& config);
+
+/// What a ray-drop network sees of a scan with image order. @param channels  of the network, see drop_channel_names()
+/// @param first_origin_m [3] dataset's world: where origins count from, see first_origin()
+DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& channels, const glm::dvec3& first_origin_m);
+
+/// Where a log's vehicle was first, in the dataset's world. @return [3] metres
+glm::dvec3 first_origin(const Sequence& sequence);
 
 /// Draws one scan from what a rendering says is likely: a ray returns with probability 1 - drop_prob, independently of the others, its
 /// range off by the noise at its range and angle of incidence (from neighbouring pixels). Afterwards drop_prob is 0 or 1, and image.range_m
@@ -91,10 +99,17 @@ class ScanRenderer {
 public:
     /// @throws UsageError for normals of 3D Gaussians, which have none
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
+    /// Uses the run's ray-drop network where it has one and config.refine.enabled says so.
     ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();
     /// Leaves out every instance that is not shown, from the next scan on. @param shown [instances]
     void show_only(const std::vector<bool>& shown);
+    /// Corrects ray-drop by a network from the next scan on; an empty one: no longer. Scans without image order, or with fewer rows or columns
+    /// than the network needs, stay as they are (refines()).
+    /// @throws DataError where its arrays do not fit its shape
+    void refine_drops(const DropNetwork& network);
+    /// Whether scans of such rays are refined.
+    bool refines(const RayTable& rays) const;
     /// @param sensor_offset  of the simulated sensor in the frame of the log's LiDAR (identity = where the real one was)
     /// @param sample  seed of sample_returns(); not given: the likeliest scan, free of noise
     RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {},

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run folder is self-describing: config.toml, model.safetensors, scene.json (sensor, frames, poses, boxes, split, units,
+// A run folder is self-describing: config.toml, model.safetensors, drop_network.safetensors (where one was trained), scene.json (sensor, frames, poses, boxes, split, units,
 // conventions), log.jsonl, report.html. It renders without the dataset.
 #pragma once
 
@@ -9,6 +9,7 @@
 #include <vector>
 
 #include <relidar/config.hpp>
+#include <relidar/refine.hpp>
 #include <relidar/scene.hpp>
 #include <relidar/sequence.hpp>
 
@@ -28,6 +29,7 @@ struct Run {
     Split split;
     Scene scene;
     std::vector<RunEdit> edits{};   ///< oldest first; empty for a run as it was trained
+    DropNetwork drop_network{};     ///< corrects ray-drop; empty: there is none
     std::string refined_poses{};    ///< which poses training has corrected, as train.refine_poses says it; empty: none, they are the log's
 
     /// The scene with the tracks of its actors, as edits take it and give it back: run.replace(remove_track(run.driving(), "0")).
@@ -38,7 +40,7 @@ struct Run {
     }
 };
 
-/// Writes config.toml, scene.json and model.safetensors, each atomically. The folder is made where missing.
+/// Writes config.toml, scene.json, model.safetensors and drop_network.safetensors, each atomically. The folder is made where missing.
 /// @throws DataError where the folder cannot be made or written
 void save_run(const Run& run);
 
@@ -51,6 +53,10 @@ Run load_run(const std::filesystem::path& folder);
 void save_model(const std::filesystem::path& path, const Scene& scene);
 /// Reads it back. @throws DataError for missing, misshapen or non-finite arrays, naming array and row
 Scene load_model(const std::filesystem::path& path);
+
+/// Saves a ray-drop network as safetensors, and reads it back. @throws DataError naming file and array, for numbers that are not finite too
+void save_drop_network(const std::filesystem::path& path, const DropNetwork& network);
+DropNetwork load_drop_network(const std::filesystem::path& path);
 
 /// Models and instances of a scene as JSON text, and back. @param where name used in messages @throws DataError naming the field
 /// that is missing or does not fit the scene's surfels

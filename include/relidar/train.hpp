@@ -14,6 +14,7 @@
 #include <relidar/gpu.hpp>
 #include <relidar/stages/loss.hpp>
 #include <relidar/progress.hpp>
+#include <relidar/refine.hpp>
 #include <relidar/scene.hpp>
 #include <relidar/sequence.hpp>
 
@@ -95,6 +96,18 @@ Sequence load_log(const Config& config, const Progress& progress = {});
 /// already written stay
 TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config, const ProgressCallback& progress,
                   const TrainSession& session = {});
+
+/// How a ray-drop network is trained.
+struct RefineSession {
+    Progress progress = {};                                ///< of the rendering of the training frames
+    std::function<void(const RefineProgress&)> step = {};  ///< called after each step
+    std::function<bool()> stop = {};                       ///< asked after each frame and step; true ends it
+};
+
+/// Trains config.refine's network on the training frames of a run whose sequence has its scans, rendered once with the sensor's nominal rays;
+/// those of a scan would tell what returned. @return nothing where stopped
+/// @throws DataError where no training frame has an image, or none has a dropped ray
+DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& session = {});
 
 /// Gives a run what training has made of its log: the scene, and the poses where training has corrected them. Both are moved out of the
 /// result.

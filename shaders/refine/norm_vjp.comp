@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Derivative of normalisation, ReLU and dropout by what was normalised, one thread a value:
 //   d_from = scale (g - mean(g) - x^ mean(g x^)),   g = gate * d_to,   x^ = (x - mean) / deviation
-// Input: from, d_to, d_beta_gamma, scale_shift, moments. Output: d_from.
+// Input: from, d_to, d_beta_gamma, scale_shift, moments. Output or accumulated: d_from.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
@@ -18,6 +18,8 @@ void main() {
     float d = params.d_to.values.at[place_in(params.d_to.channels, params.d_to.first, i, params.n_channels, params.n_pixels)];
     float g = d * gate(affine.x * x + affine.y, i, params.dropout_key, params.dropout);
     vec2 mean = params.d_beta_gamma.at[channel] / float(params.n_images * params.n_pixels);
-    params.d_from.values.at[place_in(params.d_from.channels, params.d_from.first, i, params.n_channels, params.n_pixels)] =
-        affine.x * (g - mean.x - (x - moments.x) * moments.y * mean.y);
+    uint to = place_in(params.d_from.channels, params.d_from.first, i, params.n_channels, params.n_pixels);
+    float d_x = affine.x * (g - mean.x - (x - moments.x) * moments.y * mean.y);
+    if (params.accumulate != 0u) d_x += params.d_from.values.at[to];
+    params.d_from.values.at[to] = d_x;
 }

@@ -102,7 +102,7 @@ struct NormParams {
 struct NormVjpParams {
     ImageSlice from;       // input: what was normalised
     ImageSlice d_to;       // input
-    ImageSlice d_from;     // output
+    ImageSlice d_from;     // output, or accumulated
     Vec2s d_beta_gamma;    // input [channels]
     Vec2s scale_shift;     // input [channels]
     Vec2s moments;         // input [channels]
@@ -111,6 +111,7 @@ struct NormVjpParams {
     uint n_channels;
     uint dropout_key;
     float dropout;
+    uint accumulate;       // 1: adds to what is there
 };
 
 struct ResampleParams {

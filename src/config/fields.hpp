@@ -225,6 +225,24 @@ void visit_densify(C& c, Visitor&& f) {
       "at the end of training remove surfels that no training frame gives a gradient");
 }
 
+template <class C, class Visitor>
+void visit_refine(C& c, Visitor&& f) {
+    f("refine.enabled", c.refine.enabled, anything(),
+      "training ends with a network that corrects ray-drop (paper, Eq. 12-13), and rendering uses it where a run has one");
+    f("refine.network", c.refine.network, one_of({"small", "paper", "pixel"}),
+      "U-Net of 8 channels and 3 levels, the paper's of 32 and 4 with attention, or a function of each pixel by itself");
+    f("refine.width", c.refine.width, between(0, 512), "channels of the network at full size; 0: its own");
+    f("refine.levels", c.refine.levels, between(-1, 6), "times that the network halves the image; -1: its own");
+    f("refine.rays", c.refine.rays, one_of({"none", "direction", "origin,direction"}),
+      "what the network is told of the rays; the paper: both");
+    f("refine.epochs", c.refine.epochs, between(1, 100000), "times that the network sees each training frame");
+    f("refine.batch", c.refine.batch, between(1, 1024), "frames a step of the network's training");
+    f("refine.rate", c.refine.rate, above(0), "the network's learning rate at the start; it falls to a hundredth");
+    f("refine.dropout", c.refine.dropout, between(0, 0.9), "share of the values that the network's layers drop in training");
+    f("refine.turn", c.refine.turn, anything(),
+      "what the network sees in training is turned about the sensor by random columns, and the rays it is told stay");
+}
+
 /// Calls f(key, field, accepts, help) for every setting, in the order of the TOML file.
 template <class C, class Visitor>
 void visit(C& c, Visitor&& f) {
@@ -236,6 +254,7 @@ void visit(C& c, Visitor&& f) {
     visit_losses(c, f);
     visit_training(c, f);
     visit_densify(c, f);
+    visit_refine(c, f);
     f("render.range", c.render.range, one_of({"expected", "normalised", "median"}),
       "range of a ray in range images: D (paper), D / W, or where the transmittance crosses 0.5");
     f("render.normals", c.render.normals, anything(),

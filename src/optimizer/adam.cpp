@@ -87,4 +87,45 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
     }
 }
 
+struct ArrayAdam::Impl {
+    AdamOptions options;
+    Array<float> moment1, moment2;
+    Kernel<shared::AdamParams> kernel;
+
+    Impl(Device& device, std::size_t n, const AdamOptions& o)
+        : options(o), moment1(device, n, "first moment"), moment2(device, n, "second moment"), kernel(device, "optimizer/adam", constants(true)) {}
+};
+
+ArrayAdam::ArrayAdam(Device& device, std::size_t n, const AdamOptions& options) : impl_(new Impl(device, n, options)) {
+    Stream stream(device);
+    stream.fill(impl_->moment1);
+    stream.fill(impl_->moment2);
+    stream.finish();
+}
+ArrayAdam::~ArrayAdam() = default;
+
+void ArrayAdam::step(Stream& stream, const Array<float>& values, const Array<float>& gradients, double rate, int step) {
+    Impl& a = *impl_;
+    RELIDAR_ASSERT_LE(a.moment1.size(), values.size());
+    RELIDAR_ASSERT_LE(a.moment1.size(), gradients.size());
+    run(stream, a.kernel, a.moment1.size(),
+        {.values = values.address(),
+         .gradients = gradients.address(),
+         .moment1 = a.moment1.address(),
+         .moment2 = a.moment2.address(),
+         .touched = {},
+         .learning_rate = static_cast<float>(rate),
+         .beta1 = static_cast<float>(a.options.beta1),
+         .beta2 = static_cast<float>(a.options.beta2),
+         .epsilon = static_cast<float>(a.options.epsilon),
+         .correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step))),
+         .correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step))),
+         .first_scale = 1.0f,
+         .n_rows = static_cast<std::uint32_t>(a.moment1.size()),
+         .stride = 1,
+         .block = 1,
+         .n_active = 1,
+         .only_touched = 0});
+}
+
 }  // namespace relidar

@@ -46,11 +46,11 @@ void Conv::run_conv(Stream& stream, shared::ConvParams params) const {
     run(stream, conv_, std::size_t(tiles(segments, kThreads / lanes_)) * tiles(params.n_out, RELIDAR_CONV_OUT) * kThreads, params);
 }
 
-void Conv::forward(Stream& stream, const Slice& from, Address<float> weights, Address<float> bias, const Slice& to) {
+void Conv::forward(Stream& stream, const Slice& from, Address<float> weights, Address<float> bias, const Slice& to, bool accumulate) {
     RELIDAR_ASSERT_EQ(from.grid.all_pixels(), to.grid.all_pixels());
     run_conv(stream, {.from = from.view, .to = to.view, .weights = weights, .bias = bias, .n_images = from.grid.n,
                       .rows = from.grid.rows, .columns = from.grid.columns, .n_in = from.channels, .n_out = to.channels,
-                      .transposed = 0, .accumulate = 0});
+                      .transposed = 0, .accumulate = accumulate ? 1u : 0u});
 }
 
 void Conv::input_vjp(Stream& stream, const Slice& d_to, Address<float> weights, const Slice& d_from, bool accumulate) {

@@ -14,7 +14,8 @@ public:
     Conv(Device& device, std::uint32_t taps);
 
     /// to = bias + weights * from. @param weights [to.channels, from.channels, taps] @param bias [to.channels], or nowhere
-    void forward(Stream& stream, const Slice& from, Address<float> weights, Address<float> bias, const Slice& to);
+    /// @param accumulate adds to what `to` holds
+    void forward(Stream& stream, const Slice& from, Address<float> weights, Address<float> bias, const Slice& to, bool accumulate = false);
     /// dL/d(from), from dL/d(to). @param accumulate adds to what d_from holds
     void input_vjp(Stream& stream, const Slice& d_to, Address<float> weights, const Slice& d_from, bool accumulate = false);
     /// dL/d(weights) [to.channels, from.channels, taps]. Summed in a fixed order.

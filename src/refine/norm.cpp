@@ -65,7 +65,7 @@ void Norm::evaluate(Stream& stream, const Slice& from, const NormWeights& weight
 }
 
 void Norm::vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to, const Slice& d_from,
-               const Array<float>& d_parameters, std::size_t first) {
+               const Array<float>& d_parameters, std::size_t first, bool accumulate) {
     const auto n_pixels = std::uint32_t(from.grid.pixels()), n_parts = parts_of(from.grid);
     run_sums(stream, {.from = from.view, .d_to = d_to.view, .partial = partial_.address(), .scale_shift = state.scale_shift.address(),
                       .moments = state.moments.address(), .kind = shared::kSums_norm_vjp, .n_images = from.grid.n, .n_pixels = n_pixels,
@@ -75,7 +75,8 @@ void Norm::vjp(Stream& stream, const Slice& from, const NormState& state, const 
     run(stream, norm_vjp_, from.channels * from.grid.all_pixels(),
         {.from = from.view, .d_to = d_to.view, .d_from = d_from.view, .d_beta_gamma = d_parameters.address_as<glm::vec2>(first),
          .scale_shift = state.scale_shift.address(), .moments = state.moments.address(), .n_images = from.grid.n, .n_pixels = n_pixels,
-         .n_channels = from.channels, .dropout_key = state.dropout_key, .dropout = state.dropout});
+         .n_channels = from.channels, .dropout_key = state.dropout_key, .dropout = state.dropout,
+         .accumulate = accumulate ? 1u : 0u});
 }
 
 void Norm::bias_vjp(Stream& stream, const Slice& d_to, Address<float> d_bias) {

@@ -34,8 +34,9 @@ public:
     /// The same by the running moments, nothing dropped.
     void evaluate(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, const Slice& to);
     /// dL/d(from), and dL/d(beta, gamma) at `first` of d_parameters, from dL/d(to) of forward().
+    /// @param accumulate adds to what d_from holds
     void vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to, const Slice& d_from,
-             const Array<float>& d_parameters, std::size_t first);
+             const Array<float>& d_parameters, std::size_t first, bool accumulate = false);
     /// Sum of each channel over all images [channels]: derivative by a bias.
     void bias_vjp(Stream& stream, const Slice& d_to, Address<float> d_bias);
     /// Makes room for images of so many channels and pixels.

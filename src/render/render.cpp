@@ -124,6 +124,8 @@ struct ScanRenderer::Impl {
     const PoseTrack log_world_from_vehicle;   ///< where it was in the log
     Renderer renderer;
     std::vector<bool> shown;   ///< [instances]
+    Device& device;
+    std::optional<DropRefiner> refiner = {};
 
     /// Where the sweep of a sensor's rays begins, by the period of the LiDAR in whose place it stands.
     std::optional<SweepStart> start_of(const SensorChoice& sensor) const {
@@ -139,8 +141,10 @@ ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& con
     : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_vehicle,
                      Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image,
                               {.accel = accel_options(config), .trace = traced_with(config)}),
-                     std::vector<bool>(scene.instances.size(), true)}) {}
-ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {}
+                     std::vector<bool>(scene.instances.size(), true), device}) {}
+ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {
+    if (run.config.refine.enabled && !run.drop_network.empty()) refine_drops(run.drop_network);
+}
 ScanRenderer::~ScanRenderer() = default;
 
 void ScanRenderer::show_only(const std::vector<bool>& shown) {
@@ -148,6 +152,17 @@ void ScanRenderer::show_only(const std::vector<bool>& shown) {
         throw UsageError(
             fmt::format("choosing what is rendered: found {} choices, expected {}, one an instance", shown.size(), impl_->shown.size()));
     impl_->shown = shown;
+}
+
+void ScanRenderer::refine_drops(const DropNetwork& network) {
+    impl_->refiner.reset();
+    if (!network.empty()) impl_->refiner.emplace(impl_->device, network);
+}
+
+bool ScanRenderer::refines(const RayTable& rays) const {
+    if (!impl_->refiner) return false;
+    const int side = std::max(2, impl_->refiner->network().smallest_side());
+    return rays.rows >= side && rays.columns >= side;
 }
 
 const KernelTimes& ScanRenderer::times() const { return impl_->renderer.stream().times(); }
@@ -233,6 +248,11 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     for (std::size_t i = 0; i < r.normal.size(); ++i)
         scan.normal.push_back(seen_normal(r.normal[i], r.weight[i], scan.world_from_firing(i)));
     if (s.config.sensor.sub_rays > 1) scan = join_footprints(scan, whole, s.config.sensor);
+    if (refines(whole)) {
+        const DropNetwork& network = impl_->refiner->network();
+        const Sequence log{.world_from_vehicle = s.log_world_from_vehicle, .world_offset_m = s.sweep.world_offset_m};
+        scan.image.drop_prob = impl_->refiner->refine(drop_image(scan, network.inputs, first_origin(log)));
+    }
     if (sample) sample_returns(scan, s.sweep.range_noise, *sample);
     return sensor.grid ? project_scan(scan, *sensor.grid) : scan;
 }

@@ -18,6 +18,7 @@ namespace fs = std::filesystem;
 constexpr const char* kConfigFile = "config.toml";
 constexpr const char* kModelFile = "model.safetensors";
 constexpr const char* kSceneFile = "scene.json";
+constexpr const char* kDropNetworkFile = "drop_network.safetensors";
 
 void make_folder(const fs::path& folder) {
     std::error_code failed;
@@ -46,6 +47,8 @@ void save_run(const Run& run) {
     const std::string scene_json = run_detail::to_scene_json(run);
     write_text(run.folder / kConfigFile, to_toml(run.config));
     save_model(run.folder / kModelFile, run.scene);
+    if (!run.drop_network.empty()) save_drop_network(run.folder / kDropNetworkFile, run.drop_network);
+    else fs::remove(run.folder / kDropNetworkFile);
     write_text(run.folder / kSceneFile, scene_json);
 }
 
@@ -65,6 +68,7 @@ Run load_run(const fs::path& folder) {
     run.edits = std::move(scene.edits);
     run.refined_poses = std::move(scene.refined_poses);
     run.scene = load_model(folder / kModelFile);
+    if (path_exists(folder / kDropNetworkFile)) run.drop_network = load_drop_network(folder / kDropNetworkFile);
     if (run.scene.surfels.size() != scene.n_surfels) {
         throw DataError(fmt::format("{}: counts.surfels: found {}, but {} holds {}", scene_path.string(), scene.n_surfels, kModelFile,
                                     run.scene.surfels.size()));

@@ -40,4 +40,18 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
+/// Adam over one array, all of it at one rate: the parameters of a network.
+class ArrayAdam {
+public:
+    /// @param options  only_touched is for surfels
+    ArrayAdam(Device& device, std::size_t n, const AdamOptions& options);
+    ~ArrayAdam();
+    /// Records one step. @param values [n] in place @param gradients [n] @param step counts from 1
+    void step(Stream& stream, const Array<float>& values, const Array<float>& gradients, double rate, int step);
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
 }  // namespace relidar

@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+// Ray-drop as the sensor has it: a network that looks at a whole rendered scan and corrects the drop probability of each ray (paper,
+// section 3.5, Eq. 12-13). Surfels know what a place returns; what the sensor makes of it (glass, dark paint, grazing beams, its own
+// electronics) shows in the image.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <relidar/gpu.hpp>
+
+namespace relidar {
+
+/// The network and its training: config.refine.
+struct RefineOptions {
+    bool enabled = false;            ///< training ends with it, rendering uses it where a run has it
+    std::string network = "small";   ///< "small", "paper" (6.5 million parameters) or "pixel" (each pixel by itself)
+    int width = 0;                   ///< channels at full size; 0: the network's own
+    int levels = -1;                 ///< times that the image is halved; -1: the network's own
+    std::string rays = "direction";  ///< what it is told of the rays: "none", "direction" or "origin,direction" (paper)
+    int epochs = 8;                  ///< each training frame is seen so often
+    int batch = 1;                   ///< images a step
+    double rate = 2e-3;              ///< Adam's, at the start; it falls to a hundredth
+    double dropout = 0.0;            ///< share of the values that a layer drops in training
+    bool turn = true;                ///< images are turned about the sensor by random columns
+};
+
+/// What the network sees of a scan with image order, and what came of it.
+struct DropImage {
+    int rows = 0, columns = 0;
+    std::vector<float> channels;   ///< [channels of the network, rows, columns], see drop_channel_names()
+    std::vector<float> dropped;    ///< [rows, columns] 1 dropped, 0 returned, negative: not known; empty where nothing was measured
+};
+
+/// Names of the network's channels in their order: "log_range", "intensity", "drop_logit", "weight", "spread", then those that belong to the
+/// sensor's pixels, "direction_x" ..., "origin_z".
+std::vector<std::string> drop_channel_names(const RefineOptions& options);
+
+/// A trained network.
+struct DropNetwork {
+    std::vector<std::string> inputs;            ///< channels it was trained with
+    std::vector<std::uint32_t> widths;          ///< channels at full size, half, ...
+    std::uint32_t heads = 0;                    ///< of the attention at the smallest size; 0: none
+    std::uint32_t taps = 9;                     ///< of its convolutions: 9, or 1 where each pixel is by itself
+    bool residual = true;                       ///< its output is added to the rendered logit; false: it replaces it
+    std::vector<float> normalisation;           ///< [channels, 2] scale and shift of the inputs
+    std::vector<float> parameters;              ///< in the order of src/refine/unet.cpp
+    std::vector<float> running;                 ///< moments of the normalisations, for evaluation
+
+    bool empty() const { return parameters.empty(); }
+    /// Rows and columns that an image needs.
+    int smallest_side() const { return 1 << (widths.empty() ? 0 : widths.size() - 1); }
+};
+
+/// Trainable parameters of the options' network.
+std::size_t count_parameters(const RefineOptions& options);
+
+/// One epoch of a training.
+struct RefineProgress {
+    int epoch = 0, n_epochs = 0;
+    int step = 0, n_steps = 0;
+    double entropy = 0.0;      ///< mean cross-entropy of the epoch's pixels so far
+    double accuracy = 0.0;     ///< share of pixels of which the likelier answer was right
+    double seconds = 0.0;
+};
+
+/// Trains a network on images of one shape. The same seed gives the same network, to the last bit on one device.
+/// @param progress  called after each step; false stops, and gives the network as it is
+/// @throws DataError for images of different shapes, too small, with values that are not finite, or without dropped pixels
+DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& images, const RefineOptions& options, std::uint64_t seed,
+                               const std::function<bool(const RefineProgress&)>& progress);
+
+/// A network ready to be asked, in evaluation mode: the same image gives the same answer.
+class DropRefiner {
+public:
+    /// @throws DataError where the arrays do not fit the network's shape
+    DropRefiner(Device& device, const DropNetwork& network);
+    ~DropRefiner();
+    DropRefiner(DropRefiner&&) noexcept;
+    DropRefiner& operator=(DropRefiner&&) noexcept;
+
+    const DropNetwork& network() const;
+    /// Drop probability of each pixel [rows, columns]. @throws DataError as train_drop_network
+    std::vector<float> refine(const DropImage& image);
+    /// Milliseconds of kernels so far, by name, where the device has timestamps.
+    const KernelTimes& times() const;
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace relidar

@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: Apache-2.0
+// Images that wait on the device, and batches of them, normalised and turned.
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include <relidar/refine.hpp>
+
+#include "gpu/stream.hpp"
+#include "refine/tensor.hpp"
+
+namespace relidar::refine {
+
+/// Scale and shift [channels, 2] by which each input has mean 0 and deviation 1 over the images; one that never changes is 0.
+std::vector<float> normalisation_of(const std::vector<DropImage>& images, std::size_t n_channels);
+
+class DropInputs {
+public:
+    /// @param images  of one shape, checked
+    DropInputs(Device& device, const DropNetwork& network, const std::vector<DropImage>& images);
+
+    /// An image, and by how many columns what it shows is turned.
+    struct Chosen {
+        std::uint32_t sample = 0, turn = 0;
+    };
+    /// Records the making of a batch. @param images [n, channels, rows, columns] output
+    void make(Stream& stream, std::span<const Chosen> chosen, const Tensor& images);
+
+    const Array<float>& start() const { return start_; }     ///< [n, rows, columns] rendered logits of the last batch
+    const Array<float>& target() const { return target_; }   ///< [n, rows, columns]; as DropImage::dropped
+    bool has_targets() const { return targets_.size() > 0; }
+    std::size_t known(std::uint32_t sample) const { return known_[sample]; }   ///< pixels of an image whose target is known
+
+private:
+    std::uint32_t n_channels_, n_fixed_, logit_channel_;
+    Kernel<shared::DropInputsParams> kernel_;
+    Array<float> samples_, targets_, start_, target_;
+    Array<glm::vec2> scale_shift_;
+    std::vector<std::size_t> known_;
+};
+
+}  // namespace relidar::refine

@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a ray-drop network sees of a rendered scan.
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include <relidar/render.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr float kLeastProbability = 1e-4f;   // of either answer: logits stay within 9.2
+
+float logit(float probability) {
+    const float p = std::clamp(probability, kLeastProbability, 1.0f - kLeastProbability);
+    return std::log(p / (1.0f - p));
+}
+
+/// One channel, by its name.
+float channel_of(const RenderedScan& scan, const std::string& name, std::size_t ray, float surface_m, const glm::vec3& origin_m) {
+    if (name == "log_range") return std::log1p(std::max(surface_m, 0.0f));
+    if (name == "intensity") return scan.image.intensity[ray];
+    if (name == "drop_logit") return logit(scan.image.drop_prob[ray]);
+    if (name == "weight") return scan.weight[ray];
+    if (name == "spread") return std::log1p(std::abs(surface_m - scan.image.range_m[ray]));
+    for (int axis = 0; axis < 3; ++axis) {
+        if (name == std::string("direction_") + "xyz"[axis]) return scan.image.direction[ray][axis];
+        if (name == std::string("origin_") + "xyz"[axis]) return origin_m[axis];
+    }
+    throw DataError(fmt::format("refining ray-drop: the network asks for \"{}\", which this relidar does not render", name));
+}
+
+}  // namespace
+
+glm::dvec3 first_origin(const Sequence& sequence) {
+    const std::vector<Pose>& poses = sequence.world_from_vehicle.pose;
+    return sequence.world_offset_m + (poses.empty() ? glm::dvec3(0.0) : poses.front().translation);
+}
+
+DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& channels, const glm::dvec3& first_origin_m) {
+    DropImage image{scan.image.rows, scan.image.columns, {}, {}};
+    const std::vector<float> surface_m = surface_ranges(scan);
+    const glm::vec3 origin_m(scan.world_from_sensor.translation - first_origin_m);
+    for (const std::string& name : channels)
+        for (std::size_t i = 0; i < surface_m.size(); ++i) image.channels.push_back(channel_of(scan, name, i, surface_m[i], origin_m));
+    return image;
+}
+
+}  // namespace relidar

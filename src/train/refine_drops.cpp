@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+// The last stage of training (paper, section 3.5): training frames rendered once, and a network that learns from them what the sensor
+// dropped. Rays are the sensor's nominal ones: those of a scan have jitter where they returned and none where they did not, which would tell
+// the answer.
+#include <algorithm>
+#include <map>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include <relidar/render.hpp>
+#include <relidar/run.hpp>
+#include <relidar/train.hpp>
+
+#include "train/frame_data.hpp"
+
+namespace relidar {
+namespace {
+
+/// Nominal rays of a frame's LiDAR where they are in the order of its scan, else those of the scan.
+SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
+    SensorChoice sensor = choose_sensor("native", config, sequence, frame.lidar);
+    if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns) sensor.rays = frame.scan.rays;
+    return sensor;
+}
+
+Unknown masks_of(const Config& config, const Scene& scene) {
+    Unknown masks{config.init, {}, {}};
+    for (const Instance& instance : scene.instances)
+        if (!instance.track.empty()) masks.actors.push_back(instance.track);
+    return masks;
+}
+
+/// What came back of a frame, 1 dropped, -1 where a moving thing that is not in the scene was or may have been.
+std::vector<float> measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks) {
+    std::vector<DeviceRay> rays;
+    std::vector<DeviceTarget> targets;
+    make_targets(sequence, frame, masks, rays, targets);
+    std::vector<float> dropped;
+    for (std::size_t i = 0; i < targets.size(); ++i)
+        dropped.push_back(!(targets[i].weight > 0.0f) ? -1.0f : frame.scan.range_m[i] > 0.0f ? 0.0f : 1.0f);
+    return dropped;
+}
+
+/// The training frames that have an image, of the shape that most of them share.
+std::vector<int> images_of(const Sequence& sequence, const std::vector<int>& train) {
+    std::map<std::pair<int, int>, std::vector<int>> by_shape;
+    for (const int position : train) {
+        const RayTable& rays = sequence.frames[std::size_t(position)].scan.rays;
+        if (rays.rows > 1) by_shape[{rays.rows, rays.columns}].push_back(position);
+    }
+    const auto most = std::max_element(by_shape.begin(), by_shape.end(),
+                                       [](const auto& a, const auto& b) { return a.second.size() < b.second.size(); });
+    return most == by_shape.end() ? std::vector<int>{} : most->second;
+}
+
+}  // namespace
+
+DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& session) {
+    const std::vector<int> positions = images_of(run.sequence, run.split.train);
+    if (positions.empty())
+        throw DataError(fmt::format("training the ray-drop network of {}: no training frame has an image of rows and columns, expected one; "
+                                    "set refine.enabled=false",
+                                    run.sequence.name));
+    Config config = run.config;
+    config.sensor.sub_rays = config.sensor.returns = 1;
+    ScanRenderer renderer(device, run.scene, config, run.sequence);
+    const Unknown masks = masks_of(config, run.scene);
+    const std::vector<std::string> channels = drop_channel_names(config.refine);
+    std::vector<DropImage> images;
+    for (const int position : positions) {
+        if (session.progress) session.progress("rendering training frames", double(images.size()) / double(positions.size()));
+        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        const RenderedScan scan = renderer.render(rays_of(config, run.sequence, frame), frame.time_s);
+        images.push_back(drop_image(scan, channels, first_origin(run.sequence)));
+        images.back().dropped = measured_drops(run.sequence, frame, masks);
+        if (session.stop && session.stop()) return {};
+    }
+    if (session.progress) session.progress("rendering training frames", 1.0);
+    bool stopped = false;
+    DropNetwork network = train_drop_network(device, images, config.refine, config.train.seed, [&](const RefineProgress& progress) {
+        if (session.step) session.step(progress);
+        stopped = session.stop && session.stop();
+        return !stopped;
+    });
+    return stopped ? DropNetwork{} : network;
+}
+
+}  // namespace relidar
