@@ -148,7 +148,7 @@ void run(const std::string& folder, const std::string& sensor_name, double diver
         run.config.sensor.sub_rays = n;
         run.config.sensor.returns = n > 1 ? 2 : 1;
         run.config.sensor.divergence_mrad = 1e3 * divergence_rad;
-        ScanRenderer renderer(device, run.scene, run.config, run.sequence);
+        ScanRenderer renderer(device, run);
         Score score;
         for (std::size_t f = 0; f < cones.size(); ++f) {
             SensorChoice choice = sensor_choice(model);

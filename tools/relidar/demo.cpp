@@ -51,7 +51,7 @@ Config config_of(const Options& options, const fs::path& street) {
 Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
     Progress progress(quiet);
     const Config config = with_lpips_weights(run.config);
-    ScanRenderer renderer(device, run.scene, config, run.sequence);
+    ScanRenderer renderer(device, run);
     return evaluate_frames(renderer, config, run.sequence, run.split.test, shown_until_interrupted(progress));
 }
 
@@ -59,7 +59,7 @@ Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
 Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptions& street, bool quiet) {
     Progress progress(quiet);
     const Config config = with_lpips_weights(run.config);
-    ScanRenderer renderer(device, run.scene, config, run.sequence);
+    ScanRenderer renderer(device, run);
     const PoseTrack track = moved_track(run.sequence.world_from_sensor(0), kShift);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
     std::vector<ScoredFrame> frames;

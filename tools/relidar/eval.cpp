@@ -115,7 +115,7 @@ void score_run(const Options& options) {
     std::optional<Evaluation> baseline;
     if (!options.baseline.empty())
         baseline = evaluate_baseline(options.baseline, run.config, run.sequence, run.split, shown_until_interrupted(progress));
-    ScanRenderer renderer(device, run.scene, run.config, run.sequence);
+    ScanRenderer renderer(device, run);
     Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress));
     add_edited_scores(evaluation, run.config, before);
     if (!options.quiet) print(edit_note(run));

@@ -235,7 +235,7 @@ void run_render(const Options& options) {
     const std::vector<Wanted> wanted = wanted_sensors(options, run, lidar);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(device_options(options.device));
-    ScanRenderer renderer(device, run.scene, run.config, run.sequence);
+    ScanRenderer renderer(device, run);
     if (!options.only.empty()) renderer.show_only(shown);
     std::vector<ScanFolder> folders = scan_folders(options, run, wanted, offset);
 

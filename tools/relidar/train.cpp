@@ -131,7 +131,7 @@ TrainResult train_or_tell(Device& device, const Run& run, const Options& options
 Evaluation score(Device& device, const Run& run, const Options& options) {
     if (run.split.test.empty() || options.no_eval) return {};
     const Config config = with_lpips_weights(run.config);
-    ScanRenderer renderer(device, run.scene, config, run.sequence);
+    ScanRenderer renderer(device, run);
     Progress progress(options.quiet);
     const auto start = std::chrono::steady_clock::now();
     Evaluation evaluation = evaluate_frames(renderer, config, run.sequence, run.split.test, shown_until_interrupted(progress));
@@ -189,6 +189,13 @@ void run_train(const Options& given, const std::string& command_line) {
     start.reset();
     take_result(run, result);
     save_run(run);
+    if (config.refine.enabled && !result.interrupted) {
+        if (!refine_shown(device, run, options.quiet))
+            throw Error(ExitCode::interrupted,
+                        fmt::format("interrupted while the ray-drop network was trained; {} holds the scene; continue with: relidar refine {}",
+                                    run.folder.string(), shell_word(options.out)));
+        save_run(run);
+    }
     finish(device, run, result, options, command_line);
 }
 

@@ -93,6 +93,24 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
     return result;
 }
 
+bool refine_shown(Device& device, Run& run, bool quiet) {
+    Progress progress(quiet);
+    RefineSession session;
+    session.progress = shown_by(progress);
+    session.stop = interrupted;
+    session.step = [&](const RefineProgress& p) {
+        const double eta_s = p.seconds / p.step * (p.n_steps - p.step);
+        progress.show(fmt::format("ray-drop network, epoch {}/{}  step {}/{}  {:.2f} it/s  eta {}  entropy {}  accuracy {:.4f}", p.epoch,
+                                  p.n_epochs, p.step, p.n_steps, p.step / p.seconds, duration(eta_s), number(p.entropy), p.accuracy),
+                      p.step == p.n_steps);
+    };
+    DropNetwork network = refine_drops(device, run, session);
+    end_progress_line();
+    if (network.empty()) return false;
+    run.drop_network = std::move(network);
+    return true;
+}
+
 std::string progress_text(const TrainProgress& p) {
     std::string terms;
     for (std::size_t k = 0; k < p.terms.size(); ++k) {

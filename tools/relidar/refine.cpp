@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar refine: the ray-drop network of a run, trained alone, and what it is worth on the held-out frames.
+#include <memory>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include "command.hpp"
+#include "console.hpp"
+#include "evaluation.hpp"
+#include "interrupt.hpp"
+#include "options.hpp"
+#include "output_folder.hpp"
+#include "training.hpp"
+#include <relidar/export.hpp>
+
+namespace relidar::cli {
+namespace {
+
+struct Options {
+    std::string run;
+    std::vector<std::string> sets;
+    DeviceChoice device;
+    bool no_eval = false;
+    bool quiet = false;
+};
+
+/// Scores the held-out frames with the network or without.
+Evaluation score(Device& device, Run run, bool refined, bool quiet) {
+    run.config.refine.enabled = refined;
+    ScanRenderer renderer(device, run);
+    Progress progress(quiet);
+    return evaluate_frames(renderer, with_lpips_weights(run.config), run.sequence, run.split.test, shown_until_interrupted(progress));
+}
+
+void run_refine(const Options& options) {
+    const FolderLock lock(options.run);
+    Run run = load_run(options.run);
+    apply_sets(run.config, options.sets);
+    run.config.refine.enabled = true;
+    check_writable(run.folder);
+    Device device(device_options(options.device));
+    const Sequence log = load_dataset(run.config, options.quiet);
+    attach_scans(run, run.split.train, log);
+    if (!options.no_eval) attach_scans(run, run.split.test, log);
+
+    catch_interrupts();
+    if (!refine_shown(device, run, options.quiet))
+        throw Error(ExitCode::interrupted, fmt::format("interrupted: {} is as it was", run.folder.string()));
+    save_run(run);
+    if (options.no_eval || run.split.test.empty()) return;
+    const Evaluation before = score(device, run, false, options.quiet), after = score(device, run, true, options.quiet);
+    end_progress_line();
+    write_text(run.folder / "metrics.json",
+               metrics_json(after, run.config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
+    if (!options.quiet) print(metric_table(after, &before) + "\n\"baseline\" is without the network\n");
+}
+
+}  // namespace
+
+void add_refine(CLI::App& app, Call& call) {
+    CLI::App* command = app.add_subcommand("refine", "train the network that corrects a run's ray-drop");
+    const auto options = std::make_shared<Options>();
+    command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
+    add_set_option(*command, options->sets);
+    add_device_options(*command, options->device);
+    command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames with and without it");
+    command->add_flag("--quiet", options->quiet, "print errors only");
+    command->footer(
+        "RUN/ gets drop_network.safetensors, which render and eval use from then on; settings refine.*.\n"
+        "The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"
+        "Examples:\n"
+        "  relidar refine run\n"
+        "  relidar refine run --set refine.network=paper --set refine.epochs=100");
+    command->callback([&call, options] { call.run = [options] { run_refine(*options); }; });
+}
+
+}  // namespace relidar::cli
