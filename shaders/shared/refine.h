@@ -134,6 +134,7 @@ struct MatrixView {
     uint head;             // stride from one h to the next
     uint row;
     uint column;
+    uint unused;           // 32 bytes: what follows lies at the same place in C++ and GLSL
 };
 struct MatmulParams {
     MatrixView a;          // input

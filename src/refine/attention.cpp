@@ -19,13 +19,13 @@ std::vector<Constant> in_subgroups(std::uint32_t lanes) { return {{ConstantId::L
 shared::MatrixView of_heads(const Slice& slice, std::uint32_t heads, bool transposed) {
     const auto pixels = std::uint32_t(slice.grid.pixels());
     return {.values = slice.view.values, .first = slice.view.first * pixels, .batch = slice.view.channels * pixels,
-            .head = slice.channels / heads * pixels, .row = transposed ? 1 : pixels, .column = transposed ? pixels : 1};
+            .head = slice.channels / heads * pixels, .row = transposed ? 1 : pixels, .column = transposed ? pixels : 1, .unused = 0};
 }
 
 shared::MatrixView of_shares(const Array<float>& shares, const Grid& grid, std::uint32_t heads, bool transposed) {
     const auto pixels = std::uint32_t(grid.pixels());
     return {.values = shares.address(), .first = 0, .batch = heads * pixels * pixels, .head = pixels * pixels,
-            .row = transposed ? 1 : pixels, .column = transposed ? pixels : 1};
+            .row = transposed ? 1 : pixels, .column = transposed ? pixels : 1, .unused = 0};
 }
 
 }  // namespace
