@@ -95,7 +95,8 @@ protected:
                            of_bias({d_to.channels}, memory::data_type::f32, memory::format_tag::x);
         const memory::dims strides{1, 1}, ends{reach, 0};
         const dnnl::convolution_forward::primitive_desc forward(
-            {prop_kind::forward_training, algorithm::convolution_direct, of_from, of_weights, of_bias, of_to, strides, ends, ends}, engine_);
+            {prop_kind::forward_training, algorithm::convolution_direct, of_from, of_weights, of_bias, of_to, strides, ends, ends},
+            engine_);
         const dnnl::convolution_backward_data::primitive_desc by_input(
             {algorithm::convolution_direct, of_from, of_weights, of_to, strides, ends, ends}, engine_, forward);
         const dnnl::convolution_backward_weights::primitive_desc by_weights(
