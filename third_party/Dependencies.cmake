@@ -160,6 +160,10 @@ if(RELIDAR_BUILD_TESTS AND NOT RELIDAR_FOR_PACKAGE)
     find_package(embree QUIET GLOBAL)
     relidar_dependency(embree APT libembree-dev PACKAGE embree TARGETS embree DEFINE "RELIDAR_EMBREE_VERSION=${embree_VERSION_MAJOR}")
 endif()
+if(RELIDAR_ONEDNN AND NOT RELIDAR_FOR_PACKAGE)
+    # not its package: that one asks for the headers of OpenCL
+    relidar_dependency(onednn APT libdnnl-dev HEADER oneapi/dnnl/dnnl.hpp LIBRARY dnnl)
+endif()
 
 if(RELIDAR_MISSING_DEPENDENCIES AND NOT RELIDAR_FOR_PACKAGE)
     list(REMOVE_DUPLICATES RELIDAR_MISSING_DEPENDENCIES)

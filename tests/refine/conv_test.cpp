@@ -153,8 +153,11 @@ TEST_P(ConvVariants, Agree) {
     for (const Case& c : {Case{9, {2, 5, 75}, 9, 17}, Case{1, {2, 3, 41}, 17, 9}}) {
         const Layer layer = random_layer(c);
         const Kernel<shared::ConvParams> kernel(device(), "refine/conv",
-                                                {{ConstantId::TAPS, c.taps}, {ConstantId::PIXELS, GetParam().pixels}, {ConstantId::LANES, lanes},
-                                                 {ConstantId::STAGED, GetParam().staged}, {ConstantId::WORKGROUP_SIZE, 64}},
+                                                {{ConstantId::TAPS, c.taps},
+                                                 {ConstantId::PIXELS, GetParam().pixels},
+                                                 {ConstantId::LANES, lanes},
+                                                 {ConstantId::STAGED, GetParam().staged},
+                                                 {ConstantId::WORKGROUP_SIZE, 64}},
                                                 Subgroups::full);
         Stream stream(device());
         const OnDevice from(device(), layer.from), to = OnDevice::unwritten(device(), c.grid, c.n_out);

@@ -23,7 +23,8 @@ std::vector<double> shift() { return {0.0, 1.0, -3.0, 0.25, 2.0}; }
 /// A column of a sample comes to lie `turn` columns on.
 Batch turned(const test::ImageBatch& samples, const std::vector<double>& targets, const std::vector<std::uint32_t>& turn, int n_fixed) {
     const refine::Grid grid = test::grid_of(samples);
-    test::ImageBatch images(kImages, kChannels, samples.rows, samples.columns), start(kImages, 1, samples.rows, samples.columns), target = start;
+    test::ImageBatch images(kImages, kChannels, samples.rows, samples.columns), start(kImages, 1, samples.rows, samples.columns);
+    test::ImageBatch target = start;
     for (int image = 0; image < kImages; ++image)
         for (int y = 0; y < samples.rows; ++y)
             for (int x = 0; x < samples.columns; ++x) {
@@ -34,7 +35,7 @@ Batch turned(const test::ImageBatch& samples, const std::vector<double>& targets
                     images.at(image, c, y, c < kChannels - n_fixed ? to : x) = affine;
                 }
                 start.at(image, 0, y, to) = samples.at(sample, kLogit, y, x);
-                target.at(image, 0, y, to) = targets[(std::size_t(sample) * samples.rows + std::size_t(y)) * samples.columns + std::size_t(x)];
+                target.at(image, 0, y, to) = targets[(std::size_t(sample) * grid.rows + std::size_t(y)) * grid.columns + std::size_t(x)];
             }
     return {images.values, start.values, target.values};
 }
@@ -53,7 +54,8 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
                 turns(device(), std::span<const std::uint32_t>(turn), "turn");
             const Array<glm::vec2> affine = test::pairs_to_device(device(), scale(), shift());
             const std::size_t n = kImages * grid.pixels();
-            const Array<float> images(device(), n * kChannels + 1, "images"), start(device(), n + 1, "start"), target(device(), n + 1, "target");
+            const Array<float> images(device(), n * kChannels + 1, "images"), start(device(), n + 1, "start"),
+                target(device(), n + 1, "target");
             const auto launch = [&](Address<float> to_target) {
                 run(stream, kernel, n,
                     {.samples = samples.address(), .targets = targets.address(), .chosen = chosen.address(), .turn = turns.address(),

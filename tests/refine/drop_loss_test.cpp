@@ -94,7 +94,8 @@ TEST_F(DropLossTest, NothingKnown) {
     Array<float> d_logit(device(), n, "gradient"), probability(device(), n, "probability");
     for (const bool no_target : {true, false}) {
         stream.fill(d_logit, 0x7fc00000u);
-        loss.run(stream, n, logit.address(), {}, no_target ? Address<float>() : none.address(), d_logit.address(), probability.address(), 0);
+        const Address<float> target = no_target ? Address<float>() : none.address();
+        loss.run(stream, n, logit.address(), {}, target, d_logit.address(), probability.address(), 0);
         stream.finish();
         for (const double x : test::doubles(d_logit)) EXPECT_EQ(x, 0.0);
         EXPECT_EQ(loss.score(0).entropy, 0.0);

@@ -96,8 +96,10 @@ private:
         const std::size_t pixels = shape_.pixels();
         for (int image = 0; image < shape_.n; ++image)
             for (int c = 0; c < shape_.channels; ++c)
-                for (std::size_t i = 0; i < pixels; ++i)
-                    visit((std::size_t(image) * tensor_.channels + before_ + std::size_t(c)) * pixels + i, shape_.index(image, c, 0, 0) + i);
+                for (std::size_t i = 0; i < pixels; ++i) {
+                    const std::size_t channel = std::size_t(image) * tensor_.channels + before_ + std::size_t(c);
+                    visit(channel * pixels + i, shape_.index(image, c, 0, 0) + i);
+                }
     }
 };
 
@@ -113,6 +115,17 @@ inline double worst_error(const std::vector<double>& actual, const std::vector<d
     return largest > 0.0 ? worst / largest : worst;
 }
 inline double worst_error(const ImageBatch& actual, const ImageBatch& expected) { return worst_error(actual.values, expected.values); }
+
+/// 0 for values that the normalisation brings so near to 0 that rounding decides whether ReLU lets their gradient through.
+inline void leave_out_kinks(ImageBatch& asked, const ImageBatch& from, const std::vector<double>& beta, const std::vector<double>& gamma) {
+    reference::NormLayer above{beta, gamma, {}}, below = above;
+    for (double& x : below.beta) x = -x;
+    for (double& x : below.gamma) x = -x;
+    const reference::Moments moments = reference::moments_of(from);
+    const ImageBatch positive = reference::normalise(from, moments, above), negative = reference::normalise(from, moments, below);
+    for (std::size_t i = 0; i < asked.values.size(); ++i)
+        if (positive.values[i] + negative.values[i] < 1e-5) asked.values[i] = 0.0;
+}
 
 inline double dot(const std::vector<double>& a, const std::vector<double>& b) {
     double sum = 0.0;

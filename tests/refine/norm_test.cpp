@@ -110,8 +110,10 @@ TEST_P(NormSizes, EvaluationUsesTheRunningMoments) {
 TEST_P(NormSizes, Derivatives) {
     const Case& c = GetParam();
     for (const float dropout : {0.0f, 0.3f}) {
-        const test::ImageBatch values = test::random_images(c.grid, c.channels, 1, 2.0, 0.7), asked = test::random_images(c.grid, c.channels, 2);
+        const test::ImageBatch values = test::random_images(c.grid, c.channels, 1, 2.0, 0.7);
+        test::ImageBatch asked = test::random_images(c.grid, c.channels, 2);
         OnePass pass(device(), c);
+        test::leave_out_kinks(asked, values, pass.layer.beta, pass.layer.gamma);
         pass.state.dropout = dropout;
         pass.state.dropout_key = 77;
         if (dropout > 0.0f) pass.layer.gate = gate_of(device(), c, dropout, 77);
@@ -123,7 +125,8 @@ TEST_P(NormSizes, Derivatives) {
         pass.stream.finish();
         EXPECT_LT(worst_error(actual, reference::normalise(values, reference::moments_of(values), pass.layer)), test::kLayer);
         const reference::NormGradient expected = reference::normalise_vjp(values, pass.layer, asked);
-        EXPECT_LT(worst_error(d_from.read(), expected.from) * largest(expected.from.values) / largest_term(values, pass.layer, asked), 2e-5);
+        const double scale = largest(expected.from.values) / largest_term(values, pass.layer, asked);
+        EXPECT_LT(worst_error(d_from.read(), expected.from) * scale, 2e-5);
         const std::vector<double> d = test::doubles(d_parameters);
         std::vector<double> d_beta, d_gamma;
         for (std::size_t k = 0; k < n; k += 2) d_beta.push_back(d[4 + k]), d_gamma.push_back(d[5 + k]);

@@ -16,22 +16,25 @@ struct PoolCase {
     Grid grid;
     int channels;
 };
-void PrintTo(const PoolCase& c, std::ostream* out) { *out << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.channels; }
+void PrintTo(const PoolCase& c, std::ostream* out) {
+    *out << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.channels;
+}
 
 struct UpsampleCase {
     Grid small, large;
     int channels;
 };
 void PrintTo(const UpsampleCase& c, std::ostream* out) {
-    *out << c.small.n << "x" << c.small.rows << "x" << c.small.columns << " -> " << c.large.rows << "x" << c.large.columns << ", " << c.channels;
+    *out << c.small.n << "x" << c.small.rows << "x" << c.small.columns << " -> " << c.large.rows << "x" << c.large.columns << ", "
+         << c.channels;
 }
 
 class ResampleTest : public test::DeviceTest {};
 class PoolSizes : public test::DeviceTest, public testing::WithParamInterface<PoolCase> {};
 class UpsampleSizes : public test::DeviceTest, public testing::WithParamInterface<UpsampleCase> {};
 INSTANTIATE_TEST_SUITE_P(Refine, PoolSizes,
-                         testing::Values(PoolCase{{1, 66, 1030}, 3}, PoolCase{{4, 5, 13}, 9}, PoolCase{{1, 7, 9}, 17}, PoolCase{{4, 2, 3}, 1},
-                                         PoolCase{{1, 3, 2}, 3}, PoolCase{{4, 1, 3}, 3}, PoolCase{{1, 5, 1}, 3}));
+                         testing::Values(PoolCase{{1, 66, 1030}, 3}, PoolCase{{4, 5, 13}, 9}, PoolCase{{1, 7, 9}, 17},
+                                         PoolCase{{4, 2, 3}, 1}, PoolCase{{1, 3, 2}, 3}, PoolCase{{4, 1, 3}, 3}, PoolCase{{1, 5, 1}, 3}));
 INSTANTIATE_TEST_SUITE_P(Refine, UpsampleSizes,
                          testing::Values(UpsampleCase{{1, 33, 515}, {1, 66, 1030}, 3}, UpsampleCase{{4, 2, 6}, {4, 5, 13}, 9},
                                          UpsampleCase{{1, 3, 4}, {1, 7, 9}, 17}, UpsampleCase{{4, 1, 1}, {4, 2, 3}, 1},
@@ -48,7 +51,8 @@ TEST_P(PoolSizes, PoolAndItsDerivative) {
     const test::ImageBatch asked = test::random_images(small, c.channels, 2), before = test::random_images(c.grid, c.channels, 3);
     Resample resample(device());
     Stream stream(device());
-    const OnDevice from(device(), values), to = OnDevice::unwritten(device(), small, c.channels), d_to(device(), asked), d_from(device(), before);
+    const OnDevice from(device(), values), to = OnDevice::unwritten(device(), small, c.channels), d_to(device(), asked),
+                                           d_from(device(), before);
     resample.pool(stream, from.slice(), to.slice());
     resample.pool_vjp(stream, from.slice(), d_to.slice(), d_from.slice());
     stream.finish();

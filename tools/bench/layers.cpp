@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar_bench_layers: convolutions 3x3 of the ray-drop network on the device and by oneDNN on the host, in turn in one process, forward,
+// by the input and by the weights. oneDNN chooses its own layouts, in which its values already lie; the columns that make a ring of
+// the image's are there, too. Times by the wall, and of all cores in this process, where a GPU's is not counted. OMP_WAIT_POLICY=passive
+// keeps oneDNN's threads from spinning in the device's turn.
+#include <oneapi/dnnl/dnnl.hpp>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <ctime>
+#include <functional>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include <relidar/measure/refine.hpp>
+
+namespace {
+
+using namespace relidar;
+using dnnl::algorithm, dnnl::memory;
+
+/// The same convolution by oneDNN.
+class HostConvolution {
+public:
+    explicit HostConvolution(const ConvolutionSize& size)
+        : of_from_(any({1, size.n_in, size.rows, size.columns + 2})),
+          of_to_(any({1, size.n_out, size.rows, size.columns})),
+          of_weights_(any({size.n_out, size.n_in, 3, 3})) {
+        const memory::dims strides{1, 1}, ends{1, 0};
+        const dnnl::convolution_forward::primitive_desc forward({dnnl::prop_kind::forward_training, algorithm::convolution_direct, of_from_,
+                                                                 of_weights_, of_to_, strides, ends, ends},
+                                                                engine_);
+        const dnnl::convolution_backward_data::primitive_desc by_input(
+            {algorithm::convolution_direct, of_from_, of_weights_, of_to_, strides, ends, ends}, engine_, forward);
+        const dnnl::convolution_backward_weights::primitive_desc by_weights(
+            {algorithm::convolution_direct, of_from_, of_weights_, of_to_, strides, ends, ends}, engine_, forward);
+        passes_ = {{dnnl::convolution_forward(forward),
+                    {{DNNL_ARG_SRC, filled(forward.src_desc())}, {DNNL_ARG_WEIGHTS, filled(forward.weights_desc())},
+                     {DNNL_ARG_DST, filled(forward.dst_desc())}}},
+                   {dnnl::convolution_backward_data(by_input),
+                    {{DNNL_ARG_DIFF_DST, filled(by_input.diff_dst_desc())}, {DNNL_ARG_WEIGHTS, filled(by_input.weights_desc())},
+                     {DNNL_ARG_DIFF_SRC, filled(by_input.diff_src_desc())}}},
+                   {dnnl::convolution_backward_weights(by_weights),
+                    {{DNNL_ARG_SRC, filled(by_weights.src_desc())}, {DNNL_ARG_DIFF_DST, filled(by_weights.diff_dst_desc())},
+                     {DNNL_ARG_DIFF_WEIGHTS, filled(by_weights.diff_weights_desc())}}}};
+    }
+
+    /// @param pass  0 forward, 1 by the input, 2 by the weights
+    void run(std::size_t pass) {
+        passes_[pass].primitive.execute(stream_, passes_[pass].arguments);
+        stream_.wait();
+    }
+
+private:
+    struct Pass {
+        dnnl::primitive primitive;
+        std::unordered_map<int, memory> arguments;
+    };
+    dnnl::engine engine_{dnnl::engine::kind::cpu, 0};
+    dnnl::stream stream_{engine_};
+    memory::desc of_from_, of_to_, of_weights_;
+    std::vector<Pass> passes_;
+
+    static memory::desc any(const memory::dims& dims) { return {dims, memory::data_type::f32, memory::format_tag::any}; }
+    memory filled(const memory::desc& desc) {
+        memory result(desc, engine_);
+        auto* values = static_cast<float*>(result.get_data_handle());
+        for (std::size_t i = 0; i < desc.get_size() / sizeof(float); ++i) values[i] = float(i % 257) / 128.0f - 1.0f;
+        return result;
+    }
+};
+
+/// Milliseconds of each run.
+struct Times {
+    std::vector<double> wall, cpu;
+
+    void add(const std::function<void()>& pass) {
+        const auto start = std::chrono::steady_clock::now();
+        const std::clock_t cpu_start = std::clock();
+        pass();
+        cpu.push_back(1e3 * double(std::clock() - cpu_start) / CLOCKS_PER_SEC);
+        wall.push_back(std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count());
+    }
+    static double median(std::vector<double> values) {
+        std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());
+        return values[values.size() / 2];
+    }
+};
+
+/// One line: milliseconds by the wall, milliseconds and GFLOP/s by processor time, of the device and of oneDNN.
+void print(const ConvolutionSize& size, const char* pass, const Times& device, const Times& host) {
+    const double of_device = Times::median(device.cpu), of_host = Times::median(host.cpu), wall_device = Times::median(device.wall),
+                 wall_host = Times::median(host.wall), operations = 1e-6 * size.operations();
+    fmt::print("{:>7} {:>7} {:<10} {:9.2f} {:9.2f} {:9.2f} {:9.2f} {:9.1f} {:9.1f} {:9.1f} {:9.1f} {:7.2f} {:7.2f}\n",
+               fmt::format("{}x{}", size.rows, size.columns), fmt::format("{}->{}", size.n_in, size.n_out), pass, wall_device, wall_host,
+               of_device, of_host, operations / wall_device, operations / wall_host, operations / of_device, operations / of_host,
+               wall_device / wall_host, of_device / of_host);
+}
+
+void measure(Device& device, const ConvolutionSize& size, int repeat) {
+    MeasuredConvolution on_device(device, size);
+    HostConvolution on_host(size);
+    const std::vector<std::pair<const char*, std::function<void()>>> passes{{"forward", [&] { on_device.forward(); }},
+                                                                            {"by input", [&] { on_device.by_input(); }},
+                                                                            {"by weights", [&] { on_device.by_weights(); }}};
+    for (std::size_t pass = 0; pass < passes.size(); ++pass) {
+        const auto host = [&] { on_host.run(pass); };
+        passes[pass].second(), host();   // warm up
+        Times of_device, of_host;
+        for (int i = 0; i < repeat; ++i) of_device.add(passes[pass].second), of_host.add(host);
+        print(size, passes[pass].first, of_device, of_host);
+    }
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    CLI::App app("convolutions 3x3 of the ray-drop network on the device and by oneDNN on the host, in turn: medians and their ratio");
+    int repeat = 15, index = -1;
+    app.add_option("--repeat", repeat, "runs of each")->check(CLI::Range(1, 10000));
+    app.add_option("--device", index, "as `relidar devices` lists them");
+    CLI11_PARSE(app, argc, argv);
+    try {
+        DeviceOptions options;
+        options.index = index;
+        Device device(from_environment(options));
+        const dnnl_version_t* version = dnnl_version();
+        fmt::print("{}; oneDNN {}.{}.{}; medians of {} runs in turn; ratio: device / oneDNN, by the wall and by processor time\n",
+                   device.info().name, version->major, version->minor, version->patch, repeat);
+        fmt::print("{:>7} {:>7} {:<10} {:>19} {:>19} {:>19} {:>19} {:>15}\n", "image", "layers", "pass", "wall ms", "processor ms",
+                   "GFLOP/s (wall)", "GFLOP/s a core", "ratio");
+        for (const ConvolutionSize& size :
+             {ConvolutionSize{64, 2000, 16, 16}, ConvolutionSize{64, 2650, 32, 32}, ConvolutionSize{33, 515, 64, 64}})
+            measure(device, size, repeat);
+    } catch (const std::exception& error) {
+        fmt::print(stderr, "relidar_bench_layers: {}\n", error.what());
+        return 1;
+    }
+    return 0;
+}
