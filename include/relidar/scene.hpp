@@ -174,17 +174,16 @@ std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseO
 /// Their tracks and classes in a few words, at most eight of them by name: "3 (Pedestrian), 7 (Tram)".
 std::string names_of(const std::vector<BoxTrack>& boxes);
 
-/// Poses of all instances at a time, each taken when the head of a LiDAR faces its box; a box is absent outside its first and last label.
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, int lidar = 0,
-                                          const std::optional<SweepStart>& start = {});
+/// Poses of all instances in a sweep, each taken when the head of the LiDAR faces its box; a box is absent outside its first and last label.
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep);
 
 /// Where actors are, by their tracks' names: centres of their boxes (relidar's world), interpolated and extrapolated as PoseTrack::at.
 /// Those not named are absent.
 using ActorPoses = std::map<std::string, PoseTrack>;
 /// The same with the actors where the caller has them. The sequence says how the sensor turns and where it is.
 /// @throws UsageError for a name that no instance has, naming the nearest
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, const ActorPoses& world_from_actor,
-                                          int lidar = 0, const std::optional<SweepStart>& start = {});
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep,
+                                          const ActorPoses& world_from_actor);
 
 /// Recursive object-median order of points along the longest axis, split at (first + last) / 2.
 /// @return [n] permutation: position i of the sorted array holds point order[i]

@@ -2,6 +2,7 @@
 // Sensors as files, and the one place where a user's word for a sensor becomes one.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -30,14 +31,12 @@ struct MountedSensor {
     Pose rig_from_sensor;
 };
 
-/// Whether a path is a rig's file: JSON with a list "sensors". A file that cannot be read is none.
-bool is_rig(const std::string& path);
-/// The sensors of a rig, from JSON:
+/// The sensors of a rig, from JSON; nothing where the path is no rig's file: JSON with "sensors". A file that cannot be read is none.
 ///   {"sensors": [{"name": "front", "sensor": "VLP-16", "translation_m": [1, 0, 2], "yaw_pitch_roll_deg": [90, 0, 0]}, ...]}
 /// sensor is what find_sensor() takes, files beside the rig's; translation_m and yaw_pitch_roll_deg (each 0 where left out) mount it, x
 /// forward, y left, z up, yaw to the left first. Names are folders of files: letters, digits, -, _ and ., each once.
 /// @throws DataError naming the sensor and key that is wrong, or as find_sensor()
-std::vector<MountedSensor> read_rig(const std::string& path);
+std::optional<std::vector<MountedSensor>> find_rig(const std::string& path);
 
 /// What sensor files hold, in lines for a user.
 inline constexpr const char* kSensorFileHelp =

@@ -73,6 +73,14 @@ struct Frame {
     std::optional<SweepStart> start = {};   ///< see find_start(); load_sequence() looks for it
 };
 
+/// Which LiDAR of a log sweeps, when, and where its sweep begins.
+struct SweepMoment {
+    double time_s = 0.0;    ///< reference time of the sweep
+    int lidar = 0;          ///< in Sequence::lidars
+    std::optional<SweepStart> start = {};
+};
+inline SweepMoment moment_of(const Frame& frame) { return {frame.time_s, frame.lidar, frame.start}; }
+
 /// One LiDAR of a log.
 struct Lidar {
     std::string name;           ///< the dataset's own, unique in the log; empty where there is one LiDAR alone
@@ -176,10 +184,8 @@ struct WorldRay {
 WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter);
 
 /// When the head of a LiDAR faces a point: the moment of the sweep at which a static or moving thing there is seen.
-/// @param point_m [3] metres, sensor frame @param time_s reference time of the sweep
-/// @param start  of the sweep @return time_s itself without a rolling shutter
-double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s, int lidar = 0,
-                   const std::optional<SweepStart>& start = {});
+/// @param point_m [3] metres, sensor frame @return the sweep's time_s itself without a rolling shutter
+double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep);
 
 /// What a ray returned from. The angle of incidence is left in the intensity.
 struct SurfaceReturn {

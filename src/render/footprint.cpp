@@ -6,6 +6,7 @@
 #include <vector>
 
 #include <relidar/math.hpp>
+#include "render/empty_scan.hpp"
 
 namespace relidar {
 namespace {
@@ -120,17 +121,7 @@ const Group* second_of(const std::vector<Group>& groups, const Group& strongest,
 class Joiner {
 public:
     Joiner(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
-        : parts_(parts), range_m_(surface_ranges(parts)), offsets_(pattern(config.sub_rays)), config_(config) {
-        scan_.image.rows = rays.rows;
-        scan_.image.columns = rays.columns;
-        scan_.image.origin = rays.origin;
-        scan_.image.direction = rays.direction;
-        scan_.time_offset_s = rays.time_offset_s;
-        scan_.channel = rays.channel;
-        scan_.world_from_sensor = parts.world_from_sensor;
-        scan_.track = parts.track;
-        scan_.time_s = parts.time_s;
-        scan_.trace_ms = parts.trace_ms;
+        : parts_(parts), range_m_(surface_ranges(parts)), offsets_(pattern(config.sub_rays)), config_(config), scan_(empty_scan(rays, parts)) {
         if (config.returns == 2) scan_.further.resize(1);
     }
 

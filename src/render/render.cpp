@@ -12,6 +12,7 @@
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
 #include <relidar/stages/forward.hpp>
+#include "render/empty_scan.hpp"
 #include "render/footprint.hpp"
 
 namespace relidar {
@@ -83,11 +84,11 @@ Sequence without_scans(const Sequence& sequence, const Config& config) {
     return result;
 }
 
-/// The rays to cast: those of the sensor, or of the parts of their footprints. @throws UsageError for a beam without divergence
-RayTable split_beams(const RayTable& rays, const SensorConfig& config, const std::string& sensor) {
+/// The rays to cast where they are not those of the sensor: parts of their footprints. @throws UsageError for a beam without divergence
+std::optional<RayTable> split_beams(const RayTable& rays, const SensorConfig& config, const std::string& sensor) {
     if (config.sub_rays == 1 && config.returns > 1)
         throw UsageError("sensor.returns: found 2 with sensor.sub_rays = 1, expected sub-rays: a single ray has one return");
-    if (config.sub_rays == 1) return rays;
+    if (config.sub_rays == 1) return {};
     if (config.sub_rays != 5 && config.sub_rays != 9)
         throw UsageError(fmt::format("sensor.sub_rays: found {}, expected 1, 5 or 9", config.sub_rays));
     const double divergence_rad = config.divergence_mrad > 0.0 ? config.divergence_mrad * 1e-3 : double(rays.divergence_rad);
@@ -126,8 +127,8 @@ struct ScanRenderer::Impl {
     std::vector<bool> shown;   ///< [instances]
 
     /// Where the sweep of a sensor's rays begins, by the period of the LiDAR in whose place it stands.
-    std::optional<SweepStart> start_of(const SensorChoice& sensor) const {
-        return find_start(sensor.rays, sweep.lidars[std::size_t(sensor.lidar)].sensor);
+    SweepMoment moment(const SensorChoice& sensor, double time_s) const {
+        return {time_s, sensor.lidar, find_start(sensor.rays, sweep.lidars[std::size_t(sensor.lidar)].sensor)};
     }
     /// The vehicle is where it has to be for the sensor to be here.
     void drive(PoseTrack world_from_sensor, int lidar) {
@@ -157,7 +158,7 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     Impl& s = *impl_;
     s.sweep.world_from_vehicle = s.log_world_from_vehicle;
     s.drive(moved_track(s.sweep.world_from_sensor(sensor.lidar), sensor_offset), sensor.lidar);
-    return take(sensor, time_s, place_instances(s.layout, s.sweep, time_s, sensor.lidar, s.start_of(sensor)), sample);
+    return take(sensor, time_s, place_instances(s.layout, s.sweep, s.moment(sensor, time_s)), sample);
 }
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample) {
@@ -171,22 +172,23 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
             fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s", request.time_s, kFarthest));
     }
     s.drive(in_world(request.dataset_from_sensor, "the sensor"), sensor.lidar);
-    const std::optional<SweepStart> start = s.start_of(sensor);
-    if (!request.dataset_from_actor)
-        return take(sensor, request.time_s, place_instances(s.layout, s.sweep, request.time_s, sensor.lidar, start), sample);
+    const SweepMoment sweep = s.moment(sensor, request.time_s);
+    if (!request.dataset_from_actor) return take(sensor, request.time_s, place_instances(s.layout, s.sweep, sweep), sample);
     ActorPoses world_from_actor;
     for (const auto& [name, track] : *request.dataset_from_actor) world_from_actor[name] = in_world(track, "actor " + name);
-    return take(sensor, request.time_s, place_instances(s.layout, s.sweep, request.time_s, world_from_actor, sensor.lidar, start), sample);
+    return take(sensor, request.time_s, place_instances(s.layout, s.sweep, sweep, world_from_actor), sample);
 }
 
 /// @param placed  instances at their moments; those that are not shown are left out
 RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed,
                                 std::optional<std::uint64_t> sample) {
     const Impl& s = *impl_;
-    const RayTable whole = sensor.rosette ? make_rays(*sensor.rosette, time_s) : sensor.rays;
+    const std::optional<RayTable> of_now = sensor.rosette ? std::optional(make_rays(*sensor.rosette, time_s)) : std::nullopt;
+    const RayTable& whole = of_now ? *of_now : sensor.rays;
     if (sensor.grid && s.config.sensor.returns > 1)
         throw UsageError(fmt::format("sensor.returns: found 2 for {}, expected 1: its image has one range a pixel", sensor.name));
-    const RayTable table = split_beams(whole, s.config.sensor, sensor.name);
+    const std::optional<RayTable> parts = split_beams(whole, s.config.sensor, sensor.name);
+    const RayTable& table = parts ? *parts : whole;
     if (table.size() == 0)
         throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
     PoseTrack track = s.sweep.world_from_sensor(sensor.lidar);
@@ -202,15 +204,9 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     impl_->renderer.move(placed, glm::vec3(pose.translation));
     const Rendering r = impl_->renderer.forward(rays);
 
-    RenderedScan scan;
+    RenderedScan scan = empty_scan(table);
     scan.trace_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
-    scan.image.rows = table.rows;
-    scan.image.columns = table.columns;
-    scan.image.origin = table.origin;
-    scan.image.direction = table.direction;
     scan.weight = r.weight;
-    scan.time_offset_s = table.time_offset_s;
-    scan.channel = table.channel;
     for (std::size_t i = 0; i < r.size(); ++i) {
         const Beam& beam = beam_of(sensor.beams, table.channel[i]);
         const double surface_m = chosen_range(r, i, s.config.render.range), median_surface_m = r.median_depth[i];
@@ -232,7 +228,7 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     scan.time_s = time_s;
     for (std::size_t i = 0; i < r.normal.size(); ++i)
         scan.normal.push_back(seen_normal(r.normal[i], r.weight[i], scan.world_from_firing(i)));
-    if (s.config.sensor.sub_rays > 1) scan = join_footprints(scan, whole, s.config.sensor);
+    if (parts) scan = join_footprints(scan, whole, s.config.sensor);
     if (sample) sample_returns(scan, s.sweep.range_noise, *sample);
     return sensor.grid ? project_scan(scan, *sensor.grid) : scan;
 }

@@ -10,6 +10,7 @@
 
 #include <relidar/error.hpp>
 #include <relidar/sensor_files.hpp>
+#include "render/empty_scan.hpp"
 
 namespace relidar {
 
@@ -79,11 +80,7 @@ SensorChoice choose_sensor(const std::string& name_or_file, const Config& config
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     const RayTable cells = make_rays(grid);
     const std::size_t n = cells.size();
-    RenderedScan result;
-    result.image.rows = grid.rows;
-    result.image.columns = grid.columns;
-    result.image.origin = cells.origin;
-    result.image.direction = cells.direction;
+    RenderedScan result = empty_scan(cells, scan);
     result.image.range_m.assign(n, 0.0f);
     result.image.intensity.assign(n, 0.0f);
     result.image.drop_prob.assign(n, 1.0f);
@@ -92,11 +89,6 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     result.instance.assign(n, -1);
     if (!scan.normal.empty()) result.normal.assign(n, glm::vec3(0.0f));
     result.time_offset_s.assign(n, 0.0f);
-    result.channel = cells.channel;
-    result.world_from_sensor = scan.world_from_sensor;
-    result.track = scan.track;
-    result.time_s = scan.time_s;
-    result.trace_ms = scan.trace_ms;
     std::vector<float> winner_drop(n, 2.0f);   // of the ray that owns a cell so far; 2 = none
     for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
         if (!(scan.image.range_m[i] > 0.0f) || scan.weight[i] < kMinWeight) continue;
@@ -105,7 +97,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
         const std::size_t c = std::size_t(*cell);
         const float drop = scan.image.drop_prob[i];
         result.image.drop_prob[c] = std::min(result.image.drop_prob[c], drop);
-        const bool returns = drop < 0.5f, winner_returns = winner_drop[c] < 0.5f;
+        const bool returns = drop < kDropThreshold, winner_returns = winner_drop[c] < kDropThreshold;
         const float range = glm::length(scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]);
         const bool wins = returns != winner_returns ? returns : returns ? range < result.image.range_m[c] : drop < winner_drop[c];
         if (!wins && winner_drop[c] < 1.5f) continue;

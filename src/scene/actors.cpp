@@ -154,26 +154,18 @@ std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& b
     return samples;
 }
 
-/// One sweep of a LiDAR.
-struct SweepOf {
-    double time_s;
-    int lidar;
-    std::optional<SweepStart> start;
-};
-
 /// An actor at the moment the head of a LiDAR faces it, the one at which its only transform of the sweep is taken.
-InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_box, const SweepOf& sweep) {
+InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_box, const SweepMoment& sweep) {
     const Pose world_from_sensor =
         sequence.world_from_vehicle.at(sweep.time_s, sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor);
     const double facing_s =
-        facing_time(sequence, inverse(world_from_sensor) * world_from_box.at(sweep.time_s).translation, sweep.time_s, sweep.lidar,
-                    sweep.start);
+        facing_time(sequence, inverse(world_from_sensor) * world_from_box.at(sweep.time_s).translation, sweep);
     return {world_from_box.at(facing_s), true, facing_s};
 }
 
 /// The background, and every actor on the track that `track_of` has for its name; absent where that is null.
 template <class TrackOf>
-std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence, const SweepOf& sweep, const TrackOf& track_of) {
+std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep, const TrackOf& track_of) {
     std::vector<InstancePose> placed;
     for (const Instance& instance : scene.instances) {
         if (instance.track.empty()) {
@@ -239,19 +231,18 @@ std::string names_of(const std::vector<BoxTrack>& boxes) {
     return fmt::format("{}{}", fmt::join(names, ", "), boxes.size() > kMost ? fmt::format(" and {} more", boxes.size() - kMost) : "");
 }
 
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, int lidar,
-                                          const std::optional<SweepStart>& start) {
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep) {
     std::unordered_map<std::string_view, const PoseTrack*> tracks;   // there may be a thousand
     for (const BoxTrack& box : sequence.boxes)
-        if (box.present(time_s)) tracks.emplace(box.id, &box.world_from_box);
-    return place_by(scene, sequence, {time_s, lidar, start}, [&](const std::string& name) {
+        if (box.present(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);
+    return place_by(scene, sequence, sweep, [&](const std::string& name) {
         const auto track = tracks.find(name);
         return track == tracks.end() ? nullptr : track->second;
     });
 }
 
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, const ActorPoses& world_from_actor,
-                                          int lidar, const std::optional<SweepStart>& start) {
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep,
+                                          const ActorPoses& world_from_actor) {
     std::vector<std::string> tracks;
     for (const Instance& instance : scene.instances)
         if (!instance.track.empty()) tracks.push_back(instance.track);
@@ -260,7 +251,7 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
             throw UsageError(
                 fmt::format("placing actors: found a pose of \"{}\", expected a track of the scene{}", track,
                             tracks.empty() ? ", which has no actor" : fmt::format("; did you mean \"{}\"?", nearest_name(track, tracks))));
-    return place_by(scene, sequence, {time_s, lidar, start}, [&](const std::string& name) {
+    return place_by(scene, sequence, sweep, [&](const std::string& name) {
         const auto track = world_from_actor.find(name);
         return track == world_from_actor.end() ? nullptr : &track->second;
     });

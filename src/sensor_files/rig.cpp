@@ -49,7 +49,7 @@ Pose mounting(const Json& sensor, const std::string& where) {
 std::string beside(const std::string& sensor, const std::string& rig) {
     const fs::path path = fs::path(rig).parent_path() / sensor;
     const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
-    return !known_sensor(sensor) && (path_exists(path) || path_exists(without_columns)) ? path.string() : sensor;
+    return !known_name(sensor, sensor_names()) && (path_exists(path) || path_exists(without_columns)) ? path.string() : sensor;
 }
 
 void check_name(const std::string& name, const std::set<std::string>& taken, const std::string& where) {
@@ -61,27 +61,17 @@ void check_name(const std::string& name, const std::set<std::string>& taken, con
 
 }  // namespace
 
-bool is_rig(const std::string& path) {
-    if (fs::path(path).extension() != ".json") return false;
-    try {
-        const Json json = Json::parse(read_file(path));
-        return json.is_object() && json.contains("sensors");
-    } catch (const std::exception&) {
-        return false;   // find_sensor() says what is wrong with it
-    }
-}
-
-std::vector<MountedSensor> read_rig(const std::string& path) {
+std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
+    if (fs::path(path).extension() != ".json") return {};
     Json json;
     try {
         json = Json::parse(read_file(path));
-    } catch (const Json::exception& error) {
-        throw DataError(fmt::format("{}: no valid JSON ({}), expected a rig", path, excerpt(error.what())));
+    } catch (const std::exception&) {
+        return {};   // find_sensor() says what is wrong with it
     }
-    if (!json.is_object() || !json.contains("sensors") || !json.at("sensors").is_array() || json.at("sensors").empty() ||
-        json.at("sensors").size() > kMostSensors) {
+    if (!json.is_object() || !json.contains("sensors")) return {};
+    if (!json.at("sensors").is_array() || json.at("sensors").empty() || json.at("sensors").size() > kMostSensors)
         throw DataError(fmt::format("{}: expected a list \"sensors\" of 1 to {}", path, kMostSensors));
-    }
     std::vector<MountedSensor> rig;
     std::set<std::string> names;
     for (const Json& sensor : json.at("sensors")) {

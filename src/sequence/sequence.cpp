@@ -206,15 +206,16 @@ std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor&
     return SweepStart{std::remainder(at_zero + rad_per_s * double(first_s), 2.0 * kPi), double(first_s)};
 }
 
-double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s, int lidar, const std::optional<SweepStart>& start) {
-    const SpinningSensor& sensor = sequence.lidars[std::size_t(lidar)].sensor;
-    if (!sequence.rolling_shutter) return time_s;
-    if (start) {
-        const double turned = (sensor.clockwise ? -1.0 : 1.0) * (std::atan2(point_m.y, point_m.x) - start->azimuth_rad) / (2.0 * kPi);
-        return time_s + start->time_s + (turned - std::floor(turned)) * sensor.period_s;
+double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep) {
+    const SpinningSensor& sensor = sequence.lidars[std::size_t(sweep.lidar)].sensor;
+    if (!sequence.rolling_shutter) return sweep.time_s;
+    const double azimuth = std::atan2(point_m.y, point_m.x);
+    if (sweep.start) {
+        const double turned = (sensor.clockwise ? -1.0 : 1.0) * (azimuth - sweep.start->azimuth_rad) / (2.0 * kPi);
+        return sweep.time_s + sweep.start->time_s + (turned - std::floor(turned)) * sensor.period_s;
     }
-    const double after_s = std::atan2(point_m.y, point_m.x) / (2.0 * kPi) * sensor.period_s;
-    return time_s + (sensor.clockwise ? -after_s : after_s);
+    const double after_s = azimuth / (2.0 * kPi) * sensor.period_s;
+    return sweep.time_s + (sensor.clockwise ? -after_s : after_s);
 }
 
 SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray) {

@@ -149,10 +149,10 @@ TEST(Rigs, SensorsAreMountedAsTheFileSays) {
     write("near.csv", "elevation_deg\n5\n-5\n");
     const std::string file = write("rig.json", R"({"sensors": [{"name": "top", "sensor": "VLP-16:900x20"},
         {"name": "left", "sensor": "near.csv:360x10", "translation_m": [1, 2, 3], "yaw_pitch_roll_deg": [90, 0, 180]}]})");
-    EXPECT_TRUE(is_rig(file));
-    EXPECT_FALSE(is_rig(write("no_rig.json", "{}")));
-    EXPECT_FALSE(is_rig("VLP-16"));
-    const std::vector<MountedSensor> rig = read_rig(file);
+    EXPECT_FALSE(find_rig(write("no_rig.json", "{}")));
+    EXPECT_FALSE(find_rig(write("broken.json", "{")));
+    EXPECT_FALSE(find_rig("VLP-16"));
+    const std::vector<MountedSensor> rig = find_rig(file).value();
     ASSERT_EQ(rig.size(), 2u);
     EXPECT_EQ(rig[0].name, "top");
     EXPECT_EQ(make_rays(rig[0].sensor).columns, 900);
@@ -165,7 +165,7 @@ TEST(Rigs, SensorsAreMountedAsTheFileSays) {
 TEST(Rigs, WrongRigsAreNamed) {
     const auto complaint = [](const std::string& text) {
         try {
-            read_rig(write("bad_rig.json", text));
+            find_rig(write("bad_rig.json", text));
         } catch (const Error& error) {
             return std::string(error.what());
         }

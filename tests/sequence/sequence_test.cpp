@@ -151,7 +151,7 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
                 const auto start = find_start(rays, sensor);
                 ASSERT_TRUE(start.has_value());
                 for (std::size_t i = 1; i < 500; i += 7) {   // the first is as near to the end of the turn as to its beginning
-                    const double facing_s = facing_time(sequence, 9.0 * glm::dvec3(rays.direction[i]), 100.0, 0, start);
+                    const double facing_s = facing_time(sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
                     ASSERT_NEAR(facing_s, 100.0 + double(rays.time_offset_s[i]), 1e-6) << from_rad << " " << from_s << " " << i;
                 }
             }

@@ -88,7 +88,7 @@ BenchCase run_case(const BenchChoice& choice) {
         bench.rays.origin.emplace_back(ray.origin_m);
         bench.rays.direction.emplace_back(ray.direction);
     }
-    bench.placed = place_instances(run.scene, run.sequence, frame.time_s);
+    bench.placed = place_instances(run.scene, run.sequence, moment_of(frame));
     bench.scene = std::move(run.scene);
     bench.config = std::move(run.config);
     return bench;
