@@ -23,6 +23,7 @@ struct TraceOptions;
 struct DatasetConfig {
     std::string path;              ///< dataset as given on the command line
     std::string sequence;          ///< which drive of a dataset that holds several, by its own name; empty: the only one, or the first
+    std::string lidars;            ///< names of those that are read, separated by commas; empty: all
     int frames_begin = 0;
     int frames_end = -1;           ///< -1: to the last
     int test_every = 10;

@@ -119,6 +119,7 @@ struct InitialiseOptions {
     double max_scale_m = 0.5;          ///< initial standard deviations are clamped to this
     double scale_factor = 1.0;         ///< times the mean distance to the 3 nearest neighbours
     double thickness = 1.0;            ///< 3D Gaussians: along the normal over in the plane; 1 = spheres, as 3D Gaussian splatting starts
+    bool further_returns = true;       ///< second returns are points too, where the log has them
     bool remove_unlabelled_movers = false;   ///< leave out points that other training frames see through (not in the paper)
     bool discover_actors = false;      ///< what moves without a label gets a track of its own (see discover_tracks(); not in the paper)
     double actor_min_step_m = 0.01;    ///< boxes moving more than this a frame hold actors: their points are left out

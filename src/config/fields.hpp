@@ -38,6 +38,8 @@ void visit_dataset(C& c, Visitor&& f) {
     f("dataset.path", c.dataset.path, anything(), "dataset: a path, or kind:path; training fills it in");
     f("dataset.sequence", c.dataset.sequence, anything(),
       "which drive of a dataset that holds several, by its own name; empty: the only one, or the first");
+    f("dataset.lidars", c.dataset.lidars, anything(),
+      "names of the LiDARs that are read of a log with several, separated by commas; empty: all");
     f("dataset.frames_begin", c.dataset.frames_begin, between(0, kMaxCount), "first frame, by the dataset's own number");
     f("dataset.frames_end", c.dataset.frames_end, between(-1, kMaxCount), "frame after the last one; -1: to the end of the log");
     f("dataset.test_every", c.dataset.test_every, between(0, kMaxCount), "every so many frames one is held out for testing; 0: none");
@@ -85,6 +87,7 @@ void visit_scene(C& c, Visitor&& f) {
     f("init.normals", c.init.normals, anything(), "orient surfels along normals of the nearest neighbours; false: at random");
     f("init.normal_neighbours", c.init.normal_neighbours, between(3, 1000), "neighbours a normal is fitted to");
     f("init.smooth", c.init.smooth, anything(), "move each new surfel onto the plane of its neighbours");
+    f("init.further_returns", c.init.further_returns, anything(), "second returns are points of the start too, where the log has them");
     f("init.remove_unlabelled_movers", c.init.remove_unlabelled_movers, anything(),
       "leave out points that other training frames see through");
     f("init.opacity", c.init.opacity, Accepts{0.0, 0.99, true, {}}, "opacity of new surfels");

@@ -126,9 +126,18 @@ struct ScanRenderer::Impl {
     Renderer renderer;
     std::vector<bool> shown;   ///< [instances]
 
-    /// Where the sweep of a sensor's rays begins, by the period of the LiDAR in whose place it stands.
-    SweepMoment moment(const SensorChoice& sensor, double time_s) const {
-        return {time_s, sensor.lidar, find_start(sensor.rays, sweep.lidars[std::size_t(sensor.lidar)].sensor)};
+    /// Where the sweep of a sensor's rays begins. It faces things as its pattern says, or as the LiDAR in whose place it stands.
+    SweepMoment moment(const SensorChoice& sensor, double time_s) {
+        Lidar& lidar = sweep.lidars[std::size_t(sensor.lidar)];
+        lidar.pattern = sensor.pattern;
+        return {time_s, sensor.lidar, find_start(sensor.rays, lidar)};
+    }
+    /// Sub-rays and returns of a sensor.
+    SensorConfig config_of(const SensorChoice& sensor) const {
+        SensorConfig wanted = config.sensor;
+        if (sensor.returns > 0) wanted.returns = sensor.returns;
+        if (sensor.returns > 1 && wanted.sub_rays == 1) wanted.sub_rays = 9;
+        return wanted;
     }
     /// The vehicle is where it has to be for the sensor to be here.
     void drive(PoseTrack world_from_sensor, int lidar) {
@@ -183,11 +192,13 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
 RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed,
                                 std::optional<std::uint64_t> sample) {
     const Impl& s = *impl_;
-    const std::optional<RayTable> of_now = sensor.rosette ? std::optional(make_rays(*sensor.rosette, time_s)) : std::nullopt;
+    const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
+    const std::optional<RayTable> of_now = makes_rays ? std::optional(make_rays(*sensor.pattern, time_s)) : std::nullopt;
     const RayTable& whole = of_now ? *of_now : sensor.rays;
-    if (sensor.grid && s.config.sensor.returns > 1)
+    const SensorConfig config = s.config_of(sensor);
+    if (sensor.grid && config.returns > 1)
         throw UsageError(fmt::format("sensor.returns: found 2 for {}, expected 1: its image has one range a pixel", sensor.name));
-    const std::optional<RayTable> parts = split_beams(whole, s.config.sensor, sensor.name);
+    const std::optional<RayTable> parts = split_beams(whole, config, sensor.name);
     const RayTable& table = parts ? *parts : whole;
     if (table.size() == 0)
         throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
@@ -228,7 +239,7 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     scan.time_s = time_s;
     for (std::size_t i = 0; i < r.normal.size(); ++i)
         scan.normal.push_back(seen_normal(r.normal[i], r.weight[i], scan.world_from_firing(i)));
-    if (parts) scan = join_footprints(scan, whole, s.config.sensor);
+    if (parts) scan = join_footprints(scan, whole, config);
     if (sample) sample_returns(scan, s.sweep.range_noise, *sample);
     return sensor.grid ? project_scan(scan, *sensor.grid) : scan;
 }

@@ -20,12 +20,20 @@ constexpr float kMinWeight = 0.05f;   ///< a simulated ray that met less than th
 
 RangeLimits configured_limits(const Config& config) { return {config.dataset.min_range_m, config.dataset.max_range_m}; }
 
+/// Those of a Rosette are made for each scan.
+template <class Make>
+RayTable rays_of(const std::optional<FixedPattern>& pattern, const Make& make) {
+    return pattern && std::holds_alternative<Rosette>(*pattern) ? RayTable{} : make();
+}
+
 SensorChoice own_sensor(const Config& config, const Sequence& sequence, int lidar) {
-    const SpinningSensor& sensor = sequence.lidars[std::size_t(lidar)].sensor;
+    const Lidar& own = sequence.lidars[std::size_t(lidar)];
+    const SpinningSensor& sensor = own.sensor;
     const RangeLimits limits = overlap(sensor.range_limits(), configured_limits(config));
-    return {.rays = sensor.beams.empty() ? RayTable{} : make_rays(sensor),
+    return {.rays = rays_of(own.pattern, [&] { return nominal_rays(own, 0.0); }),
             .is_own = true,
             .beams = sensor.beams,
+            .pattern = own.pattern,
             .limits = limits,
             .name = sensor.name,
             .lidar = lidar};
@@ -66,9 +74,12 @@ SensorChoice configured_sensor(const Config& config, const Sequence& sequence, i
 }
 
 SensorChoice sensor_choice(const SensorModel& sensor, int lidar) {
-    SensorChoice choice{.rays = make_rays(sensor), .limits = sensor.limits, .name = sensor.name, .lidar = lidar};
-    if (const auto* rosette = std::get_if<Rosette>(&sensor.pattern)) choice.rosette = *rosette;
-    return choice;
+    const std::optional<FixedPattern> pattern = fixed_pattern(sensor);
+    return {.rays = rays_of(pattern, [&] { return make_rays(sensor); }),
+            .pattern = pattern,
+            .limits = sensor.limits,
+            .name = sensor.name,
+            .lidar = lidar};
 }
 
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence, int lidar) {

@@ -45,6 +45,13 @@ Pose mounting(const Json& sensor, const std::string& where) {
     return {rotation_of(angle.x, angle.y, angle.z), vector_of(sensor, "translation_m", kFarthest_m, where)};
 }
 
+int returns_of(const Json& sensor, const std::string& where) {
+    if (!sensor.contains("returns")) return 1;
+    const Json& returns = sensor.at("returns");
+    if (returns != 1 && returns != 2) throw DataError(fmt::format("{}: returns: expected 1 or 2", where));
+    return returns.get<int>();
+}
+
 /// A sensor's file as the rig's folder has it; a name, or a path from elsewhere, as it is.
 std::string beside(const std::string& sensor, const std::string& rig) {
     const fs::path path = fs::path(rig).parent_path() / sensor;
@@ -79,7 +86,7 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
         const std::string name = text_of(sensor, "name", where);
         check_name(name, names, where);
         names.insert(name);
-        rig.push_back({name, find_sensor(beside(text_of(sensor, "sensor", where), path)), mounting(sensor, where)});
+        rig.push_back({name, find_sensor(beside(text_of(sensor, "sensor", where), path)), mounting(sensor, where), returns_of(sensor, where)});
     }
     return rig;
 }

@@ -19,6 +19,7 @@ namespace relidar {
 Sequence load_log(const Config& config, const Progress& progress) {
     DatasetOptions options;
     options.sequence = config.dataset.sequence;
+    options.lidars = words_of(config.dataset.lidars);
     options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
     options.poses_file = config.dataset.poses;
     options.allow_missing_scans = config.dataset.allow_missing_scans;

@@ -180,7 +180,7 @@ std::vector<Sweep> sweeps_of_log(const Run& run, const Options& options, int lid
 
 std::vector<Sweep> sweeps_along(const Run& run, const Options& options, const PoseTrack& track, int lidar) {
     const std::vector<double> times_s =
-        scan_times(options.trajectory, track, 1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar)].sensor.period_s);
+        scan_times(options.trajectory, track, 1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar)].period_s());
     if (!options.quiet) note_beyond_log(run, track, times_s);
     std::vector<Sweep> sweeps;
     for (const double t : times_s) sweeps.push_back({static_cast<int>(sweeps.size()), t});
@@ -200,8 +200,10 @@ std::vector<Wanted> wanted_sensors(const Options& options, const Rig& rig, const
     if (options.sensor.empty()) return {{"", configured_sensor(run.config, run.sequence, lidar), {}}};
     if (!rig) return {{"", choose_sensor(options.sensor, run.config, run.sequence, lidar), {}}};
     std::vector<Wanted> wanted;
-    for (const MountedSensor& mounted : *rig)
+    for (const MountedSensor& mounted : *rig) {
         wanted.push_back({mounted.name, sensor_choice(mounted.sensor, lidar), mounted.rig_from_sensor});
+        wanted.back().sensor.returns = mounted.returns;
+    }
     return wanted;
 }
 
@@ -211,6 +213,7 @@ std::vector<ScanFolder> scan_folders(const Options& options, const Run& run, con
     if (options.merge) {
         SensorChoice rig = wanted.front().sensor;
         rig.name = std::filesystem::path(options.sensor).stem().string();
+        for (const Wanted& w : wanted) rig.returns = std::max(rig.returns, w.sensor.returns);
         for (const Wanted& w : wanted)
             rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m), std::max(rig.limits.max_m, w.sensor.limits.max_m)};
         folders.emplace_back(options.out, wanted_format(options, run, rig, offset));
