@@ -83,7 +83,7 @@ Sequence make_synthetic_street(const SyntheticOptions& options);
 Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
 
 /// The same for beams of a divergence, as a receiver of two returns has them: the strongest, and behind it or before it the last one, or the
-/// next strongest where that is the last. 40 exact rays for each beam; surfaces 0.5 m apart are two returns, a tenth of the strongest's
+/// next strongest where that is the last. 53 exact rays for each beam; surfaces 0.5 m apart are two returns, a tenth of the strongest's
 /// light is enough for the second. @param rays  of a divergence above 0 @throws UsageError where they have none
 Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
 

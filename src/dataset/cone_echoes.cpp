@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A spiral of golden angles; returns told apart by sorting. Written apart from src/render/footprint.cpp, which it checks.
+// A spiral of golden angles; returns told apart by sorting. Written apart from src/render/footprint.cpp, which it checks, and in other
+// places of the cone.
 #include "dataset/cone_echoes.hpp"
 
 #include <algorithm>
@@ -56,7 +57,7 @@ RayTable cone_rays(const RayTable& rays) {
             side = glm::normalize(glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
         for (int k = 0; k < kConeRays; ++k) {
             const double angle = 0.5 * double(rays.divergence_rad) * std::sqrt((k + 0.5) / kConeRays);
-            const glm::dvec3 off = std::cos(k * kGolden_rad) * side + std::sin(k * kGolden_rad) * glm::cross(d, side);
+            const glm::dvec3 off = std::cos(1.0 + k * kGolden_rad) * side + std::sin(1.0 + k * kGolden_rad) * glm::cross(d, side);
             cone.direction.emplace_back(std::cos(angle) * d + std::sin(angle) * off);
             cone.origin.push_back(rays.origin[i]);
             cone.time_offset_s.push_back(rays.time_offset_s[i]);

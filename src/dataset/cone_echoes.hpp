@@ -6,7 +6,7 @@
 
 namespace relidar::street {
 
-inline constexpr int kConeRays = 40;   ///< exact rays for each beam
+inline constexpr int kConeRays = 53;   ///< exact rays for each beam
 
 /// kConeRays rays for each one, in a spiral that covers its cone evenly. @param rays  of a divergence above 0
 RayTable cone_rays(const RayTable& rays);

@@ -23,6 +23,8 @@
 namespace relidar {
 namespace {
 
+namespace fs = std::filesystem;
+
 using test::KittiDrive;
 
 TEST(KittiRaw, RecoversTheSensorFromItsScans) {
