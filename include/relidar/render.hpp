@@ -59,11 +59,12 @@ struct SensorChoice {
     RangeLimits limits = {};         ///< of measured ranges
     std::string name = "";
     int lidar = 0;                   ///< of the log, which it is or in whose place it stands
-    int returns = 0;                 ///< of each ray, whatever config.sensor.returns says; 2 casts 9 sub-rays where config has 1; 0: as config
+    int returns = 0;                 ///< of each ray, 1 or 2, the latter by 9 sub-rays where config has 1; 0: as config.sensor.returns says
 };
 
 /// What config.sensor says: a LiDAR of the log, or the grid in its place by projection or by casting. The log's LiDAR sees what lies within
-/// its own range limits and those of config.dataset. Of one that is known by its scans alone there are no rays: those of a scan have to be put in.
+/// its own range limits and those of config.dataset. Of one that is known by its scans alone there are no rays: those of a scan have to be
+/// put in.
 SensorChoice configured_sensor(const Config& config, const Sequence& sequence, int lidar = 0);
 /// "native", or a sensor by name, CSV file or grid name. "kitti360" follows config.sensor.grid_method.
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence, int lidar = 0);

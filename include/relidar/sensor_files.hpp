@@ -37,7 +37,8 @@ struct MountedSensor {
 /// The sensors of a rig, from JSON; nothing where the path is no rig's file: JSON with "sensors". A file that cannot be read is none.
 ///   {"sensors": [{"name": "front", "sensor": "VLP-16", "translation_m": [1, 0, 2], "yaw_pitch_roll_deg": [90, 0, 0]}, ...]}
 /// sensor is what find_sensor() takes, files beside the rig's; translation_m and yaw_pitch_roll_deg (each 0 where left out) mount it, x
-/// forward, y left, z up, yaw to the left first; "returns": 2 where it has two. Names are folders of files: letters, digits, -, _ and ., each once.
+/// forward, y left, z up, yaw to the left first; "returns": 2 where it has two. Names are folders of files: letters, digits, -, _ and .,
+/// each once.
 /// @throws DataError naming the sensor and key that is wrong, or as find_sensor()
 std::optional<std::vector<MountedSensor>> find_rig(const std::string& path);
 

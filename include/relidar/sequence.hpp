@@ -79,6 +79,7 @@ struct SweepMoment {
     int lidar = 0;          ///< in Sequence::lidars
     std::optional<SweepStart> start = {};
 };
+/// Of a frame.
 inline SweepMoment moment_of(const Frame& frame) { return {frame.time_s, frame.lidar, frame.start}; }
 
 struct Lidar;

@@ -169,6 +169,8 @@ void visit_training(C& c, Visitor&& f) {
       "are evaluated per hit and on devices without float atomics");
     f("train.gather_hits", c.train.gather_hits, between(1, 4096),
       "room for so many hit records a ray where gradients are summed in a fixed order");
+    f("train.second_returns", c.train.second_returns, anything(),
+      "second returns that lie farther are rays of their own, which start behind the first surface; scans with any lose their image order");
     f("train.sensor_drop", c.train.sensor_drop, anything(),
       "learn what the sensor itself never sees (its own vehicle) apart from the scene");
     f("train.refine_poses", c.train.refine_poses, one_of({"none", "sensor", "actors", "sensor,actors"}),

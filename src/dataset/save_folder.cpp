@@ -61,7 +61,10 @@ Json rays_json(const RayTable& rays) {
         for (const glm::vec3& v : list) json.push_back({v.x, v.y, v.z});
         return json;
     };
-    return {{"directions", vectors(rays.direction)}, {"origin", vectors(rays.origin)}, {"time", rays.time_offset_s}, {"ring", rays.channel}};
+    return {{"directions", vectors(rays.direction)},
+            {"origin", vectors(rays.origin)},
+            {"time", rays.time_offset_s},
+            {"ring", rays.channel}};
 }
 
 /// The file of a sensor that does not spin, as find_sensor() reads it.

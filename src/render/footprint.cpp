@@ -126,7 +126,11 @@ const Group* second_of(const std::vector<Group>& groups, const Group& strongest,
 class Joiner {
 public:
     Joiner(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
-        : parts_(parts), range_m_(surface_ranges(parts)), offsets_(pattern(config.sub_rays)), config_(config), scan_(empty_scan(rays, parts)) {
+        : parts_(parts),
+          range_m_(surface_ranges(parts)),
+          offsets_(pattern(config.sub_rays)),
+          config_(config),
+          scan_(empty_scan(rays, parts)) {
         if (config.returns == 2) scan_.further.resize(1);
     }
 

@@ -68,7 +68,8 @@ ScanningWindow read_window(const JsonField& field) {
                           .period_s = field.at("period_s").number(1e-6, 3600.0),
                           .divergence_rad = field.at("divergence_rad").number(0.0, kTurn)};
     if (std::size_t(window.rows) * std::size_t(window.columns) > kMaxRays)
-        field.fail(fmt::format("found {} rows x {} columns", window.rows, window.columns), fmt::format("expected at most {} rays", kMaxRays));
+        field.fail(fmt::format("found {} rows x {} columns", window.rows, window.columns),
+                   fmt::format("expected at most {} rays", kMaxRays));
     return window;
 }
 
@@ -107,7 +108,8 @@ RayTable read_rays(const JsonField& field) {
     for (const double t : numbers(field.at("time_offset_s"), n, 10.0)) rays.time_offset_s.push_back(static_cast<float>(t));
     for (const double c : numbers(field.at("channel"), n, 65535.0)) rays.channel.push_back(static_cast<std::uint16_t>(std::abs(c)));
     for (const glm::vec3& d : rays.direction)
-        if (!(std::abs(glm::length(d) - 1.0f) < 1e-3f)) field.at("direction").fail(fmt::format("found length {}", glm::length(d)), "expected 1");
+        if (!(std::abs(glm::length(d) - 1.0f) < 1e-3f))
+            field.at("direction").fail(fmt::format("found length {}", glm::length(d)), "expected 1");
     rays.divergence_rad = static_cast<float>(field.at("divergence_rad").number(0.0, kTurn));
     return rays;
 }

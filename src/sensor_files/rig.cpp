@@ -86,7 +86,8 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
         const std::string name = text_of(sensor, "name", where);
         check_name(name, names, where);
         names.insert(name);
-        rig.push_back({name, find_sensor(beside(text_of(sensor, "sensor", where), path)), mounting(sensor, where), returns_of(sensor, where)});
+        const SensorModel model = find_sensor(beside(text_of(sensor, "sensor", where), path));
+        rig.push_back({name, model, mounting(sensor, where), returns_of(sensor, where)});
     }
     return rig;
 }

@@ -156,7 +156,8 @@ SensorModel window_of(const JsonField& field, const std::string& name) {
                                 .period_s = common.period_s,
                                 .divergence_rad = common.divergence_rad};
     if (std::size_t(window.rows) * std::size_t(window.columns) > kMaxRays)
-        field.fail(fmt::format("found {} rows x {} columns", window.rows, window.columns), fmt::format("expected at most {} rays", kMaxRays));
+        field.fail(fmt::format("found {} rows x {} columns", window.rows, window.columns),
+                   fmt::format("expected at most {} rays", kMaxRays));
     return {name, "", common.limits, window};
 }
 

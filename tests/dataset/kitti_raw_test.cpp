@@ -268,7 +268,8 @@ TEST(KittiRaw, RealDrive) {
 /// The points of a scan's file within a range, single precision as they are.
 std::vector<glm::vec3> file_points(const fs::path& file, float max_range_m, std::vector<float>& intensity) {
     std::vector<glm::vec4> records(fs::file_size(file) / sizeof(glm::vec4));
-    std::ifstream(file, std::ios::binary).read(reinterpret_cast<char*>(records.data()), std::streamsize(records.size() * sizeof(glm::vec4)));
+    const auto n_bytes = std::streamsize(records.size() * sizeof(glm::vec4));
+    std::ifstream(file, std::ios::binary).read(reinterpret_cast<char*>(records.data()), n_bytes);
     std::vector<glm::vec3> points;
     for (const glm::vec4& r : records)
         if (glm::length(glm::vec3(r)) < max_range_m) points.emplace_back(r), intensity.push_back(r.w);

@@ -247,7 +247,8 @@ TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
         EXPECT_GE(std::abs(second_m - frame.scan.range_m[i]), 0.4f) << "means of returns whose nearest parts are 0.5 m apart";
         RayTable fan = one_ray(frame.scan.rays.direction[i]);   // 20 x 20 directions of the cone
         fan.time_offset_s.clear(), fan.origin.clear(), fan.channel.clear(), fan.direction.clear();
-        const glm::vec3 d = frame.scan.rays.direction[i], side = glm::normalize(glm::cross(d, glm::vec3(0, 0, 1))), up = glm::cross(side, d);
+        const glm::vec3 d = frame.scan.rays.direction[i], side = glm::normalize(glm::cross(d, glm::vec3(0, 0, 1)));
+        const glm::vec3 up = glm::cross(side, d);
         for (int k = 0; k < 400; ++k) {
             const float u = (float(k % 20) - 9.5f) / 10.0f, v = (float(k / 20) - 9.5f) / 10.0f;
             fan.direction.push_back(glm::normalize(d + 4.5e-3f * (u * side + v * up)));

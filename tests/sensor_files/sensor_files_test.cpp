@@ -135,7 +135,8 @@ TEST(SensorFiles, WrongFilesAreNamed) {
     EXPECT_THAT(message(write("d.json", "{\"directions\": " + std::string(50'000, '[') + std::string(50'000, ']') + "}")),
                 HasSubstr("nested too deep"));
     EXPECT_THAT(message(write("e.json", "[1,")), HasSubstr("e.json: no valid JSON"));
-    EXPECT_THAT(message(write("f.json", "{}")), HasSubstr("found none of \"directions\", \"window\", \"rosette\" and \"beam_altitude_angles\""));
+    EXPECT_THAT(message(write("f.json", "{}")),
+                HasSubstr("found none of \"directions\", \"window\", \"rosette\" and \"beam_altitude_angles\""));
     EXPECT_THAT(message(write("g.json", R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1,2], "lidar_mode": "512x10"})")),
                 HasSubstr("found 1 beam_altitude_angles and 2 beam_azimuth_angles"));
     EXPECT_THAT(message(write("h.json", R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1], "lidar_mode": "fast"})")),
@@ -204,7 +205,8 @@ TEST(Rigs, WrongRigsAreNamed) {
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "translation_m": [1, 2]}]})"),
                 HasSubstr("sensor 0: translation_m: expected three numbers of at most 1000"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP"}]})"), HasSubstr("did you mean"));
-    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "returns": 3}]})"), HasSubstr("sensor 0: returns: expected 1 or 2"));
+    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "returns": 3}]})"),
+                HasSubstr("sensor 0: returns: expected 1 or 2"));
 }
 
 }  // namespace

@@ -160,8 +160,8 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
 }
 
 TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
-    const ScanningWindow window{.name = "w", .rows = 2, .columns = 40, .left_rad = 1.0, .right_rad = -0.8, .top_rad = 0.1, .bottom_rad = 0.0,
-                                .period_s = 0.08};
+    const ScanningWindow window{.name = "w", .rows = 2, .columns = 40, .left_rad = 1.0, .right_rad = -0.8, .top_rad = 0.1,
+                                .bottom_rad = 0.0, .period_s = 0.08};
     Sequence sequence;
     sequence.lidars[0].sensor.period_s = 0.0;
     sequence.lidars[0].pattern = window;
@@ -171,8 +171,8 @@ TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
         const auto start = find_start(rays, sequence.lidars[0]);
         EXPECT_EQ(start.has_value(), later_s != 0.0f);
         for (std::size_t i = 0; i < rays.size(); ++i)
-            ASSERT_NEAR(facing_time(sequence, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}), 7.0 + double(rays.time_offset_s[i]), 1.1e-3)
-                << "half a column: " << later_s << " " << i;
+            ASSERT_NEAR(facing_time(sequence, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}), 7.0 + double(rays.time_offset_s[i]),
+                        1.1e-3) << "half a column: " << later_s << " " << i;
     }
     EXPECT_EQ(nominal_rays(sequence.lidars[0], 3.0).direction, make_rays(window).direction);
     const Rosette rosette{.name = "r", .deflection_rad = 0.1, .first_hz = 30.0, .second_hz = -20.0, .n_rays = 50};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_rig: a run trained on a synthetic street that a rig has logged, each LiDAR's held-out sweeps against the street itself, cast
-// along the same rays, by exact ones or by cones where the LiDAR has two returns.
+// relidar_bench_rig: a run trained on a synthetic street that a rig has logged: each LiDAR's held-out sweeps against the street itself,
+// cast along the same rays, by exact ones or by cones where the LiDAR has two returns.
 #include <algorithm>
 #include <cmath>
 #include <vector>
