@@ -196,6 +196,11 @@ void visit_training(C& c, Visitor&& f) {
       "weight of the squared translation of a correction, per square metre");
     f("train.pose_prior_per_rad2", c.train.pose_prior_per_rad2, at_least(0),
       "weight of the squared rotation of a correction, per square radian");
+}
+
+/// What training tells and keeps.
+template <class C, class Visitor>
+void visit_keeping(C& c, Visitor&& f) {
     f("train.log_every", c.train.log_every, between(1, kMaxCount), "steps between two lines of the log");
     f("train.checkpoint_every", c.train.checkpoint_every, between(0, kMaxCount), "steps between two checkpoints; 0: by time alone");
     f("train.checkpoint_minutes", c.train.checkpoint_minutes, at_least(0),
@@ -240,6 +245,7 @@ void visit(C& c, Visitor&& f) {
     visit_scene(c, f);
     visit_losses(c, f);
     visit_training(c, f);
+    visit_keeping(c, f);
     visit_densify(c, f);
     f("render.range", c.render.range, one_of({"expected", "normalised", "median"}),
       "range of a ray in range images: D (paper), D / W, or where the transmittance crosses 0.5");
