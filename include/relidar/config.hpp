@@ -24,6 +24,7 @@ struct TraceOptions;
 struct DatasetConfig {
     std::string path;              ///< dataset as given on the command line
     std::string sequence;          ///< which drive of a dataset that holds several, by its own name; empty: the only one, or the first
+    std::string lidars;            ///< names of those that are read, separated by commas; empty: all
     int frames_begin = 0;
     int frames_end = -1;           ///< -1: to the last
     int test_every = 10;
@@ -66,6 +67,7 @@ struct TrainConfig {
     bool deterministic = false;      ///< bit-equal parameters from run to run on one device
     std::string gradient_sums = "automatic";   ///< "automatic", "atomics", "gather"; gather where deterministic
     int gather_hits = 64;            ///< hit records a ray there is room for where gradients are gathered
+    bool second_returns = false;     ///< farther second returns are rays of their own, which start behind the first surface
     bool sensor_drop = false;        ///< learn what the sensor itself never sees apart from the scene (stands in for the paper's U-Net)
     std::string refine_poses = "none";   ///< "none", "sensor", "actors", "sensor,actors": poses that are optimised with the scene
     bool pose_register = true;           ///< refined poses start from a registration of the scans, before the scene is initialised

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include <relidar/progress.hpp>
 #include <relidar/sequence.hpp>
@@ -32,6 +33,7 @@ struct DatasetOptions {
     bool rolling_shutter = true;        ///< false: take all rays of a sweep as fired at its reference time
     double max_range_m = 80.0;          ///< returns beyond are treated as dropped
     double min_range_m = 0.0;           ///< and so are those nearer than this
+    std::vector<std::string> lidars = {};   ///< names of those that are read; none: all
     Progress progress = {};             ///< of reading
 };
 
@@ -69,6 +71,7 @@ struct SyntheticOptions {
     double range_noise_m = 0.01;      ///< standard deviation
     double speed_mps = 8.0;           ///< of the sensor along the street
     bool moving_cars = true;
+    std::string rig = {};   ///< file of a rig, whose sensors take the log in place of rows and columns; mounted in the vehicle
     bool people = false;  ///< three pedestrians, a cyclist, cars parked behind a fence, cars with windows that let rays through, bushes
 };
 
@@ -78,6 +81,11 @@ Sequence make_synthetic_street(const SyntheticOptions& options);
 /// Casts any rays into the synthetic street at their own times: the exact answer for a novel sensor or pose. Noise-free;
 /// a dropped ray has range 0. @param world_from_sensor pose of the sensor against time
 Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
+
+/// The same for beams of a divergence, as a receiver of two returns has them: the strongest, and the last one, or the next strongest where
+/// the strongest is the last. 53 exact rays for each beam; surfaces 0.5 m apart are two returns, a tenth of the strongest's light is enough
+/// for the second. @param rays  of a divergence above 0 @throws UsageError where they have none
+Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
 
 /// A car on a street that has been edited: the shapes of one of the street's own cars, along a track of relidar's world.
 struct StreetCar {

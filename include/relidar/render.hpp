@@ -58,19 +58,21 @@ void sample_returns(RenderedScan& scan, const RangeNoise& noise, std::uint64_t s
 
 /// The sensor whose scan is wanted.
 struct SensorChoice {
-    RayTable rays;
+    RayTable rays;                   ///< none of a Rosette, which has others in every scan
     std::optional<RangeGrid> grid = {};   ///< bin the simulated points into this grid afterwards
     bool is_own = false;             ///< a LiDAR of the log: its sensor-level ray-drop applies
     /// of the rays' channels, what these add to ranges and make of intensities; none: they measure what is there
     std::vector<Beam> beams = {};
-    std::optional<Rosette> rosette = {};  ///< makes the rays of each scan, in place of `rays`
+    std::optional<FixedPattern> pattern = {};   ///< of one that does not spin: when it faces what; without `rays`, those of each scan
     RangeLimits limits = {};         ///< of measured ranges
     std::string name = "";
     int lidar = 0;                   ///< of the log, which it is or in whose place it stands
+    int returns = 0;                 ///< of each ray, 1 or 2, the latter by 9 sub-rays where config has 1; 0: as config.sensor.returns says
 };
 
 /// What config.sensor says: a LiDAR of the log, or the grid in its place by projection or by casting. The log's LiDAR sees what lies within
-/// its own range limits and those of config.dataset. Of one that does not spin there are no rays: those of a scan have to be put in.
+/// its own range limits and those of config.dataset. Of one that is known by its scans alone there are no rays: those of a scan have to be
+/// put in.
 SensorChoice configured_sensor(const Config& config, const Sequence& sequence, int lidar = 0);
 /// "native", or a sensor by name, CSV file or grid name. "kitti360" follows config.sensor.grid_method.
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence, int lidar = 0);

@@ -119,6 +119,7 @@ struct InitialiseOptions {
     double max_scale_m = 0.5;          ///< initial standard deviations are clamped to this
     double scale_factor = 1.0;         ///< times the mean distance to the 3 nearest neighbours
     double thickness = 1.0;            ///< 3D Gaussians: along the normal over in the plane; 1 = spheres, as 3D Gaussian splatting starts
+    bool further_returns = true;       ///< second returns are points too, where the log has them
     bool remove_unlabelled_movers = false;   ///< leave out points that other training frames see through (not in the paper)
     bool discover_actors = false;      ///< what moves without a label gets a track of its own (see discover_tracks(); not in the paper)
     double actor_min_step_m = 0.01;    ///< boxes moving more than this a frame hold actors: their points are left out
@@ -174,17 +175,16 @@ std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseO
 /// Their tracks and classes in a few words, at most eight of them by name: "3 (Pedestrian), 7 (Tram)".
 std::string names_of(const std::vector<BoxTrack>& boxes);
 
-/// Poses of all instances at a time, each taken when the head of a LiDAR faces its box; a box is absent outside its first and last label.
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, int lidar = 0,
-                                          const std::optional<SweepStart>& start = {});
+/// Poses of all instances in a sweep, each taken when the LiDAR's head faces its box; a box is absent outside its first and last label.
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep);
 
 /// Where actors are, by their tracks' names: centres of their boxes (relidar's world), interpolated and extrapolated as PoseTrack::at.
 /// Those not named are absent.
 using ActorPoses = std::map<std::string, PoseTrack>;
 /// The same with the actors where the caller has them. The sequence says how the sensor turns and where it is.
 /// @throws UsageError for a name that no instance has, naming the nearest
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, const ActorPoses& world_from_actor,
-                                          int lidar = 0, const std::optional<SweepStart>& start = {});
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep,
+                                          const ActorPoses& world_from_actor);
 
 /// Recursive object-median order of points along the longest axis, split at (first + last) / 2.
 /// @return [n] permutation: position i of the sorted array holds point order[i]

@@ -184,6 +184,13 @@ struct ScanningWindow {
 /// Rays of one scan, row 0 the highest; time 0 in the middle of the scan. @throws UsageError as for a SpinningSensor
 RayTable make_rays(const ScanningWindow& window);
 
+/// What makes the rays of a LiDAR that does not spin.
+using FixedPattern = std::variant<ScanningWindow, Rosette, RayTable>;
+/// Rays of the scan at a time; only a Rosette has others at another time. @throws UsageError as make_rays() of what it holds
+RayTable make_rays(const FixedPattern& pattern, double time_s);
+/// Time of one scan; 0 for a table, which does not say.
+double period_of(const FixedPattern& pattern);
+
 /// A sensor to simulate: what makes its rays, and between which ranges they see.
 struct SensorModel {
     std::string name;
@@ -194,6 +201,9 @@ struct SensorModel {
 
 /// Rays of the scan at a time; only a Rosette has others at another time. @throws UsageError as make_rays() of the pattern
 RayTable make_rays(const SensorModel& sensor, double time_s = 0.0);
+
+/// What makes the rays of one that does not spin.
+std::optional<FixedPattern> fixed_pattern(const SensorModel& sensor);
 
 /// Names known_sensor() knows.
 std::vector<std::string> sensor_names();

@@ -2,6 +2,7 @@
 // Sensors as files, and the one place where a user's word for a sensor becomes one.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -18,7 +19,9 @@ namespace relidar {
 ///                 each line: divergence_mrad, min_range_m, max_range_m
 ///   FILE.npz      a ray table under the names of a rendered scan: directions [n,3] or [rows,columns,3], origin, time, ring
 ///   FILE.json     a ray table, as lists under the same names, with divergence_mrad, min_range_m and max_range_m; or the metadata of an
-///                 Ouster sensor as its own tools write it, old or new: beam angles, beam origin offset, columns and rate
+///                 Ouster sensor as its own tools write it, old or new: beam angles, beam origin offset, columns and rate; or
+///                 {"window": {rows, columns, left_deg, right_deg, top_deg, bottom_deg}} or {"rosette": {rays, deflection_deg, first_hz,
+///                 second_hz}}, each with period_s (0.1) and divergence_mrad, min_range_m, max_range_m (0, 0, 80)
 /// @param also_known  names that the caller knows beside sensor_names(), for the message
 /// @throws UsageError for an unknown name (the nearest known one is named), DataError for a bad file
 SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known = {});
@@ -28,16 +31,16 @@ struct MountedSensor {
     std::string name;
     SensorModel sensor;
     Pose rig_from_sensor;
+    int returns = 1;   ///< of a ray, 1 or 2
 };
 
-/// Whether a path is a rig's file: JSON with a list "sensors". A file that cannot be read is none.
-bool is_rig(const std::string& path);
-/// The sensors of a rig, from JSON:
+/// The sensors of a rig, from JSON; nothing where the path is no rig's file: JSON with "sensors". A file that cannot be read is none.
 ///   {"sensors": [{"name": "front", "sensor": "VLP-16", "translation_m": [1, 0, 2], "yaw_pitch_roll_deg": [90, 0, 0]}, ...]}
 /// sensor is what find_sensor() takes, files beside the rig's; translation_m and yaw_pitch_roll_deg (each 0 where left out) mount it, x
-/// forward, y left, z up, yaw to the left first. Names are folders of files: letters, digits, -, _ and ., each once.
+/// forward, y left, z up, yaw to the left first; "returns": 2 where it has two. Names are folders of files: letters, digits, -, _ and .,
+/// each once.
 /// @throws DataError naming the sensor and key that is wrong, or as find_sensor()
-std::vector<MountedSensor> read_rig(const std::string& path);
+std::optional<std::vector<MountedSensor>> find_rig(const std::string& path);
 
 /// What sensor files hold, in lines for a user.
 inline constexpr const char* kSensorFileHelp =
@@ -51,8 +54,10 @@ inline constexpr const char* kSensorFileHelp =
     "  rays.csv    any other: a line for each ray with azimuth_deg, elevation_deg, and where they are not 0 origin_x_m, origin_y_m,\n"
     "              origin_z_m, time_s, channel; the same in each line: divergence_mrad, min_range_m, max_range_m.\n"
     "  rays.npz    directions [n,3] or [rows,columns,3], origin, time, ring, as a rendered scan holds them.\n"
-    "  FILE.json   lists by the same names; or an Ouster sensor's own metadata.\n"
+    "  FILE.json   lists by the same names; an Ouster sensor's own metadata; or what sweeps: {\"window\": {rows, columns, left_deg,\n"
+    "              right_deg, top_deg, bottom_deg}} or {\"rosette\": {rays, deflection_deg, first_hz, second_hz}}, with period_s,\n"
+    "              divergence_mrad, min_range_m, max_range_m.\n"
     "  rig.json    several sensors: {\"sensors\": [{\"name\": \"front\", \"sensor\": \"VLP-16\", \"translation_m\": [1,0,2],\n"
-    "              \"yaw_pitch_roll_deg\": [90,0,0]}, ...]}, mounted in the frame of the sensor they stand in for.";
+    "              \"yaw_pitch_roll_deg\": [90,0,0], \"returns\": 1}, ...]}, mounted in the frame of the sensor they stand in for.";
 
 }  // namespace relidar

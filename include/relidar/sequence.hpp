@@ -44,7 +44,7 @@ struct Scan {
     RayTable rays;                   ///< a returned ray carries its own direction and origin
     std::vector<float> range_m;      ///< [n] of the strongest return, along the ray from its origin; 0 = dropped
     std::vector<float> intensity;    ///< [n] 0..1; 0 where dropped
-    std::vector<FurtherReturn> further = {};   ///< second, third ... return of the rays, none of a dropped one; not trained on
+    std::vector<FurtherReturn> further = {};   ///< second, third ... return of the rays, none of a dropped one
 
     /// End point of a ray. @return [3] metres, sensor frame at the ray's firing time
     glm::vec3 point(std::size_t ray) const { return rays.origin[ray] + range_m[ray] * rays.direction[ray]; }
@@ -56,7 +56,7 @@ void drop_outside(Scan& scan, const RangeLimits& limits);
 
 /// Where a head pointed and how long after the frame's time when a sweep began.
 struct SweepStart {
-    double azimuth_rad = 0.0;
+    double azimuth_rad = 0.0;   ///< 0 for a LiDAR that does not spin
     double time_s = 0.0;
 };
 
@@ -73,12 +73,33 @@ struct Frame {
     std::optional<SweepStart> start = {};   ///< see find_start(); load_sequence() looks for it
 };
 
+/// Which LiDAR of a log sweeps, when, and where its sweep begins.
+struct SweepMoment {
+    double time_s = 0.0;    ///< reference time of the sweep
+    int lidar = 0;          ///< in Sequence::lidars
+    std::optional<SweepStart> start = {};
+};
+/// Of a frame.
+inline SweepMoment moment_of(const Frame& frame) { return {frame.time_s, frame.lidar, frame.start}; }
+
+struct Lidar;
+/// The same for any LiDAR. Of one that sweeps a window or draws a rosette: nothing where the frame's time is in the middle of the scan, or
+/// where its pattern is not known.
+std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar);
+
 /// One LiDAR of a log.
 struct Lidar {
     std::string name;           ///< the dataset's own, unique in the log; empty where there is one LiDAR alone
     SpinningSensor sensor;      ///< nominal: for rays of frames without a scan of their own. No beams, period 0: it does not spin
     Pose vehicle_from_sensor;   ///< where it is mounted; identity where the log has one: the vehicle's frame is then the sensor's
+    std::optional<FixedPattern> pattern = {};   ///< nominal, of one that does not spin; not given: it spins, or is known by its scans alone
+
+    /// Time of one sweep; 0 where it is not known.
+    double period_s() const { return pattern ? period_of(*pattern) : sensor.period_s; }
 };
+
+/// Rays of a LiDAR's scan at a time, for frames without one of their own: none for one that is known by its scans alone.
+RayTable nominal_rays(const Lidar& lidar, double time_s);
 
 /// Category of boxes that no dataset labelled (discover_tracks() in scene.hpp).
 inline constexpr const char* kDiscoveredCategory = "Discovered";
@@ -175,19 +196,18 @@ struct WorldRay {
 /// @param ray           index into rays
 WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter);
 
-/// When the head of a LiDAR faces a point: the moment of the sweep at which a static or moving thing there is seen.
-/// @param point_m [3] metres, sensor frame @param time_s reference time of the sweep
-/// @param start  of the sweep @return time_s itself without a rolling shutter
-double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s, int lidar = 0,
-                   const std::optional<SweepStart>& start = {});
+/// When the head of a LiDAR faces a point: the moment of the sweep at which a static or moving thing there is seen. A window's mirrors face
+/// its column; of a rosette, which faces everything again and again, and of a table of rays, it is the middle of the scan.
+/// @param point_m [3] metres, sensor frame @return the sweep's time_s itself without a rolling shutter
+double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep);
 
 /// What a ray returned from. The angle of incidence is left in the intensity.
 struct SurfaceReturn {
     float range_m;     ///< the offset of its beam taken off; 0 where the ray was dropped
     float intensity;   ///< as the mean beam would measure it from 10 m away
 };
-/// @param ray  index of a ray of the frame
-SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray);
+/// @param ray  index of a ray of the frame @param number  of the return: 0 the strongest, then those of Scan::further
+SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray, std::size_t number = 0);
 
 /// The end point of a returned ray in the world, range offset and intensity response of its beam taken off, and when it was seen.
 struct WorldReturn {
@@ -196,8 +216,8 @@ struct WorldReturn {
     double time_s;
     float intensity;   ///< of the surface, see SurfaceReturn
 };
-/// @param ray  index of a returned ray of the frame
-WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray);
+/// @param ray  index of a returned ray of the frame @param number  of a return that it has
+WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray, std::size_t number = 0);
 
 /// Whether a world point lies in any box that moves more than min_step_m a frame, each box grown by margin_m, at time t_s.
 /// Boxes are interpolated in time; they are absent before their first and after their last observation, half a step

@@ -38,6 +38,8 @@ void visit_dataset(C& c, Visitor&& f) {
     f("dataset.path", c.dataset.path, anything(), "dataset: a path, or kind:path; training fills it in");
     f("dataset.sequence", c.dataset.sequence, anything(),
       "which drive of a dataset that holds several, by its own name; empty: the only one, or the first");
+    f("dataset.lidars", c.dataset.lidars, anything(),
+      "names of the LiDARs that are read of a log with several, separated by commas; empty: all");
     f("dataset.frames_begin", c.dataset.frames_begin, between(0, kMaxCount), "first frame, by the dataset's own number");
     f("dataset.frames_end", c.dataset.frames_end, between(-1, kMaxCount), "frame after the last one; -1: to the end of the log");
     f("dataset.test_every", c.dataset.test_every, between(0, kMaxCount), "every so many frames one is held out for testing; 0: none");
@@ -85,6 +87,7 @@ void visit_scene(C& c, Visitor&& f) {
     f("init.normals", c.init.normals, anything(), "orient surfels along normals of the nearest neighbours; false: at random");
     f("init.normal_neighbours", c.init.normal_neighbours, between(3, 1000), "neighbours a normal is fitted to");
     f("init.smooth", c.init.smooth, anything(), "move each new surfel onto the plane of its neighbours");
+    f("init.further_returns", c.init.further_returns, anything(), "second returns are points of the start too, where the log has them");
     f("init.remove_unlabelled_movers", c.init.remove_unlabelled_movers, anything(),
       "leave out points that other training frames see through");
     f("init.opacity", c.init.opacity, Accepts{0.0, 0.99, true, {}}, "opacity of new surfels");
@@ -166,6 +169,8 @@ void visit_training(C& c, Visitor&& f) {
       "are evaluated per hit and on devices without float atomics");
     f("train.gather_hits", c.train.gather_hits, between(1, 4096),
       "room for so many hit records a ray where gradients are summed in a fixed order");
+    f("train.second_returns", c.train.second_returns, anything(),
+      "second returns that lie farther are rays of their own, which start behind the first surface; scans with any lose their image order");
     f("train.sensor_drop", c.train.sensor_drop, anything(),
       "learn what the sensor itself never sees (its own vehicle) apart from the scene");
     f("train.refine_poses", c.train.refine_poses, one_of({"none", "sensor", "actors", "sensor,actors"}),
@@ -191,6 +196,11 @@ void visit_training(C& c, Visitor&& f) {
       "weight of the squared translation of a correction, per square metre");
     f("train.pose_prior_per_rad2", c.train.pose_prior_per_rad2, at_least(0),
       "weight of the squared rotation of a correction, per square radian");
+}
+
+/// What training tells and keeps.
+template <class C, class Visitor>
+void visit_keeping(C& c, Visitor&& f) {
     f("train.log_every", c.train.log_every, between(1, kMaxCount), "steps between two lines of the log");
     f("train.checkpoint_every", c.train.checkpoint_every, between(0, kMaxCount), "steps between two checkpoints; 0: by time alone");
     f("train.checkpoint_minutes", c.train.checkpoint_minutes, at_least(0),
@@ -253,6 +263,7 @@ void visit(C& c, Visitor&& f) {
     visit_scene(c, f);
     visit_losses(c, f);
     visit_training(c, f);
+    visit_keeping(c, f);
     visit_densify(c, f);
     visit_refine(c, f);
     f("render.range", c.render.range, one_of({"expected", "normalised", "median"}),

@@ -13,6 +13,7 @@ namespace {
 Config paper() {
     Config config;
     config.preset = "paper";
+    config.init.further_returns = false;
     config.init.max_scale_m = 1000.0;   // the paper does not clamp
     config.init.actor_classes = "Car,Van,Truck";   // vehicles, as it says; people are masked out
     config.init.actor_min_points = 100;

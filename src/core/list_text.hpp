@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Long lists as people read them.
+// Lists as people read and write them.
 #pragma once
 
 #include <algorithm>
@@ -16,6 +16,17 @@ inline std::string list_text(const std::vector<int>& numbers, std::size_t most =
     if (numbers.size() <= most) return fmt::format("{}", fmt::join(numbers, ", "));
     return fmt::format("{}, ... {} ({} in all)", fmt::join(numbers.begin(), numbers.begin() + std::ptrdiff_t(most) - 1, ", "),
                        numbers.back(), numbers.size());
+}
+
+/// The words of "a, b,c", blanks left out.
+inline std::vector<std::string> words_of(const std::string& list) {
+    std::vector<std::string> words{""};
+    for (const char c : list) {
+        if (c == ',') words.emplace_back();
+        else if (c != ' ') words.back() += c;
+    }
+    std::erase(words, "");
+    return words;
 }
 
 }  // namespace relidar

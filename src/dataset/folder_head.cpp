@@ -95,15 +95,26 @@ void read_beams(const JsonField& field, SpinningSensor& sensor) {
     sensor.first_azimuth_rad = radians(number_or(field, "first_azimuth_deg", 180.0 - 180.0 / sensor.columns, -360.0, 360.0));
 }
 
-SpinningSensor read_sensor(const JsonField& field, const fs::path& folder, double max_range_m) {
-    if (field.is_text()) {
-        const std::string name = field.text(kLongestPath);
-        const bool is_file = name.find(".csv") != std::string::npos || name.find(".json") != std::string::npos;
-        const SensorModel model = find_sensor(is_file ? (folder / name).string() : name);
-        if (const auto* spinning = std::get_if<SpinningSensor>(&model.pattern)) return *spinning;
-        field.fail(fmt::format("found {}, which does not spin", excerpt(name)),
-                   "expected a spinning sensor; others need \"spins\": false alone");
+/// A sensor by name or file.
+void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lidar& lidar) {
+    const std::string name = field.text(kLongestPath);
+    const auto is_file = [&](const char* ending) { return name.find(ending) != std::string::npos; };
+    const SensorModel model =
+        find_sensor(is_file(".csv") || is_file(".json") || is_file(".npz") ? (folder / name).string() : name);
+    const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
+    if (!spinning && spins)
+        field.fail(fmt::format("found {}, which does not spin", excerpt(name)), "expected a spinning sensor, or \"spins\": false");
+    if (spinning) {
+        lidar.sensor = *spinning;
+    } else {
+        lidar.pattern = fixed_pattern(model);
+        lidar.sensor = {.name = model.name, .beams = {}, .columns = 0, .period_s = 0.0};
+        lidar.sensor.min_range_m = model.limits.min_m;
+        lidar.sensor.max_range_m = model.limits.max_m;
     }
+}
+
+SpinningSensor read_sensor(const JsonField& field, double max_range_m) {
     field.check_members(
         {"name", "beams", "columns", "period_s", "clockwise", "first_azimuth_deg", "min_range_m", "max_range_m", "divergence_rad"});
     SpinningSensor sensor;
@@ -125,9 +136,12 @@ HeadLidar read_lidar(const JsonField& field, const std::string& file, const fs::
     if (field.has("vehicle_from_sensor"))
         lidar.lidar.vehicle_from_sensor =
             mounting(field.at("vehicle_from_sensor"), fmt::format("{}: LiDAR '{}', vehicle_from_sensor", file, excerpt(lidar.lidar.name)));
-    if (field.has("sensor")) lidar.lidar.sensor = read_sensor(field.at("sensor"), folder, max_range_m);
-    lidar.has_beams = !lidar.lidar.sensor.beams.empty();
     lidar.spins = flag_or(field, "spins", true);
+    if (field.has("sensor") && field.at("sensor").is_text())
+        name_sensor(field.at("sensor"), folder, lidar.spins, lidar.lidar);
+    else if (field.has("sensor"))
+        lidar.lidar.sensor = read_sensor(field.at("sensor"), max_range_m);
+    lidar.has_beams = !lidar.lidar.sensor.beams.empty();
     if (lidar.has_beams && !lidar.spins) field.at("spins").fail("found false beside beams", "expected one of the two");
     lidar.scans = text_or(field, "scans", "", kLongestPath);
     lidar.lowest_first = field.has("ring_0") && choice(field.at("ring_0"), {"highest", "lowest"}) == 1;

@@ -82,6 +82,31 @@ void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
     for (Frame& frame : sequence.frames) drop_outside(frame.scan, sequence.lidar_of(frame).sensor.range_limits());
 }
 
+/// Leaves the named LiDARs, in the log's order; frames and poses of the others alone go.
+void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
+    std::vector<int> place(sequence.lidars.size(), -1);
+    for (const std::string& name : names) place[std::size_t(find_lidar(sequence, name))] = 0;
+    std::vector<Lidar> kept;
+    std::vector<std::string> left_out;
+    for (std::size_t l = 0; l < place.size(); ++l) {
+        if (place[l] < 0) left_out.push_back(sequence.lidars[l].name);
+        else place[l] = static_cast<int>(kept.size()), kept.push_back(std::move(sequence.lidars[l]));
+    }
+    std::erase_if(sequence.frames, [&](const Frame& frame) { return place[std::size_t(frame.lidar)] < 0; });
+    if (sequence.frames.empty())
+        throw UsageError(fmt::format("dataset.lidars: {} took none of the frames that are read, expected another", fmt::join(names, ", ")));
+    PoseTrack track;
+    for (Frame& frame : sequence.frames) {
+        frame.lidar = place[std::size_t(frame.lidar)];
+        if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;
+        track.time_s.push_back(frame.time_s);
+        track.pose.push_back(sequence.world_from_vehicle.at(frame.time_s));
+    }
+    sequence.lidars = std::move(kept);
+    sequence.world_from_vehicle = std::move(track);
+    if (!left_out.empty()) sequence.notes.push_back(fmt::format("LiDARs left out: {}", fmt::join(left_out, ", ")));
+}
+
 /// "kind:path" as kind and path; the kind is empty where none is named.
 std::pair<std::string, fs::path> parted(const std::string& dataset) {
     std::error_code failed;
@@ -144,7 +169,8 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
     Sequence sequence = reader.load(path, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
     check_sequence(sequence);
-    for (Frame& frame : sequence.frames) frame.start = find_start(frame.scan.rays, sequence.lidar_of(frame).sensor);
+    if (!options.lidars.empty()) keep_lidars(sequence, options.lidars);
+    for (Frame& frame : sequence.frames) frame.start = find_start(frame.scan.rays, sequence.lidar_of(frame));
     apply_limits(sequence, {options.min_range_m, options.max_range_m});
     return sequence;
 }

@@ -55,12 +55,56 @@ Json json_of(const SpinningSensor& sensor) {
     return json;
 }
 
-Json json_of(const Lidar& lidar) {
+Json rays_json(const RayTable& rays) {
+    const auto vectors = [](const std::vector<glm::vec3>& list) {
+        Json json = Json::array();
+        for (const glm::vec3& v : list) json.push_back({v.x, v.y, v.z});
+        return json;
+    };
+    return {{"directions", vectors(rays.direction)},
+            {"origin", vectors(rays.origin)},
+            {"time", rays.time_offset_s},
+            {"ring", rays.channel}};
+}
+
+/// The file of a sensor that does not spin, as find_sensor() reads it.
+Json pattern_json(const FixedPattern& pattern, const RangeLimits& limits) {
+    Json common = {{"min_range_m", limits.min_m}};
+    if (std::isfinite(limits.max_m)) common["max_range_m"] = limits.max_m;
+    if (const auto* rays = std::get_if<RayTable>(&pattern)) {
+        common["divergence_mrad"] = 1e3 * double(rays->divergence_rad);
+        common.update(rays_json(*rays));
+        return common;
+    }
+    common["period_s"] = period_of(pattern);
+    if (const auto* r = std::get_if<Rosette>(&pattern)) {
+        common.update(Json{{"divergence_mrad", 1e3 * r->divergence_rad},
+                           {"rays", r->n_rays},
+                           {"deflection_deg", degrees(r->deflection_rad)},
+                           {"first_hz", r->first_hz},
+                           {"second_hz", r->second_hz}});
+        return {{"rosette", common}};
+    }
+    const auto& w = std::get<ScanningWindow>(pattern);
+    common.update(Json{{"divergence_mrad", 1e3 * w.divergence_rad},
+                       {"rows", w.rows},
+                       {"columns", w.columns},
+                       {"left_deg", degrees(w.left_rad)},
+                       {"right_deg", degrees(w.right_rad)},
+                       {"top_deg", degrees(w.top_rad)},
+                       {"bottom_deg", degrees(w.bottom_rad)}});
+    return {{"window", common}};
+}
+
+std::string pattern_name(std::size_t lidar) { return fmt::format("sensor_{}.json", lidar); }
+
+/// @param number  of the LiDAR
+Json json_of(const Lidar& lidar, std::size_t number) {
     const Pose& mounting = lidar.vehicle_from_sensor;
     return {{"name", lidar.name},
             {"vehicle_from_sensor", {{"translation", json_of(mounting.translation)}, {"quaternion", json_of(mounting.rotation)}}},
             {"spins", !lidar.sensor.beams.empty()},
-            {"sensor", json_of(lidar.sensor)}};
+            {"sensor", lidar.pattern ? Json(pattern_name(number)) : json_of(lidar.sensor)}};
 }
 
 std::string scan_name(const Sequence& sequence, const Frame& frame) {
@@ -79,7 +123,7 @@ std::string head_text(const Sequence& sequence) {
                  {"world_offset_m", json_of(sequence.world_offset_m)},
                  {"lidars", Json::array()},
                  {"frames", Json::array()}};
-    for (const Lidar& lidar : sequence.lidars) json["lidars"].push_back(json_of(lidar));
+    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) json["lidars"].push_back(json_of(sequence.lidars[l], l));
     for (const Frame& frame : sequence.frames)
         json["frames"].push_back({{"number", frame.index},
                                   {"time_s", frame.time_s},
@@ -167,6 +211,9 @@ void save_folder(const Sequence& sequence, const fs::path& given, const FolderOp
         const Frame& frame = sequence.frames[i];
         folder::write_scan_npz(unfinished.path() / scan_name(sequence, frame), frame.scan);
     });
+    for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
+        if (const Lidar& lidar = sequence.lidars[l]; lidar.pattern)
+            write_text(unfinished.path() / pattern_name(l), pattern_json(*lidar.pattern, lidar.sensor.range_limits()).dump(1) + "\n");
     if (options.poses) write_text(unfinished.path() / folder::kPosesFile, poses_text(sequence));
     if (!sequence.boxes.empty()) write_text(unfinished.path() / folder::kBoxesFile, boxes_text(sequence));
     write_text(unfinished.path() / folder::kHeadFile, head_text(sequence));

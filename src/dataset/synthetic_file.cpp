@@ -19,7 +19,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-const std::vector<std::string> kKeys{"seed", "n_frames", "rows", "columns", "range_noise_m", "speed_mps", "moving_cars", "people"};
+const std::vector<std::string> kKeys{"seed", "n_frames", "rows", "columns", "range_noise_m", "speed_mps", "moving_cars", "people", "rig"};
 
 /// Value of a key where it is there. @throws DataError where it has another type (whole numbers serve as real ones)
 template <class T>
@@ -35,7 +35,8 @@ void read_value(const toml::table& table, const char* key, const char* type, con
 /// Poses of a file in the street's world instead of the exact ones from which the scans were cast, to see what wrong poses do.
 void take_poses(Sequence& sequence, const fs::path& poses_file) {
     std::vector<int> frames;
-    for (const Frame& frame : sequence.frames) frames.push_back(frame.index);
+    for (const Frame& frame : sequence.frames)   // a pose for all LiDARs of a rig
+        if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
     if (poses_file != kNoPoses) {
         track.pose = kitti::read_pose_file(poses_file, frames);
@@ -73,6 +74,8 @@ SyntheticOptions read_options(const fs::path& path) {
     read_value(table, "speed_mps", "a number", file, options.speed_mps);
     read_value(table, "moving_cars", "true or false", file, options.moving_cars);
     read_value(table, "people", "true or false", file, options.people);
+    read_value(table, "rig", "a file", file, options.rig);
+    if (!options.rig.empty()) options.rig = (path.parent_path() / options.rig).string();   // beside this file, or absolute
     return options;
 }
 
@@ -109,6 +112,7 @@ void save_synthetic(const SyntheticOptions& options, const fs::path& folder) {
         "seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {}\nspeed_mps = {}\nmoving_cars = {}\npeople = {}\n",
         static_cast<std::int64_t>(options.seed), options.n_frames, options.rows, options.columns, number_text(options.range_noise_m),
         number_text(options.speed_mps), options.moving_cars, options.people);
+    if (!options.rig.empty()) out << "rig = " << toml::value(fs::absolute(options.rig).string()) << "\n";
     if (!out.flush()) throw DataError(fmt::format("{}: cannot be written", file.string()));
 }
 

@@ -163,7 +163,7 @@ DrivingScene replace_trajectory(DrivingScene driving, const std::string& track, 
     BoxTrack& box = box_of(driving, track);
     check_trajectory(dataset_from_box, track);
     box.world_from_box = refined(shifted_track(dataset_from_box, -driving.sequence.world_offset_m),
-                                 std::max(driving.sequence.lidars[0].sensor.period_s, 1e-3));
+                                 std::max(driving.sequence.lidars[0].period_s(), 1e-3));
     return driving;
 }
 

@@ -98,7 +98,7 @@ std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config
 
 void add_tail_shares(std::vector<ScoredFrame>& frames, const Sequence& sequence, const Config& config) {
     for (ScoredFrame& frame : frames)
-        frame.metrics.merge(tail_shares(frame.rendered.image, frame.real, sequence, {frame.lidar, frame.time_s, frame.start},
+        frame.metrics.merge(tail_shares(frame.rendered.image, frame.real, sequence, {frame.time_s, frame.lidar, frame.start},
                                         config.init.actor_min_step_m));
 }
 

@@ -41,13 +41,13 @@ bool is_swept(const Swept& s, const glm::dvec3& point_m) {
     });
 }
 
-double share(const RangeImage& image, const Sequence& sequence, const std::vector<Swept>& swept, const ScanMoment& seen) {
+double share(const RangeImage& image, const Sequence& sequence, const std::vector<Swept>& swept, const SweepMoment& seen) {
     double n_points = 0.0, n_tail = 0.0;
     for (std::size_t i = 0; i < image.range_m.size(); ++i) {
         if (!returned(image.drop_prob[i], image.range_m[i])) continue;
         n_points += 1.0;
         const glm::dvec3 in_sensor(image.origin[i] + image.range_m[i] * image.direction[i]);
-        const double t_s = facing_time(sequence, in_sensor, seen.time_s, seen.lidar, seen.start);
+        const double t_s = facing_time(sequence, in_sensor, seen);
         const glm::dvec3 point_m =
             sequence.world_from_vehicle.at(t_s, sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor) * in_sensor;
         const bool occupied = std::any_of(swept.begin(), swept.end(),
@@ -59,7 +59,7 @@ double share(const RangeImage& image, const Sequence& sequence, const std::vecto
 
 }  // namespace
 
-MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence, const ScanMoment& seen,
+MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence, const SweepMoment& seen,
                       double min_step_m) {
     const std::vector<Swept> swept = swept_boxes(sequence, min_step_m);
     if (swept.empty()) return {};

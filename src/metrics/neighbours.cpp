@@ -44,8 +44,8 @@ const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dv
 /// A world point as the LiDAR of a frame sees it in that sweep: in the sensor's frame at the moment its head faces the point.
 glm::dvec3 seen_in_sweep(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
-    const double facing_s = facing_time(sequence, inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m, frame.time_s,
-                                        frame.lidar, frame.start);
+    const glm::dvec3 at_reference = inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m;
+    const double facing_s = facing_time(sequence, at_reference, moment_of(frame));
     return inverse(sequence.world_from_vehicle.at(facing_s, mounted)) * world_m;
 }
 

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include <relidar/math.hpp>
+#include "render/empty_scan.hpp"
 
 namespace relidar {
 namespace {
@@ -22,6 +23,11 @@ std::vector<glm::dvec2> pattern(int n) {
     // sum of radius^2 = n / 2
     if (n == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
     if (n == 9) add_ring(0.5, kPi / 4.0), add_ring(std::sqrt(7.0 / 8.0), 0.0);
+    if (n == 1 || n == 5 || n == 9) return offsets;
+    constexpr double kGolden_rad = 2.399963229728653;
+    offsets.clear();
+    for (int k = 0; k < n; ++k)
+        offsets.push_back(std::sqrt((k + 0.5) / n) * glm::dvec2(std::cos(k * kGolden_rad), std::sin(k * kGolden_rad)));
     return offsets;
 }
 
@@ -120,17 +126,11 @@ const Group* second_of(const std::vector<Group>& groups, const Group& strongest,
 class Joiner {
 public:
     Joiner(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
-        : parts_(parts), range_m_(surface_ranges(parts)), offsets_(pattern(config.sub_rays)), config_(config) {
-        scan_.image.rows = rays.rows;
-        scan_.image.columns = rays.columns;
-        scan_.image.origin = rays.origin;
-        scan_.image.direction = rays.direction;
-        scan_.time_offset_s = rays.time_offset_s;
-        scan_.channel = rays.channel;
-        scan_.world_from_sensor = parts.world_from_sensor;
-        scan_.track = parts.track;
-        scan_.time_s = parts.time_s;
-        scan_.trace_ms = parts.trace_ms;
+        : parts_(parts),
+          range_m_(surface_ranges(parts)),
+          offsets_(pattern(config.sub_rays)),
+          config_(config),
+          scan_(empty_scan(rays, parts)) {
         if (config.returns == 2) scan_.further.resize(1);
     }
 
@@ -192,6 +192,48 @@ RenderedScan join_footprints(const RenderedScan& parts, const RayTable& rays, co
     Joiner joiner(parts, rays, config);
     for (std::size_t ray = 0; ray < rays.size(); ++ray) joiner.add(ray);
     return joiner.take();
+}
+
+std::vector<std::size_t> find_edges(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config) {
+    const std::vector<float> range_m = surface_ranges(parts);
+    const std::vector<glm::dvec2> offsets = pattern(config.sub_rays);
+    std::vector<std::size_t> edges;
+    for (std::size_t ray = 0; ray < rays.size(); ++ray)
+        if (groups_of(parts, range_m, ray * offsets.size(), offsets, static_cast<float>(config.return_separation_m)).size() > 1)
+            edges.push_back(ray);
+    return edges;
+}
+
+RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& wanted) {
+    RayTable some;
+    some.rows = 1;
+    some.columns = static_cast<int>(wanted.size());
+    some.divergence_rad = rays.divergence_rad;
+    for (const std::size_t ray : wanted) {
+        some.origin.push_back(rays.origin[ray]);
+        some.direction.push_back(rays.direction[ray]);
+        some.time_offset_s.push_back(rays.time_offset_s[ray]);
+        some.channel.push_back(rays.channel[ray]);
+    }
+    return some;
+}
+
+void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& places, const RenderedScan& better) {
+    for (std::size_t i = 0; i < places.size(); ++i) {
+        const std::size_t ray = places[i];
+        scan.image.range_m[ray] = better.image.range_m[i];
+        scan.image.intensity[ray] = better.image.intensity[i];
+        scan.image.drop_prob[ray] = better.image.drop_prob[i];
+        scan.median_range_m[ray] = better.median_range_m[i];
+        scan.weight[ray] = better.weight[i];
+        scan.instance[ray] = better.instance[i];
+        if (!scan.normal.empty()) scan.normal[ray] = better.normal[i];
+        for (std::size_t k = 0; k < scan.further.size(); ++k) {
+            scan.further[k].range_m[ray] = better.further[k].range_m[i];
+            scan.further[k].intensity[ray] = better.further[k].intensity[i];
+        }
+    }
+    scan.trace_ms += better.trace_ms;
 }
 
 }  // namespace relidar

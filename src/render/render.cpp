@@ -12,6 +12,7 @@
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
 #include <relidar/stages/forward.hpp>
+#include "render/empty_scan.hpp"
 #include "render/footprint.hpp"
 
 namespace relidar {
@@ -83,14 +84,18 @@ Sequence without_scans(const Sequence& sequence, const Config& config) {
     return result;
 }
 
-/// The rays to cast: those of the sensor, or of the parts of their footprints. @throws UsageError for a beam without divergence
-RayTable split_beams(const RayTable& rays, const SensorConfig& config, const std::string& sensor) {
+double divergence_of(const RayTable& rays, const SensorConfig& config) {
+    return config.divergence_mrad > 0.0 ? config.divergence_mrad * 1e-3 : double(rays.divergence_rad);
+}
+
+/// The rays to cast where they are not those of the sensor: parts of their footprints. @throws UsageError for a beam without divergence
+std::optional<RayTable> split_beams(const RayTable& rays, const SensorConfig& config, const std::string& sensor) {
     if (config.sub_rays == 1 && config.returns > 1)
         throw UsageError("sensor.returns: found 2 with sensor.sub_rays = 1, expected sub-rays: a single ray has one return");
-    if (config.sub_rays == 1) return rays;
+    if (config.sub_rays == 1) return {};
     if (config.sub_rays != 5 && config.sub_rays != 9)
         throw UsageError(fmt::format("sensor.sub_rays: found {}, expected 1, 5 or 9", config.sub_rays));
-    const double divergence_rad = config.divergence_mrad > 0.0 ? config.divergence_mrad * 1e-3 : double(rays.divergence_rad);
+    const double divergence_rad = divergence_of(rays, config);
     if (!(divergence_rad > 0.0))
         throw UsageError(
             fmt::format("sensor.sub_rays: nothing is known of the beam divergence of {}, expected sensor.divergence_mrad", sensor));
@@ -127,10 +132,22 @@ struct ScanRenderer::Impl {
     Device& device;
     std::optional<DropRefiner> refiner = {};
 
-    /// Where the sweep of a sensor's rays begins, by the period of the LiDAR in whose place it stands.
-    std::optional<SweepStart> start_of(const SensorChoice& sensor) const {
-        return find_start(sensor.rays, sweep.lidars[std::size_t(sensor.lidar)].sensor);
+    /// Where the sweep of a sensor's rays begins. It faces things as its pattern says, or as the LiDAR in whose place it stands.
+    SweepMoment moment(const SensorChoice& sensor, double time_s) {
+        Lidar& lidar = sweep.lidars[std::size_t(sensor.lidar)];
+        lidar.pattern = sensor.pattern;
+        return {time_s, sensor.lidar, find_start(sensor.rays, lidar)};
     }
+    /// Sub-rays and returns of a sensor.
+    SensorConfig config_of(const SensorChoice& sensor) const {
+        SensorConfig wanted = config.sensor;
+        if (sensor.returns > 0) wanted.returns = sensor.returns;
+        if (sensor.returns > 1 && wanted.sub_rays == 1) wanted.sub_rays = 9;
+        return wanted;
+    }
+    RenderedScan cast(const SensorChoice& sensor, const RayTable& table, double time_s);
+    RenderedScan join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig config);
+    void refine(RenderedScan& scan);
     /// The vehicle is where it has to be for the sensor to be here.
     void drive(PoseTrack world_from_sensor, int lidar) {
         sweep.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(sweep.lidars[std::size_t(lidar)].vehicle_from_sensor));
@@ -172,7 +189,7 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     Impl& s = *impl_;
     s.sweep.world_from_vehicle = s.log_world_from_vehicle;
     s.drive(moved_track(s.sweep.world_from_sensor(sensor.lidar), sensor_offset), sensor.lidar);
-    return take(sensor, time_s, place_instances(s.layout, s.sweep, time_s, sensor.lidar, s.start_of(sensor)), sample);
+    return take(sensor, time_s, place_instances(s.layout, s.sweep, s.moment(sensor, time_s)), sample);
 }
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample) {
@@ -186,73 +203,90 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
             fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s", request.time_s, kFarthest));
     }
     s.drive(in_world(request.dataset_from_sensor, "the sensor"), sensor.lidar);
-    const std::optional<SweepStart> start = s.start_of(sensor);
-    if (!request.dataset_from_actor)
-        return take(sensor, request.time_s, place_instances(s.layout, s.sweep, request.time_s, sensor.lidar, start), sample);
+    const SweepMoment sweep = s.moment(sensor, request.time_s);
+    if (!request.dataset_from_actor) return take(sensor, request.time_s, place_instances(s.layout, s.sweep, sweep), sample);
     ActorPoses world_from_actor;
     for (const auto& [name, track] : *request.dataset_from_actor) world_from_actor[name] = in_world(track, "actor " + name);
-    return take(sensor, request.time_s, place_instances(s.layout, s.sweep, request.time_s, world_from_actor, sensor.lidar, start), sample);
+    return take(sensor, request.time_s, place_instances(s.layout, s.sweep, sweep, world_from_actor), sample);
+}
+
+/// What comes back along rays of a sensor, each by itself; instances have been moved to where they are.
+RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable& table, double time_s) {
+    PoseTrack track = sweep.world_from_sensor(sensor.lidar);
+    WorldRays rays;
+    for (std::size_t i = 0; i < table.size(); ++i) {
+        const WorldRay w = world_ray(track, time_s, table, i, sweep.rolling_shutter);
+        rays.origin.push_back(glm::vec3(w.origin_m));
+        rays.direction.push_back(glm::vec3(w.direction));
+    }
+    const Pose pose = track.at(time_s);
+    const auto start = std::chrono::steady_clock::now();
+    const Rendering r = renderer.forward(rays);
+
+    RenderedScan scan = empty_scan(table);
+    scan.trace_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+    scan.weight = r.weight;
+    for (std::size_t i = 0; i < r.size(); ++i) {
+        const Beam& beam = beam_of(sensor.beams, table.channel[i]);
+        const double surface_m = chosen_range(r, i, config.render.range), median_surface_m = r.median_depth[i];
+        const auto range_m = static_cast<float>(beam.measured_range(surface_m)),
+                   median_m = static_cast<float>(beam.measured_range(median_surface_m));
+        const double fall = sweep.intensity_response.at_range(median_surface_m > 0.0 ? median_surface_m : surface_m);
+        scan.image.range_m.push_back(range_m);
+        scan.median_range_m.push_back(median_m);
+        scan.image.intensity.push_back(static_cast<float>(beam.measured_intensity(r.intensity[i], fall)));
+        scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
+        const auto own_beam = sensor.is_own ? sweep.beam_number(sensor.lidar, table.channel[i]) : std::nullopt;
+        const float never_seen = own_beam ? layout.sensor_drop.at(*own_beam, table.direction[i]) : 0.0f;
+        const float returns = is_in_range(sensor.limits, range_m, median_m) ? (1.0f - drop_probability(r, i)) * (1.0f - never_seen) : 0.0f;
+        scan.image.drop_prob.push_back(1.0f - returns);
+    }
+    if (!sweep.rolling_shutter) track = {{time_s}, {pose}};
+    scan.track = shifted_track(std::move(track), sweep.world_offset_m);
+    scan.world_from_sensor = {pose.rotation, pose.translation + sweep.world_offset_m};
+    scan.time_s = time_s;
+    for (std::size_t i = 0; i < r.normal.size(); ++i)
+        scan.normal.push_back(seen_normal(r.normal[i], r.weight[i], scan.world_from_firing(i)));
+    return scan;
+}
+
+/// The scan of whole beams, from one of their parts; beams that meet several surfaces are cast again in more parts.
+RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig config) {
+    RenderedScan scan = join_footprints(parts, whole, config);
+    const std::vector<std::size_t> edges = find_edges(parts, whole, config);
+    if (edges.empty() || edges.size() * kEdgeParts > kMaxRays) return scan;
+    const RayTable rays = some_rays(whole, edges);
+    config.sub_rays = kEdgeParts;
+    const RenderedScan better = cast(sensor, split_rays(rays, kEdgeParts, divergence_of(whole, config)), parts.time_s);
+    replace_rays(scan, edges, join_footprints(better, rays, config));
+    return scan;
+}
+
+/// Drop probabilities as the network of the run has them.
+void ScanRenderer::Impl::refine(RenderedScan& scan) {
+    const Sequence log{.world_from_vehicle = log_world_from_vehicle, .world_offset_m = sweep.world_offset_m};
+    scan.image.drop_prob = refiner->refine(drop_image(scan, refiner->network().inputs, first_origin(log)));
 }
 
 /// @param placed  instances at their moments; those that are not shown are left out
 RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed,
                                 std::optional<std::uint64_t> sample) {
-    const Impl& s = *impl_;
-    const RayTable whole = sensor.rosette ? make_rays(*sensor.rosette, time_s) : sensor.rays;
-    if (sensor.grid && s.config.sensor.returns > 1)
+    Impl& s = *impl_;
+    const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
+    const std::optional<RayTable> of_now = makes_rays ? std::optional(make_rays(*sensor.pattern, time_s)) : std::nullopt;
+    const RayTable& whole = of_now ? *of_now : sensor.rays;
+    const SensorConfig config = s.config_of(sensor);
+    if (sensor.grid && config.returns > 1)
         throw UsageError(fmt::format("sensor.returns: found 2 for {}, expected 1: its image has one range a pixel", sensor.name));
-    const RayTable table = split_beams(whole, s.config.sensor, sensor.name);
+    const std::optional<RayTable> parts = split_beams(whole, config, sensor.name);
+    const RayTable& table = parts ? *parts : whole;
     if (table.size() == 0)
         throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
-    PoseTrack track = s.sweep.world_from_sensor(sensor.lidar);
-    WorldRays rays;
-    for (std::size_t i = 0; i < table.size(); ++i) {
-        const WorldRay w = world_ray(track, time_s, table, i, s.sweep.rolling_shutter);
-        rays.origin.push_back(glm::vec3(w.origin_m));
-        rays.direction.push_back(glm::vec3(w.direction));
-    }
-    const Pose pose = track.at(time_s);
     for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && s.shown[i];
-    const auto start = std::chrono::steady_clock::now();
-    impl_->renderer.move(placed, glm::vec3(pose.translation));
-    const Rendering r = impl_->renderer.forward(rays);
-
-    RenderedScan scan;
-    scan.trace_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
-    scan.image.rows = table.rows;
-    scan.image.columns = table.columns;
-    scan.image.origin = table.origin;
-    scan.image.direction = table.direction;
-    scan.weight = r.weight;
-    scan.time_offset_s = table.time_offset_s;
-    scan.channel = table.channel;
-    for (std::size_t i = 0; i < r.size(); ++i) {
-        const Beam& beam = beam_of(sensor.beams, table.channel[i]);
-        const double surface_m = chosen_range(r, i, s.config.render.range), median_surface_m = r.median_depth[i];
-        const auto range_m = static_cast<float>(beam.measured_range(surface_m)),
-                   median_m = static_cast<float>(beam.measured_range(median_surface_m));
-        const double fall = s.sweep.intensity_response.at_range(median_surface_m > 0.0 ? median_surface_m : surface_m);
-        scan.image.range_m.push_back(range_m);
-        scan.median_range_m.push_back(median_m);
-        scan.image.intensity.push_back(static_cast<float>(beam.measured_intensity(r.intensity[i], fall)));
-        scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
-        const auto own_beam = sensor.is_own ? s.sweep.beam_number(sensor.lidar, table.channel[i]) : std::nullopt;
-        const float never_seen = own_beam ? s.layout.sensor_drop.at(*own_beam, table.direction[i]) : 0.0f;
-        const float returns = is_in_range(sensor.limits, range_m, median_m) ? (1.0f - drop_probability(r, i)) * (1.0f - never_seen) : 0.0f;
-        scan.image.drop_prob.push_back(1.0f - returns);
-    }
-    if (!s.sweep.rolling_shutter) track = {{time_s}, {pose}};
-    scan.track = shifted_track(std::move(track), s.sweep.world_offset_m);
-    scan.world_from_sensor = {pose.rotation, pose.translation + s.sweep.world_offset_m};
-    scan.time_s = time_s;
-    for (std::size_t i = 0; i < r.normal.size(); ++i)
-        scan.normal.push_back(seen_normal(r.normal[i], r.weight[i], scan.world_from_firing(i)));
-    if (s.config.sensor.sub_rays > 1) scan = join_footprints(scan, whole, s.config.sensor);
-    if (refines(whole)) {
-        const DropNetwork& network = impl_->refiner->network();
-        const Sequence log{.world_from_vehicle = s.log_world_from_vehicle, .world_offset_m = s.sweep.world_offset_m};
-        scan.image.drop_prob = impl_->refiner->refine(drop_image(scan, network.inputs, first_origin(log)));
-    }
+    s.renderer.move(placed, glm::vec3(s.sweep.world_from_sensor(sensor.lidar).at(time_s).translation));
+    RenderedScan scan = s.cast(sensor, table, time_s);
+    if (parts) scan = s.join(sensor, scan, whole, config);
+    if (refines(whole)) s.refine(scan);
     if (sample) sample_returns(scan, s.sweep.range_noise, *sample);
     return sensor.grid ? project_scan(scan, *sensor.grid) : scan;
 }

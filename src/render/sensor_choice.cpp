@@ -10,6 +10,7 @@
 
 #include <relidar/error.hpp>
 #include <relidar/sensor_files.hpp>
+#include "render/empty_scan.hpp"
 
 namespace relidar {
 
@@ -19,12 +20,20 @@ constexpr float kMinWeight = 0.05f;   ///< a simulated ray that met less than th
 
 RangeLimits configured_limits(const Config& config) { return {config.dataset.min_range_m, config.dataset.max_range_m}; }
 
+/// Those of a Rosette are made for each scan.
+template <class Make>
+RayTable rays_of(const std::optional<FixedPattern>& pattern, const Make& make) {
+    return pattern && std::holds_alternative<Rosette>(*pattern) ? RayTable{} : make();
+}
+
 SensorChoice own_sensor(const Config& config, const Sequence& sequence, int lidar) {
-    const SpinningSensor& sensor = sequence.lidars[std::size_t(lidar)].sensor;
+    const Lidar& own = sequence.lidars[std::size_t(lidar)];
+    const SpinningSensor& sensor = own.sensor;
     const RangeLimits limits = overlap(sensor.range_limits(), configured_limits(config));
-    return {.rays = sensor.beams.empty() ? RayTable{} : make_rays(sensor),
+    return {.rays = rays_of(own.pattern, [&] { return nominal_rays(own, 0.0); }),
             .is_own = true,
             .beams = sensor.beams,
+            .pattern = own.pattern,
             .limits = limits,
             .name = sensor.name,
             .lidar = lidar};
@@ -65,9 +74,12 @@ SensorChoice configured_sensor(const Config& config, const Sequence& sequence, i
 }
 
 SensorChoice sensor_choice(const SensorModel& sensor, int lidar) {
-    SensorChoice choice{.rays = make_rays(sensor), .limits = sensor.limits, .name = sensor.name, .lidar = lidar};
-    if (const auto* rosette = std::get_if<Rosette>(&sensor.pattern)) choice.rosette = *rosette;
-    return choice;
+    const std::optional<FixedPattern> pattern = fixed_pattern(sensor);
+    return {.rays = rays_of(pattern, [&] { return make_rays(sensor); }),
+            .pattern = pattern,
+            .limits = sensor.limits,
+            .name = sensor.name,
+            .lidar = lidar};
 }
 
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence, int lidar) {
@@ -79,11 +91,7 @@ SensorChoice choose_sensor(const std::string& name_or_file, const Config& config
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     const RayTable cells = make_rays(grid);
     const std::size_t n = cells.size();
-    RenderedScan result;
-    result.image.rows = grid.rows;
-    result.image.columns = grid.columns;
-    result.image.origin = cells.origin;
-    result.image.direction = cells.direction;
+    RenderedScan result = empty_scan(cells, scan);
     result.image.range_m.assign(n, 0.0f);
     result.image.intensity.assign(n, 0.0f);
     result.image.drop_prob.assign(n, 1.0f);
@@ -92,11 +100,6 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     result.instance.assign(n, -1);
     if (!scan.normal.empty()) result.normal.assign(n, glm::vec3(0.0f));
     result.time_offset_s.assign(n, 0.0f);
-    result.channel = cells.channel;
-    result.world_from_sensor = scan.world_from_sensor;
-    result.track = scan.track;
-    result.time_s = scan.time_s;
-    result.trace_ms = scan.trace_ms;
     std::vector<float> winner_drop(n, 2.0f);   // of the ray that owns a cell so far; 2 = none
     for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
         if (!(scan.image.range_m[i] > 0.0f) || scan.weight[i] < kMinWeight) continue;
@@ -105,7 +108,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
         const std::size_t c = std::size_t(*cell);
         const float drop = scan.image.drop_prob[i];
         result.image.drop_prob[c] = std::min(result.image.drop_prob[c], drop);
-        const bool returns = drop < 0.5f, winner_returns = winner_drop[c] < 0.5f;
+        const bool returns = drop < kDropThreshold, winner_returns = winner_drop[c] < kDropThreshold;
         const float range = glm::length(scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]);
         const bool wins = returns != winner_returns ? returns : returns ? range < result.image.range_m[c] : drop < winner_drop[c];
         if (!wins && winner_drop[c] < 1.5f) continue;

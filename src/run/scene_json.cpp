@@ -12,6 +12,7 @@
 #include <nlohmann/json.hpp>
 
 #include "core/json_field.hpp"
+#include "run/pattern_json.hpp"
 #include <relidar/error.hpp>
 
 namespace relidar::run_detail {
@@ -72,9 +73,11 @@ Json to_json(const BoxTrack& box) {
 
 Json lidars_json(const Sequence& sequence) {
     Json json = Json::array();
-    for (const Lidar& lidar : sequence.lidars)
+    for (const Lidar& lidar : sequence.lidars) {
         json.push_back(
             {{"name", lidar.name}, {"vehicle_from_sensor", to_json(lidar.vehicle_from_sensor)}, {"sensor", to_json(lidar.sensor)}});
+        if (lidar.pattern) json.back()["pattern"] = pattern_json(*lidar.pattern);
+    }
     return json;
 }
 
@@ -163,9 +166,11 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     if (root.has("sensor")) return {{"", read_sensor(root.at("sensor")), {}}};   // version 1
     const JsonField field = root.at("lidars");
     std::vector<Lidar> lidars;
-    for (std::size_t i = 0; i < field.size(); ++i)
+    for (std::size_t i = 0; i < field.size(); ++i) {
         lidars.push_back(
             {field.at(i).at("name").text(), read_sensor(field.at(i).at("sensor")), read_pose(field.at(i).at("vehicle_from_sensor"))});
+        if (field.at(i).has("pattern")) lidars.back().pattern = read_pattern(field.at(i).at("pattern"));
+    }
     if (lidars.empty()) field.fail("found no LiDAR", "expected at least one");
     return lidars;
 }

@@ -201,6 +201,7 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
     format.sensor = sensor.name;
     format.limits = sensor.limits;
     format.config = run.config;
+    if (sensor.returns > 0) format.config.sensor.returns = sensor.returns;
     return format;
 }
 

@@ -13,6 +13,7 @@
 
 #include <relidar/error.hpp>
 
+#include "core/list_text.hpp"
 #include "core/random.hpp"
 #include "scene/point_surfels.hpp"
 #include "core/progress_blocks.hpp"
@@ -27,15 +28,13 @@ constexpr double kVoxel_m = 0.06;         ///< label jitter blurs anything finer
 constexpr std::string_view kEveryClass = "all";
 
 /// Adds the points of one frame that lie in boxes, each in its box's frame.
-void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes,
+void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes, bool further_returns,
                std::vector<std::vector<Sample>>& samples) {
     std::vector<std::size_t> present;
     for (std::size_t b = 0; b < boxes.size(); ++b)
         if (boxes[b].present(frame.time_s)) present.push_back(b);
     if (present.empty()) return;
-    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
-        if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-        const WorldReturn w = world_return(sequence, frame, ray);
+    for_each_return(sequence, frame, further_returns, [&](const WorldReturn& w) {
         for (const std::size_t b : present) {
             if (!boxes[b].holds(w.point_m, w.time_s, kPointMargin_m)) continue;
             const Pose box_from_world = inverse(boxes[b].world_from_box.at(w.time_s));
@@ -43,16 +42,17 @@ void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<B
             if (local.z < -0.5 * boxes[b].size_m.z + kGround_m) continue;
             samples[b].push_back({glm::vec3(local), w.intensity, glm::vec3(box_from_world.rotation * w.direction)});
         }
-    }
+    });
 }
 
 /// Points of the training frames in boxes, each in its box's frame. @return [boxes]
 std::vector<std::vector<Sample>> box_samples(const Sequence& sequence, const std::vector<int>& train, const std::vector<BoxTrack>& boxes,
-                                             const Progress& progress) {
+                                             const InitialiseOptions& options, const Progress& progress) {
     std::vector<std::vector<Sample>> samples(boxes.size());
     std::vector<std::vector<std::vector<Sample>>> of_frame(train.size(), std::vector<std::vector<Sample>>(boxes.size()));
-    for_each_told(train.size(), progress, "points of actors",
-                  [&](std::size_t i) { add_frame(sequence, sequence.frames[std::size_t(train[i])], boxes, of_frame[i]); });
+    for_each_told(train.size(), progress, "points of actors", [&](std::size_t i) {
+        add_frame(sequence, sequence.frames[std::size_t(train[i])], boxes, options.further_returns, of_frame[i]);
+    });
     for (const std::vector<std::vector<Sample>>& frame : of_frame)
         for (std::size_t b = 0; b < boxes.size(); ++b) samples[b].insert(samples[b].end(), frame[b].begin(), frame[b].end());
     return samples;
@@ -78,16 +78,6 @@ std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t mos
         kept.resize(most);
     }
     return kept;
-}
-
-std::vector<std::string> words_of(const std::string& list) {
-    std::vector<std::string> words{""};
-    for (const char c : list) {
-        if (c == ',') words.emplace_back();
-        else if (c != ' ') words.back() += c;
-    }
-    std::erase(words, "");
-    return words;
 }
 
 bool lists(const std::string& list, const std::string& word) {
@@ -154,26 +144,18 @@ std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& b
     return samples;
 }
 
-/// One sweep of a LiDAR.
-struct SweepOf {
-    double time_s;
-    int lidar;
-    std::optional<SweepStart> start;
-};
-
 /// An actor at the moment the head of a LiDAR faces it, the one at which its only transform of the sweep is taken.
-InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_box, const SweepOf& sweep) {
+InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_box, const SweepMoment& sweep) {
     const Pose world_from_sensor =
         sequence.world_from_vehicle.at(sweep.time_s, sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor);
     const double facing_s =
-        facing_time(sequence, inverse(world_from_sensor) * world_from_box.at(sweep.time_s).translation, sweep.time_s, sweep.lidar,
-                    sweep.start);
+        facing_time(sequence, inverse(world_from_sensor) * world_from_box.at(sweep.time_s).translation, sweep);
     return {world_from_box.at(facing_s), true, facing_s};
 }
 
 /// The background, and every actor on the track that `track_of` has for its name; absent where that is null.
 template <class TrackOf>
-std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence, const SweepOf& sweep, const TrackOf& track_of) {
+std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep, const TrackOf& track_of) {
     std::vector<InstancePose> placed;
     for (const Instance& instance : scene.instances) {
         if (instance.track.empty()) {
@@ -204,7 +186,7 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
     Scene scene = make_background_scene(initialise_background(sequence, train_positions, options, progress));
     std::vector<BoxTrack> wanted = separate_boxes(sequence, options);
     std::erase_if(wanted, [&](const BoxTrack& box) { return !is_wanted(box, options); });
-    std::vector<std::vector<Sample>> in_boxes = box_samples(sequence, train_positions, wanted, progress);
+    std::vector<std::vector<Sample>> in_boxes = box_samples(sequence, train_positions, wanted, options, progress);
     for (std::size_t i = 0; i < wanted.size(); ++i) {
         const BoxTrack& box = wanted[i];
         const std::vector<Sample> samples = actor_samples(std::move(in_boxes[i]), box, options);
@@ -239,19 +221,18 @@ std::string names_of(const std::vector<BoxTrack>& boxes) {
     return fmt::format("{}{}", fmt::join(names, ", "), boxes.size() > kMost ? fmt::format(" and {} more", boxes.size() - kMost) : "");
 }
 
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, int lidar,
-                                          const std::optional<SweepStart>& start) {
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep) {
     std::unordered_map<std::string_view, const PoseTrack*> tracks;   // there may be a thousand
     for (const BoxTrack& box : sequence.boxes)
-        if (box.present(time_s)) tracks.emplace(box.id, &box.world_from_box);
-    return place_by(scene, sequence, {time_s, lidar, start}, [&](const std::string& name) {
+        if (box.present(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);
+    return place_by(scene, sequence, sweep, [&](const std::string& name) {
         const auto track = tracks.find(name);
         return track == tracks.end() ? nullptr : track->second;
     });
 }
 
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, double time_s, const ActorPoses& world_from_actor,
-                                          int lidar, const std::optional<SweepStart>& start) {
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep,
+                                          const ActorPoses& world_from_actor) {
     std::vector<std::string> tracks;
     for (const Instance& instance : scene.instances)
         if (!instance.track.empty()) tracks.push_back(instance.track);
@@ -260,7 +241,7 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
             throw UsageError(
                 fmt::format("placing actors: found a pose of \"{}\", expected a track of the scene{}", track,
                             tracks.empty() ? ", which has no actor" : fmt::format("; did you mean \"{}\"?", nearest_name(track, tracks))));
-    return place_by(scene, sequence, {time_s, lidar, start}, [&](const std::string& name) {
+    return place_by(scene, sequence, sweep, [&](const std::string& name) {
         const auto track = world_from_actor.find(name);
         return track == world_from_actor.end() ? nullptr : &track->second;
     });

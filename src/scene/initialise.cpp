@@ -57,13 +57,10 @@ bool is_in(const BoxTrack& box, const WorldReturn& w, const InitialiseOptions& o
 std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& separate,
                                   const InitialiseOptions& options) {
     std::vector<Sample> samples;
-    const Scan& scan = frame.scan;
-    for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
-        if (!(scan.range_m[ray] > 0.0f)) continue;
-        const WorldReturn w = world_return(sequence, frame, ray);
-        if (std::any_of(separate.begin(), separate.end(), [&](const BoxTrack& box) { return is_in(box, w, options); })) continue;
+    for_each_return(sequence, frame, options.further_returns, [&](const WorldReturn& w) {
+        if (std::any_of(separate.begin(), separate.end(), [&](const BoxTrack& box) { return is_in(box, w, options); })) return;
         samples.push_back({glm::vec3(w.point_m), w.intensity, glm::vec3(w.direction)});
-    }
+    });
     return samples;
 }
 

@@ -16,6 +16,18 @@ struct Sample {
     glm::vec3 view;   ///< unit, sensor to point
 };
 
+/// Calls work(WorldReturn) for the returns of a frame, ray by ray. @param further  second returns too
+template <class Work>
+void for_each_return(const Sequence& sequence, const Frame& frame, bool further, const Work& work) {
+    const Scan& scan = frame.scan;
+    for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
+        if (!(scan.range_m[ray] > 0.0f)) continue;
+        work(world_return(sequence, frame, ray));
+        for (std::size_t k = 0; further && k < scan.further.size(); ++k)
+            if (scan.further[k].range_m[ray] > 0.0f) work(world_return(sequence, frame, ray, k + 1));
+    }
+}
+
 /// One surfel a sample, in kd order. Where normals are found, intensity starts with the fall with incidence of the log's surfaces.
 /// @param samples at least one @param incidence of IntensityResponse
 Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options, double incidence,

@@ -67,7 +67,7 @@ Visibility::View Visibility::make_view(const Sequence& sequence, const Frame& fr
     for (int sector = 0; sector < n_sectors; ++sector) {
         const double azimuth = 2.0 * kPi * ((sector + 0.5) / n_sectors - 0.5);
         view.sensor_from_world.push_back(inverse(sequence.world_from_vehicle.at(
-            facing_time(sequence, {std::cos(azimuth), std::sin(azimuth), 0.0}, frame.time_s, frame.lidar, frame.start), mounted)));
+            facing_time(sequence, {std::cos(azimuth), std::sin(azimuth), 0.0}, moment_of(frame)), mounted)));
     }
     std::vector<glm::vec3> points;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)

@@ -73,11 +73,30 @@ RayTable make_rays(const ScanningWindow& w) {
     return rays;
 }
 
+RayTable make_rays(const FixedPattern& pattern, double time_s) {
+    if (const auto* rosette = std::get_if<Rosette>(&pattern)) return make_rays(*rosette, time_s);
+    if (const auto* window = std::get_if<ScanningWindow>(&pattern)) return make_rays(*window);
+    return std::get<RayTable>(pattern);
+}
+
+double period_of(const FixedPattern& pattern) {
+    if (const auto* rosette = std::get_if<Rosette>(&pattern)) return rosette->period_s;
+    const auto* window = std::get_if<ScanningWindow>(&pattern);
+    return window ? window->period_s : 0.0;
+}
+
+std::optional<FixedPattern> fixed_pattern(const SensorModel& sensor) {
+    return std::visit(
+        [](const auto& pattern) -> std::optional<FixedPattern> {
+            if constexpr (std::is_same_v<std::decay_t<decltype(pattern)>, SpinningSensor>) return {};
+            else return pattern;
+        },
+        sensor.pattern);
+}
+
 RayTable make_rays(const SensorModel& sensor, double time_s) {
-    if (const auto* rosette = std::get_if<Rosette>(&sensor.pattern)) return make_rays(*rosette, time_s);
-    if (const auto* window = std::get_if<ScanningWindow>(&sensor.pattern)) return make_rays(*window);
     if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) return make_rays(*spinning);
-    return std::get<RayTable>(sensor.pattern);
+    return make_rays(*fixed_pattern(sensor), time_s);
 }
 
 }  // namespace relidar

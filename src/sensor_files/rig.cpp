@@ -45,11 +45,18 @@ Pose mounting(const Json& sensor, const std::string& where) {
     return {rotation_of(angle.x, angle.y, angle.z), vector_of(sensor, "translation_m", kFarthest_m, where)};
 }
 
+int returns_of(const Json& sensor, const std::string& where) {
+    if (!sensor.contains("returns")) return 1;
+    const Json& returns = sensor.at("returns");
+    if (returns != 1 && returns != 2) throw DataError(fmt::format("{}: returns: expected 1 or 2", where));
+    return returns.get<int>();
+}
+
 /// A sensor's file as the rig's folder has it; a name, or a path from elsewhere, as it is.
 std::string beside(const std::string& sensor, const std::string& rig) {
     const fs::path path = fs::path(rig).parent_path() / sensor;
     const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
-    return !known_sensor(sensor) && (path_exists(path) || path_exists(without_columns)) ? path.string() : sensor;
+    return !known_name(sensor, sensor_names()) && (path_exists(path) || path_exists(without_columns)) ? path.string() : sensor;
 }
 
 void check_name(const std::string& name, const std::set<std::string>& taken, const std::string& where) {
@@ -61,27 +68,17 @@ void check_name(const std::string& name, const std::set<std::string>& taken, con
 
 }  // namespace
 
-bool is_rig(const std::string& path) {
-    if (fs::path(path).extension() != ".json") return false;
-    try {
-        const Json json = Json::parse(read_file(path));
-        return json.is_object() && json.contains("sensors");
-    } catch (const std::exception&) {
-        return false;   // find_sensor() says what is wrong with it
-    }
-}
-
-std::vector<MountedSensor> read_rig(const std::string& path) {
+std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
+    if (fs::path(path).extension() != ".json") return {};
     Json json;
     try {
         json = Json::parse(read_file(path));
-    } catch (const Json::exception& error) {
-        throw DataError(fmt::format("{}: no valid JSON ({}), expected a rig", path, excerpt(error.what())));
+    } catch (const std::exception&) {
+        return {};   // find_sensor() says what is wrong with it
     }
-    if (!json.is_object() || !json.contains("sensors") || !json.at("sensors").is_array() || json.at("sensors").empty() ||
-        json.at("sensors").size() > kMostSensors) {
+    if (!json.is_object() || !json.contains("sensors")) return {};
+    if (!json.at("sensors").is_array() || json.at("sensors").empty() || json.at("sensors").size() > kMostSensors)
         throw DataError(fmt::format("{}: expected a list \"sensors\" of 1 to {}", path, kMostSensors));
-    }
     std::vector<MountedSensor> rig;
     std::set<std::string> names;
     for (const Json& sensor : json.at("sensors")) {
@@ -89,7 +86,8 @@ std::vector<MountedSensor> read_rig(const std::string& path) {
         const std::string name = text_of(sensor, "name", where);
         check_name(name, names, where);
         names.insert(name);
-        rig.push_back({name, find_sensor(beside(text_of(sensor, "sensor", where), path)), mounting(sensor, where)});
+        const SensorModel model = find_sensor(beside(text_of(sensor, "sensor", where), path));
+        rig.push_back({name, model, mounting(sensor, where), returns_of(sensor, where)});
     }
     return rig;
 }

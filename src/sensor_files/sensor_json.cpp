@@ -11,6 +11,7 @@
 #include <relidar/error.hpp>
 #include <relidar/math.hpp>
 #include "core/files.hpp"
+#include "core/json_field.hpp"
 #include "sensor_files/ray_table.hpp"
 
 namespace relidar::sensor_files {
@@ -123,6 +124,56 @@ SensorModel ouster_sensor(const Json& json, const std::string& name, const std::
     return {name, "", limits, std::move(sensor)};
 }
 
+double degrees_of(const JsonField& field, const char* key, double most) { return field.at(key).number(-most, most) * kPi / 180.0; }
+
+/// What is the same for whatever sweeps.
+struct Common {
+    RangeLimits limits;
+    double period_s, divergence_rad;
+};
+Common common_of(const JsonField& field) {
+    const auto number = [&](const char* key, double missing, double low, double high) {
+        return field.has(key) ? field.at(key).number(low, high) : missing;
+    };
+    const Common common{{number("min_range_m", 0.0, 0.0, 1e4), number("max_range_m", 80.0, 0.0, 1e4)},
+                        number("period_s", 0.1, 1e-4, 10.0), 1e-3 * number("divergence_mrad", 0.0, 0.0, 100.0)};
+    if (!(common.limits.min_m < common.limits.max_m))
+        field.fail(fmt::format("found {} to {} m", common.limits.min_m, common.limits.max_m), "expected min_range_m < max_range_m");
+    return common;
+}
+
+SensorModel window_of(const JsonField& field, const std::string& name) {
+    field.check_members({"rows", "columns", "left_deg", "right_deg", "top_deg", "bottom_deg", "period_s", "divergence_mrad", "min_range_m",
+                         "max_range_m"});
+    const Common common = common_of(field);
+    const ScanningWindow window{.name = name,
+                                .rows = static_cast<int>(field.at("rows").integer(1, 65535)),
+                                .columns = static_cast<int>(field.at("columns").integer(1, 1'000'000)),
+                                .left_rad = degrees_of(field, "left_deg", 180.0),
+                                .right_rad = degrees_of(field, "right_deg", 180.0),
+                                .top_rad = degrees_of(field, "top_deg", 90.0),
+                                .bottom_rad = degrees_of(field, "bottom_deg", 90.0),
+                                .period_s = common.period_s,
+                                .divergence_rad = common.divergence_rad};
+    if (std::size_t(window.rows) * std::size_t(window.columns) > kMaxRays)
+        field.fail(fmt::format("found {} rows x {} columns", window.rows, window.columns),
+                   fmt::format("expected at most {} rays", kMaxRays));
+    return {name, "", common.limits, window};
+}
+
+SensorModel rosette_of(const JsonField& field, const std::string& name) {
+    field.check_members({"rays", "deflection_deg", "first_hz", "second_hz", "period_s", "divergence_mrad", "min_range_m", "max_range_m"});
+    const Common common = common_of(field);
+    return {name, "", common.limits,
+            Rosette{.name = name,
+                    .deflection_rad = degrees_of(field, "deflection_deg", 45.0),
+                    .first_hz = field.at("first_hz").number(-1e5, 1e5),
+                    .second_hz = field.at("second_hz").number(-1e5, 1e5),
+                    .n_rays = static_cast<int>(field.at("rays").integer(1, std::int64_t(kMaxRays))),
+                    .period_s = common.period_s,
+                    .divergence_rad = common.divergence_rad}};
+}
+
 }  // namespace
 
 SensorModel parse_sensor_json(const std::string& text, const std::string& name, const std::string& where, int columns, double rate_hz) {
@@ -133,10 +184,15 @@ SensorModel parse_sensor_json(const std::string& text, const std::string& name, 
         throw DataError(fmt::format("{}: no valid JSON ({}), expected a sensor", where, excerpt(error.what())));
     }
     if (json.is_object() && json.contains("directions")) return rays_of_json(json, name, where);
+    const JsonField root(json, where, "");
+    if (root.has("window")) return window_of(root.at("window"), name);
+    if (root.has("rosette")) return rosette_of(root.at("rosette"), name);
     if (json.is_object() && find(json, "beam_altitude_angles", {"beam_intrinsics"}))
         return ouster_sensor(json, name, where, columns, rate_hz);
     throw DataError(
-        fmt::format("{}: found neither \"directions\" nor \"beam_altitude_angles\", expected a ray table or Ouster's metadata", where));
+        fmt::format("{}: found none of \"directions\", \"window\", \"rosette\" and \"beam_altitude_angles\", expected a ray table, what "
+                    "sweeps, or Ouster's metadata",
+                    where));
 }
 
 }  // namespace relidar::sensor_files

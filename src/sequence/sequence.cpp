@@ -185,9 +185,14 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
     return placed_ray(world_from_sensor.at(firing_time(time_s, rays, ray, rolling_shutter)), rays, ray);
 }
 
+namespace {
+
+constexpr double kUsual = 0.02;     // of a period: so near to the usual start is the usual start
+
+}  // namespace
+
 std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor) {
     constexpr double kTogether = 0.9;   // resultant of the phases: beams' own azimuths and uneven turns take little of it
-    constexpr double kUsual = 0.02;     // of a period: so near to the usual start is the usual start
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
     std::complex<double> sum = 0.0;   // of the azimuth that the head had at time 0
@@ -206,29 +211,60 @@ std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor&
     return SweepStart{std::remainder(at_zero + rad_per_s * double(first_s), 2.0 * kPi), double(first_s)};
 }
 
-double facing_time(const Sequence& sequence, const glm::dvec3& point_m, double time_s, int lidar, const std::optional<SweepStart>& start) {
-    const SpinningSensor& sensor = sequence.lidars[std::size_t(lidar)].sensor;
-    if (!sequence.rolling_shutter) return time_s;
-    if (start) {
-        const double turned = (sensor.clockwise ? -1.0 : 1.0) * (std::atan2(point_m.y, point_m.x) - start->azimuth_rad) / (2.0 * kPi);
-        return time_s + start->time_s + (turned - std::floor(turned)) * sensor.period_s;
-    }
-    const double after_s = std::atan2(point_m.y, point_m.x) / (2.0 * kPi) * sensor.period_s;
-    return time_s + (sensor.clockwise ? -after_s : after_s);
+std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar) {
+    if (!lidar.pattern) return find_start(rays, lidar.sensor);
+    const double period_s = lidar.period_s();
+    if (!(period_s > 0.0) || rays.size() == 0) return {};
+    const double first_s = double(*std::ranges::min_element(rays.time_offset_s));
+    if (std::abs(first_s + 0.5 * period_s) < kUsual * period_s) return {};
+    return SweepStart{0.0, first_s};
 }
 
-SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray) {
+RayTable nominal_rays(const Lidar& lidar, double time_s) {
+    if (lidar.pattern) return make_rays(*lidar.pattern, time_s);
+    return lidar.sensor.beams.empty() ? RayTable{} : make_rays(lidar.sensor);
+}
+
+namespace {
+
+/// How long after the frame's time a LiDAR that does not spin faces an azimuth.
+double facing_offset(const FixedPattern& pattern, double azimuth, const std::optional<SweepStart>& start) {
+    const double period_s = period_of(pattern), middle_s = start ? start->time_s + 0.5 * period_s : 0.0;
+    const auto* window = std::get_if<ScanningWindow>(&pattern);
+    if (!window || window->columns < 2) return middle_s;
+    const double share = glm::clamp((azimuth - window->left_rad) / (window->right_rad - window->left_rad), 0.0, 1.0);
+    return middle_s + (share - 0.5) * period_s * (window->columns - 1) / window->columns;
+}
+
+}  // namespace
+
+double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep) {
+    const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
+    const SpinningSensor& sensor = lidar.sensor;
+    if (!sequence.rolling_shutter) return sweep.time_s;
+    const double azimuth = std::atan2(point_m.y, point_m.x);
+    if (lidar.pattern) return sweep.time_s + facing_offset(*lidar.pattern, azimuth, sweep.start);
+    if (sweep.start) {
+        const double turned = (sensor.clockwise ? -1.0 : 1.0) * (azimuth - sweep.start->azimuth_rad) / (2.0 * kPi);
+        return sweep.time_s + sweep.start->time_s + (turned - std::floor(turned)) * sensor.period_s;
+    }
+    const double after_s = azimuth / (2.0 * kPi) * sensor.period_s;
+    return sweep.time_s + (sensor.clockwise ? -after_s : after_s);
+}
+
+SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray, std::size_t number) {
     const Scan& scan = frame.scan;
     const Beam& beam = beam_of(sequence.lidar_of(frame).sensor.beams, scan.rays.channel[ray]);
-    const float range_m = static_cast<float>(beam.surface_range(double(scan.range_m[ray])));
-    return {range_m,
-            static_cast<float>(beam.surface_intensity(double(scan.intensity[ray]), sequence.intensity_response.at_range(double(range_m))))};
+    const double measured_m = number == 0 ? scan.range_m[ray] : scan.further[number - 1].range_m[ray],
+                 measured = number == 0 ? scan.intensity[ray] : scan.further[number - 1].intensity[ray];
+    const float range_m = static_cast<float>(beam.surface_range(measured_m));
+    return {range_m, static_cast<float>(beam.surface_intensity(measured, sequence.intensity_response.at_range(double(range_m))))};
 }
 
-WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray) {
+WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray, std::size_t number) {
     const double t_s = firing_time(frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
     const WorldRay w = placed_ray(sequence.world_from_vehicle.at(t_s, sequence.lidar_of(frame).vehicle_from_sensor), frame.scan.rays, ray);
-    const SurfaceReturn surface = surface_return(sequence, frame, ray);
+    const SurfaceReturn surface = surface_return(sequence, frame, ray, number);
     return {w.origin_m + static_cast<double>(surface.range_m) * w.direction, w.direction, t_s, surface.intensity};
 }
 

@@ -96,7 +96,8 @@ std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, c
         data.targets = Array<DeviceTarget>(device, std::span<const DeviceTarget>(targets[k]), "training targets");
         data.n_rays = static_cast<std::uint32_t>(rays[k].size());
         const RayTable& table = frame.scan.rays;
-        if (table.rows > 1) data.image = {static_cast<std::uint32_t>(table.rows), static_cast<std::uint32_t>(table.columns), true};
+        const bool spins = !sequence.lidar_of(frame).sensor.beams.empty();
+        if (table.rows > 1) data.image = {static_cast<std::uint32_t>(table.rows), static_cast<std::uint32_t>(table.columns), spins};
         for (const DeviceTarget& t : targets[k]) {
             data.n_known += t.weight > 0.0f;
             data.n_returned += t.weight > 0.0f && t.range_m > 0.0f;

@@ -76,7 +76,7 @@ WantedGradients PoseRefiner::wanted() const { return {.rays = sensor_.has_value(
 void PoseRefiner::place(Stream& stream, std::size_t frame_index, FrameData& frame) {
     if (rays_) rays_->move(stream, *sensor_, frame_index, frame);
     const Frame& sweep = poses_.frames[std::size_t(frame.position)];
-    frame.placed = place_instances(layout_, poses_, sweep.time_s, sweep.lidar, sweep.start);
+    frame.placed = place_instances(layout_, poses_, moment_of(sweep));
     frame.sensor_position_m = glm::vec3(poses_.world_from_vehicle.at(sweep.time_s, poses_.lidar_of(sweep).vehicle_from_sensor).translation);
 }
 

@@ -19,6 +19,7 @@ namespace relidar {
 Sequence load_log(const Config& config, const Progress& progress) {
     DatasetOptions options;
     options.sequence = config.dataset.sequence;
+    options.lidars = words_of(config.dataset.lidars);
     options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
     options.poses_file = config.dataset.poses;
     options.allow_missing_scans = config.dataset.allow_missing_scans;
@@ -135,6 +136,41 @@ void add_discovered(Sequence& sequence, const Split& split, const InitialiseOpti
     std::move(found.begin(), found.end(), std::back_inserter(sequence.boxes));
 }
 
+constexpr float kBehind_m = 0.25f;   // half of what two returns are apart: the first surface and its noise lie before it
+
+/// The scan with a ray more for each second return behind the first: it starts behind the first surface and meets the second one. It has no
+/// image order, and its second returns are rays now.
+Scan with_rays_behind(const Scan& scan) {
+    Scan all = scan;
+    all.further.clear();
+    for (const FurtherReturn& further : scan.further)
+        for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
+            const float start_m = scan.range_m[i] + kBehind_m;
+            if (!(scan.range_m[i] > 0.0f && further.range_m[i] > start_m)) continue;
+            all.rays.origin.push_back(scan.rays.origin[i] + start_m * scan.rays.direction[i]);
+            all.rays.direction.push_back(scan.rays.direction[i]);
+            all.rays.time_offset_s.push_back(scan.rays.time_offset_s[i]);
+            all.rays.channel.push_back(scan.rays.channel[i]);
+            all.range_m.push_back(further.range_m[i] - start_m);
+            all.intensity.push_back(further.intensity[i]);
+        }
+    all.rays.rows = 1;
+    all.rays.columns = static_cast<int>(all.range_m.size());
+    return all;
+}
+
+void add_rays_behind(Sequence& sequence, const Split& split, const PrepareSession& session) {
+    std::size_t n = 0;
+    for (const int position : split.train) {
+        Scan& scan = sequence.frames[std::size_t(position)].scan;
+        if (scan.further.empty()) continue;
+        const std::size_t before = scan.rays.size();
+        scan = with_rays_behind(scan);
+        n += scan.rays.size() - before;
+    }
+    session.tell(fmt::format("{} second returns are trained on as rays that start behind the first surface", n));
+}
+
 bool registers_sensor(const TrainConfig& config) { return config.pose_register && config.refine_poses.find("sensor") != std::string::npos; }
 
 }  // namespace
@@ -155,6 +191,7 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
                                  1e3 * sequence.range_noise.at(10.0, 1.0), 1e3 * sequence.range_noise.at(40.0, 1.0)));
     if (config.sensor.calibrate_intensity) calibrate_intensities(sequence, split, session);
     if (config.init.discover_actors && config.init.actors != ActorMode::background) add_discovered(sequence, split, config.init, session);
+    if (config.train.second_returns) add_rays_behind(sequence, split, session);
 }
 
 }  // namespace relidar

@@ -101,8 +101,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.size(), config.train.seed) {
     for (FrameData& frame : frames_) {
-        const Frame& sweep = sequence.frames[std::size_t(frame.position)];
-        frame.placed = place_instances(initial, sequence, sweep.time_s, sweep.lidar, sweep.start);
+        frame.placed = place_instances(initial, sequence, moment_of(sequence.frames[std::size_t(frame.position)]));
     }
     if (config.densify.strategy != DensifyStrategy::none || config.densify.prune_unseen)
         densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.size()),

@@ -103,7 +103,7 @@ TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
         std::size_t late = 0;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const glm::dvec3 point_m(frame.scan.rays.origin[i] + 10.0f * frame.scan.rays.direction[i]);
-            const double facing_s = facing_time(found, point_m, frame.time_s, frame.lidar, frame.start);
+            const double facing_s = facing_time(found, point_m, moment_of(frame));
             late += std::abs(facing_s - frame.time_s - double(frame.scan.rays.time_offset_s[i])) > 3e-3;
         }
         // Beams up to 4.2 degrees beside the head, so 1.2 ms; the sweep is more than a turn, so its ends are seen twice.

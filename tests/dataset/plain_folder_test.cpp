@@ -11,6 +11,7 @@
 #include <gtest/gtest.h>
 
 #include <relidar/error.hpp>
+#include "../support/rig_street.hpp"
 #include <relidar/export.hpp>
 
 #include "../support/two_lidars.hpp"
@@ -134,6 +135,27 @@ TEST(SaveFolder, KeepsRaysOfASensorThatDoesNotSpin) {
     EXPECT_EQ(found.lidars[0].sensor.period_s, 0.0);
     EXPECT_EQ(found.lidars[0].sensor.max_range_m, 60.0);
     for (Frame& frame : street.frames) drop_outside(frame.scan, {0.0, 60.0});
+    expect_same_scans(found, street);
+}
+
+TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
+    SyntheticOptions options{.n_frames = 2};
+    options.rig = test::write_rig(fs::path(testing::TempDir()) / "relidar_folder_rig");
+    Sequence street = make_synthetic_street(options);
+    street.lidars[test::kRosette].pattern = nominal_rays(street.lidars[test::kRosette], 0.4);   // a table of rays
+    const fs::path folder = fresh("rig");
+    save_folder(street, folder);
+    const Sequence found = load_sequence(folder.string(), {});
+    ASSERT_EQ(found.lidars.size(), 4u);
+    EXPECT_FALSE(found.lidars[test::kSpinning].pattern);
+    for (const int l : {test::kWindow, test::kRosette, test::kTwoReturns}) {
+        const RayTable a = nominal_rays(found.lidars[std::size_t(l)], 0.7), b = nominal_rays(street.lidars[std::size_t(l)], 0.7);
+        ASSERT_EQ(a.size(), b.size());
+        for (std::size_t i = 0; i < a.size(); ++i) ASSERT_LT(glm::distance(a.direction[i], b.direction[i]), 2e-7f);
+        EXPECT_EQ(a.time_offset_s, b.time_offset_s);
+        EXPECT_FLOAT_EQ(a.divergence_rad, b.divergence_rad);
+        EXPECT_EQ(found.lidars[std::size_t(l)].sensor.max_range_m, street.lidars[std::size_t(l)].sensor.max_range_m);
+    }
     expect_same_scans(found, street);
 }
 

@@ -2,6 +2,7 @@
 // The synthetic street: casts against closed forms, determinism, moving cars in their boxes, the file and its messages.
 #include <relidar/dataset.hpp>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
@@ -10,6 +11,7 @@
 #include <gtest/gtest.h>
 
 #include <relidar/error.hpp>
+#include "../support/rig_street.hpp"
 
 namespace relidar {
 namespace {
@@ -184,7 +186,7 @@ TEST(Synthetic, SizesAreBoundedByTheirProductToo) {
         FAIL();
     } catch (const DataError& error) {
         EXPECT_NE(std::string(error.what())
-                      .find("street.toml: synthetic street: 10000 frames of 256 x 8192 rays are 2.1e+10 rays, expected at most 2e+08"),
+                      .find("street.toml: synthetic street: 10000 frames of 2097152 rays are 2.1e+10 rays, expected at most 2e+08"),
                   std::string::npos)
             << error.what();
     }
@@ -198,6 +200,94 @@ TEST(Synthetic, SizesAreBoundedByTheirProductToo) {
         EXPECT_THROW(load_sequence(folder.string(), {}), DataError);
     }
     fs::remove_all(folder);
+}
+
+/// A street logged through a rig.
+SyntheticOptions rig_street() {
+    SyntheticOptions options{.n_frames = 4, .range_noise_m = 0.0};
+    options.rig = test::write_rig(fs::path(testing::TempDir()) / "relidar_synthetic_rig");
+    return options;
+}
+
+TEST(SyntheticRig, EachLidarSeesTheStreetFromWhereItIsMounted) {
+    const SyntheticOptions options = rig_street();
+    const Sequence log = make_synthetic_street(options);
+    ASSERT_EQ(log.lidars.size(), 4u);
+    ASSERT_EQ(log.frames.size(), 16u);
+    EXPECT_EQ(log.world_from_vehicle.pose.size(), 4u) << "a pose for each sweep";
+    for (const Frame& frame : log.frames) {
+        const Lidar& lidar = log.lidar_of(frame);
+        const PoseTrack track = log.world_from_sensor(frame.lidar);
+        EXPECT_EQ(frame.scan.rays.direction, nominal_rays(lidar, frame.time_s).direction) << lidar.name;
+        const Scan truth = frame.lidar == test::kTwoReturns ? cast_synthetic_beams(options, frame.scan.rays, track, frame.time_s)
+                                                            : cast_synthetic_street(options, frame.scan.rays, track, frame.time_s);
+        std::size_t n = 0;
+        for (std::size_t i = 0; i < truth.range_m.size(); ++i) {
+            if (!(truth.range_m[i] > 0.0f && frame.scan.range_m[i] > 0.0f)) continue;
+            ASSERT_NEAR(frame.scan.range_m[i], truth.range_m[i], 1e-5) << lidar.name << " ray " << i;
+            ++n;
+        }
+        EXPECT_GT(n, truth.range_m.size() / 2) << lidar.name;
+    }
+    EXPECT_NE(log.frames[test::kRosette].scan.rays.direction, log.frames[4 + test::kRosette].scan.rays.direction) << "other petals";
+    EXPECT_TRUE(log.frames[0].scan.further.empty());
+}
+
+TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
+    const SyntheticOptions options = rig_street();
+    const Sequence log = make_synthetic_street(options);
+    const Frame& frame = log.frames[test::kTwoReturns];
+    ASSERT_EQ(frame.scan.further.size(), 1u);
+    const PoseTrack track = log.world_from_sensor(frame.lidar);
+    std::size_t n = 0, met = 0;
+    for (std::size_t i = 0; i < frame.scan.range_m.size() && n < 200; ++i) {
+        const float second_m = frame.scan.further[0].range_m[i];
+        if (second_m == 0.0f) continue;
+        ++n;
+        EXPECT_GE(std::abs(second_m - frame.scan.range_m[i]), 0.4f) << "means of returns whose nearest parts are 0.5 m apart";
+        RayTable fan = one_ray(frame.scan.rays.direction[i]);   // 20 x 20 directions of the cone
+        fan.time_offset_s.clear(), fan.origin.clear(), fan.channel.clear(), fan.direction.clear();
+        const glm::vec3 d = frame.scan.rays.direction[i], side = glm::normalize(glm::cross(d, glm::vec3(0, 0, 1)));
+        const glm::vec3 up = glm::cross(side, d);
+        for (int k = 0; k < 400; ++k) {
+            const float u = (float(k % 20) - 9.5f) / 10.0f, v = (float(k / 20) - 9.5f) / 10.0f;
+            fan.direction.push_back(glm::normalize(d + 4.5e-3f * (u * side + v * up)));
+            fan.origin.emplace_back(0.0f), fan.time_offset_s.push_back(frame.scan.rays.time_offset_s[i]), fan.channel.push_back(0);
+        }
+        fan.columns = 400;
+        const Scan scan = cast_synthetic_street(options, fan, track, frame.time_s);
+        const auto [low, high] = std::ranges::minmax(scan.range_m);
+        const bool near = std::ranges::any_of(scan.range_m, [&](float r) { return std::abs(r - second_m) < 0.3f; });
+        met += near || (low < second_m && second_m < high && high - low > 2.0f && second_m > 10.0f);   // a slope's mean
+    }
+    EXPECT_GE(n, 100u);
+    EXPECT_GE(met, n * 98 / 100);
+}
+
+TEST(SyntheticRig, IsSavedByItsFileAndLidarsAreChosenByName) {
+    const fs::path folder = fs::path(testing::TempDir()) / "relidar_synthetic_rig_log";
+    const SyntheticOptions options = rig_street();
+    save_synthetic(options, folder);
+    EXPECT_EQ(read_synthetic(folder).rig, options.rig);
+    const Sequence all = load_sequence(folder.string(), {});
+    DatasetOptions some;
+    some.lidars = {"wide", "front"};
+    const Sequence two = load_sequence(folder.string(), some);
+    ASSERT_EQ(two.lidars.size(), 2u);
+    EXPECT_EQ(two.lidars[0].name, "front") << "in the order of the log";
+    ASSERT_EQ(two.frames.size(), 8u);
+    EXPECT_EQ(two.frames[1].scan.range_m, all.frames[3].scan.range_m);
+    EXPECT_EQ(two.world_from_vehicle.time_s, all.world_from_vehicle.time_s);
+    EXPECT_THAT(two.notes, testing::Contains("LiDARs left out: top, flower"));
+    some.lidars = {"top", "roof"};
+    EXPECT_THAT([&] { load_sequence(folder.string(), some); },
+                testing::ThrowsMessage<UsageError>("lidar: found \"roof\", expected one of top, front, flower, wide"));
+    std::ofstream(folder / "street.toml") << "rig = \"street.toml\"\n";
+    EXPECT_THAT([&] { load_sequence(folder.string(), {}); }, testing::ThrowsMessage<DataError>(testing::HasSubstr("found no rig in")));
+}
+
+TEST(Synthetic, BeamsOfTwoReturnsNeedADivergence) {
+    EXPECT_THROW(cast_synthetic_beams(small(), one_ray({1, 0, 0}), {{0.2}, {Pose{}}}, 0.2), UsageError);
 }
 
 TEST(Synthetic, WithoutPosesBoxesStandWhereTheSensorSawThem) {

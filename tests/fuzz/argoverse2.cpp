@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Feather files by themselves, and a small Argoverse 2 log of which an input replaces one file: its first byte says which.
+// Feather files by themselves, and a small Argoverse 2 log of which an input replaces one file.
 #include "harness.hpp"
 
 #include <cstdlib>
 
 #include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
+#include "changed_files.hpp"
 #include "dataset/argoverse2_log.hpp"
 #include "dataset/feather.hpp"
 
@@ -43,30 +44,14 @@ void read_feather(std::string_view input, const fs::path&) {
 }
 
 /// Two sweeps of three firings.
-class Log {
-public:
-    explicit Log(const fs::path& folder)
-        : log_((::setenv("TEST_TMPDIR", folder.c_str(), 1), "fuzz"), {.sweeps = 2, .firings = 3, .codec = test::FeatherCodec::none}),
-          files_{log_.sweep(0), log_.sweep(1), log_.file("annotations.feather"), log_.file("city_SE3_egovehicle.feather"),
-                 log_.file("calibration/egovehicle_SE3_sensor.feather")} {
-        for (const fs::path& file : files_) usual_.push_back(contents(file));
-    }
-    std::size_t size() const { return files_.size(); }
-    const std::string& usual(std::size_t file) const { return usual_[file]; }
-    void read_with(std::size_t file, std::string_view bytes) const {
-        struct Restore {
-            const Log& log;
-            std::size_t file;
-            ~Restore() { put(log.files_[file], log.usual_[file]); }
-        } restore{*this, file};
-        put(files_[file], bytes);
-        load_sequence("argoverse2:" + log_.folder.string(), {});
-    }
+struct Log {
+    test::Argoverse2Log log;
+    ChangedFiles files;
 
-private:
-    test::Argoverse2Log log_;
-    std::vector<fs::path> files_;
-    std::vector<std::string> usual_;
+    explicit Log(const fs::path& folder)
+        : log((::setenv("TEST_TMPDIR", folder.c_str(), 1), "fuzz"), {.sweeps = 2, .firings = 3, .codec = test::FeatherCodec::none}),
+          files({log.sweep(0), log.sweep(1), log.file("annotations.feather"), log.file("city_SE3_egovehicle.feather"),
+                 log.file("calibration/egovehicle_SE3_sensor.feather")}) {}
 };
 
 const Log& log_in(const fs::path& folder) {
@@ -74,17 +59,11 @@ const Log& log_in(const fs::path& folder) {
     return log;
 }
 
-std::vector<std::string> log_seeds(const fs::path& folder) {
-    const Log& log = log_in(folder);
-    std::vector<std::string> seeds;
-    for (std::size_t file = 0; file < log.size(); ++file) seeds.push_back(char(file) + log.usual(file));
-    return seeds;
-}
+std::vector<std::string> log_seeds(const fs::path& folder) { return log_in(folder).files.seeds_of_one(); }
 
 void read_log(std::string_view input, const fs::path& folder) {
-    if (input.empty()) return;
     const Log& log = log_in(folder);
-    log.read_with(static_cast<unsigned char>(input[0]) % log.size(), input.substr(1));
+    log.files.read_one(input, [&] { load_sequence("argoverse2:" + log.log.folder.string(), {}); });
 }
 
 }  // namespace

@@ -43,4 +43,23 @@ std::vector<std::string> ChangedFiles::seeds(const std::vector<unsigned>& alone,
     return seeds;
 }
 
+void ChangedFiles::read_one(std::string_view input, const std::function<void()>& read) const {
+    if (input.empty()) return;
+    struct Restore {
+        const std::filesystem::path& file;
+        const std::string& usual;
+        ~Restore() { put(file, usual); }
+    };
+    const std::size_t file = static_cast<unsigned char>(input[0]) % files_.size();
+    const Restore restore{files_[file], usual_[file]};
+    put(files_[file], input.substr(1));
+    read();
+}
+
+std::vector<std::string> ChangedFiles::seeds_of_one() const {
+    std::vector<std::string> seeds;
+    for (std::size_t file = 0; file < files_.size(); ++file) seeds.push_back(static_cast<char>(file) + usual_[file]);
+    return seeds;
+}
+
 }  // namespace relidar::fuzz

@@ -21,6 +21,11 @@ public:
     /// Inputs with the options alone, and with each file by itself: the start of a scan, all of a text.
     std::vector<std::string> seeds(const std::vector<unsigned>& alone, const std::vector<unsigned>& with_a_file) const;
 
+    /// The simpler form: the first byte of an input chooses the one file that the rest replaces; an empty one changes and reads nothing.
+    void read_one(std::string_view input, const std::function<void()>& read) const;
+    /// Inputs of that form: each file as it is.
+    std::vector<std::string> seeds_of_one() const;
+
 private:
     std::vector<std::filesystem::path> files_;
     std::vector<std::string> usual_;

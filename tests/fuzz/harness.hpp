@@ -27,6 +27,7 @@ std::vector<Harness> waymo_harnesses();
 std::vector<Harness> folder_harnesses();
 std::vector<Harness> argoverse2_harnesses();
 std::vector<Harness> nuscenes_harnesses();
+std::vector<Harness> sensor_harnesses();
 
 void put(const std::filesystem::path& file, std::string_view bytes);
 std::string contents(const std::filesystem::path& file);

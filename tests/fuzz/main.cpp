@@ -23,7 +23,7 @@ constexpr std::size_t kLongestMessage = 1000;   // paths included: those of the 
 std::vector<Harness> all_harnesses() {
     std::vector<Harness> all = array_harnesses();
     for (const auto& more : {text_harnesses(), drive_harnesses(), argoverse2_harnesses(), folder_harnesses(), nuscenes_harnesses(),
-                             waymo_harnesses()})
+                             sensor_harnesses(), waymo_harnesses()})
         all.insert(all.end(), more.begin(), more.end());
     return all;
 }

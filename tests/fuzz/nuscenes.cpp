@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small nuScenes folder of which an input replaces one file: its first byte says which.
+// A small nuScenes folder of which an input replaces one file.
 #include "harness.hpp"
 
 #include <cstdlib>
 
 #include <relidar/dataset.hpp>
+#include "changed_files.hpp"
 #include "dataset/nuscenes_folder.hpp"
 
 namespace relidar::fuzz {
@@ -12,34 +13,21 @@ namespace {
 
 namespace fs = std::filesystem;
 
-class Folder {
-public:
-    explicit Folder(const fs::path& folder) : data_((::setenv("TEST_TMPDIR", folder.c_str(), 1), "fuzz"), 6) {
+struct Folder {
+    test::NuscenesFolder data;
+    ChangedFiles files;
+
+    explicit Folder(const fs::path& at) : data((::setenv("TEST_TMPDIR", at.c_str(), 1), "fuzz"), 6), files(changed(data)) {}
+
+    static std::vector<fs::path> changed(const test::NuscenesFolder& data) {
+        std::vector<fs::path> files;
         for (const char* table : {"scene", "sample", "sensor", "calibrated_sensor", "sample_data", "ego_pose", "sample_annotation",
                                   "instance", "category"})
-            files_.push_back(data_.table(table));
-        files_.push_back(data_.sweep(0));
-        files_.push_back(data_.sweep(4));
-        for (const fs::path& file : files_) usual_.push_back(contents(file));
+            files.push_back(data.table(table));
+        files.push_back(data.sweep(0));
+        files.push_back(data.sweep(4));
+        return files;
     }
-    std::size_t size() const { return files_.size(); }
-    const std::string& usual(std::size_t file) const { return usual_[file]; }
-    void read_with(std::size_t file, std::string_view bytes) const {
-        struct Restore {
-            const Folder& folder;
-            std::size_t file;
-            ~Restore() { put(folder.files_[file], folder.usual_[file]); }
-        } restore{*this, file};
-        put(files_[file], bytes);
-        DatasetOptions options;
-        options.sequence = "scene-0103";
-        load_sequence("nuscenes:" + data_.folder.string(), options);
-    }
-
-private:
-    test::NuscenesFolder data_;
-    std::vector<fs::path> files_;
-    std::vector<std::string> usual_;
 };
 
 const Folder& folder_in(const fs::path& scratch) {
@@ -47,17 +35,15 @@ const Folder& folder_in(const fs::path& scratch) {
     return folder;
 }
 
-std::vector<std::string> seeds_of(const fs::path& scratch) {
-    const Folder& folder = folder_in(scratch);
-    std::vector<std::string> seeds;
-    for (std::size_t file = 0; file < folder.size(); ++file) seeds.push_back(char(file) + folder.usual(file));
-    return seeds;
-}
+std::vector<std::string> seeds_of(const fs::path& scratch) { return folder_in(scratch).files.seeds_of_one(); }
 
 void read(std::string_view input, const fs::path& scratch) {
-    if (input.empty()) return;
     const Folder& folder = folder_in(scratch);
-    folder.read_with(static_cast<unsigned char>(input[0]) % folder.size(), input.substr(1));
+    folder.files.read_one(input, [&] {
+        DatasetOptions options;
+        options.sequence = "scene-0103";
+        load_sequence("nuscenes:" + folder.data.folder.string(), options);
+    });
 }
 
 }  // namespace

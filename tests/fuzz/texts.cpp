@@ -46,12 +46,23 @@ void read_scene(std::string_view input, const fs::path& folder) {
     if (read.sequence.lidars[0].sensor.beams.size() * std::size_t(read.sequence.lidars[0].sensor.columns) < 10000)
         make_rays(read.sequence.lidars[0].sensor);
     for (const BoxTrack& box : read.sequence.boxes) (void)box.present(read.sequence.frames[0].time_s);
+    for (const Lidar& lidar : read.sequence.lidars)   // made where they are few
+        if (lidar.pattern && std::holds_alternative<RayTable>(*lidar.pattern)) nominal_rays(lidar, 0.0);
     split_frames(read.sequence, 10);
 }
 
 std::vector<std::string> scene_seeds(const fs::path& folder) {
     save_run(example_run(folder / "seed_run"));
-    return {contents(folder / "seed_run/scene.json")};
+    std::vector<std::string> seeds{contents(folder / "seed_run/scene.json")};
+    Run fixed = example_run(folder / "seed_run");
+    fixed.sequence.lidars[0].sensor.beams.clear();
+    fixed.sequence.lidars[0].sensor.columns = 0;
+    for (const char* name : {"window-128", "rosette"}) {
+        fixed.sequence.lidars[0].pattern = fixed_pattern(find_sensor(name));
+        save_run(fixed);
+        seeds.push_back(contents(folder / "seed_run/scene.json"));
+    }
+    return seeds;
 }
 
 void read_sensor(std::string_view input, const fs::path& folder) {

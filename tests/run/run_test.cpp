@@ -135,6 +135,29 @@ TEST_F(RunFolder, TwoLidarsAtOneTimeShareAPose) {
     EXPECT_NE(data_error([&] { save_run(run); }).find("frames[2].time_s"), std::string::npos) << "in the order of LiDARs";
 }
 
+TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
+    Sequence& s = run.sequence;
+    const ScanningWindow window{.name = "front", .rows = 4, .columns = 6, .left_rad = 1.0 / 3.0, .right_rad = -0.3, .top_rad = 0.1,
+                                .bottom_rad = -0.2, .period_s = 0.05, .divergence_rad = 1e-3};
+    const Rosette rosette{.name = "flower", .deflection_rad = 0.17, .first_hz = 121.57, .second_hz = -77.73, .n_rays = 30};
+    for (const FixedPattern& pattern : {FixedPattern(window), FixedPattern(rosette), FixedPattern(make_rays(rosette, 0.37))}) {
+        s.lidars[0].sensor = {.name = "fixed", .beams = {}, .columns = 0, .period_s = 0.0};
+        s.lidars[0].pattern = pattern;
+        save_run(run);
+        const Lidar read = load_run(run.folder).sequence.lidars[0];
+        ASSERT_TRUE(read.pattern);
+        EXPECT_EQ(read.pattern->index(), pattern.index());
+        EXPECT_EQ(read.period_s(), s.lidars[0].period_s());
+        const RayTable a = nominal_rays(read, 1.7), b = nominal_rays(s.lidars[0], 1.7);
+        EXPECT_TRUE(a.direction == b.direction && a.origin == b.origin && a.time_offset_s == b.time_offset_s && a.channel == b.channel);
+        EXPECT_EQ(a.divergence_rad, b.divergence_rad);
+    }
+    Json broken = Json::parse(contents(run.folder / "scene.json"));
+    broken["lidars"][0]["pattern"]["rays"]["direction"].push_back(1.0);
+    put(run.folder / "scene.json", broken.dump());
+    EXPECT_NE(data_error([&] { load_run(run.folder); }).find("pattern.rays.direction: found 91 numbers, expected 90"), std::string::npos);
+}
+
 TEST_F(RunFolder, TruncatedSceneIsRefused) {
     for (std::size_t keep = 0; keep < scene.size() - 2; keep += 97) {
         put(run.folder / "scene.json", scene.substr(0, keep));

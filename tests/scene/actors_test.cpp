@@ -56,13 +56,13 @@ TEST(Actors, StandWhereTheirBoxIsAndAreAbsentOutsideItsLabels) {
     const auto box =
         std::find_if(street.boxes.begin(), street.boxes.end(), [&](const BoxTrack& b) { return b.id == scene.instances[1].track; });
     const double first = box->world_from_box.time_s.front(), last = box->world_from_box.time_s.back(), middle = 0.37 * first + 0.63 * last;
-    const std::vector<InstancePose> placed = place_instances(scene, street, middle);
+    const std::vector<InstancePose> placed = place_instances(scene, street, {middle});
     EXPECT_TRUE(placed[0].present && placed[1].present);
     EXPECT_EQ(placed[0].world_from_model.translation, glm::dvec3(0.0));
     EXPECT_LT(glm::length(placed[1].world_from_model.translation - box->world_from_box.at(middle).translation), 1e-12);
-    EXPECT_FALSE(place_instances(scene, street, last + 1.0)[1].present);
-    EXPECT_FALSE(place_instances(scene, street, first - 1.0)[1].present);
-    EXPECT_TRUE(place_instances(scene, street, last + 1.0)[0].present);
+    EXPECT_FALSE(place_instances(scene, street, {last + 1.0})[1].present);
+    EXPECT_FALSE(place_instances(scene, street, {first - 1.0})[1].present);
+    EXPECT_TRUE(place_instances(scene, street, {last + 1.0})[0].present);
 }
 
 const Model& model_of_track(const Scene& scene, std::string_view track) {
@@ -106,8 +106,8 @@ TEST(Actors, TrackChosenByNameNeedNotMove) {
     box.world_from_box = {{box.world_from_box.time_s[6]}, {box.world_from_box.pose[6]}};
     const Scene scene = initialise_scene(street, split_frames(street, 10).train, options);
     EXPECT_EQ(scene.instances.size(), 2u) << "one observation is enough";
-    EXPECT_TRUE(place_instances(scene, street, box.world_from_box.time_s[0])[1].present);
-    EXPECT_FALSE(place_instances(scene, street, box.world_from_box.time_s[0] + 0.1)[1].present);
+    EXPECT_TRUE(place_instances(scene, street, {box.world_from_box.time_s[0]})[1].present);
+    EXPECT_FALSE(place_instances(scene, street, {box.world_from_box.time_s[0] + 0.1})[1].present);
 }
 
 TEST(Actors, ArePaddedInTheirBoxAndMirrored) {

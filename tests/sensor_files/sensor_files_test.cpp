@@ -135,7 +135,8 @@ TEST(SensorFiles, WrongFilesAreNamed) {
     EXPECT_THAT(message(write("d.json", "{\"directions\": " + std::string(50'000, '[') + std::string(50'000, ']') + "}")),
                 HasSubstr("nested too deep"));
     EXPECT_THAT(message(write("e.json", "[1,")), HasSubstr("e.json: no valid JSON"));
-    EXPECT_THAT(message(write("f.json", "{}")), HasSubstr("neither \"directions\" nor \"beam_altitude_angles\""));
+    EXPECT_THAT(message(write("f.json", "{}")),
+                HasSubstr("found none of \"directions\", \"window\", \"rosette\" and \"beam_altitude_angles\""));
     EXPECT_THAT(message(write("g.json", R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1,2], "lidar_mode": "512x10"})")),
                 HasSubstr("found 1 beam_altitude_angles and 2 beam_azimuth_angles"));
     EXPECT_THAT(message(write("h.json", R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1], "lidar_mode": "fast"})")),
@@ -145,16 +146,41 @@ TEST(SensorFiles, WrongFilesAreNamed) {
     EXPECT_THAT(message(path_of("a.npz")), HasSubstr("found no array \"directions\""));
 }
 
+TEST(SensorFiles, WhatSweepsIsDescribedInAFewNumbers) {
+    const SensorModel front = find_sensor(write("front.json", R"({"window": {"rows": 3, "columns": 5, "left_deg": 40, "right_deg": -40,
+        "top_deg": 10, "bottom_deg": -10, "period_s": 0.05, "divergence_mrad": 2, "min_range_m": 1, "max_range_m": 90}})"));
+    const RayTable window = make_rays(front);
+    EXPECT_EQ(std::pair(window.rows, window.columns), std::pair(3, 5));
+    EXPECT_EQ(front.limits.max_m, 90.0);
+    EXPECT_FLOAT_EQ(window.divergence_rad, 2e-3f);
+    const double d = kPi / 180.0;
+    EXPECT_LT(glm::length(glm::dvec3(window.direction[0]) -
+                          glm::dvec3(std::cos(10 * d) * std::cos(40 * d), std::cos(10 * d) * std::sin(40 * d), std::sin(10 * d))), 1e-7);
+    EXPECT_NEAR(window.time_offset_s[0], -0.02, 1e-7) << "the middle of the first of five steps of 10 ms";
+    const SensorModel flower = find_sensor(write("flower.json", R"({"rosette": {"rays": 100, "deflection_deg": 9, "first_hz": 3,
+        "second_hz": -2}})"));
+    EXPECT_EQ(make_rays(flower).size(), 100u);
+    EXPECT_NE(make_rays(flower, 0.0).direction, make_rays(flower, 0.1).direction);
+    EXPECT_EQ(flower.limits.max_m, 80.0);
+    EXPECT_THAT(message(write("j.json", R"({"window": {"rows": 3}})")), HasSubstr("window.columns: missing, expected it"));
+    EXPECT_THAT(message(write("k.json", R"({"rosette": {"rays": 5, "petals": 3}})")), HasSubstr("unknown member 'petals'"));
+    EXPECT_THAT(message(write("l.json", R"({"window": {"rows": 60000, "columns": 60000, "left_deg": 1, "right_deg": 0, "top_deg": 1,
+        "bottom_deg": 0}})")), HasSubstr("found 60000 rows x 60000 columns, expected at most"));
+    EXPECT_THAT(message(write("m.json", R"({"rosette": {"rays": 5, "deflection_deg": 3, "first_hz": 1, "second_hz": 1,
+        "min_range_m": 90}})")), HasSubstr("expected min_range_m < max_range_m"));
+}
+
 TEST(Rigs, SensorsAreMountedAsTheFileSays) {
     write("near.csv", "elevation_deg\n5\n-5\n");
     const std::string file = write("rig.json", R"({"sensors": [{"name": "top", "sensor": "VLP-16:900x20"},
-        {"name": "left", "sensor": "near.csv:360x10", "translation_m": [1, 2, 3], "yaw_pitch_roll_deg": [90, 0, 180]}]})");
-    EXPECT_TRUE(is_rig(file));
-    EXPECT_FALSE(is_rig(write("no_rig.json", "{}")));
-    EXPECT_FALSE(is_rig("VLP-16"));
-    const std::vector<MountedSensor> rig = read_rig(file);
+        {"name": "left", "sensor": "near.csv:360x10", "returns": 2, "translation_m": [1, 2, 3], "yaw_pitch_roll_deg": [90, 0, 180]}]})");
+    EXPECT_FALSE(find_rig(write("no_rig.json", "{}")));
+    EXPECT_FALSE(find_rig(write("broken.json", "{")));
+    EXPECT_FALSE(find_rig("VLP-16"));
+    const std::vector<MountedSensor> rig = find_rig(file).value();
     ASSERT_EQ(rig.size(), 2u);
     EXPECT_EQ(rig[0].name, "top");
+    EXPECT_EQ(std::pair(rig[0].returns, rig[1].returns), std::pair(1, 2));
     EXPECT_EQ(make_rays(rig[0].sensor).columns, 900);
     EXPECT_EQ(make_rays(rig[1].sensor).size(), 720u) << "a file beside the rig's";
     // Rolled about x first, then turned left: up comes down, forward goes left.
@@ -165,7 +191,7 @@ TEST(Rigs, SensorsAreMountedAsTheFileSays) {
 TEST(Rigs, WrongRigsAreNamed) {
     const auto complaint = [](const std::string& text) {
         try {
-            read_rig(write("bad_rig.json", text));
+            find_rig(write("bad_rig.json", text));
         } catch (const Error& error) {
             return std::string(error.what());
         }
@@ -179,6 +205,8 @@ TEST(Rigs, WrongRigsAreNamed) {
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "translation_m": [1, 2]}]})"),
                 HasSubstr("sensor 0: translation_m: expected three numbers of at most 1000"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP"}]})"), HasSubstr("did you mean"));
+    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "returns": 3}]})"),
+                HasSubstr("sensor 0: returns: expected 1 or 2"));
 }
 
 }  // namespace

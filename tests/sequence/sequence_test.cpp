@@ -151,12 +151,35 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
                 const auto start = find_start(rays, sensor);
                 ASSERT_TRUE(start.has_value());
                 for (std::size_t i = 1; i < 500; i += 7) {   // the first is as near to the end of the turn as to its beginning
-                    const double facing_s = facing_time(sequence, 9.0 * glm::dvec3(rays.direction[i]), 100.0, 0, start);
+                    const double facing_s = facing_time(sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
                     ASSERT_NEAR(facing_s, 100.0 + double(rays.time_offset_s[i]), 1e-6) << from_rad << " " << from_s << " " << i;
                 }
             }
         }
     }
+}
+
+TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
+    const ScanningWindow window{.name = "w", .rows = 2, .columns = 40, .left_rad = 1.0, .right_rad = -0.8, .top_rad = 0.1,
+                                .bottom_rad = 0.0, .period_s = 0.08};
+    Sequence sequence;
+    sequence.lidars[0].sensor.period_s = 0.0;
+    sequence.lidars[0].pattern = window;
+    for (const float later_s : {0.0f, 0.04f, -0.1f}) {   // the frame's time in the middle of the scan, at its beginning, after its end
+        RayTable rays = make_rays(window);
+        for (float& t : rays.time_offset_s) t += later_s;
+        const auto start = find_start(rays, sequence.lidars[0]);
+        EXPECT_EQ(start.has_value(), later_s != 0.0f);
+        for (std::size_t i = 0; i < rays.size(); ++i)
+            ASSERT_NEAR(facing_time(sequence, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}), 7.0 + double(rays.time_offset_s[i]),
+                        1.1e-3) << "half a column: " << later_s << " " << i;
+    }
+    EXPECT_EQ(nominal_rays(sequence.lidars[0], 3.0).direction, make_rays(window).direction);
+    const Rosette rosette{.name = "r", .deflection_rad = 0.1, .first_hz = 30.0, .second_hz = -20.0, .n_rays = 50};
+    sequence.lidars[0].pattern = rosette;
+    EXPECT_EQ(facing_time(sequence, {3, 1, 0}, {7.0, 0, {}}), 7.0);
+    EXPECT_EQ(facing_time(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}), 7.05) << "half of 0.1 s after its beginning";
+    EXPECT_EQ(nominal_rays(sequence.lidars[0], 3.3).direction, make_rays(rosette, 3.3).direction);
 }
 
 TEST(SweepStart, TheUsualOneIsNoneAndNothingIsMadeUp) {

@@ -74,6 +74,7 @@ wrong_usage() {
     bad 2 'device: found "x", expected an integer' train street --out x --device x
     bad 2 'traversal: found "x", expected auto' train street --out x --traversal x
     bad 2 "dataset.sequence: found .kd1. for a synthetic street, which is one drive; expected none" info street --sequence kd1
+    bad 2 "lidar: found .rear., expected none: the log has one LiDAR" info street --set dataset.lidars=rear
     bad 2 'an empty range, expected first < end' train street --out x --frames 5:5
     bad 2 'expected first:end' train street --out x --frames 5
     bad 3 "missing.toml: no such file" train street --out x --config missing.toml

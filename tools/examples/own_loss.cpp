@@ -47,7 +47,7 @@ int main(int argc, char** argv) try {
             const WorldRay ray = world_ray(way, frame.time_s, frame.scan.rays, i, log.rolling_shutter);
             rays.origin.push_back(glm::vec3(ray.origin_m)), rays.direction.push_back(glm::vec3(ray.direction));
         }
-        renderer.place(place_instances(scene, log, frame.time_s), glm::vec3(way.at(frame.time_s).translation));
+        renderer.place(place_instances(scene, log, moment_of(frame)), glm::vec3(way.at(frame.time_s).translation));
         last = compare(renderer.forward(rays), frame.scan, d);
         renderer.backward(d);
         adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels, &renderer.gradients().touched, {}, step,

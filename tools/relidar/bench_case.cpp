@@ -76,7 +76,8 @@ BenchCase run_case(const BenchChoice& choice) {
     if (run.sequence.frames.empty() || run.scene.surfels.size() == 0)
         throw DataError(fmt::format("{}: a run without frames or surfels, expected at least one of each", choice.run));
     const Frame& frame = run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
-    const RayTable table = configured_sensor(run.config, run.sequence, frame.lidar).rays;
+    RayTable table = configured_sensor(run.config, run.sequence, frame.lidar).rays;
+    if (table.size() == 0) table = nominal_rays(run.sequence.lidar_of(frame), frame.time_s);
     BenchCase bench;
     bench.name = fmt::format("{}, frame {}", run.folder.string(), frame.index);
     bench.rows = table.rows;
@@ -88,7 +89,7 @@ BenchCase run_case(const BenchChoice& choice) {
         bench.rays.origin.emplace_back(ray.origin_m);
         bench.rays.direction.emplace_back(ray.direction);
     }
-    bench.placed = place_instances(run.scene, run.sequence, frame.time_s);
+    bench.placed = place_instances(run.scene, run.sequence, moment_of(frame));
     bench.scene = std::move(run.scene);
     bench.config = std::move(run.config);
     return bench;

@@ -131,6 +131,12 @@ LidarSummary summarise(const Sequence& sequence, int which) {
     const auto lower = [](const Beam& a, const Beam& b) { return a.elevation_rad < b.elevation_rad; };
     const auto [low, high] = std::minmax_element(sensor.beams.begin(), sensor.beams.end(), lower);
     if (low != sensor.beams.end()) l.bottom_deg = low->elevation_rad * 180.0 / kPi, l.top_deg = high->elevation_rad * 180.0 / kPi;
+    if (lidar.pattern) {   // what is nominal of one that does not spin
+        const RayTable rays = nominal_rays(lidar, 0.0);
+        const auto [lowest, highest] = std::ranges::minmax(rays.direction, {}, &glm::vec3::z);
+        l.n_beams = std::size_t(rays.rows), l.columns = rays.columns, l.period_s = lidar.period_s();
+        l.bottom_deg = std::asin(double(lowest.z)) * 180.0 / kPi, l.top_deg = std::asin(double(highest.z)) * 180.0 / kPi;
+    }
     for (const Frame& frame : sequence.frames) {
         if (frame.lidar != which) continue;
         ++l.n_frames;

@@ -147,11 +147,11 @@ void check_empty(const std::filesystem::path& folder, const Options& options) {
 }
 
 /// @throws UsageError for what can be refused before the run is loaded
-void check_options(const Options& options) {
+void check_options(const Options& options, bool is_rig) {
     parse_formats(options.formats);
     parse_point_frame(options.point_frame);
     check_empty(options.out, options);
-    if (options.merge && !is_rig(options.sensor))
+    if (options.merge && !is_rig)
         throw UsageError("--merge: found no rig as --sensor, expected one: there is nothing to merge");
     const TrajectoryChoice& t = options.trajectory;
     if (t.file.empty() && (t.rate_hz || !t.times.empty()))
@@ -180,7 +180,7 @@ std::vector<Sweep> sweeps_of_log(const Run& run, const Options& options, int lid
 
 std::vector<Sweep> sweeps_along(const Run& run, const Options& options, const PoseTrack& track, int lidar) {
     const std::vector<double> times_s =
-        scan_times(options.trajectory, track, 1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar)].sensor.period_s);
+        scan_times(options.trajectory, track, 1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar)].period_s());
     if (!options.quiet) note_beyond_log(run, track, times_s);
     std::vector<Sweep> sweeps;
     for (const double t : times_s) sweeps.push_back({static_cast<int>(sweeps.size()), t});
@@ -194,13 +194,17 @@ struct Wanted {
     Pose mounting;
 };
 
-std::vector<Wanted> wanted_sensors(const Options& options, const Run& run, int lidar) {
+using Rig = std::optional<std::vector<MountedSensor>>;
+
+std::vector<Wanted> wanted_sensors(const Options& options, const Rig& rig, const Run& run, int lidar) {
     if (options.sensor.empty()) return {{"", configured_sensor(run.config, run.sequence, lidar), {}}};
-    if (!is_rig(options.sensor)) return {{"", choose_sensor(options.sensor, run.config, run.sequence, lidar), {}}};
-    std::vector<Wanted> rig;
-    for (const MountedSensor& mounted : read_rig(options.sensor))
-        rig.push_back({mounted.name, sensor_choice(mounted.sensor, lidar), mounted.rig_from_sensor});
-    return rig;
+    if (!rig) return {{"", choose_sensor(options.sensor, run.config, run.sequence, lidar), {}}};
+    std::vector<Wanted> wanted;
+    for (const MountedSensor& mounted : *rig) {
+        wanted.push_back({mounted.name, sensor_choice(mounted.sensor, lidar), mounted.rig_from_sensor});
+        wanted.back().sensor.returns = mounted.returns;
+    }
+    return wanted;
 }
 
 /// Folders that scans go to: one for each sensor, or one for all that are merged.
@@ -209,6 +213,7 @@ std::vector<ScanFolder> scan_folders(const Options& options, const Run& run, con
     if (options.merge) {
         SensorChoice rig = wanted.front().sensor;
         rig.name = std::filesystem::path(options.sensor).stem().string();
+        for (const Wanted& w : wanted) rig.returns = std::max(rig.returns, w.sensor.returns);
         for (const Wanted& w : wanted)
             rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m), std::max(rig.limits.max_m, w.sensor.limits.max_m)};
         folders.emplace_back(options.out, wanted_format(options, run, rig, offset));
@@ -223,7 +228,8 @@ std::vector<ScanFolder> scan_folders(const Options& options, const Run& run, con
 }
 
 void run_render(const Options& options) {
-    check_options(options);
+    const Rig rig = find_rig(options.sensor);
+    check_options(options, rig.has_value());
     const Pose offset = parse_offset(options.offset);
     const bool drives = !options.trajectory.file.empty();
     const PoseTrack track = drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
@@ -232,7 +238,7 @@ void run_render(const Options& options) {
     apply_sets(run.config, options.sets);
     const int lidar = find_lidar(run.sequence, options.lidar);
     const std::vector<Sweep> sweeps = drives ? sweeps_along(run, options, track, lidar) : sweeps_of_log(run, options, lidar);
-    const std::vector<Wanted> wanted = wanted_sensors(options, run, lidar);
+    const std::vector<Wanted> wanted = wanted_sensors(options, rig, run, lidar);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(device_options(options.device));
     ScanRenderer renderer(device, run);

@@ -1,0 +1,26 @@
+// SPDX-License-Identifier: Apache-2.0
+// How every simulated scan begins. Private to render.
+#pragma once
+
+#include <relidar/render.hpp>
+
+namespace relidar {
+
+/// A scan of these rays without anything that came back. @param taken  a scan of the same sweep: when, from where, in what time; none: not
+/// known yet
+inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& taken = {}) {
+    RenderedScan scan;
+    scan.image.rows = rays.rows;
+    scan.image.columns = rays.columns;
+    scan.image.origin = rays.origin;
+    scan.image.direction = rays.direction;
+    scan.time_offset_s = rays.time_offset_s;
+    scan.channel = rays.channel;
+    scan.world_from_sensor = taken.world_from_sensor;
+    scan.track = taken.track;
+    scan.time_s = taken.time_s;
+    scan.trace_ms = taken.trace_ms;
+    return scan;
+}
+
+}  // namespace relidar

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+// The synthetic street driven through with four LiDARs that have little in common: one that spins, a window that mirrors sweep, a rosette,
+// and one of wide beams with two returns.
+#pragma once
+
+#include <filesystem>
+#include <fstream>
+#include <string>
+
+#include <relidar/dataset.hpp>
+
+namespace relidar::test {
+
+inline constexpr int kSpinning = 0, kWindow = 1, kRosette = 2, kTwoReturns = 3;
+
+/// Writes the rig's files. @return rig.json
+inline std::string write_rig(const std::filesystem::path& folder) {
+    std::filesystem::create_directories(folder);
+    std::ofstream beams(folder / "top.csv");
+    beams << "elevation_deg\n";
+    for (int i = 0; i < 24; ++i) beams << 3.0 - 28.0 * i / 23.0 << "\n";
+    std::ofstream(folder / "front.json") << R"({"window": {"rows": 48, "columns": 240, "left_deg": 60, "right_deg": -60, "top_deg": 8,
+        "bottom_deg": -16, "max_range_m": 100}})";
+    std::ofstream(folder / "flower.json") << R"({"rosette": {"rays": 8000, "deflection_deg": 9.6, "first_hz": 121.57, "second_hz": -77.73,
+        "min_range_m": 1, "max_range_m": 200}})";
+    std::ofstream(folder / "wide.json") << R"({"window": {"rows": 32, "columns": 360, "left_deg": 180, "right_deg": -179, "top_deg": 6,
+        "bottom_deg": -20, "divergence_mrad": 9}})";
+    std::ofstream(folder / "rig.json") << R"({"sensors": [
+        {"name": "top", "sensor": "top.csv:600x10", "translation_m": [0, 0, 0]},
+        {"name": "front", "sensor": "front.json", "translation_m": [1.2, 0.3, -0.6]},
+        {"name": "flower", "sensor": "flower.json", "translation_m": [1.0, -0.4, -0.2], "yaw_pitch_roll_deg": [15, 2, 0]},
+        {"name": "wide", "sensor": "wide.json", "translation_m": [-0.8, 0, -0.3], "yaw_pitch_roll_deg": [-90, 0, 3], "returns": 2}]})";
+    return (folder / "rig.json").string();
+}
+
+}  // namespace relidar::test

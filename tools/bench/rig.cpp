@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar_bench_rig: a run trained on a synthetic street that a rig has logged: each LiDAR's held-out sweeps against the street itself,
+// cast along the same rays, by exact ones or by cones where the LiDAR has two returns.
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include <relidar/dataset.hpp>
+#include <relidar/error.hpp>
+#include <relidar/gpu.hpp>
+#include <relidar/render.hpp>
+#include <relidar/run.hpp>
+#include <relidar/sensor_files.hpp>
+
+namespace {
+
+using namespace relidar;
+
+constexpr float kOnSurface_m = 0.3f;
+
+struct Score {
+    std::vector<double> errors_m;   ///< of rays that return in truth and rendering
+    double squares = 0.0;
+    std::size_t rays = 0, drops_right = 0, seconds = 0, found = 0, reported = 0, invented = 0;
+};
+
+/// @param truth  with the second returns there are, those of a tenth of the light
+void add_seconds(Score& score, const RenderedScan& scan, const Scan& truth, std::size_t i) {
+    const float is_m = truth.further[0].range_m[i], found_m = scan.further[0].range_m[i];
+    const bool right =
+        is_m > 0.0f && found_m > 0.0f && std::min(std::abs(found_m - is_m), std::abs(found_m - truth.range_m[i])) < kOnSurface_m;
+    score.seconds += is_m > 0.0f;
+    score.reported += found_m > 0.0f;
+    score.found += right;
+    score.invented += found_m > 0.0f && !right;
+}
+
+void add(Score& score, const RenderedScan& scan, const Scan& truth) {
+    const std::vector<float> range_m = surface_ranges(scan);
+    for (std::size_t i = 0; i < range_m.size(); ++i) {
+        const bool returns = returned(scan.image.drop_prob[i], range_m[i]);
+        ++score.rays;
+        score.drops_right += returns == (truth.range_m[i] > 0.0f);
+        if (returns && truth.range_m[i] > 0.0f) {
+            score.errors_m.push_back(std::abs(double(range_m[i]) - double(truth.range_m[i])));
+            score.squares += score.errors_m.back() * score.errors_m.back();
+        }
+        if (!truth.further.empty()) add_seconds(score, scan, truth, i);
+    }
+}
+
+std::string row(const std::string& name, Score& s) {
+    std::sort(s.errors_m.begin(), s.errors_m.end());
+    const auto share = [](std::size_t part, std::size_t whole) { return whole ? 100.0 * double(part) / double(whole) : 0.0; };
+    if (s.errors_m.empty()) return fmt::format("| {} | {} | nothing returned |\n", name, s.rays);
+    const std::string seconds = s.seconds == 0 ? std::string("– | – | –")
+                                               : fmt::format("{} | {:.1f} % | {:.1f} %", s.seconds, share(s.found, s.seconds),
+                                                             share(s.invented, s.reported));
+    return fmt::format("| {} | {} | {:.4f} m | {:.2f} m | {:.1f} % | {} |\n", name, s.rays, s.errors_m[s.errors_m.size() / 2],
+                       std::sqrt(s.squares / double(s.errors_m.size())), share(s.drops_right, s.rays), seconds);
+}
+
+void run(const std::string& folder, int device_index) {
+    Run run = load_run(folder);
+    const std::string dataset = run.config.dataset.path, prefix = "synthetic:";
+    const SyntheticOptions street = read_synthetic(dataset.starts_with(prefix) ? dataset.substr(prefix.size()) : dataset);
+    const auto rig = find_rig(street.rig);
+    if (!rig) throw UsageError(fmt::format("{}: its street was not logged by a rig, expected one with rig = FILE", folder));
+    Device device(from_environment({.index = device_index}));
+    ScanRenderer renderer(device, run.scene, run.config, run.sequence);
+    std::vector<Score> scores(run.sequence.lidars.size());
+    for (const int position : run.split.test) {
+        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        const Lidar& lidar = run.sequence.lidar_of(frame);
+        const auto mounted = std::ranges::find(*rig, lidar.name, &MountedSensor::name);
+        SensorChoice sensor = configured_sensor(run.config, run.sequence, frame.lidar);
+        sensor.returns = mounted != rig->end() ? mounted->returns : 1;
+        const RayTable rays = nominal_rays(lidar, frame.time_s);
+        const PoseTrack track = run.sequence.world_from_sensor(frame.lidar);
+        Scan truth = sensor.returns == 2 ? cast_synthetic_beams(street, rays, track, frame.time_s)
+                                         : cast_synthetic_street(street, rays, track, frame.time_s);
+        drop_outside(truth, sensor.limits);
+        add(scores[std::size_t(frame.lidar)], renderer.render(sensor, frame.time_s), truth);
+    }
+    fmt::print("| LiDAR | rays | median range error | RMSE | drops right | second returns | found | of those reported, not there |\n"
+               "|---|--:|--:|--:|--:|--:|--:|--:|\n");
+    for (std::size_t l = 0; l < scores.size(); ++l) fmt::print("{}", row(run.sequence.lidars[l].name, scores[l]));
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    std::string folder;
+    int device = -1;
+    CLI::App app("held-out sweeps of each LiDAR of a rig against the synthetic street itself", "relidar_bench_rig");
+    app.add_option("RUN", folder, "run trained on a street.toml with rig = FILE")->required();
+    app.add_option("--device", device, "as of `relidar render`");
+    CLI11_PARSE(app, argc, argv);
+    try {
+        run(folder, device);
+    } catch (const Error& error) {
+        fmt::print(stderr, "relidar_bench_rig: {}\n", error.what());
+        return static_cast<int>(error.code());
+    }
+}
