@@ -36,8 +36,8 @@ struct DropImage {
     std::vector<float> dropped;    ///< [rows, columns] 1 dropped, 0 returned, negative: not known; empty where nothing was measured
 };
 
-/// Names of the network's channels in their order: "log_range", "intensity", "drop_logit", "weight", "spread", then those that belong to the
-/// sensor's pixels, "direction_x" ..., "origin_z".
+/// Names of the network's channels in their order: "log_range", "intensity", "drop_logit", "weight", "spread", then those that belong to
+/// the sensor's pixels, "direction_x" ..., "origin_z".
 std::vector<std::string> drop_channel_names(const RefineOptions& options);
 
 /// A trained network.

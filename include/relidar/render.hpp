@@ -106,8 +106,8 @@ public:
     ~ScanRenderer();
     /// Leaves out every instance that is not shown, from the next scan on. @param shown [instances]
     void show_only(const std::vector<bool>& shown);
-    /// Corrects ray-drop by a network from the next scan on; an empty one: no longer. Scans without image order, or with fewer rows or columns
-    /// than the network needs, stay as they are (refines()).
+    /// Corrects ray-drop by a network from the next scan on; an empty one: no longer. Scans without image order, or with fewer rows or
+    /// columns than the network needs, stay as they are (refines()).
     /// @throws DataError where its arrays do not fit its shape
     void refine_drops(const DropNetwork& network);
     /// Whether scans of such rays are refined.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run folder is self-describing: config.toml, model.safetensors, drop_network.safetensors (where one was trained), scene.json (sensor, frames, poses, boxes, split, units,
-// conventions), log.jsonl, report.html. It renders without the dataset.
+// A run folder is self-describing: config.toml, model.safetensors, drop_network.safetensors (where one was trained), scene.json (sensor,
+// frames, poses, boxes, split, units, conventions), log.jsonl, report.html. It renders without the dataset.
 #pragma once
 
 #include <filesystem>

@@ -104,8 +104,8 @@ struct RefineSession {
     std::function<bool()> stop = {};                       ///< asked after each frame and step; true ends it
 };
 
-/// Trains config.refine's network on the training frames of a run whose sequence has its scans, rendered once with the sensor's nominal rays;
-/// those of a scan would tell what returned. @return nothing where stopped
+/// Trains config.refine's network on the training frames of a run whose sequence has its scans, rendered once with the sensor's nominal
+/// rays; those of a scan would tell what returned. @return nothing where stopped
 /// @throws DataError where no training frame has an image, or none has a dropped ray
 DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& session = {});
 

@@ -12,39 +12,36 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(ChannelSumsParams);
 
-uint begin_of(uint part) {
-    uint n = params.n_images * params.n_pixels;
-    return n / params.n_parts * part + min(part, n % params.n_parts);
-}
+/// First pixel of a part within its image; of the next one for part + 1.
+uint begin_of(uint part, uint of_image) { return params.n_pixels / of_image * part + min(part, params.n_pixels % of_image); }
 
-float value_at(uint pixel, uint channel) {
-    return params.from.values.at[(pixel / params.n_pixels * params.from.channels + params.from.first + channel) * params.n_pixels +
-                                 pixel % params.n_pixels];
-}
-
-/// dL/d(beta) and dL/d(gamma) by way of one pixel.
-vec2 gradients_at(uint pixel, uint channel) {
-    uint image = pixel / params.n_pixels, within = pixel % params.n_pixels;
-    float x = value_at(pixel, channel);
-    vec2 affine = params.scale_shift.at[channel], moments = params.moments.at[channel];
-    float d = params.d_to.values.at[(image * params.d_to.channels + params.d_to.first + channel) * params.n_pixels + within];
-    uint place = (image * params.n_channels + channel) * params.n_pixels + within;
-    float g = d * gate(affine.x * x + affine.y, place, params.dropout_key, params.dropout);
+/// dL/d(beta) and dL/d(gamma) by way of one pixel. @param plane  where the channel of the image begins
+vec2 gradients_at(uint pixel, uint plane, uint d_plane, uint place, vec2 affine, vec2 moments) {
+    float x = params.from.values.at[plane + pixel];
+    float g = params.d_to.values.at[d_plane + pixel] * gate(affine.x * x + affine.y, place + pixel, params.dropout_key, params.dropout);
     return vec2(g, g * (x - moments.x) * moments.y);
 }
 
 void main() {
     uint job = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID, lane = gl_SubgroupInvocationID;
     uint channel = job % params.n_channels, part = min(job / params.n_channels, params.n_parts - 1u);
-    uint begin = begin_of(part), end = begin_of(part + 1u);
+    uint of_image = params.n_parts / params.n_images, image = part / of_image;
+    uint begin = begin_of(part % of_image, of_image), end = begin_of(part % of_image + 1u, of_image);
+    uint plane = (image * params.from.channels + params.from.first + channel) * params.n_pixels;
     vec2 sum = vec2(0.0);
-    for (uint i = begin + lane; i < end; i += LANES)
-        sum += params.kind == kSums_norm_vjp ? gradients_at(i, channel) : vec2(value_at(i, channel), 0.0);
+    if (params.kind == kSums_norm_vjp) {
+        uint d_plane = (image * params.d_to.channels + params.d_to.first + channel) * params.n_pixels;
+        uint place = (image * params.n_channels + channel) * params.n_pixels;
+        vec2 affine = params.scale_shift.at[channel], moments = params.moments.at[channel];
+        for (uint i = begin + lane; i < end; i += LANES) sum += gradients_at(i, plane, d_plane, place, affine, moments);
+    } else {
+        for (uint i = begin + lane; i < end; i += LANES) sum.x += params.from.values.at[plane + i];
+    }
     sum = subgroupAdd(sum);
     if (params.kind == kSums_moments) {
         float mean = sum.x / float(max(end - begin, 1u)), squares = 0.0;
         for (uint i = begin + lane; i < end; i += LANES) {
-            float off = value_at(i, channel) - mean;
+            float off = params.from.values.at[plane + i] - mean;
             squares += off * off;
         }
         sum = vec2(mean, subgroupAdd(squares));

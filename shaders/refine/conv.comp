@@ -2,8 +2,8 @@
 // Convolution 1x1 or 3x3 of images whose columns are a ring and whose rows end in zeros, as an implicit matrix product:
 //   to[o, y, x] = bias[o] + sum_i,ky,kx weights[o, i, ky, kx] from[i, y + ky - 1, x + kx - 1]
 // or, transposed, its derivative by the input. A subgroup makes RELIDAR_CONV_OUT channels of LANES * PIXELS columns of a row; sums stay in
-// registers, neighbouring columns come from neighbouring lanes. Weights lie in shared memory (STAGED), or in the lanes of the subgroup: a CPU
-// loads lane by lane, and moves between lanes in one instruction.
+// registers, neighbouring columns come from neighbouring lanes. Weights lie in shared memory (STAGED), or in the lanes of the subgroup: a
+// CPU loads lane by lane, and moves between lanes in one instruction.
 // Input: from, weights, bias. Output or accumulated: to. Floor: 2 n_in TAPS operations a value.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -33,6 +33,12 @@ void load_tile(uint first_out, uint first_in) {
         uint o = min(first_out + k % kOut, params.n_out - 1u), i = min(first_in + k / (kOut * TAPS), params.n_in - 1u);
         tile[k] = params.weights.at[weight_index(o, i, k / kOut % TAPS)];
     }
+}
+
+void put(uint at, uint channel, float value) {
+    if (!is_null(params.bias)) value += params.bias.at[channel];
+    if (params.accumulate != 0u) value += params.to.values.at[at];
+    params.to.values.at[at] = value;
 }
 
 void main() {
@@ -88,13 +94,7 @@ void main() {
     uint to = (image * params.to.channels + params.to.first + first_out) * n_pixels + y * params.columns + first_column + lane;
     [[unroll]] for (uint p = 0u; p < PIXELS; ++p) {
         if (!there || first_column + p * LANES + lane >= params.columns) continue;
-        [[unroll]] for (uint o = 0u; o < kOut; ++o) {
-            if (first_out + o >= params.n_out) continue;
-            float value = sum[p * kOut + o];
-            uint at = to + o * n_pixels + p * LANES;
-            if (!is_null(params.bias)) value += params.bias.at[first_out + o];
-            if (params.accumulate != 0u) value += params.to.values.at[at];
-            params.to.values.at[at] = value;
-        }
+        [[unroll]] for (uint o = 0u; o < kOut; ++o)
+            if (first_out + o < params.n_out) put(to + o * n_pixels + p * LANES, first_out + o, sum[p * kOut + o]);
     }
 }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Derivative of a convolution by its weights, in parts of the images' rows:
 //   partial[part, o, i, ky, kx] = sum_y,x d_to[o, y, x] from[i, y + ky - 1, x + kx - 1]
-// A subgroup makes RELIDAR_CONV_OUT output channels of one input channel (of RELIDAR_CONV_IN where 1x1): each lane sums its own columns, the
-// lanes are added at the end.
+// A subgroup makes RELIDAR_CONV_OUT output channels of one input channel (of RELIDAR_CONV_IN where 1x1): each lane sums its own columns,
+// the lanes are added at the end.
 // Input: from, d_to. Output: partial, summed by refine/sum_parts. Floor: 2 n_in n_out TAPS operations a pixel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -60,7 +60,8 @@ void main() {
             bool there = x + lane < params.columns;
             [[unroll]] for (uint o = 0u; o < kOut; ++o) {
                 uint channel = params.d_to.first + min(first_out + o, params.n_out - 1u);
-                float d = params.d_to.values.at[(image * params.d_to.channels + channel) * n_pixels + y * params.columns + (there ? x + lane : 0u)];
+                uint plane = (image * params.d_to.channels + channel) * n_pixels;
+                float d = params.d_to.values.at[plane + y * params.columns + (there ? x + lane : 0u)];
                 asked[o] = there ? d : 0.0;
             }
             add_columns();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A batch of images for the network from the samples that are kept, normalised: what the sensor sees is turned about it by some columns, its
-// own pixels stay where they are. One thread a pixel.
+// A batch of images for the network from the samples that are kept, normalised: what the sensor sees is turned about it by some columns,
+// its own pixels stay where they are. One thread a pixel.
 // Input: samples, targets, chosen, turn, scale_shift. Output: images, start, target.
 #version 460
 #extension GL_GOOGLE_include_directive : require

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Normalised, ReLU, dropout: to = dropout(max(scale x + shift, 0)), one thread a value.
+// Normalised, ReLU, dropout: to = dropout(max(scale x + shift, 0)). A workgroup makes a stretch of one channel's pixels.
 // Input: from, scale_shift. Output: to. Floor: 8 B a value.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -9,11 +9,16 @@
 RELIDAR_PARAMS(NormParams);
 
 void main() {
-    uint i = thread_index();
-    if (i >= params.n_images * params.n_channels * params.n_pixels) return;
-    vec2 affine = params.scale_shift.at[i / params.n_pixels % params.n_channels];
-    float x = params.from.values.at[place_in(params.from.channels, params.from.first, i, params.n_channels, params.n_pixels)];
-    float normalised = affine.x * x + affine.y;
-    params.to.values.at[place_in(params.to.channels, params.to.first, i, params.n_channels, params.n_pixels)] =
-        normalised * gate(normalised, i, params.dropout_key, params.dropout);
+    uint plane = plane_of_workgroup(params.n_pixels);
+    if (plane >= params.n_images * params.n_channels) return;
+    vec2 affine = params.scale_shift.at[plane % params.n_channels];
+    uint from = plane_in(params.from, plane, params.n_channels) * params.n_pixels;
+    uint to = plane_in(params.to, plane, params.n_channels) * params.n_pixels, first = first_pixel(params.n_pixels);
+    for (uint k = 0u; k < RELIDAR_NORM_PIXELS; ++k) {
+        uint pixel = first + k * gl_WorkGroupSize.x;
+        if (pixel >= params.n_pixels) return;
+        float normalised = affine.x * params.from.values.at[from + pixel] + affine.y;
+        params.to.values.at[to + pixel] =
+            normalised * gate(normalised, plane * params.n_pixels + pixel, params.dropout_key, params.dropout);
+    }
 }

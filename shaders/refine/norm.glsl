@@ -12,9 +12,19 @@ float gate(float normalised, uint place, uint key, float dropout) {
     return normalised > 0.0 && drawn >= dropout ? 1.0 / (1.0 - dropout) : 0.0;
 }
 
-/// Where a value of a slice lies. @param at  [n_images, n_channels, n_pixels] among the slice's own
-uint place_in(uint channels, uint first, uint at, uint n_channels, uint n_pixels) {
-    uint image = at / (n_channels * n_pixels);
-    return at + (image * (channels - n_channels) + first) * n_pixels;
+
+// Divisions of integers are dear on a CPU: a workgroup stays within one channel of one image, a "plane", and finds it once.
+uint stretches(uint n_pixels) {
+    uint stretch = gl_WorkGroupSize.x * RELIDAR_NORM_PIXELS;
+    return (n_pixels + stretch - 1u) / stretch;
+}
+uint plane_of_workgroup(uint n_pixels) { return workgroup_index() / stretches(n_pixels); }
+uint first_pixel(uint n_pixels) {
+    return workgroup_index() % stretches(n_pixels) * (gl_WorkGroupSize.x * RELIDAR_NORM_PIXELS) + gl_LocalInvocationIndex;
+}
+
+/// Number among the channels of all of a tensor's images, of a plane of a slice.
+uint plane_in(ImageSlice slice, uint plane, uint n_channels) {
+    return plane / n_channels * slice.channels + slice.first + plane % n_channels;
 }
 #endif

@@ -93,7 +93,10 @@ struct ArrayAdam::Impl {
     Kernel<shared::AdamParams> kernel;
 
     Impl(Device& device, std::size_t n, const AdamOptions& o)
-        : options(o), moment1(device, n, "first moment"), moment2(device, n, "second moment"), kernel(device, "optimizer/adam", constants(true)) {}
+        : options(o),
+          moment1(device, n, "first moment"),
+          moment2(device, n, "second moment"),
+          kernel(device, "optimizer/adam", constants(true)) {}
 };
 
 ArrayAdam::ArrayAdam(Device& device, std::size_t n, const AdamOptions& options) : impl_(new Impl(device, n, options)) {

@@ -61,12 +61,28 @@ void Attention::forward(Stream& stream, const Slice& qkv, AttentionState& state,
     RELIDAR_ASSERT_EQ(qkv.channels, 3 * channels);
     const Slice query = qkv.part(0, channels), key = qkv.part(channels, channels), value = qkv.part(2 * channels, channels);
     const Grid& grid = to.grid;
-    multiply(stream, {.a = of_heads(query, heads_, true), .b = of_heads(key, heads_, false), .c = of_shares(state.share, grid, heads_, false),
-                      .n_batch = 0, .n_heads = 0, .rows = pixels, .inner = size, .columns = pixels, .scale = 1.0f / std::sqrt(float(size))},
+    multiply(stream,
+             {.a = of_heads(query, heads_, true),
+              .b = of_heads(key, heads_, false),
+              .c = of_shares(state.share, grid, heads_, false),
+              .n_batch = 0,
+              .n_heads = 0,
+              .rows = pixels,
+              .inner = size,
+              .columns = pixels,
+              .scale = 1.0f / std::sqrt(float(size))},
              grid);
     run_softmax(stream, state, grid, false);
-    multiply(stream, {.a = of_heads(value, heads_, false), .b = of_shares(state.share, grid, heads_, true), .c = of_heads(to, heads_, false),
-                      .n_batch = 0, .n_heads = 0, .rows = size, .inner = pixels, .columns = pixels, .scale = 1.0f},
+    multiply(stream,
+             {.a = of_heads(value, heads_, false),
+              .b = of_shares(state.share, grid, heads_, true),
+              .c = of_heads(to, heads_, false),
+              .n_batch = 0,
+              .n_heads = 0,
+              .rows = size,
+              .inner = pixels,
+              .columns = pixels,
+              .scale = 1.0f},
              grid);
 }
 
@@ -78,16 +94,21 @@ void Attention::vjp(Stream& stream, const Slice& qkv, AttentionState& state, con
     const float scale = 1.0f / std::sqrt(float(size));
     const auto product = [&](const shared::MatrixView& a, const shared::MatrixView& b, const shared::MatrixView& c, std::uint32_t rows,
                              std::uint32_t inner, float factor) {
-        multiply(stream, {.a = a, .b = b, .c = c, .n_batch = 0, .n_heads = 0, .rows = rows, .inner = inner, .columns = pixels, .scale = factor},
+        multiply(stream,
+                 {.a = a, .b = b, .c = c, .n_batch = 0, .n_heads = 0, .rows = rows, .inner = inner, .columns = pixels, .scale = factor},
                  grid);
     };
     // d_value = d_to shares
-    product(of_heads(d_to, heads_, false), of_shares(state.share, grid, heads_, false), of_heads(d_value, heads_, false), size, pixels, 1.0f);
+    product(of_heads(d_to, heads_, false), of_shares(state.share, grid, heads_, false), of_heads(d_value, heads_, false), size, pixels,
+            1.0f);
     // d_share = d_to^T value, through the softmax
-    product(of_heads(d_to, heads_, true), of_heads(value, heads_, false), of_shares(state.d_share, grid, heads_, false), pixels, size, 1.0f);
+    product(of_heads(d_to, heads_, true), of_heads(value, heads_, false), of_shares(state.d_share, grid, heads_, false), pixels, size,
+            1.0f);
     run_softmax(stream, state, grid, true);
-    product(of_heads(key, heads_, false), of_shares(state.d_share, grid, heads_, true), of_heads(d_query, heads_, false), size, pixels, scale);
-    product(of_heads(query, heads_, false), of_shares(state.d_share, grid, heads_, false), of_heads(d_key, heads_, false), size, pixels, scale);
+    product(of_heads(key, heads_, false), of_shares(state.d_share, grid, heads_, true), of_heads(d_query, heads_, false), size, pixels,
+            scale);
+    product(of_heads(query, heads_, false), of_shares(state.d_share, grid, heads_, false), of_heads(d_key, heads_, false), size, pixels,
+            scale);
 }
 
 }  // namespace relidar::refine

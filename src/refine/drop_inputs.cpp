@@ -56,8 +56,10 @@ DropInputs::DropInputs(Device& device, const DropNetwork& network, const std::ve
       n_fixed_(fixed_channels(network)),
       logit_channel_(logit_channel(network)),
       kernel_(device, "refine/drop_inputs"),
-      samples_(joined(device, images, [](const DropImage& image) -> const std::vector<float>& { return image.channels; }, "scans to refine")),
-      targets_(joined(device, images, [](const DropImage& image) -> const std::vector<float>& { return image.dropped; }, "measured drops")),
+      samples_(joined(
+          device, images, [](const DropImage& image) -> const std::vector<float>& { return image.channels; }, "scans to refine")),
+      targets_(joined(
+          device, images, [](const DropImage& image) -> const std::vector<float>& { return image.dropped; }, "measured drops")),
       scale_shift_(pairs(device, network.normalisation)) {
     for (const DropImage& image : images)
         known_.push_back(std::size_t(std::count_if(image.dropped.begin(), image.dropped.end(), [](float x) { return x >= 0.0f; })));

@@ -18,12 +18,11 @@ DropLoss::DropLoss(Device& device, std::size_t n_pixels)
       kernel_(device, "refine/drop_loss", {{ConstantId::LANES, lanes_}, {ConstantId::WORKGROUP_SIZE, kThreads}}, Subgroups::full),
       partial_(device, 2 * n_parts_, "sums of cross-entropies") {}
 
-void DropLoss::run(Stream& stream, std::size_t n, Address<float> logit, Address<float> start, Address<float> target, Address<float> d_logit,
-                   Address<float> probability, std::size_t known) {
+void DropLoss::run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known) {
     const std::uint32_t of_workgroup = kThreads / lanes_;
     relidar::run(stream, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kThreads,
-                 {.logit = logit, .start = start, .target = target, .d_logit = d_logit, .probability = probability,
-                  .partial = partial_.address(), .n = std::uint32_t(n), .n_parts = n_parts_,
+                 {.logit = arrays.logit, .start = arrays.start, .target = arrays.target, .d_logit = arrays.d_logit,
+                  .probability = arrays.probability, .partial = partial_.address(), .n = std::uint32_t(n), .n_parts = n_parts_,
                   .weight = 1.0f / float(std::max<std::size_t>(known, 1))});
 }
 

@@ -13,14 +13,21 @@ struct DropScore {
     double accuracy = 0.0;   ///< share of pixels of which the likelier answer is right
 };
 
+/// What DropLoss reads and writes, [n]; all but the logits may be nowhere.
+struct DropLossArrays {
+    Address<float> logit;
+    Address<float> start = {};         ///< added to the logits
+    Address<float> target = {};        ///< 1 dropped, 0 returned, negative: not known
+    Address<float> d_logit = {};       ///< output
+    Address<float> probability = {};   ///< output
+};
+
 class DropLoss {
 public:
     DropLoss(Device& device, std::size_t n_pixels);
 
-    /// Records it for n pixels. @param start  added to the logits @param target 1 dropped, 0 returned, negative not known; nowhere: none is
-    /// known @param d_logit @param probability  outputs, or nowhere @param known  pixels, over which the derivative's mean is taken
-    void run(Stream& stream, std::size_t n, Address<float> logit, Address<float> start, Address<float> target, Address<float> d_logit,
-             Address<float> probability, std::size_t known);
+    /// Records it for n pixels. @param known  pixels, over which the derivative's mean is taken
+    void run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known);
     /// Of the last run that is done. @param known  pixels
     DropScore score(std::size_t known) const;
 

@@ -52,16 +52,16 @@ DropNetwork shape_of(const RefineOptions& options) {
     const int width = options.width > 0 ? options.width : int(known.width);
     const int levels = options.levels >= 0 ? options.levels : int(known.factors.size()) - 1;
     if (width > kMostWidth || levels > kMostLevels)
-        throw UsageError(fmt::format("refine: a network of {} channels and {} levels, expected at most {} and {}", width, levels, kMostWidth,
-                                     kMostLevels));
+        throw UsageError(fmt::format("refine: a network of {} channels and {} levels, expected at most {} and {}", width, levels,
+                                     kMostWidth, kMostLevels));
     DropNetwork network;
     network.inputs = drop_channel_names(options);
     for (int l = 0; l <= levels; ++l)
         network.widths.push_back(std::uint32_t(width) * known.factors[std::min(std::size_t(l), known.factors.size() - 1)]);
     network.heads = levels > 0 ? known.heads : 0;
     if (network.heads > 0 && network.widths.back() % network.heads != 0)
-        throw UsageError(fmt::format("refine.width: found {}, expected a number whose smallest images ({} channels) {} heads can share", width,
-                                     network.widths.back(), network.heads));
+        throw UsageError(fmt::format("refine.width: found {}, expected a number whose smallest images ({} channels) {} heads can share",
+                                     width, network.widths.back(), network.heads));
     network.taps = known.taps;
     network.residual = known.residual;
     return network;
@@ -80,8 +80,8 @@ std::uint32_t fixed_channels(const DropNetwork& network) {
 void check_image(const DropNetwork& network, const DropImage& image, const std::string& what) {
     const int side = network.smallest_side();
     if (image.rows < side || image.columns < side)
-        throw DataError(fmt::format("{}: an image of {} x {} pixels, expected at least {} x {} for a network of {} levels", what, image.rows,
-                                    image.columns, side, side, network.widths.size() - 1));
+        throw DataError(fmt::format("{}: an image of {} x {} pixels, expected at least {} x {} for a network of {} levels", what,
+                                    image.rows, image.columns, side, side, network.widths.size() - 1));
     const std::size_t pixels = std::size_t(image.rows) * std::size_t(image.columns), n = pixels * network.inputs.size();
     if (image.channels.size() != n || (!image.dropped.empty() && image.dropped.size() != pixels))
         throw DataError(fmt::format("{}: {} values of channels and {} of drops, expected {} and {} for {} x {} pixels", what,

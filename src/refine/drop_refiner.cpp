@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include <relidar/measure/refine.hpp>
 
 #include "refine/drop_inputs.hpp"
 #include "refine/drop_loss.hpp"
@@ -29,6 +30,18 @@ const DropNetwork& checked(const DropNetwork& network) {
 }
 
 }  // namespace
+
+void compile_drop_network(Device& device, const RefineOptions& options) {
+    DropNetwork network = refine::shape_of(options);
+    const refine::UnetPlan plan(network);
+    refine::initialise(network, plan, 0);
+    const int side = std::max(2, network.smallest_side());
+    DropImage image{side, side, std::vector<float>(network.inputs.size() * std::size_t(side * side)), {}};
+    network.normalisation.assign(2 * network.inputs.size(), 0.0f);
+    const refine::DropInputs inputs(device, network, {std::move(image)});
+    const refine::Unet unet(device, network);
+    const refine::DropLoss loss(device, std::size_t(side * side));
+}
 
 struct DropRefiner::Impl {
     Device& device;
@@ -62,8 +75,11 @@ std::vector<float> DropRefiner::refine(const DropImage& image) {
     const refine::DropInputs::Chosen whole{};
     inputs.make(r.stream, {&whole, 1}, r.unet.inputs());
     r.unet.evaluate(r.stream);
-    r.loss->run(r.stream, grid.pixels(), r.unet.logit().values.address(),
-                r.network.residual ? inputs.start().address() : Address<float>(), {}, {}, r.probability.address(), 0);
+    r.loss->run(r.stream, grid.pixels(),
+                {.logit = r.unet.logit().values.address(),
+                 .start = r.network.residual ? inputs.start().address() : Address<float>(),
+                 .probability = r.probability.address()},
+                0);
     r.stream.finish();
     return r.probability.download();
 }

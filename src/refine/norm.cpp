@@ -12,7 +12,13 @@ namespace {
 constexpr std::uint32_t kThreads = 64;   // of a workgroup
 constexpr float kMomentum = 0.1f, kEpsilon = 1e-5f;
 
-std::uint32_t parts_of(const Grid& grid) { return std::uint32_t(std::clamp<std::size_t>(grid.all_pixels() / 4096, 1, 64)); }
+/// Parts of all images whose sums are taken by themselves: a part lies in one image.
+std::uint32_t parts_of(const Grid& grid) { return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.pixels() / 4096, 1, 64)); }
+/// Threads that make each pixel of a slice.
+std::size_t threads_of(const Slice& slice) {
+    constexpr std::size_t kStretch = std::size_t(kThreads) * RELIDAR_NORM_PIXELS;
+    return std::size_t(slice.grid.n) * slice.channels * ((slice.grid.pixels() + kStretch - 1) / kStretch) * kThreads;
+}
 
 std::vector<Constant> in_subgroups(std::uint32_t lanes) { return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kThreads}}; }
 
@@ -22,8 +28,8 @@ Norm::Norm(Device& device)
     : lanes_(std::uint32_t(device.info().subgroup_size)),
       sums_(device, "refine/channel_sums", in_subgroups(lanes_), Subgroups::full),
       finish_(device, "refine/norm_finish"),
-      norm_(device, "refine/norm"),
-      norm_vjp_(device, "refine/norm_vjp"),
+      norm_(device, "refine/norm", {{ConstantId::WORKGROUP_SIZE, kThreads}}),
+      norm_vjp_(device, "refine/norm_vjp", {{ConstantId::WORKGROUP_SIZE, kThreads}}),
       sum_parts_(device, "refine/sum_parts") {}
 
 void Norm::reserve(Device& device, std::uint32_t channels, const Grid& grid) {
@@ -40,12 +46,12 @@ void Norm::finish(Stream& stream, const Slice& from, const NormWeights& weights,
     run(stream, finish_, from.channels,
         {.partial = partial_.address(), .beta_gamma = weights.beta_gamma, .running = weights.running, .moments = state.moments.address(),
          .scale_shift = state.scale_shift.address(), .n_channels = from.channels, .n_parts = parts_of(from.grid),
-         .n_all = std::uint32_t(from.grid.all_pixels()), .training = training ? 1u : 0u, .momentum = kMomentum, .epsilon = kEpsilon});
+         .n_images = from.grid.n, .n_pixels = std::uint32_t(from.grid.pixels()), .training = training ? 1u : 0u, .momentum = kMomentum, .epsilon = kEpsilon});
 }
 
 void Norm::apply(Stream& stream, const Slice& from, const NormState& state, const Slice& to, bool training) const {
     RELIDAR_ASSERT_EQ(from.channels * from.grid.all_pixels(), to.channels * to.grid.all_pixels());
-    run(stream, norm_, from.channels * from.grid.all_pixels(),
+    run(stream, norm_, threads_of(from),
         {.from = from.view, .to = to.view, .scale_shift = state.scale_shift.address(), .n_images = from.grid.n,
          .n_pixels = std::uint32_t(from.grid.pixels()), .n_channels = from.channels, .dropout_key = state.dropout_key,
          .dropout = training ? state.dropout : 0.0f});
@@ -65,15 +71,15 @@ void Norm::evaluate(Stream& stream, const Slice& from, const NormWeights& weight
 }
 
 void Norm::vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to, const Slice& d_from,
-               const Array<float>& d_parameters, std::size_t first, bool accumulate) {
+               const NormGradient& gradient, bool accumulate) {
     const auto n_pixels = std::uint32_t(from.grid.pixels()), n_parts = parts_of(from.grid);
     run_sums(stream, {.from = from.view, .d_to = d_to.view, .partial = partial_.address(), .scale_shift = state.scale_shift.address(),
                       .moments = state.moments.address(), .kind = shared::kSums_norm_vjp, .n_images = from.grid.n, .n_pixels = n_pixels,
                       .n_channels = from.channels, .n_parts = n_parts, .dropout_key = state.dropout_key, .dropout = state.dropout});
     run(stream, sum_parts_, 2 * from.channels,
-        {.partial = partial_.address(), .sum = d_parameters.address(first), .n_parts = n_parts, .n = 2 * from.channels});
-    run(stream, norm_vjp_, from.channels * from.grid.all_pixels(),
-        {.from = from.view, .d_to = d_to.view, .d_from = d_from.view, .d_beta_gamma = d_parameters.address_as<glm::vec2>(first),
+        {.partial = partial_.address(), .sum = gradient.all.address(gradient.first), .n_parts = n_parts, .n = 2 * from.channels});
+    run(stream, norm_vjp_, threads_of(from),
+        {.from = from.view, .d_to = d_to.view, .d_from = d_from.view, .d_beta_gamma = gradient.all.address_as<glm::vec2>(gradient.first),
          .scale_shift = state.scale_shift.address(), .moments = state.moments.address(), .n_images = from.grid.n, .n_pixels = n_pixels,
          .n_channels = from.channels, .dropout_key = state.dropout_key, .dropout = state.dropout,
          .accumulate = accumulate ? 1u : 0u});

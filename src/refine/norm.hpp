@@ -13,6 +13,12 @@ struct NormWeights {
     Address<glm::vec2> running;      ///< [channels] mean and variance of the batches seen, for evaluation
 };
 
+/// Where the derivatives by beta and gamma go: [channels, 2] from `first` on.
+struct NormGradient {
+    const Array<float>& all;
+    std::size_t first = 0;
+};
+
 /// What a pass of one layer keeps for the way back.
 struct NormState {
     Array<glm::vec2> moments, scale_shift;   ///< [channels]
@@ -33,10 +39,10 @@ public:
     void forward(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, const Slice& to);
     /// The same by the running moments, nothing dropped.
     void evaluate(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, const Slice& to);
-    /// dL/d(from), and dL/d(beta, gamma) at `first` of d_parameters, from dL/d(to) of forward().
+    /// dL/d(from), and dL/d(beta, gamma), from dL/d(to) of forward().
     /// @param accumulate adds to what d_from holds
     void vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to, const Slice& d_from,
-             const Array<float>& d_parameters, std::size_t first, bool accumulate = false);
+             const NormGradient& gradient, bool accumulate = false);
     /// Sum of each channel over all images [channels]: derivative by a bias.
     void bias_vjp(Stream& stream, const Slice& d_to, Address<float> d_bias);
     /// Makes room for images of so many channels and pixels.

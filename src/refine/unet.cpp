@@ -70,7 +70,8 @@ void Unet::reserve(Device& device, const Grid& grid, bool with_gradients) {
     if (with_gradients) gradients_.reserve(device, parameters_.size(), "gradients of the network");
     Grid at = grid;
     for (std::size_t level = 0; level < levels_.size(); ++level, at = pooled(at)) reserve_level(device, level, at);
-    for (const ConvLayer* layer : {&plan_.head, &plan_.tail}) conv1_.reserve(device, conv1_.partial_floats(grid, layer->n_in, layer->n_out));
+    for (const ConvLayer* layer : {&plan_.head, &plan_.tail})
+        conv1_.reserve(device, conv1_.partial_floats(grid, layer->n_in, layer->n_out));
     norm_.reserve(device, 1, grid);
     norm_.reserve(device, widths_[0], grid);
     if (!attention_) return;
@@ -149,7 +150,7 @@ void Unet::block_vjp(Stream& stream, const Block& block, BlockState& state, cons
     const Slice d_active{{scratch_.address(), block.conv.n_in, 0}, block.conv.n_in, from.grid};
     conv_vjp(stream, block.conv, state.active.all(), d_to);
     conv_of(block.conv).input_vjp(stream, d_to, parameters_.address(block.conv.weights), d_active);
-    norm_.vjp(stream, from, state.norm, d_active, d_from, gradients_, block.beta_gamma, accumulate);
+    norm_.vjp(stream, from, state.norm, d_active, d_from, {gradients_, block.beta_gamma}, accumulate);
 }
 
 void Unet::attend_vjp(Stream& stream) {

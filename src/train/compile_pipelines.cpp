@@ -5,6 +5,7 @@
 
 #include <relidar/config.hpp>
 #include <relidar/dataset.hpp>
+#include <relidar/measure/refine.hpp>
 #include <relidar/stages/forward.hpp>
 
 #include "gpu/radix_sort.hpp"
@@ -71,6 +72,12 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         Config config = make_preset("default");
         set_key(config, setting.key, setting.value);
         compile(device, street, config);
+    }
+    for (const char* network : {"small", "paper", "pixel"}) {
+        tell(std::string("refine.network=") + network);
+        RefineOptions options;
+        options.network = network;
+        compile_drop_network(device, options);
     }
     tell("sums of hits in a fixed order");
     const RadixSort by_row(device, 1, 1);   // made by BackwardPass at its first batch

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The last stage of training (paper, section 3.5): training frames rendered once, and a network that learns from them what the sensor
-// dropped. Rays are the sensor's nominal ones: those of a scan have jitter where they returned and none where they did not, which would tell
-// the answer.
+// dropped. Rays are the sensor's nominal ones: those of a scan have jitter where they returned and none where they did not, which would
+// tell the answer.
 #include <algorithm>
 #include <map>
 
@@ -59,9 +59,10 @@ std::vector<int> images_of(const Sequence& sequence, const std::vector<int>& tra
 DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& session) {
     const std::vector<int> positions = images_of(run.sequence, run.split.train);
     if (positions.empty())
-        throw DataError(fmt::format("training the ray-drop network of {}: no training frame has an image of rows and columns, expected one; "
-                                    "set refine.enabled=false",
-                                    run.sequence.name));
+        throw DataError(
+            fmt::format("training the ray-drop network of {}: no training frame has an image of rows and columns, expected one; "
+                        "set refine.enabled=false",
+                        run.sequence.name));
     Config config = run.config;
     config.sensor.sub_rays = config.sensor.returns = 1;
     ScanRenderer renderer(device, run.scene, config, run.sequence);

@@ -121,7 +121,7 @@ TEST_P(NormSizes, Derivatives) {
         const std::size_t n = 2 * std::size_t(c.channels);
         const Array<float> d_parameters = test::to_device(device(), std::vector<double>(n + 6, -7.0));   // a part of them, from the fourth
         const test::ImageBatch actual = pass.forward(device(), from, c);
-        pass.norm.vjp(pass.stream, from.slice(), pass.state, d_to.slice(), d_from.slice(), d_parameters, 4);
+        pass.norm.vjp(pass.stream, from.slice(), pass.state, d_to.slice(), d_from.slice(), {d_parameters, 4});
         pass.stream.finish();
         EXPECT_LT(worst_error(actual, reference::normalise(values, reference::moments_of(values), pass.layer)), test::kLayer);
         const reference::NormGradient expected = reference::normalise_vjp(values, pass.layer, asked);

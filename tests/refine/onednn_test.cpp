@@ -204,7 +204,7 @@ TEST_F(OneDnnNorm, Agrees) {
         const OnDevice from(device(), values), d_to(device(), asked), to = OnDevice::unwritten(device(), grid, channels),
                        d_from = OnDevice::unwritten(device(), grid, channels);
         norm.forward(stream, from.slice(), {parameters.address(), running.address()}, state, to.slice());
-        norm.vjp(stream, from.slice(), state, d_to.slice(), d_from.slice(), d_parameters, 0);
+        norm.vjp(stream, from.slice(), state, d_to.slice(), d_from.slice(), {d_parameters, 0});
         stream.finish();
         EXPECT_LT(worst_error(to.read(), expected.to), test::kLayer);
         EXPECT_LT(worst_error(d_from.read(), expected.d_from), 2e-5);

@@ -16,7 +16,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"gpu", {}},
         {"sensor", {}},
         {"sequence", {"sensor"}},
-        {"reader", {"sequence", "sensor"}},  // what all readers of datasets share
+        {"reader", {"sequence", "sensor"}},                                       // what all readers of datasets share
         {"dataset", {"reader", "sensor_files", "export", "sequence", "sensor"}},  // export: npz
         {"registration", {"sequence", "sensor"}},
         {"scene", {"sequence", "sensor", "gpu"}},
@@ -25,7 +25,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"optimizer", {"scene", "gpu"}},
         {"loss", {"traversal", "scene", "gpu"}},
         {"metrics", {"sequence", "sensor", "gpu"}},
-        {"refine", {"sequence", "sensor", "gpu"}},
+        {"refine", {"optimizer", "gpu"}},
         {"export", {"metrics", "scene", "sequence", "sensor"}},  // metrics: the rows a report shows
         {"forward", {"traversal", "accel", "scene", "sequence", "sensor", "gpu"}},
         {"densify", {"optimizer", "scene", "gpu"}},
@@ -34,16 +34,19 @@ const std::map<std::string, Stages>& layer_table() {
         {"backward", {"traversal", "forward", "accel", "scene", "gpu"}},
         {"differentiable_renderer", {"backward", "forward", "traversal", "accel", "scene", "gpu"}},
         // options of all of them
-        {"config", {"traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "scene", "sequence", "sensor", "gpu"}},
-        {"run", {"config", "export", "scene", "sequence", "sensor"}},  // a run's folder; export: safetensors
-        {"sensor_files", {"sensor", "export"}},                        // export: npz
+        {"config",
+         {"traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "refine", "scene", "sequence", "sensor", "gpu"}},
+        {"run", {"config", "export", "refine", "scene", "sequence", "sensor"}},  // a run's folder; export: safetensors
+        {"sensor_files", {"sensor", "export"}},                                  // export: npz
         {"render",
          {"sensor_files", "config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
         {"scan_files", {"render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
         {"evaluation", {"render", "run", "config", "export", "metrics", "scene", "sequence", "sensor", "gpu"}},  // export: weights of LPIPS
-        {"train",
-         {"config", "run", "differentiable_renderer", "backward", "forward", "traversal", "densify", "checkpoint", "accel", "optimizer",
-          "loss", "metrics", "refine", "dataset", "registration", "scene", "sequence", "sensor", "gpu"}},
+        {"train", {"config",     "run",      "render",    "differentiable_renderer",
+                   "backward",   "forward",  "traversal", "densify",
+                   "checkpoint", "accel",    "optimizer", "loss",
+                   "metrics",    "refine",   "dataset",   "registration",
+                   "scene",      "sequence", "sensor",    "gpu"}},
     };
     return table;
 }

@@ -191,9 +191,10 @@ void run_train(const Options& given, const std::string& command_line) {
     save_run(run);
     if (config.refine.enabled && !result.interrupted) {
         if (!refine_shown(device, run, options.quiet))
-            throw Error(ExitCode::interrupted,
-                        fmt::format("interrupted while the ray-drop network was trained; {} holds the scene; continue with: relidar refine {}",
-                                    run.folder.string(), shell_word(options.out)));
+            throw Error(
+                ExitCode::interrupted,
+                fmt::format("interrupted while the ray-drop network was trained; {} holds the scene; continue with: relidar refine {}",
+                            run.folder.string(), shell_word(options.out)));
         save_run(run);
     }
     finish(device, run, result, options, command_line);

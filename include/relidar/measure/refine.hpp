@@ -1,13 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the dearest layer of the ray-drop network costs, for benchmarks. Not installed.
+// What the ray-drop network and its dearest layer cost, for benchmarks and for looks at what compilers make of it. Not installed.
 #pragma once
 
 #include <cstdint>
 #include <memory>
 
 #include <relidar/gpu.hpp>
+#include <relidar/refine.hpp>
 
 namespace relidar {
+
+/// Makes every pipeline that training and asking the options' network takes, and runs none of them.
+void compile_drop_network(Device& device, const RefineOptions& options);
 
 /// A convolution 3x3 of one image.
 struct ConvolutionSize {
@@ -26,6 +30,24 @@ public:
     void forward();
     void by_input();     ///< derivative by the image
     void by_weights();   ///< derivative by the weights
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+/// A network's training and inference on noise of one image size.
+class MeasuredDropNetwork {
+public:
+    MeasuredDropNetwork(Device& device, const RefineOptions& options, int rows, int columns);
+    ~MeasuredDropNetwork();
+
+    void step();    ///< of training, on options.batch images; done when it returns
+    void infer();   ///< one image; done when it returns
+    /// Products and sums of an inference; a step of training takes three times as many for each image.
+    double operations() const;
+    /// Milliseconds of the kernels of step(), by name, where the device has timestamps.
+    const KernelTimes& times() const;
 
 private:
     struct Impl;

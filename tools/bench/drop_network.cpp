@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar_bench_drop_network: milliseconds of a training step and of an inference of the ray-drop network, and of a step's kernels.
+#include <algorithm>
+#include <chrono>
+#include <string>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include <relidar/measure/refine.hpp>
+
+namespace {
+
+using namespace relidar;
+
+double median(std::vector<double> values) {
+    std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());
+    return values[values.size() / 2];
+}
+
+template <class Work>
+double median_ms(int repeat, Work&& work) {
+    work();   // warm up
+    std::vector<double> ms;
+    for (int i = 0; i < repeat; ++i) {
+        const auto start = std::chrono::steady_clock::now();
+        work();
+        ms.push_back(std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count());
+    }
+    return median(ms);
+}
+
+/// Kernels of a step by what they take in all, the dearest first.
+void print_kernels(const KernelTimes& times, int steps) {
+    std::vector<std::pair<double, std::string>> rows;
+    for (const auto& [name, ms] : times.milliseconds) {
+        double sum = 0.0;
+        for (const double x : ms) sum += x;
+        rows.emplace_back(sum / steps, fmt::format("{:<24} {:4} launches", name, ms.size() / std::size_t(steps)));
+    }
+    std::sort(rows.rbegin(), rows.rend());
+    for (const auto& [ms, text] : rows) fmt::print("    {:9.2f} ms  {}\n", ms, text);
+}
+
+void measure(Device& device, const RefineOptions& options, int rows, int columns, int repeat) {
+    MeasuredDropNetwork network(device, options, rows, columns);
+    const double step = median_ms(repeat, [&] { network.step(); }), infer = median_ms(repeat, [&] { network.infer(); }),
+                 giga = 1e-6 * network.operations();
+    fmt::print("{:>8} x {:<6} {:10.2f} {:14.1f} {:10.2f} {:14.1f}\n", rows, columns, step, 3.0 * options.batch * giga / step, infer,
+               giga / infer);
+    print_kernels(network.times(), repeat + 1);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    CLI::App app("the ray-drop network: milliseconds of a training step and of an inference, medians of wall times");
+    int repeat = 5, index = -1, rows = 0, columns = 0;
+    RefineOptions options;
+    app.add_option("--network", options.network, "small, paper or pixel");
+    app.add_option("--width", options.width, "channels at full size; 0: the network's own");
+    app.add_option("--batch", options.batch, "images a step")->check(CLI::Range(1, 1024));
+    app.add_option("--rows", rows, "of the image; not given: 66 x 1030 and 64 x 2650");
+    app.add_option("--columns", columns)->needs("--rows");
+    app.add_option("--repeat", repeat, "runs of each")->check(CLI::Range(1, 10000));
+    app.add_option("--device", index, "as `relidar devices` lists them");
+    CLI11_PARSE(app, argc, argv);
+    try {
+        DeviceOptions chosen;
+        chosen.index = index;
+        Device device(from_environment(chosen));
+        fmt::print("{}; network {}, {} parameters, batch {}, medians of {} runs\n", device.info().name, options.network,
+                   count_parameters(options), options.batch, repeat);
+        fmt::print("{:<17} {:>10} {:>14} {:>10} {:>14}\n", "image", "step ms", "GFLOP/s", "infer ms", "GFLOP/s");
+        if (rows > 0) return measure(device, options, rows, columns, repeat), 0;
+        measure(device, options, 66, 1030, repeat);
+        measure(device, options, 64, 2650, repeat);
+    } catch (const std::exception& error) {
+        fmt::print(stderr, "relidar_bench_drop_network: {}\n", error.what());
+        return 1;
+    }
+    return 0;
+}
