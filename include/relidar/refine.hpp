@@ -21,6 +21,7 @@ struct RefineOptions {
     std::string network = "small";   ///< "small", "paper" (6.5 million parameters) or "pixel" (each pixel by itself)
     int width = 0;                   ///< channels at full size; 0: the network's own
     int levels = -1;                 ///< times that the image is halved; -1: the network's own
+    std::string image = "native";    ///< what it looks at: "native", the sensor's rays, or "grid", the cells of config.sensor.grid
     std::string rays = "direction";  ///< what it is told of the rays: "none", "direction" or "origin,direction" (paper)
     int epochs = 8;                  ///< each training frame is seen so often
     int batch = 1;                   ///< images a step
@@ -36,12 +37,13 @@ struct DropImage {
     std::vector<float> dropped;    ///< [rows, columns] 1 dropped, 0 returned, negative: not known; empty where nothing was measured
 };
 
-/// Names of the network's channels in their order: "log_range", "intensity", "drop_logit", "weight", "spread", then those that belong to
-/// the sensor's pixels, "direction_x" ..., "origin_z".
+/// Names of the network's channels in their order: "log_range", "intensity", "drop_logit", "weight", "spread", "incidence", then those that
+/// belong to the sensor's pixels, "direction_x" ..., "origin_z".
 std::vector<std::string> drop_channel_names(const RefineOptions& options);
 
 /// A trained network.
 struct DropNetwork {
+    std::string image = "native";               ///< what it was trained on: "native", or the name of a grid
     std::vector<std::string> inputs;            ///< channels it was trained with
     std::vector<std::uint32_t> widths;          ///< channels at full size, half, ...
     std::uint32_t heads = 0;                    ///< of the attention at the smallest size; 0: none

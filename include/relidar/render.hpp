@@ -30,6 +30,7 @@ struct RenderedScan {
     std::vector<float> time_offset_s;   ///< [n] firing time of each ray
     std::vector<std::uint16_t> channel; ///< [n]
     std::vector<FurtherReturn> further = {};   ///< second returns with sensor.returns = 2; of the dominant surfaces
+    std::vector<float> surfel_drop_prob = {};  ///< [n] drop probability of the surfels alone, where a network has corrected the image's
     Pose world_from_sensor;             ///< at the reference time, in the dataset's world
     PoseTrack track;                    ///< of the sensor, in the dataset's world; a single pose where all rays were fired from it
     double time_s = 0.0;
@@ -106,12 +107,12 @@ public:
     ~ScanRenderer();
     /// Leaves out every instance that is not shown, from the next scan on. @param shown [instances]
     void show_only(const std::vector<bool>& shown);
-    /// Corrects ray-drop by a network from the next scan on; an empty one: no longer. Scans without image order, or with fewer rows or
-    /// columns than the network needs, stay as they are (refines()).
+    /// Corrects ray-drop by a network from the next scan on; an empty one: no longer. A network of the sensor's rays works on every scan with
+    /// image order, rows and columns enough, before it is binned into a grid; one of a grid's cells on images of that grid alone.
     /// @throws DataError where its arrays do not fit its shape
     void refine_drops(const DropNetwork& network);
-    /// Whether scans of such rays are refined.
-    bool refines(const RayTable& rays) const;
+    /// Whether scans of a sensor are refined.
+    bool refines(const SensorChoice& sensor) const;
     /// @param sensor_offset  of the simulated sensor in the frame of the log's LiDAR (identity = where the real one was)
     /// @param sample  seed of sample_returns(); not given: the likeliest scan, free of noise
     RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {},

@@ -243,6 +243,8 @@ void visit_refine(C& c, Visitor&& f) {
       "U-Net of 8 channels and 3 levels, the paper's of 32 and 4 with attention, or a function of each pixel by itself");
     f("refine.width", c.refine.width, between(0, 512), "channels of the network at full size; 0: its own");
     f("refine.levels", c.refine.levels, between(-1, 6), "times that the network halves the image; -1: its own");
+    f("refine.image", c.refine.image, one_of({"native", "grid"}),
+      "what the network looks at: the sensor's rays, before they are binned, or the cells of sensor.grid");
     f("refine.rays", c.refine.rays, one_of({"none", "direction", "origin,direction"}),
       "what the network is told of the rays; the paper: both");
     f("refine.epochs", c.refine.epochs, between(1, 100000), "times that the network sees each training frame");

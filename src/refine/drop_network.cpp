@@ -37,7 +37,7 @@ const Known& find_known(const std::string& name) {
 
 std::vector<std::string> drop_channel_names(const RefineOptions& options) {
     std::vector<std::string> names{"log_range", "intensity", "drop_logit"};
-    if (options.network != "paper") names.insert(names.end(), {"weight", "spread"});
+    if (options.network != "paper") names.insert(names.end(), {"weight", "spread", "incidence"});
     if (options.rays != "none") names.insert(names.end(), {"direction_x", "direction_y", "direction_z"});
     if (options.rays == "origin,direction") names.insert(names.end(), {"origin_x", "origin_y", "origin_z"});
     return names;

@@ -8,6 +8,8 @@
 #include <relidar/error.hpp>
 #include <relidar/render.hpp>
 
+#include "core/incidence.hpp"
+
 namespace relidar {
 namespace {
 
@@ -19,12 +21,15 @@ float logit(float probability) {
 }
 
 /// One channel, by its name.
-float channel_of(const RenderedScan& scan, const std::string& name, std::size_t ray, float surface_m, const glm::vec3& origin_m) {
+float channel_of(const RenderedScan& scan, const ImageRays& surfaces, const std::string& name, std::size_t ray,
+                 const glm::vec3& origin_m) {
+    const float surface_m = surfaces.range_m[ray];
     if (name == "log_range") return std::log1p(std::max(surface_m, 0.0f));
     if (name == "intensity") return scan.image.intensity[ray];
     if (name == "drop_logit") return logit(scan.image.drop_prob[ray]);
     if (name == "weight") return scan.weight[ray];
     if (name == "spread") return std::log1p(std::abs(surface_m - scan.image.range_m[ray]));
+    if (name == "incidence") return float(std::max(incidence_cosine(surfaces, ray), 0.0));
     for (int axis = 0; axis < 3; ++axis) {
         if (name == std::string("direction_") + "xyz"[axis]) return scan.image.direction[ray][axis];
         if (name == std::string("origin_") + "xyz"[axis]) return origin_m[axis];
@@ -42,9 +47,10 @@ glm::dvec3 first_origin(const Sequence& sequence) {
 DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& channels, const glm::dvec3& first_origin_m) {
     DropImage image{scan.image.rows, scan.image.columns, {}, {}};
     const std::vector<float> surface_m = surface_ranges(scan);
+    const ImageRays surfaces{image.rows, image.columns, scan.image.origin, scan.image.direction, surface_m};
     const glm::vec3 origin_m(scan.world_from_sensor.translation - first_origin_m);
     for (const std::string& name : channels)
-        for (std::size_t i = 0; i < surface_m.size(); ++i) image.channels.push_back(channel_of(scan, name, i, surface_m[i], origin_m));
+        for (std::size_t i = 0; i < surface_m.size(); ++i) image.channels.push_back(channel_of(scan, surfaces, name, i, origin_m));
     return image;
 }
 

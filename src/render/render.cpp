@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -20,6 +21,7 @@ namespace relidar {
 namespace {
 
 constexpr double kFarthest = 1e10;    // metres of any world, seconds since 1970
+constexpr const char* kNative = "native";   ///< image of a network: the rays of a sensor
 constexpr float kMinWeight = 1e-3f;   ///< below this a ray met nothing that has a range
 
 float chosen_range(const Rendering& r, std::size_t i, const std::string& which) {
@@ -147,6 +149,12 @@ struct ScanRenderer::Impl {
     }
     RenderedScan cast(const SensorChoice& sensor, const RayTable& table, double time_s);
     RenderedScan join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig config);
+    /// An image that a network may look at: rays of any sensor ("native") or cells of a grid.
+    struct ImageOf {
+        int rows, columns;
+        std::string name;
+    };
+    bool refines(const ImageOf& image) const;
     void refine(RenderedScan& scan);
     /// The vehicle is where it has to be for the sensor to be here.
     void drive(PoseTrack world_from_sensor, int lidar) {
@@ -176,10 +184,10 @@ void ScanRenderer::refine_drops(const DropNetwork& network) {
     if (!network.empty()) impl_->refiner.emplace(impl_->device, network);
 }
 
-bool ScanRenderer::refines(const RayTable& rays) const {
-    if (!impl_->refiner) return false;
-    const int side = std::max(2, impl_->refiner->network().smallest_side());
-    return rays.rows >= side && rays.columns >= side;
+bool ScanRenderer::refines(const SensorChoice& sensor) const {
+    const RangeGrid* grid = sensor.grid ? &*sensor.grid : nullptr;
+    return impl_->refines({sensor.rays.rows, sensor.rays.columns, kNative}) ||
+           impl_->refines({grid ? grid->rows : sensor.rays.rows, grid ? grid->columns : sensor.rays.columns, grid ? grid->name : sensor.name});
 }
 
 const KernelTimes& ScanRenderer::times() const { return impl_->renderer.stream().times(); }
@@ -262,10 +270,17 @@ RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const Rendered
     return scan;
 }
 
+bool ScanRenderer::Impl::refines(const ImageOf& image) const {
+    if (!refiner || refiner->network().image != image.name) return false;
+    const int side = std::max(2, refiner->network().smallest_side());
+    return image.rows >= side && image.columns >= side;
+}
+
 /// Drop probabilities as the network of the run has them.
 void ScanRenderer::Impl::refine(RenderedScan& scan) {
     const Sequence log{.world_from_vehicle = log_world_from_vehicle, .world_offset_m = sweep.world_offset_m};
-    scan.image.drop_prob = refiner->refine(drop_image(scan, refiner->network().inputs, first_origin(log)));
+    std::vector<float> refined = refiner->refine(drop_image(scan, refiner->network().inputs, first_origin(log)));
+    scan.surfel_drop_prob = std::exchange(scan.image.drop_prob, std::move(refined));
 }
 
 /// @param placed  instances at their moments; those that are not shown are left out
@@ -286,9 +301,15 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     s.renderer.move(placed, glm::vec3(s.sweep.world_from_sensor(sensor.lidar).at(time_s).translation));
     RenderedScan scan = s.cast(sensor, table, time_s);
     if (parts) scan = s.join(sensor, scan, whole, config);
-    if (refines(whole)) s.refine(scan);
+    if (s.refines({whole.rows, whole.columns, kNative}) || (!sensor.grid && s.refines({whole.rows, whole.columns, sensor.name})))
+        s.refine(scan);
+    const bool of_cells = sensor.grid && s.refines({sensor.grid->rows, sensor.grid->columns, sensor.grid->name});
+    if (of_cells) {
+        scan = project_scan(scan, *sensor.grid);
+        s.refine(scan);
+    }
     if (sample) sample_returns(scan, s.sweep.range_noise, *sample);
-    return sensor.grid ? project_scan(scan, *sensor.grid) : scan;
+    return sensor.grid && !of_cells ? project_scan(scan, *sensor.grid) : scan;
 }
 
 }  // namespace relidar

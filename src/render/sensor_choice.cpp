@@ -99,6 +99,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     result.weight.assign(n, 0.0f);
     result.instance.assign(n, -1);
     if (!scan.normal.empty()) result.normal.assign(n, glm::vec3(0.0f));
+    if (!scan.surfel_drop_prob.empty()) result.surfel_drop_prob.assign(n, 1.0f);
     result.time_offset_s.assign(n, 0.0f);
     std::vector<float> winner_drop(n, 2.0f);   // of the ray that owns a cell so far; 2 = none
     for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
@@ -108,6 +109,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
         const std::size_t c = std::size_t(*cell);
         const float drop = scan.image.drop_prob[i];
         result.image.drop_prob[c] = std::min(result.image.drop_prob[c], drop);
+        if (!scan.surfel_drop_prob.empty()) result.surfel_drop_prob[c] = std::min(result.surfel_drop_prob[c], scan.surfel_drop_prob[i]);
         const bool returns = drop < kDropThreshold, winner_returns = winner_drop[c] < kDropThreshold;
         const float range = glm::length(scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]);
         const bool wins = returns != winner_returns ? returns : returns ? range < result.image.range_m[c] : drop < winner_drop[c];

@@ -29,6 +29,7 @@ std::vector<float> values_of(const std::vector<NamedArray>& arrays, const char* 
 }
 
 void read_shape(const JsonField& shape, DropNetwork& network) {
+    network.image = shape.at("image").text();
     const JsonField inputs = shape.at("inputs"), widths = shape.at("widths");
     if (inputs.size() < 1 || inputs.size() > 64) inputs.fail(fmt::format("found {} inputs", inputs.size()), "expected 1 to 64");
     if (widths.size() < 1 || widths.size() > 8) widths.fail(fmt::format("found {} sizes", widths.size()), "expected 1 to 8");
@@ -47,7 +48,8 @@ void save_drop_network(const std::filesystem::path& path, const DropNetwork& net
     const auto array = [](const char* name, const std::vector<float>& values) {
         return make_array(name, {values.size()}, values.data(), values.size());
     };
-    const nlohmann::ordered_json shape = {{"inputs", network.inputs},
+    const nlohmann::ordered_json shape = {{"image", network.image},
+                                          {"inputs", network.inputs},
                                           {"widths", network.widths},
                                           {"heads", network.heads},
                                           {"taps", network.taps},

@@ -17,8 +17,11 @@
 namespace relidar {
 namespace {
 
-/// Nominal rays of a frame's LiDAR where they are in the order of its scan, else those of the scan.
+bool looks_at_grid(const Config& config) { return config.refine.image == "grid" && config.sensor.grid != "native"; }
+
+/// Rays of a frame's LiDAR, the nominal ones where they are in the order of its scan; with refine.image = grid, binned.
 SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
+    if (looks_at_grid(config)) return configured_sensor(config, sequence, frame.lidar);
     SensorChoice sensor = choose_sensor("native", config, sequence, frame.lidar);
     if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns) sensor.rays = frame.scan.rays;
     return sensor;
@@ -42,8 +45,20 @@ std::vector<float> measured_drops(const Sequence& sequence, const Frame& frame, 
     return dropped;
 }
 
+/// The same of the cells of config.sensor.grid. A cell is not known where something returned that is not.
+std::vector<float> measured_cell_drops(const Config& config, const Frame& frame, const std::vector<float>& dropped) {
+    std::vector<float> cells = real_image(config, frame.scan).drop_prob;
+    const RangeGrid grid = find_grid(config.sensor.grid);
+    for (std::size_t i = 0; i < dropped.size(); ++i) {
+        if (dropped[i] >= 0.0f || !(frame.scan.range_m[i] > 0.0f)) continue;
+        if (const std::optional<int> cell = project(grid, glm::dvec3(frame.scan.point(i)))) cells[std::size_t(*cell)] = -1.0f;
+    }
+    return cells;
+}
+
 /// The training frames that have an image, of the shape that most of them share.
-std::vector<int> images_of(const Sequence& sequence, const std::vector<int>& train) {
+std::vector<int> images_of(const Config& config, const Sequence& sequence, const std::vector<int>& train) {
+    if (looks_at_grid(config)) return train;
     std::map<std::pair<int, int>, std::vector<int>> by_shape;
     for (const int position : train) {
         const RayTable& rays = sequence.frames[std::size_t(position)].scan.rays;
@@ -57,7 +72,7 @@ std::vector<int> images_of(const Sequence& sequence, const std::vector<int>& tra
 }  // namespace
 
 DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& session) {
-    const std::vector<int> positions = images_of(run.sequence, run.split.train);
+    const std::vector<int> positions = images_of(run.config, run.sequence, run.split.train);
     if (positions.empty())
         throw DataError(
             fmt::format("training the ray-drop network of {}: no training frame has an image of rows and columns, expected one; "
@@ -75,6 +90,7 @@ DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& se
         const RenderedScan scan = renderer.render(rays_of(config, run.sequence, frame), frame.time_s);
         images.push_back(drop_image(scan, channels, first_origin(run.sequence)));
         images.back().dropped = measured_drops(run.sequence, frame, masks);
+        if (looks_at_grid(config)) images.back().dropped = measured_cell_drops(config, frame, images.back().dropped);
         if (session.stop && session.stop()) return {};
     }
     if (session.progress) session.progress("rendering training frames", 1.0);
@@ -84,6 +100,7 @@ DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& se
         stopped = session.stop && session.stop();
         return !stopped;
     });
+    if (looks_at_grid(config)) network.image = config.sensor.grid;
     return stopped ? DropNetwork{} : network;
 }
 

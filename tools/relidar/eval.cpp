@@ -33,6 +33,7 @@ struct Options {
     std::string lpips;
     std::vector<std::string> sets;
     DeviceChoice device;
+    bool no_refine = false;
     bool quiet = false;
 };
 
@@ -100,6 +101,7 @@ void score_run(const Options& options) {
     if (options.out.empty() && is_run(options.target)) lock.emplace(options.target);
     Run run = load_run(options.target);
     apply_options(run.config, options);
+    if (options.no_refine) run.config.refine.enabled = false;
     const Output output(options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out), options.pictures);
     check_held_out(run.split, run.folder.string());
     Device device(device_options(options.device));
@@ -174,6 +176,7 @@ void add_eval(CLI::App& app, Call& call) {
         ->type_name("FILE");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
+    command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
         "The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"

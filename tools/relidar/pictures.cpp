@@ -39,6 +39,17 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
     const auto error = [&](const std::vector<float>& a, const std::vector<float>& b, float scale, const std::vector<float>& shown) {
         return colour_map(distance(a, b), real.rows, real.columns, 0.0f, scale, "heat", shown);
     };
+    ReportFigure drops{title + ": ray drop", {{real_caption + ", white: dropped", drop_picture(real)}}};
+    if (!frame.rendered.surfel_drop_prob.empty()) {
+        RangeImage surfels = rendered;
+        surfels.drop_prob = frame.rendered.surfel_drop_prob;
+        drops.images.emplace_back("drop probability of the surfels", drop_picture(surfels));
+        drops.images.emplace_back("its absolute error", error(real.drop_prob, surfels.drop_prob, 1.0f, {}));
+        drops.images.emplace_back("rendered drop probability, corrected by the network", drop_picture(rendered));
+    } else {
+        drops.images.emplace_back("rendered drop probability", drop_picture(rendered));
+    }
+    drops.images.emplace_back("absolute error, black 0 to white 1", error(real.drop_prob, rendered.drop_prob, 1.0f, {}));
     return {{title + ": range",
              {{real_caption, range_picture(real, max_range_m)},
               {"rendered", range_picture(rendered, max_range_m)},
@@ -49,10 +60,7 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
               {"rendered", intensity_picture(rendered)},
               {fmt::format("absolute error where both return, black 0 to white {}", kIntensityErrorScale),
                error(real.intensity, rendered.intensity, kIntensityErrorScale, mask)}}},
-            {title + ": ray drop",
-             {{real_caption + ", white: dropped", drop_picture(real)},
-              {"rendered drop probability", drop_picture(rendered)},
-              {"absolute error, black 0 to white 1", error(real.drop_prob, rendered.drop_prob, 1.0f, {})}}}};
+            std::move(drops)};
 }
 
 void write_strips(const std::filesystem::path& folder, const Evaluation& evaluation, double max_range_m) {

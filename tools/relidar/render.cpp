@@ -42,6 +42,7 @@ struct Options {
     bool deskew = false;
     bool merge = false;
     bool overwrite = false;
+    bool no_refine = false;
     bool quiet = false;
 };
 
@@ -227,6 +228,16 @@ std::vector<ScanFolder> scan_folders(const Options& options, const Run& run, con
     return folders;
 }
 
+/// Says whose scans the run's network does not fit.
+void note_unrefined(const Run& run, const ScanRenderer& renderer, const std::vector<Wanted>& wanted) {
+    if (!run.config.refine.enabled || run.drop_network.empty()) return;
+    for (const Wanted& w : wanted)
+        if (!renderer.refines(w.sensor))
+            note(fmt::format("{}: its ray-drop network looks at {} images of at least {} x {}; scans of {} stay as the surfels have them",
+                             run.folder.string(), run.drop_network.image, run.drop_network.smallest_side(),
+                             run.drop_network.smallest_side(), w.sensor.name));
+}
+
 void run_render(const Options& options) {
     const Rig rig = find_rig(options.sensor);
     check_options(options, rig.has_value());
@@ -236,6 +247,7 @@ void run_render(const Options& options) {
     const OutputFolder folder(options.out);
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
+    if (options.no_refine) run.config.refine.enabled = false;
     const int lidar = find_lidar(run.sequence, options.lidar);
     const std::vector<Sweep> sweeps = drives ? sweeps_along(run, options, track, lidar) : sweeps_of_log(run, options, lidar);
     const std::vector<Wanted> wanted = wanted_sensors(options, rig, run, lidar);
@@ -247,6 +259,7 @@ void run_render(const Options& options) {
 
     if (options.sample && run.sequence.range_noise.sigma_m.empty() && !options.quiet)
         note(fmt::format("{} knows no range noise: sampled ranges are exact", run.folder.string()));
+    if (!options.quiet) note_unrefined(run, renderer, wanted);
     catch_interrupts();
     Progress progress(options.quiet);
     std::vector<Pose> mountings;
@@ -333,6 +346,7 @@ void add_render(CLI::App& app, Call& call) {
     add_file_options(*command, *options);
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
+    command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
         std::string(
