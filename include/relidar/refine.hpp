@@ -23,11 +23,12 @@ struct RefineOptions {
     int levels = -1;                 ///< times that the image is halved; -1: the network's own
     std::string image = "native";    ///< what it looks at: "native", the sensor's rays, or "grid", the cells of config.sensor.grid
     std::string rays = "direction";  ///< what it is told of the rays: "none", "direction" or "origin,direction" (paper)
-    int epochs = 8;                  ///< each training frame is seen so often
+    int frames = 64;                 ///< training frames that it learns from at most, spread over all; 0: all
+    int epochs = 4;                  ///< each of them is seen so often
     int batch = 1;                   ///< images a step
     double rate = 2e-3;              ///< Adam's, at the start; it falls to a hundredth
     double dropout = 0.0;            ///< share of the values that a layer drops in training
-    bool turn = true;                ///< images are turned about the sensor by random columns
+    bool turn = false;               ///< images are turned about the sensor by random columns
 };
 
 /// What the network sees of a scan with image order, and what came of it.

@@ -247,7 +247,8 @@ void visit_refine(C& c, Visitor&& f) {
       "what the network looks at: the sensor's rays, before they are binned, or the cells of sensor.grid");
     f("refine.rays", c.refine.rays, one_of({"none", "direction", "origin,direction"}),
       "what the network is told of the rays; the paper: both");
-    f("refine.epochs", c.refine.epochs, between(1, 100000), "times that the network sees each training frame");
+    f("refine.frames", c.refine.frames, at_least(0), "training frames that the network learns from at most, spread over all; 0: all");
+    f("refine.epochs", c.refine.epochs, between(1, 100000), "times that the network sees each of them");
     f("refine.batch", c.refine.batch, between(1, 1024), "frames a step of the network's training");
     f("refine.rate", c.refine.rate, above(0), "the network's learning rate at the start; it falls to a hundredth");
     f("refine.dropout", c.refine.dropout, between(0, 0.9), "share of the values that the network's layers drop in training");

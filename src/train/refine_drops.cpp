@@ -69,14 +69,21 @@ std::vector<int> images_of(const Config& config, const Sequence& sequence, const
     return most == by_shape.end() ? std::vector<int>{} : most->second;
 }
 
+/// At most n of them, spread over all; 0: all.
+std::vector<int> spread(const std::vector<int>& positions, int n) {
+    if (n <= 0 || positions.size() <= std::size_t(n)) return positions;
+    std::vector<int> chosen;
+    for (std::size_t i = 0; i < std::size_t(n); ++i) chosen.push_back(positions[i * positions.size() / std::size_t(n)]);
+    return chosen;
+}
+
 }  // namespace
 
 DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& session) {
-    const std::vector<int> positions = images_of(run.config, run.sequence, run.split.train);
+    const std::vector<int> positions = spread(images_of(run.config, run.sequence, run.split.train), run.config.refine.frames);
     if (positions.empty())
         throw DataError(
-            fmt::format("training the ray-drop network of {}: no training frame has an image of rows and columns, expected one; "
-                        "set refine.enabled=false",
+            fmt::format("training the ray-drop network of {}: no training frame has an image of rows and columns, expected one",
                         run.sequence.name));
     Config config = run.config;
     config.sensor.sub_rays = config.sensor.returns = 1;

@@ -152,7 +152,7 @@ void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, con
     };
     for (const ConfigKey& key : config_keys(config)) {
         const std::string saved = found_in(checkpoint, kSetting + key.key);
-        const bool is_free = std::find(kFree.begin(), kFree.end(), key.key) != kFree.end();
+        const bool is_free = std::find(kFree.begin(), kFree.end(), key.key) != kFree.end() || key.key.starts_with("refine.");   // what follows
         if (!is_free && !same_value(saved, key.value)) throw UsageError(differs("setting " + key.key, key.value, saved));
     }
     if (config.train.iterations < checkpoint.iteration)

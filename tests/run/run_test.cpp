@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <limits>
 
+#include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
 #include "../export/temporary_folder.hpp"
@@ -40,6 +41,59 @@ protected:
 void expect_equal(const Pose& a, const Pose& b) {
     EXPECT_EQ(a.translation, b.translation);
     for (int k = 0; k < 4; ++k) EXPECT_EQ(a.rotation[k], b.rotation[k]);
+}
+
+DropNetwork example_network() {
+    DropNetwork network;
+    network.image = "kitti360";
+    network.inputs = {"log_range", "intensity", "drop_logit"};
+    network.widths = {4, 8};
+    network.heads = 2;
+    network.residual = false;
+    network.normalisation = {1.0f / 3.0f, -2.0f, 1e-20f, 0.0f, 5.0f, 6.0f};
+    for (int i = 0; i < 1000; ++i) network.parameters.push_back(std::sin(float(i)) / 3.0f);
+    network.running = {0.1f, 0.2f};
+    return network;
+}
+
+TEST_F(RunFolder, RayDropNetworkIsPartOfIt) {
+    EXPECT_TRUE(load_run(run.folder).drop_network.empty());
+    const DropNetwork network = run.drop_network = example_network();
+    save_run(run);
+    const DropNetwork read = load_run(run.folder).drop_network;
+    EXPECT_EQ(read.image, network.image);
+    EXPECT_EQ(read.inputs, network.inputs);
+    EXPECT_EQ(read.widths, network.widths);
+    EXPECT_EQ(read.heads, network.heads);
+    EXPECT_EQ(read.taps, network.taps);
+    EXPECT_EQ(read.residual, network.residual);
+    EXPECT_EQ(read.normalisation, network.normalisation);
+    EXPECT_EQ(read.parameters, network.parameters);
+    EXPECT_EQ(read.running, network.running);
+    run.drop_network = {};
+    save_run(run);
+    EXPECT_TRUE(load_run(run.folder).drop_network.empty()) << "a network of the run before stays";
+}
+
+TEST_F(RunFolder, RefusesADamagedRayDropNetwork) {
+    run.drop_network = example_network();
+    save_run(run);
+    const auto file = run.folder / "drop_network.safetensors";
+    const std::string whole = contents(file);
+    const auto replaced = [&](const std::string& from, const std::string& to) {
+        std::string text = whole;
+        text.replace(text.find(from), from.size(), to);
+        put(file, text);
+        return load_error();
+    };
+    EXPECT_THAT(replaced("drop network", "lost network"), ::testing::HasSubstr("drop_network.safetensors: metadata: found \"relidar lost network\""));
+    EXPECT_THAT(replaced("heads\\\":2", "heads\\\":3"), ::testing::HasSubstr("heads: found 3, expected a divisor of 8"));
+    EXPECT_THAT(replaced("\"running\"", "\"walking\""), ::testing::HasSubstr("array running: missing or not f4, expected it"));
+    put(file, whole.substr(0, whole.size() - 5));
+    EXPECT_THAT(load_error(), ::testing::HasSubstr("drop_network.safetensors"));
+    run.drop_network.parameters[7] = std::numeric_limits<float>::quiet_NaN();
+    save_run(run);
+    EXPECT_THAT(load_error(), ::testing::HasSubstr("array parameters: entry 7 is nan, expected finite numbers"));
 }
 
 TEST_F(RunFolder, IsTheSameInEveryLocale) {

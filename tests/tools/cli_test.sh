@@ -40,10 +40,10 @@ bad() {
 
 help_tells() {
     good --help
-    for command in devices sensors config convert info train render edit eval export import bench demo; do
+    for command in devices sensors config convert info train refine render edit eval export import bench demo; do
         says "^  $command "
     done
-    for command in devices sensors config convert info train render edit eval export import bench demo; do
+    for command in devices sensors config convert info train refine render edit eval export import bench demo; do
         good "$command" --help
         says "Example"
     done
@@ -354,6 +354,39 @@ points_of() { grep -am1 "^POINTS" "$1" | cut -d" " -f2; }
 difference() { paste <(od -An -v -t f4 -w4 "$1") <(od -An -v -t f4 -w4 "$2") | awk 'NF != 2 { most = 1e9 } { d = $1 - $2; if (d < 0) d = -d; if (d > most) most = d } END { print most + 0 }'; }
 
 # Along the path of the log's own sensor, as it was exported, there are the log's own scans; every path and moment that makes no sense is refused.
+# The network that corrects ray-drop: part of a run, used where it fits, left out where asked for.
+ray_drop() {
+    good info run
+    says "^ray drop +corrected by a network of [0-9]+ parameters that looks at native images$"
+    good render run --out refined --frames 5:6
+    good render run --out unrefined --frames 5:6 --no-refine
+    check "--no-refine changes nothing" test "$(cmp -s refined/frame_000005.npz unrefined/frame_000005.npz; echo $?)" = 1
+    cp -r run cells
+    good refine cells --set sensor.grid=kitti360 --set refine.image=grid --set refine.network=small --set refine.epochs=1
+    says "^strict/drop_accuracy"
+    says '^"baseline" is without the network$'
+    check "progress of the network lacks rate and eta" grep -Eq "^ray-drop network, epoch 1/1  step 10/10  [0-9.]+ it/s  eta 0:00  entropy" err
+    good info cells
+    says "parameters that looks at kitti360 images$"
+    good render cells --out of_cells --frames 5:6 --sensor VLP-16
+    check "render does not say that a network does not fit" \
+        grep -q "^relidar: note: cells: its ray-drop network looks at kitti360 images of at least 8 x 8; scans of VLP-16 stay as" err
+    good train street --out surfels --config run/config.toml --set refine.enabled=false --no-eval --quiet
+    absent surfels/drop_network.safetensors
+    good refine surfels --no-eval --quiet
+    check "--quiet prints" test ! -s out -a ! -s err
+    bad 3 "network, image 0: an image of 8 x 96 pixels, expected at least 32 x 32 for a network of 5 levels" \
+        refine surfels --set refine.network=small --set refine.levels=5
+    bad 2 "refine.network: found large, did you mean" refine surfels --set refine.network=large
+    bad 3 "nowhere: no such folder" refine nowhere
+    printf 'short' >surfels/drop_network.safetensors
+    bad 3 "surfels/drop_network.safetensors" render surfels --out x
+    good train street --out surfels --config run/config.toml --set refine.network=small --set refine.levels=5 --no-eval --force
+    check "training does not say that its network was not trained" grep -q "^relidar: note: training the ray-drop network, image 0" err
+    absent surfels/drop_network.safetensors
+    absent x
+}
+
 own_paths() {
     good export run --out way.csv
     says "12 poses"
@@ -669,6 +702,7 @@ if "$relidar" devices >out 2>err; then
     devices
     training
     rendering
+    ray_drop
     own_paths
     editing
     wrong_edits

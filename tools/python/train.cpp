@@ -65,6 +65,17 @@ TrainResult trained(OpenDevice& open, Run& run, const Asked& asked, PythonCalls&
                  {asked.checkpoints.value_or(""), start ? &*start : nullptr, stop, note, {}});
 }
 
+/// The ray-drop network. A log that has nothing to teach it is no error.
+void refined(OpenDevice& open, Run& run, const Asked& asked, PythonCalls& python) {
+    try {
+        const DeviceUse use(open);
+        run.drop_network = refine_drops(open.device, run, {.stop = [&] { return !python.go_on(); }});
+    } catch (const DataError& error) {
+        if (asked.note) python([&] { (*asked.note)(error.what()); });
+    }
+    python.raise_again();
+}
+
 std::unique_ptr<LoadedRun> train_run(const Log& log, const Asked& asked) {
     const Config config = config_of(log, asked.config);
     Run run{{}, config, log.sequence, split_frames(log.sequence, config.dataset.test_every), {}};
@@ -79,6 +90,7 @@ std::unique_ptr<LoadedRun> train_run(const Log& log, const Asked& asked) {
     }
     python.raise_again();
     take_result(run, result);
+    if (config.refine.enabled && !result.interrupted) refined(*device, run, asked, python);
     for (Frame& frame : run.sequence.frames) frame.scan = {};
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
@@ -111,7 +123,7 @@ void add_train(py::module_& module) {
         },
         py::arg("sequence"), py::arg("config") = py::none(), py::kw_only(), py::arg("callback") = py::none(), py::arg("note") = py::none(),
         py::arg("checkpoints") = py::none(), py::arg("resume") = false, py::arg("device") = py::none(),
-        "Trains a scene on the training frames of a log.\n\n"
+        "Trains a scene on the training frames of a log, and with refine.enabled the network that corrects its ray-drop.\n\n"
         "config: settings; dataset.* stay as the log was read, test_every excepted. None: those that the log was read with\n"
         "callback: called with a TrainProgress every train.log_every iterations; returning False ends the training with the scene so far. "
         "It may not use the same device\n"

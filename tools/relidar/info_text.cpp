@@ -199,6 +199,8 @@ RunSummary summarise(const Run& run) {
     summary.preset = run.config.preset;
     summary.iterations = run.config.train.iterations;
     summary.n_surfels = run.scene.surfels.size();
+    summary.n_drop_parameters = run.drop_network.parameters.size();
+    summary.drop_image = run.drop_network.image;
     summary.is_gaussian = run.scene.surfels.primitive() == Primitive::gaussian;
     summary.n_instances = run.scene.instances.size();
     summary.edits = run.edits;
@@ -225,6 +227,9 @@ std::string to_text(const RunSummary& run) {
     std::string text = line("surfels", fmt::format("{}{}", run.n_surfels, run.is_gaussian ? " 3D Gaussians" : ""));
     for (const auto& [name, count] : run.models) text += line("  model", fmt::format("{}: {} surfels", name, count));
     text += line("instances", fmt::format("{}, the background is 0", run.n_instances));
+    if (run.n_drop_parameters > 0)
+        text += line("ray drop", fmt::format("corrected by a network of {} parameters that looks at {} images", run.n_drop_parameters,
+                                             run.drop_image));
     for (const RunEdit& e : run.edits) text += line("  edit", fmt::format("{} (of {})", e.edit, e.run));
     text += line("settings", fmt::format("preset {}, {} iterations", run.preset, run.iterations));
     text += line("split", fmt::format("{} training frames, {} test frames ({})", run.n_train, run.test_frames.size(),
@@ -244,6 +249,7 @@ std::string to_json(const RunSummary& run) {
                  {"log", json_of(run.log)}};
     for (const auto& [name, count] : run.models) json["models"].push_back({{"name", name}, {"surfels", count}});
     json["instances"] = run.n_instances;
+    json["drop_network"] = run.n_drop_parameters > 0 ? Json{{"parameters", run.n_drop_parameters}, {"image", run.drop_image}} : Json();
     json["edits"] = Json::array();
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     for (const auto& [name, size] : run.files) json["files"][name] = size;

@@ -56,6 +56,8 @@ struct RunSummary {
     LogSummary log;
     std::string preset;
     int iterations = 0;
+    std::size_t n_drop_parameters = 0;   ///< of the ray-drop network; 0: there is none
+    std::string drop_image = {};         ///< what it looks at
     std::size_t n_surfels = 0;
     bool is_gaussian = false;                                        ///< they are 3D Gaussians
     std::vector<std::pair<std::string, std::size_t>> models;         ///< name, surfels

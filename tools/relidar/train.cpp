@@ -159,6 +159,22 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Opt
                       byte_size(result.peak_device_bytes), absolute_path((run.folder / "report.html").string())));
 }
 
+/// Trains the ray-drop network of a scene that has been saved. A log that has nothing to teach it is no error.
+void refine_or_tell(Device& device, Run& run, const Options& options) {
+    try {
+        if (!refine_shown(device, run, options.quiet))
+            throw Error(ExitCode::interrupted,
+                        fmt::format("interrupted while the ray-drop network was trained; {} holds the scene; continue with: relidar refine "
+                                    "{}",
+                                    run.folder.string(), shell_word(options.out)));
+    } catch (const DataError& error) {
+        end_progress_line();
+        note(error.what());
+        return;
+    }
+    save_run(run);
+}
+
 void run_train(const Options& given, const std::string& command_line) {
     const Options options = sorted_out(given);
     const Config config = config_of(options);
@@ -189,14 +205,7 @@ void run_train(const Options& given, const std::string& command_line) {
     start.reset();
     take_result(run, result);
     save_run(run);
-    if (config.refine.enabled && !result.interrupted) {
-        if (!refine_shown(device, run, options.quiet))
-            throw Error(
-                ExitCode::interrupted,
-                fmt::format("interrupted while the ray-drop network was trained; {} holds the scene; continue with: relidar refine {}",
-                            run.folder.string(), shell_word(options.out)));
-        save_run(run);
-    }
+    if (config.refine.enabled && !result.interrupted) refine_or_tell(device, run, options);
     finish(device, run, result, options, command_line);
 }
 

@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: Apache-2.0
+// The last stage of training on a street whose sensor is weak to one side: what no surfel can know, as the vehicle drives past, the network
+// knows on held-out frames.
+#include <cmath>
+
+#include <gmock/gmock.h>
+
+#include <relidar/dataset.hpp>
+#include <relidar/error.hpp>
+#include <relidar/render.hpp>
+#include <relidar/run.hpp>
+#include <relidar/train.hpp>
+
+#include "../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr float kReach_m = 9.0f;
+
+bool is_weak(const glm::vec3& direction) { return direction.y > 0.5f && direction.z < 0.0f; }
+
+/// Nothing comes back from beyond 9 m of the rays to the left and down.
+Sequence weak_street() {
+    Sequence street = make_synthetic_street({.seed = 5, .n_frames = 16, .rows = 32, .columns = 256, .range_noise_m = 0.01});
+    for (Frame& frame : street.frames)
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
+            if (is_weak(frame.scan.rays.direction[i]) && frame.scan.range_m[i] > kReach_m) frame.scan.range_m[i] = 0.0f;
+    return street;
+}
+
+/// Trained once for all tests.
+const Run& weak_run(Device& device) {
+    static const Run run = [&] {
+        Run made;
+        made.sequence = weak_street();
+        made.split = split_frames(made.sequence, 5);
+        made.config = make_preset("quick");
+        made.config.train.iterations = 120;
+        made.config.train.refine_poses = "none";
+        made.config.refine.enabled = true;
+        made.config.refine.network = "pixel";
+        made.config.refine.epochs = 30;
+        made.config.refine.rate = 0.01;
+        made.config.refine.turn = false;
+        made.scene = train(device, made.sequence, made.split, made.config, [](const TrainProgress&) { return true; }).scene;
+        return made;
+    }();
+    return run;
+}
+
+/// Share of the pixels whose drop is right on held-out frames: those of the weak side that are near its reach or beyond, and all others.
+std::pair<double, double> accuracies(Device& device, const Run& run) {
+    ScanRenderer renderer(device, run);
+    double n[2] = {0.0, 0.0}, right[2] = {0.0, 0.0};
+    for (const int position : run.split.test) {
+        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        const RenderedScan scan = renderer.render({.rays = frame.scan.rays, .is_own = true}, frame.time_s);
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
+            const bool of_weak = is_weak(frame.scan.rays.direction[i]) && scan.median_range_m[i] > 0.8f * kReach_m;
+            n[of_weak] += 1.0;
+            right[of_weak] += (scan.image.drop_prob[i] > 0.5f) == !(frame.scan.range_m[i] > 0.0f);
+        }
+    }
+    return {right[1] / n[1], right[0] / n[0]};
+}
+
+class RefineDrops : public test::DeviceTest {};
+
+TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
+    relidar::Run run = weak_run(device());
+    const auto [weak_before, others_before] = accuracies(device(), run);
+    run.drop_network = refine_drops(device(), run);
+    const auto [weak_after, others_after] = accuracies(device(), run);
+    EXPECT_LT(weak_before, 0.9);
+    EXPECT_GT(weak_after, 0.93);
+    EXPECT_GT(weak_after, weak_before + 0.05);
+    EXPECT_GT(others_after, others_before - 0.005);
+    run.config.refine.enabled = false;
+    EXPECT_EQ(accuracies(device(), run).first, weak_before) << "not asked for";
+}
+
+TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
+    relidar::Run run = weak_run(device());
+    run.config.sensor.grid = "kitti360";
+    run.config.refine.image = "grid";
+    run.config.refine.epochs = 1;
+    run.drop_network = refine_drops(device(), run);
+    EXPECT_EQ(run.drop_network.image, "kitti360");
+    ScanRenderer renderer(device(), run);
+    const SensorChoice grid = configured_sensor(run.config, run.sequence), native = choose_sensor("native", run.config, run.sequence);
+    EXPECT_TRUE(renderer.refines(grid));
+    EXPECT_FALSE(renderer.refines(native));
+    const RenderedScan refined = renderer.render(grid, 0.5);
+    renderer.refine_drops({});
+    EXPECT_FALSE(renderer.refines(grid));
+    const RenderedScan plain = renderer.render(grid, 0.5);
+    EXPECT_EQ(refined.surfel_drop_prob, plain.image.drop_prob);
+    EXPECT_NE(refined.image.drop_prob, plain.image.drop_prob);
+    EXPECT_EQ(refined.image.range_m, plain.image.range_m);
+}
+
+TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
+    relidar::Run run = weak_run(device());
+    int asked = 0;
+    EXPECT_TRUE(refine_drops(device(), run, {.stop = [&] { return ++asked > 15; }}).empty()) << "in the network's training";
+    EXPECT_TRUE(refine_drops(device(), run, {.stop = [] { return true; }}).empty()) << "while frames are rendered";
+    const auto message = [&] {
+        try {
+            refine_drops(device(), run);
+        } catch (const DataError& error) {
+            return std::string(error.what());
+        }
+        return std::string("nothing thrown");
+    };
+    for (Frame& frame : run.sequence.frames) {
+        frame.scan.rays.rows = 1;
+        frame.scan.rays.columns = int(frame.scan.rays.size());
+    }
+    EXPECT_THAT(message(), ::testing::HasSubstr("no training frame has an image of rows and columns"));
+    run.sequence = weak_street();
+    for (Frame& frame : run.sequence.frames)
+        for (float& range_m : frame.scan.range_m) range_m = std::max(range_m, 1.0f);
+    EXPECT_THAT(message(), ::testing::HasSubstr("found no dropped ray in any frame"));
+}
+
+}  // namespace
+}  // namespace relidar
