@@ -22,7 +22,8 @@ bool is_weak(const glm::vec3& direction) { return direction.y > 0.5f && directio
 
 /// Nothing comes back from beyond 9 m of the rays to the left and down.
 Sequence weak_street() {
-    Sequence street = make_synthetic_street({.seed = 5, .n_frames = 16, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 4.0});
+    Sequence street = make_synthetic_street(
+        {.seed = 5, .n_frames = 16, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 4.0});
     for (Frame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (is_weak(frame.scan.rays.direction[i]) && frame.scan.range_m[i] > kReach_m) frame.scan.range_m[i] = 0.0f;
