@@ -55,6 +55,10 @@ bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional);
 
+/// What layers of networks lack, in the same way.
+std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional);
+
 /// What relidar can do on a physical device, with every missing piece named.
 DeviceInfo describe(VkPhysicalDevice physical, int index);
 

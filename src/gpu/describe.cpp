@@ -115,6 +115,14 @@ std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgr
     return groups.text;
 }
 
+std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional) {
+    Missing groups;
+    groups.need(subgroup.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT, "subgroup shuffles in compute");
+    groups.need(known_subgroups(sizes, optional), "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
+    return groups.text;
+}
+
 bool has_extension(VkPhysicalDevice physical, const char* name) { return has_extension(extensions_of(physical), name); }
 
 DeviceInfo describe(VkPhysicalDevice physical, int index) {

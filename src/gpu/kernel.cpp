@@ -138,6 +138,14 @@ KernelBase::~KernelBase() = default;
 
 bool coalesces(const Device& device) { return device.info().type != "CPU"; }
 
+std::string missing_for_networks(const Device& device) {
+    VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
+    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &sizes};
+    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
+    vkGetPhysicalDeviceProperties2(impl_of(device).physical, &properties);
+    return gpu::missing_for_networks(subgroup, sizes, impl_of(device).optional);
+}
+
 std::string accumulating_variant(const Device& device, std::string_view name) {
     return std::string(name) + (device.info().float_atomics ? "_atomics" : "_swap");
 }

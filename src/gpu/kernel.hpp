@@ -69,6 +69,9 @@ public:
 /// lines for a subgroup, a CPU for each core, where one thread a row is 1.7 times as fast for Adam.
 bool coalesces(const Device& device);
 
+/// What layers of networks need and the device lacks, in words; empty where nothing.
+std::string missing_for_networks(const Device& device);
+
 /// Name of the variant of a tracing kernel that suits a device: "stage/stem@ray_query" and, for kernels that accumulate floats,
 /// "...@ray_query_atomics" where the device adds floats atomically.
 std::string accumulating_variant(const Device& device, std::string_view name);

@@ -4,6 +4,10 @@
 
 #include <algorithm>
 
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
 #include "core/assert.hpp"
 
 namespace relidar::refine {
@@ -22,10 +26,18 @@ std::uint32_t parts_of(const Grid& grid, std::size_t n_weights) {
     return std::uint32_t(std::clamp<std::size_t>(tiles(lines, kLinesOfPart), 1, most));
 }
 
+std::uint32_t checked(const Device& device, std::uint32_t taps) {
+    RELIDAR_ASSERT_EQ(taps == 1 || taps == 9, true);
+    const std::string missing = missing_for_networks(device);
+    if (!missing.empty())
+        throw DeviceError(fmt::format("making the ray-drop network on {}: missing {}; set refine.enabled=false", device.info().name, missing));
+    return taps;
+}
+
 }  // namespace
 
 Conv::Conv(Device& device, std::uint32_t taps)
-    : taps_(taps),
+    : taps_(checked(device, taps)),
       pixels_(coalesces(device) ? 8 : 4),
       lanes_(std::uint32_t(device.info().subgroup_size)),
       conv_(device, "refine/conv",
@@ -37,9 +49,7 @@ Conv::Conv(Device& device, std::uint32_t taps)
             Subgroups::full),
       conv_weights_(device, "refine/conv_weights",
                     {{ConstantId::TAPS, taps}, {ConstantId::LANES, lanes_}, {ConstantId::WORKGROUP_SIZE, kThreads}}, Subgroups::full),
-      sum_parts_(device, "refine/sum_parts") {
-    RELIDAR_ASSERT_EQ(taps == 1 || taps == 9, true);
-}
+      sum_parts_(device, "refine/sum_parts") {}
 
 void Conv::run_conv(Stream& stream, shared::ConvParams params) const {
     const std::uint32_t segments = params.n_images * params.rows * tiles(params.columns, lanes_ * pixels_);

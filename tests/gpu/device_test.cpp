@@ -156,6 +156,17 @@ TEST_F(Gpu, SubgroupsOfVaryingSizeMustBeControlled) {
     EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, {}), "") << "one size";
 }
 
+TEST_F(Gpu, NetworksNeedShufflesInKnownSubgroups) {
+    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES};
+    VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
+    sizes.minSubgroupSize = sizes.maxSubgroupSize = 8;
+    EXPECT_EQ(gpu::missing_for_networks(subgroup, sizes, {}), "subgroup shuffles in compute");
+    subgroup.supportedOperations = VK_SUBGROUP_FEATURE_SHUFFLE_BIT;
+    EXPECT_EQ(gpu::missing_for_networks(subgroup, sizes, {}), "");
+    sizes.maxSubgroupSize = 32;
+    EXPECT_NE(gpu::missing_for_networks(subgroup, sizes, {}), "") << "lanes of one size are not known";
+}
+
 TEST_F(Gpu, BestTraversalFollowsWhatADeviceHas) {
     DeviceInfo d;
     d.type = "discrete GPU";

@@ -159,8 +159,13 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Opt
                       byte_size(result.peak_device_bytes), absolute_path((run.folder / "report.html").string())));
 }
 
-/// Trains the ray-drop network of a scene that has been saved. A log that has nothing to teach it is no error.
+/// Trains the ray-drop network of a scene that has been saved. A log that has nothing to teach it is no error, nor is a device that cannot
+/// run its layers.
 void refine_or_tell(Device& device, Run& run, const Options& options) {
+    const auto leave_out = [](const Error& error) {
+        end_progress_line();
+        note(error.what());
+    };
     try {
         if (!refine_shown(device, run, options.quiet))
             throw Error(ExitCode::interrupted,
@@ -168,9 +173,9 @@ void refine_or_tell(Device& device, Run& run, const Options& options) {
                                     "{}",
                                     run.folder.string(), shell_word(options.out)));
     } catch (const DataError& error) {
-        end_progress_line();
-        note(error.what());
-        return;
+        return leave_out(error);
+    } catch (const DeviceError& error) {
+        return leave_out(error);
     }
     save_run(run);
 }
