@@ -30,7 +30,8 @@ std::uint32_t checked(const Device& device, std::uint32_t taps) {
     RELIDAR_ASSERT_EQ(taps == 1 || taps == 9, true);
     const std::string missing = missing_for_networks(device);
     if (!missing.empty())
-        throw DeviceError(fmt::format("making the ray-drop network on {}: missing {}; set refine.enabled=false", device.info().name, missing));
+        throw DeviceError(
+            fmt::format("making the ray-drop network on {}: missing {}; set refine.enabled=false", device.info().name, missing));
     return taps;
 }
 

@@ -27,6 +27,19 @@ SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame
     return sensor;
 }
 
+/// Rays between a sensor's own: each turned towards the next column by a share of the way. Surfels have been fitted to the sensor's own
+/// rays, and what they make of those is better than what they make of held-out ones.
+RayTable turned_rays(RayTable rays, float share) {
+    const RayTable own = rays;
+    constexpr float kNear = 0.9f;   // cosine: the next column of a window's last one lies at its other end
+    for (std::size_t i = 0; i < own.size(); ++i) {
+        const std::size_t row = i / std::size_t(own.columns), next = (i + 1) % std::size_t(own.columns);
+        const glm::vec3& towards = own.direction[row * std::size_t(own.columns) + next % std::size_t(own.columns)];
+        if (glm::dot(own.direction[i], towards) > kNear) rays.direction[i] = glm::normalize(glm::mix(own.direction[i], towards, share));
+    }
+    return rays;
+}
+
 Unknown masks_of(const Config& config, const Scene& scene) {
     Unknown masks{config.init, {}, {}};
     for (const Instance& instance : scene.instances)
@@ -94,7 +107,9 @@ DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& se
     for (const int position : positions) {
         if (session.progress) session.progress("rendering training frames", double(images.size()) / double(positions.size()));
         const Frame& frame = run.sequence.frames[std::size_t(position)];
-        const RenderedScan scan = renderer.render(rays_of(config, run.sequence, frame), frame.time_s);
+        SensorChoice sensor = rays_of(config, run.sequence, frame);
+        sensor.rays = turned_rays(std::move(sensor.rays), 0.5f);
+        const RenderedScan scan = renderer.render(sensor, frame.time_s);
         images.push_back(drop_image(scan, channels, first_origin(run.sequence)));
         images.back().dropped = measured_drops(run.sequence, frame, masks);
         if (looks_at_grid(config)) images.back().dropped = measured_cell_drops(config, frame, images.back().dropped);

@@ -143,6 +143,8 @@ void run_demo(const Options& options, const std::string& command_line) {
     take_result(run, result);
     save_run(run);
     stop_if_interrupted();
+    if (config.refine.enabled && refine_shown(device, run, options.quiet)) save_run(run);
+    stop_if_interrupted();
     finish(device, run, street, make_report(run, result, device, command_line), out, options.quiet);
 }
 
