@@ -147,6 +147,8 @@ std::string to_toml(const Config& config);
 /// Enum fields.
 AccelOptions accel_options(const Config& config);
 TraceOptions trace_options(const Config& config);
+/// The same with what the losses want of rays beside their image.
+TraceOptions training_trace_options(const Config& config);
 BackwardOptions backward_options(const Config& config);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blended normals and distortion of forward/trace (M10, M11) against the double reference, which sums distortion pair by pair: random
-// scenes with instances, chunk sizes, rays of many hits. The image is the same, bit for bit, whether they are wanted or not.
+// Blended normals, distortion and likelihood of forward/trace (M10-M12) against the double reference, which sums distortion pair by pair:
+// random scenes with instances, chunk sizes, rays of many hits. The image is the same, bit for bit, whether they are wanted or not.
 #include <relidar/stages/forward.hpp>
 
 #include "../support/device.hpp"
@@ -12,27 +12,35 @@
 namespace relidar {
 namespace {
 
+constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f, 0.02f};
+
 class Geometry : public test::DeviceTest {
 protected:
-    /// Renders a scene's rays. @param geometry  if given, receives [n,5]
+    /// Renders a scene's rays. @param geometry  if given, receives [n,6]
     std::vector<float> trace(const test::RandomScene& random, const ImageModel& model, int chunk, std::vector<float>* geometry) {
+        return trace(random, model, {.chunk = chunk, .geometry = geometry != nullptr, .likelihood = geometry ? kKernel : std::nullopt},
+                     geometry);
+    }
+    std::vector<float> trace(const test::RandomScene& random, const ImageModel& model, const TraceOptions& options,
+                             std::vector<float>* geometry) {
         const test::SceneAndPoses placed = test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
         const std::uint32_t n_rays = std::uint32_t(random.rays.size());
         // a guard behind
-        Renderer renderer(device(), placed.scene, model,
-                          {.trace = {.chunk = chunk, .geometry = geometry != nullptr}, .n_rays = n_rays + 1});
+        Renderer renderer(device(), placed.scene, model, {.trace = options, .n_rays = n_rays + 1});
         renderer.scene().set_poses(placed.world_from_instance);
         const Array<DeviceRay> rays(device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(random.rays))), "rays");
+        const std::vector<shared::DeviceTarget> measured = test::to_targets(random.rays);
+        const Array<shared::DeviceTarget> targets(device(), std::span<const shared::DeviceTarget>(measured), "targets");
         RayGeometry* wanted = renderer.rendered().geometry;
         if (wanted)
-            wanted->rendered.upload(
-                std::vector<shared::RenderedGeometry>(n_rays + 1, {.normal = glm::vec3(-7.0f), .distortion = -7.0f, .moment = -7.0f}));
+            wanted->rendered.upload(std::vector<shared::RenderedGeometry>(
+                n_rays + 1, {.normal = glm::vec3(-7.0f), .distortion = -7.0f, .moment = -7.0f, .likelihood = -7.0f}));
         renderer.place(glm::vec3(random.view_origin));
-        renderer.record_forward({&rays, 0, 1, n_rays});
+        renderer.record_forward({&rays, 0, 1, n_rays, 0, &targets});
         renderer.stream().finish();
         if (geometry) {
             *geometry = test::floats_of(wanted->rendered.download());
-            for (int k = 0; k < 5; ++k, geometry->pop_back()) EXPECT_EQ(geometry->back(), -7.0f) << "wrote past the end";
+            for (int k = 0; k < 6; ++k, geometry->pop_back()) EXPECT_EQ(geometry->back(), -7.0f) << "wrote past the end";
         }
         return test::floats_of(renderer.rendered().rendered->download(n_rays));
     }
@@ -44,24 +52,31 @@ TEST_F(Geometry, AgreesWithDoubleReference) {
     many.seed = 25, many.rays = 60, many.background_surfels = 120, many.actor_surfels = 0, many.actor_instances = 0,
     many.opacity_low = 0.02, many.opacity_high = 0.2;
     for (const test::RandomSceneOptions& options : {few, many}) {
-        const reference::Settings settings;
+        reference::Settings settings;
+        settings.likelihood_scale_m = 0.3, settings.likelihood_scale_share = 0.02;
         const test::RandomScene scene = test::make_random_scene(options, settings);
         const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
         std::vector<float> found;
         const std::vector<float> image = trace(scene, settings.image, 5, &found);
-        double most = 0.0;
+        double most = 0.0, likeliest = 0.0;
         for (std::size_t i = 0; i < scene.rays.size(); ++i) {
             const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
-            const float* q = &found[5 * i];
+            const float* q = &found[6 * i];
             EXPECT_LE(glm::length(glm::dvec3(q[0], q[1], q[2]) - p.normal), 1e-5) << "ray " << i;
             EXPECT_NEAR(q[3], p.distortion, 1e-5 * p.distortion + 1e-7) << "ray " << i;
+            EXPECT_NEAR(q[5], p.likelihood, 1e-5) << "ray " << i;
+            EXPECT_EQ(q[5] > 0.0f, scene.rays[i].measured_m > 0.0) << "ray " << i;
             most = std::max(most, p.distortion);
+            likeliest = std::max(likeliest, p.likelihood);
         }
         EXPECT_GT(most, 0.2) << "the scene has no ray with a spread";
+        EXPECT_GT(likeliest, 0.3) << "no ray meets what it measured";
         EXPECT_EQ(trace(scene, settings.image, 5, nullptr), image) << "the image does not depend on it";
         std::vector<float> again;
         trace(scene, settings.image, 64, &again);
         EXPECT_EQ(again, found) << "nor on the chunk";
+        EXPECT_EQ(trace(scene, settings.image, {.likelihood = kKernel}, &again), image);
+        for (std::size_t k = 0; k < again.size(); ++k) EXPECT_EQ(again[k], k % 6 == 5 ? found[k] : 0.0f) << "the likelihood alone";
     }
 }
 

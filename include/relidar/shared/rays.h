@@ -47,12 +47,13 @@ struct RayGradient {
 };
 RELIDAR_POINTER(RayGradients, RayGradient);
 
-/// What a ray renders for the geometric losses, where they want it (M10, M11); n is a surfel's unit normal in the world on the side that
+/// What a ray renders for the geometric losses, where they want it (M10-M12); n is a surfel's unit normal in the world on the side that
 /// faces the sensor, t_0 the distance of the ray's first hit.
 struct RenderedGeometry {
     vec3 normal;        // B = sum w n
     float distortion;   // sum over pairs of hits, each once, of w_i w_j |t_i - t_j|, m
     float moment;       // sum w (t - t_0), m
+    float likelihood;   // S = sum w k(t), k the kernel about the range that was measured (M12), 0 where none was
 };
 RELIDAR_POINTER(RenderedGeometries, RenderedGeometry);
 
@@ -62,6 +63,7 @@ struct GeometryGradient {
     float distortion;
     vec3 point;
     float range;        // m
+    float likelihood;
 };
 RELIDAR_POINTER(GeometryGradients, GeometryGradient);
 
