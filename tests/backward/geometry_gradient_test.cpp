@@ -316,12 +316,13 @@ TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
                             {.accel = {.proxy = Proxy::boxes}, .trace = {.likelihood = RangeKernel{0.1f, 0.001f}}});
         passes.run();
         const double scale = 0.1 + 0.001 * t[1], d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6, w1 = 0.4 * 0.5;
-        EXPECT_NEAR(passes.renderer.rendered().geometry->rendered.download()[0].likelihood, w0 * k + w1, 1e-6);
+        const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;   // of a range, by a float
+        EXPECT_NEAR(passes.renderer.rendered().geometry->rendered.download()[0].likelihood, w0 * k + w1, 1e-6 + w0 * slope * resolved);
         const Surfels found = passes.gradients().surfels.download();
-        EXPECT_NEAR(found.mean[0].x, w0 * -2.0 * d / scale * k * k, 1e-5) << "the nearer one is drawn to the range";
-        EXPECT_NEAR(found.mean[1].x, 0.0, 1e-6) << "the other is there";
+        EXPECT_NEAR(found.mean[0].x, w0 * slope, 1e-6 + resolved * w0 / (scale * scale)) << "the nearer one is drawn to the range";
+        EXPECT_NEAR(found.mean[1].x, 0.0, 1e-6 + 2.0 * w1 * resolved / (scale * scale)) << "the other is there";
         // S = s_0 k + (1 - s_0) s_1, by the opacities s
-        EXPECT_NEAR(found.opacity_logit[0], (k - 0.5) * 0.6 * 0.4, 1e-6);
+        EXPECT_NEAR(found.opacity_logit[0], (k - 0.5) * 0.6 * 0.4, 1e-6 + slope * resolved);
         EXPECT_NEAR(found.opacity_logit[1], 0.4 * 0.5 * 0.5, 1e-6);
     }
 }
