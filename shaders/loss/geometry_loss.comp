@@ -66,7 +66,7 @@ void main() {
         }
         params.d_geometry.at[i] = g;
     }
-    add_to_sum(params.terms, kTerm_distortion, terms.x);
-    add_to_sum(params.terms, kTerm_normal, terms.y);
-    add_to_sum(params.terms, kTerm_likelihood, terms.z);
+    if (params.distortion_weight > 0.0) add_to_sum(params.terms, kTerm_distortion, terms.x);
+    if (params.normal_weight > 0.0) add_to_sum(params.terms, kTerm_normal, terms.y);
+    if (params.likelihood_weight > 0.0) add_to_sum(params.terms, kTerm_likelihood, terms.z);
 }

@@ -97,7 +97,8 @@ TEST_F(Geometry, LikelihoodOfEveryThirdRay) {
         renderer.record_forward(batch);
         renderer.stream().finish();
         std::vector<float> found;
-        for (const shared::RenderedGeometry& q : renderer.rendered().geometry->rendered.download(batch.n_rays)) found.push_back(q.likelihood);
+        for (const shared::RenderedGeometry& q : renderer.rendered().geometry->rendered.download(batch.n_rays))
+            found.push_back(q.likelihood);
         return found;
     };
     const std::vector<float> all = likelihoods({&rays, 0, 1, 60, 0, &targets}), some = likelihoods({&rays, 1, 3, 20, 0, &targets});
