@@ -107,8 +107,8 @@ public:
     ~ScanRenderer();
     /// Leaves out every instance that is not shown, from the next scan on. @param shown [instances]
     void show_only(const std::vector<bool>& shown);
-    /// Corrects ray-drop by a network from the next scan on; an empty one: no longer. A network of the sensor's rays works on every scan with
-    /// image order, rows and columns enough, before it is binned into a grid; one of a grid's cells on images of that grid alone.
+    /// Corrects ray-drop by a network from the next scan on; an empty one: no longer. A network of the sensor's rays works on every scan
+    /// with image order, rows and columns enough, before it is binned into a grid; one of a grid's cells on images of that grid alone.
     /// @throws DataError where its arrays do not fit its shape
     void refine_drops(const DropNetwork& network);
     /// Whether scans of a sensor are refined.

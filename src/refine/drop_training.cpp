@@ -6,8 +6,10 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include <relidar/stages/optimizer.hpp>
 
 #include "refine/drop_network.hpp"
+#include "refine/unet.hpp"
 
 namespace relidar::refine {
 namespace {
@@ -44,45 +46,66 @@ DropNetwork start(const std::vector<DropImage>& images, const RefineOptions& opt
 
 }  // namespace
 
+struct DropTraining::Impl {
+    const DropNetwork network;   ///< its shape, normalisation and start
+    const RefineOptions options;
+    const std::size_t n_images, batch;
+    const Grid grid;
+    DropInputs inputs;
+    Unet unet;
+    DropLoss loss;
+    ArrayAdam adam;
+    Stream stream;
+
+    Impl(Device& device, const std::vector<DropImage>& images, const RefineOptions& o, std::uint64_t seed, bool timing)
+        : network(start(images, o, seed)),
+          options(o),
+          n_images(images.size()),
+          batch(std::min<std::size_t>(std::size_t(o.batch), images.size())),
+          grid{std::uint32_t(batch), std::uint32_t(images[0].rows), std::uint32_t(images[0].columns)},
+          inputs(device, network, images),
+          unet(device, network),
+          loss(device, grid.all_pixels()),
+          adam(device, network.parameters.size(), {.epsilon = 1e-8}),
+          stream(device, timing) {
+        unet.reserve(device, grid, true);
+        stream.fill(unet.gradients());   // what lies between groups has none
+        stream.finish();
+    }
+};
+
 DropTraining::DropTraining(Device& device, const std::vector<DropImage>& images, const RefineOptions& options, std::uint64_t seed,
                            bool timing)
-    : network_(start(images, options, seed)),
-      options_(options),
-      n_images_(images.size()),
-      batch_(std::min<std::size_t>(std::size_t(options.batch), images.size())),
-      grid_{std::uint32_t(batch_), std::uint32_t(images[0].rows), std::uint32_t(images[0].columns)},
-      inputs_(device, network_, images),
-      unet_(device, network_),
-      loss_(device, grid_.all_pixels()),
-      adam_(device, network_.parameters.size(), {.epsilon = 1e-8}),
-      stream_(device, timing) {
-    unet_.reserve(device, grid_, true);
-    stream_.fill(unet_.gradients());   // what lies between groups has none
-    stream_.finish();
-}
+    : impl_(std::make_unique<Impl>(device, images, options, seed, timing)) {}
+DropTraining::~DropTraining() = default;
+
+std::size_t DropTraining::batch() const { return impl_->batch; }
+std::size_t DropTraining::steps_of_epoch() const { return impl_->n_images / impl_->batch; }
+const KernelTimes& DropTraining::times() const { return impl_->stream.times(); }
 
 DropScore DropTraining::step(std::span<const DropInputs::Chosen> chosen, int step, int n_steps) {
+    Impl& t = *impl_;
     std::size_t known = 0;
-    for (const DropInputs::Chosen& c : chosen) known += inputs_.known(c.sample);
-    inputs_.make(stream_, chosen, unet_.inputs());
-    unet_.forward(stream_, std::uint32_t(step) * kKeysOfStep, float(options_.dropout));
-    loss_.run(stream_, grid_.all_pixels(),
-              {.logit = unet_.logit().values.address(),
-               .start = network_.residual ? inputs_.start().address() : Address<float>(),
-               .target = inputs_.target().address(),
-               .d_logit = unet_.d_logit().values.address()},
+    for (const DropInputs::Chosen& c : chosen) known += t.inputs.known(c.sample);
+    t.inputs.make(t.stream, chosen, t.unet.inputs());
+    t.unet.forward(t.stream, std::uint32_t(step) * kKeysOfStep, float(t.options.dropout));
+    t.loss.run(t.stream, t.grid.all_pixels(),
+              {.logit = t.unet.logit().values.address(),
+               .start = t.network.residual ? t.inputs.start().address() : Address<float>(),
+               .target = t.inputs.target().address(),
+               .d_logit = t.unet.d_logit().values.address()},
               known);
-    unet_.backward(stream_);
-    adam_.step(stream_, unet_.parameters(), unet_.gradients(),
-               exponential_schedule(options_.rate, kLastRate * options_.rate, step, n_steps), step);
-    stream_.finish();
-    return loss_.score(known);
+    t.unet.backward(t.stream);
+    t.adam.step(t.stream, t.unet.parameters(), t.unet.gradients(),
+               exponential_schedule(t.options.rate, kLastRate * t.options.rate, step, n_steps), step);
+    t.stream.finish();
+    return t.loss.score(known);
 }
 
 DropNetwork DropTraining::download() const {
-    DropNetwork result = network_;
-    result.parameters = unet_.parameters().download();
-    result.running = unet_.running().download();
+    DropNetwork result = impl_->network;
+    result.parameters = impl_->unet.parameters().download();
+    result.running = impl_->unet.running().download();
     return result;
 }
 

@@ -3,15 +3,14 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <vector>
 
 #include <relidar/refine.hpp>
-#include <relidar/stages/optimizer.hpp>
 
 #include "refine/drop_inputs.hpp"
 #include "refine/drop_loss.hpp"
-#include "refine/unet.hpp"
 
 namespace relidar::refine {
 
@@ -20,25 +19,19 @@ public:
     /// @throws DataError as train_drop_network
     DropTraining(Device& device, const std::vector<DropImage>& images, const RefineOptions& options, std::uint64_t seed,
                  bool timing = false);
+    ~DropTraining();
 
-    std::size_t batch() const { return batch_; }
-    std::size_t steps_of_epoch() const { return n_images_ / batch_; }   // the rest of an epoch's images is another one's turn
+    std::size_t batch() const;            ///< images a step
+    std::size_t steps_of_epoch() const;   ///< the rest of an epoch's images is another one's turn
 
     /// One step on a batch. @param step  counts from 1 @return what the network scored before it
     DropScore step(std::span<const DropInputs::Chosen> chosen, int step, int n_steps);
     DropNetwork download() const;
-    const KernelTimes& times() const { return stream_.times(); }
+    const KernelTimes& times() const;
 
 private:
-    DropNetwork network_;
-    RefineOptions options_;
-    std::size_t n_images_, batch_;
-    Grid grid_;
-    DropInputs inputs_;
-    Unet unet_;
-    DropLoss loss_;
-    ArrayAdam adam_;
-    Stream stream_;
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
 };
 
 }  // namespace relidar::refine

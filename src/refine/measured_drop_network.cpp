@@ -6,6 +6,7 @@
 
 #include "refine/drop_network.hpp"
 #include "refine/drop_training.hpp"
+#include "refine/unet.hpp"
 
 namespace relidar {
 namespace {

@@ -44,9 +44,18 @@ void Norm::run_sums(Stream& stream, shared::ChannelSumsParams params) const {
 
 void Norm::finish(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, bool training) const {
     run(stream, finish_, from.channels,
-        {.partial = partial_.address(), .beta_gamma = weights.beta_gamma, .running = weights.running, .moments = state.moments.address(),
-         .scale_shift = state.scale_shift.address(), .n_channels = from.channels, .n_parts = parts_of(from.grid),
-         .n_images = from.grid.n, .n_pixels = std::uint32_t(from.grid.pixels()), .training = training ? 1u : 0u, .momentum = kMomentum, .epsilon = kEpsilon});
+        {.partial = partial_.address(),
+         .beta_gamma = weights.beta_gamma,
+         .running = weights.running,
+         .moments = state.moments.address(),
+         .scale_shift = state.scale_shift.address(),
+         .n_channels = from.channels,
+         .n_parts = parts_of(from.grid),
+         .n_images = from.grid.n,
+         .n_pixels = std::uint32_t(from.grid.pixels()),
+         .training = training ? 1u : 0u,
+         .momentum = kMomentum,
+         .epsilon = kEpsilon});
 }
 
 void Norm::apply(Stream& stream, const Slice& from, const NormState& state, const Slice& to, bool training) const {

@@ -129,6 +129,7 @@ struct ScanRenderer::Impl {
     Scene layout;         ///< models, instances and sensor drop; no surfels
     Sequence sweep;        ///< LiDARs and boxes, no scans; where the vehicle is in the scan that is taken
     const PoseTrack log_world_from_vehicle;   ///< where it was in the log
+    const glm::dvec3 first_origin_m;          ///< see first_origin()
     Renderer renderer;
     std::vector<bool> shown;   ///< [instances]
     Device& device;
@@ -148,7 +149,7 @@ struct ScanRenderer::Impl {
         return wanted;
     }
     RenderedScan cast(const SensorChoice& sensor, const RayTable& table, double time_s);
-    RenderedScan join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig config);
+    RenderedScan join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig wanted);
     /// An image that a network may look at: rays of any sensor ("native") or cells of a grid.
     struct ImageOf {
         int rows, columns;
@@ -163,7 +164,7 @@ struct ScanRenderer::Impl {
 };
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
-    : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_vehicle,
+    : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_vehicle, first_origin(sequence),
                      Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image,
                               {.accel = accel_options(config), .trace = traced_with(config)}),
                      std::vector<bool>(scene.instances.size(), true), device}) {}
@@ -187,7 +188,8 @@ void ScanRenderer::refine_drops(const DropNetwork& network) {
 bool ScanRenderer::refines(const SensorChoice& sensor) const {
     const RangeGrid* grid = sensor.grid ? &*sensor.grid : nullptr;
     return impl_->refines({sensor.rays.rows, sensor.rays.columns, kNative}) ||
-           impl_->refines({grid ? grid->rows : sensor.rays.rows, grid ? grid->columns : sensor.rays.columns, grid ? grid->name : sensor.name});
+           impl_->refines(
+               {grid ? grid->rows : sensor.rays.rows, grid ? grid->columns : sensor.rays.columns, grid ? grid->name : sensor.name});
 }
 
 const KernelTimes& ScanRenderer::times() const { return impl_->renderer.stream().times(); }
@@ -259,14 +261,14 @@ RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable
 }
 
 /// The scan of whole beams, from one of their parts; beams that meet several surfaces are cast again in more parts.
-RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig config) {
-    RenderedScan scan = join_footprints(parts, whole, config);
-    const std::vector<std::size_t> edges = find_edges(parts, whole, config);
+RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig wanted) {
+    RenderedScan scan = join_footprints(parts, whole, wanted);
+    const std::vector<std::size_t> edges = find_edges(parts, whole, wanted);
     if (edges.empty() || edges.size() * kEdgeParts > kMaxRays) return scan;
     const RayTable rays = some_rays(whole, edges);
-    config.sub_rays = kEdgeParts;
-    const RenderedScan better = cast(sensor, split_rays(rays, kEdgeParts, divergence_of(whole, config)), parts.time_s);
-    replace_rays(scan, edges, join_footprints(better, rays, config));
+    wanted.sub_rays = kEdgeParts;
+    const RenderedScan better = cast(sensor, split_rays(rays, kEdgeParts, divergence_of(whole, wanted)), parts.time_s);
+    replace_rays(scan, edges, join_footprints(better, rays, wanted));
     return scan;
 }
 
@@ -278,8 +280,7 @@ bool ScanRenderer::Impl::refines(const ImageOf& image) const {
 
 /// Drop probabilities as the network of the run has them.
 void ScanRenderer::Impl::refine(RenderedScan& scan) {
-    const Sequence log{.world_from_vehicle = log_world_from_vehicle, .world_offset_m = sweep.world_offset_m};
-    std::vector<float> refined = refiner->refine(drop_image(scan, refiner->network().inputs, first_origin(log)));
+    std::vector<float> refined = refiner->refine(drop_image(scan, refiner->network().inputs, first_origin_m));
     scan.surfel_drop_prob = std::exchange(scan.image.drop_prob, std::move(refined));
 }
 

@@ -23,6 +23,7 @@ constexpr const char* kLog = "log/";
 
 /// Settings that change where training ends, what it reports, or where the log lies, but not a step of it. Paths are free because the log
 /// itself is compared.
+constexpr std::string_view kFollows = "refine.";   // and these, of what begins where the steps end
 constexpr std::array kFree{"preset",
                            "dataset.path",
                            "dataset.sequence",
@@ -152,7 +153,7 @@ void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, con
     };
     for (const ConfigKey& key : config_keys(config)) {
         const std::string saved = found_in(checkpoint, kSetting + key.key);
-        const bool is_free = std::find(kFree.begin(), kFree.end(), key.key) != kFree.end() || key.key.starts_with("refine.");   // what follows
+        const bool is_free = std::find(kFree.begin(), kFree.end(), key.key) != kFree.end() || key.key.starts_with(kFollows);
         if (!is_free && !same_value(saved, key.value)) throw UsageError(differs("setting " + key.key, key.value, saved));
     }
     if (config.train.iterations < checkpoint.iteration)

@@ -49,7 +49,8 @@ bool change(Config& config, const std::string& key) {
     const std::string before = value_of(config, key);
     for (const char* value : {"0.12345678", "0.6000001", "0.25", "2",      "7",      "123456",   "true",       "false",    "kitti360",
                               "cast",       "columns",   "ray",  "surfel", "median", "expected", "boxes",      "gaussian", "adaptive",
-                              "gather",     "pixel",   "direction", "sensor",    "none", "lane",   "masked", "range",    "a \"b\" \\c"}) {
+                              "gather",     "pixel",     "direction", "grid", "sensor", "none",     "lane",     "masked",     "range",
+                              "a \"b\" \\c"}) {
         if (value == before) continue;
         try {
             set_key(config, key, value);

@@ -54,6 +54,7 @@ RefineOptions short_training() {
     options.epochs = 40;
     options.batch = 2;
     options.rate = 0.02;
+    options.turn = true;
     return options;
 }
 

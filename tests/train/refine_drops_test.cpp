@@ -22,7 +22,8 @@ bool is_weak(const glm::vec3& direction) { return direction.y > 0.5f && directio
 
 /// Nothing comes back from beyond 9 m of the rays to the left and down.
 Sequence weak_street() {
-    Sequence street = make_synthetic_street({.seed = 5, .n_frames = 16, .rows = 32, .columns = 256, .range_noise_m = 0.01});
+    Sequence street = make_synthetic_street(
+        {.seed = 5, .n_frames = 16, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 4.0});
     for (Frame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (is_weak(frame.scan.rays.direction[i]) && frame.scan.range_m[i] > kReach_m) frame.scan.range_m[i] = 0.0f;
@@ -49,15 +50,16 @@ const Run& weak_run(Device& device) {
     return run;
 }
 
-/// Share of the pixels whose drop is right on held-out frames: those of the weak side that are near its reach or beyond, and all others.
+/// Share of the pixels whose drop is right on held-out frames: those of the weak side that meet a surface near its reach or beyond, and all
+/// others.
 std::pair<double, double> accuracies(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     double n[2] = {0.0, 0.0}, right[2] = {0.0, 0.0};
     for (const int position : run.split.test) {
         const Frame& frame = run.sequence.frames[std::size_t(position)];
-        const RenderedScan scan = renderer.render({.rays = frame.scan.rays, .is_own = true}, frame.time_s);
+        const RenderedScan scan = renderer.render(choose_sensor("native", run.config, run.sequence), frame.time_s);
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
-            const bool of_weak = is_weak(frame.scan.rays.direction[i]) && scan.median_range_m[i] > 0.8f * kReach_m;
+            const bool of_weak = is_weak(frame.scan.rays.direction[i]) && scan.median_range_m[i] > 0.8f * kReach_m && scan.weight[i] > 0.9f;
             n[of_weak] += 1.0;
             right[of_weak] += (scan.image.drop_prob[i] > 0.5f) == !(frame.scan.range_m[i] > 0.0f);
         }
@@ -72,10 +74,8 @@ TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
     const auto [weak_before, others_before] = accuracies(device(), run);
     run.drop_network = refine_drops(device(), run);
     const auto [weak_after, others_after] = accuracies(device(), run);
-    EXPECT_LT(weak_before, 0.9);
-    EXPECT_GT(weak_after, 0.93);
-    EXPECT_GT(weak_after, weak_before + 0.05);
-    EXPECT_GT(others_after, others_before - 0.005);
+    EXPECT_LT(1.0 - weak_after, 0.65 * (1.0 - weak_before)) << weak_before << " before, " << weak_after << " after";
+    EXPECT_GT(others_after, others_before) << "what training has not finished is corrected, too";
     run.config.refine.enabled = false;
     EXPECT_EQ(accuracies(device(), run).first, weak_before) << "not asked for";
 }

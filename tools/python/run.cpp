@@ -227,7 +227,7 @@ OnDevice<ScanRenderer>& LoadedRun::ready_renderer() {
     std::unique_ptr<ScanRenderer> made;
     {
         const DeviceUse use(*device);
-        made = std::make_unique<ScanRenderer>(device->device, run.scene, run.config, run.sequence);
+        made = std::make_unique<ScanRenderer>(device->device, run);
     }
     OnDevice<ScanRenderer> fresh(device, std::move(made));
     if (!renderer) renderer = std::move(fresh);  // another thread may have been faster

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // relidar refine: the ray-drop network of a run, trained alone, and what it is worth on the held-out frames.
 #include <memory>
+#include <optional>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
@@ -34,7 +35,8 @@ Evaluation score(Device& device, Run run, bool refined, bool quiet) {
 }
 
 void run_refine(const Options& options) {
-    const FolderLock lock(options.run);
+    std::optional<FolderLock> lock;
+    if (is_run(options.run)) lock.emplace(options.run);
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
     run.config.refine.enabled = true;
