@@ -88,7 +88,7 @@ struct TrainConfig {
 };
 
 struct RenderConfig {
-    std::string range = "normalised";   ///< "expected" (D, paper), "normalised" (D / W) or "median": of range images
+    std::string range = "normalised";   ///< "expected" (D, paper), "normalised" (D / W), "median" or "mode": of range images
     bool normals = false;               ///< normals of what rays meet are rendered too
     std::string points = "median";      ///< range of the points of point clouds: "median", the dominant surface, or "range", as above
 };

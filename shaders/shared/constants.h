@@ -23,6 +23,7 @@
     X(TAPS, 15u)               /* weights of a convolution for two channels: 1 or 9 */                                       \
     X(PIXELS, 16u)             /* pixels of a thread */                                                                      \
     X(LANES, 17u)              /* of a subgroup */                                                                           \
-    X(LIKELIHOOD, 18u)         /* 1: likelihood of measured ranges too */
+    X(LIKELIHOOD, 18u)         /* 1: likelihood of measured ranges too */                                                     \
+    X(MODE, 19u)               /* 1: the heaviest surface of each ray too */
 
 #endif

@@ -42,6 +42,7 @@ struct ForwardParams {
     KeptHits kept;           // output [n_rays,n_kept] the first hits of each ray
     RenderedGeometries geometry;   // output [n_rays], where the kernel is built for it
     uint n_kept;
+    float surface_gap_m;     // between the hits of two surfaces, where the kernel is built for modes
 };
 
 /// Ordered hits of each ray, for tests of the traversal contract.

@@ -275,8 +275,9 @@ void visit(C& c, Visitor&& f) {
     visit_keeping(c, f);
     visit_densify(c, f);
     visit_refine(c, f);
-    f("render.range", c.render.range, one_of({"expected", "normalised", "median"}),
-      "range of a ray in range images: D (paper), D / W, or where the transmittance crosses 0.5");
+    f("render.range", c.render.range, one_of({"expected", "normalised", "median", "mode"}),
+      "range of a ray in range images: D (paper), D / W, where the transmittance crosses 0.5, or the mean of the heaviest surface (hits "
+      "nearer to each other than sensor.return_separation_m are one)");
     f("render.normals", c.render.normals, anything(),
       "unit normals of the surfaces that rays meet: normals of npz, normal of exr, nx ny nz of ply, normal_x ... of pcd");
     f("render.points", c.render.points, one_of({"median", "range"}),

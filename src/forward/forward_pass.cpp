@@ -47,7 +47,8 @@ void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& acc
                   .rendered = rendered.address(),
                   .kept = address_of(kept ? &kept->hits : nullptr),
                   .geometry = address_of(geometry ? &geometry->rendered : nullptr),
-                  .n_kept = kept ? kept->per_ray : 0});
+                  .n_kept = kept ? kept->per_ray : 0,
+                  .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)});
 }
 
 const Array<std::uint32_t>& ForwardPass::pass_cap_count() const { return impl_->pass_cap; }
@@ -71,7 +72,10 @@ Rendering to_rendering(const std::vector<shared::RenderedRay>& rays, const std::
         r.hits.push_back(ray.n_hits);
         r.instance.push_back(ray.instance == RELIDAR_NO_INSTANCE ? -1 : static_cast<std::int32_t>(ray.instance));
     }
-    for (const shared::RenderedGeometry& of_ray : geometry) r.normal.push_back(of_ray.normal);
+    for (const shared::RenderedGeometry& of_ray : geometry) {
+        r.normal.push_back(of_ray.normal);
+        r.mode_depth.push_back(of_ray.mode);
+    }
     return r;
 }
 

@@ -88,8 +88,11 @@ Rendering Renderer::forward(const WorldRays& rays) {
         throw DeviceError(
             fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal stack, expected every ray to end",
                         rays.size(), capped, RELIDAR_MAX_PASSES));
-    if (!r.options.trace.geometry) return to_rendering(r.rendered.download(rays.size()));
-    return to_rendering(r.rendered.download(rays.size()), r.geometry->rendered.download(rays.size()));
+    if (!r.geometry) return to_rendering(r.rendered.download(rays.size()));
+    Rendering rendering = to_rendering(r.rendered.download(rays.size()), r.geometry->rendered.download(rays.size()));
+    if (!r.options.trace.geometry) rendering.normal.clear();
+    if (!r.options.trace.mode_gap_m) rendering.mode_depth.clear();
+    return rendering;
 }
 
 void Renderer::set_sh_degree(int degree) {

@@ -28,6 +28,7 @@ float chosen_range(const Rendering& r, std::size_t i, const std::string& which) 
     if (which == "expected") return r.depth[i];
     if (r.weight[i] < kMinWeight) return 0.0f;
     const float normalised = r.depth[i] / r.weight[i];
+    if (which == "mode") return r.mode_depth[i];
     if (which == "median") return r.median_depth[i] > 0.0f ? r.median_depth[i] : normalised;
     return normalised;
 }
@@ -48,6 +49,7 @@ TraceOptions traced_with(const Config& config) {
         throw UsageError("setting render.normals: found image.primitive=gaussian, which has no normal, expected surfel, or false");
     TraceOptions options = trace_options(config);
     options.geometry = config.render.normals;
+    if (config.render.range == "mode") options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);
     return options;
 }
 

@@ -83,7 +83,8 @@ inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, 
             {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
             {ConstantId::GAUSSIANS, model.primitive == Primitive::gaussian ? 1u : 0u},
             {ConstantId::GEOMETRY, options.geometry ? 1u : 0u},
-            {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u}};
+            {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
+            {ConstantId::MODE, options.mode_gap_m ? 1u : 0u}};
 }
 
 }  // namespace relidar

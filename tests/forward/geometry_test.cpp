@@ -18,7 +18,7 @@ constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f, 0.02f};
 
 class Geometry : public test::DeviceTest {
 protected:
-    /// Renders a scene's rays. @param geometry  if given, receives [n,6]
+    /// Renders a scene's rays. @param geometry  if given, receives [n,7]
     std::vector<float> trace(const test::RandomScene& random, const ImageModel& model, int chunk, std::vector<float>* geometry) {
         return trace(random, model, {.chunk = chunk, .geometry = geometry != nullptr, .likelihood = geometry ? kKernel : std::nullopt},
                      geometry);
@@ -36,13 +36,13 @@ protected:
         RayGeometry* wanted = renderer.rendered().geometry;
         if (wanted)
             wanted->rendered.upload(std::vector<shared::RenderedGeometry>(
-                n_rays + 1, {.normal = glm::vec3(-7.0f), .distortion = -7.0f, .moment = -7.0f, .likelihood = -7.0f}));
+                n_rays + 1, {.normal = glm::vec3(-7.0f), .distortion = -7.0f, .moment = -7.0f, .likelihood = -7.0f, .mode = -7.0f}));
         renderer.place(glm::vec3(random.view_origin));
         renderer.record_forward({&rays, 0, 1, n_rays, 0, &targets});
         renderer.stream().finish();
         if (geometry) {
             *geometry = test::floats_of(wanted->rendered.download());
-            for (int k = 0; k < 6; ++k, geometry->pop_back()) EXPECT_EQ(geometry->back(), -7.0f) << "wrote past the end";
+            for (int k = 0; k < 7; ++k, geometry->pop_back()) EXPECT_EQ(geometry->back(), -7.0f) << "wrote past the end";
         }
         return test::floats_of(renderer.rendered().rendered->download(n_rays));
     }
@@ -63,7 +63,7 @@ TEST_F(Geometry, AgreesWithDoubleReference) {
         double most = 0.0, likeliest = 0.0;
         for (std::size_t i = 0; i < scene.rays.size(); ++i) {
             const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
-            const float* q = &found[6 * i];
+            const float* q = &found[7 * i];
             EXPECT_LE(glm::length(glm::dvec3(q[0], q[1], q[2]) - p.normal), 1e-5) << "ray " << i;
             EXPECT_NEAR(q[3], p.distortion, 1e-5 * p.distortion + 1e-7) << "ray " << i;
             EXPECT_NEAR(q[5], p.likelihood, 1e-5) << "ray " << i;
@@ -78,8 +78,36 @@ TEST_F(Geometry, AgreesWithDoubleReference) {
         trace(scene, settings.image, 64, &again);
         EXPECT_EQ(again, found) << "nor on the chunk";
         EXPECT_EQ(trace(scene, settings.image, {.likelihood = kKernel}, &again), image);
-        for (std::size_t k = 0; k < again.size(); ++k) EXPECT_EQ(again[k], k % 6 == 5 ? found[k] : 0.0f) << "the likelihood alone";
+        for (std::size_t k = 0; k < again.size(); ++k) EXPECT_EQ(again[k], k % 7 == 5 ? found[k] : 0.0f) << "the likelihood alone";
     }
+}
+
+/// The heaviest surface (M13), of rays whose gaps and weights say clearly which one it is.
+TEST_F(Geometry, ModeAgreesWithDoubleReference) {
+    constexpr float kGap = 0.3f;
+    test::RandomSceneOptions options;
+    options.seed = 28, options.rays = 100;
+    const reference::Settings settings;
+    const test::RandomScene scene = test::make_random_scene(options, settings);
+    const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
+    std::vector<float> found, image = trace(scene, settings.image, 5, nullptr);
+    EXPECT_EQ(trace(scene, settings.image, {.chunk = 5, .mode_gap_m = kGap}, &found), image) << "the image does not depend on it";
+    int clear = 0, other_than_first = 0;
+    for (std::size_t i = 0; i < scene.rays.size(); ++i) {
+        std::vector<reference::ShadedHit> hits;
+        reference::render(scene.world, brute, settings, scene.rays[i], 16, &hits);
+        bool is_clear = !hits.empty();
+        for (std::size_t k = 1; k < hits.size(); ++k) is_clear = is_clear && std::abs(hits[k].t - hits[k - 1].t - double(kGap)) > 1e-4;
+        const std::vector<reference::Surface> all = reference::surfaces(hits, double(kGap));
+        const auto heaviest = std::ranges::max_element(all, {}, &reference::Surface::weight);
+        for (auto s = all.begin(); s != all.end(); ++s) is_clear = is_clear && (s == heaviest || heaviest->weight - s->weight > 1e-5);
+        if (!is_clear) continue;
+        EXPECT_NEAR(found[7 * i + 6], heaviest->mean, 1e-5) << "ray " << i;
+        ++clear;
+        other_than_first += heaviest != all.begin();
+    }
+    EXPECT_GT(clear, 90);
+    EXPECT_GT(other_than_first, 10);
 }
 
 /// A batch finds what its rays measured by their places, and renders no likelihood where it brings no targets.

@@ -67,7 +67,8 @@ Found device_terms(Device& device, const RangeImage& image, const LossWeights& w
         geometry.push_back({.normal = glm::vec3(p.normal),
                             .distortion = float(p.distortion),
                             .moment = 0.0f,
-                            .likelihood = float(p.likelihood)});
+                            .likelihood = float(p.likelihood),
+                            .mode = 0.0f});
         rays[i * stride] = {glm::vec3(image.rays[i].origin), glm::vec3(image.rays[i].direction)};
         targets[i * stride] = image.returned[i] ? DeviceTarget{5.0f, 0.5f, 1.0f}
                               : i % 2           ? DeviceTarget{0.0f, 0.5f, 1.0f}

@@ -124,4 +124,18 @@ Pixel render_all_at_once(const World& world, const HitProvider& provider, const 
     return blend.finish();
 }
 
+std::vector<Surface> surfaces(const std::vector<ShadedHit>& blended, double gap_m) {
+    std::vector<Surface> result;
+    double transmittance = 1.0;
+    for (std::size_t i = 0; i < blended.size(); ++i) {
+        if (i == 0 || blended[i].t - blended[i - 1].t > gap_m) result.emplace_back();
+        Surface& s = result.back();
+        const double w = blended[i].alpha * transmittance;
+        s.mean = (s.weight * s.mean + w * blended[i].t) / (s.weight + w);
+        s.weight += w;
+        transmittance *= 1.0 - blended[i].alpha;
+    }
+    return result;
+}
+
 }  // namespace relidar::reference

@@ -73,6 +73,14 @@ Pixel render(const World& world, const HitProvider& provider, const Settings& se
 Pixel render_all_at_once(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray,
                          std::vector<ShadedHit>* blended = nullptr);
 
+/// Some of the blended hits of a ray.
+struct Surface {
+    double weight = 0.0;   ///< sum w
+    double mean = 0.0;     ///< sum w t / sum w, metres
+};
+/// M13: a hit more than a gap behind the one before begins another surface. @return nearest first
+std::vector<Surface> surfaces(const std::vector<ShadedHit>& blended, double gap_m);
+
 /// Gradient with respect to an instance's pose.
 ///   world_from_model becomes (exp([rotation]x) R, translation' = translation + d_translation): the rotation vector is
 ///   expressed in the world and turns the model about its own origin; the translation is not turned.

@@ -54,8 +54,10 @@ struct TraceOptions {
     bool geometry = false;
     /// Its likelihood is rendered, of the rays that have a measured range.
     std::optional<RangeKernel> likelihood{};
+    /// The heaviest surface of each ray is rendered (docs/method.md M13): hits no farther than this behind the one before are one, metres.
+    std::optional<float> mode_gap_m{};
 
-    bool wants_geometry() const { return geometry || likelihood.has_value(); }   ///< a RayGeometry, for one of the two
+    bool wants_geometry() const { return geometry || likelihood || mode_gap_m; }   ///< a RayGeometry, for one of them
 };
 
 /// The first hits of each ray of a batch, as the forward pass blended them, so that the backward pass need not search them again.
