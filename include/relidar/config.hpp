@@ -149,6 +149,8 @@ AccelOptions accel_options(const Config& config);
 TraceOptions trace_options(const Config& config);
 /// The same with what the losses want of rays beside their image.
 TraceOptions training_trace_options(const Config& config);
+/// The same with what scans want of them: normals, and the heaviest surface.
+TraceOptions rendering_trace_options(const Config& config);
 BackwardOptions backward_options(const Config& config);
 
 }  // namespace relidar

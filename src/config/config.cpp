@@ -166,6 +166,13 @@ TraceOptions training_trace_options(const Config& config) {
     return options;
 }
 
+TraceOptions rendering_trace_options(const Config& config) {
+    TraceOptions options = trace_options(config);
+    options.geometry = config.render.normals;
+    if (config.render.range == "mode") options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);
+    return options;
+}
+
 BackwardOptions backward_options(const Config& config) {
     BackwardOptions options;
     if (config.train.gradient_sums == "atomics") options.reduction = Reduction::atomics;

@@ -47,10 +47,7 @@ glm::vec3 seen_normal(const glm::vec3& blended, float weight, const Pose& world_
 TraceOptions traced_with(const Config& config) {
     if (config.render.normals && config.image.primitive == Primitive::gaussian)
         throw UsageError("setting render.normals: found image.primitive=gaussian, which has no normal, expected surfel, or false");
-    TraceOptions options = trace_options(config);
-    options.geometry = config.render.normals;
-    if (config.render.range == "mode") options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);
-    return options;
+    return rendering_trace_options(config);
 }
 
 /// Whether a sensor sees the ray's surface: the dominant one, and where the range image has it.

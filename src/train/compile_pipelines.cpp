@@ -34,6 +34,7 @@ constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
                                  {"loss.chamfer", "0.01"},
                                  {"loss.box", "0.1"},
                                  {"loss.log_range", "0.1"},
+                                 {"render.range", "mode"},
                                  {"trace.walk", "lane"},
                                  {"trace.walk", "subgroup"},
                                  {"trace.proxy", "triangles"},
@@ -56,7 +57,7 @@ void compile(Device& device, const Sequence& street, const Config& config) {
     Split split;
     split.train = {0, 1};
     const TrainLoop loop(device, street, split, scene, config);
-    const Renderer renderer(device, scene, config.image, {.accel = accel_options(config), .trace = trace_options(config)});
+    const Renderer renderer(device, scene, config.image, {.accel = accel_options(config), .trace = rendering_trace_options(config)});
 }
 
 }  // namespace

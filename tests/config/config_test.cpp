@@ -210,7 +210,11 @@ TEST(Config, LossesReachTheTraceOfTraining) {
     ASSERT_TRUE(likelihood.likelihood);
     EXPECT_EQ(likelihood.likelihood->scale_m, 0.2f);
     EXPECT_EQ(likelihood.likelihood->scale_share, 0.001f);
-    EXPECT_FALSE(trace_options(config).wants_geometry());
+    EXPECT_FALSE(rendering_trace_options(config).wants_geometry());
+    set_key(config, "render.range", "mode");
+    set_key(config, "sensor.return_separation_m", "0.7");
+    EXPECT_EQ(rendering_trace_options(config).mode_gap_m, 0.7f);
+    EXPECT_FALSE(training_trace_options(config).mode_gap_m);
     set_key(config, "loss.likelihood", "0");
     set_key(config, "loss.normal", "0.1");
     EXPECT_TRUE(training_trace_options(config).geometry);
