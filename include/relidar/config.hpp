@@ -88,7 +88,7 @@ struct TrainConfig {
 };
 
 struct RenderConfig {
-    std::string range = "normalised";   ///< "expected" (D, paper), "normalised" (D / W) or "median": of range images
+    std::string range = "normalised";   ///< "expected" (D, paper), "normalised" (D / W), "median" or "mode": of range images
     bool normals = false;               ///< normals of what rays meet are rendered too
     std::string points = "median";      ///< range of the points of point clouds: "median", the dominant surface, or "range", as above
 };
@@ -147,6 +147,10 @@ std::string to_toml(const Config& config);
 /// Enum fields.
 AccelOptions accel_options(const Config& config);
 TraceOptions trace_options(const Config& config);
+/// The same with what the losses want of rays beside their image.
+TraceOptions training_trace_options(const Config& config);
+/// The same with what scans want of them: normals, and the heaviest surface.
+TraceOptions rendering_trace_options(const Config& config);
 BackwardOptions backward_options(const Config& config);
 
 }  // namespace relidar

@@ -23,6 +23,7 @@ struct BlendState {
 float shade_of(TraceScene scene, Ray ray, RayGradient g, Hit hit, BlendState state) {
     vec3 c = hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
     float shade = g.depth * hit.t + g.weight + g.intensity * c.x + g.hit_logit * c.y + g.drop_logit * c.z;
+    if (LIKELIHOOD != 0u) shade += ray_geometry.likelihood * range_kernel(hit.t);
     if (GEOMETRY == 0u) return shade;
     shade += ray_geometry.distortion * distortion_by_weight(state.transmittance, hit.t - state.first_t, state.before, state.moment);
     return shade + dot(ray_geometry.normal, facing_normal(scene, ray, hit.instance, hit.surfel));

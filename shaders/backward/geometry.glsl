@@ -1,13 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivatives of what the geometric losses want of a ray (docs/method.md M10, M11), hit by hit. With T the transmittance before a hit,
+// Derivatives of what the geometric losses want of a ray (docs/method.md M10-M12), hit by hit. With T the transmittance before a hit,
 // T' that behind it and T_N that of the whole ray, the weight before a hit is 1 - T, its own T - T' and all of the ray 1 - T_N.
 #ifndef RELIDAR_INCLUDED_BACKWARD_GEOMETRY_GLSL
 #define RELIDAR_INCLUDED_BACKWARD_GEOMETRY_GLSL
 #include "../traversal/facing_normal.glsl"
+#include "../traversal/likelihood.glsl"
 
-// Of the ray of this thread, where GEOMETRY.
-GeometryGradient ray_geometry;   // dL/d(normal), dL/d(distortion)
+const bool WITH_GEOMETRY = GEOMETRY != 0u || LIKELIHOOD != 0u;
+
+// Of the ray of this thread, WITH_GEOMETRY.
+GeometryGradient ray_geometry;   // dL/d(normal), dL/d(distortion), dL/d(likelihood)
 float ray_transmittance;         // T_N
+
+/// Makes them those of a ray of the batch, and what the ray measured. @param gradient  its dL/d(geometry)  @param transmittance  its T_N
+void take_ray(TraceScene scene, uint ray, GeometryGradient gradient, float transmittance) {
+    ray_geometry = gradient;
+    ray_transmittance = transmittance;
+    if (LIKELIHOOD != 0u) take_measured(scene, ray);
+}
 
 /// dDist/dt of a hit: w (weight before it - weight behind it).
 /// @param alpha  clamped

@@ -35,6 +35,7 @@ HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance
     intersect(record, origin, direction, hit);
     float d_t = g.depth * w;
     if (GEOMETRY != 0u) d_t += ray_geometry.distortion * distortion_by_t(w, min(hit.alpha, scene.alpha_max));
+    if (LIKELIHOOD != 0u) d_t += ray_geometry.likelihood * w * range_kernel_by_t(hit.t);
     SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, d_t, d_alpha);
     if (GEOMETRY != 0u)
         d.d_normal += w * facing_side(record.normal, direction) * model_vector(scene.instances.at[instance], ray_geometry.normal);

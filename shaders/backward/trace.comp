@@ -103,6 +103,8 @@ void load_kept_hits(TraceScene scene, Ray ray, uint first, uint n) {
 /// What the geometry of a ray adds: distortion is of second degree in the weights, so the shares of all hits are twice its value.
 void start_geometry(uint ray_index, inout BlendState state) {
     RenderedGeometry q = params.geometry.at[ray_index];
+    if (LIKELIHOOD != 0u) state.remaining += ray_geometry.likelihood * q.likelihood;
+    if (GEOMETRY == 0u) return;
     state.moment = q.moment;
     state.remaining += 2.0 * ray_geometry.distortion * q.distortion + dot(ray_geometry.normal, q.normal);
 }
@@ -114,7 +116,7 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
     // Eq. 9 does not change when the same number is taken from every value and from the background's, for all weights sum to 1.
     // With the nearest surface's worth as that number, small differences are no longer differences of large numbers.
     BlendState state = BlendState(0.0, 1.0, remaining, 0.0, 0.0, 0.0, 0.0);
-    if (GEOMETRY != 0u) start_geometry(ray_index, state);
+    if (WITH_GEOMETRY) start_geometry(ray_index, state);
     uint blended = 0u;
     Key after = first_key(scene);
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && blended < final.n_hits; ++pass) {
@@ -153,11 +155,12 @@ void empty_slots(uint ray_index, uint first, uint n) {
 
 /// Makes ray_geometry that of this ray, whose own gradient starts with what its point has. @return whether a hit can have a gradient
 bool take_geometry(uint ray_index, RenderedRay final) {
-    ray_geometry = params.d_geometry.at[ray_index];
-    ray_transmittance = final.transmittance;
+    take_ray(params.scene, ray_index, params.d_geometry.at[ray_index], final.transmittance);
+    bool explains = LIKELIHOOD != 0u && ray_geometry.likelihood != 0.0;
+    if (GEOMETRY == 0u) return explains;
     d_ray_origin = ray_geometry.point;
     d_ray_direction = ray_geometry.range * ray_geometry.point;
-    return ray_geometry.distortion != 0.0 || ray_geometry.normal != vec3(0.0);
+    return explains || ray_geometry.distortion != 0.0 || ray_geometry.normal != vec3(0.0);
 }
 
 void main() {
@@ -170,7 +173,7 @@ void main() {
     RayGradient g = params.upstream.at[i];
     bool any_gradient = g.depth != 0.0 || g.weight != 0.0 || g.intensity != 0.0 || g.hit_logit != 0.0 || g.drop_logit != 0.0;
     RenderedRay final = params.rendered.at[i];
-    if (GEOMETRY != 0u) any_gradient = take_geometry(i, final) || any_gradient;
+    if (WITH_GEOMETRY) any_gradient = take_geometry(i, final) || any_gradient;
     uint blended = any_gradient ? backward(params.scene, Ray(entry.origin, entry.direction), i, final, g) : 0u;
     if (GATHER != 0u) empty_slots(i, blended, final.n_hits);
     if (is_null(params.d_rays)) return;

@@ -1,12 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 // Forward pass (Eq. 2-4; M4, M5): collects hits chunk by chunk, blends nearest first. One thread a ray.
-// Where the geometric losses want them, also the blended normal and the distortion (M10, M11).
-// Input: scene (rays, records, instances, sh, acceleration structure). Output: rendered, kept, geometry. Accumulated: scene.pass_cap_count.
+// Where the geometric losses want them, also the blended normal and the distortion (M10, M11), and the likelihood (M12); where a
+// range image wants it the heaviest surface (M13).
+// Input: scene (rays, records, instances, sh, acceleration structure, targets). Output: rendered, kept, geometry. Accumulated:
+// scene.pass_cap_count.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../traversal/includes.glsl"
 #include "../traversal/facing_normal.glsl"
+#include "../traversal/likelihood.glsl"
 #include "../common/compensated.glsl"
+#include "surfaces.glsl"
 RELIDAR_PARAMS(ForwardParams);
 
 /// Takes a hit into the geometry of its ray; `beyond` is its distance behind the first hit, of which no digits are lost in M10's sums.
@@ -19,8 +23,10 @@ void add_geometry(TraceScene scene, Ray ray, Hit hit, float w, float before, flo
 
 RenderedRay render(TraceScene scene, Ray ray, uint ray_index) {
     RenderedRay r = RenderedRay(0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0u, RELIDAR_NO_INSTANCE);
-    float lost[5] = float[](0.0, 0.0, 0.0, 0.0, 0.0);
-    RenderedGeometry geometry = RenderedGeometry(vec3(0.0), 0.0, 0.0);
+    float lost[6] = float[](0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    RenderedGeometry geometry = RenderedGeometry(vec3(0.0), 0.0, 0.0, 0.0, 0.0);
+    Surfaces surfaces = no_surfaces();
+    if (LIKELIHOOD != 0u) take_measured(scene, ray_index);
     float first_t = 0.0;
     ray_basis_instance = kNoInstance;
     Key after = first_key(scene);
@@ -39,6 +45,8 @@ RenderedRay render(TraceScene scene, Ray ray, uint ray_index) {
                 if (r.n_hits == 0u) first_t = hit.t;
                 add_geometry(scene, ray, hit, w, r.weight, hit.t - first_t, geometry);
             }
+            if (LIKELIHOOD != 0u) add_compensated(geometry.likelihood, lost[5], w * range_kernel(hit.t));   // M12
+            if (MODE != 0u) add_to_surface(hit.t, w, params.surface_gap_m, surfaces);                        // M13
             add_compensated(r.depth, lost[0], w * hit.t);
             add_compensated(r.weight, lost[1], w);
             add_compensated(r.intensity, lost[2], w * c.x);
@@ -56,7 +64,9 @@ RenderedRay render(TraceScene scene, Ray ray, uint ray_index) {
     }
     if (!ended) atomicAdd(scene.pass_cap_count.at[0], 1u);
     add_compensated(r.drop_logit, lost[4], r.transmittance);   // background: intensity 0, hit 0, drop 1
-    if (GEOMETRY != 0u) params.geometry.at[ray_index] = geometry;
+    weigh_surface(surfaces);
+    geometry.mode = surfaces.heaviest_t;
+    if (GEOMETRY != 0u || LIKELIHOOD != 0u || MODE != 0u) params.geometry.at[ray_index] = geometry;
     return r;
 }
 

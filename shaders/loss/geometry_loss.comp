@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Geometric losses of 2D Gaussian splatting on returned rays (docs/method.md M10, M11): distortion along the ray, and W - B . N, the
-// disagreement of the blended surfel normals B with the normal N of the rendered range image. One thread a ray.
+// Geometric losses on returned rays (docs/method.md M10-M12): distortion along the ray; W - B . N, the disagreement of the blended surfel
+// normals B with the normal N of the rendered range image; and how likely the hits make what was measured. One thread a ray.
 // Input: rays, rendered, geometry, targets. Output: d_geometry (less its point), d_tangents. Accumulated: upstream, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -45,21 +45,28 @@ float normal_term(uint i, inout GeometryGradient g) {
     return params.normal_weight * (params.rendered.at[i].weight - cosine);
 }
 
+/// Terms of a ray that returned and are its own: distortion and -ln(floor + (1 - floor) S).
+vec2 ray_terms(uint i, inout GeometryGradient g) {
+    RenderedGeometry q = params.geometry.at[i];
+    float explained = params.likelihood_floor + (1.0 - params.likelihood_floor) * q.likelihood;
+    g.distortion = params.distortion_weight;
+    g.likelihood = -params.likelihood_weight * (1.0 - params.likelihood_floor) / explained;
+    return vec2(params.distortion_weight * q.distortion, -params.likelihood_weight * log(explained));
+}
+
 void main() {
     uint i = thread_index();
-    vec2 terms = vec2(0.0);
+    vec3 terms = vec3(0.0);
     if (i < params.n_rays) {
-        GeometryGradient g = GeometryGradient(vec3(0.0), 0.0, vec3(0.0), 0.0);
-        if (returned(i)) {
-            g.distortion = params.distortion_weight;
-            terms.x = params.distortion_weight * params.geometry.at[i].distortion;
-        }
+        GeometryGradient g = GeometryGradient(vec3(0.0), 0.0, vec3(0.0), 0.0, 0.0);
+        if (returned(i)) terms.xz = ray_terms(i, g);
         if (params.normal_weight > 0.0) {
             params.d_tangents.at[2u * i] = params.d_tangents.at[2u * i + 1u] = vec3(0.0);
             terms.y = normal_term(i, g);
         }
         params.d_geometry.at[i] = g;
     }
-    add_to_sum(params.terms, kTerm_distortion, terms.x);
-    add_to_sum(params.terms, kTerm_normal, terms.y);
+    if (params.distortion_weight > 0.0) add_to_sum(params.terms, kTerm_distortion, terms.x);
+    if (params.normal_weight > 0.0) add_to_sum(params.terms, kTerm_normal, terms.y);
+    if (params.likelihood_weight > 0.0) add_to_sum(params.terms, kTerm_likelihood, terms.z);
 }

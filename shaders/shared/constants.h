@@ -22,6 +22,8 @@
     X(PER_FLOAT, 14u)          /* 1: one thread a float; 0: a row */                                                         \
     X(TAPS, 15u)               /* weights of a convolution for two channels: 1 or 9 */                                       \
     X(PIXELS, 16u)             /* pixels of a thread */                                                                      \
-    X(LANES, 17u)              /* of a subgroup */
+    X(LANES, 17u)              /* of a subgroup */                                                                           \
+    X(LIKELIHOOD, 18u)         /* 1: likelihood of measured ranges too */                                                     \
+    X(MODE, 19u)               /* 1: the heaviest surface of each ray too */
 
 #endif

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// The geometric losses (docs/method.md M10, M11). Weights, rays and targets as in loss.h.
+// The geometric losses (docs/method.md M10-M12). Weights, rays and targets as in loss.h.
 #ifndef RELIDAR_INCLUDED_SHARED_GEOMETRY_LOSS_H
 #define RELIDAR_INCLUDED_SHARED_GEOMETRY_LOSS_H
 #include "loss.h"
 
 RELIDAR_SHARED_BEGIN
 
-/// Distortion and normal consistency: loss/geometry_loss writes `d_tangents`, loss/normal_vjp reads them.
+/// Distortion, normal consistency and likelihood: loss/geometry_loss writes `d_tangents`, loss/normal_vjp reads them.
 struct GeometryLossParams {
     Rays rays;                       // input
     RenderedRays rendered;           // input [n_rays]
@@ -18,6 +18,8 @@ struct GeometryLossParams {
     Floats terms;                    // accumulated
     float distortion_weight;
     float normal_weight;             // 0: the batch need not be an image
+    float likelihood_weight;
+    float likelihood_floor;
     uint n_rays;
     uint first_ray;
     uint ray_stride;

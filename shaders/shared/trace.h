@@ -21,10 +21,13 @@ struct TraceScene {
     Floats sh;              // input [n,3,16], read where SH are evaluated a hit
     Uints pass_cap_count;   // accumulated [1]: rays that reached the cap of passes
     Uints visits;           // accumulated [2]: nodes opened, surfels tested, where the kernel counts them (software traversal)
+    Targets targets;        // input, as `rays`: what they measured, where the kernel is built for likelihoods; or address 0: nothing
     float near_m;
     float alpha_min;
     float alpha_max;
     float transmittance_min;
+    float likelihood_scale_m;       // s of a ray that measured z: the first and z times the second
+    float likelihood_scale_share;
     uint n_instances;
     uint sh_degree;
     uint n_rays;
@@ -39,6 +42,7 @@ struct ForwardParams {
     KeptHits kept;           // output [n_rays,n_kept] the first hits of each ray
     RenderedGeometries geometry;   // output [n_rays], where the kernel is built for it
     uint n_kept;
+    float surface_gap_m;     // between the hits of two surfaces, where the kernel is built for modes
 };
 
 /// Ordered hits of each ray, for tests of the traversal contract.

@@ -32,7 +32,7 @@ bool sums_in_subgroups(const Device& device) { return device.info().subgroup_siz
 
 struct BackwardPass::Impl {
     ImageModel model;
-    bool with_geometry;
+    TraceOptions options;
     Kernel<shared::BackwardParams> trace;
     PoseGradients poses;
     std::unique_ptr<HitGather> gather;   ///< null: atomics
@@ -46,14 +46,14 @@ struct BackwardPass::Impl {
         return all;
     }
 
-    Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options, const BackwardOptions& backward)
+    Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o, const BackwardOptions& backward)
         : model(m),
-          with_geometry(options.geometry),
-          trace(device, accumulating_variant(device, "backward/trace" + traversal_variant(device, options)),
-                constants(device, m, proxy, options, backward)),
+          options(o),
+          trace(device, accumulating_variant(device, "backward/trace" + traversal_variant(device, o)),
+                constants(device, m, proxy, o, backward)),
           poses(device),
           gather(gathers(device, backward.reduction, m.sh_direction)
-                     ? std::make_unique<HitGather>(device, m, backward.hits_per_ray, options.geometry)
+                     ? std::make_unique<HitGather>(device, m, backward.hits_per_ray, o)
                      : nullptr),
           pass_cap(device, 1, "pass cap count") {}
 };
@@ -85,7 +85,7 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
     const ImageModel& model = impl_->model;
     const bool wants_poses = gradients.poses.size() > 0;
     shared::BackwardParams params{};
-    params.scene = trace_scene(scene, accel, batch.rays, model, impl_->pass_cap.address());
+    params.scene = trace_scene(scene, accel, batch.rays, model, impl_->options, impl_->pass_cap.address());
     params.rendered = batch.rendered->address();
     params.upstream = batch.upstream->address();
     params.d_records = gradients.records.address();
@@ -96,7 +96,7 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
         params.kept = batch.kept->hits.address();
         params.n_kept = batch.kept->per_ray;
     }
-    if (impl_->with_geometry) {
+    if (impl_->options.wants_geometry()) {
         RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.geometry ? batch.geometry->gradient.size() : 0);
         params.geometry = batch.geometry->rendered.address();
         params.d_geometry = batch.geometry->gradient.address();

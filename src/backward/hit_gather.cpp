@@ -11,21 +11,22 @@
 namespace relidar {
 namespace {
 
-std::vector<Constant> constants(const ImageModel& model, bool geometry) {
+std::vector<Constant> constants(const ImageModel& model, const TraceOptions& options) {
     return {{ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
             {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
             {ConstantId::GAUSSIANS, model.primitive == Primitive::gaussian ? 1u : 0u},
-            {ConstantId::GEOMETRY, geometry ? 1u : 0u}};
+            {ConstantId::GEOMETRY, options.geometry ? 1u : 0u},
+            {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u}};
 }
 
 }  // namespace
 
-HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray, bool geometry)
+HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray, const TraceOptions& options)
     : device_(device),
       hits_per_ray_(hits_per_ray),
       head_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
-      gather_(device, accumulating_variant(device, "backward/gather@"), constants(model, geometry)),
-      heads_kernel_(device, accumulating_variant(device, "backward/gather_heads@"), constants(model, geometry)),
+      gather_(device, accumulating_variant(device, "backward/gather@"), constants(model, options)),
+      heads_kernel_(device, accumulating_variant(device, "backward/gather_heads@"), constants(model, options)),
       most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch"),
       n_hits_(device, 1, "hits of a batch"),
       prefix_sum_(device) {}

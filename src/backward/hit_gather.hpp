@@ -15,8 +15,7 @@ namespace relidar {
 class HitGather {
 public:
     /// @param hits_per_ray  room for records is made for so many a ray of the largest batch
-    /// @param geometry      as in TraceOptions
-    HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray, bool geometry);
+    HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray, const TraceOptions& options);
     /// Makes room for a batch and, in the stream, gives each ray its slots: those of its rendered hits, in the order of rays. Waits where a
     /// batch is larger than any before.
     void assign_slots(Stream& stream, const RenderedBatch& batch);

@@ -159,6 +159,20 @@ TraceOptions trace_options(const Config& config) {
     return options;
 }
 
+TraceOptions training_trace_options(const Config& config) {
+    TraceOptions options = trace_options(config);
+    options.geometry = config.loss.uses_geometry();
+    if (config.loss.likelihood > 0.0f) options.likelihood = {config.loss.likelihood_scale_m, config.loss.likelihood_scale_share};
+    return options;
+}
+
+TraceOptions rendering_trace_options(const Config& config) {
+    TraceOptions options = trace_options(config);
+    options.geometry = config.render.normals;
+    if (config.render.range == "mode") options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);
+    return options;
+}
+
 BackwardOptions backward_options(const Config& config) {
     BackwardOptions options;
     if (config.train.gradient_sums == "atomics") options.reduction = Reduction::atomics;

@@ -139,6 +139,12 @@ void visit_losses(C& c, Visitor&& f) {
     f("loss.normalised_depth", c.loss.normalised_depth, anything(), "the range term compares D / W; false: D, as the paper does");
     f("loss.box_scale_share", c.loss.box_scale_share, above(0),
       "standard deviation an actor's surfel may have, over half the diagonal of its box");
+    f("loss.likelihood_scale_m", c.loss.likelihood_scale_m, between(1e-3, 100),
+      "loss.likelihood: how far measured ranges lie from what is there, metres: a hit so far off counts half");
+    f("loss.likelihood_scale_share", c.loss.likelihood_scale_share, between(0, 1),
+      "loss.likelihood: what is added to loss.likelihood_scale_m, times the measured range");
+    f("loss.likelihood_floor", c.loss.likelihood_floor, between(1e-6, 0.5),
+      "loss.likelihood: share of returns that may lie anywhere, so that one that nothing explains does not pull without bound");
 }
 
 template <class C, class Visitor>
@@ -269,8 +275,9 @@ void visit(C& c, Visitor&& f) {
     visit_keeping(c, f);
     visit_densify(c, f);
     visit_refine(c, f);
-    f("render.range", c.render.range, one_of({"expected", "normalised", "median"}),
-      "range of a ray in range images: D (paper), D / W, or where the transmittance crosses 0.5");
+    f("render.range", c.render.range, one_of({"expected", "normalised", "median", "mode"}),
+      "range of a ray in range images: D (paper), D / W, where the transmittance crosses 0.5, or the mean of the heaviest surface (hits "
+      "nearer to each other than sensor.return_separation_m are one)");
     f("render.normals", c.render.normals, anything(),
       "unit normals of the surfaces that rays meet: normals of npz, normal of exr, nx ny nz of ply, normal_x ... of pcd");
     f("render.points", c.render.points, one_of({"median", "range"}),

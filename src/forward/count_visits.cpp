@@ -16,10 +16,11 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
     const Array<shared::RenderedRay> rendered(device, batch.n_rays, "rendered rays");
     const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"),
         visits(device, std::vector<std::uint32_t>{0u, 0u}, "visits");
-    shared::TraceScene traced = trace_scene(scene, accel, batch, model, pass_cap.address());
+    shared::TraceScene traced = trace_scene(scene, accel, batch, model, options, pass_cap.address());
     traced.visits = visits.address();
     Stream stream(device);
-    run(stream, trace, trace_threads(batch), {.scene = traced, .rendered = rendered.address(), .kept = {}, .geometry = {}, .n_kept = 0});
+    run(stream, trace, trace_threads(batch), {.scene = traced, .rendered = rendered.address(), .kept = {}, .geometry = {}, .n_kept = 0,
+         .surface_gap_m = options.mode_gap_m.value_or(0.0f)});
     stream.finish();
     const std::vector<std::uint32_t> sums = visits.download();
     return VisitCounts{double(sums[0]) / batch.n_rays, double(sums[1]) / batch.n_rays};

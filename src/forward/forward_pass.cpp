@@ -14,14 +14,14 @@ namespace relidar {
 
 struct ForwardPass::Impl {
     ImageModel model;
-    bool with_geometry;
+    TraceOptions options;
     Kernel<shared::ForwardParams> trace;
     Array<std::uint32_t> pass_cap;
 
-    Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options)
+    Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o)
         : model(m),
-          with_geometry(options.geometry),
-          trace(device, "forward/trace" + traversal_variant(device, options), trace_constants(device, proxy, options, m)),
+          options(o),
+          trace(device, "forward/trace" + traversal_variant(device, o), trace_constants(device, proxy, o, m)),
           pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count") {}
 };
 
@@ -38,15 +38,17 @@ void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& acc
                       Array<shared::RenderedRay>& rendered, KeptHits* kept, RayGeometry* geometry) {
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered.size());
     RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.rays->size());
+    RELIDAR_ASSERT_LE(batch.targets ? batch.rays->size() : 0, batch.targets ? batch.targets->size() : 0);
     RELIDAR_ASSERT_LE(kept ? std::size_t(batch.n_rays) * kept->per_ray : 0, kept ? kept->hits.size() : 0);
     RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);   // whole rows
-    RELIDAR_ASSERT_LE(impl_->with_geometry ? std::size_t(batch.n_rays) : 0, geometry ? geometry->rendered.size() : 0);
+    RELIDAR_ASSERT_LE(impl_->options.wants_geometry() ? std::size_t(batch.n_rays) : 0, geometry ? geometry->rendered.size() : 0);
     relidar::run(stream, impl_->trace, trace_threads(batch),
-                 {.scene = trace_scene(scene, accel, batch, impl_->model, impl_->pass_cap.address()),
+                 {.scene = trace_scene(scene, accel, batch, impl_->model, impl_->options, impl_->pass_cap.address()),
                   .rendered = rendered.address(),
                   .kept = address_of(kept ? &kept->hits : nullptr),
                   .geometry = address_of(geometry ? &geometry->rendered : nullptr),
-                  .n_kept = kept ? kept->per_ray : 0});
+                  .n_kept = kept ? kept->per_ray : 0,
+                  .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)});
 }
 
 const Array<std::uint32_t>& ForwardPass::pass_cap_count() const { return impl_->pass_cap; }
@@ -70,7 +72,10 @@ Rendering to_rendering(const std::vector<shared::RenderedRay>& rays, const std::
         r.hits.push_back(ray.n_hits);
         r.instance.push_back(ray.instance == RELIDAR_NO_INSTANCE ? -1 : static_cast<std::int32_t>(ray.instance));
     }
-    for (const shared::RenderedGeometry& of_ray : geometry) r.normal.push_back(of_ray.normal);
+    for (const shared::RenderedGeometry& of_ray : geometry) {
+        r.normal.push_back(of_ray.normal);
+        r.mode_depth.push_back(of_ray.mode);
+    }
     return r;
 }
 

@@ -38,7 +38,7 @@ struct Renderer::Impl {
     void make_room(std::size_t n_rays) {
         rendered = Array<shared::RenderedRay>(device, n_rays, "rendered rays");
         if (options.keep_hits > 0) kept.emplace(device, n_rays, options.keep_hits);
-        if (options.trace.geometry) geometry.emplace(device, n_rays);
+        if (options.trace.wants_geometry()) geometry.emplace(device, n_rays);
         batch = {{}, &rendered, nullptr, kept ? &*kept : nullptr, geometry ? &*geometry : nullptr};
     }
 
@@ -89,7 +89,10 @@ Rendering Renderer::forward(const WorldRays& rays) {
             fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal stack, expected every ray to end",
                         rays.size(), capped, RELIDAR_MAX_PASSES));
     if (!r.geometry) return to_rendering(r.rendered.download(rays.size()));
-    return to_rendering(r.rendered.download(rays.size()), r.geometry->rendered.download(rays.size()));
+    Rendering rendering = to_rendering(r.rendered.download(rays.size()), r.geometry->rendered.download(rays.size()));
+    if (!r.options.trace.geometry) rendering.normal.clear();
+    if (!r.options.trace.mode_gap_m) rendering.mode_depth.clear();
+    return rendering;
 }
 
 void Renderer::set_sh_degree(int degree) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of loss/geometry_loss and loss/normal_vjp (docs/method.md M10, M11).
+// Binding of loss/geometry_loss and loss/normal_vjp (docs/method.md M10-M12).
 #include <relidar/stages/loss.hpp>
 
 #include <algorithm>
@@ -43,6 +43,8 @@ void GeometryLoss::compare(Stream& stream, const RenderedBatch& rendered, const 
                                             .terms = terms.address(),
                                             .distortion_weight = w.distortion * per_return,
                                             .normal_weight = w.normal * per_return,
+                                            .likelihood_weight = w.likelihood * per_return,
+                                            .likelihood_floor = w.likelihood_floor,
                                             .n_rays = batch.n_rays,
                                             .first_ray = batch.first,
                                             .ray_stride = batch.stride,

@@ -28,6 +28,7 @@ float chosen_range(const Rendering& r, std::size_t i, const std::string& which) 
     if (which == "expected") return r.depth[i];
     if (r.weight[i] < kMinWeight) return 0.0f;
     const float normalised = r.depth[i] / r.weight[i];
+    if (which == "mode") return r.mode_depth[i];
     if (which == "median") return r.median_depth[i] > 0.0f ? r.median_depth[i] : normalised;
     return normalised;
 }
@@ -46,9 +47,7 @@ glm::vec3 seen_normal(const glm::vec3& blended, float weight, const Pose& world_
 TraceOptions traced_with(const Config& config) {
     if (config.render.normals && config.image.primitive == Primitive::gaussian)
         throw UsageError("setting render.normals: found image.primitive=gaussian, which has no normal, expected surfel, or false");
-    TraceOptions options = trace_options(config);
-    options.geometry = config.render.normals;
-    return options;
+    return rendering_trace_options(config);
 }
 
 /// Whether a sensor sees the ray's surface: the dominant one, and where the range image has it.

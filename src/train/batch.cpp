@@ -106,7 +106,7 @@ SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random
              .column_stride = columns.stride,
              .n_columns = columns.n});
         const double share = double(n) / frame.n_rays;   // of the whole frame's count: unbiased, and no sector counts more for being empty
-        return {{&b.rays, 0, 1, n, columns.n},
+        return {{&b.rays, 0, 1, n, columns.n, &b.targets},
                 {&b.targets, 0, 1, n, share * frame.n_returned, share * frame.n_known, {image.rows, columns.n, false}},
                 {image.columns, first, columns.stride, columns.n}};
     }

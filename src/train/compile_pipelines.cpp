@@ -30,9 +30,11 @@ constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
                                  {"train.deterministic", "true"},
                                  {"train.refine_poses", "sensor,actors"},
                                  {"loss.distortion", "0.1"},
+                                 {"loss.likelihood", "0.1"},
                                  {"loss.chamfer", "0.01"},
                                  {"loss.box", "0.1"},
                                  {"loss.log_range", "0.1"},
+                                 {"render.range", "mode"},
                                  {"trace.walk", "lane"},
                                  {"trace.walk", "subgroup"},
                                  {"trace.proxy", "triangles"},
@@ -55,7 +57,7 @@ void compile(Device& device, const Sequence& street, const Config& config) {
     Split split;
     split.train = {0, 1};
     const TrainLoop loop(device, street, split, scene, config);
-    const Renderer renderer(device, scene, config.image, {.accel = accel_options(config), .trace = trace_options(config)});
+    const Renderer renderer(device, scene, config.image, {.accel = accel_options(config), .trace = rendering_trace_options(config)});
 }
 
 }  // namespace

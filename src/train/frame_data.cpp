@@ -74,7 +74,7 @@ void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& m
 
 RayBatch FrameData::batch(std::uint32_t first, std::uint32_t stride) const {
     const bool whole = image.columns % stride == 0 && first < stride;   // every stride-th column of each row
-    return {&rays, first, stride, (n_rays - first + stride - 1) / stride, whole ? image.columns / stride : 0};
+    return {&rays, first, stride, (n_rays - first + stride - 1) / stride, whole ? image.columns / stride : 0, &targets};
 }
 
 std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, const std::vector<int>& positions, const Unknown& unknown) {

@@ -61,12 +61,10 @@ std::uint32_t largest_batch(const std::vector<FrameData>& frames) {
 }
 
 RendererOptions renderer_options(const Config& config, const std::vector<FrameData>& frames) {
-    RendererOptions options{.accel = accel_options(config),
-                            .trace = trace_options(config),
-                            .n_rays = largest_batch(frames),
-                            .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
-    options.trace.geometry = config.loss.uses_geometry();
-    return options;
+    return {.accel = accel_options(config),
+            .trace = training_trace_options(config),
+            .n_rays = largest_batch(frames),
+            .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
 }
 
 /// Terms of the surfels themselves reach those that no ray has met.

@@ -33,7 +33,8 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
     on_device.activate(stream, placed.model, glm::vec3(0.0f));
     accel.update(stream, on_device);
     run(stream, kernel, n,
-        {.scene = trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)}, placed.model, pass_cap.address()),
+        {.scene = trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)}, placed.model, placed.trace,
+                              pass_cap.address()),
          .counts = counts.address(),
          .t = t.address(),
          .instance = instance.address(),

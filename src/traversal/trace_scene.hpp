@@ -30,10 +30,13 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddre
             .sh = scene.parameters().sh.address(),
             .pass_cap_count = {},
             .visits = {},
+            .targets = {},
             .near_m = model.near_m,
             .alpha_min = model.alpha_min,
             .alpha_max = model.alpha_max,
             .transmittance_min = model.transmittance_min,
+            .likelihood_scale_m = 1.0f,
+            .likelihood_scale_share = 0.0f,
             .n_instances = static_cast<std::uint32_t>(scene.instances().size()),
             .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
             .n_rays = 0,
@@ -43,7 +46,7 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddre
 }
 
 inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model,
-                                      Address<std::uint32_t> pass_cap_count) {
+                                      const TraceOptions& options, Address<std::uint32_t> pass_cap_count) {
     shared::TraceScene traced = trace_scene(scene, accel.addresses(), model);
     traced.rays = batch.rays->address();
     traced.pass_cap_count = pass_cap_count;
@@ -51,6 +54,11 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& acc
     traced.first_ray = batch.first;
     traced.ray_stride = batch.stride;
     traced.columns = batch.columns;
+    if (options.likelihood) {
+        traced.targets = address_of(batch.targets);
+        traced.likelihood_scale_m = options.likelihood->scale_m;
+        traced.likelihood_scale_share = options.likelihood->scale_share;
+    }
     return traced;
 }
 
@@ -74,7 +82,9 @@ inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, 
             {ConstantId::TOGETHER, walks_together(device, options) ? 1u : 0u},
             {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
             {ConstantId::GAUSSIANS, model.primitive == Primitive::gaussian ? 1u : 0u},
-            {ConstantId::GEOMETRY, options.geometry ? 1u : 0u}};
+            {ConstantId::GEOMETRY, options.geometry ? 1u : 0u},
+            {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
+            {ConstantId::MODE, options.mode_gap_m ? 1u : 0u}};
 }
 
 }  // namespace relidar

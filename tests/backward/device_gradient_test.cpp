@@ -31,6 +31,8 @@ constexpr Way kWays[] = {{"atomics", {.reduction = Reduction::atomics, .subgroup
                           {"gather, some kept hits", {.reduction = Reduction::gather}, 5},
                           {"gather without room for all", {.reduction = Reduction::gather, .subgroup_sums = true, .hits_per_ray = 2}}};
 
+constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f, 0.02f};
+
 /// How a scene is rendered, what of it has a gradient, and how well that must agree.
 struct How {
     Proxy proxy = Proxy::boxes;
@@ -46,6 +48,7 @@ protected:
         reference::Settings settings;
         settings.image = image;
         settings.image.primitive = options.primitive;
+        settings.likelihood_scale_m = 0.3, settings.likelihood_scale_share = 0.02;
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         const std::vector<PixelGradient> upstream = random_upstream(scene.rays.size(), options.seed, how.outputs);
@@ -57,7 +60,11 @@ protected:
 
         // other ways of finding hits change nothing there
         for (const Way& way : std::span(kWays).first(how.brute_force ? 2 : std::size(kWays))) {
-            const TraceOptions trace{.chunk = how.chunk, .brute_force = how.brute_force, .geometry = how.outputs != Outputs::image};
+            const TraceOptions trace{
+                .chunk = how.chunk,
+                .brute_force = how.brute_force,
+                .geometry = how.outputs != Outputs::image && how.outputs != Outputs::likelihood,
+                .likelihood = how.outputs == Outputs::likelihood || how.outputs == Outputs::all ? kKernel : std::nullopt};
             Passes passes(device(), settings.image, scene, upstream, {.accel = {.proxy = how.proxy}, .trace = trace, .keep_hits = way.kept},
                           way.options);
             passes.run();
@@ -81,7 +88,7 @@ protected:
             EXPECT_LE(group.worst_error(), how.tolerance) << name << ", " << title;
             EXPECT_EQ(group.missing_rows(), 0u) << name << ", " << title;
             const bool constant = (name == "sh hit" && image.single_drop_logit) ||
-                                  (name.starts_with("sh ") && (how.outputs == Outputs::normal || how.outputs == Outputs::distortion));
+                                  (name.starts_with("sh ") && how.outputs != Outputs::image && how.outputs != Outputs::all);
             EXPECT_EQ(group.nonzero_rows() == 0u, constant) << name << ", " << title;
         }
     }
@@ -149,7 +156,7 @@ TEST_F(DeviceGradient, SingleDropLogit) {
                      "one drop logit, SH along sensor -> mean");
 }
 
-/// Blended normal and distortion (M10, M11), each alone and with the image, short chunks and long lists.
+/// Blended normal, distortion and likelihood (M10-M12), each alone and with the image, short chunks and long lists.
 TEST_F(DeviceGradient, Geometry) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 72;
@@ -167,6 +174,22 @@ TEST_F(DeviceGradient, Geometry) {
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.chunk = 2, .brute_force = true, .tolerance = 10.0 * test::kKernelGradient, .outputs = Outputs::all},
                      "image and geometry, opaque with clamps");
+}
+
+/// The likelihood (M12) alone, without the rest of the geometry.
+TEST_F(DeviceGradient, Likelihood) {
+    test::RandomSceneOptions options;
+    options.rays = 60, options.seed = 64;
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .chunk = 4, .outputs = Outputs::likelihood},
+                     "likelihood, SH along the ray, chunk 4");
+    options.seed = 65, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0, options.actor_surfels = 0,
+    options.opacity_low = 0.02, options.opacity_high = 0.2;
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.chunk = 5, .outputs = Outputs::likelihood},
+                     "likelihood, transparent, long lists");
+    options = {.seed = 66, .background_surfels = 24, .actor_surfels = 8, .actor_instances = 1, .rays = 30,
+               .primitive = Primitive::gaussian};
+    expect_agreement({.sh_direction = ShDirection::surfel}, options,
+                     {.tolerance = 3.0 * test::kKernelGradient, .outputs = Outputs::likelihood}, "likelihood, 3D Gaussians");
 }
 
 /// Direct differences of the device: blunt (single precision), but nothing of the chain is shared with the reference.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Distortion and normal consistency (M10, M11) from end to end: the forward pass, the losses and the backward pass on the device against
-// central differences of the double forward pass, for every parameter that they depend on, the rays, the poses of instances and that of
-// the sensor; each term alone and with the image losses. The normals of the range image move with the surfels and with the rays.
+// Distortion, normal consistency and likelihood (M10-M12) from end to end: the forward pass, the losses and the backward pass on the device
+// against central differences of the double forward pass, for every parameter that they depend on, the rays, the poses of instances and
+// that of the sensor; each term alone and with the image losses. The normals of the range image move with the surfels and with the rays.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -90,6 +90,9 @@ struct Problem {
         for (const reference::Pixel& p : pixels())
             targets.push_back({float(p.depth / p.weight + (unit(random) < 0.5 ? -0.1 : 0.1)), float(0.9 * unit(random))});
         targets[10].range_m = 0.0;   // dropped
+        settings.likelihood_scale_m = double(weights.likelihood_scale_m);
+        settings.likelihood_scale_share = double(weights.likelihood_scale_share);
+        for (std::size_t k = 0; k < targets.size(); ++k) scene.rays[k].measured_m = targets[k].range_m;
     }
 
     std::vector<reference::Pixel> pixels() const {
@@ -113,21 +116,27 @@ struct Problem {
         }
         result.push_back(
             evaluate_loss(i.pixels, targets, {weights.depth, weights.intensity, weights.drop}, reference::DepthKind::normalised).total);
+        result.push_back(double(weights.likelihood) * likelihood_loss(i.pixels, targets, double(weights.likelihood_floor)));
         return result;
     }
 };
 
+TraceOptions trace_options(const LossWeights& w) {
+    TraceOptions options{.chunk = 3, .geometry = w.uses_geometry()};
+    if (w.likelihood > 0.0f) options.likelihood = {w.likelihood_scale_m, w.likelihood_scale_share};
+    return options;
+}
+
 /// The same on the device.
 struct DevicePasses : test::Passes {
-    Array<DeviceTarget> targets;
     std::vector<std::unique_ptr<Loss>> losses;
     Array<float> loss_terms;
     double n_returned = 0.0;
 
     DevicePasses(Device& d, const Problem& p, std::uint32_t keep_hits, const BackwardOptions& options)
         : Passes(d, p.settings.image, p.scene, std::vector<reference::PixelGradient>(p.scene.rays.size()),
-                 {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 3, .geometry = true}, .keep_hits = keep_hits}, options),
-          targets(d, p.scene.rays.size(), "targets"), losses(make_losses(d, p.weights, std::uint32_t(p.scene.rays.size()))),
+                 {.accel = {.proxy = Proxy::boxes}, .trace = trace_options(p.weights), .keep_hits = keep_hits}, options),
+          losses(make_losses(d, p.weights, std::uint32_t(p.scene.rays.size()))),
           loss_terms(d, std::vector<float>(kLossTerms, 0.0f), "terms") {
         std::vector<DeviceTarget> t;
         for (const reference::Target& target : p.targets) t.push_back({float(target.range_m), float(target.intensity), 1.0f});
@@ -181,7 +190,7 @@ std::vector<std::pair<std::string, std::vector<double>>> expected_rows(Problem& 
     add_twist("sensor", [&](const glm::dvec3& v, const glm::dvec3& w) {
         for (std::size_t i = 0; i < rays.size(); ++i)
             p.scene.rays[i] = {p.settings.view_origin + turn_by(w) * (rays[i].origin - p.settings.view_origin) + v,
-                               turn_by(w) * rays[i].direction};
+                               turn_by(w) * rays[i].direction, rays[i].measured_m};
     });
     return rows;
 }
@@ -228,17 +237,19 @@ protected:
     }
 };
 
-LossWeights geometry_weights(float image, float distortion, float normal) {
+LossWeights geometry_weights(float image, float distortion, float normal, float likelihood = 0.0f) {
     LossWeights w;
     w.depth = w.intensity = w.drop = image;
-    w.distortion = distortion, w.normal = normal, w.chamfer = 0.0f;
+    w.distortion = distortion, w.normal = normal, w.likelihood = likelihood, w.chamfer = 0.0f;
+    w.likelihood_scale_m = 0.1f, w.likelihood_scale_share = 0.01f, w.likelihood_floor = 0.05f;
     w.normalised_depth = true;
     return w;
 }
 
 TEST_F(GeometryGradient, NormalConsistencyAlone) { expect_agreement(geometry_weights(0.0f, 0.0f, 1.0f), "normal consistency"); }
 TEST_F(GeometryGradient, DistortionAlone) { expect_agreement(geometry_weights(0.0f, 1.0f, 0.0f), "distortion"); }
-TEST_F(GeometryGradient, WithTheImageLosses) { expect_agreement(geometry_weights(0.1f, 0.5f, 0.5f), "all terms"); }
+TEST_F(GeometryGradient, LikelihoodAlone) { expect_agreement(geometry_weights(0.0f, 0.0f, 0.0f, 1.0f), "likelihood"); }
+TEST_F(GeometryGradient, WithTheImageLosses) { expect_agreement(geometry_weights(0.1f, 0.5f, 0.5f, 0.3f), "all terms"); }
 
 /// What the tests above would not notice if the normals of the range image were taken for constants: a third of the gradient of the means.
 TEST_F(GeometryGradient, TheImageNormalsHaveAShare) {
@@ -285,8 +296,39 @@ TEST_F(GeometryGradient, TwoSurfelsInClosedForm) {
     }
 }
 
+/// Two surfels, 30 cm apart, of a ray that measured the second: S = w_0 k + w_1, k = 1 / (1 + (0.3 / s)^2), at 80 m as at 3 m.
+TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
+    for (const double start : {3.0, 79.0}) {
+        const double t[] = {double(float(start)), double(float(start + 0.3))}, opacity[] = {0.6, 0.5};
+        test::RandomScene scene;
+        for (int i : {0, 1}) {
+            reference::Surfel s;
+            s.mean = {t[i], 0.0, 0.0};
+            s.rotation = {0.70710678118654752, 0.0, 0.70710678118654752, 0.0};
+            s.opacity_logit = std::log(opacity[i] / (1.0 - opacity[i]));
+            scene.world.surfels.push_back(s);
+        }
+        scene.world.instances = {{0, 2, {}}};
+        scene.rays = {{{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, t[1]}};
+        std::vector<reference::PixelGradient> upstream(1);
+        upstream[0].likelihood = 1.0;
+        test::Passes passes(device(), {}, scene, upstream,
+                            {.accel = {.proxy = Proxy::boxes}, .trace = {.likelihood = RangeKernel{0.1f, 0.001f}}});
+        passes.run();
+        const double scale = 0.1 + 0.001 * t[1], d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6, w1 = 0.4 * 0.5;
+        const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;   // of a range, by a float
+        EXPECT_NEAR(passes.renderer.rendered().geometry->rendered.download()[0].likelihood, w0 * k + w1, 1e-6 + w0 * slope * resolved);
+        const Surfels found = passes.gradients().surfels.download();
+        EXPECT_NEAR(found.mean[0].x, w0 * slope, 1e-6 + resolved * w0 / (scale * scale)) << "the nearer one is drawn to the range";
+        EXPECT_NEAR(found.mean[1].x, 0.0, 1e-6 + 2.0 * w1 * resolved / (scale * scale)) << "the other is there";
+        // S = s_0 k + (1 - s_0) s_1, by the opacities s
+        EXPECT_NEAR(found.opacity_logit[0], (k - 0.5) * 0.6 * 0.4, 1e-6 + slope * resolved);
+        EXPECT_NEAR(found.opacity_logit[1], 0.4 * 0.5 * 0.5, 1e-6);
+    }
+}
+
 TEST_F(GeometryGradient, GatheredTheSameBitsInEveryRun) {
-    const Problem p(geometry_weights(0.1f, 0.5f, 0.5f));
+    const Problem p(geometry_weights(0.1f, 0.5f, 0.5f, 0.3f));
     std::vector<float> first;
     for (int i = 0; i < 3; ++i) {
         DevicePasses passes(device(), p, 0, {.reduction = Reduction::gather});

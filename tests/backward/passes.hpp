@@ -24,6 +24,7 @@ struct Passes {
     SceneAndPoses placed;
     DifferentiableRenderer renderer;
     Array<DeviceRay> rays;
+    Array<shared::DeviceTarget> targets;
     glm::vec3 view_origin;
 
     /// @param g  [>= rays] of every ray, until a loss writes others
@@ -32,6 +33,7 @@ struct Passes {
         : placed(to_scene(to_surfels(s.world.surfels), s.world.instances)),
           renderer(device, placed.scene, model, with_room(options, s.rays.size()), {.sums = sums, .wanted = {.rays = true, .poses = true}}),
           rays(device, std::span<const DeviceRay>(to_device_rays(to_world_rays(s.rays))), "rays"),
+          targets(device, std::span<const shared::DeviceTarget>(to_targets(s.rays)), "targets"),
           view_origin(s.view_origin) {
         renderer.scene().set_poses(placed.world_from_instance);
         std::vector<shared::RayGradient> u;
@@ -43,13 +45,17 @@ struct Passes {
                          .intensity = float(d.intensity),
                          .hit_logit = float(d.hit_logit),
                          .drop_logit = float(d.drop_logit)});
-            q.push_back({.normal = glm::vec3(d.normal), .distortion = float(d.distortion), .point = glm::vec3(0.0f), .range = 0.0f});
+            q.push_back({.normal = glm::vec3(d.normal),
+                         .distortion = float(d.distortion),
+                         .point = glm::vec3(0.0f),
+                         .range = 0.0f,
+                         .likelihood = float(d.likelihood)});
         }
         renderer.batch().upstream->upload(u);
         if (RayGeometry* geometry = renderer.batch().geometry) geometry->gradient.upload(q);
     }
 
-    RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size())}; }
+    RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size()), 0, &targets}; }
     Gradients& gradients() { return renderer.gradients(); }
     void run_forward() {
         renderer.place(view_origin);

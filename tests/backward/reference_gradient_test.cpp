@@ -26,6 +26,7 @@ struct Problem {
         : chunk(chunk_size) {
         settings.image.sh_direction = direction;
         settings.image.single_drop_logit = single_drop_logit;
+        settings.likelihood_scale_m = 0.3, settings.likelihood_scale_share = 0.02;
         scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         upstream = test::random_upstream(scene.rays.size(), options.seed + 1, outputs);
@@ -136,13 +137,16 @@ TEST(ReferenceGradient, EveryParameterShAlongSurfel) {
     expect_differences_agree(ShDirection::surfel, options, 4, "SH along sensor -> mean, 3 instances, chunk 4");
 }
 
-/// Each output of the geometric losses alone (M10, M11); all other tests have them beside the image.
+/// Each output of the geometric losses alone (M10-M12); all other tests have them beside the image.
 TEST(ReferenceGradient, GeometryAlone) {
     test::RandomSceneOptions options;
     options.seed = 6;
     options.background_surfels = 24, options.actor_surfels = 8, options.rays = 12;
     expect_differences_agree(ShDirection::ray, options, 4, "blended normal alone", false, test::Outputs::normal);
     expect_differences_agree(ShDirection::surfel, options, 4, "distortion alone", false, test::Outputs::distortion);
+    expect_differences_agree(ShDirection::surfel, options, 4, "likelihood alone", false, test::Outputs::likelihood);
+    options.primitive = Primitive::gaussian;
+    expect_differences_agree(ShDirection::ray, options, 4, "likelihood alone, 3D Gaussians", false, test::Outputs::likelihood);
 }
 
 TEST(ReferenceGradient, SingleDropLogit) {

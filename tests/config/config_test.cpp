@@ -162,7 +162,7 @@ TEST(Config, PaperIsThePaper) {
     EXPECT_EQ(c.loss.intensity, 0.1f);
     EXPECT_EQ(c.loss.intensity_ssim, 0.0f);
     EXPECT_EQ(c.loss.chamfer, 0.01f);
-    EXPECT_EQ(c.loss.box + c.loss.opacity + c.loss.opacity_entropy + c.loss.distortion + c.loss.normal, 0.0f);
+    EXPECT_EQ(c.loss.box + c.loss.opacity + c.loss.opacity_entropy + c.loss.distortion + c.loss.normal + c.loss.likelihood, 0.0f);
     EXPECT_FALSE(c.loss.normalised_depth);
     EXPECT_EQ(c.image.sh_direction, ShDirection::ray);
     EXPECT_EQ(c.render.range, "expected");
@@ -196,6 +196,31 @@ TEST(Config, EnumFieldsReachTheirStages) {
     EXPECT_EQ(accel_options(config).proxy, Proxy::triangles);
     set_key(config, "trace.chunk", "8");
     EXPECT_EQ(trace_options(config).chunk, 8);
+}
+
+/// Rendering casts rays without what losses want of them; training with it.
+TEST(Config, LossesReachTheTraceOfTraining) {
+    Config config;
+    EXPECT_FALSE(training_trace_options(config).wants_geometry());
+    set_key(config, "loss.likelihood", "0.1");
+    set_key(config, "loss.likelihood_scale_m", "0.2");
+    set_key(config, "loss.likelihood_scale_share", "0.001");
+    const TraceOptions likelihood = training_trace_options(config);
+    EXPECT_FALSE(likelihood.geometry);
+    ASSERT_TRUE(likelihood.likelihood);
+    EXPECT_EQ(likelihood.likelihood->scale_m, 0.2f);
+    EXPECT_EQ(likelihood.likelihood->scale_share, 0.001f);
+    EXPECT_FALSE(rendering_trace_options(config).wants_geometry());
+    set_key(config, "render.range", "mode");
+    set_key(config, "sensor.return_separation_m", "0.7");
+    EXPECT_EQ(rendering_trace_options(config).mode_gap_m, 0.7f);
+    EXPECT_FALSE(training_trace_options(config).mode_gap_m);
+    set_key(config, "loss.likelihood", "0");
+    set_key(config, "loss.normal", "0.1");
+    EXPECT_TRUE(training_trace_options(config).geometry);
+    EXPECT_FALSE(training_trace_options(config).likelihood);
+    EXPECT_THROW(set_key(config, "loss.likelihood_floor", "0"), UsageError) << "an unexplained return would pull without bound";
+    EXPECT_THROW(set_key(config, "loss.likelihood_scale_m", "0"), UsageError);
 }
 
 TEST_F(ConfigFile, BadFilesNameFileAndKey) {

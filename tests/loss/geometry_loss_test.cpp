@@ -10,6 +10,7 @@
 #include <relidar/stages/traversal.hpp>
 
 #include "../reference/geometry_loss.hpp"
+#include "../reference/loss.hpp"
 #include "../support/device.hpp"
 #include "../support/floats.hpp"
 #include "../support/gradient_check.hpp"
@@ -39,6 +40,7 @@ RangeImage random_image(int rows, int columns, bool circular, bool normalised) {
         p.normal = p.weight * glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)) - 2.0 * d);
         p.normal = glm::dvec3(glm::vec3(p.normal));
         p.distortion = float(0.2 * unit(random));
+        p.likelihood = float(unit(random) < 0.1 ? 0.0 : unit(random));
         image.pixels.push_back(p);
         image.returned.push_back(unit(random) < 0.95);
     }
@@ -46,7 +48,7 @@ RangeImage random_image(int rows, int columns, bool circular, bool normalised) {
 }
 
 struct Found {
-    double distortion = 0.0, normal = 0.0;
+    double distortion = 0.0, normal = 0.0, likelihood = 0.0;
     std::vector<shared::RayGradient> upstream;        ///< [n]
     std::vector<shared::GeometryGradient> gradient;   ///< [n]
 };
@@ -62,7 +64,11 @@ Found device_terms(Device& device, const RangeImage& image, const LossWeights& w
         const reference::Pixel& p = image.pixels[i];
         shared::RenderedRay& ray = rendered.emplace_back();
         ray.depth = float(p.depth), ray.weight = float(p.weight);
-        geometry.push_back({.normal = glm::vec3(p.normal), .distortion = float(p.distortion), .moment = 0.0f});
+        geometry.push_back({.normal = glm::vec3(p.normal),
+                            .distortion = float(p.distortion),
+                            .moment = 0.0f,
+                            .likelihood = float(p.likelihood),
+                            .mode = 0.0f});
         rays[i * stride] = {glm::vec3(image.rays[i].origin), glm::vec3(image.rays[i].direction)};
         targets[i * stride] = image.returned[i] ? DeviceTarget{5.0f, 0.5f, 1.0f}
                               : i % 2           ? DeviceTarget{0.0f, 0.5f, 1.0f}
@@ -84,7 +90,7 @@ Found device_terms(Device& device, const RangeImage& image, const LossWeights& w
                  {&device_targets, 0, stride, std::uint32_t(n), n_returned, double(n), shape}, terms);
     stream.finish();
     const std::vector<float> t = terms.download();
-    return {t[loss_term::distortion], t[loss_term::normal], upstream.download(), q.gradient.download()};
+    return {t[loss_term::distortion], t[loss_term::normal], t[loss_term::likelihood], upstream.download(), q.gradient.download()};
 }
 
 /// Points 10 m away, 0.2 m from each other, give normals that are good to 1e-5; rows are sums over four neighbours, which may cancel.
@@ -152,10 +158,33 @@ TEST_F(GeometryTerms, DistortionIsARaysOwn) {
     const Found found = device_terms(device(), image, weights, 1);
     EXPECT_GT(found.distortion, 0.01);
     EXPECT_EQ(found.normal, 0.0);
+    EXPECT_EQ(found.likelihood, 0.0);
     for (const float x : test::floats_of(found.upstream)) EXPECT_EQ(x, 0.0f);
     for (const shared::GeometryGradient& g : found.gradient) {
         EXPECT_EQ(g.normal, glm::vec3(0.0f));
         EXPECT_EQ(g.point, glm::vec3(0.0f));
+        EXPECT_EQ(g.likelihood, 0.0f);
+    }
+}
+
+/// Likelihood alone, and as one of three: value and derivative against the double reference, at dropped and unknown rays 0.
+TEST_F(GeometryTerms, LikelihoodAgreesWithReference) {
+    for (const bool alone : {true, false}) {
+        const RangeImage image = random_image(9, 31, false, true);
+        std::vector<reference::Target> targets;
+        for (const bool returned : image.returned) targets.push_back({returned ? 5.0 : 0.0, 0.5});
+        std::vector<reference::PixelGradient> expected;
+        const double term = reference::likelihood_loss(image.pixels, targets, 0.02, &expected);
+        LossWeights weights;
+        weights.likelihood = 0.7f, weights.likelihood_floor = 0.02f;
+        if (!alone) weights.distortion = 0.5f, weights.normal = 0.5f, weights.normalised_depth = true;
+        const Found found = device_terms(device(), image, weights, 3);
+        EXPECT_NEAR(found.likelihood, 0.7 * term, 1e-5 * term);
+        EXPECT_EQ(found.distortion > 0.0 && found.normal > 0.0, !alone);
+        for (std::size_t i = 0; i < expected.size(); ++i) {
+            const double d = 0.7 * expected[i].likelihood;
+            EXPECT_NEAR(found.gradient[i].likelihood, d, 1e-5 * std::abs(d)) << "ray " << i;
+        }
     }
 }
 

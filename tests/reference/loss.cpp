@@ -66,4 +66,19 @@ double log_range_loss(const std::vector<Pixel>& pixels, const std::vector<Target
     return sum;
 }
 
+double likelihood_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, double floor,
+                       std::vector<PixelGradient>* d_pixels) {
+    std::vector<PixelGradient> d(pixels.size());
+    double sum = 0.0, n_returned = 0.0;
+    for (const Target& target : targets) n_returned += target.range_m > 0.0 ? 1.0 : 0.0;
+    for (std::size_t i = 0; i < pixels.size(); ++i) {
+        if (!(targets[i].range_m > 0.0)) continue;
+        const double mixture = floor + (1.0 - floor) * pixels[i].likelihood;
+        sum -= std::log(mixture) / n_returned;
+        d[i].likelihood = -(1.0 - floor) / mixture / n_returned;
+    }
+    if (d_pixels != nullptr) *d_pixels = std::move(d);
+    return sum;
+}
+
 }  // namespace relidar::reference

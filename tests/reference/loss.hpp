@@ -39,6 +39,10 @@ LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Targ
 double log_range_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, DepthKind kind,
                       std::vector<PixelGradient>* d_pixels = nullptr);
 
+/// Mean -ln(floor + (1 - floor) S) over returned rays, S the pixel's likelihood (M12). @param d_pixels [n] as above
+double likelihood_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, double floor,
+                       std::vector<PixelGradient>* d_pixels = nullptr);
+
 /// M6: beta from the two blended logits.
 double drop_probability(double hit_logit, double drop_logit);
 

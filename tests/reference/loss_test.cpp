@@ -71,6 +71,21 @@ TEST(ReferenceLoss, LogRange) {
     }
 }
 
+TEST(ReferenceLoss, Likelihood) {
+    std::vector<Pixel> pixels(4);
+    pixels[0].likelihood = 1.0, pixels[1].likelihood = 0.25, pixels[2].likelihood = 0.0, pixels[3].likelihood = 0.5;
+    const std::vector<Target> targets{{17, 0}, {2.5, 0}, {3, 0}, {0, 0}};
+    EXPECT_NEAR(likelihood_loss(pixels, targets, 0.01), -(std::log(0.01 + 0.99 * 0.25) + std::log(0.01)) / 3, 1e-12)
+        << "0 where the hits explain all of it, bounded where nothing does, nothing of a dropped ray";
+    std::vector<PixelGradient> d;
+    likelihood_loss(pixels, targets, 0.01, &d);
+    test::GradientTable table;
+    const auto total = [&] { return std::vector<double>{likelihood_loss(pixels, targets, 0.01)}; };
+    for (std::size_t i = 0; i < pixels.size(); ++i)
+        table.add_row("likelihood", test::central_differences(&pixels[i].likelihood, 1, total), {d[i].likelihood});
+    EXPECT_LE(table.worst_error(), test::kReferenceGradient);
+}
+
 TEST(ReferenceLoss, ExtremeAndDegenerateInputsStayFinite) {
     const std::vector<Pixel> pixels{pixel(0, 0, 0, 1e4, -1e4), pixel(0, 0, 0, -1e4, 1e4), pixel(5, 1, 0, 0, 0)};
     const std::vector<Target> targets{{0, 0}, {4, 0.2}, {5, 0}};

@@ -11,7 +11,8 @@ namespace {
 /// Running sums of M4 and M5.
 class Blend {
 public:
-    explicit Blend(const ImageModel& model) : transmittance_min_(double(model.transmittance_min)) {}
+    Blend(const Settings& settings, const Ray& ray)
+        : settings_(settings), ray_(ray), transmittance_min_(double(settings.image.transmittance_min)) {}
 
     /// Adds a surfel; false, without adding it, where it would take T under T_min.
     bool add(const ShadedHit& s) {
@@ -30,6 +31,7 @@ public:
         }
         for (const auto& [weight, t] : blended_) pixel_.distortion += w * weight * std::abs(s.t - t);   // M10, pair by pair
         blended_.emplace_back(w, s.t);
+        pixel_.likelihood += w * range_kernel(settings_, ray_, s.t).value;   // M12
         pixel_.normal += w * s.normal;
         pixel_.transmittance = next;
         pixel_.hits += 1;
@@ -44,6 +46,8 @@ public:
     }
 
 private:
+    const Settings& settings_;
+    const Ray& ray_;
     double transmittance_min_;
     double drop_sum_ = 0.0;
     Pixel pixel_;
@@ -54,7 +58,14 @@ private:
 
 double inner_product(const PixelGradient& g, const Pixel& p) {
     return g.depth * p.depth + g.weight * p.weight + g.intensity * p.intensity + g.hit_logit * p.hit_logit + g.drop_logit * p.drop_logit +
-           glm::dot(g.normal, p.normal) + g.distortion * p.distortion;
+           glm::dot(g.normal, p.normal) + g.distortion * p.distortion + g.likelihood * p.likelihood;
+}
+
+RangeKernel range_kernel(const Settings& settings, const Ray& ray, double t) {
+    if (!(ray.measured_m > 0.0)) return {};
+    const double s = settings.likelihood_scale_m + settings.likelihood_scale_share * ray.measured_m, d = t - ray.measured_m;
+    const double both = s * s + d * d;
+    return {s * s / both, -2.0 * d * s * s / (both * both)};
 }
 
 ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, const Hit& hit) {
@@ -85,7 +96,7 @@ ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, co
 
 Pixel render(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray, int chunk,
              std::vector<ShadedHit>* blended) {
-    Blend blend(settings.image);
+    Blend blend(settings, ray);
     std::vector<Hit> hits;
     HitKey after;
     do {
@@ -102,7 +113,7 @@ Pixel render(const World& world, const HitProvider& provider, const Settings& se
 
 Pixel render_all_at_once(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray,
                          std::vector<ShadedHit>* blended) {
-    Blend blend(settings.image);
+    Blend blend(settings, ray);
     std::vector<Hit> hits;
     provider.next_hits(ray, HitKey{}, std::numeric_limits<int>::max(), hits);
     for (const Hit& hit : hits) {
@@ -111,6 +122,20 @@ Pixel render_all_at_once(const World& world, const HitProvider& provider, const 
         if (blended != nullptr) blended->push_back(s);
     }
     return blend.finish();
+}
+
+std::vector<Surface> surfaces(const std::vector<ShadedHit>& blended, double gap_m) {
+    std::vector<Surface> result;
+    double transmittance = 1.0;
+    for (std::size_t i = 0; i < blended.size(); ++i) {
+        if (i == 0 || blended[i].t - blended[i - 1].t > gap_m) result.emplace_back();
+        Surface& s = result.back();
+        const double w = blended[i].alpha * transmittance;
+        s.mean = (s.weight * s.mean + w * blended[i].t) / (s.weight + w);
+        s.weight += w;
+        transmittance *= 1.0 - blended[i].alpha;
+    }
+    return result;
 }
 
 }  // namespace relidar::reference

@@ -15,6 +15,7 @@ namespace relidar::reference {
 struct Settings {
     ImageModel image;
     glm::dvec3 view_origin{0.0};   ///< metres, world: where ShDirection::surfel looks from
+    double likelihood_scale_m = 0.05, likelihood_scale_share = 0.0;   ///< s of M12: their sum, the second times the measured range
 };
 
 /// What one ray brings back (M5).
@@ -30,6 +31,7 @@ struct Pixel {
     std::int64_t instance = -1;   ///< of the surfel of median_depth; where there is none, of the nearest blended one; -1 without
     glm::dvec3 normal{0.0};       ///< sum w n, n the surfel's unit normal in the world on the side that faces the sensor (M11)
     double distortion = 0.0;      ///< sum over pairs, each once, of w_i w_j |t_i - t_j|, metres (M10)
+    double likelihood = 0.0;      ///< S = sum w k(t), 0 where the ray measured nothing (M12)
 };
 
 /// dL/d(Pixel) for the outputs a loss can use.
@@ -37,9 +39,17 @@ struct PixelGradient {
     double depth = 0.0, weight = 0.0, intensity = 0.0, hit_logit = 0.0, drop_logit = 0.0;
     glm::dvec3 normal{0.0};
     double distortion = 0.0;
+    double likelihood = 0.0;
 };
 /// sum of gradient times output, over all outputs: a loss with that gradient.
 double inner_product(const PixelGradient& g, const Pixel& p);
+
+/// Kernel of M12 about the range that a ray measured: s^2 / (s^2 + (t - z)^2); 0 where it measured nothing.
+struct RangeKernel {
+    double value = 0.0;
+    double slope = 0.0;   ///< dk/dt
+};
+RangeKernel range_kernel(const Settings& settings, const Ray& ray, double t);
 
 /// One hit with everything blending needs.
 struct ShadedHit {
@@ -62,6 +72,14 @@ Pixel render(const World& world, const HitProvider& provider, const Settings& se
 /// The same from the list of all hits at once.
 Pixel render_all_at_once(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray,
                          std::vector<ShadedHit>* blended = nullptr);
+
+/// Some of the blended hits of a ray.
+struct Surface {
+    double weight = 0.0;   ///< sum w
+    double mean = 0.0;     ///< sum w t / sum w, metres
+};
+/// M13: a hit more than a gap behind the one before begins another surface. @return nearest first
+std::vector<Surface> surfaces(const std::vector<ShadedHit>& blended, double gap_m);
 
 /// Gradient with respect to an instance's pose.
 ///   world_from_model becomes (exp([rotation]x) R, translation' = translation + d_translation): the rotation vector is

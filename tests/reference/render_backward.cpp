@@ -19,16 +19,18 @@ struct LocalGradient {
     glm::dvec3 origin{0.0}, direction{0.0}, view{0.0};
 };
 
-/// Distortion and blended normal (M10, M11) pair by pair: dL/dw_i is what a unit of weight is worth, and alpha_i makes w_i from T_i while
-/// it takes the same share of every weight behind.
-void add_geometry(const std::vector<ShadedHit>& hits, const PixelGradient& g, std::vector<HitGradient>& result) {
+/// Distortion, blended normal and likelihood (M10-M12), pair by pair the first: dL/dw_i is what a unit of weight is worth, and alpha_i
+/// makes w_i from T_i while it takes the same share of every weight behind.
+void add_geometry(const std::vector<ShadedHit>& hits, const std::vector<RangeKernel>& kernels, const PixelGradient& g,
+                  std::vector<HitGradient>& result) {
     std::vector<double> transmittance, w, d_w(hits.size(), 0.0);
     for (const ShadedHit& s : hits) {
         transmittance.push_back(w.empty() ? 1.0 : transmittance.back() * (1.0 - hits[w.size() - 1].alpha));
         w.push_back(s.alpha * transmittance.back());
     }
     for (std::size_t i = 0; i < hits.size(); ++i) {
-        d_w[i] += glm::dot(g.normal, hits[i].normal);
+        d_w[i] += glm::dot(g.normal, hits[i].normal) + g.likelihood * kernels[i].value;
+        result[i].t += g.likelihood * w[i] * kernels[i].slope;
         for (std::size_t j = 0; j < hits.size(); ++j) {
             d_w[i] += g.distortion * w[j] * std::abs(hits[i].t - hits[j].t);
             result[i].t += g.distortion * w[i] * w[j] * (hits[i].t > hits[j].t ? 1.0 : hits[i].t < hits[j].t ? -1.0 : 0.0);
@@ -41,7 +43,8 @@ void add_geometry(const std::vector<ShadedHit>& hits, const PixelGradient& g, st
 }
 
 /// M7, front to back: needs the final pixel, the running sums and T before each hit.
-std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits, const Pixel& pixel, const PixelGradient& g) {
+std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits, const std::vector<RangeKernel>& kernels, const Pixel& pixel,
+                                       const PixelGradient& g) {
     std::vector<HitGradient> result(hits.size());
     double transmittance = 1.0;
     Pixel sum;   // C_{<=i}: without any background
@@ -64,7 +67,7 @@ std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits, const
         result[i].value = w * glm::dvec3(s.intensity_clamped ? 0.0 : g.intensity, g.hit_logit, g.drop_logit);
         transmittance *= 1.0 - s.alpha;
     }
-    add_geometry(hits, g, result);
+    add_geometry(hits, kernels, g, result);
     for (std::size_t i = 0; i < hits.size(); ++i)
         if (hits[i].alpha_clamped) result[i].alpha = 0.0;
     return result;
@@ -166,7 +169,9 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
                      const PixelGradient& d_pixel, Gradients& gradients) {
     std::vector<ShadedHit> hits;
     const Pixel pixel = render(world, provider, settings, ray, chunk, &hits);
-    const std::vector<HitGradient> d_hits = hit_gradients(hits, pixel, d_pixel);
+    std::vector<RangeKernel> kernels;
+    for (const ShadedHit& s : hits) kernels.push_back(range_kernel(settings, ray, s.t));
+    const std::vector<HitGradient> d_hits = hit_gradients(hits, kernels, pixel, d_pixel);
     RayGradient d_ray;
     for (std::size_t i = 0; i < hits.size(); ++i) {
         const ShadedHit& s = hits[i];

@@ -79,6 +79,7 @@ struct LocalRay {
 struct Ray {
     glm::dvec3 origin{0.0};
     glm::dvec3 direction{1.0, 0.0, 0.0};
+    double measured_m = 0.0;   ///< range that it measured; 0 = none
 };
 LocalRay<double> to_model(const Pose& world_from_model, const Ray& ray);
 

@@ -230,6 +230,35 @@ TEST_F(Render, WallIsWhereItStands) {
     EXPECT_NEAR(renderer.render(sensor, 0.5, back).image.range_m[ahead], 13.0 - 2.0 * fired_at, 1e-4);
 }
 
+/// Two veils before a wall: half of the light is gone at the second, most of it comes back from the wall. A dropped ray has no range.
+TEST_F(Render, ModeIsTheHeaviestSurface) {
+    Surfels scene;
+    const Surfels wall = wall_ahead();
+    const float x[] = {6.0f, 8.0f, 10.0f, 10.1f}, opacity[] = {0.3f, 0.35f, 0.5f, 0.9f};
+    scene.resize(4);
+    for (std::size_t i = 0; i < 4; ++i) {
+        scene.mean[i] = {x[i], 0.0f, 0.0f};
+        scene.rotation[i] = wall.rotation[0], scene.log_scale[i] = wall.log_scale[0];
+        scene.opacity_logit[i] = std::log(opacity[i] / (1.0f - opacity[i]));
+        std::copy(wall.sh.begin(), wall.sh.end(), scene.sh.begin() + std::ptrdiff_t(i * kShFloats));
+    }
+    const Sequence sequence = cross_sequence();
+    const float w[] = {0.3f, 0.245f, 0.2275f, 0.20475f};
+    for (const std::string range : {"median", "mode"}) {
+        Config config;
+        config.render.range = range;
+        ScanRenderer renderer(device(), make_background_scene(scene), config, sequence);
+        const SensorChoice sensor = configured_sensor(config, sequence);
+        const RenderedScan scan = renderer.render(sensor, 0.0);
+        for (std::size_t i = 0; i < 4; ++i) {
+            const bool ahead = sensor.rays.direction[i].x > 0.9f;
+            const float at_wall = (w[2] * 10.0f + w[3] * 10.1f) / (w[2] + w[3]);
+            EXPECT_NEAR(scan.image.range_m[i], !ahead ? 0.0f : range == "mode" ? at_wall : 8.0f, 1e-4f) << range;
+            EXPECT_NEAR(scan.median_range_m[i], ahead ? 8.0f : 0.0f, 1e-4f);
+        }
+    }
+}
+
 std::size_t ray_towards(const RayTable& rays, const glm::vec3& direction) {
     std::size_t best = 0;
     for (std::size_t i = 0; i < rays.size(); ++i)

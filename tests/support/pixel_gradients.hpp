@@ -11,7 +11,7 @@
 namespace relidar::test {
 
 /// Which outputs of a ray have a gradient.
-enum class Outputs { image, normal, distortion, all };
+enum class Outputs { image, normal, distortion, likelihood, all };
 
 /// Rounded to float, so that a kernel can be given exactly the same.
 inline std::vector<reference::PixelGradient> random_upstream(std::size_t n, std::uint64_t seed, Outputs outputs = Outputs::image) {
@@ -26,6 +26,7 @@ inline std::vector<reference::PixelGradient> random_upstream(std::size_t n, std:
         for (int k = 0; k < 3; ++k) g.normal[k] = draw(1.0f, outputs == Outputs::normal || outputs == Outputs::all);
         g.distortion = draw(1.0f, outputs == Outputs::distortion || outputs == Outputs::all);
     }
+    for (reference::PixelGradient& g : gradients) g.likelihood = draw(1.0f, outputs == Outputs::likelihood || outputs == Outputs::all);
     return gradients;
 }
 

@@ -30,4 +30,13 @@ WorldRays to_world_rays(const std::vector<reference::Ray>& rays) {
     return result;
 }
 
+std::vector<shared::DeviceTarget> to_targets(const std::vector<reference::Ray>& rays) {
+    std::vector<shared::DeviceTarget> targets;
+    for (const reference::Ray& ray : rays) {
+        const bool unknown = ray.measured_m <= 0.0 && targets.size() % 2 == 0;
+        targets.push_back({unknown ? 5.0f : float(ray.measured_m), 0.5f, unknown ? 0.0f : 1.0f});
+    }
+    return targets;
+}
+
 }  // namespace relidar::test

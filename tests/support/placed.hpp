@@ -19,4 +19,7 @@ SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Plac
 
 WorldRays to_world_rays(const std::vector<reference::Ray>& rays);
 
+/// What they measured; rays without a range are unknown ones, of another range, and dropped ones in turn.
+std::vector<shared::DeviceTarget> to_targets(const std::vector<reference::Ray>& rays);
+
 }  // namespace relidar::test

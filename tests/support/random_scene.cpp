@@ -111,6 +111,18 @@ void add_rays(Random& random, const RandomSceneOptions& options, const reference
     }
 }
 
+/// Ranges about what the rays render.
+void add_measured_ranges(const RandomSceneOptions& options, const reference::Settings& settings, RandomScene& scene) {
+    Random random(options.seed + 1000);
+    std::normal_distribution<double> normal;
+    const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
+    for (std::size_t i = 0; i < scene.rays.size(); ++i) {
+        const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
+        const double off = 0.3 * normal(random);
+        if (i % 7 != 3 && p.hits > 0) scene.rays[i].measured_m = double(float(std::max(p.depth / p.weight + off, 0.5)));
+    }
+}
+
 }  // namespace
 
 bool keeps_margins(const reference::World& world, const reference::Settings& settings, const reference::Ray& ray, const Margins& margins) {
@@ -129,7 +141,9 @@ RandomScene make_random_scene(const RandomSceneOptions& options, const reference
         reference::Settings viewed = settings;
         viewed.view_origin = scene.view_origin;
         add_rays(random, options, viewed, margins, scene);
-        if (int(scene.rays.size()) == options.rays) return scene;
+        if (int(scene.rays.size()) < options.rays) continue;
+        add_measured_ranges(options, viewed, scene);
+        return scene;
     }
     throw std::runtime_error("make_random_scene: too few rays keep the margins");
 }

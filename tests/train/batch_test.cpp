@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Batches (train/gather_columns): every n-th column, or a window of whole columns, with their rays and targets, wrapping around; every
-// n-th ray where there is no image order; refused where structural similarity has no image.
+// n-th ray where there is no image order; targets with the rays; refused where structural similarity has no image.
 #include "train/batch.hpp"
 
 #include <set>
@@ -120,6 +120,28 @@ TEST_F(Batch, EveryNthRayOfAListIsNoImageAndTheWholeFrameIs) {
         EXPECT_EQ(all.rays.n_rays, 200u);
         EXPECT_TRUE(all.targets.image.circular);
         EXPECT_EQ(all.targets.image.columns, 50u);
+    }
+}
+
+/// What rays measured goes with them, where the forward pass looks for it.
+TEST_F(Batch, RaysBringTheirTargets) {
+    const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true), cloud = numbered_frame(device(), 1, 50, false);
+    for (const auto& [frames, way] : {std::pair(&image, "columns"), {&image, "rays"}, {&cloud, "rays"}}) {
+        BatchSampler sampler(device(), config_for(way, 17), *frames);
+        Stream stream(device());
+        Random random(5);
+        const SampledBatch batch = sampler.sample(stream, frames->front(), random);
+        stream.finish();
+        ASSERT_NE(batch.rays.targets, nullptr);
+        EXPECT_EQ(batch.rays.targets, batch.targets.targets);
+        EXPECT_EQ(batch.rays.first, batch.targets.first);
+        EXPECT_EQ(batch.rays.stride, batch.targets.stride);
+        const std::vector<DeviceRay> rays = batch.rays.rays->download();
+        const std::vector<DeviceTarget> targets = batch.rays.targets->download();
+        for (std::uint32_t k = 0; k < batch.rays.n_rays; ++k) {
+            const std::uint32_t i = batch.rays.first + k * batch.rays.stride;
+            EXPECT_EQ(rays[i].origin.x, targets[i].range_m) << way << " ray " << k;
+        }
     }
 }
 

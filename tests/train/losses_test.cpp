@@ -22,7 +22,7 @@ TEST_F(Losses, EveryTermIsLogged) {
         config.loss.intensity_ssim = batch == "columns" ? 0.15f : 0.0f;
         config.loss.chamfer = config.loss.opacity_entropy = 0.01f;
         config.loss.normal = batch == "columns" ? 0.05f : 0.0f;
-        config.loss.distortion = config.loss.box = config.loss.log_range = 0.01f;
+        config.loss.distortion = config.loss.box = config.loss.log_range = config.loss.likelihood = 0.01f;
         config.loss.box_scale_share = 0.01f;   // so that some surfel is too large
         config.train.batch = batch;
         config.train.iterations = 3;

@@ -113,6 +113,10 @@ void add_bench(CLI::App& app, Call& call) {
             "--keep-hits", choice.keep_hits,
             "hits a ray that the backward pass need not search again; 0: it casts every ray again (default: 64, or as the run says)")
         ->type_name("N");
+    command->add_option("--distortion", choice.distortion, "weight of loss.distortion (default: 0, or as the run says)")
+        ->type_name("WEIGHT");
+    command->add_option("--likelihood", choice.likelihood, "weight of loss.likelihood (default: 0, or as the run says)")
+        ->type_name("WEIGHT");
     command->add_flag("--deterministic", choice.deterministic, "gather gradients in a fixed order instead of adding them with atomics");
     command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")->type_name("N");
     command->add_flag("--no-backward", options->no_backward, "rendering alone: no loss, gradients or optimiser, nor their memory");

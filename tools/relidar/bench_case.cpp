@@ -49,6 +49,8 @@ void apply(const BenchChoice& choice, Config& config) {
     if (!choice.proxy.empty()) set_key(config, "trace.proxy", choice.proxy == "auto" ? "automatic" : choice.proxy);
     if (!choice.walk.empty()) set_key(config, "trace.walk", choice.walk == "auto" ? "automatic" : choice.walk);
     if (!choice.keep_hits.empty()) set_key(config, "trace.keep_hits", choice.keep_hits);
+    if (!choice.distortion.empty()) set_key(config, "loss.distortion", choice.distortion);
+    if (!choice.likelihood.empty()) set_key(config, "loss.likelihood", choice.likelihood);
     if (choice.deterministic) config.train.deterministic = true;
     if (!choice.sh.empty()) set_key(config, "image.sh_direction", choice.sh);
 }

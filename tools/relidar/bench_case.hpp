@@ -16,6 +16,7 @@ struct BenchChoice {
     std::string rays = "64x1024";     ///< waymo, kitti or ROWSxCOLUMNS
     std::string run;                  ///< a run folder instead of a street
     std::string chunk, proxy, walk, sh, keep_hits;   ///< settings over those of the case; empty = as they are
+    std::string distortion, likelihood;              ///< weights of these losses, likewise
     bool deterministic = false;       ///< gradients are gathered, whatever the case says
 };
 

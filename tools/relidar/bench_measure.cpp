@@ -7,6 +7,7 @@
 #include <map>
 #include <memory>
 #include <numeric>
+#include <optional>
 #include <random>
 #include <utility>
 
@@ -66,6 +67,7 @@ RendererOptions renderer_options(const BenchCase& bench) {
 
 RendererOptions training_options(const BenchCase& bench) {
     RendererOptions options = renderer_options(bench);
+    options.trace = training_trace_options(bench.config);
     options.keep_hits = static_cast<std::uint32_t>(bench.config.trace.keep_hits);
     return options;
 }
@@ -74,6 +76,7 @@ RendererOptions training_options(const BenchCase& bench) {
 struct TrainingStep {
     DifferentiableRenderer renderer;
     ImageLoss loss;
+    std::optional<GeometryLoss> geometry_loss;   ///< where the case has its terms
     Adam adam;
     Array<DeviceTarget> targets;
     Array<float> terms;
@@ -88,12 +91,17 @@ struct TrainingStep {
           targets(device, std::span<const DeviceTarget>(wanted), "targets"),
           terms(device, std::vector<float>(kLossTerms, 0.0f), "loss terms") {
         for (const DeviceTarget& target : wanted) n_returned += target.range_m > 0.0f;
+        if (renderer.batch().geometry) geometry_loss.emplace(device, bench.config.loss, static_cast<std::uint32_t>(wanted.size()));
     }
 
     void run(const RayBatch& rays) {
         constexpr LearningRates kStandStill{0.0, 0.0, 0.0, 0.0, 0.0, 0.05};
         Stream& stream = renderer.stream();
-        loss.compare(stream, renderer.batch(), {&targets, 0, 1, rays.n_rays, n_returned, static_cast<double>(rays.n_rays)}, terms);
+        const std::uint32_t columns = std::max(rays.columns, 1u);
+        const ImageShape image{rays.n_rays / columns, columns, false};
+        const TargetBatch measured{&targets, 0, 1, rays.n_rays, n_returned, static_cast<double>(rays.n_rays), image};
+        loss.compare(stream, renderer.batch(), measured, terms);
+        if (geometry_loss) geometry_loss->compare(stream, renderer.batch(), measured, terms);
         renderer.record_backward();
         const Gradients& gradients = renderer.gradients();
         adam.step(stream, renderer.scene().parameters(), gradients.surfels, &gradients.touched, kStandStill, ++step,
@@ -200,7 +208,10 @@ private:
     Samples kernels_, rebuild_kernels_, phases_;
 
     Renderer& renderer() { return training_ ? training_->renderer : *image_; }
-    RayBatch batch() const { return {&rays_, 0, 1, static_cast<std::uint32_t>(rays_.size()), static_cast<std::uint32_t>(case_.columns)}; }
+    RayBatch batch() const {
+        return {&rays_, 0, 1, static_cast<std::uint32_t>(rays_.size()), static_cast<std::uint32_t>(case_.columns),
+                training_ ? &training_->targets : nullptr};
+    }
 
     /// Sums the times since the last call by kernel.
     void take(const std::string& phase, Samples& kernels) {

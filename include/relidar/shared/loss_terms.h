@@ -20,6 +20,9 @@
     TERM(9u, normal, normal, 0.0f, at_least(0), \
          "weight of surfel normals disagreeing with those of the rendered range image, mean over returned rays; needs batches that are " \
          "images (train.batch); 0: paper") \
-    TERM(10u, log_range, log_range, 0.0f, at_least(0), "weight of |ln(1 + range)| differences on returned rays, ranges in metres; 0: paper")
+    TERM(10u, log_range, log_range, 0.0f, at_least(0), \
+         "weight of |ln(1 + range)| differences on returned rays, ranges in metres; 0: paper") \
+    TERM(11u, likelihood, likelihood, 0.0f, at_least(0), \
+         "weight of -ln of how likely a ray's hits make the range that was measured, mean over returned rays; 0: paper")
 
 #endif

@@ -47,21 +47,24 @@ struct RayGradient {
 };
 RELIDAR_POINTER(RayGradients, RayGradient);
 
-/// What a ray renders for the geometric losses, where they want it (M10, M11); n is a surfel's unit normal in the world on the side that
-/// faces the sensor, t_0 the distance of the ray's first hit.
+/// What a ray renders beside its image, where the geometric losses (M10-M12) or a range image (M13) want it; n is a surfel's unit normal
+/// in the world on the side that faces the sensor, t_0 the distance of the ray's first hit.
 struct RenderedGeometry {
     vec3 normal;        // B = sum w n
     float distortion;   // sum over pairs of hits, each once, of w_i w_j |t_i - t_j|, m
     float moment;       // sum w (t - t_0), m
+    float likelihood;   // S = sum w k(t), k the kernel about the range that was measured (M12), 0 where none was
+    float mode;         // m, mean of t over the heaviest surface of the ray (M13), 0 without hits
 };
 RELIDAR_POINTER(RenderedGeometries, RenderedGeometry);
 
-/// What they give back: gradients of the above, and of the ray's point origin + range * direction where they take it to move with the ray.
+/// What the losses give back: gradients of the above, and of the ray's point origin + range * direction where they take it to move with the ray.
 struct GeometryGradient {
     vec3 normal;
     float distortion;
     vec3 point;
     float range;        // m
+    float likelihood;
 };
 RELIDAR_POINTER(GeometryGradients, GeometryGradient);
 

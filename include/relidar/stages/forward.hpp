@@ -29,6 +29,7 @@ struct Rendering {
     /// before it would give its own name to what is seen through it; where T stays above, of the nearest blended one; -1 without a hit.
     std::vector<std::int32_t> instance;
     std::vector<glm::vec3> normal;     ///< sum w n of unit normals that face the sensor, world; empty without TraceOptions::geometry
+    std::vector<float> mode_depth;     ///< mean t of the heaviest surface, 0 without hits, metres; empty without TraceOptions::mode_gap_m
     std::size_t size() const { return depth.size(); }
 };
 

@@ -50,6 +50,9 @@ struct LossWeights {
 #undef RELIDAR_TERM
     bool normalised_depth = false;   ///< compare D / W instead of D (paper)
     float box_scale_share = 0.2f;    ///< standard deviation an actor's surfel may have, over half the diagonal of its box
+    float likelihood_scale_m = 0.05f;        ///< spread of measured ranges about what is there, at the sensor, metres
+    float likelihood_scale_share = 0.0f;     ///< what is added to it, times the measured range
+    float likelihood_floor = 0.01f;          ///< share of returns that may lie anywhere
 
     bool uses_geometry() const { return distortion > 0.0f || normal > 0.0f; }
     bool uses_surfels() const { return box > 0.0f || opacity_entropy > 0.0f; }
@@ -135,15 +138,18 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Geometric losses of "2D Gaussian Splatting for Geometrically Accurate Radiance Fields" (2024), means over returned rays:
+/// Geometric losses, means over returned rays; the first two are those of "2D Gaussian Splatting for Geometrically Accurate Radiance
+/// Fields" (2024):
 ///   distortion  sum over pairs of hits of a ray, each pair once, of w_i w_j |t_i - t_j|   (half of that paper's Eq. 13), metres
 ///   normal      sum_i w_i (1 - n_i . N) = W - B . N   (its Eq. 14), n_i and N turned to face the sensor
+///   likelihood  -ln(f + (1 - f) S), S = sum_i w_i k(t_i) with the RangeKernel k about the measured range, f the likelihood_floor
 /// N is the normal of the plane through the points of the pixels beside, and those above and below, in the rendered range image
 /// (range D / W or D, normalised_depth). A pixel has one where all five returned and render a W above 0.5, where the inverse ranges
 /// r / r_left + r / r_right, and above and below, differ from 2 by less than 0.1 (a plane has 2), and where the two chords are not
 /// nearly parallel; others have no normal term. The derivative goes to B, W and, through N, to the ranges of the pixels beside and to
 /// their rays; which pixels have a normal is held fixed.
-/// The batch must be rendered with TraceOptions::geometry, and be an image where normal > 0.
+/// The batch must be rendered with TraceOptions::geometry (distortion, normal) and TraceOptions::likelihood, as far as their weights are
+/// above 0, the latter with the same targets; and be an image where normal > 0.
 class GeometryLoss final : public Loss {
 public:
     /// @param n_rays  most rays of a batch

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include <glm/glm.hpp>
@@ -30,10 +31,18 @@ struct RayBatch {
     /// Where the batch is an image, row by row: its columns, of which n_rays is a multiple. Threads that run together then trace tiles of
     /// 8 x 4 neighbours, which open the same nodes. 0 = rays as they come.
     std::uint32_t columns = 0;
+    /// What the rays measured, entry by entry as `rays`; looked at with TraceOptions::likelihood alone. Null = nothing.
+    const Array<shared::DeviceTarget>* targets = nullptr;
 };
 
 /// Whether each ray walks the software tree on its own or the rays of a subgroup walk it together.
 enum class Walk { automatic, lane, subgroup };
+
+/// Kernel of the likelihood of a measured range z (docs/method.md M12): k(t) = 1 / (1 + ((t - z) / s)^2), s = scale_m + scale_share z.
+struct RangeKernel {
+    float scale_m = 0.05f;
+    float scale_share = 0.0f;
+};
 
 /// How rays are traced; none of it changes the image.
 struct TraceOptions {
@@ -43,6 +52,12 @@ struct TraceOptions {
     /// A RayGeometry is rendered too: normals of a Renderer, and of ForwardPass::run and BackwardPass::run, which must then be given one,
     /// what the geometric losses want.
     bool geometry = false;
+    /// Its likelihood is rendered, of the rays that have a measured range.
+    std::optional<RangeKernel> likelihood{};
+    /// The heaviest surface of each ray is rendered (docs/method.md M13): hits no farther than this behind the one before are one, metres.
+    std::optional<float> mode_gap_m{};
+
+    bool wants_geometry() const { return geometry || likelihood || mode_gap_m; }   ///< a RayGeometry, for one of them
 };
 
 /// The first hits of each ray of a batch, as the forward pass blended them, so that the backward pass need not search them again.
@@ -71,7 +86,7 @@ struct RenderedBatch {
     const Array<shared::RenderedRay>* rendered = nullptr;   ///< [n_rays] of ForwardPass::run
     Array<shared::RayGradient>* upstream = nullptr;         ///< [n_rays] dL/d(rendered): losses write it, the backward pass reads it
     const KeptHits* kept = nullptr;                         ///< of the same ForwardPass::run, or null
-    RayGeometry* geometry = nullptr;  ///< of the same ForwardPass::run, with TraceOptions::geometry; its gradient is as upstream
+    RayGeometry* geometry = nullptr;  ///< of the same ForwardPass::run, where TraceOptions wants geometry; its gradient is as upstream
 };
 
 /// Rays as kernels read them.
