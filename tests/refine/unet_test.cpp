@@ -117,7 +117,7 @@ protected:
 INSTANTIATE_TEST_SUITE_P(Networks, UnetTest,
                          testing::Values(Shape{"two_levels", {4, 6, 8}, 0, 9, {2, 9, 13}}, Shape{"attention", {4, 8}, 2, 9, {2, 7, 10}},
                                          Shape{"pixel", {5}, 0, 1, {2, 3, 11}}, Shape{"three_levels", {2, 4, 4, 6}, 3, 9, {1, 17, 26}}),
-                         [](const auto& info) { return std::string(info.param.name); });
+                         [](const auto& tested) { return std::string(tested.param.name); });
 
 void expect_near(const std::vector<double>& found, const std::vector<double>& expected, double tolerance, const char* what) {
     ASSERT_EQ(found.size(), expected.size());

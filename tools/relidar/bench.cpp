@@ -79,6 +79,20 @@ void run_bench(const Options& options, const std::string& command_line) {
     if (!settings.quiet) print(bench_text(bench, result, device));
 }
 
+/// What a training step does beside the forward pass.
+void add_training_options(CLI::App& command, BenchChoice& choice) {
+    command
+        .add_option(
+            "--keep-hits", choice.keep_hits,
+            "hits a ray that the backward pass need not search again; 0: it casts every ray again (default: 64, or as the run says)")
+        ->type_name("N");
+    command.add_option("--distortion", choice.distortion, "weight of loss.distortion (default: 0, or as the run says)")
+        ->type_name("WEIGHT");
+    command.add_option("--likelihood", choice.likelihood, "weight of loss.likelihood (default: 0, or as the run says)")
+        ->type_name("WEIGHT");
+    command.add_flag("--deterministic", choice.deterministic, "gather gradients in a fixed order instead of adding them with atomics");
+}
+
 }  // namespace
 
 void add_bench(CLI::App& app, Call& call) {
@@ -108,16 +122,7 @@ void add_bench(CLI::App& app, Call& call) {
         ->type_name("HOW");
     command->add_option("--sh", choice.sh, "harmonics evaluated along each ray, or once a surfel (default: ray, or as the run says)")
         ->type_name("ray|surfel");
-    command
-        ->add_option(
-            "--keep-hits", choice.keep_hits,
-            "hits a ray that the backward pass need not search again; 0: it casts every ray again (default: 64, or as the run says)")
-        ->type_name("N");
-    command->add_option("--distortion", choice.distortion, "weight of loss.distortion (default: 0, or as the run says)")
-        ->type_name("WEIGHT");
-    command->add_option("--likelihood", choice.likelihood, "weight of loss.likelihood (default: 0, or as the run says)")
-        ->type_name("WEIGHT");
-    command->add_flag("--deterministic", choice.deterministic, "gather gradients in a fixed order instead of adding them with atomics");
+    add_training_options(*command, choice);
     command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")->type_name("N");
     command->add_flag("--no-backward", options->no_backward, "rendering alone: no loss, gradients or optimiser, nor their memory");
     command

@@ -58,7 +58,7 @@ struct RenderedGeometry {
 };
 RELIDAR_POINTER(RenderedGeometries, RenderedGeometry);
 
-/// What the losses give back: gradients of the above, and of the ray's point origin + range * direction where they take it to move with the ray.
+// What the losses give back: gradients of the above, and of the ray's point origin + range * direction where that moves with the ray.
 struct GeometryGradient {
     vec3 normal;
     float distortion;
