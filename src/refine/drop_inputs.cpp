@@ -11,7 +11,7 @@ namespace relidar::refine {
 namespace {
 
 template <class Values>
-Array<float> joined(Device& device, const std::vector<DropImage>& images, const Values& values, const std::string& what) {
+Array<float> joined(Device& device, std::span<const DropImage> images, const Values& values, const std::string& what) {
     std::size_t n = 0;
     for (const DropImage& image : images) n += values(image).size();
     Array<float> all(device, n, what);
@@ -51,16 +51,19 @@ std::vector<float> normalisation_of(const std::vector<DropImage>& images, std::s
     return scale_shift;
 }
 
-DropInputs::DropInputs(Device& device, const DropNetwork& network, const std::vector<DropImage>& images)
+DropInputs::DropInputs(Device& device, const DropNetwork& network)
     : n_channels_(std::uint32_t(network.inputs.size())),
       n_fixed_(fixed_channels(network)),
       logit_channel_(logit_channel(network)),
       kernel_(device, "refine/drop_inputs"),
-      samples_(joined(
-          device, images, [](const DropImage& image) -> const std::vector<float>& { return image.channels; }, "scans to refine")),
-      targets_(joined(
-          device, images, [](const DropImage& image) -> const std::vector<float>& { return image.dropped; }, "measured drops")),
-      scale_shift_(pairs(device, network.normalisation)) {
+      scale_shift_(pairs(device, network.normalisation)) {}
+
+void DropInputs::keep(Device& device, std::span<const DropImage> images) {
+    samples_ = joined(
+        device, images, [](const DropImage& image) -> const std::vector<float>& { return image.channels; }, "scans to refine");
+    targets_ = joined(
+        device, images, [](const DropImage& image) -> const std::vector<float>& { return image.dropped; }, "measured drops");
+    known_.clear();
     for (const DropImage& image : images)
         known_.push_back(std::size_t(std::count_if(image.dropped.begin(), image.dropped.end(), [](float x) { return x >= 0.0f; })));
 }

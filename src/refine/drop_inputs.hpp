@@ -17,8 +17,10 @@ std::vector<float> normalisation_of(const std::vector<DropImage>& images, std::s
 
 class DropInputs {
 public:
-    /// @param images  of one shape, checked
-    DropInputs(Device& device, const DropNetwork& network, const std::vector<DropImage>& images);
+    DropInputs(Device& device, const DropNetwork& network);
+
+    /// Puts images on the device in place of those that were there. @param images  of one shape, checked
+    void keep(Device& device, std::span<const DropImage> images);
 
     /// An image, and by how many columns what it shows is turned.
     struct Chosen {

@@ -35,23 +35,22 @@ void compile_drop_network(Device& device, const RefineOptions& options) {
     DropNetwork network = refine::shape_of(options);
     const refine::UnetPlan plan(network);
     refine::initialise(network, plan, 0);
-    const int side = std::max(2, network.smallest_side());
-    DropImage image{side, side, std::vector<float>(network.inputs.size() * std::size_t(side * side)), {}};
     network.normalisation.assign(2 * network.inputs.size(), 0.0f);
-    const refine::DropInputs inputs(device, network, {std::move(image)});
+    const refine::DropInputs inputs(device, network);
     const refine::Unet unet(device, network);
-    const refine::DropLoss loss(device, std::size_t(side * side));
+    const refine::DropLoss loss(device, 1);
 }
 
 struct DropRefiner::Impl {
     Device& device;
     DropNetwork network;
+    refine::DropInputs inputs;
     refine::Unet unet;
     Stream stream;
     std::optional<refine::DropLoss> loss;
     Array<float> probability;
 
-    Impl(Device& d, const DropNetwork& n) : device(d), network(checked(n)), unet(d, n), stream(d, d.info().timestamps) {}
+    Impl(Device& d, const DropNetwork& n) : device(d), network(checked(n)), inputs(d, n), unet(d, n), stream(d, d.info().timestamps) {}
 };
 
 DropRefiner::DropRefiner(Device& device, const DropNetwork& network) : impl_(new Impl(device, network)) {}
@@ -71,13 +70,13 @@ std::vector<float> DropRefiner::refine(const DropImage& image) {
         r.probability = Array<float>(r.device, grid.pixels(), "drop probabilities");
         r.loss.emplace(r.device, grid.pixels());
     }
-    refine::DropInputs inputs(r.device, r.network, {{image.rows, image.columns, image.channels, {}}});
+    r.inputs.keep(r.device, {&image, 1});
     const refine::DropInputs::Chosen whole{};
-    inputs.make(r.stream, {&whole, 1}, r.unet.inputs());
+    r.inputs.make(r.stream, {&whole, 1}, r.unet.inputs());
     r.unet.evaluate(r.stream);
     r.loss->run(r.stream, grid.pixels(),
                 {.logit = r.unet.logit().values.address(),
-                 .start = r.network.residual ? inputs.start().address() : Address<float>(),
+                 .start = r.network.residual ? r.inputs.start().address() : Address<float>(),
                  .probability = r.probability.address()},
                 0);
     r.stream.finish();

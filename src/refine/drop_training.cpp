@@ -63,11 +63,12 @@ struct DropTraining::Impl {
           n_images(images.size()),
           batch(std::min<std::size_t>(std::size_t(o.batch), images.size())),
           grid{std::uint32_t(batch), std::uint32_t(images[0].rows), std::uint32_t(images[0].columns)},
-          inputs(device, network, images),
+          inputs(device, network),
           unet(device, network),
           loss(device, grid.all_pixels()),
           adam(device, network.parameters.size(), {.epsilon = 1e-8}),
           stream(device, timing) {
+        inputs.keep(device, images);
         unet.reserve(device, grid, true);
         stream.fill(unet.gradients());   // what lies between groups has none
         stream.finish();

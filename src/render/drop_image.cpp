@@ -2,6 +2,7 @@
 // What a ray-drop network sees of a rendered scan.
 #include <algorithm>
 #include <cmath>
+#include <functional>
 
 #include <fmt/format.h>
 
@@ -20,19 +21,18 @@ float logit(float probability) {
     return std::log(p / (1.0f - p));
 }
 
-/// One channel, by its name.
-float channel_of(const RenderedScan& scan, const ImageRays& surfaces, const std::string& name, std::size_t ray,
-                 const glm::vec3& origin_m) {
-    const float surface_m = surfaces.range_m[ray];
-    if (name == "log_range") return std::log1p(std::max(surface_m, 0.0f));
-    if (name == "intensity") return scan.image.intensity[ray];
-    if (name == "drop_logit") return logit(scan.image.drop_prob[ray]);
-    if (name == "weight") return scan.weight[ray];
-    if (name == "spread") return std::log1p(std::abs(surface_m - scan.image.range_m[ray]));
-    if (name == "incidence") return float(std::max(incidence_cosine(surfaces, ray), 0.0));
+/// What one channel is of a ray, by the channel's name.
+std::function<float(std::size_t)> channel_of(const RenderedScan& scan, const ImageRays& surfaces, const std::string& name,
+                                             const glm::vec3& origin_m) {
+    if (name == "log_range") return [&](std::size_t i) { return std::log1p(std::max(surfaces.range_m[i], 0.0f)); };
+    if (name == "intensity") return [&](std::size_t i) { return scan.image.intensity[i]; };
+    if (name == "drop_logit") return [&](std::size_t i) { return logit(scan.image.drop_prob[i]); };
+    if (name == "weight") return [&](std::size_t i) { return scan.weight[i]; };
+    if (name == "spread") return [&](std::size_t i) { return std::log1p(std::abs(surfaces.range_m[i] - scan.image.range_m[i])); };
+    if (name == "incidence") return [&](std::size_t i) { return float(std::max(incidence_cosine(surfaces, i), 0.0)); };
     for (int axis = 0; axis < 3; ++axis) {
-        if (name == std::string("direction_") + "xyz"[axis]) return scan.image.direction[ray][axis];
-        if (name == std::string("origin_") + "xyz"[axis]) return origin_m[axis];
+        if (name == std::string("direction_") + "xyz"[axis]) return [&, axis](std::size_t i) { return scan.image.direction[i][axis]; };
+        if (name == std::string("origin_") + "xyz"[axis]) return [&, axis](std::size_t) { return origin_m[axis]; };
     }
     throw DataError(fmt::format("refining ray-drop: the network asks for \"{}\", which this relidar does not render", name));
 }
@@ -49,8 +49,11 @@ DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& c
     const std::vector<float> surface_m = surface_ranges(scan);
     const ImageRays surfaces{image.rows, image.columns, scan.image.origin, scan.image.direction, surface_m};
     const glm::vec3 origin_m(scan.world_from_sensor.translation - first_origin_m);
-    for (const std::string& name : channels)
-        for (std::size_t i = 0; i < surface_m.size(); ++i) image.channels.push_back(channel_of(scan, surfaces, name, i, origin_m));
+    image.channels.reserve(channels.size() * surface_m.size());
+    for (const std::string& name : channels) {
+        const auto channel = channel_of(scan, surfaces, name, origin_m);
+        for (std::size_t i = 0; i < surface_m.size(); ++i) image.channels.push_back(channel(i));
+    }
     return image;
 }
 

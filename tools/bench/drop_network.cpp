@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // relidar_bench_drop_network: milliseconds of a training step and of an inference of the ray-drop network, and of a step's kernels.
 #include <algorithm>
-#include <chrono>
 #include <string>
 #include <vector>
 
@@ -11,24 +10,17 @@
 #include <relidar/error.hpp>
 #include <relidar/measure/refine.hpp>
 
+#include "timing.hpp"
+
 namespace {
 
 using namespace relidar;
-
-double median(std::vector<double> values) {
-    std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());
-    return values[values.size() / 2];
-}
 
 template <class Work>
 double median_ms(int repeat, Work&& work) {
     work();   // warm up
     std::vector<double> ms;
-    for (int i = 0; i < repeat; ++i) {
-        const auto start = std::chrono::steady_clock::now();
-        work();
-        ms.push_back(std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count());
-    }
+    for (int i = 0; i < repeat; ++i) ms.push_back(milliseconds_of(work));
     return median(ms);
 }
 

@@ -5,8 +5,6 @@
 // keeps oneDNN's threads from spinning in the device's turn.
 #include <oneapi/dnnl/dnnl.hpp>
 
-#include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <ctime>
 #include <functional>
@@ -19,6 +17,8 @@
 
 #include <relidar/error.hpp>
 #include <relidar/measure/refine.hpp>
+
+#include "timing.hpp"
 
 namespace {
 
@@ -81,22 +81,16 @@ struct Times {
     std::vector<double> wall, cpu;
 
     void add(const std::function<void()>& pass) {
-        const auto start = std::chrono::steady_clock::now();
-        const std::clock_t cpu_start = std::clock();
-        pass();
-        cpu.push_back(1e3 * double(std::clock() - cpu_start) / CLOCKS_PER_SEC);
-        wall.push_back(std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count());
-    }
-    static double median(std::vector<double> values) {
-        std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());
-        return values[values.size() / 2];
+        const std::clock_t start = std::clock();
+        wall.push_back(milliseconds_of(pass));
+        cpu.push_back(1e3 * double(std::clock() - start) / CLOCKS_PER_SEC);
     }
 };
 
 /// One line: milliseconds by the wall, milliseconds and GFLOP/s by processor time, of the device and of oneDNN.
 void print(const ConvolutionSize& size, const char* pass, const Times& device, const Times& host) {
-    const double of_device = Times::median(device.cpu), of_host = Times::median(host.cpu), wall_device = Times::median(device.wall),
-                 wall_host = Times::median(host.wall), operations = 1e-6 * size.operations();
+    const double of_device = median(device.cpu), of_host = median(host.cpu), wall_device = median(device.wall),
+                 wall_host = median(host.wall), operations = 1e-6 * size.operations();
     fmt::print("{:>7} {:>7} {:<10} {:9.2f} {:9.2f} {:9.2f} {:9.2f} {:9.1f} {:9.1f} {:9.1f} {:9.1f} {:7.2f} {:7.2f}\n",
                fmt::format("{}x{}", size.rows, size.columns), fmt::format("{}->{}", size.n_in, size.n_out), pass, wall_device, wall_host,
                of_device, of_host, operations / wall_device, operations / wall_host, operations / of_device, operations / of_host,

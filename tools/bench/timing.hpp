@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: Apache-2.0
+// What benchmarks say of repeated runs.
+#pragma once
+
+#include <algorithm>
+#include <chrono>
+#include <vector>
+
+namespace relidar {
+
+/// @param values  one at least
+inline double median(std::vector<double> values) {
+    std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());
+    return values[values.size() / 2];
+}
+
+/// By the wall.
+template <class Work>
+double milliseconds_of(Work&& work) {
+    const auto start = std::chrono::steady_clock::now();
+    work();
+    return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+}
+
+}  // namespace relidar
