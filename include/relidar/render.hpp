@@ -22,7 +22,7 @@ struct Run;
 /// A simulated scan: a range image with the ray of each pixel, in the sensor's frame at the ray's firing time.
 struct RenderedScan {
     RangeImage image;  ///< range as config.render.range says; drop_prob from the two logits (M6), 1 beyond the sensor's range
-    std::vector<float> median_range_m;  ///< [n] t where T crosses 0.5 (0 where never), along the ray
+    std::vector<float> median_range_m;  ///< [n] of the dominant surface, along the ray: t where T crosses 0.5; where it never does, as in image
     std::vector<float> weight;          ///< [n] accumulated alpha W
     std::vector<std::int32_t> instance; ///< [n] whose surface was met: index into Scene::instances, -1 where none was
     /// [n] unit, of the surface that was met, towards the sensor; 0 where none was; empty without render.normals
@@ -40,10 +40,8 @@ struct RenderedScan {
     Pose world_from_firing(std::size_t ray) const;
 };
 
-/// [n] Ranges of the dominant surfaces of a scan; those of the image where a ray has none.
-std::vector<float> surface_ranges(const RenderedScan& scan);
-/// [n] Ranges of the points of a scan, by config.render.points: of the dominant surface, where a ray has one, or those of the image.
-std::vector<float> point_ranges(const RenderedScan& scan, const Config& config);
+/// [n] Ranges of the points of a scan, by config.render.points: of the dominant surface, or those of the image.
+const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& config);
 
 /// What a ray-drop network sees of a scan with image order. @param channels  of the network, see drop_channel_names()
 /// @param first_origin_m [3] dataset's world: where origins count from, see first_origin()
@@ -130,8 +128,8 @@ private:
     RenderedScan take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed, std::optional<std::uint64_t> sample);
 };
 
-/// Bins a simulated scan into a grid as the dataset's points were: the nearest returned point wins a cell; the cell is dropped where
-/// every ray that falls into it is. Neighbouring rays are dropped for the same reason, so its probability is the smallest of theirs
+/// Bins a simulated scan into a grid as the dataset's points were: points lie on the dominant surfaces of their rays, the nearest that
+/// returned wins a cell, and the cell is dropped where every ray that falls into it is. Neighbouring rays are dropped for the same reason, so its probability is the smallest of theirs
 /// (their product would be right for independent drops). Empty cells are dropped.
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid);
 

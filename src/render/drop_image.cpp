@@ -46,7 +46,7 @@ glm::dvec3 first_origin(const Sequence& sequence) {
 
 DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& channels, const glm::dvec3& first_origin_m) {
     DropImage image{scan.image.rows, scan.image.columns, {}, {}};
-    const std::vector<float> surface_m = surface_ranges(scan);
+    const std::vector<float>& surface_m = scan.median_range_m;
     const ImageRays surfaces{image.rows, image.columns, scan.image.origin, scan.image.direction, surface_m};
     const glm::vec3 origin_m(scan.world_from_sensor.translation - first_origin_m);
     image.channels.reserve(channels.size() * surface_m.size());

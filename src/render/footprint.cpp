@@ -81,8 +81,8 @@ void join_slopes(std::vector<Group>& groups, const std::vector<float>& range_m, 
     }
 }
 
-std::vector<Group> groups_of(const RenderedScan& scan, const std::vector<float>& range_m, std::size_t first,
-                             const std::vector<glm::dvec2>& offsets, float separation_m) {
+std::vector<Group> groups_of(const RenderedScan& scan, std::size_t first, const std::vector<glm::dvec2>& offsets, float separation_m) {
+    const std::vector<float>& range_m = scan.median_range_m;
     std::vector<std::size_t> hits;
     for (std::size_t i = first; i < first + offsets.size(); ++i)
         if (returned(scan.image.drop_prob[i], range_m[i])) hits.push_back(i);
@@ -127,7 +127,6 @@ class Joiner {
 public:
     Joiner(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
         : parts_(parts),
-          range_m_(surface_ranges(parts)),
           offsets_(pattern(config.sub_rays)),
           config_(config),
           scan_(empty_scan(rays, parts)) {
@@ -140,11 +139,11 @@ public:
         float drop = 0.0f;
         for (std::size_t i = first; i < first + std::size_t(n); ++i) drop += parts_.image.drop_prob[i];
         scan_.image.drop_prob.push_back(drop / static_cast<float>(n));
-        const std::vector<Group> groups = groups_of(parts_, range_m_, first, offsets_, static_cast<float>(config_.return_separation_m));
+        const std::vector<Group> groups = groups_of(parts_, first, offsets_, static_cast<float>(config_.return_separation_m));
         const Group middle{{first}, std::max(parts_.image.intensity[first], kDarkest)};
         const Group& strongest = groups.empty() ? middle : *std::ranges::max_element(groups, {}, &Group::light);
         scan_.image.range_m.push_back(mean_of(strongest, parts_.image.range_m, parts_));
-        scan_.median_range_m.push_back(mean_of(strongest, groups.empty() ? parts_.median_range_m : range_m_, parts_));
+        scan_.median_range_m.push_back(mean_of(strongest, parts_.median_range_m, parts_));
         scan_.image.intensity.push_back(groups.empty() ? parts_.image.intensity[first] : intensity_of(strongest, parts_, n));
         const std::size_t nearest = std::ranges::min(strongest.parts);   // parts go outwards from the middle
         scan_.weight.push_back(parts_.weight[nearest]);
@@ -153,7 +152,7 @@ public:
         if (scan_.further.empty()) return;
         const bool returns = returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
         const Group* second = returns && groups.size() > 1 ? second_of(groups, strongest, config_.second_return_share) : nullptr;
-        scan_.further[0].range_m.push_back(second ? mean_of(*second, range_m_, parts_) : 0.0f);
+        scan_.further[0].range_m.push_back(second ? mean_of(*second, parts_.median_range_m, parts_) : 0.0f);
         scan_.further[0].intensity.push_back(second ? intensity_of(*second, parts_, n) : 0.0f);
     }
 
@@ -161,7 +160,6 @@ public:
 
 private:
     const RenderedScan& parts_;
-    const std::vector<float> range_m_;
     const std::vector<glm::dvec2> offsets_;
     const SensorConfig& config_;
     RenderedScan scan_;
@@ -195,11 +193,10 @@ RenderedScan join_footprints(const RenderedScan& parts, const RayTable& rays, co
 }
 
 std::vector<std::size_t> find_edges(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config) {
-    const std::vector<float> range_m = surface_ranges(parts);
     const std::vector<glm::dvec2> offsets = pattern(config.sub_rays);
     std::vector<std::size_t> edges;
     for (std::size_t ray = 0; ray < rays.size(); ++ray)
-        if (groups_of(parts, range_m, ray * offsets.size(), offsets, static_cast<float>(config.return_separation_m)).size() > 1)
+        if (groups_of(parts, ray * offsets.size(), offsets, static_cast<float>(config.return_separation_m)).size() > 1)
             edges.push_back(ray);
     return edges;
 }

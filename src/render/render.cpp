@@ -52,7 +52,7 @@ TraceOptions traced_with(const Config& config) {
 
 /// Whether a sensor sees the ray's surface: the dominant one, and where the range image has it.
 bool is_in_range(const RangeLimits& limits, float range_m, float median_m) {
-    return limits.contains(range_m) && (!(median_m > 0.0f) || limits.contains(median_m));
+    return limits.contains(range_m) && limits.contains(median_m);
 }
 
 /// @param thing  whose poses they are, for the message
@@ -112,15 +112,8 @@ Pose RenderedScan::world_from_firing(std::size_t ray) const {
     return track.pose.empty() ? world_from_sensor : track.at(time_s + static_cast<double>(time_offset_s[ray]));
 }
 
-std::vector<float> surface_ranges(const RenderedScan& scan) {
-    std::vector<float> range_m = scan.image.range_m;
-    for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)
-        if (scan.median_range_m[i] > 0.0f) range_m[i] = scan.median_range_m[i];
-    return range_m;
-}
-
-std::vector<float> point_ranges(const RenderedScan& scan, const Config& config) {
-    return config.render.points == "median" ? surface_ranges(scan) : scan.image.range_m;
+const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& config) {
+    return config.render.points == "median" ? scan.median_range_m : scan.image.range_m;
 }
 
 struct ScanRenderer::Impl {
@@ -237,10 +230,10 @@ RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable
     scan.weight = r.weight;
     for (std::size_t i = 0; i < r.size(); ++i) {
         const Beam& beam = beam_of(sensor.beams, table.channel[i]);
-        const double surface_m = chosen_range(r, i, config.render.range), median_surface_m = r.median_depth[i];
-        const auto range_m = static_cast<float>(beam.measured_range(surface_m)),
-                   median_m = static_cast<float>(beam.measured_range(median_surface_m));
-        const double fall = sweep.intensity_response.at_range(median_surface_m > 0.0 ? median_surface_m : surface_m);
+        const double chosen_m = chosen_range(r, i, config.render.range), surface_m = r.median_depth[i] > 0.0f ? r.median_depth[i] : chosen_m;
+        const auto range_m = static_cast<float>(beam.measured_range(chosen_m)),
+                   median_m = static_cast<float>(beam.measured_range(surface_m));
+        const double fall = sweep.intensity_response.at_range(surface_m);
         scan.image.range_m.push_back(range_m);
         scan.median_range_m.push_back(median_m);
         scan.image.intensity.push_back(static_cast<float>(beam.measured_intensity(r.intensity[i], fall)));

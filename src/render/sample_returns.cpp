@@ -13,7 +13,7 @@ namespace relidar {
 
 void sample_returns(RenderedScan& scan, const RangeNoise& noise, std::uint64_t seed) {
     const std::uint64_t of_scan = hash64(seed, std::bit_cast<std::uint64_t>(scan.time_s));
-    const std::vector<float> likely_m = surface_ranges(scan);
+    const std::vector<float>& likely_m = scan.median_range_m;
     const ImageRays image{scan.image.rows, scan.image.columns, scan.image.origin, scan.image.direction, likely_m};
     std::vector<float> ranges_m = likely_m;
     for (std::size_t i = 0; i < ranges_m.size(); ++i) {

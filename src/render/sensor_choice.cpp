@@ -54,12 +54,10 @@ SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequ
 }
 
 void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, std::size_t cell) {
-    const glm::vec3 point = from.image.origin[source] + from.image.range_m[source] * from.image.direction[source];
-    to.image.range_m[cell] = glm::length(point);
+    const glm::vec3 &origin = from.image.origin[source], &direction = from.image.direction[source];
+    to.image.range_m[cell] = glm::length(origin + from.image.range_m[source] * direction);
+    to.median_range_m[cell] = glm::length(origin + from.median_range_m[source] * direction);
     to.image.intensity[cell] = from.image.intensity[source];
-    to.median_range_m[cell] = from.median_range_m[source] > 0.0f
-                                  ? glm::length(from.image.origin[source] + from.median_range_m[source] * from.image.direction[source])
-                                  : 0.0f;
     to.weight[cell] = from.weight[source];
     to.instance[cell] = from.instance[source];
     if (!from.normal.empty()) to.normal[cell] = from.normal[source];
@@ -102,17 +100,17 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     if (!scan.surfel_drop_prob.empty()) result.surfel_drop_prob.assign(n, 1.0f);
     result.time_offset_s.assign(n, 0.0f);
     std::vector<float> winner_drop(n, 2.0f);   // of the ray that owns a cell so far; 2 = none
-    for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
-        if (!(scan.image.range_m[i] > 0.0f) || scan.weight[i] < kMinWeight) continue;
-        const std::optional<int> cell = project(grid, glm::dvec3(scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]));
+    for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
+        if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kMinWeight) continue;
+        const glm::vec3 point = scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i];
+        const std::optional<int> cell = project(grid, glm::dvec3(point));
         if (!cell) continue;
         const std::size_t c = std::size_t(*cell);
         const float drop = scan.image.drop_prob[i];
         result.image.drop_prob[c] = std::min(result.image.drop_prob[c], drop);
         if (!scan.surfel_drop_prob.empty()) result.surfel_drop_prob[c] = std::min(result.surfel_drop_prob[c], scan.surfel_drop_prob[i]);
         const bool returns = drop < kDropThreshold, winner_returns = winner_drop[c] < kDropThreshold;
-        const float range = glm::length(scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]);
-        const bool wins = returns != winner_returns ? returns : returns ? range < result.image.range_m[c] : drop < winner_drop[c];
+        const bool wins = returns != winner_returns ? returns : returns ? glm::length(point) < result.median_range_m[c] : drop < winner_drop[c];
         if (!wins && winner_drop[c] < 1.5f) continue;
         winner_drop[c] = drop;
         copy_pixel(scan, i, result, c);

@@ -149,7 +149,7 @@ void add_point(PointCloud& cloud, const PlacedScan& placed, std::size_t ray, flo
 
 PointCloud cloud_of(const PlacedScan& placed) {
     const RenderedScan& scan = placed.scan;
-    const std::vector<float> range_m = point_ranges(scan, placed.format.config);
+    const std::vector<float>& range_m = point_ranges(scan, placed.format.config);
     PointCloud cloud;
     cloud.ring.emplace(), cloud.time.emplace(), cloud.instance.emplace();
     if (!placed.normal.empty()) cloud.normal.emplace();
@@ -166,7 +166,7 @@ PointCloud cloud_of(const PlacedScan& placed) {
 }
 
 std::size_t count_points(const RenderedScan& scan, const Config& config) {
-    const std::vector<float> range_m = point_ranges(scan, config);
+    const std::vector<float>& range_m = point_ranges(scan, config);
     std::size_t n = 0;
     for (std::size_t i = 0; i < range_m.size(); ++i) n += is_point(scan, i, range_m[i]);
     return n;

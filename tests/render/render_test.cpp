@@ -53,6 +53,18 @@ TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
     EXPECT_EQ(filled, 1u);
 }
 
+TEST(ProjectScan, WhatHedgesBetweenTwoSurfacesIsBinnedByTheDominantOne) {
+    const RangeGrid grid = kitti360_grid();
+    const glm::vec3 a(10.0f, 0.0f, -0.5f);
+    RenderedScan scan = scan_of({a, 0.8f * a}, {0.1f, 0.2f});
+    scan.image.range_m[0] *= 0.6f;   // the mean of a surface at a and one nearby
+    const RenderedScan binned = project_scan(scan, grid);
+    const std::size_t cell = std::size_t(*project(grid, glm::dvec3(a)));
+    EXPECT_EQ(binned.instance[cell], 1) << "0.8 a returns, 0.6 a is thin air";
+    EXPECT_NEAR(binned.median_range_m[cell], 0.8f * glm::length(a), 1e-4f);
+    EXPECT_NEAR(binned.image.drop_prob[cell], 0.1f, 1e-6f);
+}
+
 /// A wall 10 m ahead, met squarely at azimuth 0 and obliquely beside it, half of whose returns are dropped at random.
 RenderedScan half_dropped_wall() {
     std::vector<glm::vec3> points;
@@ -352,6 +364,11 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
     EXPECT_EQ(point_ranges(scan, config)[behind], 0.0f);
     config.render.points = "range";
     EXPECT_EQ(point_ranges(scan, config), scan.image.range_m);
+
+    surfels.opacity_logit.assign(2, -1.5f);   // T stays above 0.5
+    const RenderedScan faint = ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
+    EXPECT_NEAR(faint.median_range_m[ahead], (4.0 + 0.818 * 10.0) / 1.818, 1e-2) << "a point without a surface is no point at the sensor";
+    EXPECT_EQ(faint.median_range_m[behind], 0.0f);
 }
 
 /// The place of a wall that stands still, from a sensor that moves while it turns: every ray's own pose puts its point on the wall.

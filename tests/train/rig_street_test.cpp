@@ -27,7 +27,7 @@ struct Score {
 };
 
 void add(Score& score, const RenderedScan& scan, const Scan& truth) {
-    const std::vector<float> range_m = surface_ranges(scan);
+    const std::vector<float>& range_m = scan.median_range_m;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         const bool returns = returned(scan.image.drop_prob[i], range_m[i]);
         ++score.rays;

@@ -107,7 +107,7 @@ float nearest_m(const Returns& returns, float range_m) {
 }
 
 void add(Score& score, const RenderedScan& scan, const Scan& cone) {
-    const std::vector<float> range_m = surface_ranges(scan);
+    const std::vector<float>& range_m = scan.median_range_m;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         const Truth truth = truth_of(cone, i);
         const bool returns = returned(scan.image.drop_prob[i], range_m[i]);
