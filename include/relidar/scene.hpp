@@ -112,6 +112,9 @@ struct InitialiseOptions {
     double voxel_growth = 0.0;         ///< voxel edge grows by this share of the range to the nearest sensor position (0 = paper)
     bool normals = true;               ///< surfel normals from the k nearest neighbours; false = random orientation (ablation)
     int normal_neighbours = 6;
+    /// points are a surface where their variance across it is less than this share of the smaller one within; discs of others (leaves,
+    /// wires, corners) face the sensor instead of following their points; 1 = all are surfaces (paper)
+    double flatness = 1.0;
     bool smooth = false;               ///< move each mean onto the plane of its neighbours (not in the paper)
     double opacity = 0.1;
     double hit_logit = 1.0;            ///< of new surfels; with drop_logit the ray-drop probability a surface starts from (M6)

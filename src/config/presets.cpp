@@ -48,6 +48,7 @@ Config standard() {
     config.init.voxel_m = 0.1;                         // silhouettes: surfels overhang an edge by about their size
     config.init.voxel_growth = 0.006;                  // about the distance of neighbouring rays
     config.init.normal_neighbours = 24;                // 6 points of 2 cm noise tilt a normal by some 0.1 rad
+    config.init.flatness = 0.04;                       // leaves and corners: Chamfer of points 0.107 -> 0.102 m, RMSE 2.19 -> 2.10 m
     config.init.smooth = true;
     config.init.remove_unlabelled_movers = true;       // boxes cover the front camera's view only
     config.init.discover_actors = true;                // ... and so do what else moves: people beside it, the car behind

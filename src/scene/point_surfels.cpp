@@ -33,12 +33,13 @@ using Tree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<fl
 struct Plane {
     glm::dvec3 point{0.0};
     glm::dvec3 normal{0.0};
-    bool is_surface = false;   ///< the points spread along two axes and hardly along the third
+    bool is_surface = false;   ///< the points spread along two axes, and less along the third than options.flatness says
 };
 
 /// Normal: eigenvector of the smallest eigenvalue. Points along one scan line leave it free to turn about the line; then it faces
-/// the sensor as far as the line allows.
-Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours, const glm::dvec3& view) {
+/// the sensor as far as the line allows. Points that are no surface have none to tell: of discs that lie in their scatter, rays of the
+/// next scan pass most edge on, and return from behind.
+Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours, const glm::dvec3& view, double flatness) {
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
     for (const std::size_t j : neighbours) mean += Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z);
     mean /= double(neighbours.size());
@@ -56,8 +57,10 @@ Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_
         const glm::dvec3 line(axes(0, 2), axes(1, 2), axes(2, 2));
         normal = -view + (values[2] > 0.0 ? glm::dot(view, line) * line : glm::dvec3(0.0));
     }
+    const bool is_surface = !is_line && values[0] < flatness * values[1];
+    if (!is_line && !is_surface) normal = -view;
     const double length = glm::length(normal);
-    return {{mean.x(), mean.y(), mean.z()}, length > 1e-9 ? normal / length : -view, !is_line && values[0] < 0.04 * values[1]};
+    return {{mean.x(), mean.y(), mean.z()}, length > 1e-9 ? normal / length : -view, is_surface};
 }
 
 /// Rotation whose third column is the normal, turned about it by an angle.
@@ -103,7 +106,7 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
     Random random(hash64(options.seed, i));
     found.resize(std::min<std::size_t>(n_found, std::size_t(options.normal_neighbours) + 1));
     Plane plane{{}, random_direction(random)};
-    if (options.normals && found.size() >= 3) plane = fit_plane(samples, found, samples[i].view);
+    if (options.normals && found.size() >= 3) plane = fit_plane(samples, found, samples[i].view, options.flatness);
     surfels.mean[i] = samples[i].position;
     if (options.smooth && plane.is_surface)
         surfels.mean[i] -= glm::vec3(glm::dot(glm::dvec3(samples[i].position) - plane.point, plane.normal) * plane.normal);

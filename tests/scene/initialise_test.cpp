@@ -5,6 +5,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
+#include <random>
 
 #include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
@@ -66,6 +68,39 @@ TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
     }
     std::sort(worst.begin(), worst.end());
     EXPECT_LT(worst[worst.size() * 95 / 100], 0.02f) << "normals of a few rays are not quite upright";
+}
+
+/// Mean of |n . d| over surfels of a scan whose ranges are given, d from the sensor to the surfel.
+double mean_facing(const std::function<float(const glm::vec3& direction)>& range_m, double flatness) {
+    Sequence sequence;
+    for (int b = 0; b < 48; ++b) sequence.lidars[0].sensor.beams.push_back({.elevation_rad = -0.1 - 0.01 * b});
+    sequence.lidars[0].sensor.columns = 628;
+    sequence.rolling_shutter = false;
+    sequence.world_from_vehicle = {{0.0}, {{}}};
+    Frame frame{0, 0.0, {make_rays(sequence.lidars[0].sensor), {}, {}}};
+    for (const glm::vec3& d : frame.scan.rays.direction) {
+        frame.scan.range_m.push_back(range_m(d));
+        frame.scan.intensity.push_back(0.5f);
+    }
+    sequence.frames.push_back(frame);
+    InitialiseOptions options;
+    options.normal_neighbours = 24;
+    options.flatness = flatness;
+    const Surfels surfels = initialise_background(sequence, {0}, options);
+    double sum = 0.0;
+    for (std::size_t i = 0; i < surfels.size(); ++i)
+        sum += double(std::abs(glm::dot(normal_of(surfels.rotation[i]), glm::normalize(surfels.mean[i]))));
+    return sum / double(surfels.size());
+}
+
+TEST(Initialise, WhatIsNoSurfaceFacesTheSensor) {
+    std::mt19937 random(5);
+    const auto leaves = [&](const glm::vec3&) { return std::uniform_real_distribution<float>(6.0f, 8.0f)(random); };
+    const auto road = [](const glm::vec3& d) { return -2.0f / d.z; };
+    EXPECT_GT(mean_facing(leaves, 0.04), 0.95);
+    EXPECT_LT(mean_facing(leaves, 1.0), 0.8) << "they follow their points, which say nothing";
+    EXPECT_NEAR(mean_facing(road, 0.04), mean_facing(road, 1.0), 0.03) << "a surface keeps its normal";
+    EXPECT_LT(mean_facing(road, 0.04), 0.5);
 }
 
 std::size_t count_in_moving_boxes(const Sequence& street, const Surfels& surfels) {
