@@ -25,6 +25,13 @@ constexpr std::size_t kMaxRays = std::size_t(1) << 20;   // of a live scan: 28 M
 constexpr double kSameTime_s = 1e-6;
 constexpr const char* kFileSensor = "file";
 
+/// What choose_sensor() knows by name.
+std::vector<std::string> known_sensors() {
+    std::vector<std::string> names = sensor_names();
+    names.insert(names.begin(), "native");
+    return names;
+}
+
 std::vector<std::pair<std::string, std::uint32_t>> names_of(const std::vector<Instance>& instances) {
     std::vector<std::pair<std::string, std::uint32_t>> names;
     for (const Instance& instance : instances) names.emplace_back(instance.track, instance.model);
@@ -85,8 +92,6 @@ Json Scanner::describe() const {
                           {"position", {p.x, p.y, p.z}}});
     }
     for (const Lidar& lidar : log.lidars) lidars.push_back({{"name", lidar.name}, {"sensor", lidar.sensor.name}});
-    std::vector<std::string> sensors = sensor_names();
-    sensors.insert(sensors.begin(), "native");
     return {{"kind", "hello"},
             {"run", run_.folder.filename().empty() ? run_.folder.parent_path().filename().string() : run_.folder.filename().string()},
             {"log", log.name},
@@ -94,7 +99,7 @@ Json Scanner::describe() const {
             {"device", device_.info().name},
             {"frames", frames},
             {"lidars", lidars},
-            {"sensors", sensors},
+            {"sensors", known_sensors()},
             {"max_range_m", run_.config.dataset.max_range_m}};
 }
 
@@ -109,12 +114,10 @@ SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {
     }
     const std::string key = fmt::format("{}/{}", wish.lidar, wish.sensor);
     if (!tab.sensor || tab.sensor->first != key) {
-        const std::vector<std::string> known = sensor_names();   // names alone: never a path of the server's
-        if (wish.sensor != "native" && std::find(known.begin(), known.end(), wish.sensor) == known.end())
+        const std::vector<std::string> known = known_sensors();   // names alone: never a path of the server's
+        if (std::find(known.begin(), known.end(), wish.sensor) == known.end())
             throw UsageError(fmt::format("sensor: found \"{}\", expected a name of the list", wish.sensor));
-        const bool is_own = wish.sensor == "native";
-        tab.sensor.emplace(key, is_own ? configured_sensor(run_.config, run_.sequence, wish.lidar)
-                                       : choose_sensor(wish.sensor, run_.config, run_.sequence, wish.lidar));
+        tab.sensor.emplace(key, choose_sensor(wish.sensor, run_.config, run_.sequence, wish.lidar));
         check_size(tab.sensor->second);
     }
     return tab.sensor->second;

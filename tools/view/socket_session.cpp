@@ -19,6 +19,7 @@ SocketSession::SocketSession(boost::beast::tcp_stream stream, Counted counted, H
     websocket::stream_base::timeout limits{hub.options.request_time, hub.options.idle_time, true};
     stream_.set_option(limits);
     stream_.read_message_max(hub.options.max_message_bytes);
+    stream_.auto_fragment(false);   // into pieces of 4 kB: nothing else waits to be sent between them
 }
 
 void SocketSession::start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade) {

@@ -61,7 +61,11 @@ export class CloudView {
     this.background = [0, 0, 0];
   }
 
-  setPoints(name, position, rgba) { this.set(name, position, rgba, true); }
+  /** @param position Float32Array, three a point @param rgba Uint8Array @param size times the view's */
+  setPoints(name, position, rgba, size = 1) {
+    this.set(name, position, rgba, true);
+    this.shapes.get(name).size = size;
+  }
 
   /** @param position Float32Array, two points a line @param rgba Uint8Array, four bytes a point */
   setLines(name, position, rgba) { this.set(name, position, rgba, false); }
@@ -115,9 +119,9 @@ export class CloudView {
       const { made, matrix: place, size } = wanted ? this.points : this.lines;
       gl.useProgram(made);
       gl.uniformMatrix4fv(place, false, matrix);
-      if (size) gl.uniform1f(size, this.pointSize * density);
-      for (const { array, isPoints, count } of this.shapes.values()) {
+      for (const { array, isPoints, count, size: factor } of this.shapes.values()) {
         if (isPoints !== wanted || !count) continue;
+        if (isPoints) gl.uniform1f(size, this.pointSize * density * factor);
         gl.bindVertexArray(array);
         gl.drawArrays(isPoints ? gl.POINTS : gl.LINES, 0, count);
       }

@@ -18,13 +18,15 @@ class Lines {
   get arrays() { return { position: new Float32Array(this.ends), rgba: new Uint8Array(this.colours) }; }
 }
 
-/** A grid of 10 m about a place, on the plane of its height. */
+/** A grid of 10 m about a place, on the plane of its height. In short pieces: some drivers drop lines that begin behind the camera. */
 export function grid([x, y, z], reach, colour) {
   const lines = new Lines();
   const [left, bottom] = [Math.round(x / 10) * 10, Math.round(y / 10) * 10];
-  for (let d = -reach; d <= reach; d += 10) {
-    lines.add([left + d, bottom - reach, z], [left + d, bottom + reach, z], colour);
-    lines.add([left - reach, bottom + d, z], [left + reach, bottom + d, z], colour);
+  for (let across = -reach; across <= reach; across += 10) {
+    for (let along = -reach; along < reach; along += 10) {
+      lines.add([left + across, bottom + along, z], [left + across, bottom + along + 10, z], colour);
+      lines.add([left + along, bottom + across, z], [left + along + 10, bottom + across, z], colour);
+    }
   }
   return lines.arrays;
 }

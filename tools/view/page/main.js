@@ -19,6 +19,7 @@ import { Timeline } from './timeline.js';
 const SENSOR_HEIGHT_M = 1.8;      // of a car's roof: where the grid is drawn below the log's sensor
 const SHORTEST_ERROR_M = 0.1;     // of error lines
 const GRID_REACH_M = 80;
+const REAL_SIZE = 0.6;              // of real points among simulated ones, which they would hide
 const DARK = matchMedia('(prefers-color-scheme: dark)');
 const element = (id) => document.getElementById(id);
 
@@ -74,7 +75,6 @@ function start(message) {
   element('save-name').title = `a folder in ${hello.save_folder}`;
   sensor.load(hello);
   timeline.load(hello.frames);
-  view.setLines('path', ...linesOf(shapes.path(hello.frames.filter((f) => f.lidar === 0).map((f) => f.position), [21, 110, 220, 255])));
 }
 
 function received(next) {
@@ -98,8 +98,8 @@ function show() {
   const options = (scan) => ({ maxRange: hello.max_range_m, sensorHeight: header.pose[14], error, shown: shown(scan) });
   const colours = simulated && coloursOf(simulated, panel.colouring, options(simulated));
   const realColours = real && (simulated ? flatColours(real.range.length, panel.realColour, shown(real)) : coloursOf(real, panel.colouring, options(real)));
-  setCloud('simulated', simulated, colours);
-  setCloud('real', real, realColours);
+  setCloud('simulated', simulated, colours, 1);
+  setCloud('real', real, realColours, simulated ? REAL_SIZE : 1);
   setErrorLines(error);
   setScenery(header);
   showStrips(colours, real && coloursOf(real, panel.colouring, options(real)));
@@ -112,8 +112,8 @@ function rangeErrors(simulated, real) {
   return simulated.range.map((r, i) => (returned(simulated, i) && returned(real, i) ? Math.abs(r - real.range[i]) : NaN));
 }
 
-function setCloud(name, scan, rgba) {
-  if (scan) view.setPoints(name, scan.position, rgba);
+function setCloud(name, scan, rgba, size) {
+  if (scan) view.setPoints(name, scan.position, rgba, size);
   else view.remove(name);
 }
 

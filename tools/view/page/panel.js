@@ -13,8 +13,9 @@ export class Panel {
     this.onMode = onMode;
     this.message = document.getElementById('message');
     document.querySelectorAll('[data-mode]').forEach((b) => b.addEventListener('click', () => this.setMode(b.dataset.mode)));
-    for (const id of ['colouring', 'point-size', 'show-grid', 'show-path', 'show-boxes', 'show-errors', 'show-dropped'])
-      document.getElementById(id).addEventListener('input', onLook);
+    for (const id of ['colouring', 'show-grid', 'show-path', 'show-boxes', 'show-errors', 'show-dropped'])
+      document.getElementById(id).addEventListener('change', onLook);
+    document.getElementById('point-size').addEventListener('input', onLook);
     this.markMode();
   }
 

@@ -77,6 +77,5 @@ export class Timeline {
   show() {
     this.button.setAttribute('aria-pressed', String(this.playing));
     this.button.setAttribute('aria-label', this.playing ? 'Pause' : 'Play');
-    this.button.textContent = this.playing ? '⏸' : '▶';
   }
 }
