@@ -28,7 +28,8 @@ public:
     std::string request() {
         static const std::vector<std::string> seeds = {
             "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n",
-            "GET /main.js?token=abc&x=1 HTTP/1.1\r\nHost: 127.0.0.1:8080\r\nCookie: relidar_1=abc; b=2\r\nOrigin: http://127.0.0.1:8080\r\n\r\n",
+            "GET /main.js?token=abc&x=1 HTTP/1.1\r\nHost: 127.0.0.1:8080\r\nCookie: relidar_1=abc; b=2\r\n"
+            "Origin: http://127.0.0.1:8080\r\n\r\n",
             "POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5\r\n\r\nhello",
             "POST / HTTP/1.1\r\nHost: [::1]:80\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n0\r\n\r\n",
             "HEAD /../../etc/passwd HTTP/1.0\r\nHost: localhost\r\nConnection: keep-alive\r\n\r\n",
@@ -87,8 +88,8 @@ int run(int n_requests, unsigned seed) {
     options.request_time = std::chrono::milliseconds(500);
     options.max_message_bytes = 4096;
     view::Server* server = nullptr;
-    view::Server made(options, {[](view::ClientId) {},
-                                [&](view::ClientId id, std::string text) { server->send_text(id, std::move(text)); }, [](view::ClientId) {}});
+    const auto echo = [&](view::ClientId id, std::string text) { server->send_text(id, std::move(text)); };
+    view::Server made(options, {[](view::ClientId) {}, echo, [](view::ClientId) {}});
     server = &made;
     Changer change(seed);
     for (int sent = 0, checked = 0; sent < n_requests; sent += kTogether) {

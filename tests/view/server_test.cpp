@@ -92,7 +92,8 @@ TEST(ViewServer, ServesNothingElse) {
     std::ofstream("main.css") << "a file beside the program";
     for (const char* path : {"/main.css", "/../main.js", "/./main.js", "//main.js", "/../../../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd",
                              "/..%2f..%2fetc/passwd", "/..\\..\\etc\\passwd", "/main.js/", "/main.js%00.html", "/MAIN.JS", "/etc/passwd",
-                             "main.js", "*", "file:///etc/passwd", "http://localhost/main.js", "/main.js;x", "/%6dain.js", "/.", "/..", "/live/"}) {
+                             "main.js", "*", "file:///etc/passwd", "http://localhost/main.js", "/main.js;x", "/%6dain.js", "/.", "/..",
+                             "/live/"}) {
         const std::string answer = ask(echo.port(), get(path));
         EXPECT_THAT(status_of(answer), AnyOf(404, 400)) << path;
         EXPECT_THAT(answer, Not(AnyOf(HasSubstr("root:"), HasSubstr("beside the program"), HasSubstr("let a")))) << path;
@@ -130,8 +131,8 @@ TEST(ViewServer, KnowsItsOwnNamesAndNoOther) {
     const Echo echo;
     for (const char* host : {"localhost", "LocalHost:8080", "127.0.0.1", "127.0.0.1:9", "[::1]:8080", "[::1]", "192.168.3.4:80"})
         EXPECT_EQ(status_of(ask(echo.port(), get("/", std::string("Host: ") + host + "\r\n"))), 200) << host;
-    for (const char* host : {"evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "evil.example:8080", "localhost:80:80", "[::1",
-                             "[::1]x", "localhost:x", "a@localhost"})
+    for (const char* host : {"evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "evil.example:8080", "localhost:80:80",
+                             "[::1", "[::1]x", "localhost:x", "a@localhost"})
         EXPECT_EQ(status_of(ask(echo.port(), get("/", std::string("Host: ") + host + "\r\n"))), 403) << host;
     EXPECT_EQ(status_of(ask(echo.port(), get("/", ""))), 400);
     EXPECT_EQ(status_of(ask(echo.port(), get("/", "Host: localhost\r\nHost: evil.example\r\n"))), 400);
@@ -202,7 +203,10 @@ TEST(ViewServer, TurnsAwayMoreThanItHasRoomFor) {
         EXPECT_EQ(status_of(ask(echo.port(), get("/"))), 503);
     }
     int status = 503;
-    for (int i = 0; i < 50 && status == 503; ++i, std::this_thread::sleep_for(milliseconds(20))) status = status_of(ask(echo.port(), get("/")));
+    for (int i = 0; i < 50 && status == 503; ++i) {
+        std::this_thread::sleep_for(milliseconds(20));   // until the server has seen them go
+        status = status_of(ask(echo.port(), get("/")));
+    }
     EXPECT_EQ(status, 200);
 }
 

@@ -71,7 +71,8 @@ void run_view(const Options& options) {
     catch_interrupts();
     print(server->url() + "\n");
     std::fflush(stdout);
-    if (!options.quiet) note(wanted.token.empty() ? "open that address in a browser; Ctrl-C ends it" : "only who has this address may look; Ctrl-C ends it");
+    const char* who = wanted.token.empty() ? "open that address in a browser" : "only who has that address may look";
+    if (!options.quiet) note(fmt::format("{}; Ctrl-C ends it", who));
     if (options.open) open_in_browser(server->url());
     while (!interrupted()) session.work(kPatience);
     server.reset();
@@ -89,15 +90,16 @@ void add_view(CLI::App& app, Call& call) {
                      "address to listen on (default: 127.0.0.1, this machine alone; elsewhere the address that is printed holds a token "
                      "without which nobody is let in)")
         ->type_name("ADDRESS");
-    command->add_option("--save-to", options->save_to, "folder in which the page makes edited runs (default: that of RUN)")->type_name("DIR");
+    command->add_option("--save-to", options->save_to, "folder in which the page makes edited runs (default: the one that RUN is in)")
+        ->type_name("DIR");
     command->add_flag("--open", options->open, "open a browser");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");
     command->add_flag("--quiet", options->quiet, "print the address and errors only");
     command->footer(
-        "The page moves the sensor by mouse and keys, plays the log, changes sensor and traffic; ? shows its keys. Scans of the log itself\n"
-        "are shown where the log still is where the run was trained on it.\n"
+        "The page moves the sensor by mouse and keys, plays the log, changes sensor and traffic; ? shows its keys. It has the log's own\n"
+        "scans too where the log is still at its place. docs/viewer.md says more.\n"
         "Examples:\n"
         "  relidar view run\n"
         "  relidar view run --port 0 --open\n"

@@ -5,17 +5,18 @@
 
 #include <relidar/error.hpp>
 #include <relidar/evaluation.hpp>
+#include <relidar/run.hpp>
 #include <relidar/train.hpp>
 
 namespace relidar::view {
 namespace {
 
 /// A run without its surfels.
-Run without_scene(const Run& run) {
-    Run result;
-    result.folder = run.folder;
-    result.config = run.config;
-    result.sequence = run.sequence;
+std::unique_ptr<Run> without_scene(const Run& run) {
+    auto result = std::make_unique<Run>();
+    result->folder = run.folder;
+    result->config = run.config;
+    result->sequence = run.sequence;
     return result;
 }
 
@@ -28,6 +29,8 @@ RealScans::~RealScans() {
     reader_.join();
 }
 
+const Sequence* RealScans::sequence() const { return state_ == State::ready ? &frames_->sequence : nullptr; }
+
 std::string RealScans::why() const { return state_ == State::missing ? why_ : ""; }
 
 void RealScans::load() {
@@ -35,10 +38,10 @@ void RealScans::load() {
         const Progress until_stopped = [this](std::string_view, double) {
             if (stop_) throw Error(ExitCode::interrupted, "reading the log: interrupted");
         };
-        const Sequence log = load_log(frames_.config, until_stopped);
-        std::vector<int> all(frames_.sequence.frames.size());
+        const Sequence log = load_log(frames_->config, until_stopped);
+        std::vector<int> all(frames_->sequence.frames.size());
         std::iota(all.begin(), all.end(), 0);
-        attach_scans(frames_, all, log);
+        attach_scans(*frames_, all, log);
         state_ = State::ready;
     } catch (const std::exception& error) {   // a log that is gone, whatever the reason, is no failure of the viewer
         why_ = error.what();

@@ -4,11 +4,13 @@
 
 #include <atomic>
 #include <memory>
-#include <mutex>
 #include <string>
 #include <thread>
 
-#include <relidar/run.hpp>
+namespace relidar {
+struct Run;
+struct Sequence;
+}
 
 namespace relidar::view {
 
@@ -27,12 +29,12 @@ public:
     /// Why they are missing, one line.
     std::string why() const;
     /// The frames of the run with their scans; nothing while they are not ready.
-    const Sequence* sequence() const { return state_ == State::ready ? &frames_.sequence : nullptr; }
+    const Sequence* sequence() const;
 
 private:
     void load();
 
-    Run frames_;   ///< of the run: settings and sequence, no scene
+    const std::unique_ptr<Run> frames_;   ///< settings and sequence, no scene
     std::string why_;
     std::atomic<State> state_ = State::loading;
     std::atomic<bool> stop_ = false;

@@ -100,7 +100,8 @@ int Server::port() const { return impl_->acceptor.local_endpoint().port(); }
 
 std::string Server::url() const {
     const auto address = impl_->acceptor.local_endpoint().address();
-    const std::string host = address.is_unspecified() ? "127.0.0.1" : address.is_v6() ? "[" + address.to_string() + "]" : address.to_string();
+    std::string host = address.is_unspecified() ? "127.0.0.1" : address.to_string();
+    if (address.is_v6() && !address.is_unspecified()) host = "[" + host + "]";
     const std::string& token = impl_->hub.options.token;
     return fmt::format("http://{}:{}/{}", host, port(), token.empty() ? "" : "?token=" + token);
 }

@@ -63,7 +63,8 @@ DrivingScene with_copies(DrivingScene driving, const std::vector<ActorEdits::Cop
     return driving;
 }
 
-Traffic::Traffic(const Run& run, const ActorEdits& edits) : driving_(with_moves(with_copies(layout(run), edits.copies), edits)), edits_(edits) {
+Traffic::Traffic(const Run& run, const ActorEdits& edits)
+    : driving_(with_moves(with_copies(layout(run), edits.copies), edits)), edits_(edits) {
     check_known(driving_, edits.removed);
     check_known(driving_, edits.hidden);
 }
