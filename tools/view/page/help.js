@@ -10,7 +10,7 @@ const KEYS = [
   [[',', '.'], 'frame before, next frame'],
   [['1', '2', '3'], 'simulated, real, both'],
   [['C'], 'next camera: follow, orbit, fly'],
-  [['←', '→', '↑', '↓'], 'move the camera (when the view has the focus)'],
+  [['←', '→', '↑', '↓'], 'move the camera'],
   [['drag'], 'turn the camera; right button or Ctrl: move it; wheel: nearer, farther'],
   [['Shift', 'drag'], 'move the sensor over the ground'],
   [['?'], 'this help'],
