@@ -128,6 +128,13 @@ relidar_dependency(zstd APT libzstd-dev HEADER zstd.h LIBRARY zstd)
 if(RELIDAR_BUILD_TOOLS AND NOT RELIDAR_FOR_PACKAGE)
     relidar_dependency(cli11 APT libcli11-dev BUILD_ONLY PACKAGE CLI11 TARGETS CLI11::CLI11 HEADER CLI/CLI.hpp
         FETCH https://github.com/CLIUtils/CLI11.git v2.3.1 include)
+    find_path(RELIDAR_beast_INCLUDE boost/beast/websocket/stream.hpp)
+    if(RELIDAR_VIEW AND RELIDAR_beast_INCLUDE)
+        relidar_dependency(beast APT libboost-dev BUILD_ONLY HEADER boost/beast/websocket/stream.hpp)
+    elseif(RELIDAR_VIEW)
+        message(STATUS "relidar: `relidar view` is left out (needs Boost.Beast: libboost-dev)")
+        set(RELIDAR_VIEW OFF)
+    endif()
 endif()
 
 # --- the Python module -----------------------------------------------------------------------------------------------

@@ -40,7 +40,7 @@ bad() {
 
 help_tells() {
     good --help
-    for command in devices sensors config convert info train refine render edit eval export import bench demo; do
+    for command in devices sensors config convert info train refine render edit view eval export import bench demo; do
         says "^  $command "
     done
     for command in devices sensors config convert info train refine render edit eval export import bench demo; do
@@ -593,6 +593,33 @@ damaged_runs() {
     absent x
 }
 
+# The viewer: what it prints, refuses, and how it ends. Its server and page have tests of their own (tests/view).
+viewing() {
+    good view --help
+    if ! grep -q -- "--port" out; then
+        bad 2 "built without it.*install libboost-dev" view run
+        return
+    fi
+    says "Example"
+    bad 3 "nowhere: no such folder" view nowhere
+    bad 2 "port: found 65536, expected 0 to 65535" view run --port 65536
+    bad 2 'found the address "example.com", expected one like 127.0.0.1' view run --bind example.com
+    bad 3 "save-to nowhere: no such folder" view run --save-to nowhere
+    "$relidar" view run --port 0 --bind 0.0.0.0 --quiet >address 2>err &
+    local pid=$! port
+    for _ in $(seq 300); do
+        [[ ! -s address ]] || break
+        sleep 0.1
+    done
+    check "the address of a viewer for others has no token" grep -Eq '^http://127.0.0.1:[0-9]+/\?token=[0-9a-f]{32}$' address
+    port=$(sed 's/.*:\([0-9]*\).*/\1/' address)
+    bad 2 "listening on port $port of 0.0.0.0: Address already in use, expected one that is free" view run --bind 0.0.0.0 --port "$port"
+    kill -INT $pid
+    wait $pid
+    local code=$?
+    check "a viewer that Ctrl-C has ended: exit code $code, expected 0" test "$code" = 0
+}
+
 # Ctrl-C while training: the scene so far is saved, exit code 130.
 interruption() {
     "$relidar" train street --out stopped --preset quick --set train.pose_register=false --set train.iterations=1000000 --set train.log_every=1 >out 2>err &
@@ -713,6 +740,7 @@ if "$relidar" devices >out 2>err; then
     surfels_as_ply
     gaussians
     damaged_runs
+    viewing
     interruption
     resuming
     bench

@@ -1,0 +1,227 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""The page of `relidar view` in headless Chromium, as a user has it: points, another place, another sensor, traffic, the log.
+
+    browser_test.py RELIDAR WORK_FOLDER
+
+Exits 77 (skipped) where chromium, its driver or python3-selenium is missing."""
+import pathlib
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+try:
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+    from selenium.webdriver.support.ui import Select
+except ImportError:
+    print("skipped: python3-selenium is missing (tools/dev/setup --tests)")
+    sys.exit(77)
+
+STREET = "seed = 3\nn_frames = 6\nrows = 32\ncolumns = 512\n"
+TRAIN = ["--preset", "quick", "--set", "train.pose_register=false", "--set", "train.iterations=3", "--set", "dataset.test_every=3",
+         "--set", "init.actor_min_points=10", "--set", "refine.enabled=false", "--no-eval", "--quiet"]
+PATIENCE_S = 60
+
+# Pixels of a picture (PNG, base64) that have a colour, neither white, black nor gray: points and boxes.
+COLOURED = """
+const done = arguments[arguments.length - 1], image = new Image();
+image.onload = () => {
+  const canvas = new OffscreenCanvas(image.width, image.height), context = canvas.getContext('2d');
+  context.drawImage(image, 0, 0);
+  const { data } = context.getImageData(0, 0, image.width, image.height);
+  let n = 0;
+  for (let i = 0; i < data.length; i += 4)
+    n += Math.max(data[i], data[i + 1], data[i + 2]) - Math.min(data[i], data[i + 1], data[i + 2]) > 80;
+  done(n);
+};
+image.src = 'data:image/png;base64,' + arguments[0];"""
+STRIP = """const c = document.getElementById(arguments[0]);
+return Array.from(new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer));"""
+# The longest time between two pictures of the screen, ms, while two seconds pass.
+LONGEST_PAUSE = """
+const done = arguments[0], end = performance.now() + 2000;
+let last = performance.now(), longest = 0;
+(function tick(now) {
+  longest = Math.max(longest, now - last); last = now;
+  if (now < end) requestAnimationFrame(tick); else done(longest);
+})(last);"""
+FIRST_BLUE = 0xFF000000 | 235 << 16 | 111 << 8 | 31      # the first actor's colour, as bytes of RGBA
+COPY_GREEN = 0xFF000000 | 107 << 16 | 150 << 8 | 18    # the third's: the copy of a street with two
+
+
+def need(programs):
+    for name in programs:
+        if shutil.which(name) is None:
+            print(f"skipped: {name} is missing (tools/dev/setup --tests)")
+            sys.exit(77)
+
+
+class Page:
+    def __init__(self, url, work):
+        self.work = work
+        options = webdriver.ChromeOptions()
+        for flag in ["--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--window-size=1280,860"]:
+            options.add_argument(flag)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+        self.driver = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
+        self.driver.set_script_timeout(30)
+        self.driver.get(url)
+
+    def find(self, selector):
+        return self.driver.find_element(By.CSS_SELECTOR, selector)
+
+    def click(self, selector):
+        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'}); arguments[0].click()", self.find(selector))
+
+    def type(self, selector, text):
+        field = self.find(selector)
+        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", field)
+        field.send_keys(Keys.CONTROL, "a")
+        field.send_keys(text)
+
+    def strip(self, name="strip"):
+        return self.driver.execute_script(STRIP, name)
+
+    def points(self):
+        text = self.find("#n-points").text.replace(",", "")
+        return int(text) if text.isdigit() else 0
+
+    def wait(self, what, condition):
+        end = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            if condition():
+                return
+            time.sleep(0.1)
+        self.driver.save_screenshot(str(self.work / "failed.png"))
+        raise AssertionError(f"waited {PATIENCE_S} s for: {what}; the page says: {self.find('#message').text!r}, errors: {self.errors()}")
+
+    def errors(self):
+        return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
+
+
+def shows_points(page):
+    page.wait("more than 10,000 points", lambda: page.points() > 10_000)
+    assert page.find("#image-size").text == "32 × 512", page.find("#image-size").text
+    time.sleep(0.5)
+    picture = page.find("#view").screenshot_as_base64
+    coloured = page.driver.execute_async_script(COLOURED, picture)
+    assert coloured > 5_000, f"{coloured} coloured pixels in the view, expected points"
+
+
+def share_of_changes(before, after):
+    return sum(a != b for a, b in zip(before, after)) / len(before) if len(before) == len(after) else 1.0
+
+
+def moves(page):
+    before = page.strip()
+    page.type("#place-y", "2.5")
+    page.wait("another image from 2.5 m to the left", lambda: share_of_changes(before, page.strip()) > 0.3)
+    page.find("body").click()
+    page.find("#view").send_keys("w")
+    assert page.find("#place-x").get_attribute("value") == "0.5", "W drives half a metre"
+    page.click("#reset-place")
+    page.wait("the first image again", lambda: share_of_changes(before, page.strip()) < 0.01)
+
+
+def changes_sensor(page, work):
+    Select(page.find("#sensor")).select_by_value("VLP-16")
+    page.wait("16 rows", lambda: page.find("#image-size").text.startswith("16 × "))
+    (work / "beams.csv").write_text("elevation_deg\n5\n0\n-5\n")
+    page.find("#sensor-file").send_keys(str(work / "beams.csv"))
+    page.wait("3 rows of a file", lambda: page.find("#image-size").text.startswith("3 × "))
+    (work / "bad.csv").write_text("elevation_deg,colour\n5,1\n")
+    page.find("#sensor-file").send_keys(str(work / "bad.csv"))
+    page.wait("what is wrong with a file", lambda: "bad.csv line 1: column 'colour' is not known" in page.find("#sensor-hint").text)
+    Select(page.find("#sensor")).select_by_value("native")
+    page.wait("32 rows again", lambda: page.find("#image-size").text == "32 × 512")
+
+
+def edits(page, relidar, work):
+    Select(page.find("#colouring")).select_by_value("instance")
+    page.wait("the first actor in the image", lambda: page.strip().count(FIRST_BLUE) > 0)
+    buttons = ".actor[data-track='0'] button"
+    page.click(f"{buttons}:nth-of-type(1)")
+    page.wait("the first actor hidden", lambda: page.strip().count(FIRST_BLUE) == 0)
+    page.click(f"{buttons}:nth-of-type(1)")
+    page.wait("the first actor back", lambda: page.strip().count(FIRST_BLUE) > 0)
+    page.click(f"{buttons}:nth-of-type(2)")
+    page.wait("a copy in the list and in the image",
+              lambda: page.driver.find_elements(By.CSS_SELECTOR, ".actor[data-track='0-copy-1']") and page.strip().count(COPY_GREEN) > 0)
+    page.click(f"{buttons}:nth-of-type(3)")
+    page.wait("the first actor removed", lambda: page.strip().count(FIRST_BLUE) == 0 and page.strip().count(COPY_GREEN) > 0)
+    page.type("#save-name", "edited")
+    page.click("#save")
+    page.wait("the edited run saved", lambda: "saved as" in page.find("#save-hint").text)
+    info = subprocess.run([relidar, "info", str(work / "saved/edited")], capture_output=True, text=True, check=True).stdout
+    assert "--copy 0@" in info and "--remove 0" in info, info
+    page.click("#save")
+    page.wait("a second run of that name refused", lambda: "it is there already" in page.find("#save-hint").text)
+
+
+def shows_the_log(page):
+    page.wait("the log read", lambda: page.find("[data-mode='both']").is_enabled())
+    Select(page.find("#colouring")).select_by_value("range")
+    page.click("[data-mode='both']")
+    page.wait("the real image", lambda: page.find("#real-strip").is_displayed() and sum(p != 0 for p in page.strip("real-strip")) > 10_000)
+    page.click("[data-mode='simulated']")
+
+
+def stays_responsive(page):
+    page.click("#play")
+    time.sleep(0.5)
+    pause_ms = page.driver.execute_async_script(LONGEST_PAUSE)
+    print(f"longest pause of the page while it plays: {pause_ms:.0f} ms")
+    assert pause_ms < 1000, pause_ms
+
+
+def serves_two_tabs(page, url):
+    first = page.driver.current_window_handle
+    page.driver.switch_to.new_window("tab")
+    page.driver.get(url)
+    page.wait("points in a second tab", lambda: page.points() > 10_000)
+    assert len(page.driver.find_elements(By.CSS_SELECTOR, ".actor")) == 2, "the other tab's copy is not this one's"
+    page.driver.switch_to.window(first)
+    page.wait("points in the first", lambda: page.points() > 10_000)
+
+
+def check(page, url, relidar, work):
+    shows_points(page)
+    moves(page)
+    changes_sensor(page, work)
+    edits(page, relidar, work)
+    shows_the_log(page)
+    stays_responsive(page)
+    serves_two_tabs(page, url)
+    assert page.errors() == [], page.errors()
+
+
+def main():
+    relidar, work = str(pathlib.Path(sys.argv[1]).resolve()), pathlib.Path(sys.argv[2])
+    need(["chromium", "chromedriver"])
+    shutil.rmtree(work, ignore_errors=True)
+    for folder in ("street", "saved"):
+        (work / folder).mkdir(parents=True)
+    (work / "street/street.toml").write_text(STREET)
+    subprocess.run([relidar, "train", "street", "--out", "run", *TRAIN], cwd=work, check=True)
+    viewer = subprocess.Popen([relidar, "view", "run", "--port", "0", "--save-to", "saved", "--quiet"], cwd=work, stdout=subprocess.PIPE, text=True)
+    page = None
+    try:
+        url = viewer.stdout.readline().strip()
+        page = Page(url, work)
+        check(page, url, relidar, work)
+        viewer.send_signal(signal.SIGINT)
+        assert viewer.wait(timeout=5) == 0, viewer.returncode
+        page.wait("the page to say that the program has ended", lambda: "has ended" in page.find("#message").text)
+    finally:
+        viewer.kill()
+        if page:
+            page.driver.quit()
+    print("the page does what it should")
+
+
+main()

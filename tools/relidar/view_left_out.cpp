@@ -1,0 +1,20 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar view, where it was built without: says so.
+#include <CLI/CLI.hpp>
+
+#include "command.hpp"
+
+namespace relidar::cli {
+
+void add_view(CLI::App& app, Call& call) {
+    CLI::App* command = app.add_subcommand("view", "look at a run in the browser (left out of this build)");
+    command->allow_extras();
+    command->callback([&call] {
+        call.run = [] {
+            throw UsageError("view: this relidar was built without it, expected Boost.Beast while building: install libboost-dev (Debian), "
+                             "then cmake with -DRELIDAR_VIEW=ON");
+        };
+    });
+}
+
+}  // namespace relidar::cli

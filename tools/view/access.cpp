@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "access.hpp"
+
+#include <algorithm>
+#include <cctype>
+
+#include <boost/asio/ip/address.hpp>
+
+namespace relidar::view {
+namespace {
+
+bool equal_in_any_case(std::string_view a, std::string_view b) {
+    return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](char x, char y) {
+        return std::tolower(static_cast<unsigned char>(x)) == std::tolower(static_cast<unsigned char>(y));
+    });
+}
+
+bool is_port(std::string_view text) {
+    return !text.empty() && text.size() <= 5 && std::all_of(text.begin(), text.end(), [](char c) { return c >= '0' && c <= '9'; });
+}
+
+/// The host of "host", "host:port" or "[address]:port"; empty where it is none of them.
+std::string_view without_port(std::string_view host) {
+    std::size_t end = host.find(':');
+    if (host.starts_with('[')) {
+        const std::size_t bracket = host.find(']');
+        if (bracket == std::string_view::npos) return {};
+        end = bracket + 1;
+        if (end == host.size()) return host.substr(1, bracket - 1);
+        if (host[end] != ':' || !is_port(host.substr(end + 1))) return {};
+        return host.substr(1, bracket - 1);
+    }
+    if (end == std::string_view::npos) return host;
+    return is_port(host.substr(end + 1)) ? host.substr(0, end) : std::string_view{};
+}
+
+}  // namespace
+
+bool is_own_host(std::string_view host, std::string_view own_name) {
+    const std::string_view name = without_port(host);
+    if (name.empty()) return false;
+    if (equal_in_any_case(name, "localhost") || (!own_name.empty() && equal_in_any_case(name, own_name))) return true;
+    boost::system::error_code failed;
+    boost::asio::ip::make_address(std::string(name), failed);
+    return !failed;
+}
+
+bool is_own_origin(std::string_view origin, std::string_view host) {
+    constexpr std::string_view kScheme = "http://";
+    return origin.empty() || (origin.starts_with(kScheme) && equal_in_any_case(origin.substr(kScheme.size()), host));
+}
+
+bool same_secret(std::string_view a, std::string_view b) {
+    unsigned differs = a.size() == b.size() ? 0u : 1u;
+    for (std::size_t i = 0; i < b.size(); ++i) {   // over all of b, which is ours, whatever a is
+        const char shown = i < a.size() ? a[i] : '\0';
+        differs |= static_cast<unsigned char>(shown) ^ static_cast<unsigned char>(b[i]);
+    }
+    return differs == 0u;
+}
+
+std::string_view value_of(std::string_view list, std::string_view name, char separator) {
+    while (!list.empty()) {
+        const std::size_t end = std::min(list.find(separator), list.size());
+        std::string_view entry = list.substr(0, end);
+        list.remove_prefix(std::min(end + 1, list.size()));
+        while (entry.starts_with(' ')) entry.remove_prefix(1);
+        if (entry.size() > name.size() && entry.starts_with(name) && entry[name.size()] == '=') return entry.substr(name.size() + 1);
+    }
+    return {};
+}
+
+bool shows_token(const Credentials& request, std::string_view token, std::string_view cookie_name) {
+    return same_secret(value_of(request.query, "token", '&'), token) || same_secret(value_of(request.cookie, cookie_name, ';'), token);
+}
+
+}  // namespace relidar::view

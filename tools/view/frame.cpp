@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "frame.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstring>
+
+#include <nlohmann/json.hpp>
+
+#include <relidar/render.hpp>
+#include <relidar/sequence.hpp>
+
+namespace relidar::view {
+namespace {
+
+static_assert(std::endian::native == std::endian::little, "arrays are sent as they lie in memory");
+
+using Json = nlohmann::json;
+
+std::uint8_t as_byte(float share) { return static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(share, 0.0f, 1.0f))); }
+
+/// Arrays one behind the other, and what the header says of them.
+class Arrays {
+public:
+    template <class T>
+    void add(const std::string& name, const char* type, int components, const std::vector<T>& values) {
+        if (values.empty()) return;
+        const std::size_t n_bytes = values.size() * sizeof(T);
+        table_.push_back({{"name", name},
+                          {"type", type},
+                          {"components", components},
+                          {"count", values.size()},
+                          {"offset", bytes_.size()}});
+        bytes_.append(reinterpret_cast<const char*>(values.data()), n_bytes);
+        bytes_.append((4 - bytes_.size() % 4) % 4, '\0');
+    }
+    void add(const std::string& prefix, const ScanColumns& scan) {
+        add(prefix + "position", "f32", 3, scan.position_m);
+        add(prefix + "range", "f32", 1, scan.range_m);
+        add(prefix + "intensity", "u8", 1, scan.intensity);
+        add(prefix + "drop", "u8", 1, scan.drop);
+        add(prefix + "instance", "u16", 1, scan.instance);
+        add(prefix + "ring", "u16", 1, scan.ring);
+    }
+    const Json& table() const { return table_; }
+    const std::string& bytes() const { return bytes_; }
+
+private:
+    Json table_ = Json::array();
+    std::string bytes_;
+};
+
+}  // namespace
+
+ScanColumns simulated_columns(const RenderedScan& scan, const Config& config, const glm::dvec3& world_offset_m) {
+    const RangeImage& image = scan.image;
+    ScanColumns result{image.rows, image.columns, {}, point_ranges(scan, config), {}, {}, {}, scan.channel};
+    const std::size_t n = result.range_m.size();
+    for (std::size_t i = 0; i < n; ++i) {
+        const glm::dvec3 in_sensor = glm::dvec3(image.origin[i]) + double(result.range_m[i]) * glm::dvec3(image.direction[i]);
+        result.position_m.push_back(glm::vec3(scan.world_from_firing(i) * in_sensor - world_offset_m));
+        result.intensity.push_back(as_byte(image.intensity[i]));
+        result.drop.push_back(as_byte(image.drop_prob[i]));
+        const int instance = scan.instance[i];
+        result.instance.push_back(static_cast<std::uint16_t>(instance < 0 ? 65535 : instance));
+    }
+    return result;
+}
+
+ScanColumns measured_columns(const Sequence& sequence, const Frame& frame) {
+    const Scan& scan = frame.scan;
+    const PoseTrack world_from_sensor = sequence.world_from_sensor(frame.lidar);
+    ScanColumns result{scan.rays.rows, scan.rays.columns, {}, scan.range_m, {}, {}, {}, scan.rays.channel};
+    for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
+        const WorldRay ray = world_ray(world_from_sensor, frame.time_s, scan.rays, i, sequence.rolling_shutter);
+        result.position_m.push_back(glm::vec3(ray.origin_m + double(scan.range_m[i]) * ray.direction));
+        result.intensity.push_back(as_byte(scan.intensity[i]));
+        result.drop.push_back(scan.range_m[i] > 0.0f ? 0 : 255);
+    }
+    return result;
+}
+
+Json matrix_json(const Pose& pose) {
+    const glm::dmat4 m = to_matrix(pose);
+    Json result = Json::array();
+    for (int column = 0; column < 4; ++column)
+        for (int row = 0; row < 4; ++row) result.push_back(m[column][row]);
+    return result;
+}
+
+std::string encode_frame(Json header, const ScanColumns* simulated, const ScanColumns* measured) {
+    Arrays arrays;
+    if (simulated) {
+        header["image"] = {simulated->rows, simulated->columns};
+        arrays.add("", *simulated);
+    }
+    if (measured) {
+        header["real_image"] = {measured->rows, measured->columns};
+        arrays.add("real_", *measured);
+    }
+    header["arrays"] = arrays.table();
+    std::string text = header.dump(-1, ' ', false, Json::error_handler_t::replace);
+    text.append((4 - text.size() % 4) % 4, ' ');
+    const auto length = static_cast<std::uint32_t>(text.size());
+    std::string frame = "RLV1";
+    frame.append(reinterpret_cast<const char*>(&length), sizeof length);
+    return frame + text + arrays.bytes();
+}
+
+}  // namespace relidar::view

@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+// One connection that speaks HTTP: reads a request, checks who asks, answers with an asset or a refusal, or hands the connection to a
+// SocketSession. Private to the server.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+
+#include <boost/asio/ip/tcp.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <boost/beast/core/flat_buffer.hpp>
+#include <boost/beast/core/tcp_stream.hpp>
+#include <boost/beast/http/empty_body.hpp>
+#include <boost/beast/http/message.hpp>
+#include <boost/beast/http/parser.hpp>
+#include <boost/beast/http/string_body.hpp>
+
+#include "hub.hpp"
+
+namespace relidar::view {
+
+class HttpSession : public std::enable_shared_from_this<HttpSession> {
+public:
+    HttpSession(boost::asio::ip::tcp::socket socket, Hub& hub);
+    void read();
+    /// Says that there is no room for one more, and closes.
+    void turn_away();
+
+private:
+    using Request = boost::beast::http::request<boost::beast::http::empty_body>;
+    using Response = boost::beast::http::response<boost::beast::http::string_body>;
+    using Status = boost::beast::http::status;
+    using Error = boost::system::error_code;
+
+    void limit(std::chrono::milliseconds time);
+    void on_read(Error failed);
+    void answer(const Request& request);
+    std::optional<Status> objection(const Request& request) const;
+    Response response(Status status, const std::string& host) const;
+    void refuse(Status status);
+    void write();
+    void drain();
+
+    Hub& hub_;
+    Counted counted_;
+    boost::beast::tcp_stream stream_;
+    boost::asio::steady_timer timer_;
+    bool late_ = false;   ///< the timer has ended what went on
+    int n_drains_ = 0;
+    boost::beast::flat_buffer buffer_;
+    std::optional<boost::beast::http::request_parser<boost::beast::http::empty_body>> parser_;
+    std::optional<Response> response_;
+};
+
+}  // namespace relidar::view

@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "page.hpp"
+
+#include <deque>
+#include <string>
+#include <utility>
+
+namespace relidar {
+
+std::span<const std::pair<std::string_view, std::string_view>> view_page_texts();   // of cmake/Assets.cmake
+
+namespace view {
+namespace {
+
+std::string_view type_of(std::string_view name) {
+    if (name.ends_with(".js")) return "text/javascript; charset=utf-8";
+    if (name.ends_with(".css")) return "text/css; charset=utf-8";
+    return "text/html; charset=utf-8";
+}
+
+}  // namespace
+
+const std::vector<Asset>& page_assets() {
+    static std::deque<std::string> paths;
+    static const std::vector<Asset> assets = [] {
+        std::vector<Asset> all;
+        for (const auto& [name, text] : view_page_texts()) {
+            paths.push_back(name == "index.html" ? "/" : "/" + std::string(name));
+            all.push_back({paths.back(), type_of(name), text});
+        }
+        return all;
+    }();
+    return assets;
+}
+
+}  // namespace view
+}  // namespace relidar

@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads a scan as tools/view/frame.hpp says it is written.
+
+const TYPES = { f32: Float32Array, u8: Uint8Array, u16: Uint16Array };
+
+/** @return {header, simulated, real}: scans as {rows, columns, position, range, intensity, drop, instance, ring}, null where there is none */
+export function decodeFrame(buffer) {
+  const view = new DataView(buffer);
+  const magic = String.fromCharCode(...new Uint8Array(buffer, 0, 4));
+  if (magic !== 'RLV1') throw new Error(`a scan begins with ${magic}, expected RLV1`);
+  const start = 8 + view.getUint32(4, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, start - 8)));
+  const arrays = {};
+  for (const { name, type, components, count, offset } of header.arrays)
+    arrays[name] = new TYPES[type](buffer, start + offset, components * count);
+  const scan = (prefix, image) => image && {
+    rows: image[0],
+    columns: image[1],
+    ...Object.fromEntries(['position', 'range', 'intensity', 'drop', 'instance', 'ring'].map((name) => [name, arrays[prefix + name]])),
+  };
+  return { header, simulated: scan('', header.image) ?? null, real: scan('real_', header.real_image) ?? null };
+}
+
+/** Whether a ray came back: it met something, and returns more likely than not. */
+export const returned = (scan, i) => scan.drop[i] < 128 && scan.range[i] > 0;

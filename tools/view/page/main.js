@@ -1,0 +1,204 @@
+// SPDX-License-Identifier: Apache-2.0
+// The page: parts, and what happens when one of them changes. What is simulated is asked for by Link; what is shown is drawn here.
+import { Actors } from './actors.js';
+import { Beams } from './beams.js';
+import { Camera } from './camera.js';
+import { CloudView } from './cloud_view.js';
+import { COLOURINGS, coloursOf, cssGradient, flatColours, instanceColour } from './colours.js';
+import { returned } from './frame.js';
+import { bindKeys, setUpHelp } from './help.js';
+import { Link } from './link.js';
+import { headingOf } from './matrix.js';
+import { Panel } from './panel.js';
+import { steer } from './pointer.js';
+import { SensorPanel } from './sensor.js';
+import * as shapes from './shapes.js';
+import { Strip } from './strip.js';
+import { Timeline } from './timeline.js';
+
+const SENSOR_HEIGHT_M = 1.8;      // of a car's roof: where the grid is drawn below the log's sensor
+const SHORTEST_ERROR_M = 0.1;     // of error lines
+const GRID_REACH_M = 80;
+const REAL_SIZE = 0.6;              // of real points among simulated ones, which they would hide
+const DARK = matchMedia('(prefers-color-scheme: dark)');
+const element = (id) => document.getElementById(id);
+
+let hello = null;
+let frame = null;                 // the last scan that came
+let drawn = false;                // whether the picture is as the state is
+const camera = new Camera();
+const view = makeView();
+const panel = new Panel({ onMode: refresh, onLook: show });
+const timeline = new Timeline(refresh);
+const actors = new Actors(refresh, send);
+const sensor = new SensorPanel(refresh, send);
+const beams = new Beams(show);
+const tellPixel = (text) => { element('pixel').textContent = text; };
+const strip = new Strip(element('strip'), tellPixel);
+const realStrip = new Strip(element('real-strip'), tellPixel);
+const link = new Link(state, { text: heard, frame: received, lost: () => panel.say('The program has ended; nothing moves any more.', true) });
+
+function makeView() {
+  try {
+    return new CloudView(element('view'));
+  } catch (error) {
+    element('message').textContent = error.message;
+    throw error;
+  }
+}
+
+function state() {
+  return { time_s: timeline.time, ...sensor.wish, simulate: panel.mode !== 'real', real: panel.mode !== 'simulated', edits: actors.edits };
+}
+
+function send(message) { link.send(message); }
+
+function refresh() {
+  if (hello) link.refresh();
+}
+
+function heard(message) {
+  if (message.kind === 'hello') start(message);
+  else if (message.kind === 'log') panel.setLog(message);
+  else if (message.kind === 'sensor') sensor.addFile(message);
+  else if (message.kind === 'saved') actors.say(`saved as ${message.folder}`, false);
+  else if (message.about === 'sensor') sensor.say(message.text, true);
+  else if (message.about === 'save') actors.say(message.text, true);
+  else panel.say(message.text, true);
+}
+
+function start(message) {
+  hello = message;
+  element('run-name').textContent = hello.run;
+  element('log-name').textContent = `${hello.log} · ${hello.frames.length} frames · ${hello.surfels.toLocaleString('en')} surfels · ${hello.device}`;
+  document.title = `${hello.run} – relidar view`;
+  element('save-name').title = `a folder in ${hello.save_folder}`;
+  sensor.load(hello);
+  timeline.load(hello.frames);
+}
+
+function received(next) {
+  frame = next;
+  const { header } = frame;
+  camera.track([header.pose[12], header.pose[13], header.pose[14]], headingOf(header.pose));
+  actors.update(header.actors, header.instances);
+  if (frame.simulated) beams.fit(frame.simulated.ring);
+  panel.setNumbers(frame);
+  show();
+}
+
+const linesOf = ({ position, rgba }) => [position, rgba];
+
+/** Colours and lines of the scan, as the settings have them; drawn with the next picture of the screen. */
+function show() {
+  if (!frame) return redraw();
+  const { header, simulated, real } = frame;
+  const error = header.matched ? rangeErrors(simulated, real) : null;
+  const shown = (scan) => (i) => scan.range[i] > 0 && beams.has(scan.ring[i]) && (panel.shows.dropped || returned(scan, i));
+  const options = (scan) => ({ maxRange: hello.max_range_m, sensorHeight: header.pose[14], error, shown: shown(scan) });
+  const colours = simulated && coloursOf(simulated, panel.colouring, options(simulated));
+  const realColours = real && (simulated ? flatColours(real.range.length, panel.realColour, shown(real)) : coloursOf(real, panel.colouring, options(real)));
+  setCloud('simulated', simulated, colours, 1);
+  setCloud('real', real, realColours, simulated ? REAL_SIZE : 1);
+  setErrorLines(error);
+  setScenery(header);
+  showStrips(colours, real && coloursOf(real, panel.colouring, options(real)));
+  showLegend();
+  redraw();
+}
+
+/** [n] metres, NaN where one of the two did not return. */
+function rangeErrors(simulated, real) {
+  return simulated.range.map((r, i) => (returned(simulated, i) && returned(real, i) ? Math.abs(r - real.range[i]) : NaN));
+}
+
+function setCloud(name, scan, rgba, size) {
+  if (scan) view.setPoints(name, scan.position, rgba, size);
+  else view.remove(name);
+}
+
+function setErrorLines(error) {
+  if (!error || !panel.shows.errors || panel.mode !== 'both') return view.remove('errors');
+  const which = [];
+  error.forEach((e, i) => { if (e > SHORTEST_ERROR_M && beams.has(frame.simulated.ring[i])) which.push(i); });
+  return view.setLines('errors', ...linesOf(shapes.pairs(frame.simulated.position, frame.real.position, which, [214, 48, 60, 180])));
+}
+
+function setScenery(header) {
+  const ground = [header.log_pose[12], header.log_pose[13], header.log_pose[14] - SENSOR_HEIGHT_M];
+  const gray = DARK.matches ? [46, 53, 62, 255] : [214, 219, 226, 255];
+  setLines('grid', panel.shows.grid, () => shapes.grid(ground, GRID_REACH_M, gray));
+  setLines('axes', true, () => shapes.axes(header.pose, panel.shows.grid ? 2 : 1));
+  setLines('boxes', panel.shows.boxes, () => shapes.boxes(actors.boxes.map((b) => ({ ...b, colour: [...instanceColour(b.instance), 255] }))));
+  setLines('path', panel.shows.path, () => shapes.path(hello.frames.filter((f) => f.lidar === 0).map((f) => f.position), [21, 110, 220, 255]));
+}
+
+function setLines(name, wanted, make) {
+  if (wanted) view.setLines(name, ...linesOf(make()));
+  else view.remove(name);
+}
+
+function showStrips(colours, realColours) {
+  const { simulated, real } = frame;
+  const both = Boolean(simulated && real);
+  element('strips').classList.toggle('two', both);
+  element('strip').hidden = !simulated;
+  element('real-strip').hidden = !real;
+  const images = [simulated && strip.show(simulated, colours), real && realStrip.show(real, realColours)];
+  if (images.includes(false)) tellPixel('Rays of this sensor have no rows and columns, so there is no image of it.');
+}
+
+function showLegend() {
+  const { label, unit, ends } = COLOURINGS[panel.colouring];
+  const limits = ends ? ends({ maxRange: hello.max_range_m }) : null;
+  element('legend-low').textContent = limits ? String(limits[0]) : '';
+  element('legend-high').textContent = limits ? `${limits[1]} ${unit}` : '';
+  element('legend-bar').hidden = !limits;
+  element('legend-bar').style.background = limits ? cssGradient(panel.colouring) : '';
+  element('legend-name').textContent = panel.colouring === 'error' && !frame.header.matched ? `${label}: only at a frame, from its own place` : label;
+  element('legend-real').hidden = panel.mode !== 'both';
+}
+
+function redraw() {
+  if (!drawn) return;
+  drawn = false;
+  requestAnimationFrame(() => {
+    drawn = true;
+    view.background = DARK.matches ? [0.043, 0.055, 0.071] : [0.969, 0.973, 0.98];
+    view.pointSize = panel.pointSize;
+    view.draw(camera);
+  });
+}
+
+function setCamera(mode) {
+  camera.setMode(mode);
+  if (frame) camera.track([frame.header.pose[12], frame.header.pose[13], frame.header.pose[14]], headingOf(frame.header.pose));
+  panel.markCamera(mode);
+  redraw();
+}
+
+const CAMERAS = ['follow', 'orbit', 'fly'];
+document.querySelectorAll('[data-camera]').forEach((b) => b.addEventListener('click', () => setCamera(b.dataset.camera)));
+steer(view, camera, {
+  onChange: () => { panel.markCamera(camera.mode); redraw(); },
+  onGround: (from, to) => sensor.drag(to[0] - from[0], to[1] - from[1], headingOf(frame.header.log_pose)),
+  planeHeight: () => (frame ? frame.header.pose[14] - SENSOR_HEIGHT_M : 0),
+});
+const openHelp = setUpHelp();
+const far = (event, step) => (event.shiftKey ? 10 * step : step);
+const fly = (ahead, left) => () => { camera.move(ahead, left, 0); panel.markCamera(camera.mode); redraw(); };
+bindKeys({
+  w: (e) => sensor.drive(far(e, 0.5), 0, 0, 0), s: (e) => sensor.drive(-far(e, 0.5), 0, 0, 0),
+  a: (e) => sensor.drive(0, far(e, 0.5), 0, 0), d: (e) => sensor.drive(0, -far(e, 0.5), 0, 0),
+  r: () => sensor.drive(0, 0, 0.25, 0), f: () => sensor.drive(0, 0, -0.25, 0),
+  q: () => sensor.drive(0, 0, 0, 5), e: () => sensor.drive(0, 0, 0, -5), 0: () => sensor.setPlace([0, 0, 0, 0, 0, 0]),
+  ' ': () => timeline.toggle(), ',': () => timeline.step(-1), '.': () => timeline.step(1),
+  1: () => panel.setMode('simulated'), 2: () => panel.setMode('real'), 3: () => panel.setMode('both'),
+  c: () => setCamera(CAMERAS[(CAMERAS.indexOf(camera.mode) + 1) % 3]), '?': openHelp,
+  arrowup: fly(1, 0), arrowdown: fly(-1, 0), arrowleft: fly(0, 1), arrowright: fly(0, -1),
+});
+DARK.addEventListener('change', show);
+new ResizeObserver(redraw).observe(element('view'));
+if (location.search) history.replaceState(null, '', '/');   // the token is a cookie now, and no one's to read over a shoulder
+drawn = true;
+redraw();

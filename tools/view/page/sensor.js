@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which sensor, and where it is beside the log's: six numbers that can be typed, or changed by keys and mouse.
+
+const FIELDS = [['x', 'forward m', 0.5], ['y', 'left m', 0.5], ['z', 'up m', 0.25], ['yaw', 'turn °', 5], ['pitch', 'pitch °', 1],
+  ['roll', 'roll °', 1]];
+const LIMITS = [10000, 10000, 10000, 360, 360, 360];
+
+export class SensorPanel {
+  constructor(onChange, send) {
+    this.onChange = onChange;
+    this.place = [0, 0, 0, 0, 0, 0];
+    this.choice = document.getElementById('sensor');
+    this.lidar = document.getElementById('lidar');
+    this.hint = document.getElementById('sensor-hint');
+    this.inputs = FIELDS.map(([name, label, step], i) => this.makeInput(i, name, label, step));
+    this.choice.addEventListener('change', () => onChange());
+    this.lidar.addEventListener('change', () => onChange());
+    document.getElementById('reset-place').addEventListener('click', () => this.setPlace([0, 0, 0, 0, 0, 0]));
+    document.getElementById('sensor-file').addEventListener('change', async ({ target }) => {
+      const [file] = target.files;
+      if (file) send({ do: 'sensor', file: file.name, text: await file.text() });
+    });
+  }
+
+  makeInput(i, name, label, step) {
+    const input = Object.assign(document.createElement('input'), { type: 'number', step, value: 0, id: `place-${name}`, min: -LIMITS[i], max: LIMITS[i] });
+    input.addEventListener('input', () => {
+      if (input.value === '' || !input.checkValidity() && input.validity.rangeOverflow) return;
+      this.place[i] = Number(input.value);
+      this.onChange();
+    });
+    const field = document.createElement('label');
+    field.append(label, input);
+    document.getElementById('place').append(field);
+    return input;
+  }
+
+  load({ sensors, lidars }) {
+    for (const name of sensors) this.choice.add(new Option(name === 'native' ? "native (the log's)" : name, name));
+    lidars.forEach(({ name, sensor }, i) => this.lidar.add(new Option(name || sensor, String(i))));
+    document.getElementById('lidar-field').hidden = lidars.length < 2;
+  }
+
+  /** A file of the user's was read. */
+  addFile({ name, rays }) {
+    let option = [...this.choice.options].find((o) => o.value === 'file');
+    if (!option) this.choice.add(option = new Option('', 'file'));
+    option.textContent = name;
+    this.choice.value = 'file';
+    this.say(`${name}: ${rays.toLocaleString('en')} rays`, false);
+    this.onChange();
+  }
+
+  say(text, isAlarm) {
+    this.hint.textContent = text;
+    this.hint.classList.toggle('alarm', isAlarm);
+  }
+
+  setPlace(place) {
+    this.place = place.map((v, i) => {
+      const turned = i < 3 ? v : ((((v + 180) % 360) + 360) % 360) - 180;
+      return Math.round(Math.max(-LIMITS[i], Math.min(LIMITS[i], turned)) * 1000) / 1000;
+    });
+    this.inputs.forEach((input, i) => { input.value = String(this.place[i]); });
+    this.onChange();
+  }
+
+  /** Moves in the directions it faces, metres and degrees. */
+  drive(ahead, left, up, turn) {
+    const yaw = (this.place[3] * Math.PI) / 180;
+    const [x, y, z, heading, pitch, roll] = this.place;
+    this.setPlace([x + ahead * Math.cos(yaw) - left * Math.sin(yaw), y + ahead * Math.sin(yaw) + left * Math.cos(yaw), z + up, heading + turn, pitch, roll]);
+  }
+
+  /** Moves over the ground of the world. @param heading of the log's sensor, radians */
+  drag(dx, dy, heading) {
+    const [c, s] = [Math.cos(heading), Math.sin(heading)];
+    const [x, y, ...rest] = this.place;
+    this.setPlace([x + c * dx + s * dy, y - s * dx + c * dy, ...rest]);
+  }
+
+  get wish() { return { place: this.place, sensor: this.choice.value || 'native', lidar: Number(this.lidar.value || 0) }; }
+}

@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "real_scans.hpp"
+
+#include <numeric>
+
+#include <relidar/error.hpp>
+#include <relidar/evaluation.hpp>
+#include <relidar/run.hpp>
+#include <relidar/train.hpp>
+
+namespace relidar::view {
+namespace {
+
+/// A run without its surfels.
+std::unique_ptr<Run> without_scene(const Run& run) {
+    auto result = std::make_unique<Run>();
+    result->folder = run.folder;
+    result->config = run.config;
+    result->sequence = run.sequence;
+    return result;
+}
+
+}  // namespace
+
+RealScans::RealScans(const Run& run) : frames_(without_scene(run)), reader_([this] { load(); }) {}
+
+RealScans::~RealScans() {
+    stop_ = true;
+    reader_.join();
+}
+
+const Sequence* RealScans::sequence() const { return state_ == State::ready ? &frames_->sequence : nullptr; }
+
+std::string RealScans::why() const { return state_ == State::missing ? why_ : ""; }
+
+void RealScans::load() {
+    try {
+        const Progress until_stopped = [this](std::string_view, double) {
+            if (stop_) throw Error(ExitCode::interrupted, "reading the log: interrupted");
+        };
+        const Sequence log = load_log(frames_->config, until_stopped);
+        std::vector<int> all(frames_->sequence.frames.size());
+        std::iota(all.begin(), all.end(), 0);
+        attach_scans(*frames_, all, log);
+        state_ = State::ready;
+    } catch (const std::exception& error) {   // a log that is gone, whatever the reason, is no failure of the viewer
+        why_ = error.what();
+        state_ = State::missing;
+    }
+}
+
+}  // namespace relidar::view

@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "request.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include <relidar/error.hpp>
+
+namespace relidar::view {
+namespace {
+
+using Json = nlohmann::json;
+
+constexpr double kFar_m = 10'000.0;         // of places and moves: beyond it a number is a slip
+constexpr double kFarAway_m = 1e6;          // of places in relidar's world
+constexpr double kFast_mps = 200.0;
+constexpr double kLate_s = 1e10;
+constexpr std::size_t kMaxActors = 256;     // that are copied, moved, removed or hidden
+constexpr std::size_t kMaxName = 64;
+
+[[noreturn]] void refuse(const std::string& what, const std::string& expected) {
+    throw UsageError(fmt::format("{}: expected {}", what, expected));
+}
+
+const Json& field(const Json& object, const char* name) {
+    const auto found = object.find(name);
+    if (found == object.end()) refuse(name, "it to be there");
+    return *found;
+}
+
+double number(const Json& value, const std::string& what, double limit) {
+    if (!value.is_number()) refuse(what, "a number");
+    const double x = value.get<double>();
+    if (!(std::abs(x) <= limit)) refuse(what, fmt::format("a number between -{0} and {0}", limit));
+    return x;
+}
+
+bool flag(const Json& value, const char* what) {
+    if (!value.is_boolean()) refuse(what, "true or false");
+    return value.get<bool>();
+}
+
+std::string text(const Json& value, const char* what, std::size_t limit = kMaxName) {
+    if (!value.is_string()) refuse(what, "a text");
+    std::string result = value.get<std::string>();
+    if (result.empty() || result.size() > limit) refuse(what, fmt::format("a text of 1 to {} bytes", limit));
+    return result;
+}
+
+/// Numbers of an array, each within its own limit.
+template <std::size_t N>
+std::array<double, N> numbers(const Json& value, const char* what, const std::array<double, N>& limits) {
+    if (!value.is_array() || value.size() != N) refuse(what, fmt::format("{} numbers", N));
+    std::array<double, N> result;
+    for (std::size_t i = 0; i < N; ++i) result[i] = number(value[i], fmt::format("{} {}", what, i + 1), limits[i]);
+    return result;
+}
+
+std::set<std::string> tracks(const Json& value, const char* what) {
+    if (!value.is_array() || value.size() > kMaxActors) refuse(what, fmt::format("a list of at most {} tracks", kMaxActors));
+    std::set<std::string> result;
+    for (const Json& track : value) result.insert(text(track, what));
+    return result;
+}
+
+ActorEdits parse_edits(const Json& json) {
+    if (!json.is_object()) refuse("edits", "an object");
+    ActorEdits edits;
+    const Json& copies = field(json, "copies");
+    if (!copies.is_array() || copies.size() > kMaxActors) refuse("copies", fmt::format("a list of at most {}", kMaxActors));
+    for (const Json& copy : copies) {
+        if (!copy.is_object()) refuse("copies", "objects");
+        edits.copies.push_back({text(field(copy, "of"), "of"),
+                                numbers<5>(field(copy, "at"), "at", {kFarAway_m, kFarAway_m, kFarAway_m, 360.0, kFast_mps})});
+    }
+    const Json& moves = field(json, "moves");
+    if (!moves.is_object() || moves.size() > kMaxActors) refuse("moves", fmt::format("an object of at most {} tracks", kMaxActors));
+    for (const auto& [track, by] : moves.items()) edits.moves[track] = numbers<4>(by, "moves", {kFar_m, kFar_m, kFar_m, 360.0});
+    edits.removed = tracks(field(json, "removed"), "removed");
+    edits.hidden = tracks(field(json, "hidden"), "hidden");
+    return edits;
+}
+
+ScanWish parse_scan(const Json& json) {
+    const auto place = numbers<6>(field(json, "place"), "place", {kFar_m, kFar_m, kFar_m, 360.0, 360.0, 360.0});
+    const double radians = kPi / 180.0;
+    ScanWish wish;
+    wish.id = static_cast<std::int64_t>(number(field(json, "id"), "id", 1e15));
+    wish.time_s = number(field(json, "time_s"), "time_s", kLate_s);
+    wish.sensor_offset = {rotation_of(place[3] * radians, place[4] * radians, place[5] * radians), {place[0], place[1], place[2]}};
+    wish.sensor = text(field(json, "sensor"), "sensor");
+    wish.lidar = static_cast<int>(number(field(json, "lidar"), "lidar", 1000.0));
+    wish.simulate = flag(field(json, "simulate"), "simulate");
+    wish.real = flag(field(json, "real"), "real");
+    wish.edits = parse_edits(field(json, "edits"));
+    return wish;
+}
+
+/// A name that cannot leave the folder it is put in.
+std::string folder_name(const Json& value) {
+    std::string name = text(value, "name");
+    const auto plain = [](char c) {
+        return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-' || c == '_' || c == '.';
+    };
+    if (!std::all_of(name.begin(), name.end(), plain) || name.front() == '.' || name.front() == '-')
+        refuse("name", "letters, digits, -, _ and ., a letter or digit first");
+    return name;
+}
+
+}  // namespace
+
+Request parse_request(const std::string& message) {
+    const Json json = Json::parse(message, nullptr, false);
+    if (!json.is_object()) throw UsageError("a message of the page: expected a JSON object");
+    const std::string wanted = text(field(json, "do"), "do");
+    if (wanted == "scan") return parse_scan(json);
+    if (wanted == "sensor") return SensorFile{text(field(json, "file"), "file", 200), text(field(json, "text"), "text", message.size())};
+    if (wanted == "save") return SaveWish{folder_name(field(json, "name")), parse_edits(field(json, "edits"))};
+    throw UsageError(fmt::format("do: found \"{}\", expected scan, sensor or save", wanted));
+}
+
+}  // namespace relidar::view

@@ -1,0 +1,234 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "scanner.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <fstream>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+#include <unistd.h>
+
+#include <relidar/error.hpp>
+#include <relidar/sensor_files.hpp>
+
+#include "frame.hpp"
+
+namespace relidar::view {
+namespace {
+
+using Json = nlohmann::json;
+using Clock = std::chrono::steady_clock;
+
+constexpr std::size_t kMaxRays = std::size_t(1) << 20;   // of a live scan: 28 MB as a message
+constexpr double kSameTime_s = 1e-6;
+constexpr const char* kFileSensor = "file";
+
+/// What choose_sensor() knows by name.
+std::vector<std::string> known_sensors() {
+    std::vector<std::string> names = sensor_names();
+    names.insert(names.begin(), "native");
+    return names;
+}
+
+std::vector<std::pair<std::string, std::uint32_t>> names_of(const std::vector<Instance>& instances) {
+    std::vector<std::pair<std::string, std::uint32_t>> names;
+    for (const Instance& instance : instances) names.emplace_back(instance.track, instance.model);
+    return names;
+}
+
+bool is_identity(const Pose& pose) { return pose.translation == glm::dvec3(0.0) && std::abs(pose.rotation.w) == 1.0; }
+
+/// A private folder that goes with its file.
+class UploadedFile {
+public:
+    /// @param ending  ".csv" or ".json"
+    UploadedFile(const std::string& text, const std::string& ending) {
+        std::string pattern = (std::filesystem::temp_directory_path() / "relidar-sensor-XXXXXX").string();
+        if (mkdtemp(pattern.data()) == nullptr) throw DataError("reading the sensor file: no temporary folder could be made");
+        folder_ = pattern;
+        std::ofstream(path(ending), std::ios::binary) << text;
+    }
+    ~UploadedFile() {
+        std::error_code ignored;
+        std::filesystem::remove_all(folder_, ignored);
+    }
+    UploadedFile(const UploadedFile&) = delete;
+    UploadedFile& operator=(const UploadedFile&) = delete;
+
+    std::filesystem::path path(const std::string& ending) const { return folder_ / ("sensor" + ending); }
+
+private:
+    std::filesystem::path folder_;
+};
+
+Json sensor_json(const SensorChoice& sensor, double time_s) {
+    const RayTable rays = sensor.rays.size() == 0 && sensor.pattern ? make_rays(*sensor.pattern, time_s) : sensor.rays;
+    return {{"name", sensor.name}, {"rows", rays.rows}, {"columns", rays.columns}, {"rays", rays.size()}};
+}
+
+void check_size(const SensorChoice& sensor) {
+    if (sensor.rays.size() > kMaxRays)
+        throw UsageError(fmt::format("{}: {} rays a scan, expected at most {} in the viewer; `relidar render` takes more", sensor.name,
+                                     sensor.rays.size(), kMaxRays));
+}
+
+}  // namespace
+
+Scanner::Scanner(Run run, Device& device) : run_(std::move(run)), device_(device), real_(run_) {}
+
+Json Scanner::describe() const {
+    const Sequence& log = run_.sequence;
+    Json frames = Json::array(), lidars = Json::array();
+    for (std::size_t i = 0; i < log.frames.size(); ++i) {
+        const Frame& frame = log.frames[i];
+        const glm::dvec3 p = log.world_from_sensor(frame.lidar).at(frame.time_s).translation;
+        const bool held_out = std::find(run_.split.test.begin(), run_.split.test.end(), int(i)) != run_.split.test.end();
+        frames.push_back({{"index", frame.index},
+                          {"time_s", frame.time_s},
+                          {"lidar", frame.lidar},
+                          {"held_out", held_out},
+                          {"position", {p.x, p.y, p.z}}});
+    }
+    for (const Lidar& lidar : log.lidars) lidars.push_back({{"name", lidar.name}, {"sensor", lidar.sensor.name}});
+    return {{"kind", "hello"},
+            {"run", run_.folder.filename().empty() ? run_.folder.parent_path().filename().string() : run_.folder.filename().string()},
+            {"log", log.name},
+            {"surfels", run_.scene.surfels.size()},
+            {"device", device_.info().name},
+            {"frames", frames},
+            {"lidars", lidars},
+            {"sensors", known_sensors()},
+            {"max_range_m", run_.config.dataset.max_range_m}};
+}
+
+SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {
+    if (wish.lidar < 0 || std::size_t(wish.lidar) >= run_.sequence.lidars.size())
+        throw UsageError(fmt::format("lidar: found {}, expected one of {}", wish.lidar, run_.sequence.lidars.size()));
+    if (wish.sensor == kFileSensor) {
+        if (!tab.file_sensor) throw UsageError("sensor: found no file yet, expected one");
+        SensorChoice sensor = *tab.file_sensor;
+        sensor.lidar = wish.lidar;
+        return sensor;
+    }
+    const std::string key = fmt::format("{}/{}", wish.lidar, wish.sensor);
+    if (!tab.sensor || tab.sensor->first != key) {
+        const std::vector<std::string> known = known_sensors();   // names alone: never a path of the server's
+        if (std::find(known.begin(), known.end(), wish.sensor) == known.end())
+            throw UsageError(fmt::format("sensor: found \"{}\", expected a name of the list", wish.sensor));
+        tab.sensor.emplace(key, choose_sensor(wish.sensor, run_.config, run_.sequence, wish.lidar));
+        check_size(tab.sensor->second);
+    }
+    return tab.sensor->second;
+}
+
+Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
+    const std::string ending = std::filesystem::path(file.name).extension().string();
+    if (ending != ".csv" && ending != ".json") throw UsageError(fmt::format("{}: expected a name that ends in .csv or .json", file.name));
+    const UploadedFile upload(file.text, ending);
+    SensorChoice sensor;
+    try {
+        sensor = sensor_choice(find_sensor(upload.path(ending).string()));
+    } catch (const Error& error) {   // the user knows the file by another name
+        std::string message = error.what();
+        const std::string path = upload.path(ending).string();
+        if (const std::size_t at = message.find(path); at != std::string::npos) message.replace(at, path.size(), file.name);
+        throw DataError(message);
+    }
+    check_size(sensor);
+    sensor.name = file.name;
+    tab.file_sensor = std::move(sensor);
+    return sensor_json(*tab.file_sensor, 0.0);
+}
+
+/// The renderer of a scene with these instances. Only copies need another one: what moves or goes is placed otherwise.
+ScanRenderer& Scanner::renderer_for(const Traffic& traffic) {
+    const auto wanted = names_of(traffic.instances());
+    if (!renderer_ || rendered_ != wanted) {
+        renderer_.reset();   // gives its memory back first
+        if (traffic.edits().copies.empty()) {
+            renderer_.emplace(device_, run_);
+        } else {
+            Run run = run_;
+            run.replace(with_copies({std::move(run.scene), std::move(run.sequence)}, traffic.edits().copies));
+            renderer_.emplace(device_, run);
+        }
+        rendered_ = wanted;
+        launches_.clear();
+    }
+    return *renderer_;
+}
+
+/// The scan of the log that was taken nearest to the wanted time by the wanted LiDAR.
+const Frame* Scanner::nearest_real(const ScanWish& wish) const {
+    const Sequence* log = real_.sequence();
+    if (!log || !wish.real) return nullptr;
+    const Frame* nearest = nullptr;
+    for (const Frame& frame : log->frames)
+        if (frame.lidar == wish.lidar &&
+            (!nearest || std::abs(frame.time_s - wish.time_s) < std::abs(nearest->time_s - wish.time_s)))
+            nearest = &frame;
+    return nearest;
+}
+
+/// @param matched  frame of the log whose rays are cast; nothing: those of the sensor
+RenderedScan Scanner::render(TabCache& tab, const ScanWish& wish, const Frame* matched) {
+    SensorChoice sensor = sensor_for(tab, wish);
+    if (matched) sensor.rays = matched->scan.rays;
+    const Sequence& log = run_.sequence;
+    ScanRequest request;
+    request.time_s = wish.time_s;
+    request.dataset_from_sensor = shifted_track(moved_track(log.world_from_sensor(wish.lidar), wish.sensor_offset), log.world_offset_m);
+    request.dataset_from_actor = tab.traffic->placed(wish.time_s);
+    return renderer_for(*tab.traffic).render(sensor, request);
+}
+
+/// Milliseconds of the last launch of each kernel that has run since they were asked for last. A list that is full no longer grows.
+Json Scanner::kernel_times() {
+    constexpr std::size_t kFull = 4096;
+    Json times = Json::array();
+    for (const auto& [kernel, launches] : renderer_->times().milliseconds) {
+        std::size_t& known = launches_[kernel];
+        if (launches.empty() || (launches.size() == known && known < kFull)) continue;
+        known = launches.size();
+        times.push_back({kernel, launches.back()});
+    }
+    return times;
+}
+
+std::string Scanner::scan(TabCache& tab, const ScanWish& wish) {
+    const auto start = Clock::now();
+    const SensorChoice sensor = sensor_for(tab, wish);   // throws before anything is rendered
+    if (!tab.traffic || tab.traffic->edits() != wish.edits) tab.traffic.emplace(run_, wish.edits);
+    const Sequence& log = run_.sequence;
+    const Frame* real = nearest_real(wish);
+    const bool on_frame = real && std::abs(real->time_s - wish.time_s) < kSameTime_s;
+    const bool is_matched = on_frame && sensor.is_own && !sensor.grid && is_identity(wish.sensor_offset) && wish.simulate;
+    const Pose log_pose = log.world_from_sensor(wish.lidar).at(wish.time_s);
+    Json names = Json::array();
+    for (const Instance& instance : tab.traffic->instances()) names.push_back(instance.track.empty() ? "background" : instance.track);
+    Json header{{"id", wish.id},
+                {"time_s", wish.time_s},
+                {"sensor", sensor.name},
+                {"log_pose", matrix_json(log_pose)},
+                {"pose", matrix_json(log_pose * wish.sensor_offset)},
+                {"actors", tab.traffic->describe(wish.time_s)},
+                {"instances", names},
+                {"matched", is_matched}};
+    std::optional<ScanColumns> simulated, measured;
+    if (real) {
+        header["real_frame"] = real->index;
+        measured = measured_columns(*real_.sequence(), *real);
+    }
+    if (wish.simulate) {
+        const RenderedScan scan = render(tab, wish, is_matched ? real : nullptr);
+        header["trace_ms"] = scan.trace_ms;
+        header["kernels"] = kernel_times();
+        simulated = simulated_columns(scan, run_.config, log.world_offset_m);
+    }
+    header["total_ms"] = std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+    return encode_frame(std::move(header), simulated ? &*simulated : nullptr, measured ? &*measured : nullptr);
+}
+
+}  // namespace relidar::view

@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+// Scans of a run as the page wants them: simulated, measured, or both, with what the page draws around them.
+#pragma once
+
+#include <cstddef>
+#include <map>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <nlohmann/json_fwd.hpp>
+
+#include <relidar/gpu.hpp>
+#include <relidar/render.hpp>
+#include <relidar/run.hpp>
+
+#include "real_scans.hpp"
+#include "request.hpp"
+#include "traffic.hpp"
+
+namespace relidar::view {
+
+/// What is kept for one tab from one scan to the next.
+struct TabCache {
+    std::optional<SensorChoice> file_sensor = {};                      ///< of its sensor file
+    std::optional<Traffic> traffic = {};
+    std::optional<std::pair<std::string, SensorChoice>> sensor = {};   ///< the last one, by "lidar/name"
+};
+
+/// Serves one thread.
+class Scanner {
+public:
+    Scanner(Run run, Device& device);
+
+    const Run& run() const { return run_; }
+    const RealScans& real() const { return real_; }
+    /// What the page has to know once: run, frames, path, sensors, device.
+    nlohmann::json describe() const;
+    /// A scan as frame.hpp has it. @throws UsageError, DataError for what cannot be rendered
+    std::string scan(TabCache& tab, const ScanWish& wish);
+    /// Reads a tab's sensor file. @return what it is @throws UsageError, DataError naming what is wrong with it
+    nlohmann::json read_sensor(TabCache& tab, const SensorFile& file) const;
+
+private:
+    SensorChoice sensor_for(TabCache& tab, const ScanWish& wish) const;
+    RenderedScan render(TabCache& tab, const ScanWish& wish, const Frame* matched);
+    ScanRenderer& renderer_for(const Traffic& traffic);
+    const Frame* nearest_real(const ScanWish& wish) const;
+    nlohmann::json kernel_times();
+
+    const Run run_;
+    Device& device_;
+    RealScans real_;
+    std::optional<ScanRenderer> renderer_;
+    std::vector<std::pair<std::string, std::uint32_t>> rendered_;   ///< track and model of the renderer's instances
+    std::map<std::string, std::size_t> launches_;                   ///< of kernels, as they were counted last
+};
+
+}  // namespace relidar::view

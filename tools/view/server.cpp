@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server.hpp"
+
+#include <random>
+#include <thread>
+
+#include <boost/asio/ip/host_name.hpp>
+#include <boost/asio/post.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "http_session.hpp"
+#include "hub.hpp"
+#include "socket_session.hpp"
+
+namespace relidar::view {
+namespace {
+
+using boost::asio::ip::tcp;
+using ErrorCode = boost::system::error_code;
+
+constexpr std::chrono::milliseconds kAcceptPause{50};   // where the system has no descriptor left
+
+boost::asio::ip::address parse_address(const std::string& text) {
+    ErrorCode failed;
+    const auto address = boost::asio::ip::make_address(text, failed);
+    if (failed) throw UsageError(fmt::format("listening: found the address \"{}\", expected one like 127.0.0.1, 0.0.0.0 or ::1", text));
+    return address;
+}
+
+tcp::acceptor listen(boost::asio::io_context& io, const ServerOptions& options) {
+    const tcp::endpoint endpoint(parse_address(options.address), static_cast<std::uint16_t>(options.port));
+    ErrorCode failed;
+    tcp::acceptor acceptor(io);
+    acceptor.open(endpoint.protocol(), failed);
+    if (!failed) acceptor.set_option(tcp::acceptor::reuse_address(true), failed);
+    if (!failed) acceptor.bind(endpoint, failed);
+    if (!failed) acceptor.listen(tcp::acceptor::max_listen_connections, failed);
+    if (failed)
+        throw UsageError(fmt::format("listening on port {} of {}: {}, expected one that is free; port 0 takes any", options.port,
+                                     options.address, failed.message()));
+    return acceptor;
+}
+
+std::string machine_name() {
+    ErrorCode failed;
+    return boost::asio::ip::host_name(failed);
+}
+
+}  // namespace
+
+struct Server::Impl {
+    Hub hub;
+    tcp::acceptor acceptor;
+    boost::asio::steady_timer pause;
+    std::thread thread = {};
+
+    Impl(const ServerOptions& options, Events events)
+        : hub{options, std::move(events), "", machine_name()}, acceptor(listen(hub.io, options)), pause(hub.io) {
+        hub.cookie_name = fmt::format("relidar_{}", acceptor.local_endpoint().port());
+    }
+
+    void accept() {
+        acceptor.async_accept([this](ErrorCode failed, tcp::socket socket) {
+            if (failed) {
+                pause.expires_after(kAcceptPause);
+                pause.async_wait([this](ErrorCode) { accept(); });
+                return;
+            }
+            const bool has_room = hub.n_connections < hub.options.max_connections;
+            const auto session = std::make_shared<HttpSession>(std::move(socket), hub);
+            if (has_room) session->read();
+            else if (hub.n_connections < 2 * hub.options.max_connections) session->turn_away();
+            accept();
+        });
+    }
+
+    void send(ClientId client, std::string bytes, bool is_text) {
+        boost::asio::post(hub.io, [this, client, is_text, bytes = std::move(bytes)]() mutable {
+            const auto found = hub.clients.find(client);
+            if (found == hub.clients.end()) return;
+            if (const auto session = found->second.lock()) session->send(std::move(bytes), is_text, !is_text);
+        });
+    }
+};
+
+Server::Server(const ServerOptions& options, Events events) : impl_(new Impl(options, std::move(events))) {
+    impl_->accept();
+    impl_->thread = std::thread([&impl = *impl_] { impl.hub.io.run(); });
+}
+
+Server::~Server() {
+    impl_->hub.io.stop();
+    impl_->thread.join();
+}
+
+int Server::port() const { return impl_->acceptor.local_endpoint().port(); }
+
+std::string Server::url() const {
+    const auto address = impl_->acceptor.local_endpoint().address();
+    std::string host = address.is_unspecified() ? "127.0.0.1" : address.to_string();
+    if (address.is_v6() && !address.is_unspecified()) host = "[" + host + "]";
+    const std::string& token = impl_->hub.options.token;
+    return fmt::format("http://{}:{}/{}", host, port(), token.empty() ? "" : "?token=" + token);
+}
+
+void Server::send_text(ClientId client, std::string text) { impl_->send(client, std::move(text), true); }
+void Server::send_newest(ClientId client, std::string bytes) { impl_->send(client, std::move(bytes), false); }
+
+bool is_loopback(const std::string& address) { return parse_address(address).is_loopback(); }
+
+std::string random_token() {
+    std::random_device source;   // the system's own
+    std::string token;
+    for (int i = 0; i < 4; ++i) token += fmt::format("{:08x}", static_cast<std::uint32_t>(source()));
+    return token;
+}
+
+}  // namespace relidar::view

@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "session.hpp"
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include <relidar/error.hpp>
+
+namespace relidar::view {
+namespace {
+
+using Json = nlohmann::json;
+
+constexpr std::size_t kMaxWaiting = 4;   // sensor files and saves of one tab; more is nobody's hand
+
+const char* about(const Request& request) {
+    static constexpr const char* kNames[] = {"scan", "sensor", "save"};
+    return kNames[request.index()];
+}
+
+std::string dump(const Json& json) { return json.dump(-1, ' ', false, Json::error_handler_t::replace); }
+
+const char* name_of(RealScans::State state) {
+    return state == RealScans::State::ready ? "ready" : state == RealScans::State::missing ? "missing" : "loading";
+}
+
+}  // namespace
+
+Session::Session(Run run, Device& device, std::filesystem::path save_folder, Answers answers)
+    : scanner_(std::move(run), device), save_folder_(std::move(save_folder)), answers_(std::move(answers)) {}
+
+void Session::open(TabId tab) {
+    const std::lock_guard lock(mutex_);
+    tabs_[tab] = std::make_shared<Tab>();
+    arrived_.notify_one();
+}
+
+void Session::close(TabId tab) {
+    const std::lock_guard lock(mutex_);
+    tabs_.erase(tab);
+}
+
+void Session::refuse(TabId id, const char* about, const std::string& why) const {
+    answers_.text(id, dump({{"kind", "error"}, {"about", about}, {"text", why}}));
+}
+
+void Session::receive(TabId id, const std::string& message) {
+    try {
+        Request request = parse_request(message);
+        const std::lock_guard lock(mutex_);
+        const auto found = tabs_.find(id);
+        if (found == tabs_.end()) return;
+        Tab& tab = *found->second;
+        if (std::holds_alternative<ScanWish>(request)) tab.scan = std::get<ScanWish>(std::move(request));
+        else if (tab.others.size() < kMaxWaiting) tab.others.push_back(std::move(request));
+        else throw UsageError("too much at once: expected one after the other");
+        arrived_.notify_one();
+    } catch (const UsageError& error) {
+        refuse(id, "message", error.what());
+    }
+}
+
+/// What a tab waits for, first things first; nothing where it waits for nothing. The lock is held.
+std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>& tab) {
+    if (!tab->greeted) {
+        tab->greeted = true;
+        return Job{id, "hello", [this, id] {
+                       Json hello = scanner_.describe();
+                       hello["save_folder"] = save_folder_.string();
+                       answers_.text(id, dump(hello));
+                   }};
+    }
+    if (const RealScans::State state = scanner_.real().state(); state != tab->told) {
+        tab->told = state;
+        return Job{id, "log", [this, id, state] {
+                       answers_.text(id, dump({{"kind", "log"}, {"state", name_of(state)}, {"why", scanner_.real().why()}}));
+                   }};
+    }
+    if (!tab->others.empty()) {
+        const Request request = std::move(tab->others.front());
+        tab->others.pop_front();
+        return Job{id, about(request), [this, id, tab, request] {
+                       if (const auto* wish = std::get_if<SaveWish>(&request)) return save(id, *wish);
+                       Json read = scanner_.read_sensor(tab->cache, std::get<SensorFile>(request));
+                       read["kind"] = "sensor";
+                       answers_.text(id, dump(read));
+                   }};
+    }
+    if (tab->scan) {
+        const ScanWish wish = *std::exchange(tab->scan, std::nullopt);
+        return Job{id, about(wish), [this, id, tab, wish] { answers_.frame(id, scanner_.scan(tab->cache, wish)); }};
+    }
+    return {};
+}
+
+/// Of the tab after the one that was served last.
+std::optional<Session::Job> Session::next_job(std::chrono::milliseconds patience) {
+    std::optional<Job> job;
+    const auto look = [&] {
+        auto tab = tabs_.upper_bound(last_served_);
+        for (std::size_t i = 0; i < tabs_.size() && !job; ++i) {
+            if (tab == tabs_.end()) tab = tabs_.begin();
+            job = job_of(tab->first, tab->second);
+            ++tab;
+        }
+        return job.has_value();
+    };
+    std::unique_lock lock(mutex_);
+    arrived_.wait_for(lock, patience, look);
+    if (job) last_served_ = job->id;
+    return job;
+}
+
+void Session::work(std::chrono::milliseconds patience) {
+    const std::optional<Job> job = next_job(patience);
+    if (!job) return;
+    try {
+        job->run();
+    } catch (const DeviceError&) {
+        throw;   // nobody gets a scan any more
+    } catch (const Error& error) {
+        refuse(job->id, job->about, error.what());
+    }
+}
+
+void Session::save(TabId id, const SaveWish& wish) const {
+    const std::filesystem::path folder = save_folder_ / wish.name;
+    std::error_code failed;
+    if (!std::filesystem::create_directory(folder, failed)) {   // also where there is a link of that name
+        const std::string why = failed ? failed.message() : "it is there already";
+        throw UsageError(fmt::format("saving {}: {}, expected a name that is free in {}", wish.name, why, save_folder_.string()));
+    }
+    Run run = edited_run(scanner_.run(), wish.edits);
+    run.folder = folder;
+    save_run(run);
+    answers_.text(id, dump({{"kind", "saved"}, {"folder", folder.string()}}));
+}
+
+}  // namespace relidar::view

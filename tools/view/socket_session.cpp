@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "socket_session.hpp"
+
+#include <algorithm>
+
+#include <boost/asio/buffer.hpp>
+#include <boost/beast/core/buffers_to_string.hpp>
+#include <boost/beast/websocket/rfc6455.hpp>
+
+namespace relidar::view {
+
+namespace websocket = boost::beast::websocket;
+
+constexpr std::size_t kMaxWaiting = 64;   // messages to a client that does not read; beyond it, it is gone
+
+SocketSession::SocketSession(boost::beast::tcp_stream stream, Counted counted, Hub& hub)
+    : hub_(hub), counted_(std::move(counted)), stream_(std::move(stream)) {
+    stream_.next_layer().expires_never();   // from now on the stream's own timer counts
+    websocket::stream_base::timeout limits{hub.options.request_time, hub.options.idle_time, true};
+    stream_.set_option(limits);
+    stream_.read_message_max(hub.options.max_message_bytes);
+    stream_.auto_fragment(false);   // into pieces of 4 kB: nothing else waits to be sent between them
+}
+
+void SocketSession::start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade) {
+    stream_.async_accept(upgrade, [self = shared_from_this()](Error failed) {
+        if (failed) return;
+        self->id_ = ++self->hub_.last_client;
+        self->hub_.clients[self->id_] = self;
+        self->hub_.events.opened(self->id_);
+        self->read();
+    });
+}
+
+void SocketSession::read() {
+    stream_.async_read(incoming_, [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
+}
+
+void SocketSession::on_read(Error failed) {
+    if (failed) return finish();   // gone, or a frame that is none or too large: the stream has answered with the protocol's own code
+    if (!stream_.got_text()) return refuse();
+    std::string text = boost::beast::buffers_to_string(incoming_.data());
+    incoming_.consume(incoming_.size());
+    hub_.events.message(id_, std::move(text));
+    read();
+}
+
+void SocketSession::send(std::string bytes, bool is_text, bool newest_only) {
+    if (id_ == 0 || refused_) return;
+    if (newest_only) {   // the first is on its way already
+        const auto stale = [](const Message& m) { return m.newest_only; };
+        if (outgoing_.size() > 1) outgoing_.erase(std::remove_if(outgoing_.begin() + 1, outgoing_.end(), stale), outgoing_.end());
+    }
+    if (outgoing_.size() >= kMaxWaiting) {
+        finish();
+        boost::beast::get_lowest_layer(stream_).close();
+        return;
+    }
+    outgoing_.push_back({std::move(bytes), is_text, newest_only});
+    if (outgoing_.size() == 1) write();
+}
+
+void SocketSession::write() {
+    stream_.text(outgoing_.front().is_text);
+    stream_.async_write(boost::asio::buffer(outgoing_.front().bytes),
+                        [self = shared_from_this()](Error failed, std::size_t) { self->on_written(failed); });
+}
+
+void SocketSession::on_written(Error failed) {
+    if (failed) return finish();
+    outgoing_.pop_front();
+    if (refused_) return refuse();
+    if (!outgoing_.empty()) write();
+}
+
+/// Ends the conversation with one who sends what is not understood, once nothing is being written.
+void SocketSession::refuse() {
+    refused_ = true;
+    if (!outgoing_.empty()) {
+        outgoing_.erase(outgoing_.begin() + 1, outgoing_.end());
+        return;
+    }
+    stream_.async_close({websocket::close_code::unknown_data, "text is expected"}, [self = shared_from_this()](Error) { self->finish(); });
+}
+
+void SocketSession::finish() {
+    if (id_ == 0) return;
+    const ClientId id = std::exchange(id_, 0);
+    hub_.clients.erase(id);
+    hub_.events.closed(id);
+}
+
+}  // namespace relidar::view

@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+// One WebSocket: texts come in, texts and binary messages go out, one write at a time. Private to the server.
+#pragma once
+
+#include <deque>
+#include <memory>
+#include <string>
+
+#include <boost/beast/core/flat_buffer.hpp>
+#include <boost/beast/core/tcp_stream.hpp>
+#include <boost/beast/http/empty_body.hpp>
+#include <boost/beast/http/message.hpp>
+#include <boost/beast/websocket/stream.hpp>
+
+#include "hub.hpp"
+
+namespace relidar::view {
+
+class SocketSession : public std::enable_shared_from_this<SocketSession> {
+public:
+    SocketSession(boost::beast::tcp_stream stream, Counted counted, Hub& hub);
+    /// Answers the handshake, then reads until the client goes.
+    void start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade);
+    void send(std::string bytes, bool is_text, bool newest_only);
+
+private:
+    struct Message {
+        std::string bytes;
+        bool is_text;
+        bool newest_only;
+    };
+    using Error = boost::system::error_code;
+
+    void read();
+    void on_read(Error failed);
+    void write();
+    void on_written(Error failed);
+    void refuse();
+    void finish();
+
+    Hub& hub_;
+    Counted counted_;
+    boost::beast::websocket::stream<boost::beast::tcp_stream> stream_;
+    boost::beast::flat_buffer incoming_;
+    std::deque<Message> outgoing_;   ///< the first is being written
+    ClientId id_ = 0;                ///< 0 before the handshake and after the end
+    bool refused_ = false;
+};
+
+}  // namespace relidar::view
