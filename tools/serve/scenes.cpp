@@ -71,10 +71,6 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
     }
 }
 
-std::size_t SceneSet::count_loaded() const {
-    return std::size_t(std::count_if(loaded_.begin(), loaded_.end(), [](const Loaded& l) { return l.renderer != nullptr; }));
-}
-
 RenderedScan SceneSet::render(std::size_t scene, const SensorChoice& sensor, const ScanRequest& request,
                               std::optional<std::uint64_t> sample) {
     loaded_[scene].used = ++clock_;

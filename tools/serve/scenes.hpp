@@ -40,7 +40,8 @@ public:
     /// Loads the scene where it is not there. @param scene  index into outlines()
     RenderedScan render(std::size_t scene, const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample);
 
-    std::size_t count_loaded() const;
+    /// Whether its surfels are on the device now.
+    bool is_loaded(std::size_t scene) const { return loaded_[scene].renderer != nullptr; }
 
 private:
     struct Loaded {

@@ -51,12 +51,15 @@ std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::st
 
 void check_values(const RayTable& rays, const std::string& field) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
-        const auto at = [&](const char* name) { return fmt::format("{}.{} of ray {}", field, name, i); };
-        const float length = glm::length(rays.direction[i]);
-        if (!(std::abs(double(length) - 1.0) <= kUnitSlack)) refuse(at("direction"), fmt::format("a vector of length {}", length), "1");
+        const auto fail = [&](const char* name, float found, const std::string& expected) {
+            refuse(fmt::format("{}.{} of ray {}", field, name, i), fmt::format("{}", found), expected);
+        };
+        const float length = glm::length(rays.direction[i]), time_s = rays.time_offset_s[i];
+        if (!(std::abs(double(length) - 1.0) <= kUnitSlack)) fail("direction", length, "a length of 1");
         for (int axis = 0; axis < 3; ++axis)
-            read_between(at("origin_m"), double(rays.origin[i][axis]), -kFarthestOrigin_m, kFarthestOrigin_m);
-        read_between(at("time_s"), double(rays.time_offset_s[i]), -kLongestScan_s, kLongestScan_s);
+            if (const float x = rays.origin[i][axis]; !(std::abs(double(x)) <= kFarthestOrigin_m))
+                fail("origin_m", x, fmt::format("metres within {}", kFarthestOrigin_m));
+        if (!(std::abs(double(time_s)) <= kLongestScan_s)) fail("time_s", time_s, fmt::format("seconds within {}", kLongestScan_s));
     }
 }
 
