@@ -30,7 +30,7 @@ v1::ActorTrack& actor(v1::RenderLidarRequest& r, const std::string& name) {
     return added;
 }
 
-const std::vector<Case>& cases() {
+const std::vector<Case>& cases_of_poses() {
     static const std::vector<Case> all = {
         {"no path", [](auto& r) { r.clear_path(); }, Code::INVALID_ARGUMENT, "reading path: found 0 poses, expected 1 to"},
         {"NaN pose", [](auto& r) { pose(r).mutable_translation()->set_y(kNan); }, Code::INVALID_ARGUMENT,
@@ -59,6 +59,12 @@ const std::vector<Case>& cases() {
              for (int i = 0; i < 2; ++i) add_pose(*actor(r, "car").mutable_poses(), 0, at_x(0));
          },
          Code::INVALID_ARGUMENT, "expected each actor once"},
+    };
+    return all;
+}
+
+const std::vector<Case>& cases_of_sensors() {
+    static const std::vector<Case> all = {
         {"unknown sensor", [](auto& r) { r.mutable_sensor()->set_name("VLP-17"); }, Code::INVALID_ARGUMENT,
          "found \"VLP-17\", expected a name that ListScenes gives, as VLP-16"},
         {"a file of the server", [](auto& r) { r.mutable_sensor()->set_name("/etc/passwd"); }, Code::INVALID_ARGUMENT, "\"/etc/passwd\""},
@@ -73,7 +79,11 @@ const std::vector<Case>& cases() {
         {"empty spec", [](auto& r) { spec(r); }, Code::INVALID_ARGUMENT, "found no pattern, expected rays, spinning, window or rosette"},
         {"no rays", [](auto& r) { spec(r).mutable_rays(); }, Code::INVALID_ARGUMENT, "found 0 rays of a scan"},
         {"half a ray", [](auto& r) { spec(r).mutable_rays()->set_direction("1234567"); }, Code::INVALID_ARGUMENT, "7 bytes, expected 12"},
-        {"wrong rows", [](auto& r) { spec(r) = rays_ahead(3), spec(r).mutable_rays()->set_rows(2), spec(r).mutable_rays()->set_columns(2); },
+        {"wrong rows",
+         [](auto& r) {
+             spec(r) = rays_ahead(3);
+             spec(r).mutable_rays()->set_rows(2), spec(r).mutable_rays()->set_columns(2);
+         },
          Code::INVALID_ARGUMENT, "found 2 rows of 2 columns and 3 directions"},
         {"times for some rays", [](auto& r) { spec(r) = rays_ahead(3), spec(r).mutable_rays()->set_time_s(std::string(8, '\0')); },
          Code::INVALID_ARGUMENT, "rays.time_s: found 8 bytes, expected 12: 4 a ray of 3"},
@@ -107,9 +117,12 @@ const std::vector<Case>& cases() {
     return all;
 }
 
-using Refusals = ServiceTest;
+class Refusals : public ServiceTest {
+protected:
+    void expect_refused(const std::vector<Case>& cases);
+};
 
-TEST_F(Refusals, EachIsOneClearStatusAndTheNextCallIsAnswered) {
+void Refusals::expect_refused(const std::vector<Case>& cases) {
     start();
     const auto calls = stub();
     v1::LidarScan before;
@@ -117,7 +130,7 @@ TEST_F(Refusals, EachIsOneClearStatusAndTheNextCallIsAnswered) {
         grpc::ClientContext context;
         ASSERT_TRUE(calls->RenderLidar(&context, standing(), &before).ok());
     }
-    for (const Case& c : cases()) {
+    for (const Case& c : cases) {
         SCOPED_TRACE(c.name);
         v1::RenderLidarRequest request = standing();
         c.spoil(request);
@@ -131,6 +144,9 @@ TEST_F(Refusals, EachIsOneClearStatusAndTheNextCallIsAnswered) {
         EXPECT_EQ(answer.image().range_m(), before.image().range_m()) << "nothing is left behind";
     }
 }
+
+TEST_F(Refusals, PosesTimesAndNames) { expect_refused(cases_of_poses()); }
+TEST_F(Refusals, Sensors) { expect_refused(cases_of_sensors()); }
 
 TEST_F(Refusals, TablesBeyondTheLimits) {
     start();

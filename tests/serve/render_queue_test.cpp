@@ -18,7 +18,8 @@ const auto kWanted = [] { return true; };
 /// Work that holds the render thread until it is let go.
 class Blocker {
 public:
-    explicit Blocker(RenderQueue& queue) : place_(std::move(*queue.enter())), thread_([this] { place_.run([this] { block(); }, kWanted); }) {
+    explicit Blocker(RenderQueue& queue)
+        : place_(std::move(*queue.enter())), thread_([this] { place_.run([this] { block(); }, kWanted); }) {
         begun_.get_future().wait();
     }
     ~Blocker() {

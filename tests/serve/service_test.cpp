@@ -33,7 +33,8 @@ protected:
 
 TEST_F(Service, RendersToTheBitAsTheLibrary) {
     start();
-    const PoseTrack way{{0.3, 0.45, 0.6}, {at_x(-2.0), at_x(-1.0), {glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), at_x(0).translation}}};
+    const Pose turned{glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), at_x(0.0).translation};
+    const PoseTrack way{{0.3, 0.45, 0.6}, {at_x(-2.0), at_x(-1.0), turned}};
     const PoseTrack car{{0.4, 0.5}, {at_x(5.0), at_x(6.0)}};
     v1::RenderLidarRequest request = standing();
     request.clear_path();

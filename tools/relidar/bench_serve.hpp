@@ -13,7 +13,8 @@ struct ServeBench {
     int calls = 100;
 };
 
-/// Prints latencies and scans a second. @throws UsageError where this program was built without the service, DataError where nothing answers
+/// Prints latencies and scans a second.
+/// @throws UsageError where this program was built without the service, DataError where nothing answers
 void bench_service(const ServeBench& bench);
 
 }  // namespace relidar::cli

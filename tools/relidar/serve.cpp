@@ -81,8 +81,8 @@ void add_serve(CLI::App& app, Call& call) {
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors and warnings only");
     command->footer(
-        "The calls are in tools/serve/relidar/v1/render.proto, described in docs/service.md; gRPC's health service and reflection are there\n"
-        "too. Ctrl-C finishes calls in work, a second one ends at once.\n"
+        "The calls are in tools/serve/relidar/v1/render.proto, described in docs/service.md; gRPC's health service and reflection are\n"
+        "there too. Ctrl-C finishes calls in work, a second one ends at once.\n"
         "Examples:\n"
         "  relidar serve run\n"
         "  relidar serve town=runs/17 motorway=runs/18 --listen 0.0.0.0:50051 --tls-cert cert.pem --tls-key key.pem\n"

@@ -13,14 +13,14 @@
 #include <relidar/run.hpp>
 
 #include "relidar/v1/render.pb.h"
-#include "scenes.hpp"
+#include "scene_source.hpp"
 #include "sensor_shelf.hpp"
 
 namespace relidar::serve {
 
 /// A scan that is wanted and can be rendered.
 struct WantedScan {
-    std::size_t scene = 0;   ///< index into SceneSet::outlines()
+    std::size_t scene = 0;   ///< index into the outlines
     std::shared_ptr<const SensorChoice> sensor;
     ScanRequest request;
     std::optional<std::uint64_t> sample;

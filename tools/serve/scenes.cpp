@@ -10,8 +10,6 @@
 namespace relidar::serve {
 namespace {
 
-namespace fs = std::filesystem;
-
 constexpr double kMiB = 1024.0 * 1024.0;
 
 /// What the rest of the service looks at: everything but the large arrays.
@@ -20,11 +18,6 @@ Run outline_of(const Run& run) {
     outline.scene = layout_of(run.scene);
     outline.drop_network = {};
     return outline;
-}
-
-std::string folder_name(const std::string& folder) {
-    const fs::path path = fs::absolute(folder).lexically_normal();
-    return path.has_filename() ? path.filename().string() : path.parent_path().filename().string();
 }
 
 /// One ray ahead from where the log begins: whatever a scan needs beside its rays is on the device afterwards.
@@ -40,23 +33,6 @@ ScanRequest first_pose(const Run& run) {
 }
 
 }  // namespace
-
-std::vector<SceneSource> scene_sources(const std::vector<std::string>& words) {
-    std::vector<SceneSource> sources;
-    for (const std::string& word : words) {
-        const std::size_t equals = word.find('=');
-        const bool named = equals != std::string::npos && !fs::exists(word);
-        const std::string folder = named ? word.substr(equals + 1) : word;
-        sources.push_back({named ? word.substr(0, equals) : folder_name(folder), folder});
-        const SceneSource& added = sources.back();
-        const auto same = std::find_if(sources.begin(), sources.end() - 1, [&](const SceneSource& s) { return s.name == added.name; });
-        if (added.name.empty()) throw UsageError(fmt::format("serving {}: found no name, expected NAME=RUN", word));
-        if (same != sources.end() - 1)
-            throw UsageError(fmt::format("serving {} and {}: found \"{}\" as the name of both, expected another one, given as NAME=RUN",
-                                         same->folder.string(), folder, added.name));
-    }
-    return sources;
-}
 
 SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes)
     : device_(device), sources_(std::move(sources)), memory_bytes_(memory_bytes), loaded_(sources_.size()) {

@@ -3,27 +3,17 @@
 #pragma once
 
 #include <cstdint>
-#include <filesystem>
 #include <functional>
-#include <map>
 #include <memory>
 #include <optional>
-#include <string>
 #include <vector>
 
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
 
+#include "scene_source.hpp"
+
 namespace relidar::serve {
-
-/// A run to be served, and the name that clients call it by.
-struct SceneSource {
-    std::string name;
-    std::filesystem::path folder;
-};
-
-/// From words "RUN" or "NAME=RUN"; the name is the folder's where none is given. @throws UsageError for a name that is used twice
-std::vector<SceneSource> scene_sources(const std::vector<std::string>& words);
 
 /// Serves one thread at a time, that of its device; outlines() are for all.
 class SceneSet {

@@ -5,6 +5,8 @@
 
 #include <fmt/format.h>
 
+#include <relidar/render.hpp>
+
 namespace relidar::serve {
 
 std::string SensorShelf::add(SensorChoice sensor) {

@@ -9,7 +9,9 @@
 #include <mutex>
 #include <string>
 
-#include <relidar/render.hpp>
+namespace relidar {
+struct SensorChoice;
+}
 
 namespace relidar::serve {
 

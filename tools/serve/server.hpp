@@ -24,8 +24,8 @@ struct ServerOptions {
 
 class ScanServer {
 public:
-    /// Loads all runs, then listens. @throws UsageError for an address that cannot be listened at, DataError for a run or key that cannot be
-    /// read, DeviceError
+    /// Loads all runs, then listens.
+    /// @throws UsageError for an address that cannot be listened at, DataError for a run or key that cannot be read, DeviceError
     explicit ScanServer(const ServerOptions& options);
     /// Stops at once where stop() was not called.
     ~ScanServer();
