@@ -80,6 +80,17 @@ bad 2 "listening at $address: it is taken" serve run --listen "$address"
 grep -q "town at $address: 8 calls by 2 clients, 768 rays" bench.out || fail "bench --serve prints: $(cat bench.out)"
 bad 3 "found status 5, reading scene: found \"city\"" bench --serve "$address" --serve-scene city
 
+# gRPC's own services, asked in bytes: health of ours (1 = serving), and the list of services by reflection.
+"$python" - "$address" <<'PYTHON' || fail "health or reflection"
+import sys
+import grpc
+channel = grpc.insecure_channel(sys.argv[1])
+ours = b"relidar.v1.RenderService"
+health = channel.unary_unary("/grpc.health.v1.Health/Check")(b"\x0a" + bytes([len(ours)]) + ours, timeout=10)
+listed = channel.stream_stream("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo")(iter([b"\x3a\x00"]), timeout=10)
+sys.exit(0 if health == b"\x08\x01" and ours in next(listed) else 1)
+PYTHON
+
 # Poses by a client and by a file: the same scans, bit by bit.
 printf 'time_s,x,y,z,yaw_deg\n0.4,3.25,0.5,1.73,0\n0.6,5.5,0.25,1.73,0\n' >way.csv
 for sensor in "" VLP-16:90x10; do
