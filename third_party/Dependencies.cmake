@@ -137,6 +137,24 @@ if(RELIDAR_BUILD_TOOLS AND NOT RELIDAR_FOR_PACKAGE)
     endif()
 endif()
 
+# --- the service of the tool: left out where something of it is missing ------------------------------------------------
+if(RELIDAR_BUILD_TOOLS AND RELIDAR_SERVE AND NOT RELIDAR_FOR_PACKAGE)
+    find_program(RELIDAR_PROTOC protoc)
+    find_program(RELIDAR_GRPC_PLUGIN grpc_cpp_plugin)
+    find_library(RELIDAR_REFLECTION_LIBRARY grpc++_reflection)
+    mark_as_advanced(RELIDAR_PROTOC RELIDAR_GRPC_PLUGIN RELIDAR_REFLECTION_LIBRARY)
+    find_package(PkgConfig QUIET)
+    if(PKG_CONFIG_FOUND)   # not gRPC's CMake package: Debian 12's stops with an error in its own modules
+        pkg_check_modules(RELIDAR_GRPC QUIET IMPORTED_TARGET GLOBAL grpc++ protobuf)
+    endif()
+    if(RELIDAR_PROTOC AND RELIDAR_GRPC_PLUGIN AND RELIDAR_REFLECTION_LIBRARY AND TARGET PkgConfig::RELIDAR_GRPC)
+        relidar_dependency(grpc APT libgrpc++-dev BUILD_ONLY HEADER grpcpp/grpcpp.h
+            LINK -Wl,--as-needed ${RELIDAR_REFLECTION_LIBRARY} PkgConfig::RELIDAR_GRPC)   # of the many libraries that it names few are used
+    else()
+        message(STATUS "relidar: no `relidar serve` (needs libgrpc++-dev protobuf-compiler-grpc libprotobuf-dev; tools/dev/setup --serve)")
+    endif()
+endif()
+
 # --- the Python module -----------------------------------------------------------------------------------------------
 if(RELIDAR_PYTHON AND NOT RELIDAR_FOR_PACKAGE)
     # The first python3 in PATH that has numpy: a machine may have several, of which the system's own is the one that packages serve.

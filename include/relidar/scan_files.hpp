@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -12,6 +13,7 @@
 #include <relidar/export.hpp>
 #include <relidar/math.hpp>
 #include <relidar/sensor.hpp>
+#include <relidar/sequence.hpp>
 
 namespace relidar {
 
@@ -19,8 +21,11 @@ struct RangeImage;
 struct RenderedScan;
 struct Run;
 struct SensorChoice;
+namespace scan_files {
+class ScanRecording;
+}
 
-/// Names of the formats, which are the files' extensions.
+/// Names of the formats: extensions of a scan's files, and recordings of all scans, mcap and rosbag.
 std::vector<std::string> scan_formats();
 
 /// Frame of reference of points, and of the rays in npz and exr.
@@ -38,6 +43,8 @@ struct ScanFormat {
     std::string sensor;
     RangeLimits limits;
     Pose offset;                               ///< of the simulated sensor in the log's sensor frame, where it went along with that
+    std::vector<BoxTrack> actors;              ///< where they are: boxes of recordings; relidar's world
+    glm::dvec3 world_offset_m{0.0};            ///< Sequence::world_offset_m
     std::string trajectory;                    ///< file it was driven by; empty: it went along with the log's sensor
     Config config;
 };
@@ -53,6 +60,11 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor);
 ///   png  range, intensity, drop probability as one picture, notes as text
 ///   ply, pcd, bin  points of returned rays (drop_prob < 0.5); ply and pcd with ring, time and instance,
 ///        with second returns return, 1 or 2; notes as comments
+/// and of all scans together, when the last one is written:
+///   mcap    scans.mcap for Foxglove: /lidar/points foxglove.PointCloud (x y z intensity time instance ring return),
+///           /tf foxglove.FrameTransform of the sensor in the world at time_s, /actors foxglove.SceneUpdate with a box each
+///   rosbag  rosbag.mcap, a bag of ROS 2: /lidar/points sensor_msgs/PointCloud2 (x y z intensity), /lidar/points_xyzircaedt the same with
+///           Autoware's point type, in the sensor's frame alone, /tf; stamps are those of first rays
 class ScanFolder {
 public:
     /// Makes the folder where it is missing, and removes an earlier rendering from it.
@@ -60,8 +72,8 @@ public:
     ScanFolder(std::filesystem::path folder, ScanFormat format);
     /// Writes the files of one scan. @param frame  its number @throws DataError as write_atomically()
     void write(int frame, const RenderedScan& scan);
-    /// Writes scans.json: to be called after the last scan.
-    void finish() const;
+    /// Writes scans.json and gives recordings their names: to be called after the last scan.
+    void finish();
 
 private:
     struct Entry {
@@ -74,6 +86,14 @@ private:
     std::filesystem::path folder_;
     ScanFormat format_;
     std::vector<Entry> entries_;
+    struct Recording {
+        std::string name;
+        std::shared_ptr<scan_files::ScanRecording> file;   ///< shared so that a folder can be moved
+    };
+    std::vector<Recording> recordings_;
+
+    bool wants(const std::string& format) const;   ///< one of ScanFormat::formats
+    void summarise() const;
 };
 
 /// What the npz of a scan holds, in that order. @param frame  its number

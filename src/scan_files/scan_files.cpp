@@ -9,11 +9,14 @@
 #include <relidar/export.hpp>
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
+#include "scan_files/scan_recording.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
+using scan_files::RecordedActor;
+using scan_files::RecordedScan;
 
 constexpr const char* kUnits = "metres, seconds; intensity and drop_prob 0 to 1";
 
@@ -172,6 +175,31 @@ std::size_t count_points(const RenderedScan& scan, const Config& config) {
     return n;
 }
 
+/// Boxes of those who are there at a time, in the dataset's world.
+std::vector<RecordedActor> actors_at(const ScanFormat& format, double time_s) {
+    std::vector<RecordedActor> actors;
+    for (const BoxTrack& box : format.actors) {
+        if (!box.present(time_s)) continue;
+        Pose pose = box.world_from_box.at(time_s);
+        pose.translation += format.world_offset_m;
+        actors.push_back({box.id, pose, box.size_m});
+    }
+    return actors;
+}
+
+RecordedScan recorded(const PlacedScan& placed) {
+    const RenderedScan& scan = placed.scan;
+    const std::vector<float>& times = scan.time_offset_s;
+    RecordedScan result;
+    result.cloud = cloud_of(placed);
+    result.world = placed.format.frame == PointFrame::world;
+    result.first_time_s = times.empty() ? 0.0 : double(*std::min_element(times.begin(), times.end()));
+    result.world_from_sensor = scan.world_from_sensor;
+    result.world_from_sensor_at_first = scan.track.pose.empty() ? scan.world_from_sensor : scan.track.at(scan.time_s + result.first_time_s);
+    result.actors = actors_at(placed.format, scan.time_s);
+    return result;
+}
+
 void npz(const fs::path& path, const PlacedScan& placed) { write_npz(path, arrays_of(placed)); }
 void ply(const fs::path& path, const PlacedScan& placed) { write_ply(path, cloud_of(placed)); }
 void pcd(const fs::path& path, const PlacedScan& placed) { write_pcd(path, cloud_of(placed)); }
@@ -182,6 +210,7 @@ struct Format {
     const char* name;   ///< and extension
     void (*write)(const fs::path&, const PlacedScan&);
 };
+constexpr const char* kRecordings[] = {"mcap", "rosbag"};
 constexpr Format kFormats[] = {{"npz", npz}, {"exr", exr}, {"ply", ply}, {"pcd", pcd}, {"bin", bin}, {"png", png}};
 
 }  // namespace
@@ -189,6 +218,7 @@ constexpr Format kFormats[] = {{"npz", npz}, {"exr", exr}, {"ply", ply}, {"pcd",
 std::vector<std::string> scan_formats() {
     std::vector<std::string> names;
     for (const Format& format : kFormats) names.emplace_back(format.name);
+    names.insert(names.end(), std::begin(kRecordings), std::end(kRecordings));
     return names;
 }
 
@@ -197,6 +227,10 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
     for (const Instance& instance : run.scene.instances) {
         format.instance_names.push_back(instance.track.empty() ? "background" : instance.track);
     }
+    for (const BoxTrack& box : run.sequence.boxes)
+        if (std::find(format.instance_names.begin(), format.instance_names.end(), box.id) != format.instance_names.end())
+            format.actors.push_back(box);
+    format.world_offset_m = run.sequence.world_offset_m;
     if (!run.folder.empty()) format.run = fs::absolute(run.folder).lexically_normal().string();
     format.sensor = sensor.name;
     format.limits = sensor.limits;
@@ -211,15 +245,20 @@ std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const S
     return arrays_of(placed);
 }
 
+bool ScanFolder::wants(const std::string& format) const {
+    return std::find(format_.formats.begin(), format_.formats.end(), format) != format_.formats.end();
+}
+
 void ScanFolder::write(int frame, const RenderedScan& scan) {
     PlacedScan placed{scan, format_, frame, {}, {}, {}, notes_of(format_, frame, scan)};
     place_rays(placed);
     Entry entry{frame, scan.time_s, scan.world_from_sensor, scan.image.range_m.size(), count_points(scan, format_.config), {}};
     for (const Format& format : kFormats) {
-        if (std::find(format_.formats.begin(), format_.formats.end(), format.name) == format_.formats.end()) continue;
+        if (!wants(format.name)) continue;
         entry.files.push_back(fmt::format("frame_{:06}.{}", frame, format.name));
         format.write(folder_ / entry.files.back(), placed);
     }
+    for (const Recording& recording : recordings_) recording.file->add(recorded(placed), scan.time_s);
     entries_.push_back(std::move(entry));
 }
 

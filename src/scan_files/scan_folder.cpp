@@ -12,6 +12,7 @@
 #include <relidar/export.hpp>
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
+#include "scan_files/scan_recording.hpp"
 
 namespace relidar {
 namespace {
@@ -23,7 +24,7 @@ constexpr const char* kSummary = "scans.json";
 
 /// Whether a name is scans.json or frame_<number>.<format>: nobody else's files are taken for a rendering.
 bool is_of_rendering(const fs::path& name) {
-    if (name == kSummary) return true;
+    if (name == kSummary || name == scan_files::recording_name("mcap") || name == scan_files::recording_name("rosbag")) return true;
     const std::string stem = name.stem().string(), prefix = "frame_", extension = name.extension().string();
     const std::vector<std::string> formats = scan_formats();
     return stem.starts_with(prefix) && stem.size() > prefix.size() &&
@@ -50,6 +51,19 @@ Json settings_json(const Config& config) {
     return json;
 }
 
+/// What a recording says of itself.
+FileNotes recording_notes(const ScanFormat& format) {
+    return {{"relidar", RELIDAR_VERSION},
+            {"run", format.run},
+            {"dataset", format.config.dataset.path},
+            {"sensor", format.sensor},
+            {"trajectory", format.trajectory},
+            {"points_in", format.frame == PointFrame::world ? "world"
+                          : format.deskew                  ? "sensor at the scan's time"
+                                                           : "sensor at each ray's firing time"},
+            {"units", "metres, seconds; intensity 0 to 1"}};
+}
+
 }  // namespace
 
 ScanFolder::ScanFolder(fs::path folder, ScanFormat format) : folder_(std::move(folder)), format_(std::move(format)) {
@@ -65,9 +79,19 @@ ScanFolder::ScanFolder(fs::path folder, ScanFormat format) : folder_(std::move(f
         if (failed) throw DataError(fmt::format("removing {} of an earlier rendering: {}", file.string(), failed.message()));
     }
     remove_temporaries(folder_);
+    for (const char* kind : {"mcap", "rosbag"}) {
+        if (!wants(kind)) continue;
+        const std::string name = scan_files::recording_name(kind);
+        recordings_.push_back({name, std::make_shared<scan_files::ScanRecording>(folder_ / name, kind, recording_notes(format_))});
+    }
 }
 
-void ScanFolder::finish() const {
+void ScanFolder::finish() {
+    for (const Recording& recording : recordings_) recording.file->finish();
+    summarise();
+}
+
+void ScanFolder::summarise() const {
     const Config& config = format_.config;
     const bool world = format_.frame == PointFrame::world;
     const std::string range = config.render.points == "median" ? "median" : config.render.range;
@@ -91,8 +115,10 @@ void ScanFolder::finish() const {
                  {"instances", format_.instance_names},
                  {"only", format_.only},
                  {"sample", format_.sample ? Json(*format_.sample) : Json()},
+                 {"recordings", Json::array()},
                  {"scans", Json::array()},
                  {"settings", settings_json(config)}};
+    for (const Recording& recording : recordings_) json["recordings"].push_back(recording.name);
     for (const Entry& e : entries_)
         json["scans"].push_back({{"frame_number", e.frame},
                                  {"time_s", e.time_s},

@@ -40,10 +40,10 @@ bad() {
 
 help_tells() {
     good --help
-    for command in devices sensors config convert info train refine render edit view eval export import bench demo; do
+    for command in devices sensors config convert info train refine render serve edit view eval export import bench demo; do
         says "^  $command "
     done
-    for command in devices sensors config convert info train refine render edit eval export import bench demo; do
+    for command in devices sensors config convert info train refine render serve edit view eval export import bench demo; do
         good "$command" --help
         says "Example"
     done

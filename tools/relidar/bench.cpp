@@ -10,6 +10,7 @@
 #include "bench_actors.hpp"
 #include "bench_case.hpp"
 #include "bench_measure.hpp"
+#include "bench_serve.hpp"
 #include "bench_text.hpp"
 #include "command.hpp"
 #include "console.hpp"
@@ -30,6 +31,7 @@ struct Options {
     bool no_backward = false;
     std::string json;
     std::string actors;   ///< "1,10,100": scenes of so many actors are timed instead
+    ServeBench service;
     DeviceChoice device;
 };
 
@@ -55,6 +57,7 @@ void bench_actors(const Options& options, Device& device, const std::string& com
 }
 
 void run_bench(const Options& options, const std::string& command_line) {
+    if (!options.service.address.empty()) return bench_service(options.service);
     check(options.choice);
     if (!options.choice.run.empty() && options.describes_street)
         throw UsageError("--run: found --scene, --surfels or --rays beside it, expected the run alone: it brings its scene and rays");
@@ -91,6 +94,16 @@ void add_training_options(CLI::App& command, BenchChoice& choice) {
     command.add_option("--likelihood", choice.likelihood, "weight of loss.likelihood (default: 0, or as the run says)")
         ->type_name("WEIGHT");
     command.add_flag("--deterministic", choice.deterministic, "gather gradients in a fixed order instead of adding them with atomics");
+}
+
+void add_service_options(CLI::App& command, ServeBench& service) {
+    command.add_option("--serve", service.address, "time calls of a running `relidar serve` at this address instead")
+        ->type_name("HOST:PORT");
+    command.add_option("--serve-scene", service.scene, "which of its scenes (default: the first)")->type_name("NAME");
+    command.add_option("--sensor", service.sensor, "of these calls: one of `relidar sensors`, as HDL-32E:512x10 (default: the log's own)")
+        ->type_name("NAME");
+    command.add_option("--clients", service.clients, "that call at the same time (default: 1)")->type_name("N");
+    command.add_option("--calls", service.calls, "of all of them together (default: 100)")->type_name("N");
 }
 
 }  // namespace
@@ -130,6 +143,7 @@ void add_bench(CLI::App& app, Call& call) {
             "--actors", options->actors,
             "time scans, training and moves of so many copies of an actor of 1000 surfels instead; several numbers parted by commas")
         ->type_name("LIST");
+    add_service_options(*command, options->service);
     command->add_option("--json", options->json, "write the numbers to this file too")->type_name("FILE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->settings.quiet, "print errors only");
@@ -143,7 +157,8 @@ void add_bench(CLI::App& app, Call& call) {
         "  relidar bench --scene B --surfels 1000000 --rays waymo --sh surfel\n"
         "  relidar bench --run run --repeat 50\n"
         "  relidar bench --keep-hits 0 --deterministic\n"
-        "  relidar bench --actors 1,1000");
+        "  relidar bench --actors 1,1000\n"
+        "  relidar bench --serve 127.0.0.1:50051 --sensor HDL-32E:512x10 --clients 4");
     command->callback([&call, options, scene, surfels, rays] {
         options->describes_street = scene->count() + surfels->count() + rays->count() > 0;
         call.run = [&call, options] { run_bench(*options, call.command_line); };

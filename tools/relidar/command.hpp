@@ -28,6 +28,7 @@ void add_convert(CLI::App& app, Call& call);
 void add_info(CLI::App& app, Call& call);
 void add_train(CLI::App& app, Call& call);
 void add_refine(CLI::App& app, Call& call);
+void add_serve(CLI::App& app, Call& call);
 void add_edit(CLI::App& app, Call& call);
 void add_render(CLI::App& app, Call& call);
 void add_eval(CLI::App& app, Call& call);

@@ -279,7 +279,7 @@ void run_render(const Options& options) {
         for (std::size_t s = 0; s < scans.size(); ++s) folders[s].write(number, scans[s]);
         progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", number), done + 1, sweeps.size());
     }
-    for (const ScanFolder& scans : folders) scans.finish();
+    for (ScanFolder& scans : folders) scans.finish();
     end_progress_line();
     if (options.quiet) return;
     const double n = double(sweeps.size());
@@ -303,7 +303,8 @@ void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
 
 /// What is written, in which frame of reference.
 void add_file_options(CLI::App& command, Options& options) {
-    command.add_option("--format", options.formats, "npz, exr, ply, pcd, bin, png, parted by commas (default: npz)")->type_name("LIST");
+    command.add_option("--format", options.formats, "npz, exr, ply, pcd, bin, png, mcap, rosbag, parted by commas (default: npz)")
+        ->type_name("LIST");
     command
         .add_option("--frame", options.point_frame,
                      "frame of reference of points: sensor, each point at its own firing time; or world, the dataset's (default: sensor)")
@@ -360,6 +361,8 @@ void add_render(CLI::App& app, Call& call) {
             "time: of the ray, seconds from time_s. VIEWPOINT of a pcd takes its points to the dataset's world.\n"
             "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; "
             "npz has instance_names.\n"
+            "mcap: DIR/scans.mcap, all scans in one file for Foxglove, with poses and the actors' boxes; rosbag: DIR/rosbag.mcap, a bag\n"
+            "of ROS 2 with sensor_msgs/PointCloud2, plain and with the point type of Autoware.\n"
             "--set render.normals=true: unit normals of surfaces, towards the sensor, in every format but bin and png.\n") +
         kSensorFileHelp +
         "\n"

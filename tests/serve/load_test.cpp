@@ -1,0 +1,150 @@
+// SPDX-License-Identifier: Apache-2.0
+// Many clients at once, clients that leave, deadlines, a full queue, more scenes than fit: nothing is lost, nothing stays behind.
+#include <atomic>
+#include <chrono>
+#include <fstream>
+#include <thread>
+
+#include <unistd.h>
+
+#include <gmock/gmock.h>
+
+#include "small_service.hpp"
+
+namespace relidar::serve {
+namespace {
+
+using Code = grpc::StatusCode;
+
+double resident_mib() {
+    std::ifstream in("/proc/self/statm");
+    double pages = 0.0, resident = 0.0;
+    in >> pages >> resident;
+    return resident * double(::sysconf(_SC_PAGESIZE)) / (1024.0 * 1024.0);
+}
+
+class Load : public ServiceTest {
+protected:
+    /// Calls by 8 clients, each with a connection of its own. @return how many were answered with this image
+    int answered(int calls, const v1::RenderLidarRequest& request, const std::string& range_m) {
+        std::atomic<int> next = 0, good = 0;
+        std::vector<std::jthread> clients;
+        for (int c = 0; c < 8; ++c)
+            clients.emplace_back([&] {
+                const auto mine = stub();
+                while (next++ < calls) {
+                    grpc::ClientContext context;
+                    v1::LidarScan scan;
+                    good += mine->RenderLidar(&context, request, &scan).ok() && scan.image().range_m() == range_m;
+                }
+            });
+        clients.clear();
+        return good;
+    }
+};
+
+TEST_F(Load, ThousandCallsOfEightClientsAreAllAnsweredAndMemoryStays) {
+    start();
+    v1::RenderLidarRequest request = standing();
+    request.mutable_sensor()->set_name("VLP-16:128x10");
+    const v1::LidarScan truth = ScanClient(address()).render(request);
+    const double answer_mib = double(truth.ByteSizeLong()) / (1024.0 * 1024.0);
+    EXPECT_EQ(answered(200, request, truth.image().range_m()), 200);   // threads, arenas and caches are there afterwards
+    const double before_mib = resident_mib();
+    EXPECT_EQ(answered(1000, request, truth.image().range_m()), 1000);
+    EXPECT_LT(resident_mib() - before_mib, 0.25 * 1000 * answer_mib)
+        << "a quarter of what is lost where each call leaves its answer behind: " << answer_mib << " MiB a call";
+}
+
+/// A rig of many large sensors: holds a place in the queue until it is told to leave.
+class Occupant {
+public:
+    explicit Occupant(v1::RenderService::Stub& stub) {
+        v1::UploadSensorRequest upload;
+        v1::UploadSensorResponse kept;
+        *upload.mutable_sensor() = rays_ahead(200'000);
+        grpc::ClientContext context;
+        EXPECT_TRUE(stub.UploadSensor(&context, upload, &kept).ok());
+        v1::RenderRigRequest request;
+        *request.mutable_rig() = standing();
+        request.mutable_rig()->clear_wanted();
+        for (int i = 0; i < 64; ++i) request.add_sensors()->mutable_sensor()->set_handle(kept.handle());
+        reader_ = stub.RenderRig(&context_, request);
+        v1::RigScan first;
+        EXPECT_TRUE(reader_->Read(&first)) << "it is in";
+    }
+    grpc::Status leave() {
+        context_.TryCancel();
+        return reader_->Finish();
+    }
+
+private:
+    grpc::ClientContext context_;
+    std::unique_ptr<grpc::ClientReader<v1::RigScan>> reader_;
+};
+
+grpc::Status call(v1::RenderService::Stub& stub, std::chrono::milliseconds patience = std::chrono::seconds(60)) {
+    grpc::ClientContext context;
+    context.set_deadline(std::chrono::system_clock::now() + patience);
+    v1::LidarScan scan;
+    return stub.RenderLidar(&context, standing(), &scan);
+}
+
+TEST_F(Load, FullQueueTurnsAwayAndServesAgainWhenThereIsRoom) {
+    start(1);   // two places
+    const auto calls = stub();
+    Occupant one(*calls), two(*calls);
+    const grpc::Status status = call(*calls);
+    EXPECT_EQ(status.error_code(), Code::RESOURCE_EXHAUSTED);
+    EXPECT_EQ(status.error_message(), "queueing a request: found all 2 places taken, expected a free one: try again later");
+    EXPECT_EQ(one.leave().error_code(), Code::CANCELLED);
+    EXPECT_EQ(two.leave().error_code(), Code::CANCELLED);
+    grpc::Status after = call(*calls);
+    for (int tries = 0; tries < 200 && after.error_code() == Code::RESOURCE_EXHAUSTED; ++tries) {   // until the server has noticed
+        std::this_thread::sleep_for(std::chrono::milliseconds(50));
+        after = call(*calls);
+    }
+    EXPECT_TRUE(after.ok()) << after.error_message();
+}
+
+TEST_F(Load, DeadlinesAndLeavingClientsAreTheirOwn) {
+    start(8);
+    const auto calls = stub();
+    Occupant occupant(*calls);
+    EXPECT_EQ(call(*calls, std::chrono::milliseconds(1)).error_code(), Code::DEADLINE_EXCEEDED);
+    EXPECT_EQ(call(*calls, std::chrono::milliseconds(-1000)).error_code(), Code::DEADLINE_EXCEEDED) << "over before it began";
+    for (int i = 0; i < 20; ++i) {   // in the middle of everything
+        grpc::ClientContext context;
+        v1::LidarScan scan;
+        std::jthread leaves([&] {
+            std::this_thread::sleep_for(std::chrono::milliseconds(i));
+            context.TryCancel();
+        });
+        const Code code = calls->RenderLidar(&context, standing(), &scan).error_code();
+        EXPECT_TRUE(code == Code::CANCELLED || code == Code::OK) << code;
+    }
+    EXPECT_EQ(occupant.leave().error_code(), Code::CANCELLED);
+    EXPECT_TRUE(call(*calls).ok());
+}
+
+TEST_F(Load, ConnectionsThatBreakLeaveTheServerAlive) {
+    start(8);
+    for (int i = 0; i < 10; ++i) {
+        const auto doomed = stub();
+        Occupant occupant(*doomed);
+        occupant.leave();
+    }
+    EXPECT_TRUE(call(*stub()).ok());
+}
+
+TEST_F(Load, StopsWhileCallsAreInWork) {
+    start(8);
+    const auto calls = stub();
+    Occupant occupant(*calls);
+    server->stop(std::chrono::milliseconds(100));
+    EXPECT_FALSE(occupant.leave().ok());
+    EXPECT_EQ(call(*calls).error_code(), Code::UNAVAILABLE);
+}
+
+}  // namespace
+}  // namespace relidar::serve

@@ -1,0 +1,216 @@
+// SPDX-License-Identifier: Apache-2.0
+// Requests that make no sense: one status of one line each, and the server answers the next one.
+#include <functional>
+#include <limits>
+
+#include <gmock/gmock.h>
+
+#include "small_service.hpp"
+
+namespace relidar::serve {
+namespace {
+
+using testing::HasSubstr;
+using Code = grpc::StatusCode;
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+
+struct Case {
+    const char* name;
+    std::function<void(v1::RenderLidarRequest&)> spoil;
+    Code code;
+    const char* says;
+};
+
+v1::SensorSpec& spec(v1::RenderLidarRequest& r) { return *r.mutable_sensor()->mutable_spec(); }
+v1::Pose& pose(v1::RenderLidarRequest& r) { return *r.mutable_path(0)->mutable_pose(); }
+v1::ActorTrack& actor(v1::RenderLidarRequest& r, const std::string& name) {
+    v1::ActorTrack& added = *r.mutable_actors()->add_actors();
+    added.set_name(name);
+    return added;
+}
+
+const std::vector<Case>& cases_of_poses() {
+    static const std::vector<Case> all = {
+        {"no path", [](auto& r) { r.clear_path(); }, Code::INVALID_ARGUMENT, "reading path: found 0 poses, expected 1 to"},
+        {"NaN pose", [](auto& r) { pose(r).mutable_translation()->set_y(kNan); }, Code::INVALID_ARGUMENT,
+         "reading path[0].pose.translation.y: found nan, expected a finite number within 1e10"},
+        {"infinite pose", [](auto& r) { pose(r).mutable_translation()->set_x(1e300); }, Code::INVALID_ARGUMENT, "found 1e+300"},
+        {"NaN rotation", [](auto& r) { pose(r).mutable_rotation()->set_w(kNan); }, Code::INVALID_ARGUMENT,
+         "reading path[0].pose.rotation: found a quaternion of length nan, expected 1"},
+        {"quaternion of length 2", [](auto& r) { pose(r).mutable_rotation()->set_w(2.0); }, Code::INVALID_ARGUMENT, "of length 2"},
+        {"empty quaternion", [](auto& r) { pose(r).mutable_rotation()->Clear(); }, Code::INVALID_ARGUMENT, "of length 0"},
+        {"NaN time of a pose", [](auto& r) { r.mutable_path(0)->set_time_s(kNan); }, Code::INVALID_ARGUMENT, "path[0].time_s: found nan"},
+        {"times that fall", [](auto& r) { add_pose(*r.mutable_path(), 0.4, at_x(0)); }, Code::INVALID_ARGUMENT,
+         "reading path[1].time_s: found 0.4 after 0.5, expected times that rise"},
+        {"NaN time", [](auto& r) { r.set_time_s(kNan); }, Code::INVALID_ARGUMENT, "reading time_s: found nan"},
+        {"microseconds", [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_time_s(500000.0); }, Code::INVALID_ARGUMENT,
+         "reading time_s: found 500000 with a path from 0.5 to 0.6"},
+        {"points elsewhen", [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_points_at_s(-500.0); }, Code::INVALID_ARGUMENT,
+         "reading points_at_s"},
+        {"unknown scene", [](auto& r) { r.set_scene("smal"); }, Code::NOT_FOUND,
+         "reading scene: found \"smal\", expected one that is there, as \"small\""},
+        {"unknown lidar", [](auto& r) { r.set_lidar("roof"); }, Code::NOT_FOUND, "reading lidar: found \"roof\""},
+        {"unknown actor", [](auto& r) { add_pose(*actor(r, "cat").mutable_poses(), 0, at_x(0)); }, Code::NOT_FOUND,
+         "actors.actors[0].name: found \"cat\", expected one that is there, as \"car\""},
+        {"actor without a pose", [](auto& r) { actor(r, "car"); }, Code::INVALID_ARGUMENT, "actors.actors[0].poses: found 0 poses"},
+        {"actor twice",
+         [](auto& r) {
+             for (int i = 0; i < 2; ++i) add_pose(*actor(r, "car").mutable_poses(), 0, at_x(0));
+         },
+         Code::INVALID_ARGUMENT, "expected each actor once"},
+    };
+    return all;
+}
+
+const std::vector<Case>& cases_of_sensors() {
+    static const std::vector<Case> all = {
+        {"unknown sensor", [](auto& r) { r.mutable_sensor()->set_name("VLP-17"); }, Code::INVALID_ARGUMENT,
+         "found \"VLP-17\", expected a name that ListScenes gives, as VLP-16"},
+        {"a file of the server", [](auto& r) { r.mutable_sensor()->set_name("/etc/passwd"); }, Code::INVALID_ARGUMENT, "\"/etc/passwd\""},
+        {"a file behind a name", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:../../x.csv"); }, Code::INVALID_ARGUMENT,
+         "expected a name that ListScenes gives"},
+        {"endless columns", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:1000000x10"); }, Code::INVALID_ARGUMENT,
+         "found 16000000 rays of a scan, expected 1 to 1048576"},
+        {"no columns", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:0x10"); }, Code::INVALID_ARGUMENT, "0 columns"},
+        {"a very long name", [](auto& r) { r.mutable_sensor()->set_name(std::string(100000, 'x')); }, Code::INVALID_ARGUMENT,
+         "of 100000 bytes"},
+        {"forgotten handle", [](auto& r) { r.mutable_sensor()->set_handle("sensor-9"); }, Code::NOT_FOUND, "upload it again"},
+        {"empty spec", [](auto& r) { spec(r); }, Code::INVALID_ARGUMENT, "found no pattern, expected rays, spinning, window or rosette"},
+        {"no rays", [](auto& r) { spec(r).mutable_rays(); }, Code::INVALID_ARGUMENT, "found 0 rays of a scan"},
+        {"half a ray", [](auto& r) { spec(r).mutable_rays()->set_direction("1234567"); }, Code::INVALID_ARGUMENT, "7 bytes, expected 12"},
+        {"wrong rows",
+         [](auto& r) {
+             spec(r) = rays_ahead(3);
+             spec(r).mutable_rays()->set_rows(2), spec(r).mutable_rays()->set_columns(2);
+         },
+         Code::INVALID_ARGUMENT, "found 2 rows of 2 columns and 3 directions"},
+        {"times for some rays", [](auto& r) { spec(r) = rays_ahead(3), spec(r).mutable_rays()->set_time_s(std::string(8, '\0')); },
+         Code::INVALID_ARGUMENT, "rays.time_s: found 8 bytes, expected 12: 4 a ray of 3"},
+        {"directions of no length", [](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\0')); }, Code::INVALID_ARGUMENT,
+         "direction of ray 0: found 0, expected a length of 1"},
+        {"NaN direction", [](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\xff')); }, Code::INVALID_ARGUMENT, "nan"},
+        {"NaN origin", [](auto& r) { spec(r) = rays_ahead(1), spec(r).mutable_rays()->set_origin_m(std::string(12, '\xff')); },
+         Code::INVALID_ARGUMENT, "origin_m of ray 0"},
+        {"beams without columns", [](auto& r) { spec(r).mutable_spinning()->add_beams(); }, Code::INVALID_ARGUMENT, "0 rays"},
+        {"NaN beam",
+         [](auto& r) {
+             v1::SpinningSensor& s = *spec(r).mutable_spinning();
+             s.add_beams()->set_elevation_rad(kNan), s.set_columns(8), s.set_period_s(0.1);
+         },
+         Code::INVALID_ARGUMENT, "not finite"},
+        {"a turn of no time", [](auto& r) { spec(r).mutable_spinning()->add_beams(), spec(r).mutable_spinning()->set_columns(8); },
+         Code::INVALID_ARGUMENT, "spinning.period_s: found 0"},
+        {"a window of 2^64 rays",
+         [](auto& r) { spec(r).mutable_window()->set_rows(4294967295u), spec(r).mutable_window()->set_columns(4294967295u); },
+         Code::INVALID_ARGUMENT, "rays of a scan, expected 1 to"},
+        {"NaN rosette",
+         [](auto& r) {
+             v1::Rosette& s = *spec(r).mutable_rosette();
+             s.set_rays(10), s.set_period_s(0.1), s.set_first_hz(kNan);
+         },
+         Code::INVALID_ARGUMENT, "not finite"},
+        {"negative range", [](auto& r) { spec(r) = rays_ahead(1), spec(r).set_max_range_m(-1.0); }, Code::INVALID_ARGUMENT, "max_range_m"},
+        {"three returns", [](auto& r) { r.set_returns(3); }, Code::INVALID_ARGUMENT, "found 3, expected 1 or 2"},
+        {"two returns of an ideal ray", [](auto& r) { spec(r) = rays_ahead(1), r.set_returns(2); }, Code::INVALID_ARGUMENT, "divergence"},
+    };
+    return all;
+}
+
+class Refusals : public ServiceTest {
+protected:
+    void expect_refused(const std::vector<Case>& cases);
+};
+
+void Refusals::expect_refused(const std::vector<Case>& cases) {
+    start();
+    const auto calls = stub();
+    v1::LidarScan before;
+    {
+        grpc::ClientContext context;
+        ASSERT_TRUE(calls->RenderLidar(&context, standing(), &before).ok());
+    }
+    for (const Case& c : cases) {
+        SCOPED_TRACE(c.name);
+        v1::RenderLidarRequest request = standing();
+        c.spoil(request);
+        grpc::ClientContext spoilt, good;
+        v1::LidarScan answer;
+        const grpc::Status status = calls->RenderLidar(&spoilt, request, &answer);
+        EXPECT_EQ(status.error_code(), c.code);
+        EXPECT_THAT(status.error_message(), HasSubstr(c.says));
+        EXPECT_EQ(status.error_message().find('\n'), std::string::npos);
+        ASSERT_TRUE(calls->RenderLidar(&good, standing(), &answer).ok());
+        EXPECT_EQ(answer.image().range_m(), before.image().range_m()) << "nothing is left behind";
+    }
+}
+
+TEST_F(Refusals, PosesTimesAndNames) { expect_refused(cases_of_poses()); }
+TEST_F(Refusals, Sensors) { expect_refused(cases_of_sensors()); }
+
+TEST_F(Refusals, TablesBeyondTheLimits) {
+    start();
+    const auto calls = stub();
+    const auto uploaded = [&](std::size_t rays) {
+        grpc::ClientContext context;
+        v1::UploadSensorRequest request;
+        v1::UploadSensorResponse answer;
+        *request.mutable_sensor() = rays_ahead(rays);
+        return calls->UploadSensor(&context, request, &answer);
+    };
+    constexpr std::size_t kMost = std::size_t(1) << 20;
+    EXPECT_TRUE(uploaded(kMost).ok());
+    const grpc::Status one_more = uploaded(kMost + 1), message_too_large = uploaded(4 * kMost);
+    EXPECT_EQ(one_more.error_code(), Code::INVALID_ARGUMENT);
+    EXPECT_THAT(one_more.error_message(), HasSubstr("found 1048577 rays of a scan, expected 1 to 1048576"));
+    EXPECT_EQ(message_too_large.error_code(), Code::RESOURCE_EXHAUSTED) << "gRPC's own limit";
+    EXPECT_TRUE(uploaded(1).ok());
+}
+
+TEST_F(Refusals, UploadedSensorsAreForgottenOldestFirst) {
+    start();
+    const auto calls = stub();
+    std::vector<std::string> handles;
+    for (int i = 0; i < 65; ++i) {
+        grpc::ClientContext context;
+        v1::UploadSensorRequest request;
+        v1::UploadSensorResponse answer;
+        *request.mutable_sensor() = rays_ahead(1);
+        ASSERT_TRUE(calls->UploadSensor(&context, request, &answer).ok());
+        EXPECT_EQ(answer.kept(), 64u);
+        handles.push_back(answer.handle());
+    }
+    const auto code = [&](const std::string& handle) {
+        grpc::ClientContext context;
+        v1::RenderLidarRequest request = standing();
+        request.mutable_sensor()->set_handle(handle);
+        v1::LidarScan answer;
+        return calls->RenderLidar(&context, request, &answer).error_code();
+    };
+    EXPECT_EQ(code(handles.front()), Code::NOT_FOUND);
+    EXPECT_EQ(code(handles[1]), Code::OK);
+    EXPECT_EQ(code(handles.back()), Code::OK);
+}
+
+TEST_F(Refusals, RigsAreLookedAtBeforeAnythingIsRendered) {
+    start();
+    const auto calls = stub();
+    const auto status_of = [&](const v1::RenderRigRequest& request) {
+        grpc::ClientContext context;
+        const auto reader = calls->RenderRig(&context, request);
+        v1::RigScan scan;
+        EXPECT_FALSE(reader->Read(&scan));
+        return reader->Finish();
+    };
+    v1::RenderRigRequest request;
+    *request.mutable_rig() = standing();
+    EXPECT_THAT(status_of(request).error_message(), HasSubstr("found 0 sensors of a rig, expected 1 to"));
+    request.add_sensors()->set_name("good");
+    request.add_sensors()->mutable_sensor()->set_name("no such");
+    const grpc::Status status = status_of(request);
+    EXPECT_EQ(status.error_code(), Code::INVALID_ARGUMENT);
+    EXPECT_THAT(status.error_message(), HasSubstr("\"no such\""));
+}
+
+}  // namespace
+}  // namespace relidar::serve

@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: Apache-2.0
+// Several runs within a memory budget: which go, that they come back the same, and what is said of one that never fits.
+#include <gmock/gmock.h>
+
+#include <relidar/error.hpp>
+
+#include "scenes.hpp"
+#include "small_service.hpp"
+
+namespace relidar::serve {
+namespace {
+
+using testing::HasSubstr;
+
+class Scenes : public ServiceTest {
+protected:
+    std::vector<SceneSource> sources;
+    const ScanRequest request{0.5, {{0.5}, {at_x(1.0)}}};
+
+    void SetUp() override {
+        ServiceTest::SetUp();
+        if (IsSkipped()) return;
+        for (const char* name : {"a", "b", "c"}) {
+            save_run(small_run(folder / name));
+            sources.push_back({name, folder / name});
+        }
+    }
+    std::vector<float> ranges(SceneSet& scenes, std::size_t scene) {
+        const relidar::Run& run = scenes.outlines()[scene];
+        return scenes.render(scene, configured_sensor(run.config, run.sequence), request, {}).image.range_m;
+    }
+    /// Device memory of one of them, after a scan.
+    std::uint64_t size_of_one() {
+        const std::uint64_t before = test::find_device()->allocated_bytes();
+        SceneSet one(*test::find_device(), {sources[0]}, std::uint64_t(1) << 40);
+        ranges(one, 0);
+        return test::find_device()->allocated_bytes() - before;
+    }
+};
+
+TEST_F(Scenes, ThoseUsedLongestAgoMakeRoomAndComeBackTheSame) {
+    const std::uint64_t one = size_of_one(), around = test::find_device()->allocated_bytes();
+    const std::uint64_t budget = around + 5 * one / 2;   // two of three
+    SceneSet scenes(*test::find_device(), sources, budget);
+    const std::vector<float> truth = ranges(scenes, 0);
+    ASSERT_FALSE(truth.empty());
+    ranges(scenes, 1), ranges(scenes, 2);   // each has grown to what a scan needs
+    std::size_t last = 2;
+    for (const std::size_t scene : {1u, 0u, 2u, 0u, 1u, 2u}) {
+        EXPECT_EQ(ranges(scenes, scene), truth) << scene;
+        EXPECT_TRUE(scenes.is_loaded(scene));
+        EXPECT_TRUE(scenes.is_loaded(last)) << last << " was used before " << scene;
+        EXPECT_FALSE(scenes.is_loaded(3 - scene - last)) << "the third was used longest ago";
+        EXPECT_LE(test::find_device()->allocated_bytes(), budget);
+        last = scene;
+    }
+}
+
+TEST_F(Scenes, OneThatNeverFitsIsRefusedAtTheStart) {
+    const std::string message = data_error([&] { SceneSet(*test::find_device(), sources, 1000); });
+    EXPECT_THAT(message, HasSubstr("serving " + (folder / "a").string() + ": it holds"));
+    EXPECT_THAT(message, HasSubstr("--memory-mib"));
+}
+
+TEST_F(Scenes, MissingAndBrokenRunsAreNamed) {
+    sources[1].folder = folder / "nowhere";
+    EXPECT_THAT(data_error([&] { SceneSet(*test::find_device(), sources, std::uint64_t(1) << 40); }), HasSubstr("nowhere"));
+}
+
+TEST(SceneSources, NamesAreTheFoldersOrGiven) {
+    const std::vector<SceneSource> sources = scene_sources({"runs/17", "town=runs/18/", "runs/19/."});
+    ASSERT_EQ(sources.size(), 3u);
+    EXPECT_EQ(sources[0].name, "17");
+    EXPECT_EQ(sources[1].name, "town");
+    EXPECT_EQ(sources[1].folder, "runs/18/");
+    EXPECT_EQ(sources[2].name, "19");
+    EXPECT_THROW(scene_sources({"a/run", "b/run"}), UsageError);
+    EXPECT_NO_THROW(scene_sources({"a/run", "b=b/run"}));
+    EXPECT_THROW(scene_sources({"=run"}), UsageError);
+}
+
+}  // namespace
+}  // namespace relidar::serve

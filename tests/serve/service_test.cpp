@@ -1,0 +1,184 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a client gets: the scan of a ScanRenderer to the bit, points where things are, tracks of the log, sensors of its own.
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+
+#include <relidar/render.hpp>
+
+#include "small_service.hpp"
+
+namespace relidar::serve {
+namespace {
+
+class Service : public ServiceTest {
+protected:
+    v1::LidarScan scan_of(const v1::RenderLidarRequest& request) { return ScanClient(address()).render(request); }
+
+    /// The same as the library renders it.
+    RenderedScan rendered(const ScanRequest& request, const std::string& sensor, std::optional<std::uint64_t> sample) {
+        const relidar::Run run = load_run(folder / "small");
+        ScanRenderer renderer(*test::find_device(), run);
+        const SensorChoice choice =
+            sensor.empty() ? configured_sensor(run.config, run.sequence) : choose_sensor(sensor, run.config, run.sequence);
+        return renderer.render(choice, request, sample);
+    }
+    static void expect_same(const v1::LidarScan& scan, const RenderedScan& truth) {
+        EXPECT_EQ(values<float>(scan.image().range_m()), truth.image.range_m);
+        EXPECT_EQ(values<float>(scan.image().intensity()), truth.image.intensity);
+        EXPECT_EQ(values<float>(scan.image().drop_probability()), truth.image.drop_prob);
+        EXPECT_EQ(int(scan.image().rows()), truth.image.rows);
+        EXPECT_EQ(int(scan.image().columns()), truth.image.columns);
+    }
+};
+
+TEST_F(Service, RendersToTheBitAsTheLibrary) {
+    start();
+    const Pose turned{glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), at_x(0.0).translation};
+    const PoseTrack way{{0.3, 0.45, 0.6}, {at_x(-2.0), at_x(-1.0), turned}};
+    const PoseTrack car{{0.4, 0.5}, {at_x(5.0), at_x(6.0)}};
+    v1::RenderLidarRequest request = standing();
+    request.clear_path();
+    for (std::size_t i = 0; i < 3; ++i) add_pose(*request.mutable_path(), way.time_s[i], way.pose[i]);
+    request.set_time_s(0.45);
+    expect_same(scan_of(request), rendered({0.45, way}, "", {}));
+
+    v1::ActorTrack& actor = *request.mutable_actors()->add_actors();
+    actor.set_name("car");
+    for (std::size_t i = 0; i < 2; ++i) add_pose(*actor.mutable_poses(), car.time_s[i], car.pose[i]);
+    request.mutable_sensor()->set_name("VLP-16:90x10");
+    expect_same(scan_of(request), rendered({0.45, way, ActorPoses{{"car", car}}}, "VLP-16:90x10", {}));
+
+    request.mutable_actors()->clear_actors();
+    request.set_sample_seed(7);
+    expect_same(scan_of(request), rendered({0.45, way, ActorPoses{}}, "VLP-16:90x10", 7));
+}
+
+TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
+    start();
+    v1::RenderLidarRequest request = standing();
+    request.clear_path();
+    const Pose begin = at_x(-1.0), end{rotation_of(0.2, 0.0, 0.0), at_x(0.0).translation + glm::dvec3(0.0, 0.5, 0.0)};
+    add_pose(*request.mutable_path(), 0.45, begin), add_pose(*request.mutable_path(), 0.55, end);
+    request.mutable_actors();   // no actor is there: the wall alone
+    const v1::LidarScan scan = scan_of(request);
+    EXPECT_EQ(scan.points_at_s(), 0.55);
+    EXPECT_NEAR(scan.time_s() + values<float>(scan.points().time_s()).front(), 0.55, 0.1);
+    const std::vector<glm::vec3> points = values<glm::vec3>(scan.points().xyz_m());
+    ASSERT_GT(points.size(), 10u);
+    EXPECT_EQ(points.size(), scan.points().count());
+    for (const glm::vec3& point : points)
+        EXPECT_NEAR((end * glm::dvec3(point)).x, kDatasetOrigin_m.x + 10.0, 2e-4) << "on the wall, whenever its ray was fired";
+    for (const std::string* bytes : {&scan.points().intensity(), &scan.points().time_s(), &scan.points().instance()})
+        EXPECT_EQ(bytes->size(), 4 * points.size());
+    EXPECT_EQ(scan.points().ring().size(), 2 * points.size());
+    EXPECT_THAT(values<std::uint8_t>(scan.points().return_number()), testing::Each(1));
+    EXPECT_THAT(values<std::int32_t>(scan.points().instance()), testing::Each(0));
+    EXPECT_THAT(values<std::uint16_t>(scan.points().ring()), testing::Contains(2));
+}
+
+TEST_F(Service, FirstRayIsFiredAtTheBeginningOfThePathUnlessToldOtherwise) {
+    start();
+    v1::RenderLidarRequest request = standing();
+    v1::SensorSpec spec = rays_ahead(3);
+    const std::vector<float> fired_s{0.25f, 0.5f, 0.75f};
+    spec.mutable_rays()->set_time_s(fired_s.data(), 12);
+    *request.mutable_sensor()->mutable_spec() = spec;
+    request.clear_path();
+    add_pose(*request.mutable_path(), 0.0, at_x(-4.0)), add_pose(*request.mutable_path(), 0.5, at_x(-3.0));   // 2 m/s
+    request.mutable_actors();
+    const v1::LidarScan scan = scan_of(request);
+    EXPECT_EQ(scan.time_s(), -0.25);
+    const std::vector<float> range_m = values<float>(scan.image().range_m());
+    ASSERT_EQ(range_m.size(), 3u);
+    for (std::size_t i = 0; i < 3; ++i) EXPECT_NEAR(range_m[i], 14.0 - 0.5 * double(i), 1e-3) << "ray " << i;
+    request.set_time_s(0.0);
+    EXPECT_NEAR(values<float>(scan_of(request).image().range_m())[0], 13.5, 1e-3);
+}
+
+TEST_F(Service, ActorsAreTheLogsOrTheClients) {
+    start();
+    v1::RenderLidarRequest request = standing();
+    *request.mutable_sensor()->mutable_spec() = rays_ahead(1);
+    const auto range_m = [&] { return double(values<float>(scan_of(request).image().range_m())[0]); };
+    const auto instance = [&] { return values<std::int32_t>(scan_of(request).points().instance()).at(0); };
+    EXPECT_NEAR(range_m(), 4.0, 0.05) << "where the log has it";
+    EXPECT_EQ(instance(), 1) << "the first of Scene.actors";
+    v1::ActorTrack& car = *request.mutable_actors()->add_actors();
+    car.set_name("car");
+    add_pose(*car.mutable_poses(), 0.0, at_x(6.0));
+    EXPECT_NEAR(range_m(), 6.0, 0.05) << "where the client has it";
+    request.mutable_actors()->clear_actors();
+    EXPECT_NEAR(range_m(), 10.0, 0.05) << "nobody is there";
+    EXPECT_EQ(instance(), 0);
+}
+
+TEST_F(Service, SensorIsUploadedOnce) {
+    start();
+    const auto calls = stub();
+    grpc::ClientContext context;
+    v1::UploadSensorRequest upload;
+    v1::UploadSensorResponse kept;
+    v1::SpinningSensor& spinning = *upload.mutable_sensor()->mutable_spinning();
+    spinning.add_beams()->set_elevation_rad(0.05);
+    spinning.add_beams()->set_elevation_rad(-0.05);
+    spinning.set_columns(180), spinning.set_period_s(0.05);
+    ASSERT_TRUE(calls->UploadSensor(&context, upload, &kept).ok());
+    EXPECT_EQ(kept.rays(), 360u);
+    EXPECT_NEAR(kept.last_ray_s() - kept.first_ray_s(), 0.05, 0.001);
+    v1::RenderLidarRequest request = standing(), by_spec = request;
+    request.mutable_sensor()->set_handle(kept.handle());
+    *by_spec.mutable_sensor()->mutable_spec() = upload.sensor();
+    const v1::LidarScan scan = scan_of(request);
+    EXPECT_EQ(scan.image().rows(), 2u);
+    EXPECT_EQ(scan.image().columns(), 180u);
+    EXPECT_EQ(scan.image().range_m(), scan_of(by_spec).image().range_m());
+}
+
+TEST_F(Service, RigIsAScanForEachOfItsSensors) {
+    start();
+    v1::RenderRigRequest request;
+    *request.mutable_rig() = standing();
+    request.mutable_rig()->mutable_actors();
+    const auto mount = [&](const char* name, double x_m) {
+        v1::RigSensor& sensor = *request.add_sensors();
+        sensor.set_name(name);
+        *sensor.mutable_sensor()->mutable_spec() = rays_ahead(1);
+        sensor.mutable_rig_from_sensor()->mutable_translation()->set_x(x_m);
+    };
+    mount("front", 2.0), mount("rear", -3.0);
+    const auto calls = stub();
+    grpc::ClientContext context;
+    const auto reader = calls->RenderRig(&context, request);
+    std::vector<std::string> seen;
+    for (v1::RigScan scan; reader->Read(&scan);)
+        seen.push_back(fmt::format("{} {:.2f}", scan.name(), values<float>(scan.scan().image().range_m())[0]));
+    EXPECT_TRUE(reader->Finish().ok());
+    EXPECT_THAT(seen, testing::ElementsAre("front 8.00", "rear 13.00"));
+}
+
+TEST_F(Service, TellsWhatItServes) {
+    start(64, {"small", "other"});
+    ScanClient client(address());
+    const v1::ListScenesResponse list = client.list_scenes();
+    ASSERT_EQ(list.scenes_size(), 2);
+    const v1::Scene& scene = list.scenes(1);
+    EXPECT_EQ(scene.name(), "other");
+    EXPECT_EQ(scene.begin_s(), 0.0);
+    EXPECT_EQ(scene.end_s(), 1.0);
+    ASSERT_EQ(scene.lidars_size(), 1);
+    EXPECT_EQ(scene.lidars(0).rays(), 3u * 64u);
+    ASSERT_EQ(scene.actors_size(), 1);
+    EXPECT_EQ(scene.actors(0).name(), "car");
+    EXPECT_EQ(scene.actors(0).poses(), 2u);
+    EXPECT_THAT(list.sensors(), testing::Contains("VLP-16"));
+    v1::GetTracksRequest which;
+    which.set_scene("other");
+    const v1::GetTracksResponse tracks = client.get_tracks(which);
+    ASSERT_EQ(tracks.dataset_from_sensor_size(), 3);
+    EXPECT_EQ(tracks.dataset_from_sensor(2).pose().translation().x(), kDatasetOrigin_m.x);
+    ASSERT_EQ(tracks.actors_size(), 1);
+    EXPECT_EQ(tracks.actors(0).poses(1).pose().translation().x(), kDatasetOrigin_m.x + 4.0);
+}
+
+}  // namespace
+}  // namespace relidar::serve

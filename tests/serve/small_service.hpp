@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: Apache-2.0
+// A service in the test's own process, of a run so small that a scan takes milliseconds: a wall 10 m ahead of the log's sensor, and an
+// actor, "car", a plate 4 m ahead.
+#pragma once
+
+#include <cmath>
+#include <cstring>
+#include <memory>
+#include <optional>
+
+#include <relidar/run.hpp>
+
+#include "../export/temporary_folder.hpp"
+#include "../support/device.hpp"
+#include "client.hpp"
+#include "server.hpp"
+
+namespace relidar::serve {
+
+inline const glm::dvec3 kDatasetOrigin_m(455000.0, 5428000.0, 113.0);   // of relidar's world
+
+inline Pose at_x(double x_m) { return {{1, 0, 0, 0}, kDatasetOrigin_m + glm::dvec3(x_m, 0.0, 0.0)}; }
+
+inline Run small_run(const std::filesystem::path& folder) {
+    Run run;
+    run.folder = folder;
+    Surfels& surfels = run.scene.surfels;
+    surfels.resize(2);
+    surfels.mean = {{10.0f, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}};
+    surfels.rotation.assign(2, {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f});   // normals along x
+    surfels.log_scale = {glm::vec2(std::log(5.0f)), glm::vec2(std::log(0.5f))};
+    surfels.opacity_logit.assign(2, 6.0f);
+    surfels.sh.assign(2 * kShFloats, 0.0f);
+    for (std::size_t i = 0; i < 2; ++i) surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;   // hit logit
+    run.scene.models = {{"background", 0, 1}, {"car", 1, 1}};
+    run.scene.instances = {{0, ""}, {1, "car"}};
+    Sequence& log = run.sequence;
+    log.lidars[0].sensor = {"small", {{0.1}, {0.0}, {-0.1}}, 64};
+    log.lidars[0].sensor.first_azimuth_rad = kPi - kPi / 64;
+    const Pose car{{1, 0, 0, 0}, {4, 0, 0}};
+    for (int i = 0; i < 3; ++i) {
+        log.frames.push_back({i, 0.5 * i, {}});
+        log.world_from_vehicle.time_s.push_back(0.5 * i);
+        log.world_from_vehicle.pose.push_back({});
+    }
+    log.world_offset_m = kDatasetOrigin_m;
+    log.boxes = {{"car", "Car", {1, 1, 1}, {{0.0, 1.0}, {car, car}}}};
+    run.split = {{0, 1, 2}, {}};
+    return run;
+}
+
+/// Saves runs and serves them.
+class ServiceTest : public TemporaryFolder {
+protected:
+    std::optional<ScanServer> server;
+
+    void SetUp() override {
+        TemporaryFolder::SetUp();
+        if (!test::find_device()) GTEST_SKIP() << "no device";   // DeviceTest of the other suites fails where there has to be one
+    }
+    void TearDown() override {
+        server.reset();
+        TemporaryFolder::TearDown();
+    }
+
+    void start(std::size_t waiting = 64, const std::vector<std::string>& names = {"small"}, std::uint64_t memory_mib = 0) {
+        ServerOptions options;
+        for (const std::string& name : names) {
+            if (!std::filesystem::exists(folder / name)) save_run(small_run(folder / name));
+            options.runs.push_back((folder / name).string());
+        }
+        options.listen = "127.0.0.1:0";
+        options.waiting = waiting;
+        options.memory_mib = memory_mib;
+        options.device = from_environment({.traversal = test::find_device()->traversal()});
+        server.emplace(options);
+    }
+    std::string address() const { return "127.0.0.1:" + std::to_string(server->port()); }
+    std::unique_ptr<v1::RenderService::Stub> stub() const { return v1::RenderService::NewStub(connect(address())); }
+};
+
+inline void add_pose(google::protobuf::RepeatedPtrField<v1::TimedPose>& poses, double time_s, const Pose& pose) {
+    v1::TimedPose& added = *poses.Add();
+    added.set_time_s(time_s);
+    v1::Vector& t = *added.mutable_pose()->mutable_translation();
+    t.set_x(pose.translation.x), t.set_y(pose.translation.y), t.set_z(pose.translation.z);
+    v1::Quaternion& q = *added.mutable_pose()->mutable_rotation();
+    q.set_w(pose.rotation.w), q.set_x(pose.rotation.x), q.set_y(pose.rotation.y), q.set_z(pose.rotation.z);
+}
+
+/// Everything of a scan by the log's sensor, standing still.
+inline v1::RenderLidarRequest standing() {
+    v1::RenderLidarRequest request;
+    add_pose(*request.mutable_path(), 0.5, at_x(0.0));
+    request.mutable_wanted()->set_points(true);
+    request.mutable_wanted()->set_range_image(true);
+    request.mutable_wanted()->set_drop_probability(true);
+    return request;
+}
+
+/// So many rays straight ahead: with many of them, a sensor that takes its time.
+inline v1::SensorSpec rays_ahead(std::size_t n) {
+    v1::SensorSpec spec;
+    const glm::vec3 ahead(1.0f, 0.0f, 0.0f);
+    std::string& direction = *spec.mutable_rays()->mutable_direction();
+    for (std::size_t i = 0; i < n; ++i) direction.append(reinterpret_cast<const char*>(&ahead), sizeof(ahead));
+    return spec;
+}
+
+template <class T>
+std::vector<T> values(const std::string& bytes) {
+    std::vector<T> result(bytes.size() / sizeof(T));
+    std::memcpy(result.data(), bytes.data(), bytes.size());
+    return result;
+}
+
+}  // namespace relidar::serve

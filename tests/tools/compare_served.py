@@ -1,0 +1,61 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""Compares a scan of a running `relidar serve` with the npz that `relidar render --trajectory` wrote of the same poses: every bit of the
+images, and points where the npz has them.
+
+  compare_served.py SOURCE_ROOT HOST:PORT WAY.csv TIME_S SCAN.npz SENSOR [CERT.pem]
+
+Poses of WAY.csv have no rotation. Prints what is wrong; exit code 1 where anything is.
+"""
+import csv
+import sys
+
+import grpc
+import numpy as np
+
+root, address, way, time_s, npz, sensor = sys.argv[1:7]
+sys.path.insert(0, f"{root}/tools/examples")
+from closed_loop_client import v1, v1_grpc   # noqa: E402  makes the stubs
+
+failures = []
+
+
+def check(what, condition):
+    if not condition:
+        failures.append(what)
+
+
+poses = [[float(x) for x in row] for row in list(csv.reader(open(way)))[1:]]
+path = [v1.TimedPose(time_s=t, pose=v1.Pose(translation=v1.Vector(x=x, y=y, z=z))) for t, x, y, z, _ in poses]
+request = v1.RenderLidarRequest(path=path, time_s=float(time_s), points_at_s=float(time_s),
+                                wanted=v1.Wanted(points=True, range_image=True, drop_probability=True))
+if sensor:
+    request.sensor.name = sensor
+if len(sys.argv) > 7:
+    channel = grpc.secure_channel(address, grpc.ssl_channel_credentials(open(sys.argv[7], "rb").read()))
+else:
+    channel = grpc.insecure_channel(address)
+scan = v1_grpc.RenderServiceStub(channel).RenderLidar(request, timeout=60)
+truth = np.load(npz)
+
+shape = (scan.image.rows, scan.image.columns)
+for name, data in (("range", scan.image.range_m), ("intensity", scan.image.intensity), ("drop_prob", scan.image.drop_probability)):
+    served = np.frombuffer(data, "<f4").reshape(shape)
+    check(f"{name}: shape {served.shape}, expected {truth[name].shape}", served.shape == truth[name].shape)
+    check(f"{name}: {(served != truth[name]).sum()} of {served.size} values differ", np.array_equal(served, truth[name]))
+
+# Points: the npz has rays in the sensor's frame at their firing time, the sensor drives straight on.
+ranges = np.where(truth["median_range"] > 0, truth["median_range"], truth["range"])
+hit = (truth["drop_prob"] < 0.5) & (ranges > 0)
+begin, end = np.array(poses[0]), np.array(poses[-1])
+speed = (end[1:4] - begin[1:4]) / (end[0] - begin[0])
+expected = (truth["origin"] + ranges[..., None] * truth["directions"] + speed * truth["time"][..., None])[hit]
+points = np.frombuffer(scan.points.xyz_m, "<f4").reshape(-1, 3)
+check(f"{len(points)} points, expected {len(expected)}, more than 10", len(points) == len(expected) > 10)
+if len(points) == len(expected):
+    check(f"points are {abs(points - expected).max()} m off", np.allclose(points, expected, atol=1e-4))
+for name, data, kind in (("ring", scan.points.ring, "<u2"), ("time", scan.points.time_s, "<f4"), ("instance", scan.points.instance, "<i4")):
+    check(f"{name} of points differs", np.array_equal(np.frombuffer(data, kind), truth[name][hit]))
+
+print("\n".join(failures))
+sys.exit(1 if failures else 0)

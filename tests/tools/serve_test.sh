@@ -1,0 +1,120 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+#
+# `relidar serve` as a user meets it: a server in a process of its own, on a small street; clients in Python whose stubs are made of the
+# proto, one of which compares scans with those of `relidar render` to the bit; bad input; Ctrl-C.
+#
+#   serve_test.sh RELIDAR WORK_FOLDER
+#
+# Exits 77 (skipped) where there is no Vulkan device, or no Python with grpcio and numpy.
+set -uo pipefail
+relidar=$(realpath "${1:?usage: serve_test.sh RELIDAR WORK_FOLDER}")
+root=$(realpath "$(dirname "${BASH_SOURCE[0]}")/../..")
+work=${2:?usage: serve_test.sh RELIDAR WORK_FOLDER}
+rm -rf "$work" && mkdir -p "$work" && cd "$work" || exit 1
+n_failed=0 server=""
+
+fail() { n_failed=$((n_failed + 1)); printf 'FAILED: %s\n' "$*"; }
+trap '[[ -z $server ]] || kill -KILL "$server" 2>/dev/null' EXIT
+
+"$relidar" devices >/dev/null 2>&1 || { echo "no Vulkan device"; exit 77; }
+python=""
+for candidate in python3 /usr/bin/python3; do
+    if "$candidate" -c 'import grpc, google.protobuf, numpy' 2>/dev/null; then python=$candidate; break; fi
+done
+[[ -n $python ]] || { echo "no Python with grpcio, protobuf and numpy"; exit 77; }
+
+# serve ARGS...: starts a server at a free port; $server is its process, $address where it listens.
+serve() {
+    "$relidar" serve "$@" --listen 127.0.0.1:0 >serve.out 2>serve.err &
+    server=$!
+    for _ in $(seq 600); do
+        address=$(sed -n 's/^serving .* at \([^ ]*\) on .*/\1/p' serve.out)
+        [[ -z $address ]] || return 0
+        kill -0 "$server" 2>/dev/null || break
+        sleep 0.1
+    done
+    fail "serve $*: it does not come up: $(cat serve.err)"
+    exit 1
+}
+
+# stop: Ctrl-C; the server ends with 0.
+stop() {
+    kill -INT "$server"
+    wait "$server"
+    local code=$?
+    [[ $code == 0 ]] || fail "Ctrl-C: exit code $code, expected 0: $(cat serve.err)"
+    server=""
+}
+
+# bad CODE PATTERN ARGS...: fails with this code and one line on stderr that matches.
+bad() {
+    local code=$1 pattern=$2
+    shift 2
+    timeout 60 "$relidar" "$@" >out 2>err </dev/null
+    local found=$?
+    [[ $found == "$code" ]] || fail "relidar $*: exit code $found, expected $code"
+    [[ $(grep -v '^relidar: note: ' err | grep -c .) == 1 ]] || fail "relidar $*: more or less than one line of failure: $(cat err)"
+    grep -Eq -- "$pattern" err || fail "relidar $*: the message lacks '$pattern': $(cat err)"
+}
+
+mkdir street
+printf 'seed = 5\nn_frames = 12\nrows = 8\ncolumns = 96\n' >street/street.toml
+"$relidar" train street --out run --preset quick --set train.pose_register=false --set init.actor_min_points=10 \
+    --set train.iterations=6 --no-eval --quiet || { fail "no run to serve"; exit 1; }
+
+bad 2 "RUN is required" serve
+bad 3 "nowhere" serve nowhere
+bad 2 "queue: found 0, expected 1 to" serve run --queue 0
+bad 2 "memory-mib: found -1" serve run --memory-mib -1
+bad 3 "serving run: it holds .* MiB of device memory, expected at most 1.0 \(--memory-mib\)" serve run --memory-mib 1
+bad 2 "tls-cert and --tls-key: found one of them" serve run --tls-cert x.pem
+bad 3 "reading run/config.toml: found no PEM" serve run --tls-cert run/config.toml --tls-key run/config.toml
+bad 2 "found \"run\" as the name of both, expected another one, given as NAME=RUN" serve run "$PWD/run"
+bad 2 "listening at nonsense: it is taken, or no address" serve run --listen nonsense
+bad 3 "asking the service at 127.0.0.1:1: found status 14" bench --serve 127.0.0.1:1
+
+serve town=run
+bad 2 "listening at $address: it is taken" serve run --listen "$address"
+"$relidar" bench --serve "$address" --calls 8 --clients 2 >bench.out || fail "bench --serve: $(cat bench.out)"
+grep -q "town at $address: 8 calls by 2 clients, 768 rays" bench.out || fail "bench --serve prints: $(cat bench.out)"
+bad 3 "found status 5, reading scene: found \"city\"" bench --serve "$address" --serve-scene city
+
+# gRPC's own services, asked in bytes: health of ours (1 = serving), and the list of services by reflection.
+"$python" - "$address" <<'PYTHON' || fail "health or reflection"
+import sys
+import grpc
+channel = grpc.insecure_channel(sys.argv[1])
+ours = b"relidar.v1.RenderService"
+health = channel.unary_unary("/grpc.health.v1.Health/Check")(b"\x0a" + bytes([len(ours)]) + ours, timeout=10)
+listed = channel.stream_stream("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo")(iter([b"\x3a\x00"]), timeout=10)
+sys.exit(0 if health == b"\x08\x01" and ours in next(listed) else 1)
+PYTHON
+
+# Poses by a client and by a file: the same scans, bit by bit.
+printf 'time_s,x,y,z,yaw_deg\n0.4,3.25,0.5,1.73,0\n0.6,5.5,0.25,1.73,0\n' >way.csv
+for sensor in "" VLP-16:90x10; do
+    rm -rf scans
+    "$relidar" render run --out scans --trajectory way.csv --times 0.5:0.5:1 --format npz --quiet ${sensor:+--sensor "$sensor"} \
+        || fail "render --trajectory"
+    "$python" -B "$root/tests/tools/compare_served.py" "$root" "$address" way.csv 0.5 scans/frame_000000.npz "$sensor" \
+        || fail "a client's scan of sensor '$sensor' differs from that of render --trajectory"
+done
+
+"$python" -B "$root/tools/examples/closed_loop_client.py" "$address" >loop.out 2>&1
+grep -q "stopped .* m behind the actor" loop.out || fail "closed_loop_client.py: $(cat loop.out)"
+stop
+! "$relidar" bench --serve "$address" --calls 1 >/dev/null 2>&1 || fail "it answers after Ctrl-C"
+
+# A certificate of our own, which the client is told to trust.
+if command -v openssl >/dev/null; then
+    openssl req -x509 -newkey rsa:2048 -nodes -keyout key.pem -out cert.pem -days 2 -subj /CN=localhost -addext subjectAltName=IP:127.0.0.1 2>/dev/null
+    serve run --tls-cert cert.pem --tls-key key.pem
+    "$python" -B "$root/tests/tools/compare_served.py" "$root" "$address" way.csv 0.5 scans/frame_000000.npz VLP-16:90x10 cert.pem \
+        || fail "a client with TLS"
+    ! "$relidar" bench --serve "$address" --calls 1 >/dev/null 2>&1 || fail "a client without TLS is answered by a server with it"
+    stop
+fi
+
+printf 'serve: %d failed\n' "$n_failed"
+[[ $n_failed == 0 ]]

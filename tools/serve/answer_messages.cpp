@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "answer_messages.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include "geometry_messages.hpp"
+#include "refusal.hpp"
+#include "sensor_messages.hpp"
+
+namespace relidar::serve {
+namespace {
+
+static_assert(std::endian::native == std::endian::little, "arrays of messages are sent as they lie in memory");
+
+template <class T>
+void append(std::string& bytes, const T& value) {
+    bytes.append(reinterpret_cast<const char*>(&value), sizeof(T));
+}
+
+template <class T>
+void set_array(std::string& bytes, const std::vector<T>& values) {
+    bytes.assign(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
+}
+
+/// Takes points from the sensor's frame at their firing time to that of the message.
+class Deskew {
+public:
+    Deskew(const RenderedScan& scan, const Pose& dataset_from_points) : scan_(scan), points_from_dataset_(inverse(dataset_from_points)) {
+        if (scan.track.pose.size() < 2 && !scan.time_offset_s.empty()) stands_ = points_from_firing(0);
+    }
+    glm::vec3 point(std::size_t ray, float range_m) const {
+        const glm::dvec3 seen = glm::dvec3(scan_.image.origin[ray]) + double(range_m) * glm::dvec3(scan_.image.direction[ray]);
+        return glm::vec3((stands_ ? *stands_ : points_from_firing(ray)) * seen);
+    }
+
+private:
+    const RenderedScan& scan_;
+    const Pose points_from_dataset_;
+    std::optional<Pose> stands_;   ///< of all rays, where the sensor does not move
+
+    Pose points_from_firing(std::size_t ray) const { return points_from_dataset_ * scan_.world_from_firing(ray); }
+};
+
+void write_points(const RenderedScan& scan, const Pose& dataset_from_points, const Config& config, v1::Points& points) {
+    const Deskew deskew(scan, dataset_from_points);
+    const std::vector<float> range_m = point_ranges(scan, config);
+    std::uint32_t n = 0;
+    const auto add = [&](std::size_t ray, float range, float intensity, std::uint8_t number) {
+        append(*points.mutable_xyz_m(), deskew.point(ray, range));
+        append(*points.mutable_intensity(), intensity);
+        append(*points.mutable_ring(), scan.channel[ray]);
+        append(*points.mutable_time_s(), scan.time_offset_s[ray]);
+        append(*points.mutable_return_number(), number);
+        append(*points.mutable_instance(), number == 1 ? scan.instance[ray] : std::int32_t(-1));
+        ++n;
+    };
+    for (std::size_t ray = 0; ray < range_m.size(); ++ray) {
+        if (!returned(scan.image.drop_prob[ray], range_m[ray])) continue;
+        add(ray, range_m[ray], scan.image.intensity[ray], 1);
+        std::uint8_t number = 1;
+        for (const FurtherReturn& further : scan.further)
+            if (++number; further.range_m[ray] > 0.0f) add(ray, further.range_m[ray], further.intensity[ray], number);
+    }
+    points.set_count(n);
+}
+
+double length_m(const PoseTrack& track) {
+    double length = 0.0;
+    for (std::size_t i = 1; i < track.pose.size(); ++i)
+        length += glm::distance(track.pose[i].translation, track.pose[i - 1].translation);
+    return length;
+}
+
+const BoxTrack* find_box(const Run& run, const std::string& name) {
+    const std::vector<BoxTrack>& boxes = run.sequence.boxes;
+    const auto box = std::find_if(boxes.begin(), boxes.end(), [&](const BoxTrack& b) { return b.id == name; });
+    return box == boxes.end() ? nullptr : &*box;
+}
+
+void write_actor(const Run& run, const std::string& name, v1::Actor& message) {
+    message.set_name(name);
+    const BoxTrack* box = find_box(run, name);
+    if (!box) return;
+    const PoseTrack& track = box->world_from_box;
+    message.set_category(box->category);
+    message.mutable_size_m()->set_x(box->size_m.x);
+    message.mutable_size_m()->set_y(box->size_m.y);
+    message.mutable_size_m()->set_z(box->size_m.z);
+    message.set_poses(track.pose.size());
+    message.set_length_m(length_m(track));
+    if (track.time_s.empty()) return;
+    message.set_begin_s(track.time_s.front());
+    message.set_end_s(track.time_s.back());
+}
+
+}  // namespace
+
+void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config, v1::LidarScan& message) {
+    const Pose dataset_from_points = wanted.request.dataset_from_sensor.at(wanted.points_at_s);
+    message.set_sensor(wanted.sensor->name);
+    message.set_time_s(scan.time_s);
+    message.set_points_at_s(wanted.points_at_s);
+    write_pose(dataset_from_points, *message.mutable_dataset_from_points());
+    if (wanted.points) write_points(scan, dataset_from_points, config, *message.mutable_points());
+    if (!wanted.range_image && !wanted.drop_probability) return;
+    v1::RangeImage& image = *message.mutable_image();
+    image.set_rows(std::uint32_t(scan.image.rows));
+    image.set_columns(std::uint32_t(scan.image.columns));
+    if (wanted.drop_probability) set_array(*image.mutable_drop_probability(), scan.image.drop_prob);
+    if (!wanted.range_image) return;
+    set_array(*image.mutable_range_m(), scan.image.range_m);
+    set_array(*image.mutable_intensity(), scan.image.intensity);
+}
+
+void write_scene(const std::string& name, const Run& run, v1::Scene& message) {
+    const Sequence& log = run.sequence;
+    message.set_name(name);
+    message.set_begin_s(log.frames.front().time_s);
+    message.set_end_s(log.frames.back().time_s);
+    message.set_sampled_noise(!log.range_noise.sigma_m.empty());
+    for (std::size_t i = 0; i < log.lidars.size(); ++i) {
+        const Lidar& lidar = log.lidars[i];
+        v1::Lidar& added = *message.add_lidars();
+        added.set_name(lidar.name);
+        added.set_sensor(lidar.sensor.name);
+        added.set_rays(count_rays(configured_sensor(run.config, log, int(i))));
+        added.set_period_s(lidar.period_s());
+    }
+    for (const Instance& instance : run.scene.instances)
+        if (!instance.track.empty()) write_actor(run, instance.track, *message.add_actors());
+}
+
+void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtrField<std::string>& actors,
+                  v1::GetTracksResponse& message) {
+    const Sequence& log = run.sequence;
+    const auto in_dataset = [&](const PoseTrack& track) { return shifted_track(track, log.world_offset_m); };
+    write_track(in_dataset(log.world_from_sensor(lidar)), *message.mutable_dataset_from_sensor());
+    std::vector<std::string> names(actors.begin(), actors.end());
+    if (names.empty())
+        for (const Instance& instance : run.scene.instances)
+            if (!instance.track.empty()) names.push_back(instance.track);
+    for (const std::string& name : names) {
+        const BoxTrack* box = find_box(run, name);
+        if (!box)
+            throw Refusal(grpc::StatusCode::NOT_FOUND,
+                          fmt::format("reading actors: found {}, expected a name that ListScenes gives", quoted(name)));
+        v1::ActorTrack& track = *message.add_actors();
+        track.set_name(name);
+        write_track(in_dataset(box->world_from_box), *track.mutable_poses());
+    }
+}
+
+}  // namespace relidar::serve

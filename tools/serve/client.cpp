@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "client.hpp"
+
+#include <fmt/format.h>
+#include <grpcpp/create_channel.h>
+#include <grpcpp/security/credentials.h>
+#include <grpcpp/support/channel_arguments.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar::serve {
+
+std::shared_ptr<grpc::Channel> connect(const std::string& address) {
+    grpc::ChannelArguments arguments;
+    arguments.SetMaxReceiveMessageSize(-1);                       // a scan of a million rays has 50 MB
+    arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);      // a connection of its own, as another process would have
+    return grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(), arguments);
+}
+
+ScanClient::ScanClient(std::string address) : address_(std::move(address)), stub_(v1::RenderService::NewStub(connect(address_))) {}
+
+void ScanClient::check(const grpc::Status& status) const {
+    if (status.ok()) return;
+    throw DataError(fmt::format("asking the service at {}: found status {}, {}, expected an answer", address_, int(status.error_code()),
+                                status.error_message()));
+}
+
+v1::ListScenesResponse ScanClient::list_scenes() {
+    grpc::ClientContext context;
+    v1::ListScenesResponse answer;
+    check(stub_->ListScenes(&context, {}, &answer));
+    return answer;
+}
+
+v1::GetTracksResponse ScanClient::get_tracks(const v1::GetTracksRequest& request) {
+    grpc::ClientContext context;
+    v1::GetTracksResponse answer;
+    check(stub_->GetTracks(&context, request, &answer));
+    return answer;
+}
+
+v1::LidarScan ScanClient::render(const v1::RenderLidarRequest& request) {
+    grpc::ClientContext context;
+    v1::LidarScan answer;
+    check(stub_->RenderLidar(&context, request, &answer));
+    return answer;
+}
+
+}  // namespace relidar::serve

@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "geometry_messages.hpp"
+
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include "refusal.hpp"
+
+namespace relidar::serve {
+namespace {
+
+constexpr double kFarthest = 1e10;          // metres, seconds: what ScanRenderer takes
+constexpr double kUnitSlack = 1e-3;         // of a quaternion that was sent in single precision, or rounded in a text
+constexpr double kDoublePrecision = 1e-12;  // a quaternion this close to unit length keeps every bit
+constexpr int kMostPoses = 100'000;
+
+[[noreturn]] void refuse(const std::string& field, const std::string& found, const std::string& expected) {
+    throw Refusal(grpc::StatusCode::INVALID_ARGUMENT, fmt::format("reading {}: found {}, expected {}", field, found, expected));
+}
+
+double read_number(double value, const std::string& field) {
+    if (!(std::abs(value) <= kFarthest)) refuse(field, fmt::format("{}", value), "a finite number within 1e10");
+    return value;
+}
+
+}  // namespace
+
+double read_time(double time_s, const std::string& field) { return read_number(time_s, field); }
+
+Pose read_pose(const v1::Pose& message, const std::string& field) {
+    const v1::Vector& t = message.translation();
+    Pose pose;
+    pose.translation = {read_number(t.x(), field + ".translation.x"), read_number(t.y(), field + ".translation.y"),
+                        read_number(t.z(), field + ".translation.z")};
+    if (!message.has_rotation()) return pose;
+    const v1::Quaternion& q = message.rotation();
+    pose.rotation = glm::dquat(q.w(), q.x(), q.y(), q.z());
+    const double length = glm::length(pose.rotation);
+    if (!(std::abs(length - 1.0) <= kUnitSlack)) refuse(field + ".rotation", fmt::format("a quaternion of length {}", length), "1");
+    if (std::abs(length - 1.0) > kDoublePrecision) pose.rotation = glm::normalize(pose.rotation);
+    return pose;
+}
+
+PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages, const std::string& field) {
+    if (messages.empty() || messages.size() > kMostPoses)
+        refuse(field, fmt::format("{} poses", messages.size()), fmt::format("1 to {}", kMostPoses));
+    PoseTrack track;
+    for (int i = 0; i < messages.size(); ++i) {
+        const std::string entry = fmt::format("{}[{}]", field, i);
+        const double time_s = read_time(messages[i].time_s(), entry + ".time_s");
+        if (i > 0 && !(time_s > track.time_s.back()))
+            refuse(entry + ".time_s", fmt::format("{} after {}", time_s, track.time_s.back()), "times that rise");
+        track.time_s.push_back(time_s);
+        track.pose.push_back(read_pose(messages[i].pose(), entry + ".pose"));
+    }
+    return track;
+}
+
+void write_pose(const Pose& pose, v1::Pose& message) {
+    message.mutable_translation()->set_x(pose.translation.x);
+    message.mutable_translation()->set_y(pose.translation.y);
+    message.mutable_translation()->set_z(pose.translation.z);
+    message.mutable_rotation()->set_w(pose.rotation.w);
+    message.mutable_rotation()->set_x(pose.rotation.x);
+    message.mutable_rotation()->set_y(pose.rotation.y);
+    message.mutable_rotation()->set_z(pose.rotation.z);
+}
+
+void write_track(const PoseTrack& track, google::protobuf::RepeatedPtrField<v1::TimedPose>& messages) {
+    for (std::size_t i = 0; i < track.pose.size(); ++i) {
+        v1::TimedPose& message = *messages.Add();
+        message.set_time_s(track.time_s[i]);
+        write_pose(track.pose[i], *message.mutable_pose());
+    }
+}
+
+std::string quoted(const std::string& word) {
+    constexpr std::size_t kMost = 80;
+    return word.size() <= kMost ? fmt::format("\"{}\"", word) : fmt::format("\"{}...\" of {} bytes", word.substr(0, kMost), word.size());
+}
+
+}  // namespace relidar::serve

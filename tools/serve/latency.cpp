@@ -1,0 +1,106 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "latency.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cmath>
+#include <exception>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "client.hpp"
+
+namespace relidar::serve {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+struct Sample {
+    double latency_ms, queued_ms, rendered_ms;
+    std::size_t rays, points;
+};
+
+/// The smallest value that this share of all do not exceed.
+double percentile(std::vector<double> values, double share) {
+    std::sort(values.begin(), values.end());
+    const auto rank = std::size_t(std::ceil(share * double(values.size())));
+    return values[std::max<std::size_t>(rank, 1) - 1];
+}
+
+Percentiles percentiles(const std::vector<Sample>& samples, double Sample::* value) {
+    std::vector<double> values;
+    for (const Sample& sample : samples) values.push_back(sample.*value);
+    return {percentile(values, 0.5), percentile(values, 0.99)};
+}
+
+/// The sweep from one pose of the log to the next; the last is followed by the first.
+v1::RenderLidarRequest sweep(const LatencyOptions& options, const std::string& scene, const v1::GetTracksResponse& tracks, int number) {
+    v1::RenderLidarRequest request;
+    request.set_scene(scene);
+    if (!options.sensor.empty()) request.mutable_sensor()->set_name(options.sensor);
+    const int n = tracks.dataset_from_sensor_size(), first = n > 1 ? number % (n - 1) : 0;
+    for (int i = first; i < std::min(first + 2, n); ++i) *request.add_path() = tracks.dataset_from_sensor(i);
+    request.mutable_wanted()->set_points(true);
+    request.mutable_wanted()->set_range_image(true);
+    return request;
+}
+
+Sample call(ScanClient& client, const v1::RenderLidarRequest& request) {
+    const Clock::time_point begin = Clock::now();
+    const v1::LidarScan scan = client.render(request);
+    const double latency_ms = std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
+    return {latency_ms, scan.queued_ms(), scan.rendered_ms(), std::size_t(scan.image().rows()) * scan.image().columns(),
+            scan.points().count()};
+}
+
+}  // namespace
+
+LatencyResult measure_latency(const LatencyOptions& options) {
+    ScanClient first(options.address);
+    const v1::ListScenesResponse scenes = first.list_scenes();
+    LatencyResult result;
+    result.scene = options.scene.empty() ? scenes.scenes(0).name() : options.scene;
+    v1::GetTracksRequest which;
+    which.set_scene(result.scene);
+    const v1::GetTracksResponse tracks = first.get_tracks(which);
+    call(first, sweep(options, result.scene, tracks, 0));   // makes the rays of the sensor, and room for them
+
+    std::vector<Sample> samples;
+    std::exception_ptr failure;
+    std::mutex mutex;
+    std::atomic<int> next = 0;
+    const Clock::time_point begin = Clock::now();
+    {
+        std::vector<std::jthread> clients;
+        for (int c = 0; c < options.clients; ++c)
+            clients.emplace_back([&] {
+                try {
+                    ScanClient client(options.address);
+                    for (int number = next++; number < options.calls; number = next++) {
+                        const Sample sample = call(client, sweep(options, result.scene, tracks, number));
+                        const std::lock_guard lock(mutex);
+                        samples.push_back(sample);
+                    }
+                } catch (...) {
+                    const std::lock_guard lock(mutex);
+                    failure = std::current_exception();
+                }
+            });
+    }
+    if (failure) std::rethrow_exception(failure);
+    result.scans_per_s = double(samples.size()) / std::chrono::duration<double>(Clock::now() - begin).count();
+    result.latency_ms = percentiles(samples, &Sample::latency_ms);
+    result.queued_ms = percentiles(samples, &Sample::queued_ms);
+    result.rendered_ms = percentiles(samples, &Sample::rendered_ms);
+    result.rays = samples.front().rays;
+    for (const Sample& sample : samples) result.points += double(sample.points) / double(samples.size());
+    return result;
+}
+
+}  // namespace relidar::serve

@@ -1,0 +1,26 @@
+// SPDX-License-Identifier: Apache-2.0
+// Why a request is not answered, as a gRPC status.
+#pragma once
+
+#include <functional>
+#include <stdexcept>
+#include <string>
+
+#include <grpcpp/support/status.h>
+
+namespace relidar::serve {
+
+/// A request that cannot be answered.
+class Refusal : public std::runtime_error {
+public:
+    Refusal(grpc::StatusCode code, const std::string& message) : std::runtime_error(message), code_(code) {}
+    grpc::StatusCode code() const { return code_; }
+
+private:
+    grpc::StatusCode code_;
+};
+
+/// Runs what answers a request, and turns whatever it throws into a status of one line.
+grpc::Status answered(const std::function<void()>& answer);
+
+}  // namespace relidar::serve

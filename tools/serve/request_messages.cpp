@@ -1,0 +1,162 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "request_messages.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/error.hpp>
+
+#include "geometry_messages.hpp"
+#include "refusal.hpp"
+#include "sensor_messages.hpp"
+
+namespace relidar::serve {
+namespace {
+
+constexpr int kMostSensors = 64;         // of a rig
+constexpr double kBeyondPath_s = 60.0;   // a longer way to extrapolate is a slip, of microseconds for seconds say
+
+[[noreturn]] void refuse(const std::string& field, const std::string& found, const std::string& expected) {
+    throw Refusal(grpc::StatusCode::INVALID_ARGUMENT, fmt::format("reading {}: found {}, expected {}", field, found, expected));
+}
+
+/// @param known  where there is anything to be meant instead
+[[noreturn]] void refuse_unknown(const std::string& field, const std::string& name, const std::vector<std::string>& known) {
+    const std::string nearest = nearest_name(name.substr(0, 80), known);
+    const std::string expected = nearest.empty() ? "none: there is none" : fmt::format("one that is there, as \"{}\"", nearest);
+    throw Refusal(grpc::StatusCode::NOT_FOUND, fmt::format("reading {}: found {}, expected {}", field, quoted(name), expected));
+}
+
+std::vector<std::string> actor_names(const Run& run) {
+    std::vector<std::string> names;
+    for (const Instance& instance : run.scene.instances)
+        if (!instance.track.empty()) names.push_back(instance.track);
+    return names;
+}
+
+/// A moment on the sensor's path, or not far beyond it.
+double read_moment(double time_s, const PoseTrack& path, const std::string& field) {
+    read_time(time_s, field);
+    const bool moves = path.pose.size() > 1;
+    if (moves && (time_s < path.time_s.front() - kBeyondPath_s || time_s > path.time_s.back() + kBeyondPath_s))
+        refuse(field, fmt::format("{} with a path from {} to {}", time_s, path.time_s.front(), path.time_s.back()),
+               fmt::format("seconds on the path, or at most {} beside it", kBeyondPath_s));
+    return time_s;
+}
+
+}  // namespace
+
+std::size_t RequestReader::find_scene(const std::string& name) const {
+    if (name.empty() && sources_.size() == 1) return 0;
+    std::vector<std::string> known;
+    for (const SceneSource& source : sources_) {
+        if (source.name == name) return known.size();
+        known.push_back(source.name);
+    }
+    refuse_unknown("scene", name, known);
+}
+
+int RequestReader::find_lidar(std::size_t scene, const std::string& name) const {
+    const std::vector<Lidar>& lidars = outlines_[scene].sequence.lidars;
+    if (name.empty()) return 0;
+    std::vector<std::string> known;
+    for (const Lidar& lidar : lidars) {
+        if (lidar.name == name) return int(known.size());
+        known.push_back(lidar.name);
+    }
+    refuse_unknown("lidar", name, known);
+}
+
+std::pair<std::string, std::shared_ptr<const SensorChoice>> RequestReader::upload(const v1::SensorSpec& spec) {
+    const std::string handle = uploaded_.add(read_sensor(spec, "sensor"));
+    const std::shared_ptr<const SensorChoice> sensor = uploaded_.find(handle);
+    if (!sensor) throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED, "uploading a sensor: others came at once, expected fewer: try again");
+    return {handle, sensor};
+}
+
+/// By name, its rays made once.
+std::shared_ptr<const SensorChoice> RequestReader::known_sensor(const std::string& name, std::size_t scene, int lidar) {
+    const std::string key = fmt::format("{} {} {}", scene, lidar, name);
+    if (auto sensor = named_.find(key)) return sensor;
+    return named_.put(key, named_sensor(name, outlines_[scene], lidar));
+}
+
+std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorWish& wish, std::size_t scene, int lidar) {
+    if (wish.returns > 2) refuse(wish.field + ".returns", fmt::format("{}", wish.returns), "1 or 2, or 0");
+    std::shared_ptr<const SensorChoice> sensor;
+    if (wish.sensor.has_spec()) {
+        sensor = std::make_shared<const SensorChoice>(read_sensor(wish.sensor.spec(), wish.field + ".spec"));
+    } else if (wish.sensor.has_handle()) {
+        sensor = uploaded_.find(wish.sensor.handle());
+        if (!sensor)
+            throw Refusal(grpc::StatusCode::NOT_FOUND,
+                          fmt::format("reading {}.handle: found {}, which is not there or no longer, expected one of UploadSensor: upload "
+                                      "it again",
+                                      wish.field, quoted(wish.sensor.handle())));
+    } else {
+        sensor = known_sensor(wish.sensor.name(), scene, lidar);
+    }
+    if (count_rays(*sensor) == 0)
+        refuse(wish.field, "a LiDAR that is known by its scans alone", "another sensor: it has no rays of its own");
+    const int returns = int(wish.returns);
+    if (sensor->lidar == lidar && sensor->returns == returns) return sensor;
+    SensorChoice placed = *sensor;
+    placed.lidar = lidar;
+    placed.returns = returns;
+    return std::make_shared<const SensorChoice>(std::move(placed));
+}
+
+ActorPoses RequestReader::read_actors(const v1::ActorTracks& message, std::size_t scene) const {
+    const std::vector<std::string> known = actor_names(outlines_[scene]);
+    ActorPoses poses;
+    for (int i = 0; i < message.actors_size(); ++i) {
+        const v1::ActorTrack& actor = message.actors(i);
+        const std::string field = fmt::format("actors.actors[{}]", i);
+        if (std::find(known.begin(), known.end(), actor.name()) == known.end()) refuse_unknown(field + ".name", actor.name(), known);
+        if (!poses.emplace(actor.name(), read_track(actor.poses(), field + ".poses")).second)
+            refuse(field + ".name", quoted(actor.name()) + " again", "each actor once");
+    }
+    return poses;
+}
+
+WantedScan RequestReader::read_scan(const v1::RenderLidarRequest& message, const SensorWish& wish,
+                                   const std::optional<Pose>& path_from_sensor) {
+    WantedScan wanted;
+    wanted.scene = find_scene(message.scene());
+    wanted.sensor = find_sensor(wish, wanted.scene, find_lidar(wanted.scene, message.lidar()));
+    PoseTrack path = read_track(message.path(), "path");
+    wanted.request.time_s = message.has_time_s() ? read_moment(message.time_s(), path, "time_s")
+                                                 : path.time_s.front() - firing_span(*wanted.sensor).first_s;
+    wanted.points_at_s = message.has_points_at_s() ? read_moment(message.points_at_s(), path, "points_at_s") : path.time_s.back();
+    wanted.request.dataset_from_sensor = path_from_sensor ? moved_track(std::move(path), *path_from_sensor) : std::move(path);
+    if (message.has_actors()) wanted.request.dataset_from_actor = read_actors(message.actors(), wanted.scene);
+    if (message.has_sample_seed()) wanted.sample = message.sample_seed();
+    if (message.has_wanted()) {
+        wanted.points = message.wanted().points();
+        wanted.range_image = message.wanted().range_image();
+        wanted.drop_probability = message.wanted().drop_probability();
+    }
+    return wanted;
+}
+
+WantedScan RequestReader::read(const v1::RenderLidarRequest& message) {
+    return read_scan(message, {message.sensor(), "sensor", message.returns()}, {});
+}
+
+std::vector<WantedScan> RequestReader::read(const v1::RenderRigRequest& message) {
+    if (message.sensors().empty() || message.sensors_size() > kMostSensors)
+        refuse("sensors", fmt::format("{} sensors of a rig", message.sensors_size()), fmt::format("1 to {}", kMostSensors));
+    std::vector<WantedScan> scans;
+    for (int i = 0; i < message.sensors_size(); ++i) {
+        const v1::RigSensor& sensor = message.sensors(i);
+        const std::string field = fmt::format("sensors[{}]", i);
+        const Pose rig_from_sensor = read_pose(sensor.rig_from_sensor(), field + ".rig_from_sensor");
+        scans.push_back(read_scan(message.rig(), {sensor.sensor(), field + ".sensor", sensor.returns()}, rig_from_sensor));
+    }
+    return scans;
+}
+
+}  // namespace relidar::serve

@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: Apache-2.0
+// Requests for scans, looked at and turned into what a renderer takes. For any thread.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <relidar/render.hpp>
+#include <relidar/run.hpp>
+
+#include "relidar/v1/render.pb.h"
+#include "scene_source.hpp"
+#include "sensor_shelf.hpp"
+
+namespace relidar::serve {
+
+/// A scan that is wanted and can be rendered.
+struct WantedScan {
+    std::size_t scene = 0;   ///< index into the outlines
+    std::shared_ptr<const SensorChoice> sensor;
+    ScanRequest request;
+    std::optional<std::uint64_t> sample;
+    double points_at_s = 0.0;
+    bool points = true, range_image = false, drop_probability = false;
+};
+
+/// Holds no state of a request; what it looks things up in outlives it.
+class RequestReader {
+public:
+    RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources) : outlines_(outlines), sources_(sources) {}
+
+    /// Index of a scene. @throws Refusal
+    std::size_t find_scene(const std::string& name) const;
+    int find_lidar(std::size_t scene, const std::string& name) const;
+    /// Keeps a sensor that a client describes. @return its handle, and what it is @throws Refusal
+    std::pair<std::string, std::shared_ptr<const SensorChoice>> upload(const v1::SensorSpec& spec);
+    /// @throws Refusal naming the field that makes no sense
+    WantedScan read(const v1::RenderLidarRequest& message);
+    /// One for each sensor.
+    std::vector<WantedScan> read(const v1::RenderRigRequest& message);
+
+private:
+    const std::vector<Run>& outlines_;
+    const std::vector<SceneSource>& sources_;
+    SensorShelf uploaded_, named_;
+
+    struct SensorWish {
+        const v1::Sensor& sensor;
+        std::string field;
+        std::uint32_t returns;
+    };
+    std::shared_ptr<const SensorChoice> find_sensor(const SensorWish& wish, std::size_t scene, int lidar);
+    std::shared_ptr<const SensorChoice> known_sensor(const std::string& name, std::size_t scene, int lidar);
+    ActorPoses read_actors(const v1::ActorTracks& message, std::size_t scene) const;
+    /// @param path_from_sensor  of a sensor of a rig; none: the path is the sensor's own, and keeps every bit
+    WantedScan read_scan(const v1::RenderLidarRequest& message, const SensorWish& wish, const std::optional<Pose>& path_from_sensor);
+};
+
+}  // namespace relidar::serve

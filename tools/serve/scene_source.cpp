@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "scene_source.hpp"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar::serve {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::string folder_name(const std::string& folder) {
+    const fs::path path = fs::absolute(folder).lexically_normal();
+    return path.has_filename() ? path.filename().string() : path.parent_path().filename().string();
+}
+
+}  // namespace
+
+std::vector<SceneSource> scene_sources(const std::vector<std::string>& words) {
+    std::vector<SceneSource> sources;
+    for (const std::string& word : words) {
+        const std::size_t equals = word.find('=');
+        const bool named = equals != std::string::npos && !fs::exists(word);
+        const std::string folder = named ? word.substr(equals + 1) : word;
+        sources.push_back({named ? word.substr(0, equals) : folder_name(folder), folder});
+        const SceneSource& added = sources.back();
+        const auto same = std::find_if(sources.begin(), sources.end() - 1, [&](const SceneSource& s) { return s.name == added.name; });
+        if (added.name.empty()) throw UsageError(fmt::format("serving {}: found no name, expected NAME=RUN", word));
+        if (same != sources.end() - 1)
+            throw UsageError(fmt::format("serving {} and {}: found \"{}\" as the name of both, expected another one, given as NAME=RUN",
+                                         same->folder.string(), folder, added.name));
+    }
+    return sources;
+}
+
+}  // namespace relidar::serve

@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "scenes.hpp"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar::serve {
+namespace {
+
+constexpr double kMiB = 1024.0 * 1024.0;
+
+/// What the rest of the service looks at: everything but the large arrays.
+Run outline_of(const Run& run) {
+    Run outline = run;
+    outline.scene = layout_of(run.scene);
+    outline.drop_network = {};
+    return outline;
+}
+
+/// One ray ahead from where the log begins: whatever a scan needs beside its rays is on the device afterwards.
+SensorChoice one_ray() {
+    return {.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}}, .name = "one ray"};
+}
+
+ScanRequest first_pose(const Run& run) {
+    const PoseTrack track = run.sequence.world_from_sensor(0);
+    Pose pose = track.pose.front();
+    pose.translation += run.sequence.world_offset_m;
+    return {track.time_s.front(), {{track.time_s.front()}, {pose}}};
+}
+
+}  // namespace
+
+SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes)
+    : device_(device), sources_(std::move(sources)), memory_bytes_(memory_bytes), loaded_(sources_.size()) {
+    for (std::size_t i = 0; i < sources_.size(); ++i) {
+        const Run run = load_run(sources_[i].folder);
+        outlines_.push_back(outline_of(run));
+        load(i, run);
+        if (loaded_[i].bytes > memory_bytes_)
+            throw DataError(fmt::format("serving {}: it holds {:.1f} MiB of device memory, expected at most {:.1f} (--memory-mib)",
+                                        sources_[i].folder.string(), double(loaded_[i].bytes) / kMiB, double(memory_bytes_) / kMiB));
+        make_room(i, 0);
+    }
+}
+
+RenderedScan SceneSet::render(std::size_t scene, const SensorChoice& sensor, const ScanRequest& request,
+                              std::optional<std::uint64_t> sample) {
+    loaded_[scene].used = ++clock_;
+    if (!loaded_[scene].renderer) {
+        make_room(scene, loaded_[scene].bytes);
+        load(scene, load_run(sources_[scene].folder));
+    }
+    RenderedScan scan;
+    try {
+        count_growth(scene, [&] { scan = loaded_[scene].renderer->render(sensor, request, sample); });
+    } catch (const DeviceError&) {
+        loaded_[scene].renderer.reset();   // what it holds is not known; the next request loads it again
+        throw;
+    }
+    make_room(scene, 0);   // arrays grow with the rays of a sensor
+    return scan;
+}
+
+void SceneSet::load(std::size_t scene, const Run& run) {
+    Loaded& loaded = loaded_[scene];
+    loaded.bytes = 0;
+    loaded.used = ++clock_;
+    count_growth(scene, [&] {
+        loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
+        loaded.renderer->render(one_ray(), first_pose(run));
+    });
+}
+
+/// Forgets the scenes used longest ago, but this one, until all fit with so many more bytes, or no other is left.
+void SceneSet::make_room(std::size_t scene, std::uint64_t bytes) {
+    while (device_.allocated_bytes() + bytes > memory_bytes_) {
+        Loaded* oldest = nullptr;
+        for (std::size_t i = 0; i < loaded_.size(); ++i)
+            if (i != scene && loaded_[i].renderer && (!oldest || loaded_[i].used < oldest->used)) oldest = &loaded_[i];
+        if (!oldest) return;
+        oldest->renderer.reset();
+    }
+}
+
+/// Books what a piece of work allocates on a scene.
+void SceneSet::count_growth(std::size_t scene, const std::function<void()>& work) {
+    const std::uint64_t before = device_.allocated_bytes();
+    work();
+    loaded_[scene].bytes += device_.allocated_bytes() - before;
+}
+
+}  // namespace relidar::serve

@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: Apache-2.0
+// The runs that are served: what is known of each is kept, the surfels of those used last are on the device.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include <relidar/render.hpp>
+#include <relidar/run.hpp>
+
+#include "scene_source.hpp"
+
+namespace relidar::serve {
+
+/// Serves one thread at a time, that of its device; outlines() are for all.
+class SceneSet {
+public:
+    /// Loads each run, to see that it can be and how large it is.
+    /// @param memory_bytes  device memory that scenes may hold together; beyond it the one used longest ago goes
+    /// @throws DataError for a run that cannot be read, or is larger than that alone
+    SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes);
+
+    /// Runs without their surfels and ray-drop networks, in the order given. Never changes.
+    const std::vector<Run>& outlines() const { return outlines_; }
+    const std::vector<SceneSource>& sources() const { return sources_; }
+
+    /// Loads the scene where it is not there. @param scene  index into outlines()
+    RenderedScan render(std::size_t scene, const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample);
+
+    /// Whether its surfels are on the device now.
+    bool is_loaded(std::size_t scene) const { return loaded_[scene].renderer != nullptr; }
+
+private:
+    struct Loaded {
+        std::unique_ptr<ScanRenderer> renderer;   ///< null where it is not loaded
+        std::uint64_t bytes = 0;                  ///< on the device, when it was there last
+        std::uint64_t used = 0;                   ///< by a clock that counts uses
+    };
+
+    Device& device_;
+    const std::vector<SceneSource> sources_;
+    const std::uint64_t memory_bytes_;
+    std::vector<Run> outlines_;
+    std::vector<Loaded> loaded_;
+    std::uint64_t clock_ = 0;
+
+    void load(std::size_t scene, const Run& run);
+    void make_room(std::size_t scene, std::uint64_t bytes);
+    void count_growth(std::size_t scene, const std::function<void()>& work);
+};
+
+}  // namespace relidar::serve

@@ -1,0 +1,197 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "sensor_messages.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include <relidar/run.hpp>
+#include <relidar/sensor_files.hpp>
+
+#include "geometry_messages.hpp"
+#include "refusal.hpp"
+
+namespace relidar::serve {
+namespace {
+
+constexpr double kUnitSlack = 1e-3;
+constexpr std::uint64_t kMostRows = 65536;
+constexpr double kFarthestOrigin_m = 1000.0, kLongestScan_s = 60.0, kFarthestRange_m = 1e5, kDefaultRange_m = 80.0;
+
+[[noreturn]] void refuse(const std::string& field, const std::string& found, const std::string& expected) {
+    throw Refusal(grpc::StatusCode::INVALID_ARGUMENT, fmt::format("reading {}: found {}, expected {}", field, found, expected));
+}
+
+void check_count(const std::string& field, std::uint64_t rays) {
+    if (rays < 1 || rays > kMostRaysOfScan)
+        refuse(field, fmt::format("{} rays of a scan", rays), fmt::format("1 to {}", kMostRaysOfScan));
+}
+
+void check_rows(const std::string& field, std::uint64_t rows) {
+    if (rows > kMostRows) refuse(field, fmt::format("{} rows of a scan", rows), fmt::format("at most {}: rings have 16 bits", kMostRows));
+}
+
+double read_between(const std::string& field, double value, double low, double high) {
+    if (!(value >= low && value <= high)) refuse(field, fmt::format("{}", value), fmt::format("a number from {} to {}", low, high));
+    return value;
+}
+
+/// Values of an array that has so many for each ray, or none at all.
+template <class T>
+std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::string& field) {
+    if (!bytes.empty() && bytes.size() != n * sizeof(T))
+        refuse(field, fmt::format("{} bytes", bytes.size()), fmt::format("{}: {} a ray of {}", n * sizeof(T), sizeof(T), n));
+    std::vector<T> values(bytes.size() / sizeof(T));
+    if (!bytes.empty()) std::memcpy(values.data(), bytes.data(), bytes.size());
+    return values;
+}
+
+void check_values(const RayTable& rays, const std::string& field) {
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        const auto fail = [&](const char* name, float found, const std::string& expected) {
+            refuse(fmt::format("{}.{} of ray {}", field, name, i), fmt::format("{}", found), expected);
+        };
+        const float length = glm::length(rays.direction[i]), time_s = rays.time_offset_s[i];
+        if (!(std::abs(double(length) - 1.0) <= kUnitSlack)) fail("direction", length, "a length of 1");
+        for (int axis = 0; axis < 3; ++axis)
+            if (const float x = rays.origin[i][axis]; !(std::abs(double(x)) <= kFarthestOrigin_m))
+                fail("origin_m", x, fmt::format("metres within {}", kFarthestOrigin_m));
+        if (!(std::abs(double(time_s)) <= kLongestScan_s)) fail("time_s", time_s, fmt::format("seconds within {}", kLongestScan_s));
+    }
+}
+
+RayTable read_rays(const v1::RayTable& message, const std::string& field) {
+    static_assert(sizeof(glm::vec3) == 12);
+    if (message.direction().size() % sizeof(glm::vec3) != 0)
+        refuse(field + ".direction", fmt::format("{} bytes", message.direction().size()), "12 a ray");
+    const std::size_t n = message.direction().size() / sizeof(glm::vec3);
+    check_count(field + ".direction", n);
+    const bool has_order = message.rows() != 0 || message.columns() != 0;
+    if (has_order && std::uint64_t(message.rows()) * message.columns() != n)
+        refuse(field, fmt::format("{} rows of {} columns and {} directions", message.rows(), message.columns(), n),
+               "rows * columns directions");
+    check_rows(field, message.rows());
+    RayTable rays;
+    rays.rows = has_order ? int(message.rows()) : 1;
+    rays.columns = has_order ? int(message.columns()) : int(n);
+    rays.direction = read_array<glm::vec3>(message.direction(), n, field + ".direction");
+    rays.origin = read_array<glm::vec3>(message.origin_m(), n, field + ".origin_m");
+    rays.time_offset_s = read_array<float>(message.time_s(), n, field + ".time_s");
+    rays.channel = read_array<std::uint16_t>(message.ring(), n, field + ".ring");
+    rays.origin.resize(n, glm::vec3(0.0f));
+    rays.time_offset_s.resize(n, 0.0f);
+    for (std::size_t i = rays.channel.size(); i < n; ++i) rays.channel.push_back(std::uint16_t(i / std::size_t(rays.columns)));
+    check_values(rays, field);
+    for (glm::vec3& direction : rays.direction) direction = glm::normalize(direction);
+    return rays;
+}
+
+SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::string& field) {
+    check_count(field, std::uint64_t(message.beams_size()) * message.columns());
+    check_rows(field, std::uint64_t(message.beams_size()));
+    SpinningSensor sensor;
+    for (const v1::Beam& beam : message.beams())
+        sensor.beams.push_back({beam.elevation_rad(), beam.azimuth_offset_rad(), beam.origin_offset_m()});
+    sensor.columns = int(message.columns());
+    sensor.period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s);
+    sensor.clockwise = !message.counter_clockwise();
+    sensor.first_azimuth_rad = kPi - kPi / sensor.columns;   // azimuth 0 is the middle of the turn
+    return sensor;
+}
+
+ScanningWindow read_window(const v1::ScanningWindow& message, const std::string& field) {
+    check_count(field, std::uint64_t(message.rows()) * message.columns());
+    check_rows(field, message.rows());
+    return {.name = "",
+            .rows = int(message.rows()),
+            .columns = int(message.columns()),
+            .left_rad = message.left_rad(),
+            .right_rad = message.right_rad(),
+            .top_rad = message.top_rad(),
+            .bottom_rad = message.bottom_rad(),
+            .period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s)};
+}
+
+Rosette read_rosette(const v1::Rosette& message, const std::string& field) {
+    check_count(field, message.rays());
+    return {.name = "",
+            .deflection_rad = message.deflection_rad(),
+            .first_hz = message.first_hz(),
+            .second_hz = message.second_hz(),
+            .n_rays = int(message.rays()),
+            .period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s)};
+}
+
+/// "VLP-16:900x20" without what follows the colon; the whole where that is no number of columns and rate.
+std::string base_name(const std::string& name) {
+    const std::size_t colon = name.rfind(':');
+    const bool sized = colon != std::string::npos && name.find_first_not_of("0123456789x.", colon + 1) == std::string::npos;
+    return sized ? name.substr(0, colon) : name;
+}
+
+std::uint64_t rays_of(const SensorModel& sensor) {
+    if (const auto* s = std::get_if<SpinningSensor>(&sensor.pattern)) return s->beams.size() * std::uint64_t(s->columns);
+    if (const auto* s = std::get_if<ScanningWindow>(&sensor.pattern)) return std::uint64_t(s->rows) * std::uint64_t(s->columns);
+    if (const auto* s = std::get_if<Rosette>(&sensor.pattern)) return std::uint64_t(s->n_rays);
+    return std::get<RayTable>(sensor.pattern).size();
+}
+
+}  // namespace
+
+SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field) {
+    SensorModel sensor;
+    sensor.name = message.name().empty() ? "a client's sensor" : message.name().substr(0, 80);
+    sensor.limits.max_m =
+        read_between(field + ".max_range_m", message.has_max_range_m() ? message.max_range_m() : kDefaultRange_m, 1e-3, kFarthestRange_m);
+    sensor.limits.min_m = read_between(field + ".min_range_m", message.min_range_m(), 0.0, sensor.limits.max_m);
+    switch (message.pattern_case()) {
+        case v1::SensorSpec::kRays: sensor.pattern = read_rays(message.rays(), field + ".rays"); break;
+        case v1::SensorSpec::kSpinning: sensor.pattern = read_spinning(message.spinning(), field + ".spinning"); break;
+        case v1::SensorSpec::kWindow: sensor.pattern = read_window(message.window(), field + ".window"); break;
+        case v1::SensorSpec::kRosette: sensor.pattern = read_rosette(message.rosette(), field + ".rosette"); break;
+        case v1::SensorSpec::PATTERN_NOT_SET: refuse(field, "no pattern", "rays, spinning, window or rosette");
+    }
+    const double divergence_rad = read_between(field + ".divergence_rad", message.divergence_rad(), 0.0, 1.0);
+    std::visit(
+        [&](auto& pattern) {
+            if constexpr (requires { pattern.name; }) pattern.name = sensor.name;
+            pattern.divergence_rad = static_cast<decltype(pattern.divergence_rad)>(divergence_rad);
+        },
+        sensor.pattern);
+    if (std::holds_alternative<Rosette>(sensor.pattern)) make_rays(sensor);   // says now what is not finite: its rays are made scan by scan
+    return sensor_choice(sensor);
+}
+
+SensorChoice named_sensor(const std::string& name, const Run& run, int lidar) {
+    if (name.empty()) return configured_sensor(run.config, run.sequence, lidar);
+    if (known_name(name, {"native", kitti360_grid().name})) return choose_sensor(name, run.config, run.sequence, lidar);
+    std::vector<std::string> known = sensor_names();
+    if (!known_name(base_name(name), known)) {
+        known.push_back("native");
+        refuse("sensor.name", quoted(name), fmt::format("a name that ListScenes gives, as {}", nearest_name(name.substr(0, 80), known)));
+    }
+    const SensorModel sensor = find_sensor(name);
+    check_count("sensor.name " + quoted(name), rays_of(sensor));
+    return sensor_choice(sensor, lidar);
+}
+
+FiringSpan firing_span(const SensorChoice& sensor) {
+    const std::vector<float>& times = sensor.rays.time_offset_s;
+    if (times.empty()) {   // a Rosette, or one that is known by its scans alone
+        const double period_s = sensor.pattern ? period_of(*sensor.pattern) : 0.0;
+        return {-0.5 * period_s, 0.5 * period_s};
+    }
+    const auto [first, last] = std::minmax_element(times.begin(), times.end());
+    return {double(*first), double(*last)};
+}
+
+std::size_t count_rays(const SensorChoice& sensor) {
+    if (sensor.rays.size() > 0 || !sensor.pattern) return sensor.rays.size();
+    const Rosette* rosette = std::get_if<Rosette>(&*sensor.pattern);
+    return rosette ? std::size_t(rosette->n_rays) : 0;
+}
+
+}  // namespace relidar::serve

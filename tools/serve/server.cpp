@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server.hpp"
+
+#include <cstdlib>
+#include <fstream>
+#include <iterator>
+#include <optional>
+
+#include <fmt/format.h>
+#include <grpc/support/log.h>
+#include <grpcpp/ext/proto_server_reflection_plugin.h>
+#include <grpcpp/grpcpp.h>
+#include <grpcpp/health_check_service_interface.h>
+#include <grpcpp/resource_quota.h>
+
+#include <relidar/error.hpp>
+
+#include "service.hpp"
+
+namespace relidar::serve {
+namespace {
+
+constexpr int kLargestRequest = 40 << 20;   // bytes: a table of the most rays, 30 bytes each, and room for what is around it
+constexpr std::size_t kOtherThreads = 32;   // beside those that wait in the queue: for calls that are answered at once
+constexpr int kKeepalive_ms = 20'000;       // a client that vanished without a word is noticed after that
+
+std::string read_pem(const std::string& file) {
+    std::ifstream in(file, std::ios::binary);
+    std::string text((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
+    if (text.find("-----BEGIN") == std::string::npos)
+        throw DataError(fmt::format("reading {}: found no PEM in it, expected a certificate or key", file));
+    return text;
+}
+
+std::shared_ptr<grpc::ServerCredentials> credentials(const ServerOptions& options) {
+    if (options.tls_cert.empty()) return grpc::InsecureServerCredentials();
+    grpc::SslServerCredentialsOptions tls;
+    tls.pem_key_cert_pairs.push_back({read_pem(options.tls_key), read_pem(options.tls_cert)});
+    return grpc::SslServerCredentials(tls);
+}
+
+/// gRPC's own log goes to stderr in a form of its own; what matters of it is said by exceptions and statuses.
+void silence_log() {
+    if (!std::getenv("GRPC_VERBOSITY")) gpr_set_log_function([](gpr_log_func_args*) {});
+}
+
+std::uint64_t memory_bytes(const ServerOptions& options, const Device& device) {
+    return options.memory_mib > 0 ? options.memory_mib << 20 : device.info().memory_bytes / 2;
+}
+
+}  // namespace
+
+struct ScanServer::Impl {
+    RenderQueue queue;
+    std::optional<Device> device;      ///< this and the scenes: made, used and destroyed on the queue's thread
+    std::optional<SceneSet> scenes;
+    std::optional<RenderService> service;
+    std::unique_ptr<grpc::Server> server;
+    int port = 0;
+
+    explicit Impl(std::size_t waiting) : queue(waiting) {}
+    ~Impl() {
+        if (server) server->Shutdown(std::chrono::system_clock::now());
+        server.reset();
+        on_render_thread([&] { scenes.reset(), device.reset(); });
+    }
+
+    void on_render_thread(const std::function<void()>& work) { queue.enter()->run(work, [] { return true; }); }
+    void listen(const ServerOptions& options);
+};
+
+void ScanServer::Impl::listen(const ServerOptions& options) {
+    silence_log();
+    grpc::EnableDefaultHealthCheckService(true);
+    grpc::reflection::InitProtoReflectionServerBuilderPlugin();
+    grpc::ResourceQuota quota("relidar");
+    quota.SetMaxThreads(int(queue.places() + kOtherThreads));
+    grpc::ServerBuilder builder;
+    builder.SetResourceQuota(quota);
+    builder.SetMaxReceiveMessageSize(kLargestRequest);
+    builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);   // a second server at the same port is a mistake
+    builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, kKeepalive_ms);
+    builder.AddListeningPort(options.listen, credentials(options), &port);
+    builder.RegisterService(&*service);
+    server = builder.BuildAndStart();
+    if (!server || port == 0)
+        throw UsageError(fmt::format("listening at {}: it is taken, or no address of this machine, expected a free HOST:PORT{}",
+                                     options.listen, options.tls_cert.empty() ? "" : ", and a certificate that fits its key"));
+    server->GetHealthCheckService()->SetServingStatus(v1::RenderService::service_full_name(), true);
+}
+
+ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Impl>(options.waiting)) {
+    std::vector<SceneSource> sources = scene_sources(options.runs);
+    impl_->on_render_thread([&] {
+        impl_->device.emplace(options.device);
+        impl_->scenes.emplace(*impl_->device, std::move(sources), memory_bytes(options, *impl_->device));
+    });
+    impl_->service.emplace(impl_->queue, *impl_->scenes);
+    impl_->listen(options);
+}
+
+ScanServer::~ScanServer() = default;
+
+int ScanServer::port() const { return impl_->port; }
+const std::string& ScanServer::device_name() const { return impl_->device->info().name; }
+
+std::vector<std::string> ScanServer::scenes() const {
+    std::vector<std::string> names;
+    for (const SceneSource& source : impl_->scenes->sources()) names.push_back(source.name);
+    return names;
+}
+
+void ScanServer::stop(std::chrono::milliseconds patience) {
+    impl_->server->GetHealthCheckService()->SetServingStatus(false);
+    impl_->server->Shutdown(std::chrono::system_clock::now() + patience);
+}
+
+bool is_loopback(const std::string& listen) {
+    const std::string host = listen.substr(0, listen.rfind(':'));
+    return host == "localhost" || host == "[::1]" || host.starts_with("127.") || listen.starts_with("unix:");
+}
+
+}  // namespace relidar::serve

@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+// A server of scans that listens: the render thread with its device and scenes, and gRPC in front of it. No type of gRPC here: the
+// command line sees this header alone.
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <relidar/gpu.hpp>
+
+namespace relidar::serve {
+
+struct ServerOptions {
+    std::vector<std::string> runs;           ///< "RUN" or "NAME=RUN"
+    std::string listen = "127.0.0.1:50051";  ///< port 0: a free one
+    std::uint64_t memory_mib = 0;            ///< device memory that scenes may hold together; 0: half of the device's
+    std::size_t waiting = 64;                ///< requests that may wait, beside the one that is served
+    std::string tls_cert, tls_key;           ///< files in PEM; empty: no TLS
+    DeviceOptions device;
+};
+
+class ScanServer {
+public:
+    /// Loads all runs, then listens.
+    /// @throws UsageError for an address that cannot be listened at, DataError for a run or key that cannot be read, DeviceError
+    explicit ScanServer(const ServerOptions& options);
+    /// Stops at once where stop() was not called.
+    ~ScanServer();
+    ScanServer(const ScanServer&) = delete;
+    ScanServer& operator=(const ScanServer&) = delete;
+
+    int port() const;
+    const std::string& device_name() const;
+    std::vector<std::string> scenes() const;
+    /// No new calls; those there are have so long to end, then they are cancelled.
+    void stop(std::chrono::milliseconds patience);
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+/// Whether an address is reached from this machine alone.
+bool is_loopback(const std::string& listen);
+
+}  // namespace relidar::serve

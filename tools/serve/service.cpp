@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "service.hpp"
+
+#include <chrono>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "answer_messages.hpp"
+#include "sensor_messages.hpp"
+
+namespace relidar::serve {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+double ms_between(Clock::time_point begin, Clock::time_point end) { return std::chrono::duration<double, std::milli>(end - begin).count(); }
+
+bool is_late(const grpc::ServerContext& context) { return std::chrono::system_clock::now() >= context.deadline(); }
+
+bool is_wanted(const grpc::ServerContext& context) { return !context.IsCancelled() && !is_late(context); }
+
+[[noreturn]] void give_up(const grpc::ServerContext& context) {
+    if (is_late(context))
+        throw Refusal(grpc::StatusCode::DEADLINE_EXCEEDED, "rendering a scan: found the deadline passed, expected a later one");
+    throw Refusal(grpc::StatusCode::CANCELLED, "rendering a scan: the client has left");
+}
+
+}  // namespace
+
+RenderQueue::Place RenderService::enter() {
+    std::optional<RenderQueue::Place> place = queue_.enter();
+    if (!place)
+        throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
+                      fmt::format("queueing a request: found all {} places taken, expected a free one: try again later", queue_.places()));
+    return std::move(*place);
+}
+
+void RenderService::render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context,
+                           v1::LidarScan& answer) {
+    const Clock::time_point asked = Clock::now();
+    Clock::time_point begun = asked, rendered = asked;
+    RenderedScan scan;
+    const auto work = [&] {
+        begun = Clock::now();
+        try {
+            scan = scenes_.render(wanted.scene, *wanted.sensor, wanted.request, wanted.sample);
+        } catch (const DataError& error) {   // the request has been looked at: the run's folder is at fault
+            throw Refusal(grpc::StatusCode::INTERNAL, error.what());
+        }
+        rendered = Clock::now();
+    };
+    const WorkEnd end = place.run(work, [&] { return is_wanted(context); });
+    if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
+    write_scan(scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
+    answer.set_queued_ms(ms_between(asked, begun));
+    answer.set_rendered_ms(ms_between(begun, rendered));
+}
+
+grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScenesRequest*, v1::ListScenesResponse* answer) {
+    return answered([&] {
+        for (std::size_t i = 0; i < scenes_.outlines().size(); ++i)
+            write_scene(scenes_.sources()[i].name, scenes_.outlines()[i], *answer->add_scenes());
+        for (const std::string& name : sensor_names()) answer->add_sensors(name);
+    });
+}
+
+grpc::Status RenderService::GetTracks(grpc::ServerContext*, const v1::GetTracksRequest* request, v1::GetTracksResponse* answer) {
+    return answered([&] {
+        const std::size_t scene = reader_.find_scene(request->scene());
+        const int lidar = reader_.find_lidar(scene, request->lidar());
+        write_tracks(scenes_.outlines()[scene], lidar, request->actors(), *answer);
+    });
+}
+
+grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadSensorRequest* request, v1::UploadSensorResponse* answer) {
+    return answered([&] {
+        const auto [handle, sensor] = reader_.upload(request->sensor());
+        const FiringSpan span = firing_span(*sensor);
+        answer->set_handle(handle);
+        answer->set_rays(count_rays(*sensor));
+        answer->set_first_ray_s(span.first_s);
+        answer->set_last_ray_s(span.last_s);
+        answer->set_kept(std::uint32_t(SensorShelf::kMostSensors));
+    });
+}
+
+grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::RenderLidarRequest* request, v1::LidarScan* answer) {
+    return answered([&] {
+        RenderQueue::Place place = enter();
+        render(place, reader_.read(*request), *context, *answer);
+    });
+}
+
+grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::RenderRigRequest* request,
+                                      grpc::ServerWriter<v1::RigScan>* writer) {
+    return answered([&] {
+        RenderQueue::Place place = enter();   // for all of them: a rig that has begun is not turned away in the middle
+        const std::vector<WantedScan> wanted = reader_.read(*request);
+        for (std::size_t i = 0; i < wanted.size(); ++i) {
+            v1::RigScan scan;
+            scan.set_name(request->sensors(int(i)).name());
+            render(place, wanted[i], *context, *scan.mutable_scan());
+            if (!writer->Write(scan)) give_up(*context);
+        }
+    });
+}
+
+}  // namespace relidar::serve

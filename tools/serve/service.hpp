@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// The calls of render.proto: each reads its request, has the render thread do what is wanted, and writes the answer, all on gRPC's own
+// threads but the rendering itself.
+#pragma once
+
+#include <functional>
+
+#include "refusal.hpp"
+#include "relidar/v1/render.grpc.pb.h"
+#include "render_queue.hpp"
+#include "request_messages.hpp"
+#include "scenes.hpp"
+
+namespace relidar::serve {
+
+class RenderService final : public v1::RenderService::Service {
+public:
+    /// Both outlive the service. @param scenes  renders on the queue's thread alone
+    RenderService(RenderQueue& queue, SceneSet& scenes) : queue_(queue), scenes_(scenes), reader_(scenes.outlines(), scenes.sources()) {}
+
+    grpc::Status ListScenes(grpc::ServerContext* context, const v1::ListScenesRequest* request, v1::ListScenesResponse* answer) override;
+    grpc::Status GetTracks(grpc::ServerContext* context, const v1::GetTracksRequest* request, v1::GetTracksResponse* answer) override;
+    grpc::Status UploadSensor(grpc::ServerContext* context, const v1::UploadSensorRequest* request,
+                              v1::UploadSensorResponse* answer) override;
+    grpc::Status RenderLidar(grpc::ServerContext* context, const v1::RenderLidarRequest* request, v1::LidarScan* answer) override;
+    grpc::Status RenderRig(grpc::ServerContext* context, const v1::RenderRigRequest* request,
+                           grpc::ServerWriter<v1::RigScan>* writer) override;
+
+private:
+    RenderQueue& queue_;
+    SceneSet& scenes_;
+    RequestReader reader_;
+
+    RenderQueue::Place enter();
+    void render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context, v1::LidarScan& answer);
+};
+
+}  // namespace relidar::serve
