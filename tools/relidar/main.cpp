@@ -43,10 +43,7 @@ void run(int argc, char** argv) {
     app.set_version_flag("--version", std::string("relidar ") + RELIDAR_VERSION);
     app.require_subcommand(0, 1);
     app.footer(kFooter);
-    for (const auto& add :
-         {cli::add_demo, cli::add_train, cli::add_refine, cli::add_render, cli::add_edit, cli::add_eval, cli::add_export, cli::add_import,
-          cli::add_convert, cli::add_info, cli::add_bench, cli::add_config, cli::add_devices, cli::add_sensors, cli::add_pipelines})
-        add(app, call);
+    cli::add_commands(app, call);
     try {
         app.parse(argc, argv);
     } catch (const CLI::Success& help) {
