@@ -116,7 +116,7 @@ steps = [\"render {run} --out {job}/s --sensr VLP-16\"]"
 steps = [\"render {run} --out scans\"]"
     mkdir -p full/a && touch full/a/mine
     printf '%s\n' "$a" >wrong.toml
-    bad 2 "job a: $work/full/a: the folder is not empty and holds no job of a batch" batch wrong.toml --out full
+    bad 2 "job a: $work/full/a: found mine in it, but no job of a batch" batch wrong.toml --out full
     printf '%s\n' "${a/a_sync/c_sync}" "$a" >wrong.toml   # two faults: a line each, and one that counts them
     "$relidar" batch wrong.toml --out x >out 2>err
     check "a manifest with two faults: exit code $?, expected 2" test $? = 2
@@ -131,7 +131,7 @@ logs = ["logs/*_sync"]'
     bad 2 "task: found no --tasks beside it" batch two.toml --out x --task 0
     bad 2 "task: found 2, expected 0 to 1" batch two.toml --out x --task 2 --tasks 2
     bad 2 "tasks: found 0, expected 1 or more" batch two.toml --out x --task 0 --tasks 0
-    bad 2 "tasks: found neither --task nor SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX" batch two.toml --out x --tasks 2
+    bad 2 "tasks: found no --task, SLURM_ARRAY_TASK_ID or JOB_COMPLETION_INDEX" batch two.toml --out x --tasks 2
     JOB_COMPLETION_INDEX=1 bad 2 "JOB_COMPLETION_INDEX: found 1, but not of how many; expected --tasks" batch two.toml --out x
     JOB_COMPLETION_INDEX=y bad 2 'JOB_COMPLETION_INDEX: found "y", expected a number' batch two.toml --out x --tasks 2
     SLURM_ARRAY_TASK_ID=7 SLURM_ARRAY_TASK_COUNT=3 SLURM_ARRAY_TASK_MIN=1 SLURM_ARRAY_TASK_MAX=7 \
@@ -150,10 +150,10 @@ engine_files() {
     printf '#!/bin/sh\necho "$@" >>requeued.txt\n' >bin/scontrol
     chmod 755 bin/*
     for code in 0 3 4 130; do
-        CODE=$code SLURM_JOB_ID=job$code PATH="$PWD/bin:$PATH" bash "$fleet/slurm.sbatch" m.toml dir >out 2>err
+        CODE=$code SLURM_JOB_ID=job$code PATH="$PWD/bin:$PATH" bash "$fleet/slurm.sbatch" m.toml dir --quiet >out 2>err
         check "slurm.sbatch does not end with the code of relidar" test $? = $code
     done
-    check "slurm.sbatch calls other than relidar batch" grep -qx "relidar batch m.toml --out dir" srun.txt
+    check "slurm.sbatch calls other than relidar batch" grep -qx "relidar batch m.toml --out dir --quiet" srun.txt
     check "slurm.sbatch requeues other jobs than the interrupted one" test "$(cat requeued.txt)" = "requeue job130"
     local python
     for python in python3 /usr/bin/python3 none; do "$python" -c 'import yaml' 2>/dev/null && break; done

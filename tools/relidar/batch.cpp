@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar batch: many logs, each trained and then rendered, scored, edited as a manifest says; on one machine, or on many that share a folder.
-// docs/fleet.md has the manifest, the exit codes and files for Slurm and Kubernetes.
+// relidar batch: many logs, each trained and then rendered, scored, edited as a manifest says; on one machine, or on many that share a
+// folder. docs/fleet.md has the manifest, the exit codes and files for Slurm and Kubernetes.
 #include <algorithm>
 #include <memory>
 #include <optional>

@@ -30,7 +30,7 @@ void check_outputs(const CLI::App& command, const PlannedJob& job) {
         if (!option || option->empty()) continue;
         const fs::path path = option->results().front();
         if (!is_within(path, job.folder) && !is_within(path, job.run))
-            throw UsageError(fmt::format("{}: found {}, expected a place in {{job}} or {{run}}, the folders of the job", name, path.string()));
+            throw UsageError(fmt::format("{}: found {}, expected a place in {{job}} or {{run}}, folders of the job", name, path.string()));
     }
 }
 
@@ -65,7 +65,8 @@ void check_folder_of(const PlannedJob& job, const JobState& state) {
     if (state.phase == JobPhase::waiting) {
         for (fs::directory_iterator entry(job.folder, failed), end; !failed && entry != end; entry.increment(failed))
             if (!entry->path().filename().string().starts_with('.'))   // of a process that begins this job now
-                throw UsageError(fmt::format("{}: the folder is not empty and holds no job of a batch, expected a new one", job.folder.string()));
+                throw UsageError(fmt::format("{}: found {} in it, but no job of a batch; expected a new folder", job.folder.string(),
+                                             entry->path().filename().string()));
         return;
     }
     const std::string& wanted = job.commands.front().text;

@@ -34,6 +34,12 @@ struct Entry {
     bool several_logs = false, several_sequences = false;   ///< whether it may stand for several: then its name alone is none of a job
 };
 
+/// What a message may quote.
+std::string cut(const std::string& text) {
+    constexpr std::size_t kMost = 80;
+    return text.size() > kMost ? text.substr(0, kMost) + "..." : text;
+}
+
 std::string type_of(const toml::node& node) {
     std::ostringstream type;
     type << node.type();
@@ -42,9 +48,9 @@ std::string type_of(const toml::node& node) {
 
 std::string text_of(const toml::node& node, const std::string& key) {
     const auto* text = node.as_string();
-    if (!text) throw UsageError(fmt::format("key {}: found a TOML {}, expected a text in quotes", key, type_of(node)));
+    if (!text) throw UsageError(fmt::format("key {}: found a TOML {}, expected a text in quotes", cut(key), type_of(node)));
     if (std::any_of(text->get().begin(), text->get().end(), [](unsigned char c) { return std::iscntrl(c) != 0; }))
-        throw UsageError(fmt::format("key {}: found control characters, expected a text of one line", key));
+        throw UsageError(fmt::format("key {}: found control characters, expected a text of one line", cut(key)));
     return text->get();
 }
 
@@ -62,7 +68,7 @@ std::string setting_of(const toml::node& node, const std::string& key) {
     if (const auto* number = node.as_floating_point()) return fmt::format("{}", number->get());
     if (const auto* boolean = node.as_boolean()) return boolean->get() ? "true" : "false";
     if (node.is_string()) return text_of(node, key);
-    throw UsageError(fmt::format("key {}: found a TOML {}, expected a single value", key, type_of(node)));
+    throw UsageError(fmt::format("key {}: found a TOML {}, expected a single value", cut(key), type_of(node)));
 }
 
 void read_settings(const toml::node& node, const std::string& prefix, std::map<std::string, std::string>& settings) {
@@ -79,7 +85,7 @@ void check_keys(const toml::table& table, const Words& known) {
     for (const auto& [key, value] : table) {
         const std::string name(key.str());
         if (std::find(known.begin(), known.end(), name) == known.end())
-            throw UsageError(fmt::format("key {}: unknown, did you mean {}?", name.substr(0, 80), nearest_name(name, known)));
+            throw UsageError(fmt::format("key {}: unknown, did you mean {}?", cut(name), nearest_name(name, known)));
     }
 }
 
@@ -115,7 +121,7 @@ std::string as_name(std::string text) {
 void check_name(const std::string& name) {
     if (name.empty() || name.size() > kLongestName || name.front() == '.' || name.front() == '-' || name != as_name(name) ||
         name == "batch.json")
-        throw UsageError(fmt::format("name: found \"{}\", expected at most {} letters, digits, \"_\", \"-\" or \".\"", name.substr(0, 80),
+        throw UsageError(fmt::format("name: found \"{}\", expected at most {} letters, digits, \"_\", \"-\" or \".\"", cut(name),
                                      kLongestName));
 }
 
@@ -173,7 +179,7 @@ std::vector<NamedLog> logs_of(const std::string& text, bool may_be_pattern, cons
         const std::string path = match.substr(root.size());
         logs.push_back(named(kind + path, path, part_at(pattern, wildcard)));
     }
-    if (logs.empty()) throw UsageError(fmt::format("key logs: nothing matches \"{}\", expected logs", pattern.substr(0, 200)));
+    if (logs.empty()) throw UsageError(fmt::format("key logs: nothing matches \"{}\", expected logs", cut(pattern)));
     return logs;
 }
 
@@ -211,7 +217,7 @@ toml::table parse_toml(const std::string& text, const std::string& file) {
     try {
         return toml::parse(text, file);
     } catch (const toml::parse_error& error) {
-        throw DataError(fmt::format("{}:{}: not valid TOML: {}", file, error.source().begin.line, error.description().substr(0, 80)));
+        throw DataError(fmt::format("{}:{}: not valid TOML: {}", file, error.source().begin.line, cut(std::string(error.description()))));
     }
 }
 

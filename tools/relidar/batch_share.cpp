@@ -54,7 +54,7 @@ Share find_share(std::optional<int> task, std::optional<int> tasks) {
     if (task) return checked(*task, *tasks);
     const std::optional<int> slurm = environment_number(kSlurmTask), kubernetes = environment_number(kKubernetesTask);
     if (tasks && !slurm && !kubernetes)
-        throw UsageError(fmt::format("--tasks: found neither --task nor {} nor {}, expected which task this is", kSlurmTask, kKubernetesTask));
+        throw UsageError(fmt::format("--tasks: found no --task, {} or {}, expected which task this is", kSlurmTask, kKubernetesTask));
     if (tasks) return checked(slurm ? *slurm : *kubernetes, *tasks);
     if (slurm) return slurm_share(*slurm);
     if (kubernetes)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// How far a job of a batch is: one file in its folder, job.json, written whole or not at all by whoever holds the folder's lock. These files
-// are all that a batch remembers.
+// How far a job of a batch is: one file in its folder, job.json, written whole or not at all by whoever holds the folder's lock. These
+// files are all that a batch remembers.
 #pragma once
 
 #include <filesystem>

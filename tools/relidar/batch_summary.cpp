@@ -125,9 +125,9 @@ std::string status_text(const std::vector<JobReport>& reports) {
     }
     for (const char* phase : kPhases)
         if (const std::size_t n = count(reports, phase); n > 0) totals += fmt::format(", {} {}", n, phase);
-    return table(rows) + (failed.empty() ? "" : "\n" + failed) +
-           fmt::format("\n{} job{}{}, {} of work\n", reports.size(), reports.size() == 1 ? "" : "s", totals, duration(total_seconds(reports))) +
-           metrics_text(reports);
+    const std::string jobs = fmt::format("\n{} job{}", reports.size(), reports.size() == 1 ? "" : "s");
+    return table(rows) + (failed.empty() ? "" : "\n" + failed) + jobs + totals +
+           fmt::format(", {} of work\n", duration(total_seconds(reports))) + metrics_text(reports);
 }
 
 void write_summary(const BatchPlan& plan) {

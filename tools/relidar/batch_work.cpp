@@ -2,8 +2,8 @@
 // Commands are processes, not threads or calls: a lost device, a driver that aborts, memory that runs out or a bug ends the process it
 // happens in, and must end one job alone. It also leaves nothing behind: each job finds a device and memory as if it were the first.
 //
-// A job's folder is locked while somebody works in it, and the lock is handed on to the commands: where this process is killed, nobody takes
-// the job up before its last command has ended, too.
+// A job's folder is locked while somebody works in it, and the lock is handed on to the commands: where this process is killed, nobody
+// takes the job up before its last command has ended, too.
 #include "batch_work.hpp"
 
 #include <algorithm>
@@ -51,12 +51,12 @@ std::string title(const PlannedJob& job, const JobCommand& command) {
 
 /// The one line of a command that failed.
 std::string failure(const PlannedJob& job, const JobCommand& command, const ChildEnd& end, std::uintmax_t log_begin) {
+    const std::string &name = command.words.front(), log = job.log().string();
     if (end.signal != 0)
-        return fmt::format("`relidar {}` was ended by signal {} ({}){}; log: {}", command.words.front(), end.signal, ::strsignal(end.signal),
-                           end.signal == SIGKILL ? ", for lack of memory most likely" : "", job.log().string());
+        return fmt::format("`relidar {}` was ended by signal {} ({}){}; log: {}", name, end.signal, ::strsignal(end.signal),
+                           end.signal == SIGKILL ? ", for lack of memory most likely" : "", log);
     const std::string line = error_line(job.log(), log_begin);
-    return line.empty() ? fmt::format("`relidar {}` ended with exit code {}; log: {}", command.words.front(), end.exit_code, job.log().string())
-                        : line;
+    return line.empty() ? fmt::format("`relidar {}` ended with exit code {} and no word of why; log: {}", name, end.exit_code, log) : line;
 }
 
 /// Told to stop, by this process or by somebody else: no fault of the job.

@@ -13,8 +13,8 @@ struct WorkOptions {
     bool quiet = false;
 };
 
-/// Does what is left of the share's jobs until all are done or have failed, or until this process is told to stop (interrupted()). A job that
-/// another process is at is waited for: it may die and leave it. How jobs ended is in their folders (batch_state.hpp).
+/// Does what is left of the share's jobs until all are done or have failed, or until this process is told to stop (interrupted()). A job
+/// that another process is at is waited for: it may die and leave it. How jobs ended is in their folders (batch_state.hpp).
 /// @throws DataError where a job's folder cannot be written
 void work(const BatchPlan& plan, const WorkOptions& options);
 

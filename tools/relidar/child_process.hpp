@@ -22,8 +22,8 @@ struct ChildEnd {
     double seconds = 0.0;
 };
 
-/// Runs this program and waits for its end. When this process is told to stop (interrupted()), so is the other one, once; where this process
-/// dies, however, the system tells it.
+/// Runs this program and waits for its end. When this process is told to stop (interrupted()), so is the other one, once; where this
+/// process dies, however, the system tells it.
 /// @param tick called several times a second meanwhile @throws DataError where no process can be started or the log cannot be written
 ChildEnd run_child(const ChildCall& call, const std::function<void()>& tick);
 

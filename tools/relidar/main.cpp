@@ -24,6 +24,7 @@ constexpr const char* kFooter =
     "  relidar train LOG --out run                   LOG: a KITTI raw drive or a synthetic street\n"
     "  relidar render run --out scans --frames all\n"
     "  relidar eval run\n"
+    "  relidar batch fleet.toml --out fleet          many logs, on one machine or many\n"
     "  relidar edit run --out empty --remove 0       remove, move, copy, insert actors; render the result\n"
     "`relidar COMMAND --help` says more. Exit codes: 0 done, 1 fault of relidar, 2 usage, 3 data, 4 device, 130 interrupted.";
 
