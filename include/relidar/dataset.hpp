@@ -41,6 +41,10 @@ struct DatasetOptions {
 /// @throws DataError naming the file and what is wrong with it; UsageError for an unknown kind or an empty frame range
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options);
 
+/// Fails early, before long work: whether there is a dataset as load_sequence() takes it, and one that may have a part of this name (empty:
+/// none is named). Reads nothing of it. @throws DataError, UsageError as load_sequence()
+void check_dataset(const std::string& dataset, const std::string& sequence = {});
+
 /// A dataset as load_sequence() takes it, made independent of the working folder; a kind in front stays.
 std::string absolute_dataset(const std::string& dataset);
 

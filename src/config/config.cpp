@@ -14,10 +14,10 @@
 #include "config/field_text.hpp"
 #include "core/files.hpp"
 #include "core/number_text.hpp"
-#include "core/toml_depth.hpp"
 #include <relidar/stages/accel.hpp>
 #include <relidar/stages/backward.hpp>
 #include <relidar/error.hpp>
+#include <relidar/stages/toml_depth.hpp>
 #include <relidar/stages/traversal.hpp>
 
 namespace relidar {

@@ -116,6 +116,16 @@ std::pair<std::string, fs::path> parted(const std::string& dataset) {
                     : std::pair(std::string(), fs::path(dataset));
 }
 
+/// The reader of a log, of which a part may be named.
+const Kind& reader_of(const std::string& dataset, const std::string& sequence) {
+    const auto [kind, path] = parted(dataset);
+    const Kind& reader = find_kind(kind.empty() ? recognise_dataset(path) : kind);
+    if (!sequence.empty() && !reader.holds_drives)
+        throw UsageError(fmt::format("dataset.sequence: found '{}' for {}, which is one drive; expected none", excerpt(sequence),
+                                     reader.describe));
+    return reader;
+}
+
 void check_range(const FrameRange& range) {
     if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end)) {
         throw UsageError(fmt::format("frames {}:{}: an empty range, expected a:b with 0 <= a < b", range.begin, range.end));
@@ -154,19 +164,19 @@ std::string absolute_dataset(const std::string& dataset) {
     return kind.empty() ? absolute : kind + ":" + absolute;
 }
 
+void check_dataset(const std::string& dataset, const std::string& sequence) {
+    (void)reader_of(dataset, sequence);
+    const fs::path path = parted(dataset).second;
+    if (!path_exists(path)) throw DataError(fmt::format("{}: no such file or folder, expected a dataset", path.string()));
+}
+
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options) {
     check_range(options.frames);
     if (!(options.min_range_m >= 0.0 && options.max_range_m > options.min_range_m)) {
         throw UsageError(fmt::format("range limits: {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m",
                                      options.min_range_m, options.max_range_m));
     }
-    const auto [kind, path] = parted(dataset);
-    const std::string name = kind.empty() ? recognise_dataset(path) : kind;
-    const Kind& reader = find_kind(name);
-    if (!options.sequence.empty() && !reader.holds_drives)
-        throw UsageError(fmt::format("dataset.sequence: found '{}' for {}, which is one drive; expected none", excerpt(options.sequence),
-                                     reader.describe));
-    Sequence sequence = reader.load(path, options);
+    Sequence sequence = reader_of(dataset, options.sequence).load(parted(dataset).second, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
     check_sequence(sequence);
     if (!options.lidars.empty()) keep_lidars(sequence, options.lidars);

@@ -335,6 +335,12 @@ TEST(Synthetic, SavedAndLoadedAgain) {
     options.people = true;
     save_synthetic(options, folder);
     EXPECT_EQ(recognise_dataset(folder), "synthetic");
+    EXPECT_NO_THROW(check_dataset(folder.string()));
+    EXPECT_NO_THROW(check_dataset("synthetic:" + folder.string()));
+    EXPECT_THROW(check_dataset("synthetc:" + folder.string()), UsageError);
+    EXPECT_THROW(check_dataset(folder.string(), "kd1"), UsageError) << "a street is one drive";
+    EXPECT_THROW(check_dataset((folder / "none").string()), DataError);
+    EXPECT_THROW(check_dataset("synthetic:" + (folder / "none").string()), DataError);
     const Sequence made = make_synthetic_street(options);
     DatasetOptions range;
     range.frames = {1, 3};

@@ -12,6 +12,8 @@
 #include <relidar/run.hpp>
 #include <relidar/sensor_files.hpp>
 
+#include "../../tools/relidar/batch_manifest.hpp"
+#include "../../tools/relidar/batch_state.hpp"
 #include "run/example_run.hpp"
 
 namespace relidar::fuzz {
@@ -77,6 +79,22 @@ void read_track(std::string_view input, const fs::path& folder) {
     const PoseTrack track = read_trajectory(folder / "way.csv");
     (void)track.at(track.time_s.front() + 0.1);
 }
+
+/// Patterns of logs may match half of the file system: only those of the folder are looked up.
+void read_manifest(std::string_view input, const fs::path& folder) {
+    if (input.find("/*") == std::string_view::npos) (void)cli::parse_manifest(std::string(input), "manifest.toml", folder);
+}
+
+std::vector<std::string> state_seeds(const fs::path& folder) {
+    cli::JobState state;
+    state.phase = cli::JobPhase::failed;
+    state.done = {"train street"};
+    state.metrics = {{"strict/depth_medae_m", 0.02}};
+    cli::save_state(folder, state);
+    return {contents(folder / "job.json")};
+}
+
+void read_state(std::string_view input, const fs::path&) { (void)cli::parse_state(std::string(input), "job.json"); }
 
 /// TOML from tokens: a byte each.
 std::string toml_of(std::string_view input) {
@@ -165,6 +183,14 @@ std::vector<Harness> text_harnesses() {
                  "seed = 5\nn_frames = 2\nrows = 8\ncolumns = 96\nrange_noise_m = 0.01\nspeed_mps = 8.0\nmoving_cars = true\n"};
          },
          read_street},
+        {"manifest",
+         [](const fs::path&) {
+             return std::vector<std::string>{
+                 "[defaults]\npreset = \"quick\"\nsettings.train.iterations = 5\nsteps = [\"eval {run}\"]\n[[job]]\nlog = \"kitti_raw:a\"\n"
+                 "name = \"b\"\nframes = \"0:5\"\n[[job]]\nlogs = [\"c\", \"d/e.tfrecord\"]\nsequences = [\"kd1\"]\nout = \"f/{name}\"\n"};
+         },
+         read_manifest},
+        {"job_state", state_seeds, read_state},
         // a file is settings or a street
         {"toml",
          [](const fs::path&) {

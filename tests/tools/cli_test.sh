@@ -12,38 +12,14 @@ relidar=$(realpath "${1:?usage: cli_test.sh RELIDAR [WORK_FOLDER]}")
 tests=$(realpath "$(dirname "${BASH_SOURCE[0]}")")
 work=${2:-$(mktemp -d)}
 rm -rf "$work" && mkdir -p "$work" && cd "$work" || exit 1
-n_checks=0 n_failed=0
-
-fail() { n_failed=$((n_failed + 1)); printf 'FAILED: %s\n' "$*"; [[ ! -s err ]] || sed 's/^/    stderr: /' err; }
-check() { n_checks=$((n_checks + 1)); "${@:2}" || fail "$1"; }
-exists() { check "$1 is missing or empty" test -s "$1"; }
-absent() { check "$1 was left behind" test ! -e "$1"; }
-says() { check "stdout of the last command lacks: $1" grep -Eq -- "$1" out; }
-
-# good ARGS...: succeeds.
-good() {
-    "$relidar" "$@" >out 2>err
-    local code=$?
-    check "relidar $*: exit code $code, expected 0" test "$code" = 0
-}
-
-# bad CODE PATTERN ARGS...: fails with this code and one line on stderr that matches.
-bad() {
-    local code=$1 pattern=$2
-    shift 2
-    "$relidar" "$@" >out 2>err
-    local found=$?
-    check "relidar $*: exit code $found, expected $code" test "$found" = "$code"
-    check "relidar $*: more or less than one line on stderr" test "$(wc -l <err)" = 1
-    check "relidar $*: the message lacks '$pattern'" grep -Eq -- "^relidar: .*$pattern" err
-}
+source "$tests/checks.sh"
 
 help_tells() {
     good --help
-    for command in devices sensors config convert info train refine render serve edit view eval export import bench demo; do
+    for command in devices sensors config convert info train batch refine render serve edit view eval export import bench demo; do
         says "^  $command "
     done
-    for command in devices sensors config convert info train refine render serve edit view eval export import bench demo; do
+    for command in devices sensors config convert info train batch refine render serve edit view eval export import bench demo; do
         good "$command" --help
         says "Example"
     done
@@ -750,6 +726,4 @@ elif [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]]; then
 else
     skipped=1
 fi
-printf '%d checks, %d failed%s\n' "$n_checks" "$n_failed" "${skipped:+; no Vulkan device: the rest was skipped}"
-[[ $n_failed == 0 ]] || exit 1
-[[ -z ${skipped:-} ]] || exit 77
+finish_checks

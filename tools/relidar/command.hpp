@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What a command is: a function that adds a subcommand with its options to the parser, and leaves in `call.run` what to do
-// when the user chose it. A new command is a file, a line here and a line in main.cpp.
+// when the user chose it. A new command is a file, a line here and a line in commands.cpp.
 #pragma once
 
 #include <functional>
@@ -20,6 +20,9 @@ struct Call {
     std::function<void()> run;       ///< of the chosen command; failures are exceptions
 };
 
+/// Adds all of them.
+void add_commands(CLI::App& app, Call& call);
+
 void add_devices(CLI::App& app, Call& call);
 void add_sensors(CLI::App& app, Call& call);
 void add_pipelines(CLI::App& app, Call& call);
@@ -27,6 +30,7 @@ void add_config(CLI::App& app, Call& call);
 void add_convert(CLI::App& app, Call& call);
 void add_info(CLI::App& app, Call& call);
 void add_train(CLI::App& app, Call& call);
+void add_batch(CLI::App& app, Call& call);
 void add_refine(CLI::App& app, Call& call);
 void add_serve(CLI::App& app, Call& call);
 void add_edit(CLI::App& app, Call& call);

@@ -25,6 +25,7 @@ constexpr const char* kFooter =
     "  relidar render run --out scans --frames all\n"
     "  relidar eval run\n"
     "  relidar view run                              look at it in the browser, and drive the sensor\n"
+    "  relidar batch fleet.toml --out fleet          many logs, on one machine or many\n"
     "  relidar edit run --out empty --remove 0       remove, move, copy, insert actors; render the result\n"
     "  relidar serve run                             scans for simulators, by gRPC\n"
     "`relidar COMMAND --help` says more. Exit codes: 0 done, 1 fault of relidar, 2 usage, 3 data, 4 device, 130 interrupted.";
@@ -45,11 +46,7 @@ void run(int argc, char** argv) {
     app.set_version_flag("--version", std::string("relidar ") + RELIDAR_VERSION);
     app.require_subcommand(0, 1);
     app.footer(kFooter);
-    for (const auto& add :
-         {cli::add_demo, cli::add_train, cli::add_refine, cli::add_render, cli::add_view, cli::add_serve, cli::add_edit, cli::add_eval,
-          cli::add_export, cli::add_import, cli::add_convert, cli::add_info, cli::add_bench, cli::add_config, cli::add_devices, cli::add_sensors,
-          cli::add_pipelines})
-        add(app, call);
+    cli::add_commands(app, call);
     try {
         app.parse(argc, argv);
     } catch (const CLI::Success& help) {

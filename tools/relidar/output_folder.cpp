@@ -6,6 +6,7 @@
 #include <fstream>
 #include <string>
 #include <system_error>
+#include <utility>
 
 #include <fcntl.h>
 #include <sys/file.h>
@@ -64,6 +65,25 @@ bool is_same_file(int descriptor, const fs::path& file) {
            opened.st_ino == named.st_ino;
 }
 
+struct OpenLock {
+    int descriptor;
+    bool exclusive;   ///< the file system knows locks
+};
+
+/// Opens and locks a file. @return nothing where another process has locked it
+std::optional<OpenLock> open_locked(const fs::path& file) {
+    for (;;) {
+        const int descriptor = ::open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
+        if (descriptor < 0)
+            throw DataError(fmt::format("{}: cannot be written: {}", file.string(), std::generic_category().message(errno)));
+        const bool locked = ::flock(descriptor, LOCK_EX | LOCK_NB) == 0;
+        const bool held = !locked && errno == EWOULDBLOCK;
+        if (!held && is_same_file(descriptor, file)) return OpenLock{descriptor, locked};
+        ::close(descriptor);
+        if (held) return std::nullopt;
+    }
+}
+
 }  // namespace
 
 OutputFolder::OutputFolder(const fs::path& path) : path_(path) {
@@ -77,18 +97,29 @@ OutputFolder::~OutputFolder() {
     if (!was_there_) fs::remove(path_, failed);   // refuses where something is in it
 }
 
+FolderLock::FolderLock(fs::path file, int descriptor, bool exclusive)
+    : file_(std::move(file)), descriptor_(descriptor), exclusive_(exclusive) {}
+
 FolderLock::FolderLock(const fs::path& folder) : file_(folder / kLockFile) {
-    for (bool held = false; !held;) {
-        descriptor_ = ::open(file_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
-        if (descriptor_ < 0)
-            throw DataError(fmt::format("{}: cannot be written: {}", file_.string(), std::generic_category().message(errno)));
-        if (::flock(descriptor_, LOCK_EX | LOCK_NB) != 0 && errno == EWOULDBLOCK) {
-            ::close(descriptor_);
-            throw DataError(fmt::format("{}: another relidar is writing this run, expected one at a time", folder.string()));
-        }
-        held = is_same_file(descriptor_, file_);
-        if (!held) ::close(descriptor_);
-    }
+    const std::optional<OpenLock> lock = open_locked(file_);
+    if (!lock) throw DataError(fmt::format("{}: another relidar is writing this run, expected one at a time", folder.string()));
+    descriptor_ = lock->descriptor;
+    exclusive_ = lock->exclusive;
+}
+
+std::unique_ptr<FolderLock> FolderLock::take_if_free(const fs::path& folder) {
+    const fs::path file = folder / kLockFile;
+    const std::optional<OpenLock> lock = open_locked(file);
+    if (!lock) return nullptr;
+    return std::unique_ptr<FolderLock>(new FolderLock(file, lock->descriptor, lock->exclusive));
+}
+
+bool FolderLock::is_held(const fs::path& folder) {
+    const int descriptor = ::open((folder / kLockFile).c_str(), O_RDONLY | O_CLOEXEC);
+    if (descriptor < 0) return false;
+    const bool held = ::flock(descriptor, LOCK_SH | LOCK_NB) != 0 && errno == EWOULDBLOCK;
+    ::close(descriptor);
+    return held;
 }
 
 FolderLock::~FolderLock() {

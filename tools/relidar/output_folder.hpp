@@ -3,6 +3,7 @@
 #pragma once
 
 #include <filesystem>
+#include <memory>
 #include <optional>
 
 namespace relidar::cli {
@@ -33,9 +34,22 @@ public:
     FolderLock(const FolderLock&) = delete;
     FolderLock& operator=(const FolderLock&) = delete;
 
+    /// @return nothing where another process holds it @throws DataError where the folder cannot be written
+    static std::unique_ptr<FolderLock> take_if_free(const std::filesystem::path& folder);
+    /// Whether some process holds it. Writes nothing.
+    static bool is_held(const std::filesystem::path& folder);
+
+    /// Whether the file system knows locks: otherwise nobody is kept out.
+    bool is_exclusive() const { return exclusive_; }
+    /// A process that inherits it holds the lock as well, for as long as it lives.
+    int descriptor() const { return descriptor_; }
+
 private:
+    FolderLock(std::filesystem::path file, int descriptor, bool exclusive);
+
     std::filesystem::path file_;
-    int descriptor_ = -1;
+    int descriptor_;
+    bool exclusive_;
 };
 
 /// What may be in the folder of a run that is about to be written.

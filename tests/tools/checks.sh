@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+# What tests of the command line have in common: commands run and judged. Sourced by them, with $relidar set, in a folder of their own.
+n_checks=0 n_failed=0
+
+fail() { n_failed=$((n_failed + 1)); printf 'FAILED: %s\n' "$*"; [[ ! -s err ]] || sed 's/^/    stderr: /' err; }
+check() { n_checks=$((n_checks + 1)); "${@:2}" || fail "$1"; }
+exists() { check "$1 is missing or empty" test -s "$1"; }
+absent() { check "$1 was left behind" test ! -e "$1"; }
+says() { check "stdout of the last command lacks: $1" grep -Eq -- "$1" out; }
+
+# good ARGS...: succeeds.
+good() {
+    "$relidar" "$@" >out 2>err
+    local code=$?
+    check "relidar $*: exit code $code, expected 0" test "$code" = 0
+}
+
+# bad CODE PATTERN ARGS...: fails with this code and one line on stderr that matches.
+bad() {
+    local code=$1 pattern=$2
+    shift 2
+    "$relidar" "$@" >out 2>err
+    local found=$?
+    check "relidar $*: exit code $found, expected $code" test "$found" = "$code"
+    check "relidar $*: more or less than one line on stderr" test "$(wc -l <err)" = 1
+    check "relidar $*: the message lacks '$pattern'" grep -Eq -- "^relidar: .*$pattern" err
+}
+
+# Ends the test: with 77 where $skipped is set.
+finish_checks() {
+    printf '%d checks, %d failed%s\n' "$n_checks" "$n_failed" "${skipped:+; no Vulkan device: the rest was skipped}"
+    [[ $n_failed == 0 ]] || exit 1
+    [[ -z ${skipped:-} ]] || exit 77
+}

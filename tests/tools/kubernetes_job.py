@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether tools/examples/fleet/kubernetes.yaml is what Kubernetes' API of batch/v1 and relidar's exit codes ask for; see docs/fleet.md.
+
+   kubernetes_job.py KUBERNETES.YAML
+"""
+import sys
+
+import yaml
+
+
+def expect(condition, text):
+    if not condition:
+        sys.exit(f"FAILED: {text}")
+
+
+documents = {d["kind"]: d for d in yaml.safe_load_all(open(sys.argv[1])) if d}
+expect(set(documents) == {"PersistentVolumeClaim", "Job"}, f"kinds {sorted(documents)}")
+job = documents["Job"]
+expect(job["apiVersion"] == "batch/v1", "apiVersion of the job")
+spec, pod = job["spec"], job["spec"]["template"]["spec"]
+known = {"completionMode", "completions", "parallelism", "backoffLimitPerIndex", "maxFailedIndexes", "podFailurePolicy", "template"}
+expect(set(spec) <= known, f"keys {sorted(set(spec) - known)} of the job")
+expect(spec["completionMode"] == "Indexed", "backoffLimitPerIndex and JOB_COMPLETION_INDEX need an indexed job")
+expect(pod["restartPolicy"] == "Never", "podFailurePolicy needs restartPolicy Never")
+expect(spec["maxFailedIndexes"] <= spec["completions"], "maxFailedIndexes above completions")
+
+(container,) = pod["containers"]
+args = container["args"]
+expect(all(isinstance(word, str) for word in args), f"arguments that are no texts: {args}")
+expect(int(args[args.index("--tasks") + 1]) == spec["completions"], "--tasks is not the number of completions")
+volumes = {v["name"]: v for v in pod["volumes"]}
+mounts = {m["mountPath"]: volumes[m["name"]] for m in container["volumeMounts"]}
+claims = [v["persistentVolumeClaim"]["claimName"] for v in mounts.values()]
+expect(claims == [documents["PersistentVolumeClaim"]["metadata"]["name"]], f"claims {claims}")
+paths = [args[1], args[args.index("--out") + 1]]
+expect(args[0] == "batch" and all(p.startswith(m + "/") for p in paths for m in mounts), f"{paths} do not lie on the volume")
+
+actions = {}
+for rule in spec["podFailurePolicy"]["rules"]:
+    expect(("onExitCodes" in rule) != ("onPodConditions" in rule), f"a rule has exit codes or conditions, not both: {rule}")
+    if "onExitCodes" in rule:
+        expect(rule["onExitCodes"]["containerName"] == container["name"] and rule["onExitCodes"]["operator"] == "In", f"{rule}")
+        actions.update({code: rule["action"] for code in rule["onExitCodes"]["values"]})
+    else:
+        expect(rule["action"] == "Ignore" and [c["type"] for c in rule["onPodConditions"]] == ["DisruptionTarget"], f"{rule}")
+# usage and data would fail again; interrupted is no failure; what is not named (1 bug, 4 device, 137 killed) counts, and is tried again
+expect(actions == {2: "FailIndex", 3: "FailIndex", 130: "Ignore"}, f"exit codes {actions}")
