@@ -19,7 +19,7 @@
 
 #include <fmt/format.h>
 
-#include "batch_log.hpp"
+#include "batch_output.hpp"
 #include "batch_state.hpp"
 #include "batch_summary.hpp"
 #include "child_process.hpp"
