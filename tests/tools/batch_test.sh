@@ -196,6 +196,8 @@ steps = ["eval {run} --out {job}/scores.json", "render {run} --out {job}/scans -
     is fleet/broken attempts 2
     check "a finished job is done again" cmp -s before fleet/fine/batch.log
     sed -i 's/^steps.*/steps = ["eval {run} --out {job}\/scores.json", "export {run} --out {job}\/way.csv"]/' fleet.toml
+    good batch fleet.toml --out fleet --status
+    says "^fine +waiting +2/3 +1 "
     good batch fleet.toml --out fleet
     exists fleet/fine/way.csv
     check "another step does everything again" test "$(grep -c '^\$ relidar' fleet/fine/batch.log)" = 4

@@ -85,6 +85,7 @@ void raise_ends(const std::vector<JobReport>& reports) {
 }
 
 void run_batch(const Options& options) {
+    catch_interrupts();   // at once: the first process of a container gets no signal that it does not catch
     const BatchManifest manifest = load_manifest(options.manifest);
     const BatchPlan plan = plan_batch(manifest, fs::absolute(options.out).lexically_normal(), options.device);
     if (options.status) return print(status_text(report_jobs(plan)));
@@ -94,7 +95,6 @@ void run_batch(const Options& options) {
     raise_problems(check_plan(plan), options.manifest);
     const OutputFolder folder(plan.out);
     if (share.tasks > 1 && !options.quiet) print(fmt::format("task {} of 0 to {}\n", share.task, share.tasks - 1));
-    catch_interrupts();
     work(plan, {share, options.retry_failed, options.quiet});
     write_summary(plan);
     const std::vector<JobReport> reports = report_share(plan, share);
