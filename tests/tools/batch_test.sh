@@ -196,6 +196,8 @@ steps = ["eval {run} --out {job}/scores.json", "render {run} --out {job}/scans -
     is fleet/broken attempts 2
     check "a finished job is done again" cmp -s before fleet/fine/batch.log
     sed -i 's/^steps.*/steps = ["eval {run} --out {job}\/scores.json", "export {run} --out {job}\/way.csv"]/' fleet.toml
+    good batch fleet.toml --out fleet --status
+    says "^fine +waiting +2/3 +1 "
     good batch fleet.toml --out fleet
     exists fleet/fine/way.csv
     check "another step does everything again" test "$(grep -c '^\$ relidar' fleet/fine/batch.log)" = 4
@@ -212,7 +214,7 @@ long_batch() {
     manifest long.toml '[[job]]
 name = "long"
 log = "logs/a_sync"
-settings.train = { iterations = 1000000, checkpoint_every = 5, checkpoint_minutes = 0.0 }
+settings.train = { iterations = 20000, checkpoint_every = 5, checkpoint_minutes = 0.0 }
 [[job]]
 name = "short"
 log = "logs/b_sync"'
@@ -222,7 +224,7 @@ log = "logs/b_sync"'
 }
 
 # The training ends soon where the log of the run says that it has come far enough.
-shorten() { sed -i 's/iterations = 1000000/iterations = '"$(($(tail -1 "$1/long/run/log.jsonl" | grep -o '"iteration":[0-9]*' | cut -d: -f2) + 40))"'/' long.toml; }
+shorten() { sed -i 's/iterations = 20000/iterations = '"$(($(tail -1 "$1/long/run/log.jsonl" | grep -o '"iteration":[0-9]*' | cut -d: -f2) + 40))"'/' long.toml; }
 
 # went_on OUT: the job was resumed from a checkpoint, each of its iterations is there once, and the other job was done once.
 went_on() {
@@ -249,13 +251,23 @@ interrupted() {
     went_on told
 }
 
-# Killed at once, the training that it leaves behind is told by the system, saves itself and ends; the next batch waits for that.
+# Killed at once, the training that it leaves behind is told by the system, saves itself and ends; the next batch waits for that, however
+# long it takes.
 killed() {
     long_batch killed
+    local training
+    training=$(pgrep -P $batch)
+    kill -STOP $training
     kill -KILL $batch
     wait $batch 2>/dev/null
     shorten killed
-    good batch long.toml --out killed
+    "$relidar" batch long.toml --out killed >out 2>err &
+    local next=$!
+    wait_for killed/short/job.json '"state": "done"'
+    is killed/long attempts 1
+    kill -CONT $training
+    wait $next
+    check "a batch after one that was killed: exit code $?, expected 0" test $? = 0
     went_on killed
     long_batch lost
     kill -KILL -- -$batch
@@ -299,7 +311,9 @@ log = \"logs/unreadable\"
     for task in 0 1; do JOB_COMPLETION_INDEX=$task "$relidar" batch shared.toml --out array --tasks 2 --retry-failed --quiet >out 2>err; done
     each_once array 2
     good batch shared.toml --out none --task 7 --tasks 8
-    says "^7 jobs, 7 waiting, 0:00 of work$"
+    says "^0 jobs, 0:00 of work$"
+    exists none/batch.json
+    bad 3 "/proc/relidar" batch shared.toml --out /proc/relidar
 }
 
 # each_once OUT ATTEMPTS: of the jobs that fail; the good one is done at the first.

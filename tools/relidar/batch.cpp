@@ -58,16 +58,22 @@ ExitCode code_of_failures(const std::vector<JobReport>& failed) {
     return ExitCode::usage;
 }
 
-/// Ends the command as its share of the jobs has ended.
-void raise_ends(const BatchPlan& plan, const Share& share) {
+std::vector<JobReport> report_share(const BatchPlan& plan, const Share& share) {
     const std::vector<JobReport> all = report_jobs(plan);
+    std::vector<JobReport> reports;
+    for (std::size_t j = 0; j < all.size(); ++j)
+        if (share.has(j)) reports.push_back(all[j]);
+    return reports;
+}
+
+/// Ends the command as its jobs have ended.
+void raise_ends(const std::vector<JobReport>& reports) {
     std::vector<JobReport> failed;
-    std::size_t n_jobs = 0, n_done = 0;
-    for (std::size_t j = 0; j < all.size(); ++j) {
-        if (!share.has(j)) continue;
-        ++n_jobs;
-        n_done += all[j].phase == "done";
-        if (all[j].phase == "failed") failed.push_back(all[j]);
+    const std::size_t n_jobs = reports.size();
+    std::size_t n_done = 0;
+    for (const JobReport& report : reports) {
+        n_done += report.phase == "done";
+        if (report.phase == "failed") failed.push_back(report);
     }
     if (n_done + failed.size() < n_jobs)
         throw Error(ExitCode::interrupted,
@@ -79,6 +85,7 @@ void raise_ends(const BatchPlan& plan, const Share& share) {
 }
 
 void run_batch(const Options& options) {
+    catch_interrupts();   // at once: the first process of a container gets no signal that it does not catch
     const BatchManifest manifest = load_manifest(options.manifest);
     const BatchPlan plan = plan_batch(manifest, fs::absolute(options.out).lexically_normal(), options.device);
     if (options.status) return print(status_text(report_jobs(plan)));
@@ -88,11 +95,11 @@ void run_batch(const Options& options) {
     raise_problems(check_plan(plan), options.manifest);
     const OutputFolder folder(plan.out);
     if (share.tasks > 1 && !options.quiet) print(fmt::format("task {} of 0 to {}\n", share.task, share.tasks - 1));
-    catch_interrupts();
     work(plan, {share, options.retry_failed, options.quiet});
     write_summary(plan);
-    if (!options.quiet) print("\n" + status_text(report_jobs(plan)));
-    raise_ends(plan, share);
+    const std::vector<JobReport> reports = report_share(plan, share);
+    if (!options.quiet) print("\n" + status_text(reports));
+    raise_ends(reports);
 }
 
 void add_share_options(CLI::App& command, Options& options) {

@@ -75,18 +75,12 @@ void check_folder_of(const PlannedJob& job, const JobState& state) {
                                      state.done.front(), wanted, job.folder.string(), job.run.string()));
 }
 
-bool is_done(const PlannedJob& job, const JobState& state) {
-    return std::all_of(job.commands.begin(), job.commands.end(), [&](const JobCommand& command) {
-        return std::find(state.done.begin(), state.done.end(), command.text) != state.done.end();
-    });
-}
-
 void check_job(const PlannedJob& job) {
     check_settings(job.job);
     for (const JobCommand& command : job.commands) check_command(command, job);
     const JobState state = load_state(job.folder);
     check_folder_of(job, state);
-    if (!is_done(job, state)) check_dataset(job.job.log, job.job.sequence);   // where all is done, the log may have gone
+    if (!job.is_done(state.done)) check_dataset(job.job.log, job.job.sequence);   // where all is done, the log may have gone
 }
 
 /// A folder that a job will write.

@@ -2,6 +2,8 @@
 // What a batch will do: the jobs of a manifest as folders and command lines. Nothing is looked up on disk.
 #pragma once
 
+#include <algorithm>
+#include <cstddef>
 #include <filesystem>
 #include <string>
 #include <vector>
@@ -16,6 +18,8 @@ struct DeviceChoice;
 struct JobCommand {
     std::string text;                 ///< as the manifest has it, without folders and devices: what a job remembers as done
     std::vector<std::string> words;   ///< all arguments
+
+    bool is_in(const std::vector<std::string>& texts) const { return std::find(texts.begin(), texts.end(), text) != texts.end(); }
 };
 
 struct PlannedJob {
@@ -25,6 +29,11 @@ struct PlannedJob {
     std::vector<JobCommand> commands;   ///< training, then the steps
 
     std::filesystem::path log() const { return folder / "batch.log"; }
+    /// How many of its commands are in a list of texts: the manifest may have other steps than when they were done.
+    std::size_t n_done(const std::vector<std::string>& done) const {
+        return std::size_t(std::count_if(commands.begin(), commands.end(), [&](const JobCommand& command) { return command.is_in(done); }));
+    }
+    bool is_done(const std::vector<std::string>& done) const { return n_done(done) == commands.size(); }
 };
 
 struct BatchPlan {

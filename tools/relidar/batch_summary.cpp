@@ -61,7 +61,7 @@ Json job_json(const JobReport& report) {
             {"log", job->job.log},
             {"folder", job->folder.string()},
             {"run", job->run.string()},
-            {"commands_done", state.done.size()},
+            {"commands_done", job->n_done(state.done)},
             {"commands", job->commands.size()},
             {"attempts", state.attempts},
             {"seconds", state.seconds},
@@ -108,6 +108,7 @@ std::vector<JobReport> report_jobs(const BatchPlan& plan) {
             report.state = load_state(job.folder);   // it may have ended between the two looks
             if (report.state.phase == JobPhase::running) report.phase = "lost";
         }
+        if (report.state.phase == JobPhase::done && !job.is_done(report.state.done)) report.phase = phase_name(JobPhase::waiting);
         if (report.phase.empty()) report.phase = phase_name(report.state.phase);
         reports.push_back(std::move(report));
     }
@@ -118,7 +119,7 @@ std::string status_text(const std::vector<JobReport>& reports) {
     std::vector<std::vector<std::string>> rows{{"job", "state", "commands", "attempts", "time"}};
     std::string failed, totals;
     for (const auto& [job, state, phase] : reports) {
-        rows.push_back({job->job.name, phase, fmt::format("{}/{}", state.done.size(), job->commands.size()),
+        rows.push_back({job->job.name, phase, fmt::format("{}/{}", job->n_done(state.done), job->commands.size()),
                         fmt::format("{}", state.attempts), duration(state.seconds)});
         if (phase == "failed")
             failed += one_line(fmt::format("failed  {}: exit code {}: {}", job->job.name, state.exit_code, state.message)) + "\n";

@@ -15,7 +15,8 @@ namespace relidar::cli {
 struct JobReport {
     const PlannedJob* job;
     JobState state;
-    std::string phase;   ///< that of the state; "lost" where it says "running" and no process holds the job's lock
+    /// That of the state; "lost" where it says "running" and no process holds the job's lock, "waiting" where a step has come since.
+    std::string phase;
 };
 
 /// @throws DataError for a state that is damaged

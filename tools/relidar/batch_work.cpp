@@ -6,7 +6,6 @@
 // takes the job up before its last command has ended, too.
 #include "batch_work.hpp"
 
-#include <algorithm>
 #include <chrono>
 #include <csignal>
 #include <cstring>
@@ -19,7 +18,7 @@
 
 #include <fmt/format.h>
 
-#include "batch_log.hpp"
+#include "batch_output.hpp"
 #include "batch_state.hpp"
 #include "batch_summary.hpp"
 #include "child_process.hpp"
@@ -40,10 +39,6 @@ std::string host_name() {
     return ::gethostname(name, sizeof name - 1) == 0 ? name : "unknown";
 }
 
-bool is_done(const JobState& state, const JobCommand& command) {
-    return std::find(state.done.begin(), state.done.end(), command.text) != state.done.end();
-}
-
 /// First word and place of a command: "render (3 of 4)".
 std::string title(const PlannedJob& job, const JobCommand& command) {
     return fmt::format("{} ({} of {})", command.words.front(), &command - job.commands.data() + 1, job.commands.size());
@@ -51,7 +46,8 @@ std::string title(const PlannedJob& job, const JobCommand& command) {
 
 /// The one line of a command that failed.
 std::string failure(const PlannedJob& job, const JobCommand& command, const ChildEnd& end, std::uintmax_t log_begin) {
-    const std::string &name = command.words.front(), log = job.log().string();
+    const std::string& name = command.words.front();
+    const std::string log = job.log().string();
     if (end.signal != 0)
         return fmt::format("`relidar {}` was ended by signal {} ({}){}; log: {}", name, end.signal, ::strsignal(end.signal),
                            end.signal == SIGKILL ? ", for lack of memory most likely" : "", log);
@@ -92,9 +88,8 @@ public:
 private:
     /// Whether there is nothing to do for this process. One that failed while this process was there is not tried once more by it.
     bool is_settled(std::size_t j, const JobState& state) const {
-        const auto& commands = plan_.jobs[j].commands;
         if (state.phase == JobPhase::failed) return !options_.retry_failed || state.attempts != attempts_before_.at(j);
-        return std::all_of(commands.begin(), commands.end(), [&](const JobCommand& command) { return is_done(state, command); });
+        return plan_.jobs[j].is_done(state.done);
     }
 
     /// Does a job, where there is something to do. @return false where another process is at it
@@ -118,7 +113,7 @@ private:
         state.host = host_name();
         state.process = ::getpid();
         for (const JobCommand& command : job.commands) {
-            if (is_done(state, command)) continue;
+            if (command.is_in(state.done)) continue;
             if (interrupted()) state.phase = JobPhase::preempted, state.message = "told to stop";
             else do_command(job, command, state, lock);
             if (state.phase != JobPhase::running) break;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "batch_log.hpp"
+#include "batch_output.hpp"
 
 #include <algorithm>
 #include <fstream>
