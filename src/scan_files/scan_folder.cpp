@@ -25,7 +25,7 @@ constexpr const char* kSummary = "scans.json";
 /// Whether a name is scans.json or frame_<number>.<format>: nobody else's files are taken for a rendering.
 bool is_of_rendering(const fs::path& name) {
     const auto is_named = [&](const char* kind) { return name == scan_files::recording_name(kind); };
-    if (name == kSummary || std::any_of(std::begin(scan_files::kRecordingKinds), std::end(scan_files::kRecordingKinds), is_named)) return true;
+    if (name == kSummary || std::ranges::any_of(scan_files::kRecordingKinds, is_named)) return true;
     const std::string stem = name.stem().string(), prefix = "frame_", extension = name.extension().string();
     const std::vector<std::string> formats = scan_formats();
     return stem.starts_with(prefix) && stem.size() > prefix.size() &&
