@@ -18,6 +18,10 @@ write_basic_package_version_file(${PROJECT_BINARY_DIR}/relidarConfigVersion.cmak
 install(FILES ${PROJECT_BINARY_DIR}/relidarConfig.cmake ${PROJECT_BINARY_DIR}/relidarConfigVersion.cmake DESTINATION ${RELIDAR_PACKAGE_DIR})
 install(FILES ${PROJECT_SOURCE_DIR}/LICENSE DESTINATION ${CMAKE_INSTALL_DOCDIR})
 
+if(TARGET relidar_serve)   # clients make their stubs of it
+    install(FILES ${PROJECT_SOURCE_DIR}/tools/serve/relidar/v1/render.proto DESTINATION ${CMAKE_INSTALL_DATADIR}/relidar/proto/relidar/v1)
+endif()
+
 if(RELIDAR_BUILD_TOOLS)
     get_property(RELIDAR_TOOL_TARGETS DIRECTORY ${PROJECT_SOURCE_DIR}/tools/relidar PROPERTY BUILDSYSTEM_TARGETS)
     foreach(tool IN LISTS RELIDAR_TOOL_TARGETS)

@@ -157,7 +157,7 @@ std::string McapWriter::statistics() const {
 std::string McapWriter::summary(std::vector<Group>& groups) const {
     std::string bytes;
     const auto add = [&](Code code, const std::string& records) {
-        if (!records.empty()) groups.push_back({code, {written_ + bytes.size(), records.size()}});
+        if (!records.empty()) groups.push_back({code, written_ + bytes.size(), records.size()});
         bytes += records;
     };
     add(kSchema, schemas_), add(kChannel, channels_), add(kStatistics, statistics());
@@ -174,9 +174,9 @@ void McapWriter::close() {
     std::vector<Group> groups;
     put(summary(groups));
     const std::uint64_t offsets = written_;
-    for (const auto& [code, place] : groups) {
+    for (const Group& group : groups) {
         std::string body;
-        append(body, code), append(body, place.first), append(body, place.second);
+        append(body, group.code), append(body, group.begin), append(body, group.n_bytes);
         put(record(kSummaryOffset, body));
     }
     append(footer, begin), append(footer, offsets), append(footer, std::uint32_t(0));

@@ -9,7 +9,6 @@
 #include <map>
 #include <string>
 #include <string_view>
-#include <utility>
 #include <vector>
 
 namespace relidar::scan_files {
@@ -34,7 +33,10 @@ private:
     struct Indexed {
         std::uint64_t time_ns, offset;   ///< in the chunk
     };
-    using Group = std::pair<std::uint8_t, std::pair<std::uint64_t, std::uint64_t>>;   ///< code, and where such records lie
+    struct Group {
+        std::uint8_t code;               ///< of its records
+        std::uint64_t begin, n_bytes;    ///< in the file
+    };
 
     std::filesystem::path path_;
     std::ofstream file_;

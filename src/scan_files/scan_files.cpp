@@ -210,7 +210,6 @@ struct Format {
     const char* name;   ///< and extension
     void (*write)(const fs::path&, const PlacedScan&);
 };
-constexpr const char* kRecordings[] = {"mcap", "rosbag"};
 constexpr Format kFormats[] = {{"npz", npz}, {"exr", exr}, {"ply", ply}, {"pcd", pcd}, {"bin", bin}, {"png", png}};
 
 }  // namespace
@@ -218,7 +217,7 @@ constexpr Format kFormats[] = {{"npz", npz}, {"exr", exr}, {"ply", ply}, {"pcd",
 std::vector<std::string> scan_formats() {
     std::vector<std::string> names;
     for (const Format& format : kFormats) names.emplace_back(format.name);
-    names.insert(names.end(), std::begin(kRecordings), std::end(kRecordings));
+    names.insert(names.end(), std::begin(scan_files::kRecordingKinds), std::end(scan_files::kRecordingKinds));
     return names;
 }
 

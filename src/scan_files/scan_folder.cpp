@@ -24,7 +24,8 @@ constexpr const char* kSummary = "scans.json";
 
 /// Whether a name is scans.json or frame_<number>.<format>: nobody else's files are taken for a rendering.
 bool is_of_rendering(const fs::path& name) {
-    if (name == kSummary || name == scan_files::recording_name("mcap") || name == scan_files::recording_name("rosbag")) return true;
+    const auto is_named = [&](const char* kind) { return name == scan_files::recording_name(kind); };
+    if (name == kSummary || std::ranges::any_of(scan_files::kRecordingKinds, is_named)) return true;
     const std::string stem = name.stem().string(), prefix = "frame_", extension = name.extension().string();
     const std::vector<std::string> formats = scan_formats();
     return stem.starts_with(prefix) && stem.size() > prefix.size() &&
@@ -79,7 +80,7 @@ ScanFolder::ScanFolder(fs::path folder, ScanFormat format) : folder_(std::move(f
         if (failed) throw DataError(fmt::format("removing {} of an earlier rendering: {}", file.string(), failed.message()));
     }
     remove_temporaries(folder_);
-    for (const char* kind : {"mcap", "rosbag"}) {
+    for (const char* kind : scan_files::kRecordingKinds) {
         if (!wants(kind)) continue;
         const std::string name = scan_files::recording_name(kind);
         recordings_.push_back({name, std::make_shared<scan_files::ScanRecording>(folder_ / name, kind, recording_notes(format_))});

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "scan_recording.hpp"
 
+#include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <system_error>

@@ -15,10 +15,14 @@
 
 namespace relidar::scan_files {
 
+inline constexpr const char* kRecordingKinds[] = {"mcap", "rosbag"};
+/// Name of the file of a kind.
+std::string recording_name(const std::string& kind);
+
 /// A recording appears under its name when it is finished; until then it lies beside it under a temporary name.
 class ScanRecording {
 public:
-    /// @param kind  "mcap" or "rosbag" @param notes  what the file says of itself @throws DataError as all that write
+    /// @param kind  of kRecordingKinds @param notes  what the file says of itself @throws DataError as all that write
     ScanRecording(std::filesystem::path path, const std::string& kind, const FileNotes& notes);
     /// Leaves nothing behind where finish() was not called.
     ~ScanRecording();
@@ -46,8 +50,5 @@ private:
     void add_ros_topics();
     void begin(double first_s);
 };
-
-/// Its name in a folder. @param kind  "mcap" or "rosbag"
-std::string recording_name(const std::string& kind);
 
 }  // namespace relidar::scan_files

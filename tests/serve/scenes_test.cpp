@@ -5,6 +5,7 @@
 #include <relidar/error.hpp>
 
 #include "scenes.hpp"
+#include "../export/temporary_folder.hpp"
 #include "small_service.hpp"
 
 namespace relidar::serve {
@@ -19,7 +20,7 @@ protected:
 
     void SetUp() override {
         ServiceTest::SetUp();
-        if (IsSkipped()) return;
+        if (IsSkipped() || HasFatalFailure()) return;
         for (const char* name : {"a", "b", "c"}) {
             save_run(small_run(folder / name));
             sources.push_back({name, folder / name});
@@ -31,17 +32,17 @@ protected:
     }
     /// Device memory of one of them, after a scan.
     std::uint64_t size_of_one() {
-        const std::uint64_t before = test::find_device()->allocated_bytes();
-        SceneSet one(*test::find_device(), {sources[0]}, std::uint64_t(1) << 40);
+        const std::uint64_t before = device().allocated_bytes();
+        SceneSet one(device(), {sources[0]}, std::uint64_t(1) << 40);
         ranges(one, 0);
-        return test::find_device()->allocated_bytes() - before;
+        return device().allocated_bytes() - before;
     }
 };
 
 TEST_F(Scenes, ThoseUsedLongestAgoMakeRoomAndComeBackTheSame) {
-    const std::uint64_t one = size_of_one(), around = test::find_device()->allocated_bytes();
+    const std::uint64_t one = size_of_one(), around = device().allocated_bytes();
     const std::uint64_t budget = around + 5 * one / 2;   // two of three
-    SceneSet scenes(*test::find_device(), sources, budget);
+    SceneSet scenes(device(), sources, budget);
     const std::vector<float> truth = ranges(scenes, 0);
     ASSERT_FALSE(truth.empty());
     ranges(scenes, 1), ranges(scenes, 2);   // each has grown to what a scan needs
@@ -51,20 +52,20 @@ TEST_F(Scenes, ThoseUsedLongestAgoMakeRoomAndComeBackTheSame) {
         EXPECT_TRUE(scenes.is_loaded(scene));
         EXPECT_TRUE(scenes.is_loaded(last)) << last << " was used before " << scene;
         EXPECT_FALSE(scenes.is_loaded(3 - scene - last)) << "the third was used longest ago";
-        EXPECT_LE(test::find_device()->allocated_bytes(), budget);
+        EXPECT_LE(device().allocated_bytes(), budget);
         last = scene;
     }
 }
 
 TEST_F(Scenes, OneThatNeverFitsIsRefusedAtTheStart) {
-    const std::string message = data_error([&] { SceneSet(*test::find_device(), sources, 1000); });
+    const std::string message = data_error([&] { SceneSet(device(), sources, 1000); });
     EXPECT_THAT(message, HasSubstr("serving " + (folder / "a").string() + ": it holds"));
     EXPECT_THAT(message, HasSubstr("--memory-mib"));
 }
 
 TEST_F(Scenes, MissingAndBrokenRunsAreNamed) {
     sources[1].folder = folder / "nowhere";
-    EXPECT_THAT(data_error([&] { SceneSet(*test::find_device(), sources, std::uint64_t(1) << 40); }), HasSubstr("nowhere"));
+    EXPECT_THAT(data_error([&] { SceneSet(device(), sources, std::uint64_t(1) << 40); }), HasSubstr("nowhere"));
 }
 
 TEST(SceneSources, NamesAreTheFoldersOrGiven) {

@@ -17,7 +17,7 @@ protected:
     /// The same as the library renders it.
     RenderedScan rendered(const ScanRequest& request, const std::string& sensor, std::optional<std::uint64_t> sample) {
         const relidar::Run run = load_run(folder / "small");
-        ScanRenderer renderer(*test::find_device(), run);
+        ScanRenderer renderer(device(), run);
         const SensorChoice choice =
             sensor.empty() ? configured_sensor(run.config, run.sequence) : choose_sensor(sensor, run.config, run.sequence);
         return renderer.render(choice, request, sample);
@@ -178,6 +178,11 @@ TEST_F(Service, TellsWhatItServes) {
     EXPECT_EQ(tracks.dataset_from_sensor(2).pose().translation().x(), kDatasetOrigin_m.x);
     ASSERT_EQ(tracks.actors_size(), 1);
     EXPECT_EQ(tracks.actors(0).poses(1).pose().translation().x(), kDatasetOrigin_m.x + 4.0);
+}
+
+TEST(Addresses, OnlyThoseOfThisMachineAreLoopback) {
+    for (const char* listen : {"127.0.0.1:1", "127.8.9.1:0", "localhost:50051", "[::1]:2"}) EXPECT_TRUE(is_loopback(listen)) << listen;
+    for (const char* listen : {"0.0.0.0:1", "[::]:1", "127.example.com:1", "10.0.0.1:50051"}) EXPECT_FALSE(is_loopback(listen)) << listen;
 }
 
 }  // namespace

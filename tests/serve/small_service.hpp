@@ -5,12 +5,16 @@
 
 #include <cmath>
 #include <cstring>
+#include <filesystem>
 #include <memory>
 #include <optional>
+#include <string>
+#include <vector>
+
+#include <stdlib.h>
 
 #include <relidar/run.hpp>
 
-#include "../export/temporary_folder.hpp"
 #include "../support/device.hpp"
 #include "client.hpp"
 #include "server.hpp"
@@ -50,17 +54,21 @@ inline Run small_run(const std::filesystem::path& folder) {
 }
 
 /// Saves runs and serves them.
-class ServiceTest : public TemporaryFolder {
+class ServiceTest : public test::DeviceTest {
 protected:
+    std::filesystem::path folder;   ///< of the runs
     std::optional<ScanServer> server;
 
     void SetUp() override {
-        TemporaryFolder::SetUp();
-        if (!test::find_device()) GTEST_SKIP() << "no device";   // DeviceTest of the other suites fails where there has to be one
+        DeviceTest::SetUp();
+        std::string pattern = (std::filesystem::temp_directory_path() / "relidar-serve-XXXXXX").string();
+        ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
+        folder = pattern;
     }
     void TearDown() override {
         server.reset();
-        TemporaryFolder::TearDown();
+        std::filesystem::remove_all(folder);
+        DeviceTest::TearDown();
     }
 
     void start(std::size_t waiting = 64, const std::vector<std::string>& names = {"small"}, std::uint64_t memory_mib = 0) {
@@ -72,7 +80,7 @@ protected:
         options.listen = "127.0.0.1:0";
         options.waiting = waiting;
         options.memory_mib = memory_mib;
-        options.device = from_environment({.traversal = test::find_device()->traversal()});
+        options.device = from_environment({.traversal = device().traversal()});
         server.emplace(options);
     }
     std::string address() const { return "127.0.0.1:" + std::to_string(server->port()); }

@@ -246,6 +246,9 @@ rendering() {
     check "--overwrite removed a file of the user's" grep -qx mine scans/frame_notes.txt
     rm scans/frame_notes.txt
     check "--overwrite left frames of the rendering before" test "$(ls scans | tr '\n' ' ')" = "frame_000002.npz scans.json "
+    good render run --out recorded --frames 2:4 --format mcap,rosbag
+    check "recordings are other than one file each" test "$(ls -A recorded | tr '\n' ' ')" = "rosbag.mcap scans.json scans.mcap "
+    bad 2 "recorded: the folder holds another rendering \(3 files" render run --out recorded --format mcap
     good render run --out drawn --frames 2:4 --sample 7
     good render run --out drawn_again --frames 2:4 --sample 7
     good render run --out drawn_otherwise --frames 2:4 --sample 8

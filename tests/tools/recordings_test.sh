@@ -15,7 +15,11 @@ readers=${RELIDAR_READERS:-${3:-}}
 command -v node >/dev/null || { echo "no node"; exit 77; }
 [[ -d $readers/node_modules ]] || { echo "no packages in $readers"; exit 77; }
 readers=$(realpath "$readers")
-"$relidar" devices >/dev/null 2>&1 || { echo "no Vulkan device"; exit 77; }
+if ! "$relidar" devices >/dev/null 2>&1; then
+    echo "no Vulkan device"
+    [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]] && exit 1
+    exit 77
+fi
 rm -rf "$work" && mkdir -p "$work/street" && cd "$work" || exit 1
 fail() { printf 'FAILED: %s\n' "$*"; exit 1; }
 

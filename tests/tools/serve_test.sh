@@ -17,7 +17,11 @@ n_failed=0 server=""
 fail() { n_failed=$((n_failed + 1)); printf 'FAILED: %s\n' "$*"; }
 trap '[[ -z $server ]] || kill -KILL "$server" 2>/dev/null' EXIT
 
-"$relidar" devices >/dev/null 2>&1 || { echo "no Vulkan device"; exit 77; }
+if ! "$relidar" devices >/dev/null 2>&1; then
+    echo "no Vulkan device"
+    [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]] && exit 1
+    exit 77
+fi
 python=""
 for candidate in python3 /usr/bin/python3; do
     if "$candidate" -c 'import grpc, google.protobuf, numpy' 2>/dev/null; then python=$candidate; break; fi

@@ -139,6 +139,8 @@ void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtr
     const Sequence& log = run.sequence;
     const auto in_dataset = [&](const PoseTrack& track) { return shifted_track(track, log.world_offset_m); };
     write_track(in_dataset(log.world_from_sensor(lidar)), *message.mutable_dataset_from_sensor());
+    if (std::size_t(actors.size()) > run.scene.instances.size())
+        refuse("actors", fmt::format("{} names", actors.size()), "each actor once at most");
     std::vector<std::string> names(actors.begin(), actors.end());
     if (names.empty())
         for (const Instance& instance : run.scene.instances)

@@ -15,10 +15,6 @@ constexpr double kUnitSlack = 1e-3;         // of a quaternion that was sent in 
 constexpr double kDoublePrecision = 1e-12;  // a quaternion this close to unit length keeps every bit
 constexpr int kMostPoses = 100'000;
 
-[[noreturn]] void refuse(const std::string& field, const std::string& found, const std::string& expected) {
-    throw Refusal(grpc::StatusCode::INVALID_ARGUMENT, fmt::format("reading {}: found {}, expected {}", field, found, expected));
-}
-
 double read_number(double value, const std::string& field) {
     if (!(std::abs(value) <= kFarthest)) refuse(field, fmt::format("{}", value), "a finite number within 1e10");
     return value;
@@ -73,11 +69,6 @@ void write_track(const PoseTrack& track, google::protobuf::RepeatedPtrField<v1::
         message.set_time_s(track.time_s[i]);
         write_pose(track.pose[i], *message.mutable_pose());
     }
-}
-
-std::string quoted(const std::string& word) {
-    constexpr std::size_t kMost = 80;
-    return word.size() <= kMost ? fmt::format("\"{}\"", word) : fmt::format("\"{}...\" of {} bytes", word.substr(0, kMost), word.size());
 }
 
 }  // namespace relidar::serve

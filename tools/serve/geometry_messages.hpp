@@ -22,7 +22,4 @@ double read_time(double time_s, const std::string& field);
 void write_pose(const Pose& pose, v1::Pose& message);
 void write_track(const PoseTrack& track, google::protobuf::RepeatedPtrField<v1::TimedPose>& messages);
 
-/// A client's word for a message: cut where it is long.
-std::string quoted(const std::string& word);
-
 }  // namespace relidar::serve

@@ -64,6 +64,7 @@ Sample call(ScanClient& client, const v1::RenderLidarRequest& request) {
 LatencyResult measure_latency(const LatencyOptions& options) {
     ScanClient first(options.address);
     const v1::ListScenesResponse scenes = first.list_scenes();
+    if (scenes.scenes().empty()) throw DataError(fmt::format("asking the service at {}: found no scene, expected one", options.address));
     LatencyResult result;
     result.scene = options.scene.empty() ? scenes.scenes(0).name() : options.scene;
     v1::GetTracksRequest which;

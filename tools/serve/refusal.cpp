@@ -1,11 +1,27 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "refusal.hpp"
 
+#include <algorithm>
 #include <new>
+
+#include <fmt/format.h>
 
 #include <relidar/error.hpp>
 
 namespace relidar::serve {
+
+void refuse(const std::string& field, const std::string& found, const std::string& expected) {
+    throw Refusal(grpc::StatusCode::INVALID_ARGUMENT, fmt::format("reading {}: found {}, expected {}", field, found, expected));
+}
+
+std::string quoted(const std::string& word) {
+    constexpr std::size_t kMost = 80;
+    std::size_t n = std::min(word.size(), kMost);
+    while (n < word.size() && n > 0 && (static_cast<unsigned char>(word[n]) & 0xc0) == 0x80) --n;   // no half of a character of UTF-8
+    std::string shown = word.substr(0, n);
+    std::replace_if(shown.begin(), shown.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; }, ' ');
+    return n == word.size() ? fmt::format("\"{}\"", shown) : fmt::format("\"{}...\" of {} bytes", shown, word.size());
+}
 
 grpc::Status answered(const std::function<void()>& answer) {
     try {

@@ -20,6 +20,12 @@ private:
     grpc::StatusCode code_;
 };
 
+/// Of a field of a request that makes no sense. @throws Refusal, always
+[[noreturn]] void refuse(const std::string& field, const std::string& found, const std::string& expected);
+
+/// A client's word as messages show it: cut where it is long, in one line.
+std::string quoted(const std::string& word);
+
 /// Runs what answers a request, and turns whatever it throws into a status of one line.
 grpc::Status answered(const std::function<void()>& answer);
 

@@ -19,10 +19,6 @@ namespace {
 constexpr int kMostSensors = 64;         // of a rig
 constexpr double kBeyondPath_s = 60.0;   // a longer way to extrapolate is a slip, of microseconds for seconds say
 
-[[noreturn]] void refuse(const std::string& field, const std::string& found, const std::string& expected) {
-    throw Refusal(grpc::StatusCode::INVALID_ARGUMENT, fmt::format("reading {}: found {}, expected {}", field, found, expected));
-}
-
 /// @param known  where there is anything to be meant instead
 [[noreturn]] void refuse_unknown(const std::string& field, const std::string& name, const std::vector<std::string>& known) {
     const std::string nearest = nearest_name(name.substr(0, 80), known);

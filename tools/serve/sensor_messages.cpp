@@ -19,11 +19,8 @@ namespace {
 
 constexpr double kUnitSlack = 1e-3;
 constexpr std::uint64_t kMostRows = 65536;
+constexpr std::size_t kLongestName = 200;
 constexpr double kFarthestOrigin_m = 1000.0, kLongestScan_s = 60.0, kFarthestRange_m = 1e5, kDefaultRange_m = 80.0;
-
-[[noreturn]] void refuse(const std::string& field, const std::string& found, const std::string& expected) {
-    throw Refusal(grpc::StatusCode::INVALID_ARGUMENT, fmt::format("reading {}: found {}, expected {}", field, found, expected));
-}
 
 void check_count(const std::string& field, std::uint64_t rays) {
     if (rays < 1 || rays > kMostRaysOfScan)
@@ -143,7 +140,9 @@ std::uint64_t rays_of(const SensorModel& sensor) {
 
 SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field) {
     SensorModel sensor;
-    sensor.name = message.name().empty() ? "a client's sensor" : message.name().substr(0, 80);
+    if (message.name().size() > kLongestName)
+        refuse(field + ".name", quoted(message.name()), fmt::format("at most {} bytes", kLongestName));
+    sensor.name = message.name().empty() ? "a client's sensor" : message.name();
     sensor.limits.max_m =
         read_between(field + ".max_range_m", message.has_max_range_m() ? message.max_range_m() : kDefaultRange_m, 1e-3, kFarthestRange_m);
     sensor.limits.min_m = read_between(field + ".min_range_m", message.min_range_m(), 0.0, sensor.limits.max_m);

@@ -117,7 +117,8 @@ void ScanServer::stop(std::chrono::milliseconds patience) {
 
 bool is_loopback(const std::string& listen) {
     const std::string host = listen.substr(0, listen.rfind(':'));
-    return host == "localhost" || host == "[::1]" || host.starts_with("127.") || listen.starts_with("unix:");
+    const bool is_number = host.find_first_not_of("0123456789.") == std::string::npos;   // 127.example.com is somebody else's
+    return host == "localhost" || host == "[::1]" || (is_number && host.starts_with("127."));
 }
 
 }  // namespace relidar::serve
