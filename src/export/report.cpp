@@ -119,8 +119,8 @@ std::string key_metrics(const Report& report) {
     std::string head = "<th>What</th>", rows;
     for (const auto& [column, row] : report.metrics) head += fmt::format("<th>{}</th>", escape_html(column));
     for (const ReportKeyMetric& key : report.key_metrics) {
-        const bool known = std::any_of(report.metrics.begin(), report.metrics.end(), [&](const auto& c) { return c.second.contains(key.metric); });
-        if (!known) continue;
+        const auto has_it = [&](const auto& column) { return column.second.contains(key.metric); };
+        if (std::none_of(report.metrics.begin(), report.metrics.end(), has_it)) continue;
         rows += fmt::format("<tr><td class=\"key\">{}<small>{}</small></td>{}</tr>\n", escape_html(key.name), escape_html(key.hint),
                             metric_cells(report, key.metric));
     }
@@ -179,7 +179,9 @@ std::string timing_table(const MetricRow& timings) {
     std::string body;
     for (const auto& [name, ms] : rows) body += "<tr>" + timing_row(name, ms, whole, longest);
     body += "<tr class=\"total\">" + timing_row(total ? "total" : "sum", whole, whole, 0.0);
-    return table("<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th style=\"width:12%\">share</th><th></th>", body);
+    return table("<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th style=\"width:12%\">share</th>"
+                 "<th>of the longest</th>",
+                 body);
 }
 
 std::string timings(const Report& report) {

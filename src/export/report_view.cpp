@@ -24,8 +24,13 @@ constexpr std::size_t kMaxPoints = 500'000;   // of a page: 5.3 MB as base64
 constexpr float kFarthest_m = 300.0f;
 constexpr float kErrorStep_m = 0.004f;
 
+std::uint8_t packed_error(float error_m) {
+    if (!std::isfinite(error_m)) return 255;
+    return static_cast<std::uint8_t>(std::lround(std::min(std::abs(error_m) / kErrorStep_m, 254.0f)));
+}
+
 std::vector<std::uint8_t> pack(const ReportCloud& cloud, std::size_t max_points) {
-    const std::size_t n = cloud.position_m.size(), step = std::max<std::size_t>(1, (n + max_points - 1) / std::max<std::size_t>(1, max_points));
+    const std::size_t n = cloud.position_m.size(), step = std::max<std::size_t>(1, (n + max_points - 1) / max_points);
     std::vector<std::uint8_t> bytes;
     for (std::size_t i = 0; i < n; i += step) {
         const glm::vec3& p = cloud.position_m[i];
@@ -36,9 +41,7 @@ std::vector<std::uint8_t> pack(const ReportCloud& cloud, std::size_t max_points)
             bytes.push_back(static_cast<std::uint8_t>(cm >> 8));
         }
         bytes.push_back(static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
-        const float error_m = cloud.error_m[i];
-        bytes.push_back(std::isfinite(error_m) ? static_cast<std::uint8_t>(std::lround(std::clamp(std::abs(error_m) / kErrorStep_m, 0.0f, 254.0f)))
-                                               : std::uint8_t(255));
+        bytes.push_back(packed_error(cloud.error_m[i]));
     }
     return bytes;
 }
@@ -61,18 +64,20 @@ std::string inlined(std::string_view module) {
 }  // namespace
 
 std::string view_html(const ReportView& view, std::size_t n_views) {
-    const std::size_t n_clouds = std::max<std::size_t>(1, view.clouds.size() * n_views);
+    const std::size_t max_points = kMaxPoints / std::max<std::size_t>(1, view.clouds.size() * n_views) + 1;
     std::string figures;
     for (const ReportCloud& cloud : view.clouds) {
         const std::string name = escape_html(cloud.name);
-        figures += fmt::format("<figure><figcaption>{0}</figcaption><canvas tabindex=\"0\" role=\"application\" aria-label=\"{0}: points in 3D; "
-                               "arrow keys turn, plus and minus zoom\" data-points=\"{1}\"></canvas></figure>\n",
-                               name, base64(pack(cloud, kMaxPoints / n_clouds)));
+        figures += fmt::format("<figure><figcaption>{0}</figcaption><canvas tabindex=\"0\" role=\"application\" "
+                               "aria-label=\"{0}: points in 3D; arrow keys turn, plus and minus zoom\" data-points=\"{1}\"></canvas>"
+                               "</figure>\n",
+                               name, base64(pack(cloud, max_points)));
     }
     return fmt::format("<div class=\"view3d\">\n<div class=\"pair\">\n{}</div>\n<p class=\"controls\"><label>colour <select>"
                        "<option value=\"range\">range</option><option value=\"height\">height</option><option value=\"intensity\">intensity"
                        "</option><option value=\"error\">range error</option></select></label> <span class=\"legend3d\"></span></p>\n"
-                       "<p class=\"note\">Drag turns both, Ctrl and drag moves, the wheel zooms; or the arrow keys, plus and minus.</p>\n</div>\n",
+                       "<p class=\"note\">Drag turns both, Ctrl and drag moves, the wheel zooms; or the arrow keys, plus and minus.</p>\n"
+                       "</div>\n",
                        figures);
 }
 

@@ -80,10 +80,9 @@ double seconds_since(std::chrono::steady_clock::time_point start) {
 }
 
 /// The scores as a page beside the numbers, shown to the user.
-void open_page(const Run& run, const Output& output, const Evaluation& evaluation, const Device& device, const std::string& command_line) {
-    const std::filesystem::path page = output.file.parent_path() / "evaluation.html";
-    write_report(page, make_evaluation_report(run, evaluation, device, command_line));
-    print("page     " + absolute_path(page.string()) + "\n");
+void open_page(const std::filesystem::path& page, const Report& report, bool quiet) {
+    write_report(page, report);
+    if (!quiet) print("page     " + absolute_path(page.string()) + "\n");
     open_in_browser(absolute_path(page.string()));
 }
 
@@ -136,7 +135,9 @@ void score_run(const Options& options, const std::string& command_line) {
                   {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds_since(start),
                    baseline ? &*baseline : nullptr},
                   options.quiet);
-    if (options.open) open_page(run, output, evaluation, device, command_line);
+    if (!options.open) return;
+    const Report report = make_evaluation_report(run, evaluation, device, command_line);
+    open_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
 }
 
 /// The baseline alone: a log, no run, no device.

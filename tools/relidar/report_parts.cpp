@@ -70,16 +70,17 @@ ReportBars errors_by_range(const Evaluation& evaluation, const std::string& titl
 }
 
 std::vector<ReportKeyMetric> key_metrics() {
-    return {{"strict/depth_medae_m", "Typical range error, m", "half of all rays that return in both are nearer to the real range; less is better"},
-            {"strict/depth_rmse_m", "Range error with outliers, m", "root of the mean square: edges hit on the wrong side count most; less is better"},
-            {"moving_boxes/depth_medae_m", "Typical range error on what moves, m", "the same inside boxes of moving cars and people; less is better"},
-            {"range_40_80_m/depth_medae_m", "Typical range error far away, m", "the same from 40 to 80 m; less is better"},
-            {"strict/intensity_mae", "Intensity error", "mean over rays that return in both, of intensities from 0 to 1; less is better"},
-            {"strict/drop_accuracy", "Rays that return or drop as the real ones", "share of all rays; 1 is best"},
-            {"strict/drop_recall", "Dropped rays that were found", "share of the rays that really did not return; 1 is best"},
-            {"points/cd_mean_m", "Distance of the two point clouds, m", "to the nearest point of the other, both ways added; less is better"},
-            {"points/f_22cm", "Points with a real one within 22 cm", "and real ones with a simulated one, as F-score; 1 is best"},
-            {"peer/depth_psnr_db", "Range image as publications score it, dB", "peak signal to noise with dropped rays as 0 m; more is better"}};
+    return {
+        {"strict/depth_medae_m", "Typical range error, m", "half of the rays that return in both are nearer than this; less is better"},
+        {"strict/depth_rmse_m", "Range error with outliers, m", "root of the mean square: missed edges count most; less is better"},
+        {"moving_boxes/depth_medae_m", "Typical range error on what moves, m", "inside boxes of moving cars and people; less is better"},
+        {"range_40_80_m/depth_medae_m", "Typical range error far away, m", "from 40 to 80 m; less is better"},
+        {"strict/intensity_mae", "Intensity error", "mean over rays that return in both, of intensities from 0 to 1; less is better"},
+        {"strict/drop_accuracy", "Rays that return or drop as the real ones", "share of all rays; 1 is best"},
+        {"strict/drop_recall", "Dropped rays that were found", "share of the rays that really did not return; 1 is best"},
+        {"points/cd_mean_m", "Distance of the two point clouds, m", "to the nearest point of the other, both ways added; less is better"},
+        {"points/f_22cm", "Points with a real one within 22 cm", "and real ones with a simulated one, as F-score; 1 is best"},
+        {"peer/depth_psnr_db", "Range image as publications score it, dB", "peak signal to noise, dropped rays as 0 m; more is better"}};
 }
 
 std::string how_good(const MetricRow& mean) {

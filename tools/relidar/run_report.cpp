@@ -69,8 +69,8 @@ Report make_report(const Run& run, const TrainResult& result, const Device& devi
 Report make_evaluation_report(const Run& run, const Evaluation& evaluation, const Device& device, const std::string& command_line) {
     Report report;
     report.title = "relidar: " + run.sequence.name + ", scored";
-    report.summary = fmt::format("{} surfels were asked for {} again, in {:.1f} ms of tracing each.", run.scene.surfels.size(),
-                                 frame_count(evaluation.frames.size()), evaluation.trace_ms);
+    report.summary =
+        fmt::format("A scene of {} surfels, rendered in {:.2f} s a frame.", run.scene.surfels.size(), evaluation.trace_ms / 1000.0);
     report.facts = {{"Command", command_line},
                     {"Run", run.folder.string()},
                     {"Log", run.sequence.source},
