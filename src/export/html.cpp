@@ -12,6 +12,8 @@ namespace {
 
 constexpr std::string_view kDigits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
 
+}  // namespace
+
 std::string base64(const std::vector<std::uint8_t>& bytes) {
     std::string text;
     text.reserve((bytes.size() + 2) / 3 * 4);
@@ -23,8 +25,6 @@ std::string base64(const std::vector<std::uint8_t>& bytes) {
     }
     return text;
 }
-
-}  // namespace
 
 std::string escape_html(std::string_view text) {
     std::string result;

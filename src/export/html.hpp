@@ -15,6 +15,9 @@ std::string escape_html(std::string_view text);
 /// Four significant digits, e.g. 6.458, 0.03402, 1.2e-07; a dash for NaN.
 std::string format_number(double value);
 
+/// RFC 4648, with padding.
+std::string base64(const std::vector<std::uint8_t>& bytes);
+
 /// data:image/png;base64,...
 std::string png_data_url(const Image& image);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The report: one HTML page that needs no file or network beside it. Everything that comes from outside is escaped, and the
-// page holds no script. Curves whose names share the part before '/' share a chart; metrics are grouped the same way.
+// The report: one HTML page that needs no file or network beside it. Everything that comes from outside is escaped; script is our own
+// and there for views alone. Curves whose names share the part before '/' share a chart; metrics are grouped the same way.
 #include <relidar/export.hpp>
 
 #include <algorithm>
@@ -13,6 +13,7 @@
 
 #include "chart.hpp"
 #include "html.hpp"
+#include "report_parts.hpp"
 #include "report_style.hpp"
 
 namespace relidar {
@@ -25,6 +26,11 @@ constexpr double kMaxAspect = 10.0;   // a wider picture (66 x 1030) is drawn ta
 
 std::string section(const std::string& title, const std::string& body) {
     return body.empty() ? "" : fmt::format("<section>\n<h2>{}</h2>\n{}</section>\n", escape_html(title), body);
+}
+
+/// A section that is closed until the reader opens it.
+std::string folded(const std::string& title, const std::string& body) {
+    return body.empty() ? "" : fmt::format("<details>\n<summary>{}</summary>\n{}</details>\n", escape_html(title), body);
 }
 
 /// A table that scrolls by itself where the page is narrow.
@@ -108,6 +114,19 @@ std::string metrics(const Report& report) {
     return table(head, rows) + note;
 }
 
+/// The metrics that matter most, with what they say.
+std::string key_metrics(const Report& report) {
+    std::string head = "<th>What</th>", rows;
+    for (const auto& [column, row] : report.metrics) head += fmt::format("<th>{}</th>", escape_html(column));
+    for (const ReportKeyMetric& key : report.key_metrics) {
+        const auto has_it = [&](const auto& column) { return column.second.contains(key.metric); };
+        if (std::none_of(report.metrics.begin(), report.metrics.end(), has_it)) continue;
+        rows += fmt::format("<tr><td class=\"key\">{}<small>{}</small></td>{}</tr>\n", escape_html(key.name), escape_html(key.hint),
+                            metric_cells(report, key.metric));
+    }
+    return rows.empty() ? "" : table(head, rows);
+}
+
 std::string chart(const std::string& title, const std::vector<const ReportCurve*>& curves, int width) {
     std::string legend;
     for (std::size_t i = 0; i < curves.size(); ++i)
@@ -160,7 +179,9 @@ std::string timing_table(const MetricRow& timings) {
     std::string body;
     for (const auto& [name, ms] : rows) body += "<tr>" + timing_row(name, ms, whole, longest);
     body += "<tr class=\"total\">" + timing_row(total ? "total" : "sum", whole, whole, 0.0);
-    return table("<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th style=\"width:12%\">share</th><th></th>", body);
+    return table("<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th style=\"width:12%\">share</th>"
+                 "<th>of the longest</th>",
+                 body);
 }
 
 std::string timings(const Report& report) {
@@ -188,12 +209,15 @@ std::string page(const Report& report) {
     html += fmt::format("<title>{}</title>\n<style>{}</style>\n</head>\n", escape_html(report.title), export_detail::kReportStyle);
     html += fmt::format("<body>\n<main>\n<h1>{}</h1>\n", escape_html(report.title));
     html += fmt::format("<p class=\"summary\">{}</p>\n", escape_html(report.summary));
-    html += section("Run", facts(report));
-    html += section("Metrics", metrics(report));
-    html += section("Curves", curves(report));
+    for (const ReportView& view : report.views) html += section(view.title, export_detail::view_html(view, report.views.size()));
     for (const ReportFigure& pictures : report.figures) html += section(pictures.title, figure(pictures));
-    html += section("Time", timings(report));
-    return html + "<footer>Written by relidar</footer>\n</main>\n</body>\n</html>\n";
+    html += section("Curves", curves(report));
+    for (const ReportBars& bars : report.bars) html += section(bars.title, export_detail::bars_html(bars));
+    html += section("Scores", key_metrics(report));
+    html += folded("All metrics", metrics(report)) + folded("The run", facts(report)) + folded("Time by kernel", timings(report));
+    html += "<footer>Written by relidar</footer>\n</main>\n";
+    if (!report.views.empty()) html += export_detail::view_script();
+    return html + "</body>\n</html>\n";
 }
 
 }  // namespace

@@ -51,6 +51,21 @@ svg .grid { stroke: var(--line); } svg .tick { stroke: var(--soft); } svg .axis 
 figure { margin: 0 0 14px; } figure:last-child { margin-bottom: 0; }
 figcaption { margin: 0 0 4px; color: var(--soft); font-size: 13px; }
 img { display: block; width: 100%; border-radius: 4px; image-rendering: pixelated; }
+details { margin: 0 0 12px; padding: 12px 24px; background: var(--card); border: 1px solid var(--line); border-radius: 10px; }
+summary { font-weight: 600; cursor: pointer; } details[open] summary { margin-bottom: 12px; }
+:focus-visible { outline: 2px solid var(--accent); outline-offset: 2px; }
+.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(420px, 1fr)); gap: 14px; }
+.pair canvas { display: block; width: 100%; height: 400px; border-radius: 6px; touch-action: none; cursor: grab; }
+.controls { display: flex; align-items: center; gap: 18px; margin: 4px 0 0; }
+select { padding: 3px 6px; border: 1px solid var(--soft); border-radius: 5px; background: var(--card); color: var(--ink);
+  font: inherit; }
+.legend3d i { display: inline-block; width: 120px; height: 9px; margin: 0 8px; border-radius: 3px; }
+td.key { white-space: normal; text-align: left; font-weight: 600; }
+td.key small { display: block; color: var(--soft); font-size: 13px; font-weight: 400; }
+td.stack { min-width: 240px; } td.stack div { display: inline-block; height: 14px; vertical-align: middle; }
+th i { display: inline-block; width: 10px; height: 10px; margin-right: 6px; border-radius: 2px; }
+.b0 { background: #2a9d8f; } .b1 { background: #8ab17d; } .b2 { background: #e9c46a; }
+.b3 { background: #e76f51; } .b4 { background: #8d99ae; }
 footer { color: var(--soft); font-size: 13px; text-align: center; }
 )css"
     R"css(.line.c0 { stroke: var(--c0); } .line.c1 { stroke: var(--c1); } .line.c2 { stroke: var(--c2); } .line.c3 { stroke: var(--c3); }

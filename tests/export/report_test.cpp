@@ -26,7 +26,23 @@ Report some_report() {
                       {"paper", {{"peer/depth_rmse_m", 3.4671}}}};
     report.timings_ms = {{"Training step", {{"forward", 3.0}, {"backward", 9.0}}}};
     report.figures = {{"Frame 5", {{"real", colour_map({0, 1}, 1, 2, 0, 1, "turbo")}}}};
+    report.bars = {{"Errors", "Of all rays.", {"small", "large"}, {{"near", 8.0, {0.75, 0.25}}, {"far", 0.0, {0.0, 0.0}}}}};
+    report.key_metrics = {{"peer/depth_rmse_m", "Range error, m", "less is better"}, {"peer/none", "Nothing", "not there"}};
     return report;
+}
+
+/// The same with three points at (1.5, -2, 0.25) m, beyond what is shown, and without a number.
+Report report_with_view() {
+    Report report = some_report();
+    const float nan = std::nanf("");
+    report.views = {{"Points", {{"real", {{1.5f, -2.0f, 0.25f}, {1000, 0, 0}, {nan, 0, 0}}, {0.5f, 1, 1}, {0.02f, 0, 0}}}}};
+    return report;
+}
+
+/// What stands between two texts.
+std::string between(const std::string& text, const std::string& before, const std::string& after) {
+    const std::size_t start = text.find(before) + before.size();
+    return text.substr(start, text.find(after, start) - start);
 }
 
 std::string written(const std::filesystem::path& folder, const Report& report) {
@@ -87,6 +103,51 @@ TEST_F(ReportFile, HoldsEverything) {
     EXPECT_LT(html.find("backward"), html.find("forward"));   // longest first
 }
 
+TEST_F(ReportFile, BeginsWithWhatAPersonWantsToSee) {
+    const std::string html = written(folder, report_with_view());
+    std::size_t before = 0;
+    for (const char* part : {"One paragraph.", "<canvas", "Frame 5", "<svg", "Errors", "Range error, m", "All metrics", "lavapipe",
+                             "backward"}) {
+        const std::size_t here = html.find(part);
+        ASSERT_NE(here, std::string::npos) << part;
+        EXPECT_GT(here, before) << part;
+        before = here;
+    }
+    EXPECT_LT(html.find("<details>"), html.find("All metrics"));
+    EXPECT_EQ(count(html, "<details>"), 3u);
+    EXPECT_EQ(html.find("<details open"), std::string::npos);
+    for (const char* part : {"75.0 %", "25.0 %", "width:75.00%", "less is better"}) EXPECT_NE(html.find(part), std::string::npos) << part;
+    EXPECT_EQ(html.find("not there"), std::string::npos);   // a metric that nobody has
+    EXPECT_EQ(html.find(">far<"), std::string::npos);       // a class without a ray
+}
+
+TEST_F(ReportFile, PacksPointsInEightBytes) {
+    const std::string html = written(folder, report_with_view());
+    // 150, -200, 25 cm as int16, intensity 128, 2 cm in steps of 4 mm; the points that cannot be shown are left out. By Python:
+    // base64.b64encode(struct.pack("<hhhBB", 150, -200, 25, 128, 5))
+    EXPECT_EQ(between(html, "data-points=\"", "\""), "lgA4/xkAgAU=");
+}
+
+TEST_F(ReportFile, HoldsScriptForViewsAlone) {
+    EXPECT_EQ(written(folder, some_report()).find("<script"), std::string::npos);
+    const std::string html = written(folder, report_with_view());
+    EXPECT_EQ(count(html, "<script"), 1u);
+    const std::string script = between(html, "<script>", "</script>");
+    for (const char* line : {"\nimport ", "\nexport ", "http"}) EXPECT_EQ(script.find(line), std::string::npos) << line;
+    EXPECT_NE(script.find("class Camera"), std::string::npos);
+}
+
+TEST_F(ReportFile, StaysBelowEightMegabytes) {
+    Report report;
+    const std::vector<glm::vec3> many(400'000, glm::vec3(1.0f));
+    const std::vector<float> ones(many.size(), 1.0f);
+    const std::vector<ReportCloud> pair = {{"real", many, ones, ones}, {"simulated", many, ones, ones}};
+    report.views = {{"one", pair}, {"two", pair}};
+    const std::string html = written(folder, report);
+    EXPECT_LT(html.size(), 8'000'000u);
+    EXPECT_GT(html.size(), 4'000'000u);   // not thinned more than needed
+}
+
 TEST_F(ReportFile, EscapesWhateverItIsGiven) {
     Report report = some_report();
     const std::string evil = "</title></style><script>alert(1)</script>\"'&";
@@ -96,6 +157,8 @@ TEST_F(ReportFile, EscapesWhateverItIsGiven) {
     report.metrics = {{evil, {{evil, 1.0}}}};
     report.timings_ms = {{evil, {{evil, 1.0}}}};
     report.figures[0].title = report.figures[0].images[0].first = evil;
+    report.bars[0] = {evil, evil, {evil}, {{evil, 1.0, {1.0}}}};
+    report.key_metrics = {{evil, evil, evil}};
     const std::string html = written(folder, report);
     EXPECT_EQ(html.find("<script"), std::string::npos);
     EXPECT_EQ(count(html, "</title></style>"), 0u);

@@ -5,6 +5,7 @@
     browser_test.py RELIDAR WORK_FOLDER
 
 Exits 77 (skipped) where chromium, its driver or python3-selenium is missing."""
+import os
 import pathlib
 import shutil
 import signal
@@ -189,6 +190,22 @@ def serves_two_tabs(page, url):
     page.wait("points in the first", lambda: page.points() > 10_000)
 
 
+def shows_a_report(page, relidar, work):
+    command = [relidar, "eval", "run", "--out", "scored/metrics.json", "--open", "--quiet"]
+    subprocess.run(command, cwd=work, check=True, env=dict(os.environ, PATH=str(work / "no_browser")))
+    file = work / "scored/evaluation.html"
+    assert file.stat().st_size < 8e6, file.stat().st_size
+    page.driver.get(file.as_uri())
+    time.sleep(2)
+    pictures = [canvas.screenshot_as_base64 for canvas in page.driver.find_elements(By.CSS_SELECTOR, ".pair canvas")]
+    coloured = [page.driver.execute_async_script(COLOURED, picture) for picture in pictures]
+    assert len(coloured) == 2 and min(coloured) > 3_000, f"coloured pixels of the two clouds: {coloured}"
+    page.find(".pair canvas").send_keys(Keys.ARROW_LEFT)
+    time.sleep(1)
+    turned = [canvas.screenshot_as_base64 for canvas in page.driver.find_elements(By.CSS_SELECTOR, ".pair canvas")]
+    assert all(a != b for a, b in zip(pictures, turned)), "an arrow key turns both clouds"
+
+
 def check(page, url, relidar, work):
     shows_points(page)
     moves(page)
@@ -197,11 +214,14 @@ def check(page, url, relidar, work):
     shows_the_log(page)
     stays_responsive(page)
     serves_two_tabs(page, url)
+    shows_a_report(page, relidar, work)
+    page.driver.get(url)
+    page.wait("points after the report", lambda: page.points() > 10_000)
     assert page.errors() == [], page.errors()
 
 
 def main():
-    relidar, work = str(pathlib.Path(sys.argv[1]).resolve()), pathlib.Path(sys.argv[2])
+    relidar, work = str(pathlib.Path(sys.argv[1]).resolve()), pathlib.Path(sys.argv[2]).resolve()
     need(["chromium", "chromedriver"])
     shutil.rmtree(work, ignore_errors=True)
     for folder in ("street", "saved"):

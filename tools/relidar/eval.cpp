@@ -10,6 +10,7 @@
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
+#include "browser.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "evaluation.hpp"
@@ -18,6 +19,7 @@
 #include "output_folder.hpp"
 #include "pictures.hpp"
 #include "recast.hpp"
+#include "run_report.hpp"
 #include <relidar/export.hpp>
 #include <relidar/run.hpp>
 
@@ -34,6 +36,7 @@ struct Options {
     std::vector<std::string> sets;
     DeviceChoice device;
     bool no_refine = false;
+    bool open = false;
     bool quiet = false;
 };
 
@@ -76,6 +79,13 @@ double seconds_since(std::chrono::steady_clock::time_point start) {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
+/// The scores as a page beside the numbers, shown to the user.
+void open_page(const std::filesystem::path& page, const Report& report, bool quiet) {
+    write_report(page, report);
+    if (!quiet) print("page     " + absolute_path(page.string()) + "\n");
+    open_in_browser(absolute_path(page.string()));
+}
+
 /// What the scans of an edited run are worth.
 std::string edit_note(const Run& run) {
     if (run.edits.empty()) return "";
@@ -96,7 +106,7 @@ void add_edited_scores(Evaluation& evaluation, const Config& config, const std::
     if (!rows.empty()) evaluation.mean = mean(rows);
 }
 
-void score_run(const Options& options) {
+void score_run(const Options& options, const std::string& command_line) {
     std::optional<FolderLock> lock;   // its metrics.json belongs to what is scored
     if (options.out.empty() && is_run(options.target)) lock.emplace(options.target);
     Run run = load_run(options.target);
@@ -125,6 +135,9 @@ void score_run(const Options& options) {
                   {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds_since(start),
                    baseline ? &*baseline : nullptr},
                   options.quiet);
+    if (!options.open) return;
+    const Report report = make_evaluation_report(run, evaluation, device, command_line);
+    open_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
 }
 
 /// The baseline alone: a log, no run, no device.
@@ -146,13 +159,16 @@ void score_log(const Options& options) {
     write_results(output, evaluation, config, {"", "none", 0, seconds_since(start)}, options.quiet);
 }
 
-void run_eval(const Options& options) {
+void run_eval(const Options& options, const std::string& command_line) {
     if (!options.baseline.empty()) (void)find_baseline(options.baseline);   // a wrong name is found before the log is read
-    if (!options.baseline.empty() && !is_run(options.target)) return score_log(options);
+    if (!options.baseline.empty() && !is_run(options.target)) {
+        if (options.open) throw UsageError("--open: found a log, expected a run: there is no page of a baseline alone");
+        return score_log(options);
+    }
     if (!options.part.frames.empty() || !options.part.sequence.empty())
         throw UsageError(fmt::format("{}: found it beside a run, which has its own held-out frames; expected it with --baseline and a log",
                                      options.part.frames.empty() ? "--sequence" : "--frames"));
-    score_run(options);
+    score_run(options, command_line);
 }
 
 }  // namespace
@@ -174,6 +190,7 @@ void add_eval(CLI::App& app, Call& call) {
         ->add_option("--lpips-weights", options->lpips,
                      "safetensors file with the weights of LPIPS (default: eval.lpips_weights, else RELIDAR_LPIPS_WEIGHTS)")
         ->type_name("FILE");
+    command->add_flag("--open", options->open, "make a page of it, evaluation.html beside the JSON file, and open a browser");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");
@@ -186,11 +203,11 @@ void add_eval(CLI::App& app, Call& call) {
         "change);\n"
         "one of a real log against the log's scans, which show what was there before.\n"
         "Examples:\n"
-        "  relidar eval run\n"
+        "  relidar eval run --open\n"
         "  relidar eval run --out median.json --set render.range=median\n"
         "  relidar eval run --baseline nearest --pictures pictures\n"
         "  relidar eval LOG --baseline nearest --frames 0:50 --set sensor.grid=kitti360");
-    command->callback([&call, options] { call.run = [options] { run_eval(*options); }; });
+    command->callback([&call, options] { call.run = [&call, options] { run_eval(*options, call.command_line); }; });
 }
 
 }  // namespace relidar::cli

@@ -6,6 +6,7 @@
 #include "console.hpp"
 #include "evaluation.hpp"
 #include "pictures.hpp"
+#include "report_parts.hpp"
 #include <relidar/run.hpp>
 #include <relidar/train.hpp>
 
@@ -40,9 +41,8 @@ Report make_report(const Run& run, const TrainResult& result, const Device& devi
     const SpinningSensor& sensor = run.sequence.lidars[0].sensor;
     Report report;
     report.title = "relidar: " + run.sequence.name;
-    report.summary =
-        fmt::format("{} of a {} x {} LiDAR became {} surfels; {} were held out and rendered again.", frame_count(run.split.train.size()),
-                    sensor.beams.size(), sensor.columns, run.scene.surfels.size(), frame_count(run.split.test.size()));
+    report.summary = fmt::format("{} of a {} x {} LiDAR became {} surfels in {} of training.", frame_count(run.split.train.size()),
+                                 sensor.beams.size(), sensor.columns, run.scene.surfels.size(), duration(result.train_s));
     report.facts = {
         {"Command", command_line},
         {"Log", run.sequence.source},
@@ -66,14 +66,36 @@ Report make_report(const Run& run, const TrainResult& result, const Device& devi
     return report;
 }
 
+Report make_evaluation_report(const Run& run, const Evaluation& evaluation, const Device& device, const std::string& command_line) {
+    Report report;
+    report.title = "relidar: " + run.sequence.name + ", scored";
+    report.summary =
+        fmt::format("A scene of {} surfels, rendered in {:.2f} s a frame.", run.scene.surfels.size(), evaluation.trace_ms / 1000.0);
+    report.facts = {{"Command", command_line},
+                    {"Run", run.folder.string()},
+                    {"Log", run.sequence.source},
+                    {"Device", device.info().name},
+                    {"Driver", device.info().driver},
+                    {"relidar", RELIDAR_VERSION}};
+    add_evaluation(report, evaluation, run, {"held out", "real"});
+    return report;
+}
+
 void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run, const EvaluationTitle& title) {
     if (evaluation.frames.empty()) return;
+    if (const std::string good = how_good(evaluation.mean); report.metrics.empty() && !good.empty() && report.summary.ends_with('.')) {
+        report.summary.pop_back();
+        report.summary += fmt::format("; on {} it never saw, {}.", frame_count(evaluation.frames.size()), good);
+    }
+    report.key_metrics = key_metrics();
     report.metrics.emplace_back(fmt::format("{} ({})", title.column, frame_count(evaluation.frames.size())), evaluation.mean);
     report.facts.emplace_back(fmt::format("Rendering, {}", title.column), fmt::format("{:.1f} ms a frame", evaluation.trace_ms));
     if (!evaluation.kernel_ms.empty())
         report.timings_ms.emplace_back(fmt::format("Rendering, {}: mean of one launch", title.column), evaluation.kernel_ms);
     const ScoredFrame& shown = evaluation.frames[evaluation.frames.size() / 2];
     const std::string name = fmt::format("Frame {}, {}", shown.frame, title.column);
+    report.views.push_back(points_beside(shown, run.config, name + ": points", title.real));
+    report.bars.push_back(errors_by_range(evaluation, fmt::format("Errors by range, {}", title.column)));
     for (ReportFigure& figure : comparison_figures(shown, name, title.real, run.config.dataset.max_range_m))
         report.figures.push_back(std::move(figure));
 }

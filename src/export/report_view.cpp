@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: Apache-2.0
+// Points of a view as bytes: 8 a point, little-endian: x, y, z in centimetres (int16), intensity in steps of 1/255, error of the range in
+// steps of 4 mm up to 1 m, 255 where it is not known. points/report.js reads them.
+#include "report_parts.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <span>
+#include <string_view>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "html.hpp"
+
+namespace relidar {
+
+std::span<const std::pair<std::string_view, std::string_view>> report_script_texts();   // of cmake/Assets.cmake
+
+namespace export_detail {
+namespace {
+
+constexpr std::size_t kMaxPoints = 500'000;   // of a page: 5.3 MB as base64
+constexpr float kFarthest_m = 300.0f;
+constexpr float kErrorStep_m = 0.004f;
+
+std::uint8_t packed_error(float error_m) {
+    if (!std::isfinite(error_m)) return 255;
+    return static_cast<std::uint8_t>(std::lround(std::min(std::abs(error_m) / kErrorStep_m, 254.0f)));
+}
+
+std::vector<std::uint8_t> pack(const ReportCloud& cloud, std::size_t max_points) {
+    const std::size_t n = cloud.position_m.size(), step = std::max<std::size_t>(1, (n + max_points - 1) / max_points);
+    std::vector<std::uint8_t> bytes;
+    for (std::size_t i = 0; i < n; i += step) {
+        const glm::vec3& p = cloud.position_m[i];
+        if (!(glm::length(p) < kFarthest_m)) continue;
+        for (int k = 0; k < 3; ++k) {
+            const auto cm = static_cast<std::uint16_t>(static_cast<std::int16_t>(std::lround(100.0f * p[k])));
+            bytes.push_back(static_cast<std::uint8_t>(cm & 0xff));
+            bytes.push_back(static_cast<std::uint8_t>(cm >> 8));
+        }
+        bytes.push_back(static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
+        bytes.push_back(packed_error(cloud.error_m[i]));
+    }
+    return bytes;
+}
+
+/// A module as part of one script: without its imports, and with nothing exported.
+std::string inlined(std::string_view module) {
+    std::string script;
+    while (!module.empty()) {
+        const std::size_t end = std::min(module.find('\n'), module.size() - 1);
+        std::string_view line = module.substr(0, end + 1);
+        module.remove_prefix(end + 1);
+        if (line.starts_with("import ")) continue;
+        constexpr std::string_view kExport = "export ";
+        if (line.starts_with(kExport)) line.remove_prefix(kExport.size());
+        script += line;
+    }
+    return script;
+}
+
+}  // namespace
+
+std::string view_html(const ReportView& view, std::size_t n_views) {
+    const std::size_t max_points = kMaxPoints / std::max<std::size_t>(1, view.clouds.size() * n_views) + 1;
+    std::string figures;
+    for (const ReportCloud& cloud : view.clouds) {
+        const std::string name = escape_html(cloud.name);
+        figures += fmt::format("<figure><figcaption>{0}</figcaption><canvas tabindex=\"0\" role=\"application\" "
+                               "aria-label=\"{0}: points in 3D; arrow keys turn, plus and minus zoom\" data-points=\"{1}\"></canvas>"
+                               "</figure>\n",
+                               name, base64(pack(cloud, max_points)));
+    }
+    return fmt::format("<div class=\"view3d\">\n<div class=\"pair\">\n{}</div>\n<p class=\"controls\"><label>colour <select>"
+                       "<option value=\"range\">range</option><option value=\"height\">height</option><option value=\"intensity\">intensity"
+                       "</option><option value=\"error\">range error</option></select></label> <span class=\"legend3d\"></span></p>\n"
+                       "<p class=\"note\">Drag turns both, Ctrl and drag moves, the wheel zooms; or the arrow keys, plus and minus.</p>\n"
+                       "</div>\n",
+                       figures);
+}
+
+std::string view_script() {
+    std::string script;
+    for (const auto& [name, module] : report_script_texts()) script += inlined(module);
+    return "<script>\n(() => {\n'use strict';\n" + script + "})();\n</script>\n";
+}
+
+}  // namespace export_detail
+}  // namespace relidar
