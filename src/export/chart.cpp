@@ -181,7 +181,10 @@ std::string svg_chart(const std::vector<const ReportCurve*>& curves, int width, 
             if (drawable(*curve, i)) x_extent.add(curve->x[i]), y_extent.add(curve->y[i]);
     }
     const Axis x = make_x_axis(x_extent, kLeft, width - kRight), y = make_y_axis(y_extent, height - kBottom, kTop);
-    std::string svg = fmt::format("<svg viewBox=\"0 0 {} {}\" role=\"img\">\n{}", width, height, axes(x, y));
+    std::string names;
+    for (const ReportCurve* curve : curves) names += (names.empty() ? "" : ", ") + curve->name;
+    std::string svg = fmt::format("<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"Curves of {}\">\n{}", width, height,
+                                  escape_html(names), axes(x, y));
     for (std::size_t i = 0; i < curves.size(); ++i) {
         const std::string colour = fmt::format("c{}", i % kChartColours);
         const bool many = curves[i]->y.size() > kManyPoints;

@@ -74,6 +74,7 @@ wrong_usage() {
     bad 2 'baseline: found "nerest", expected nearest or nearest-actors' eval street --baseline nerest
     bad 3 "nowhere: no such folder" eval nowhere --baseline nearest
     bad 3 "street: no frame was held out" eval street --baseline nearest --frames 0:5
+    bad 2 "open: found a log, expected a run" eval street --baseline nearest --open
     bad 3 "nowhere: no such folder" export nowhere --out x.ply
     bad 2 "x.obj: found the ending .obj, expected a name that ends in .ply" export run --out x.obj
     bad 2 'setting train.iterations: found "-1"' demo --out x --iterations -1

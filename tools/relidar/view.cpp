@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // relidar view: a page in the browser that re-simulates a run live.
 #include <chrono>
-#include <cstdlib>
+#include <cstdio>
+#include <filesystem>
 #include <memory>
 
 #include <CLI/CLI.hpp>
@@ -61,21 +62,21 @@ void run_view(const Options& options) {
     if (options.no_refine) run.config.refine.enabled = false;
     const std::filesystem::path folder = save_folder(options, run);
     Device device(device_options(options.device));
-    std::unique_ptr<view::Server> server;   // after the session, and gone before it
+    view::Server* out = nullptr;   // the server calls the session, and has to be gone before it: it is made after it
     view::Session session(std::move(run), device, folder,
-                          {[&](view::TabId tab, std::string text) { server->send_text(tab, std::move(text)); },
-                           [&](view::TabId tab, std::string frame) { server->send_newest(tab, std::move(frame)); }});
-    server = std::make_unique<view::Server>(wanted, view::Events{[&](view::ClientId tab) { session.open(tab); },
-                                                                  [&](view::ClientId tab, std::string text) { session.receive(tab, text); },
-                                                                  [&](view::ClientId tab) { session.close(tab); }});
+                          {[&](view::TabId tab, std::string text) { out->send_text(tab, std::move(text)); },
+                           [&](view::TabId tab, std::string frame) { out->send_newest(tab, std::move(frame)); }});
+    view::Server server(wanted, {[&](view::ClientId tab) { session.open(tab); },
+                                 [&](view::ClientId tab, std::string text) { session.receive(tab, text); },
+                                 [&](view::ClientId tab) { session.close(tab); }});
+    out = &server;   // before work(), which alone answers
     catch_interrupts();
-    print(server->url() + "\n");
+    print(server.url() + "\n");
     std::fflush(stdout);
     const char* who = wanted.token.empty() ? "open that address in a browser" : "only who has that address may look";
     if (!options.quiet) note(fmt::format("{}; Ctrl-C ends it", who));
-    if (options.open) open_in_browser(server->url());
+    if (options.open) open_in_browser(server.url());
     while (!interrupted()) session.work(kPatience);
-    server.reset();
 }
 
 }  // namespace

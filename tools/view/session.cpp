@@ -45,19 +45,21 @@ void Session::refuse(TabId id, const char* about, const std::string& why) const 
 }
 
 void Session::receive(TabId id, const std::string& message) {
+    std::optional<Request> request;
+    std::string why = "too much at once: expected one after the other";
     try {
-        Request request = parse_request(message);
-        const std::lock_guard lock(mutex_);
-        const auto found = tabs_.find(id);
-        if (found == tabs_.end()) return;
-        Tab& tab = *found->second;
-        if (std::holds_alternative<ScanWish>(request)) tab.scan = std::get<ScanWish>(std::move(request));
-        else if (tab.others.size() < kMaxWaiting) tab.others.push_back(std::move(request));
-        else throw UsageError("too much at once: expected one after the other");
-        arrived_.notify_one();
+        request = parse_request(message);
     } catch (const UsageError& error) {
-        refuse(id, "message", error.what());
+        why = error.what();
     }
+    const std::lock_guard lock(mutex_);
+    const auto found = tabs_.find(id);
+    if (found == tabs_.end()) return;
+    Tab& tab = *found->second;
+    if (request && std::holds_alternative<ScanWish>(*request)) tab.scan = std::get<ScanWish>(std::move(*request));
+    else if (request && tab.others.size() < kMaxWaiting) tab.others.push_back(std::move(*request));
+    else tab.refused = why;
+    arrived_.notify_one();
 }
 
 /// What a tab waits for, first things first; nothing where it waits for nothing. The lock is held.
@@ -75,6 +77,10 @@ std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>
         return Job{id, "log", [this, id, state] {
                        answers_.text(id, dump({{"kind", "log"}, {"state", name_of(state)}, {"why", scanner_.real().why()}}));
                    }};
+    }
+    if (tab->refused) {
+        const std::string why = *std::exchange(tab->refused, std::nullopt);
+        return Job{id, "message", [this, id, why] { refuse(id, "message", why); }};
     }
     if (!tab->others.empty()) {
         const Request request = std::move(tab->others.front());

@@ -22,7 +22,7 @@ namespace relidar::view {
 
 using TabId = std::uint64_t;
 
-/// Where answers go; any thread may call them. Texts are JSON, each with its "kind":
+/// Where answers go; called by work() alone. Texts are JSON, each with its "kind":
 ///   hello (Scanner::describe), log {state, why}, sensor {name, rows, columns, rays}, saved {folder}, error {about, text}
 struct Answers {
     std::function<void(TabId, std::string)> text;
@@ -47,6 +47,7 @@ private:
         RealScans::State told = RealScans::State::loading;   ///< of the log
         std::optional<ScanWish> scan = {};                   ///< the newest that is not rendered
         std::deque<Request> others = {};                     ///< sensor files and runs to save
+        std::optional<std::string> refused = {};             ///< why the last message was none
         TabCache cache = {};                                 ///< of the rendering thread alone
     };
     struct Job {

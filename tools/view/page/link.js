@@ -34,8 +34,10 @@ export class Link {
   }
 
   heard(message) {
-    if (message.kind === 'error' && (message.about === 'scan' || message.about === 'message')) this.waiting = false;
     this.on.text(message);
+    if (message.kind !== 'error' || (message.about !== 'scan' && message.about !== 'message')) return;
+    this.waiting = false;   // the scan will not come
+    if (this.stale) this.ask();
   }
 
   received(data) {

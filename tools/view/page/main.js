@@ -181,7 +181,7 @@ const CAMERAS = ['follow', 'orbit', 'fly'];
 document.querySelectorAll('[data-camera]').forEach((b) => b.addEventListener('click', () => setCamera(b.dataset.camera)));
 steer(view, camera, {
   onChange: () => { panel.markCamera(camera.mode); redraw(); },
-  onGround: (from, to) => sensor.drag(to[0] - from[0], to[1] - from[1], headingOf(frame.header.log_pose)),
+  onGround: (from, to) => frame && sensor.drag(to[0] - from[0], to[1] - from[1], headingOf(frame.header.log_pose)),
   planeHeight: () => (frame ? frame.header.pose[14] - SENSOR_HEIGHT_M : 0),
 });
 const openHelp = setUpHelp();

@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: Apache-2.0
+// Live scans: the same points as the library's own renderer gives, edits included, and a frame that reads back as what was put in.
+#include "../../tools/view/scanner.hpp"
+
+#include <cstring>
+#include <memory>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include "../support/device.hpp"
+#include <relidar/dataset.hpp>
+#include <relidar/edit.hpp>
+#include <relidar/error.hpp>
+
+namespace relidar::view {
+namespace {
+
+using Json = nlohmann::json;
+
+/// A street with two moving cars, as initialised: nothing needs to be learnt here.
+Run small_run() {
+    Run run;
+    run.folder = "nowhere";
+    run.config = make_preset("quick");
+    run.config.dataset.path = "synthetic:nowhere";
+    run.config.refine.enabled = false;
+    SyntheticOptions street;
+    street.n_frames = 6;
+    street.rows = 16;
+    street.columns = 256;
+    run.sequence = make_synthetic_street(street);
+    run.split = split_frames(run.sequence, 3);
+    InitialiseOptions options;
+    options.actor_min_points = 10;
+    run.scene = initialise_scene(run.sequence, run.split.train, options);
+    for (Frame& frame : run.sequence.frames) frame.scan = {};   // as a run that was loaded
+    return run;
+}
+
+/// A frame message, read as page/frame.js does.
+struct Read {
+    Json header;
+    std::string arrays;
+
+    explicit Read(const std::string& bytes) {
+        std::uint32_t length = 0;
+        std::memcpy(&length, bytes.data() + 4, 4);
+        EXPECT_EQ(bytes.substr(0, 4), "RLV1");
+        EXPECT_EQ(length % 4, 0u);
+        header = Json::parse(bytes.substr(8, length));
+        arrays = bytes.substr(8 + length);
+    }
+    template <class T>
+    std::vector<T> array(const std::string& name) const {
+        for (const Json& entry : header["arrays"])
+            if (entry["name"] == name) {
+                std::vector<T> values(entry["count"].get<std::size_t>());
+                std::memcpy(values.data(), arrays.data() + entry["offset"].get<std::size_t>(), values.size() * sizeof(T));
+                return values;
+            }
+        ADD_FAILURE() << name;
+        return {};
+    }
+};
+
+/// A scan has the ranges and points of a message.
+void expect_same(const Read& live, const RenderedScan& scan, const Run& run) {
+    const std::vector<float> range_m = point_ranges(scan, run.config);
+    EXPECT_EQ(live.array<float>("range"), range_m);
+    const std::vector<glm::vec3> points = live.array<glm::vec3>("position");
+    ASSERT_EQ(points.size(), range_m.size());
+    for (std::size_t i = 0; i < points.size(); i += 97) {
+        const glm::dvec3 in_sensor(scan.image.origin[i] + range_m[i] * scan.image.direction[i]);
+        const glm::dvec3 expected = scan.world_from_firing(i) * in_sensor - run.sequence.world_offset_m;
+        EXPECT_LT(glm::distance(glm::dvec3(points[i]), expected), 1e-4) << i;
+    }
+}
+
+class LiveScan : public test::DeviceTest {
+protected:
+    void SetUp() override {
+        DeviceTest::SetUp();
+        if (!IsSkipped()) made_ = std::make_unique<Scanner>(small_run(), device());
+    }
+    void TearDown() override {
+        made_.reset();
+        DeviceTest::TearDown();
+    }
+    Scanner& scanner() { return *made_; }
+    const relidar::Run& run() const { return made_->run(); }
+    /// What `relidar render` makes of a run.
+    RenderedScan rendered(const relidar::Run& of, double time_s, const Pose& offset) {
+        ScanRenderer renderer(device(), of);
+        return renderer.render(choose_sensor("native", of.config, of.sequence), time_s, offset);
+    }
+    TabCache tab;
+
+private:
+    std::unique_ptr<Scanner> made_;
+};
+
+TEST_F(LiveScan, IsWhatTheRendererGives) {
+    ScanWish wish;
+    wish.time_s = 0.23;   // between frames
+    wish.sensor_offset = {rotation_of(0.3, 0.0, 0.0), {1.0, 2.0, 0.5}};
+    const Read live(scanner().scan(tab, wish));
+    EXPECT_EQ(live.header["image"], Json({16, 256}));
+    expect_same(live, rendered(run(), wish.time_s, wish.sensor_offset), run());
+}
+
+TEST_F(LiveScan, ShowsEditsAsAnEditedRunDoes) {
+    ASSERT_EQ(run().scene.instances.size(), 3u);
+    const std::string first = run().scene.instances[1].track, second = run().scene.instances[2].track;
+    ScanWish wish;
+    wish.time_s = 0.2;
+    wish.edits.moves[first] = {1.0, -2.0, 0.0, 15.0};
+    wish.edits.removed = {second};
+    const relidar::Run edited = edited_run(run(), wish.edits);
+    EXPECT_EQ(edited.edits.size(), 2u);
+    const RenderedScan expected = rendered(edited, wish.time_s, {});
+    expect_same(Read(scanner().scan(tab, wish)), expected, run());
+
+    wish.edits.copies = {{first, {5.0, 3.0, -0.9, 45.0, 2.0}}};
+    const Read with_copy(scanner().scan(tab, wish));
+    expect_same(with_copy, rendered(edited_run(run(), wish.edits), wish.time_s, {}), run());
+    EXPECT_EQ(with_copy.header["instances"][3], first + "-copy-1");
+}
+
+TEST_F(LiveScan, HidesWithoutAnEdit) {
+    ScanWish wish;
+    wish.edits.hidden = {run().scene.instances[1].track, run().scene.instances[2].track};
+    EXPECT_TRUE(edited_run(run(), wish.edits).edits.empty());
+    const std::vector<std::uint16_t> instance = Read(scanner().scan(tab, wish)).array<std::uint16_t>("instance");
+    EXPECT_THAT(instance, testing::Each(testing::AnyOf(0, 65535)));
+}
+
+TEST_F(LiveScan, RefusesWhatIsNotThere) {
+    ScanWish wish;
+    wish.sensor = "/etc/passwd";
+    EXPECT_THROW(scanner().scan(tab, wish), UsageError);
+    wish.sensor = "file";
+    EXPECT_THROW(scanner().scan(tab, wish), UsageError);
+    wish.sensor = "native";
+    wish.lidar = 1;
+    EXPECT_THROW(scanner().scan(tab, wish), UsageError);
+    wish.lidar = 0;
+    wish.edits.removed = {"nobody"};
+    EXPECT_THROW(scanner().scan(tab, wish), UsageError);
+    EXPECT_THROW(scanner().read_sensor(tab, {"x.npz", "x"}), UsageError);
+    EXPECT_THROW(scanner().read_sensor(tab, {"x.csv", "x\n1\n"}), DataError);
+    EXPECT_EQ(scanner().read_sensor(tab, {"x.csv", "elevation_deg\n1\n"})["rows"], 1);
+}
+
+}  // namespace
+}  // namespace relidar::view
