@@ -30,7 +30,7 @@ std::size_t band_of(const RangeImage& rendered, const RangeImage& real, std::siz
 
 ReportView points_beside(const ScoredFrame& frame, const Config& config, const std::string& title, const std::string& real_name) {
     const RangeImage &rendered = frame.rendered.image, &real = frame.real;
-    const std::vector<float> range_m = point_ranges(frame.rendered, config);
+    const std::vector<float>& range_m = point_ranges(frame.rendered, config);
     const Pose sensor_from_world = inverse(frame.rendered.world_from_sensor);
     ReportCloud measured{real_name, {}, {}, {}}, simulated{"simulated", {}, {}, {}};
     for (std::size_t i = 0; i < range_m.size(); ++i) {

@@ -47,7 +47,7 @@ private:
 
 void write_points(const RenderedScan& scan, const Pose& dataset_from_points, const Config& config, v1::Points& points) {
     const Deskew deskew(scan, dataset_from_points);
-    const std::vector<float> range_m = point_ranges(scan, config);
+    const std::vector<float>& range_m = point_ranges(scan, config);
     std::uint32_t n = 0;
     const auto add = [&](std::size_t ray, float range, float intensity, std::uint8_t number) {
         append(*points.mutable_xyz_m(), deskew.point(ray, range));
