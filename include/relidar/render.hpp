@@ -22,7 +22,7 @@ struct Run;
 /// A simulated scan: a range image with the ray of each pixel, in the sensor's frame at the ray's firing time.
 struct RenderedScan {
     RangeImage image;  ///< range as config.render.range says; drop_prob from the two logits (M6), 1 beyond the sensor's range
-    std::vector<float> median_range_m;  ///< [n] of the dominant surface, along the ray: t where T crosses 0.5; where it never does, as in image
+    std::vector<float> median_range_m;  ///< [n] of the dominant surface, along the ray: where T crosses 0.5; if it never does, the image's
     std::vector<float> weight;          ///< [n] accumulated alpha W
     std::vector<std::int32_t> instance; ///< [n] whose surface was met: index into Scene::instances, -1 where none was
     /// [n] unit, of the surface that was met, towards the sensor; 0 where none was; empty without render.normals
@@ -128,9 +128,9 @@ private:
     RenderedScan take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed, std::optional<std::uint64_t> sample);
 };
 
-/// Bins a simulated scan into a grid as the dataset's points were: points lie on the dominant surfaces of their rays, the nearest that
-/// returned wins a cell, and the cell is dropped where every ray that falls into it is. Neighbouring rays are dropped for the same reason, so its probability is the smallest of theirs
-/// (their product would be right for independent drops). Empty cells are dropped.
+/// Bins a simulated scan into a grid as the dataset's points were: points lie on the dominant surfaces of rays, the nearest that returned
+/// wins a cell, and the cell is dropped where all rays in it are. Neighbours are dropped for the same reason: its probability is the
+/// smallest of theirs (their product would be right for independent drops). Empty cells are dropped.
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid);
 
 /// The real image of a frame on the pixels of the configured sensor, for comparison with a rendering.

@@ -87,7 +87,7 @@ void visit_scene(C& c, Visitor&& f) {
     f("init.normals", c.init.normals, anything(), "orient surfels along normals of the nearest neighbours; false: at random");
     f("init.normal_neighbours", c.init.normal_neighbours, between(3, 1000), "neighbours a normal is fitted to");
     f("init.flatness", c.init.flatness, between(0, 1),
-      "where neighbours scatter across their plane by more than this share of the smaller variance within it, surfels face the sensor; 1: paper");
+      "where points scatter across their plane by more than this share of the variance in it, surfels face the sensor; 1: paper");
     f("init.smooth", c.init.smooth, anything(), "move each new surfel onto the plane of its neighbours");
     f("init.further_returns", c.init.further_returns, anything(), "second returns are points of the start too, where the log has them");
     f("init.remove_unlabelled_movers", c.init.remove_unlabelled_movers, anything(),

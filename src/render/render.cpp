@@ -230,7 +230,8 @@ RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable
     scan.weight = r.weight;
     for (std::size_t i = 0; i < r.size(); ++i) {
         const Beam& beam = beam_of(sensor.beams, table.channel[i]);
-        const double chosen_m = chosen_range(r, i, config.render.range), surface_m = r.median_depth[i] > 0.0f ? r.median_depth[i] : chosen_m;
+        const double chosen_m = chosen_range(r, i, config.render.range),
+                     surface_m = r.median_depth[i] > 0.0f ? double(r.median_depth[i]) : chosen_m;
         const auto range_m = static_cast<float>(beam.measured_range(chosen_m)),
                    median_m = static_cast<float>(beam.measured_range(surface_m));
         const double fall = sweep.intensity_response.at_range(surface_m);

@@ -110,7 +110,8 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
         result.image.drop_prob[c] = std::min(result.image.drop_prob[c], drop);
         if (!scan.surfel_drop_prob.empty()) result.surfel_drop_prob[c] = std::min(result.surfel_drop_prob[c], scan.surfel_drop_prob[i]);
         const bool returns = drop < kDropThreshold, winner_returns = winner_drop[c] < kDropThreshold;
-        const bool wins = returns != winner_returns ? returns : returns ? glm::length(point) < result.median_range_m[c] : drop < winner_drop[c];
+        const bool is_nearer = glm::length(point) < result.median_range_m[c];
+        const bool wins = returns != winner_returns ? returns : returns ? is_nearer : drop < winner_drop[c];
         if (!wins && winner_drop[c] < 1.5f) continue;
         winner_drop[c] = drop;
         copy_pixel(scan, i, result, c);

@@ -37,6 +37,7 @@ Run trained(Device& device, Sequence street) {
     run.config = make_preset("quick");
     run.config.train.iterations = 120;
     run.config.train.refine_poses = "none";
+    run.config.init.flatness = 1.0;   // the network is tested: in 120 steps it learns less beside discs that face the sensor
     run.scene = train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;
     return run;
 }
