@@ -356,7 +356,7 @@ ray_drop() {
     good refine surfels --no-eval --quiet
     check "--quiet prints" test ! -s out -a ! -s err
     bad 3 "network, image 0: an image of 8 x 96 pixels, expected at least 32 x 32 for a network of 5 levels" \
-        refine surfels --set refine.network=small --set refine.levels=5
+        refine surfels --quiet --set refine.network=small --set refine.levels=5
     bad 2 'setting refine.network: found "large", expected one of small, paper, pixel' refine surfels --set refine.network=large
     bad 3 "nowhere: no such folder" refine nowhere
     printf 'short' >surfels/drop_network.safetensors
