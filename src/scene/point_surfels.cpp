@@ -37,8 +37,8 @@ struct Plane {
 };
 
 /// Normal: eigenvector of the smallest eigenvalue. Points along one scan line leave it free to turn about the line; then it faces
-/// the sensor as far as the line allows. Points that are no surface have none to tell: of discs that lie in their scatter, rays of the
-/// next scan pass most edge on, and return from behind.
+/// the sensor as far as the line allows. Points that are no surface have no normal either. Their discs face the sensor, too: others are
+/// seen edge on, so that rays of the next scan pass by and return from behind.
 Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours, const glm::dvec3& view, double flatness) {
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
     for (const std::size_t j : neighbours) mean += Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z);
