@@ -38,12 +38,6 @@ void write_file(const std::filesystem::path& path, std::string_view bytes);
 /// A whole file. @throws DataError naming the path
 std::vector<std::byte> read_file(const std::filesystem::path& path);
 
-/// Appends the bytes of a plain value.
-template <class T>
-void append(std::string& bytes, T value) {
-    bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
-}
-
 /// Message of a system error number, as strerror.
 std::string system_message(int error);
 

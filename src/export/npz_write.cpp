@@ -11,6 +11,7 @@
 
 #include <relidar/error.hpp>
 
+#include "core/bytes.hpp"
 #include "file_io.hpp"
 #include "named_array.hpp"
 #include "npy.hpp"
@@ -18,7 +19,6 @@
 namespace relidar {
 namespace {
 
-using export_detail::append;
 
 constexpr std::uint32_t kLocalSignature = 0x04034b50, kCentralSignature = 0x02014b50, kEndSignature = 0x06054b50;
 constexpr std::uint16_t kVersion = 20;        // deflate

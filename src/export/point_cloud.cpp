@@ -12,12 +12,12 @@
 
 #include <relidar/error.hpp>
 
+#include "core/bytes.hpp"
 #include "file_io.hpp"
 
 namespace relidar {
 namespace {
 
-using export_detail::append;
 
 /// A field of a record, as both headers call it. (PLY has two names of 16 bits, ushort and uint16: Open3D reads the second alone.)
 struct Field {

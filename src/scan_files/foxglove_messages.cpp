@@ -6,6 +6,8 @@
 
 #include <protozero/pbf_writer.hpp>
 
+#include "core/bytes.hpp"
+
 namespace relidar::scan_files {
 namespace {
 
@@ -181,11 +183,6 @@ constexpr PointField kPointFields[] = {{"x", 0, kFloat32},          {"y", 4, kFl
                                        {"intensity", 12, kFloat32}, {"time", 16, kFloat32}, {"instance", 20, kInt32Number},
                                        {"ring", 24, kUint16},       {"return", 26, kUint8}};
 constexpr std::size_t kStride = 28;   // a multiple of 4, so that floats lie where processors like them
-
-template <class T>
-void append(std::string& bytes, T value) {
-    bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
-}
 
 std::string point_bytes(const PointCloud& cloud) {
     std::string bytes;

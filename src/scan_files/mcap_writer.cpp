@@ -11,6 +11,8 @@
 
 #include <relidar/error.hpp>
 
+#include "core/bytes.hpp"
+
 namespace relidar::scan_files {
 namespace {
 
@@ -33,11 +35,6 @@ enum Code : std::uint8_t {
     kSummaryOffset = 14,
     kDataEnd = 15
 };
-
-template <class T>
-void append(std::string& bytes, T value) {
-    bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
-}
 
 void append_text(std::string& bytes, std::string_view text) {
     append(bytes, std::uint32_t(text.size()));

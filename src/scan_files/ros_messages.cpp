@@ -6,6 +6,8 @@
 #include <span>
 #include <string_view>
 
+#include "core/bytes.hpp"
+
 namespace relidar::scan_files {
 namespace {
 
@@ -15,7 +17,7 @@ public:
     template <class T>
     Cdr& add(T value) {
         while ((bytes_.size() - kHead) % sizeof(T) != 0) bytes_ += '\0';
-        bytes_.append(reinterpret_cast<const char*>(&value), sizeof value);
+        append(bytes_, value);
         return *this;
     }
     Cdr& add_text(std::string_view text) {
@@ -56,11 +58,6 @@ constexpr PointField kAutoware[] = {{"x", 0, kFloat32},          {"y", 4, kFloat
 
 /// Nebula's numbers of returns.
 enum ReturnType : std::uint8_t { kLast = 1, kStrongest = 3, kSecondStrongest = 8 };
-
-template <class T>
-void append(std::string& bytes, T value) {
-    bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
-}
 
 /// A second return lies behind its first: it is the last; or before it: then the first was the last, and this the next strongest.
 ReturnType return_type(const PointCloud& cloud, std::size_t point) {

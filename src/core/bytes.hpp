@@ -1,0 +1,15 @@
+// SPDX-License-Identifier: Apache-2.0
+// Plain values as bytes of a file or message, in the order of this machine.
+#pragma once
+
+#include <string>
+
+namespace relidar {
+
+/// Appends the bytes of a plain value.
+template <class T>
+void append(std::string& bytes, T value) {
+    bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
+}
+
+}  // namespace relidar
