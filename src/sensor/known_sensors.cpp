@@ -5,14 +5,21 @@
 #include <relidar/sensor.hpp>
 
 #include <algorithm>
+#include <span>
+#include <string_view>
+#include <utility>
 
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
 #include <relidar/math.hpp>
-#include "sensor/sensor_tables.hpp"
+
+#include "core/assert.hpp"
 
 namespace relidar {
+
+std::span<const std::pair<std::string_view, std::string_view>> sensor_table_texts();   // of cmake/Assets.cmake
+
 namespace {
 
 constexpr double kDegree = kPi / 180.0;
@@ -86,8 +93,16 @@ SensorModel kitti360(int columns, double rate_hz) {
     return model(std::move(sensor), "the image of published results on KITTI-360, 66 x 1030");
 }
 
+/// The table of a sensor that has one. Its first line begins with # and says where the figures are from.
+std::string table_of(const std::string& name) {
+    const auto tables = sensor_table_texts();
+    const auto table = std::find_if(tables.begin(), tables.end(), [&](const auto& named) { return named.first == name + ".csv"; });
+    RELIDAR_ASSERT_EQ(table != tables.end(), true);
+    return std::string(table->second);
+}
+
 SensorModel tabled(const Tabled& row, int columns, double rate_hz) {
-    const std::string& table = sensor_tables().at(row.name);
+    const std::string table = table_of(row.name);
     SpinningSensor sensor = parse_beam_table(table, row.name, columns ? columns : row.columns, rate_hz);
     sensor.name = row.name;
     sensor.min_range_m = row.min_range_m;
