@@ -130,8 +130,7 @@ void write_scene(const std::string& name, const Run& run, v1::Scene& message) {
         added.set_rays(count_rays(configured_sensor(run.config, log, int(i))));
         added.set_period_s(lidar.period_s());
     }
-    for (const Instance& instance : run.scene.instances)
-        if (!instance.track.empty()) write_actor(run, instance.track, *message.add_actors());
+    for (const std::string& actor : actor_names(run)) write_actor(run, actor, *message.add_actors());
 }
 
 void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtrField<std::string>& actors,
@@ -142,9 +141,7 @@ void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtr
     if (std::size_t(actors.size()) > run.scene.instances.size())
         refuse("actors", fmt::format("{} names", actors.size()), "each actor once at most");
     std::vector<std::string> names(actors.begin(), actors.end());
-    if (names.empty())
-        for (const Instance& instance : run.scene.instances)
-            if (!instance.track.empty()) names.push_back(instance.track);
+    if (names.empty()) names = actor_names(run);
     for (const std::string& name : names) {
         const BoxTrack* box = find_box(run, name);
         if (!box)

@@ -11,7 +11,6 @@ namespace relidar::serve {
 namespace {
 
 constexpr double kFarthest = 1e10;          // metres, seconds: what ScanRenderer takes
-constexpr double kUnitSlack = 1e-3;         // of a quaternion that was sent in single precision, or rounded in a text
 constexpr double kDoublePrecision = 1e-12;  // a quaternion this close to unit length keeps every bit
 constexpr int kMostPoses = 100'000;
 

@@ -12,6 +12,9 @@
 
 namespace relidar::serve {
 
+/// How far the length of a unit vector or quaternion may be from 1: of one that was sent in single precision, or rounded in a text.
+inline constexpr double kUnitSlack = 1e-3;
+
 /// @param field  its name in the request, for messages @throws Refusal for what is not finite, too large, or no unit quaternion
 Pose read_pose(const v1::Pose& message, const std::string& field);
 /// @throws Refusal too for no pose, too many, or times that do not rise

@@ -26,13 +26,6 @@ constexpr double kBeyondPath_s = 60.0;   // a longer way to extrapolate is a sli
     throw Refusal(grpc::StatusCode::NOT_FOUND, fmt::format("reading {}: found {}, expected {}", field, quoted(name), expected));
 }
 
-std::vector<std::string> actor_names(const Run& run) {
-    std::vector<std::string> names;
-    for (const Instance& instance : run.scene.instances)
-        if (!instance.track.empty()) names.push_back(instance.track);
-    return names;
-}
-
 /// A moment on the sensor's path, or not far beyond it.
 double read_moment(double time_s, const PoseTrack& path, const std::string& field) {
     read_time(time_s, field);
@@ -44,6 +37,13 @@ double read_moment(double time_s, const PoseTrack& path, const std::string& fiel
 }
 
 }  // namespace
+
+std::vector<std::string> actor_names(const Run& run) {
+    std::vector<std::string> names;
+    for (const Instance& instance : run.scene.instances)
+        if (!instance.track.empty()) names.push_back(instance.track);
+    return names;
+}
 
 std::size_t RequestReader::find_scene(const std::string& name) const {
     if (name.empty() && sources_.size() == 1) return 0;

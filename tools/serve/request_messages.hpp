@@ -28,6 +28,9 @@ struct WantedScan {
     bool points = true, range_image = false, drop_probability = false;
 };
 
+/// Tracks of the actors of a run, as clients name them.
+std::vector<std::string> actor_names(const Run& run);
+
 /// Holds no state of a request; what it looks things up in outlives it.
 class RequestReader {
 public:

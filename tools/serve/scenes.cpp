@@ -13,11 +13,10 @@ namespace {
 constexpr double kMiB = 1024.0 * 1024.0;
 
 /// What the rest of the service looks at: everything but the large arrays.
-Run outline_of(const Run& run) {
-    Run outline = run;
-    outline.scene = layout_of(run.scene);
-    outline.drop_network = {};
-    return outline;
+Run outline_of(Run run) {
+    run.scene = layout_of(run.scene);
+    run.drop_network = {};
+    return run;
 }
 
 /// One ray ahead from where the log begins: whatever a scan needs beside its rays is on the device afterwards.
@@ -37,9 +36,9 @@ ScanRequest first_pose(const Run& run) {
 SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes)
     : device_(device), sources_(std::move(sources)), memory_bytes_(memory_bytes), loaded_(sources_.size()) {
     for (std::size_t i = 0; i < sources_.size(); ++i) {
-        const Run run = load_run(sources_[i].folder);
-        outlines_.push_back(outline_of(run));
+        Run run = load_run(sources_[i].folder);
         load(i, run);
+        outlines_.push_back(outline_of(std::move(run)));
         if (loaded_[i].bytes > memory_bytes_)
             throw DataError(fmt::format("serving {}: it holds {:.1f} MiB of device memory, expected at most {:.1f} (--memory-mib)",
                                         sources_[i].folder.string(), double(loaded_[i].bytes) / kMiB, double(memory_bytes_) / kMiB));

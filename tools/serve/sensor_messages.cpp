@@ -17,7 +17,6 @@
 namespace relidar::serve {
 namespace {
 
-constexpr double kUnitSlack = 1e-3;
 constexpr std::uint64_t kMostRows = 65536;
 constexpr std::size_t kLongestName = 200;
 constexpr double kFarthestOrigin_m = 1000.0, kLongestScan_s = 60.0, kFarthestRange_m = 1e5, kDefaultRange_m = 80.0;

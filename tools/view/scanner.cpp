@@ -172,16 +172,13 @@ const Frame* Scanner::nearest_real(const ScanWish& wish) const {
     return nearest;
 }
 
-/// @param matched  frame of the log whose rays are cast; nothing: those of the sensor
-RenderedScan Scanner::render(TabCache& tab, const ScanWish& wish, const Frame* matched) {
-    SensorChoice sensor = sensor_for(tab, wish);
-    if (matched) sensor.rays = matched->scan.rays;
+RenderedScan Scanner::render(const Traffic& traffic, const ScanWish& wish, const SensorChoice& sensor) {
     const Sequence& log = run_.sequence;
     ScanRequest request;
     request.time_s = wish.time_s;
     request.dataset_from_sensor = shifted_track(moved_track(log.world_from_sensor(wish.lidar), wish.sensor_offset), log.world_offset_m);
-    request.dataset_from_actor = tab.traffic->placed(wish.time_s);
-    return renderer_for(*tab.traffic).render(sensor, request);
+    request.dataset_from_actor = traffic.placed(wish.time_s);
+    return renderer_for(traffic).render(sensor, request);
 }
 
 /// Milliseconds of the last launch of each kernel that has run since they were asked for last. A list that is full no longer grows.
@@ -199,7 +196,7 @@ Json Scanner::kernel_times() {
 
 std::string Scanner::scan(TabCache& tab, const ScanWish& wish) {
     const auto start = Clock::now();
-    const SensorChoice sensor = sensor_for(tab, wish);   // throws before anything is rendered
+    SensorChoice sensor = sensor_for(tab, wish);   // throws before anything is rendered
     if (!tab.traffic || tab.traffic->edits() != wish.edits) tab.traffic.emplace(run_, wish.edits);
     const Sequence& log = run_.sequence;
     const Frame* real = nearest_real(wish);
@@ -222,7 +219,8 @@ std::string Scanner::scan(TabCache& tab, const ScanWish& wish) {
         measured = measured_columns(*real_.sequence(), *real);
     }
     if (wish.simulate) {
-        const RenderedScan scan = render(tab, wish, is_matched ? real : nullptr);
+        if (is_matched) sensor.rays = real->scan.rays;
+        const RenderedScan scan = render(*tab.traffic, wish, sensor);
         header["trace_ms"] = scan.trace_ms;
         header["kernels"] = kernel_times();
         simulated = simulated_columns(scan, run_.config, log.world_offset_m);

@@ -44,7 +44,7 @@ public:
 
 private:
     SensorChoice sensor_for(TabCache& tab, const ScanWish& wish) const;
-    RenderedScan render(TabCache& tab, const ScanWish& wish, const Frame* matched);
+    RenderedScan render(const Traffic& traffic, const ScanWish& wish, const SensorChoice& sensor);
     ScanRenderer& renderer_for(const Traffic& traffic);
     const Frame* nearest_real(const ScanWish& wish) const;
     nlohmann::json kernel_times();
