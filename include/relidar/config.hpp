@@ -87,10 +87,17 @@ struct TrainConfig {
     std::uint64_t seed = 1;
 };
 
+/// A long log is trained in blocks, each a stretch of the way with the sweeps that see it.
+struct BlockConfig {
+    double length_m = 0.0;   ///< of the way that the sensor has driven, a block, at most; 0 = the log is trained in one piece
+    double halo_m = 40.0;    ///< sweeps that were taken so near to a block are trained on with it
+};
+
 struct RenderConfig {
     std::string range = "normalised";   ///< "expected" (D, paper), "normalised" (D / W), "median" or "mode": of range images
     bool normals = false;               ///< normals of what rays meet are rendered too
     std::string points = "median";      ///< range of the points of point clouds: "median", the dominant surface, or "range", as above
+    int memory_mib = 1024;              ///< device memory for blocks of a long scene beyond those that a scan needs
 };
 
 struct EvalConfig {
@@ -114,6 +121,7 @@ struct Config {
     ImageModel image;
     LossWeights loss;
     TrainConfig train;
+    BlockConfig blocks;
     DensifyOptions densify;
     RefineOptions refine;
     RenderConfig render;

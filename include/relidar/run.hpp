@@ -15,6 +15,9 @@
 
 namespace relidar {
 
+/// The file of a run folder that holds its surfels.
+inline constexpr const char* kModelFile = "model.safetensors";
+
 /// One edit of a run's history.
 struct RunEdit {
     std::string run;    ///< absolute path of the run that was edited
@@ -40,7 +43,8 @@ struct Run {
     }
 };
 
-/// Writes config.toml, scene.json, model.safetensors and drop_network.safetensors, each atomically. The folder is made where missing.
+/// Writes config.toml, scene.json, model.safetensors and drop_network.safetensors, each atomically. The folder is made where missing. Blocks
+/// of the scene that lie elsewhere are linked into it (copied where the file system has no links), as blocks/NNN/model.safetensors.
 /// @throws DataError where the folder cannot be made or written
 void save_run(const Run& run);
 
@@ -49,10 +53,16 @@ Run load_run(const std::filesystem::path& folder);
 
 /// Saves a scene as safetensors: mean [n,3], rotation [n,4], log_scale [n,2], opacity_logit [n], sh [n,3,16], log_scale_w [n] of 3D
 /// Gaussians alone, models and instances in the metadata. @throws DataError where an array is misshapen or not finite, or the file cannot
-/// be written
+/// be written. Where the scene has blocks, their files, which lie in the same folder or below it, are named in the metadata and not written.
 void save_model(const std::filesystem::path& path, const Scene& scene);
 /// Reads it back. @throws DataError for missing, misshapen or non-finite arrays, naming array and row
 Scene load_model(const std::filesystem::path& path);
+
+/// The scene with some of its blocks read into its background, which gets kd order; without the others.
+/// @param blocks  positions in Scene::blocks @throws DataError as load_model(), and for a file that does not hold what the scene says
+Scene read_blocks(const Scene& scene, const std::vector<std::size_t>& blocks);
+/// The same with all of them: for what works on every surfel.
+Scene whole_scene(const Scene& scene);
 
 /// Saves a ray-drop network as safetensors, and reads it back. @throws DataError naming file and array, for numbers that are not finite too
 void save_drop_network(const std::filesystem::path& path, const DropNetwork& network);

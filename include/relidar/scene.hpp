@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstdint>
+#include <filesystem>
 #include <map>
 #include <optional>
 #include <string>
@@ -64,13 +65,25 @@ struct Instance {
     std::string track;   ///< empty for the background
 };
 
+/// A part of a background that stays in its file until a sensor comes near: what was trained on one stretch of a street.
+struct SceneBlock {
+    std::filesystem::path file;   ///< of save_model(): the surfels of its first model
+    std::uint32_t count = 0;      ///< of them
+    glm::vec3 low_m{0.0f};        ///< [3] corners of the box around them, three standard deviations of each included; world
+    glm::vec3 high_m{0.0f};
+};
+
 /// Everything that can be rendered.
 struct Scene {
     Surfels surfels;
     std::vector<Model> models;
     std::vector<Instance> instances;
     DropTable sensor_drop;   ///< of the log's own LiDARs, a row a beam (Sequence::beam_number); empty where it was not estimated
+    std::vector<SceneBlock> blocks = {};   ///< of the background, beside the surfels of model 0; none: it is all in memory
 };
+
+/// Surfels of a scene, those of its blocks too.
+std::size_t count_surfels(const Scene& scene);
 
 /// A scene and the log whose box tracks place its instances; an instance has the name of its track. Scans are not looked at.
 struct DrivingScene {
@@ -199,7 +212,7 @@ double model_extent(const Scene& scene, std::size_t model);
 /// The same of the background.
 double background_extent(const Scene& scene);
 
-/// Models, instances and sensor-level ray-drop of a scene, without its surfels.
+/// Models, instances, blocks and sensor-level ray-drop of a scene, without its surfels.
 Scene layout_of(const Scene& scene);
 
 }  // namespace relidar

@@ -218,6 +218,13 @@ void visit_keeping(C& c, Visitor&& f) {
 }
 
 template <class C, class Visitor>
+void visit_blocks(C& c, Visitor&& f) {
+    f("blocks.length_m", c.blocks.length_m, between(0, 1e6),
+      "the log is trained in blocks of at most so many metres of its way; 0: in one piece");
+    f("blocks.halo_m", c.blocks.halo_m, between(0, 1e6), "training frames that were taken so near to a block are trained on with it");
+}
+
+template <class C, class Visitor>
 void visit_densify(C& c, Visitor&& f) {
     f("densify.strategy", c.densify.strategy, one_of({"none", "adaptive", "prune_only", "mcmc"}),
       "surfels are added and removed: by gradient (adaptive, paper), removed only, or moved from dead to living and grown (mcmc)");
@@ -275,6 +282,7 @@ void visit(C& c, Visitor&& f) {
     visit_losses(c, f);
     visit_training(c, f);
     visit_keeping(c, f);
+    visit_blocks(c, f);
     visit_densify(c, f);
     visit_refine(c, f);
     f("render.range", c.render.range, one_of({"expected", "normalised", "median", "mode"}),
@@ -285,6 +293,8 @@ void visit(C& c, Visitor&& f) {
     f("render.points", c.render.points, one_of({"median", "range"}),
       "points of point clouds lie where the transmittance crosses 0.5, on the dominant surface, or at render.range, which has points "
       "between two surfaces");
+    f("render.memory_mib", c.render.memory_mib, between(0, kMaxCount),
+      "device memory, MiB, for blocks of a long scene that are kept beside those that a scan needs");
     f("eval.lpips_weights", c.eval.lpips_weights, anything(),
       "safetensors file with the weights of LPIPS (AlexNet, v0.1); empty: no LPIPS, unless RELIDAR_LPIPS_WEIGHTS names them to the command "
       "line");

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lays out the synthetic street: 160 m of facades with gaps and setbacks on both sides, poles and trees on the pavements,
-// parked cars, one car ahead in the sensor's lane (a little faster than the sensor), one oncoming. If wanted, people: one on each pavement,
+// Lays out the synthetic street: 160 m of facades with gaps and setbacks on both sides, or as many as the sensor drives past, poles and
+// trees on the pavements, parked cars, one car ahead in the sensor's lane (a little faster than the sensor), one oncoming, more of them
+// where the street is long. If wanted, people: one on each pavement,
 // one who crosses ahead, a cyclist beside the lane; and a yard on the left where cars park behind a fence.
 #include "dataset/street.hpp"
 
@@ -11,7 +12,7 @@
 namespace relidar::street {
 namespace {
 
-constexpr double kHalfLength_m = 80.0;
+constexpr double kHalfLength_m = 80.0, kLongWay_m = 100.0, kBetweenCars_m = 120.0;
 constexpr double kLeftKerb_m = 6.6, kRightKerb_m = -4.4;  // about y = 1.1: the sensor drives in the right-hand lane, y = 0
 constexpr double kCarLength_m = 4.3, kCarWidth_m = 1.8;
 constexpr double kBoxBottom_m = 0.15, kBoxTop_m = 1.5;  // the body begins at 0.2 m: a box holds its car and no ground
@@ -22,9 +23,25 @@ double middle_time_s(const SyntheticOptions& options) {
     return frame_time_s(options.n_frames / 2);
 }
 
+double way_m(const SyntheticOptions& options) { return options.speed_mps * frame_time_s(options.n_frames - 1); }
+
+/// Of the street: a short log sees both of its ends, a long one has street beyond those of its way.
+double half_length_m(const SyntheticOptions& options) {
+    const double way = way_m(options);
+    return way > kLongWay_m ? 0.5 * way + kHalfLength_m : kHalfLength_m;
+}
+
+/// A side of a street.
+struct Side {
+    double left;      ///< 1, or -1 for the right
+    double kerb_m;
+    double half_m;    ///< of the street's length
+};
+
 /// @param yard  leaves out what stands where the yard is
-void add_facades(Street& street, Random& random, double side, double kerb_m, bool yard) {
-    for (double x = -kHalfLength_m; x < kHalfLength_m;) {
+void add_facades(Street& street, Random& random, const Side& at, bool yard) {
+    const auto& [side, kerb_m, half_m] = at;
+    for (double x = -half_m; x < half_m;) {
         const double width = random.uniform(8.0, 18.0), height = random.uniform(5.0, 14.0), depth = random.uniform(6.0, 10.0);
         const double setback = random.uniform(2.5, 4.5);
         const double y = kerb_m + side * (setback + 0.5 * depth);
@@ -40,8 +57,9 @@ void add_facades(Street& street, Random& random, double side, double kerb_m, boo
     }
 }
 
-void add_poles_and_trees(Street& street, Random& random, double side, double kerb_m) {
-    for (double x = -kHalfLength_m + random.uniform(2.0, 8.0); x < kHalfLength_m; x += random.uniform(9.0, 16.0)) {
+void add_poles_and_trees(Street& street, Random& random, const Side& at) {
+    const auto& [side, kerb_m, half_m] = at;
+    for (double x = -half_m + random.uniform(2.0, 8.0); x < half_m; x += random.uniform(9.0, 16.0)) {
         const double y = kerb_m + side * random.uniform(0.5, 1.0);
         const bool tree = random.uniform() < 0.4;
         const double height = tree ? 3.0 : random.uniform(4.0, 7.0), radius = tree ? 0.18 : random.uniform(0.07, 0.13);
@@ -89,9 +107,10 @@ void add_parked_car(Street& street, double x, double y, double yaw, const std::v
     }
 }
 
-void add_parked_cars(Street& street, Random& random, double y_m, bool glazed) {
-    for (double x = -kHalfLength_m + random.uniform(2.0, 10.0); x < kHalfLength_m - 5.0; x += random.uniform(6.0, 20.0)) {
-        const double yaw = random.uniform(-0.04, 0.04), y = y_m + random.uniform(-0.15, 0.15);
+/// Along the kerb, on the road.
+void add_parked_cars(Street& street, Random& random, const Side& at, bool glazed) {
+    for (double x = -at.half_m + random.uniform(2.0, 10.0); x < at.half_m - 5.0; x += random.uniform(6.0, 20.0)) {
+        const double yaw = random.uniform(-0.04, 0.04), y = at.kerb_m - 1.1 * at.left + random.uniform(-0.15, 0.15);
         const double paint = random.uniform(0.15, 0.8);
         add_parked_car(street, x, y, yaw, glazed ? glazed_car_shapes(paint) : car_shapes(paint));
     }
@@ -123,6 +142,17 @@ MovingCar moving_car(const SyntheticOptions& options, double x_at_middle_m, doub
     car.start_m = {x, y_m, kBoxCentre_m};
     car.shapes = car_shapes(paint);
     return car;
+}
+
+/// One that is 14 m ahead in the middle of the log, and on a long street others that pass the sensor every 120 m of its way.
+void add_oncoming(Street& street, Random& random, const SyntheticOptions& options) {
+    constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
+    street.cars.push_back(moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
+    if (way_m(options) <= kLongWay_m) return;
+    for (double met_m = kBetweenCars_m; met_m < 0.5 * way_m(options); met_m += kBetweenCars_m)
+        for (const double x : {met_m, -met_m})
+            street.cars.push_back(
+                moving_car(options, x * (1.0 + kSpeed_mps / options.speed_mps), kLane_m, kPi, kSpeed_mps, random.uniform(0.15, 0.8)));
 }
 
 /// Leaves and twigs that let most rays through.
@@ -171,15 +201,17 @@ void add_people(Street& street, Random& random, const SyntheticOptions& options)
 Street make_street(const SyntheticOptions& options) {
     Street street;
     Random random(options.seed);
-    add_facades(street, random, 1.0, kLeftKerb_m, options.people);
-    add_facades(street, random, -1.0, kRightKerb_m, false);
-    add_poles_and_trees(street, random, 1.0, kLeftKerb_m);
-    add_poles_and_trees(street, random, -1.0, kRightKerb_m);
-    add_parked_cars(street, random, kLeftKerb_m - 1.1, options.people);
-    add_parked_cars(street, random, kRightKerb_m + 1.1, options.people);
+    const Side left{1.0, kLeftKerb_m, half_length_m(options)}, right{-1.0, kRightKerb_m, left.half_m};
+    add_facades(street, random, left, options.people);
+    add_facades(street, random, right, false);
+    add_poles_and_trees(street, random, left);
+    add_poles_and_trees(street, random, right);
+    add_parked_cars(street, random, left, options.people);
+    add_parked_cars(street, random, right, options.people);
     if (options.moving_cars) {
-        street.cars.push_back(moving_car(options, 12.0, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));
-        street.cars.push_back(moving_car(options, 14.0, 3.2, kPi, 9.0, 0.35));
+        const double ahead_m = way_m(options) > kLongWay_m ? 12.0 + 0.05 * 0.5 * way_m(options) : 12.0;   // it is never overtaken
+        street.cars.push_back(moving_car(options, ahead_m, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));
+        add_oncoming(street, random, options);
     }
     if (options.people) {
         add_yard(street, random);

@@ -60,10 +60,23 @@ double echo_intensity(const Hit& hit) {
     return glm::clamp(hit.reflectance * (0.3 + 0.7 * hit.cosine) * (1.0 - hit.range_m / 160.0), 0.0, 1.0);
 }
 
+/// What of a street a sweep can meet.
+street::Street street_near(const street::Street& whole, const glm::dvec3& sensor_m, double time_s) {
+    constexpr double kSweep_m = 20.0;   // that the sensor, rays' origins and cars may come while it sweeps
+    street::Street near;
+    for (const street::Shape& shape : whole.shapes)
+        if (glm::distance(shape.centre, sensor_m) <= kMaxRange_m + kSweep_m + 2.0 * glm::length(shape.half)) near.shapes.push_back(shape);
+    for (const street::MovingCar& car : whole.cars)
+        if (glm::distance(car.world_from_box(time_s).translation, sensor_m) <= kMaxRange_m + kSweep_m + glm::length(car.size_m))
+            near.cars.push_back(car);
+    return near;
+}
+
 /// Casts every ray at its own time; `receive(ray, hit)` decides what the sensor makes of a hit.
 template <class Receive>
-void cast_rays(const street::Street& street, const glm::dvec3& offset_m, const PoseTrack& track, double time_s, const RayTable& rays,
+void cast_rays(const street::Street& whole, const glm::dvec3& offset_m, const PoseTrack& track, double time_s, const RayTable& rays,
                const Receive& receive) {
+    const street::Street street = street_near(whole, track.at(time_s).translation + offset_m, time_s);
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
         WorldRay in_street = world_ray(track, time_s, rays, ray, true);
         in_street.origin_m += offset_m;

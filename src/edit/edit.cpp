@@ -197,6 +197,7 @@ DrivingScene keep_actors(DrivingScene driving) {
     scene.surfels = scene.surfels.slice(background, scene.surfels.size() - background);
     for (Model& model : scene.models) model.first -= model.first >= background ? background : 0;
     scene.models.front().count = 0;
+    scene.blocks.clear();
     return driving;
 }
 

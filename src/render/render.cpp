@@ -15,6 +15,7 @@
 #include <relidar/stages/forward.hpp>
 #include "render/empty_scan.hpp"
 #include "render/footprint.hpp"
+#include "render/resident_scene.hpp"
 
 namespace relidar {
 
@@ -122,7 +123,7 @@ struct ScanRenderer::Impl {
     Sequence sweep;        ///< LiDARs and boxes, no scans; where the vehicle is in the scan that is taken
     const PoseTrack log_world_from_vehicle;   ///< where it was in the log
     const glm::dvec3 first_origin_m;          ///< see first_origin()
-    Renderer renderer;
+    ResidentScene scene;
     std::vector<bool> shown;   ///< [instances]
     Device& device;
     std::optional<DropRefiner> refiner = {};
@@ -157,8 +158,7 @@ struct ScanRenderer::Impl {
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
     : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_vehicle, first_origin(sequence),
-                     Renderer(device, config.image.sh_direction == ShDirection::surfel ? own_models(scene) : scene, config.image,
-                              {.accel = accel_options(config), .trace = traced_with(config)}),
+                     ResidentScene(device, scene, config, {.accel = accel_options(config), .trace = traced_with(config)}),
                      std::vector<bool>(scene.instances.size(), true), device}) {}
 ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {
     if (run.config.refine.enabled && !run.drop_network.empty()) refine_drops(run.drop_network);
@@ -184,7 +184,7 @@ bool ScanRenderer::refines(const SensorChoice& sensor) const {
                {grid ? grid->rows : sensor.rays.rows, grid ? grid->columns : sensor.rays.columns, grid ? grid->name : sensor.name});
 }
 
-const KernelTimes& ScanRenderer::times() const { return impl_->renderer.stream().times(); }
+const KernelTimes& ScanRenderer::times() const { return impl_->scene.times(); }
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset,
                                   std::optional<std::uint64_t> sample) {
@@ -223,7 +223,7 @@ RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable
     }
     const Pose pose = track.at(time_s);
     const auto start = std::chrono::steady_clock::now();
-    const Rendering r = renderer.forward(rays);
+    const Rendering r = scene.renderer().forward(rays);
 
     RenderedScan scan = empty_scan(table);
     scan.trace_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
@@ -292,7 +292,9 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     if (table.size() == 0)
         throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
     for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && s.shown[i];
-    s.renderer.move(placed, glm::vec3(s.sweep.world_from_sensor(sensor.lidar).at(time_s).translation));
+    const glm::vec3 sensor_m(s.sweep.world_from_sensor(sensor.lidar).at(time_s).translation);
+    s.scene.bring(sensor_m, std::isfinite(sensor.limits.max_m) ? sensor.limits.max_m : s.config.dataset.max_range_m);
+    s.scene.renderer().move(placed, sensor_m);
     RenderedScan scan = s.cast(sensor, table, time_s);
     if (parts) scan = s.join(sensor, scan, whole, config);
     if (s.refines({whole.rows, whole.columns, kNative}) || (!sensor.grid && s.refines({whole.rows, whole.columns, sensor.name})))

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <map>
 #include <span>
 #include <string_view>
 
@@ -93,6 +94,40 @@ void check_metadata(const std::map<std::string, std::string>& metadata, const st
     if (!metadata.contains("layout")) throw DataError(fmt::format("{}: metadata layout: missing, expected it", file));
 }
 
+constexpr const char* kBlocks = "blocks";
+
+/// Blocks of the background, their files relative to the model's.
+std::string blocks_to_json(const Scene& scene, const std::filesystem::path& folder) {
+    nlohmann::ordered_json json = nlohmann::ordered_json::array();
+    for (const SceneBlock& b : scene.blocks)
+        json.push_back({{"file", b.file.lexically_relative(folder).generic_string()},
+                        {"surfels", b.count},
+                        {"low_m", {b.low_m.x, b.low_m.y, b.low_m.z}},
+                        {"high_m", {b.high_m.x, b.high_m.y, b.high_m.z}}});
+    return json.dump();
+}
+
+glm::vec3 read_corner(const JsonField& field) {
+    const std::array<double, 3> v = field.numbers<3>();
+    for (std::size_t k = 0; k < 3; ++k) field.at(k).number(-1e7, 1e7);
+    return {float(v[0]), float(v[1]), float(v[2])};
+}
+
+/// @param folder  of the model: a block's file lies below it
+void read_blocks_json(const std::string& text, const std::string& where, const std::filesystem::path& folder, Scene& scene) {
+    const nlohmann::json json = parse_json(text, where);
+    const JsonField blocks(json, where, "");
+    for (std::size_t i = 0; i < blocks.size(); ++i) {
+        const JsonField block = blocks.at(i);
+        const std::filesystem::path file = block.at("file").text();
+        const bool goes_up = std::ranges::find(file, std::filesystem::path("..")) != file.end();
+        if (file.empty() || file.is_absolute() || goes_up)
+            block.at("file").fail("found " + file.string(), "expected a file in the folder of the model");
+        scene.blocks.push_back({folder / file, static_cast<std::uint32_t>(block.at("surfels").integer(0, kMaxSurfels)),
+                                read_corner(block.at("low_m")), read_corner(block.at("high_m"))});
+    }
+}
+
 constexpr const char* kSensorDrop = "sensor_drop";
 
 /// The optional table of sensor-level ray-drop, [channels, bins].
@@ -137,8 +172,10 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
     if (!drop.empty())
         arrays.push_back(make_array(kSensorDrop, {std::size_t(drop.channels), std::size_t(drop.bins)}, drop.probability.data(),
                                     drop.probability.size()));
-    write_safetensors(path, arrays,
-                      {{"format", kFormat}, {"version", kVersion}, {"relidar", RELIDAR_VERSION}, {"layout", layout_to_json(scene)}});
+    std::map<std::string, std::string> metadata{
+        {"format", kFormat}, {"version", kVersion}, {"relidar", RELIDAR_VERSION}, {"layout", layout_to_json(scene)}};
+    if (!scene.blocks.empty()) metadata[kBlocks] = blocks_to_json(scene, path.parent_path());
+    write_safetensors(path, arrays, metadata);
 }
 
 Scene load_model(const std::filesystem::path& path) {
@@ -162,6 +199,8 @@ Scene load_model(const std::filesystem::path& path) {
     for (const ParameterGroup& group : groups_of(primitive)) read_group(group, array_of(arrays, group.name, file), scene.surfels, file);
     read_layout_json(metadata.at("layout"), file + ": metadata layout", scene);
     read_sensor_drop(arrays, scene, file);
+    if (const auto blocks = metadata.find(kBlocks); blocks != metadata.end())
+        read_blocks_json(blocks->second, file + ": metadata " + kBlocks, path.parent_path(), scene);
     return scene;
 }
 

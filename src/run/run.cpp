@@ -16,7 +16,6 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr const char* kConfigFile = "config.toml";
-constexpr const char* kModelFile = "model.safetensors";
 constexpr const char* kSceneFile = "scene.json";
 constexpr const char* kDropNetworkFile = "drop_network.safetensors";
 
@@ -40,13 +39,45 @@ Config read_config(const fs::path& path) {
     return config;
 }
 
+/// A second name of a file, or a copy of it.
+void link_or_copy(const fs::path& from, const fs::path& to) {
+    make_folder(to.parent_path());
+    std::error_code failed;
+    fs::remove(to, failed);
+    fs::create_hard_link(from, to, failed);
+    if (!failed) return;
+    write_atomically(to, [&](const fs::path& temporary) {
+        std::error_code why;
+        if (!fs::copy_file(from, temporary, why)) throw DataError(fmt::format("copying {}: {}", from.string(), why.message()));
+    });
+}
+
+/// The blocks as the run's own files.
+std::vector<SceneBlock> own_blocks(const Run& run) {
+    std::vector<SceneBlock> blocks = run.scene.blocks;
+    for (std::size_t i = 0; i < blocks.size(); ++i) {
+        const fs::path own = run.folder / "blocks" / fmt::format("{:03}", i) / kModelFile;
+        std::error_code failed;
+        if (!fs::equivalent(blocks[i].file, own, failed)) link_or_copy(blocks[i].file, own);
+        blocks[i].file = own;
+    }
+    return blocks;
+}
+
+void save_scene(const Run& run) {
+    if (run.scene.blocks.empty()) return save_model(run.folder / kModelFile, run.scene);
+    Scene scene = run.scene;   // actors alone are in memory
+    scene.blocks = own_blocks(run);
+    save_model(run.folder / kModelFile, scene);
+}
+
 }  // namespace
 
 void save_run(const Run& run) {
     make_folder(run.folder);
     const std::string scene_json = run_detail::to_scene_json(run);
     write_text(run.folder / kConfigFile, to_toml(run.config));
-    save_model(run.folder / kModelFile, run.scene);
+    save_scene(run);
     if (!run.drop_network.empty()) save_drop_network(run.folder / kDropNetworkFile, run.drop_network);
     else fs::remove(run.folder / kDropNetworkFile);
     write_text(run.folder / kSceneFile, scene_json);
@@ -68,6 +99,9 @@ Run load_run(const fs::path& folder) {
     run.edits = std::move(scene.edits);
     run.refined_poses = std::move(scene.refined_poses);
     run.scene = load_model(folder / kModelFile);
+    for (const SceneBlock& block : run.scene.blocks)
+        if (!path_exists(block.file))
+            throw DataError(fmt::format("{}: no such file, expected it in a run of {} blocks", block.file.string(), run.scene.blocks.size()));
     if (path_exists(folder / kDropNetworkFile)) run.drop_network = load_drop_network(folder / kDropNetworkFile);
     if (run.scene.surfels.size() != scene.n_surfels) {
         throw DataError(fmt::format("{}: counts.surfels: found {}, but {} holds {}", scene_path.string(), scene.n_surfels, kModelFile,

@@ -65,7 +65,13 @@ void make_gaussians(Surfels& surfels, double thickness) {
         surfels.log_scale_w.push_back(0.5f * (s.x + s.y) + static_cast<float>(std::log(thickness)));
 }
 
-Scene layout_of(const Scene& scene) { return {{}, scene.models, scene.instances, scene.sensor_drop}; }
+Scene layout_of(const Scene& scene) { return {{}, scene.models, scene.instances, scene.sensor_drop, scene.blocks}; }
+
+std::size_t count_surfels(const Scene& scene) {
+    std::size_t n = scene.surfels.size();
+    for (const SceneBlock& block : scene.blocks) n += block.count;
+    return n;
+}
 
 Scene make_background_scene(Surfels surfels) {
     Scene scene;

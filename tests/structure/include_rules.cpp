@@ -42,6 +42,7 @@ const std::map<std::string, Stages>& layer_table() {
          {"sensor_files", "config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
         {"scan_files", {"render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
         {"evaluation", {"render", "run", "config", "export", "metrics", "scene", "sequence", "sensor", "gpu"}},  // export: weights of LPIPS
+        {"blocks", {"run", "config", "scene", "sequence", "sensor"}},
         {"train", {"config",     "run",      "render",    "differentiable_renderer",
                    "backward",   "forward",  "traversal", "densify",
                    "checkpoint", "accel",    "optimizer", "loss",

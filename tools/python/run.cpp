@@ -107,10 +107,12 @@ std::unique_ptr<LoadedRun> load(const fs::path& folder, const py::dict& settings
 std::unique_ptr<LoadedRun> with_surfels(const LoadedRun& loaded, const py::dict& arrays) {
     auto changed = std::make_unique<LoadedRun>(loaded.run, loaded.device);
     Surfels surfels = surfels_of(arrays);
-    if (surfels.size() != loaded.run.scene.surfels.size() || surfels.primitive() != loaded.run.scene.surfels.primitive())
+    Scene& scene = changed->run.scene;
+    scene = whole_scene(scene);
+    if (surfels.size() != scene.surfels.size() || surfels.primitive() != scene.surfels.primitive())
         throw DataError(fmt::format("with_surfels: found {} surfels, expected {} of the same primitive, as the run has", surfels.size(),
-                                    loaded.run.scene.surfels.size()));
-    changed->run.scene.surfels = std::move(surfels);
+                                    scene.surfels.size()));
+    scene.surfels = std::move(surfels);
     return changed;
 }
 
@@ -173,9 +175,9 @@ void add_properties(py::class_<LoadedRun>& type) {
         .def_property_readonly(
             "config", [](const LoadedRun& run) { return run.run.config; }, "A copy of the settings.")
         .def_property_readonly(
-            "scene", [](const LoadedRun& run) { return std::make_shared<Scene>(run.run.scene); }, "A copy of the scene.")
+            "scene", [](const LoadedRun& run) { return std::make_shared<Scene>(whole_scene(run.run.scene)); }, "A copy of the scene.")
         .def_property_readonly(
-            "surfels", [](const LoadedRun& run) { return to_dict(Surfels(run.run.scene.surfels)); },
+            "surfels", [](const LoadedRun& run) { return to_dict(whole_scene(run.run.scene).surfels); },
             "A copy of the surfels: dict of float32 arrays as relidar.Scene takes it.")
         .def_property_readonly(
             "times", [](const LoadedRun& run) { return times_of(run.run.sequence); },

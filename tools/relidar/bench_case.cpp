@@ -75,7 +75,7 @@ BenchCase street_case(const BenchChoice& choice) {
 
 BenchCase run_case(const BenchChoice& choice) {
     Run run = load_run(choice.run);
-    if (run.sequence.frames.empty() || run.scene.surfels.size() == 0)
+    if (run.sequence.frames.empty() || count_surfels(run.scene) == 0)
         throw DataError(fmt::format("{}: a run without frames or surfels, expected at least one of each", choice.run));
     const Frame& frame = run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
     RayTable table = configured_sensor(run.config, run.sequence, frame.lidar).rays;
@@ -92,7 +92,7 @@ BenchCase run_case(const BenchChoice& choice) {
         bench.rays.direction.emplace_back(ray.direction);
     }
     bench.placed = place_instances(run.scene, run.sequence, moment_of(frame));
-    bench.scene = std::move(run.scene);
+    bench.scene = whole_scene(run.scene);
     bench.config = std::move(run.config);
     return bench;
 }

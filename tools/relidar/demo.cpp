@@ -136,6 +136,7 @@ void run_demo(const Options& options, const std::string& command_line) {
 
     catch_interrupts();
     remove_run_files(run_folder.path());
+    remove_blocks(run_folder.path());
     prepare_log_shown(sequence, split, config, options.quiet);
     TrainResult result = train_logged(device, sequence, split, config, run_folder.path(), options.quiet);
     end_progress_line();

@@ -48,11 +48,12 @@ void run_edit(const Options& options) {
     }
     run.replace(std::move(driving));
     remove_run_files(folder.path());
+    remove_blocks(folder.path());
     run.folder = folder.path();
     save_run(run);
     if (!options.quiet)
         print(text + fmt::format("{} instances of {} models, {} surfels in {}\n", run.scene.instances.size(), run.scene.models.size(),
-                                 run.scene.surfels.size(), options.out));
+                                 count_surfels(run.scene), options.out));
 }
 
 }  // namespace

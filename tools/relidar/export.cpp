@@ -31,7 +31,7 @@ struct ImportOptions {
 };
 
 std::string sizes(const Scene& scene) {
-    return fmt::format("{} surfels, {} model{}", scene.surfels.size(), scene.models.size(), scene.models.size() == 1 ? "" : "s");
+    return fmt::format("{} surfels, {} model{}", count_surfels(scene), scene.models.size(), scene.models.size() == 1 ? "" : "s");
 }
 
 /// Where the log's first sensor was, in the dataset's world.
@@ -49,7 +49,7 @@ void run_export(const ExportOptions& options) {
     }
     const Run run = load_run(options.run);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
-    if (*format == ".ply") write_surfel_ply(out, run.scene);
+    if (*format == ".ply") write_surfel_ply(out, whole_scene(run.scene));
     else write_trajectory(out, sensor_path(run.sequence));
     const std::string written = *format == ".ply" ? sizes(run.scene) : fmt::format("{} poses", run.sequence.world_from_vehicle.pose.size());
     if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), written));
@@ -60,6 +60,7 @@ void run_import(const ImportOptions& options) {
     Run run = load_run(options.run);
     run.scene = read_surfel_ply(options.file, run.scene, run.config.image.primitive);
     remove_run_files(folder.path());
+    remove_blocks(folder.path());
     run.folder = folder.path();
     save_run(run);
     if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), sizes(run.scene)));

@@ -198,7 +198,7 @@ RunSummary summarise(const Run& run) {
     summary.log.masked = run.edits.empty() ? names_of(masked_boxes(run.scene, run.sequence, run.config.init)) : "";
     summary.preset = run.config.preset;
     summary.iterations = run.config.train.iterations;
-    summary.n_surfels = run.scene.surfels.size();
+    summary.n_surfels = count_surfels(run.scene);
     summary.n_drop_parameters = run.drop_network.parameters.size();
     summary.drop_image = run.drop_network.image;
     summary.is_gaussian = run.scene.surfels.primitive() == Primitive::gaussian;
@@ -212,6 +212,8 @@ RunSummary summarise(const Run& run) {
         }
     }
     for (const Model& model : run.scene.models) summary.models.emplace_back(model.name, model.count);
+    for (const SceneBlock& block : run.scene.blocks) summary.models.front().second += block.count;
+    summary.n_blocks = run.scene.blocks.size();
     summary.n_train = run.split.train.size();
     for (const int position : run.split.test) summary.test_frames.push_back(run.sequence.frames[static_cast<std::size_t>(position)].index);
     for (const auto& entry : std::filesystem::directory_iterator(run.folder)) {
@@ -225,6 +227,7 @@ std::string to_text(const LogSummary& log) { return text_of(log, false); }
 
 std::string to_text(const RunSummary& run) {
     std::string text = line("surfels", fmt::format("{}{}", run.n_surfels, run.is_gaussian ? " 3D Gaussians" : ""));
+    if (run.n_blocks > 0) text += line("blocks", fmt::format("{} of the background, read as scans need them", run.n_blocks));
     for (const auto& [name, count] : run.models) text += line("  model", fmt::format("{}: {} surfels", name, count));
     text += line("instances", fmt::format("{}, the background is 0", run.n_instances));
     if (run.n_drop_parameters > 0)
@@ -249,6 +252,7 @@ std::string to_json(const RunSummary& run) {
                  {"log", json_of(run.log)}};
     for (const auto& [name, count] : run.models) json["models"].push_back({{"name", name}, {"surfels", count}});
     json["instances"] = run.n_instances;
+    if (run.n_blocks > 0) json["blocks"] = run.n_blocks;
     json["drop_network"] = run.n_drop_parameters > 0 ? Json{{"parameters", run.n_drop_parameters}, {"image", run.drop_image}} : Json();
     json["edits"] = Json::array();
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});

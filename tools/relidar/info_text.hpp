@@ -61,6 +61,7 @@ struct RunSummary {
     std::size_t n_surfels = 0;
     bool is_gaussian = false;                                        ///< they are 3D Gaussians
     std::vector<std::pair<std::string, std::size_t>> models;         ///< name, surfels
+    std::size_t n_blocks = 0;                                        ///< of the background; 0: it is in one piece
     std::size_t n_instances = 0;
     std::vector<RunEdit> edits;
     std::size_t n_train = 0;

@@ -142,6 +142,13 @@ void remove_run_files(const fs::path& folder) {
     remove_temporaries(checkpoint_folder(folder));
 }
 
+void remove_blocks(const fs::path& folder) {
+    std::error_code failed;
+    fs::remove_all(blocks_folder(folder), failed);
+}
+
+fs::path blocks_folder(const fs::path& run) { return run / "blocks"; }
+
 fs::path checkpoint_folder(const fs::path& run) { return run / "checkpoints"; }
 
 }  // namespace relidar::cli

@@ -75,6 +75,10 @@ private:
 /// Removes the files of an earlier run but its settings and checkpoints, so that none is mistaken for one of this run, and what a killed
 /// one left half written.
 void remove_run_files(const std::filesystem::path& folder);
+/// Removes the blocks of a long scene, trained or begun.
+void remove_blocks(const std::filesystem::path& folder);
+/// Where a run keeps its blocks, each a run of its own.
+std::filesystem::path blocks_folder(const std::filesystem::path& run);
 /// Where a run keeps its checkpoints.
 std::filesystem::path checkpoint_folder(const std::filesystem::path& run);
 

@@ -42,14 +42,14 @@ Report make_report(const Run& run, const TrainResult& result, const Device& devi
     Report report;
     report.title = "relidar: " + run.sequence.name;
     report.summary = fmt::format("{} of a {} x {} LiDAR became {} surfels in {} of training.", frame_count(run.split.train.size()),
-                                 sensor.beams.size(), sensor.columns, run.scene.surfels.size(), duration(result.train_s));
+                                 sensor.beams.size(), sensor.columns, count_surfels(run.scene), duration(result.train_s));
     report.facts = {
         {"Command", command_line},
         {"Log", run.sequence.source},
         {"Preset", run.config.preset},
         {"Image", run.config.sensor.grid == "native" ? "native" : run.config.sensor.grid + ", " + run.config.sensor.grid_method},
         {"Range", run.config.render.range},
-        {"Surfels", fmt::format("{}", run.scene.surfels.size())},
+        {"Surfels", fmt::format("{}", count_surfels(run.scene))},
         {"Iterations", fmt::format("{} of {}", done, run.config.train.iterations)},
         {"Initialisation", duration(result.initialise_s)},
         {"Training", fmt::format("{} ({:.2f} iterations/s)", duration(result.train_s), result.train_s > 0.0 ? done / result.train_s : 0.0)},
@@ -70,7 +70,7 @@ Report make_evaluation_report(const Run& run, const Evaluation& evaluation, cons
     Report report;
     report.title = "relidar: " + run.sequence.name + ", scored";
     report.summary =
-        fmt::format("A scene of {} surfels, rendered in {:.2f} s a frame.", run.scene.surfels.size(), evaluation.trace_ms / 1000.0);
+        fmt::format("A scene of {} surfels, rendered in {:.2f} s a frame.", count_surfels(run.scene), evaluation.trace_ms / 1000.0);
     report.facts = {{"Command", command_line},
                     {"Run", run.folder.string()},
                     {"Log", run.sequence.source},

@@ -14,6 +14,7 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include "run_report.hpp"
+#include "train_blocks.hpp"
 #include "training.hpp"
 #include <relidar/stages/checkpoint.hpp>
 #include <relidar/run.hpp>
@@ -30,6 +31,7 @@ struct Options {
     Settings settings;
     DeviceChoice device;
     std::string seed;
+    std::string blocks;          ///< length of a block: "60m"
     std::string resume_folder;   ///< what stood after --resume
     bool resume = false;
     bool from_preset = false;    ///< --preset or --config was given: they, not the run, say where the settings start from
@@ -74,6 +76,8 @@ Config config_of(const Options& options) {
     if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
     config.eval.lpips_weights = absolute_path(config.eval.lpips_weights);
     apply_log_part(config, options.part);
+    if (!options.blocks.empty())
+        set_key(config, "blocks.length_m", options.blocks.ends_with('m') ? options.blocks.substr(0, options.blocks.size() - 1) : options.blocks);
     if (!options.seed.empty()) {
         set_key(config, "init.seed", options.seed);
         set_key(config, "train.seed", options.seed);
@@ -155,7 +159,7 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Opt
     write_report(run.folder / "report.html", report);
     if (options.quiet) return;
     if (!evaluation.frames.empty()) print("\n" + metric_table(evaluation) + "\n");
-    print(fmt::format("{} surfels in {} of training, {} of device memory\nreport  {}\n", run.scene.surfels.size(), duration(result.train_s),
+    print(fmt::format("{} surfels in {} of training, {} of device memory\nreport  {}\n", count_surfels(run.scene), duration(result.train_s),
                       byte_size(result.peak_device_bytes), absolute_path((run.folder / "report.html").string())));
 }
 
@@ -192,7 +196,8 @@ void run_train(const Options& given, const std::string& command_line) {
     const bool resume = options.resume && !options.force;
     if (!options.no_eval) check_lpips_weights(with_lpips_weights(config));
     const RunFolder folder(options.out, resume ? Existing::keep : options.force ? Existing::replace : Existing::refuse);
-    std::optional<Checkpoint> start = resume ? find_start(options) : std::nullopt;
+    const bool in_blocks = config.blocks.length_m > 0.0;
+    std::optional<Checkpoint> start = resume && !in_blocks ? find_start(options) : std::nullopt;
     Device device(device_options(options.device));
     Sequence sequence = load_dataset(config, options.quiet);
     const Split split = split_frames(sequence, config.dataset.test_every);
@@ -203,12 +208,14 @@ void run_train(const Options& given, const std::string& command_line) {
     if (start) check_resumable(*start, sequence, split, config);
     remove_run_files(folder.path());
     if (!start) remove_checkpoints(checkpoint_folder(folder.path()));
+    if (!resume || !in_blocks) remove_blocks(folder.path());
     write_text(folder.path() / kConfigFile, to_toml(config));   // what a killed run is resumed from
     Run run{folder.path(), config, std::move(sequence), split, {}, {}};
-    TrainResult result = train_or_tell(device, run, options, start ? &*start : nullptr);
+    TrainResult result = in_blocks ? train_blocks(device, run, {options.quiet, resume_command(options)})
+                                   : train_or_tell(device, run, options, start ? &*start : nullptr);
     end_progress_line();
     start.reset();
-    take_result(run, result);
+    if (!in_blocks) take_result(run, result);
     save_run(run);
     if (config.refine.enabled && !result.interrupted) refine_or_tell(device, run, options);
     finish(device, run, result, options, command_line);
@@ -232,6 +239,11 @@ void add_train(CLI::App& app, Call& call) {
     add_log_part_options(*command, options->part);
     add_settings_options(*command, options->settings);
     command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")->type_name("S");
+    command
+        ->add_option("--blocks", options->blocks,
+                     "train a long log in blocks of at most so many metres of its way, as 60m: memory does not grow with the log "
+                     "(blocks.length_m)")
+        ->type_name("LENGTH");
     add_device_options(*command, options->device);
     add_resume_option(*command, options);
     command->add_flag("--force", options->force, "overwrite the run in RUN");

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "training.hpp"
 
+#include <algorithm>
 #include <fstream>
 
 #include <fmt/format.h>
@@ -120,14 +121,28 @@ std::string progress_text(const TrainProgress& p) {
                        duration(p.eta_s), number(p.loss), terms);
 }
 
-int last_logged_iteration(const fs::path& folder) {
+void write_log(const fs::path& folder, const std::vector<TrainProgress>& lines) { write_text(folder / "log.jsonl", log_text(lines)); }
+
+std::vector<TrainProgress> read_log(const fs::path& folder) {
     std::ifstream file(folder / "log.jsonl", std::ios::binary);
-    int last = 0;
+    std::vector<TrainProgress> lines;
     for (std::string line; std::getline(file, line);) {
         const nlohmann::json json = nlohmann::json::parse(line, nullptr, false);
-        if (json.is_object() && json.contains("iteration") && json["iteration"].is_number_integer()) last = json["iteration"].get<int>();
+        if (!json.is_object() || !json.contains("iteration") || !json["iteration"].is_number_integer()) continue;
+        const auto number_of = [&](const char* key) { return json.contains(key) && json[key].is_number() ? json[key].get<double>() : 0.0; };
+        TrainProgress& p = lines.emplace_back();
+        p.iteration = json["iteration"].get<int>();
+        p.seconds = number_of("seconds");
+        p.loss = number_of("loss");
+        for (std::size_t k = 0; k < p.terms.size(); ++k) p.terms[k] = number_of(kLossTermNames[k]);
+        p.n_surfels = static_cast<std::uint32_t>(std::clamp(number_of("surfels"), 0.0, 4294967295.0));
     }
-    return last;
+    return lines;
+}
+
+int last_logged_iteration(const fs::path& folder) {
+    const std::vector<TrainProgress> lines = read_log(folder);
+    return lines.empty() ? 0 : lines.back().iteration;
 }
 
 }  // namespace relidar::cli

@@ -25,6 +25,10 @@ bool refine_shown(Device& device, Run& run, bool quiet);
 /// "iteration 1200/30000  4.20 it/s  eta 1:54:00  loss 0.0123 (depth 0.01 intensity 0.002 drop 0.0003)"
 std::string progress_text(const TrainProgress& progress);
 
+/// Writes and reads log.jsonl of a run. Lines that are none, as the last one of a killed process may be, are left out.
+void write_log(const std::filesystem::path& folder, const std::vector<TrainProgress>& lines);
+std::vector<TrainProgress> read_log(const std::filesystem::path& folder);
+
 /// The last iteration in the log of a run; 0 where there is none.
 int last_logged_iteration(const std::filesystem::path& folder);
 

@@ -95,7 +95,7 @@ Json Scanner::describe() const {
     return {{"kind", "hello"},
             {"run", run_.folder.filename().empty() ? run_.folder.parent_path().filename().string() : run_.folder.filename().string()},
             {"log", log.name},
-            {"surfels", run_.scene.surfels.size()},
+            {"surfels", count_surfels(run_.scene)},
             {"device", device_.info().name},
             {"frames", frames},
             {"lidars", lidars},

@@ -1,0 +1,190 @@
+// SPDX-License-Identifier: Apache-2.0
+// A block that is complete has a scene.json; one that was interrupted has a checkpoint. Nothing else has to be kept to go on.
+#include "train_blocks.hpp"
+
+#include <algorithm>
+#include <chrono>
+
+#include <fmt/format.h>
+
+#include "console.hpp"
+#include "output_folder.hpp"
+#include "training.hpp"
+#include <relidar/blocks.hpp>
+#include <relidar/error.hpp>
+#include <relidar/stages/checkpoint.hpp>
+
+namespace relidar::cli {
+namespace {
+
+namespace fs = std::filesystem;
+using Clock = std::chrono::steady_clock;
+
+/// Of settings that a block's surfels do not depend on.
+bool is_free(const std::string& key) {
+    constexpr std::array kFree{"preset", "dataset.path", "dataset.poses", "train.log_every"};
+    constexpr std::array kFreeGroups{"train.checkpoint_", "render.", "refine.", "eval.", "trace.", "blocks."};
+    return std::find(kFree.begin(), kFree.end(), key) != kFree.end() ||
+           std::any_of(kFreeGroups.begin(), kFreeGroups.end(), [&](const char* group) { return key.starts_with(group); });
+}
+
+/// @throws DataError where a block was trained with other settings
+void check_settings(const Run& trained, const Config& config) {
+    const std::vector<ConfigKey> was = config_keys(trained.config), is = config_keys(config);
+    for (std::size_t i = 0; i < is.size(); ++i)
+        if (!is_free(is[i].key) && was[i].value != is[i].value)
+            throw DataError(fmt::format("resuming: {} was trained with {} = {}, found {}, expected the same (--force trains all anew)",
+                                        trained.folder.string(), is[i].key, was[i].value, is[i].value));
+}
+
+/// @throws DataError where it was trained on other frames
+void check_frames(const Run& trained, const BlockLog& log) {
+    const auto is_same = [](const Frame& a, const Frame& b) { return a.index == b.index && a.lidar == b.lidar; };
+    const std::vector<Frame>&was = trained.sequence.frames, &is = log.sequence.frames;
+    if (trained.split.train != log.split.train || !std::equal(was.begin(), was.end(), is.begin(), is.end(), is_same))
+        throw DataError(fmt::format("resuming: {} was trained on {} frames from {} to {}, found {} from {} to {}, expected the same "
+                                    "(--force trains all anew)",
+                                    trained.folder.string(), was.size(), was.front().index, was.back().index, is.size(), is.front().index,
+                                    is.back().index));
+}
+
+/// Sums and means over blocks.
+class Total {
+public:
+    void add(const std::vector<TrainProgress>& log) {
+        ++n_;
+        if (!log.empty()) seconds_ += log.back().seconds;
+        for (std::size_t i = 0; i < log.size(); ++i) {
+            if (i == sum_.log.size()) sum_.log.emplace_back();
+            TrainProgress& line = sum_.log[i];
+            line.iteration = log[i].iteration;
+            line.loss += log[i].loss;
+            line.n_surfels += log[i].n_surfels;
+            line.seconds += log[i].seconds;
+            for (std::size_t k = 0; k < line.terms.size(); ++k) line.terms[k] += log[i].terms[k];
+        }
+    }
+    void add(const TrainResult& result) {
+        add(result.log);
+        sum_.initialise_s += result.initialise_s;
+        sum_.peak_device_bytes = std::max(sum_.peak_device_bytes, result.peak_device_bytes);
+        for (const auto& [kernel, ms] : result.times.milliseconds) {
+            std::vector<double>& all = sum_.times.milliseconds[kernel];
+            all.insert(all.end(), ms.begin(), ms.end());
+        }
+    }
+    TrainResult take(int iterations) {
+        for (TrainProgress& line : sum_.log) {
+            line.n_iterations = iterations;
+            line.loss /= double(n_);
+            for (double& term : line.terms) term /= double(n_);
+            line.iterations_per_second = double(line.iteration) * double(n_) / std::max(line.seconds, 1e-9);
+        }
+        sum_.train_s = seconds_;
+        sum_.iterations = iterations;
+        return std::move(sum_);
+    }
+
+private:
+    TrainResult sum_;
+    std::size_t n_ = 0;
+    double seconds_ = 0.0;
+};
+
+/// Trains the blocks of a run one after the other.
+class BlockTrainer {
+public:
+    BlockTrainer(Device& device, Run& run, const BlockTraining& how)
+        : device_(device), run_(run), how_(how), blocks_(plan_blocks(run.sequence, run.split, run.config.blocks)) {}
+
+    TrainResult train() {
+        if (!how_.quiet)
+            print(fmt::format("blocks  {} of {:.1f} m, with sweeps up to {:g} m beside them\n", blocks_.size(),
+                              blocks_.front().end_m - blocks_.front().begin_m, run_.config.blocks.halo_m));
+        std::vector<fs::path> folders;
+        for (std::size_t k = 0; k < blocks_.size(); ++k) {
+            folders.push_back(blocks_folder(run_.folder) / fmt::format("{:03}", k));
+            train(k, folders.back());
+        }
+        join_blocks(run_, blocks_, folders);
+        TrainResult result = total_.take(run_.config.train.iterations);
+        write_log(run_.folder, result.log);
+        return result;
+    }
+
+private:
+    void train(std::size_t k, const fs::path& folder) {
+        const BlockLog log = block_log(run_.sequence, run_.split, blocks_[k], run_.config);
+        std::error_code failed;
+        if (fs::is_regular_file(folder / "scene.json", failed)) {
+            const Run trained = load_run(folder);
+            check_settings(trained, log.config);
+            check_frames(trained, log);
+            return total_.add(read_log(folder));
+        }
+        tell(k, log);
+        const auto start = Clock::now();
+        check_writable(folder);
+        TrainResult result = train_or_tell(k, log, folder);
+        end_progress_line();
+        seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
+        ++trained_;
+        total_.add(result);
+        save(k, log, folder, result);
+    }
+
+    void save(std::size_t k, const BlockLog& log, const fs::path& folder, TrainResult& result) const {
+        Run part{folder, log.config, {}, log.split, {}, {}};
+        part.sequence = without_scans(log.sequence);
+        take_result(part, result);
+        keep_own_surfels(part.scene, run_.sequence, blocks_, k);
+        save_run(part);
+        remove_checkpoints(checkpoint_folder(folder));
+        std::error_code failed;
+        fs::remove(checkpoint_folder(folder), failed);
+    }
+
+    static Sequence without_scans(Sequence log) {
+        for (Frame& frame : log.frames) frame.scan = {};
+        return log;
+    }
+
+    TrainResult train_or_tell(std::size_t k, const BlockLog& log, const fs::path& folder) const {
+        const fs::path checkpoints = checkpoint_folder(folder);
+        const std::optional<Checkpoint> start = load_newest_checkpoint(checkpoints, note);
+        const std::string where = fmt::format("block {} of {}", k + 1, blocks_.size());
+        try {
+            TrainResult result =
+                train_logged(device_, log.sequence, log.split, log.config, folder, how_.quiet, {checkpoints, start ? &*start : nullptr, {}, {}});
+            if (!result.interrupted) return result;
+            throw Error(ExitCode::interrupted, fmt::format("interrupted in {}, after iteration {} of {}; continue with: {}", where,
+                                                           result.iterations, log.config.train.iterations, how_.resume));
+        } catch (const Error& error) {
+            if (error.code() == ExitCode::interrupted) throw;
+            throw Error(error.code(), fmt::format("{}: {}; blocks before it are kept, continue with: {}", where, error.what(), how_.resume));
+        }
+    }
+
+    void tell(std::size_t k, const BlockLog& log) const {
+        if (how_.quiet) return;
+        const double left_s = trained_ > 0 ? seconds_ / double(trained_) * double(blocks_.size() - k) : 0.0;
+        print(fmt::format("block   {} of {}, metres {:.0f} to {:.0f}: {} training frames, {} held out{}\n", k + 1, blocks_.size(),
+                          blocks_[k].begin_m, blocks_[k].end_m, log.split.train.size(), log.split.test.size(),
+                          left_s > 0.0 ? fmt::format("; about {} left", duration(left_s)) : ""));
+        std::fflush(stdout);
+    }
+
+    Device& device_;
+    Run& run_;
+    const BlockTraining how_;
+    const std::vector<Block> blocks_;
+    Total total_;
+    double seconds_ = 0.0;
+    std::size_t trained_ = 0;
+};
+
+}  // namespace
+
+TrainResult train_blocks(Device& device, Run& run, const BlockTraining& how) { return BlockTrainer(device, run, how).train(); }
+
+}  // namespace relidar::cli
