@@ -155,6 +155,17 @@ if(RELIDAR_BUILD_TOOLS AND RELIDAR_SERVE AND NOT RELIDAR_FOR_PACKAGE)
     endif()
 endif()
 
+# --- many processes: left out where MPI is missing -----------------------------------------------------------------------
+if(RELIDAR_BUILD_TOOLS AND RELIDAR_MPI AND NOT RELIDAR_FOR_PACKAGE)
+    find_package(MPI QUIET COMPONENTS C)
+    if(MPI_C_FOUND)
+        relidar_dependency(mpi APT libopenmpi-dev BUILD_ONLY PACKAGE MPI COMPONENTS C TARGETS MPI::MPI_C
+            DEFINE OMPI_SKIP_MPICXX MPICH_SKIP_MPICXX)   # its C functions, not the C++ ones of long ago
+    else()
+        message(STATUS "relidar: `mpirun relidar train --blocks` is left out (needs MPI: libopenmpi-dev)")
+    endif()
+endif()
+
 # --- the Python module -----------------------------------------------------------------------------------------------
 if(RELIDAR_PYTHON AND NOT RELIDAR_FOR_PACKAGE)
     # The first python3 in PATH that has numpy: a machine may have several, of which the system's own is the one that packages serve.

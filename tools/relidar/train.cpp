@@ -184,8 +184,25 @@ void refine_or_tell(Device& device, Run& run, const Options& options) {
     save_run(run);
 }
 
+/// Makes the folder of a run ready for a training, anew or where another has stopped.
+void clear_folder(const fs::path& folder, const Config& config, bool keeps_blocks, bool keeps_checkpoints) {
+    remove_run_files(folder);
+    if (!keeps_checkpoints) remove_checkpoints(checkpoint_folder(folder));
+    if (!keeps_blocks) remove_blocks(folder);
+    write_text(folder / kConfigFile, to_toml(config));   // what a killed run is resumed from
+}
+
+void check_ranks(const Ranks& ranks, bool in_blocks) {
+    if (ranks.size() > 1 && !in_blocks)
+        throw UsageError(
+            fmt::format("training by {} processes: found a log in one piece, expected --blocks, which they share", ranks.size()));
+}
+
 void run_train(const Options& given, const std::string& command_line) {
-    const Options options = sorted_out(given);
+    const Ranks ranks;
+    Options options = sorted_out(given);
+    options.quiet = options.quiet || !ranks.is_first();
+    options.device = ranks.device(options.device);
     const Config config = config_of(options);
     if (options.resume && !options.force && is_finished(options.out, config)) {
         if (!options.quiet)
@@ -195,8 +212,11 @@ void run_train(const Options& given, const std::string& command_line) {
     }
     const bool resume = options.resume && !options.force;
     if (!options.no_eval) check_lpips_weights(with_lpips_weights(config));
-    const RunFolder folder(options.out, resume ? Existing::keep : options.force ? Existing::replace : Existing::refuse);
     const bool in_blocks = config.blocks.length_m > 0.0;
+    check_ranks(ranks, in_blocks);
+    std::optional<RunFolder> folder;
+    if (ranks.is_first()) folder.emplace(options.out, resume ? Existing::keep : options.force ? Existing::replace : Existing::refuse);
+    if (resume && in_blocks) check_trained_blocks(options.out, config);
     std::optional<Checkpoint> start = resume && !in_blocks ? find_start(options) : std::nullopt;
     Device device(device_options(options.device));
     Sequence sequence = load_dataset(config, options.quiet);
@@ -206,13 +226,12 @@ void run_train(const Options& given, const std::string& command_line) {
     catch_interrupts();
     prepare_log_shown(sequence, split, config, options.quiet);
     if (start) check_resumable(*start, sequence, split, config);
-    remove_run_files(folder.path());
-    if (!start) remove_checkpoints(checkpoint_folder(folder.path()));
-    if (!resume || !in_blocks) remove_blocks(folder.path());
-    write_text(folder.path() / kConfigFile, to_toml(config));   // what a killed run is resumed from
-    Run run{folder.path(), config, std::move(sequence), split, {}, {}};
-    TrainResult result = in_blocks ? train_blocks(device, run, {options.quiet, resume_command(options)})
+    if (folder) clear_folder(folder->path(), config, resume && in_blocks, start.has_value());
+    ranks.wait_for_all();
+    Run run{options.out, config, std::move(sequence), split, {}, {}};
+    TrainResult result = in_blocks ? train_blocks(device, run, {ranks, options.quiet, resume_command(options)})
                                    : train_or_tell(device, run, options, start ? &*start : nullptr);
+    if (!ranks.is_first()) return;
     end_progress_line();
     start.reset();
     if (!in_blocks) take_result(run, result);

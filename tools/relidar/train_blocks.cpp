@@ -22,19 +22,20 @@ using Clock = std::chrono::steady_clock;
 
 /// Of settings that a block's surfels do not depend on.
 bool is_free(const std::string& key) {
-    constexpr std::array kFree{"preset", "dataset.path", "dataset.poses", "train.log_every"};
+    constexpr std::array kFree{"preset", "dataset.path", "dataset.poses", "train.log_every",
+                               "init.actor_classes", "init.actor_tracks"};   // a block names those that it has
     constexpr std::array kFreeGroups{"train.checkpoint_", "render.", "refine.", "eval.", "trace.", "blocks."};
     return std::find(kFree.begin(), kFree.end(), key) != kFree.end() ||
            std::any_of(kFreeGroups.begin(), kFreeGroups.end(), [&](const char* group) { return key.starts_with(group); });
 }
 
 /// @throws DataError where a block was trained with other settings
-void check_settings(const Run& trained, const Config& config) {
-    const std::vector<ConfigKey> was = config_keys(trained.config), is = config_keys(config);
+void check_settings(const fs::path& block, const Config& trained, const Config& config) {
+    const std::vector<ConfigKey> was = config_keys(trained), is = config_keys(config);
     for (std::size_t i = 0; i < is.size(); ++i)
         if (!is_free(is[i].key) && was[i].value != is[i].value)
             throw DataError(fmt::format("resuming: {} was trained with {} = {}, found {}, expected the same (--force trains all anew)",
-                                        trained.folder.string(), is[i].key, was[i].value, is[i].value));
+                                        block.string(), is[i].key, was[i].value, is[i].value));
 }
 
 /// @throws DataError where it was trained on other frames
@@ -99,13 +100,18 @@ public:
 
     TrainResult train() {
         if (!how_.quiet)
-            print(fmt::format("blocks  {} of {:.1f} m, with sweeps up to {:g} m beside them\n", blocks_.size(),
-                              blocks_.front().end_m - blocks_.front().begin_m, run_.config.blocks.halo_m));
+            print(fmt::format("blocks  {} of {:.1f} m, with sweeps up to {:g} m beside them{}\n", blocks_.size(),
+                              blocks_.front().end_m - blocks_.front().begin_m, run_.config.blocks.halo_m,
+                              how_.ranks.size() > 1 ? fmt::format("; shared among {} processes", how_.ranks.size()) : ""));
         std::vector<fs::path> folders;
+        std::vector<std::size_t> others;   // not trained here
         for (std::size_t k = 0; k < blocks_.size(); ++k) {
             folders.push_back(blocks_folder(run_.folder) / fmt::format("{:03}", k));
-            train(k, folders.back());
+            if (!train(k, folders.back())) others.push_back(k);
         }
+        how_.ranks.wait_for_all();
+        if (!how_.ranks.is_first()) return {};
+        for (const std::size_t k : others) total_.add(read_log(folders[k]));
         join_blocks(run_, blocks_, folders);
         TrainResult result = total_.take(run_.config.train.iterations);
         write_log(run_.folder, result.log);
@@ -113,24 +119,27 @@ public:
     }
 
 private:
-    void train(std::size_t k, const fs::path& folder) {
-        const BlockLog log = block_log(run_.sequence, run_.split, blocks_[k], run_.config);
+    /// @return whether it was trained here and now: not before, and not by another process
+    bool train(std::size_t k, const fs::path& folder) {
         std::error_code failed;
+        fs::create_directories(folder, failed);   // taking the lock says why where it cannot be
+        const std::unique_ptr<FolderLock> lock = FolderLock::take_if_free(folder);
+        if (!lock) return false;
+        const BlockLog log = block_log(run_.sequence, run_.split, blocks_[k], run_.config);
         if (fs::is_regular_file(folder / "scene.json", failed)) {
             const Run trained = load_run(folder);
-            check_settings(trained, log.config);
             check_frames(trained, log);
-            return total_.add(read_log(folder));
+            return false;
         }
         tell(k, log);
         const auto start = Clock::now();
-        check_writable(folder);
         TrainResult result = train_or_tell(k, log, folder);
         end_progress_line();
         seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
         ++trained_;
         total_.add(result);
         save(k, log, folder, result);
+        return true;
     }
 
     void save(std::size_t k, const BlockLog& log, const fs::path& folder, TrainResult& result) const {
@@ -184,6 +193,19 @@ private:
 };
 
 }  // namespace
+
+void check_trained_blocks(const fs::path& run, const Config& config) {
+    std::error_code failed;
+    std::vector<fs::path> folders;
+    for (const auto& entry : fs::directory_iterator(blocks_folder(run), failed))
+        if (fs::is_regular_file(entry.path() / "scene.json", failed)) folders.push_back(entry.path());
+    std::sort(folders.begin(), folders.end());
+    for (const fs::path& folder : folders) {
+        Config trained;
+        load_config(trained, folder / "config.toml");
+        check_settings(folder, trained, config);
+    }
+}
 
 TrainResult train_blocks(Device& device, Run& run, const BlockTraining& how) { return BlockTrainer(device, run, how).train(); }
 

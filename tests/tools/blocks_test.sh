@@ -1,0 +1,137 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+#
+# relidar train --blocks on a small synthetic street: the run is used as any other; whatever ends its training, --resume goes on, and what
+# comes out is the same to the bit; so it is where mpirun shares the blocks among processes, and where one of them is killed.
+#
+#   blocks_test.sh RELIDAR [WORK_FOLDER] [MPIRUN]
+#
+# Exits 77 (skipped) where there is no Vulkan device, or fails there with RELIDAR_REQUIRE_GPU=1.
+set -uo pipefail
+relidar=$(realpath "${1:?usage: blocks_test.sh RELIDAR [WORK_FOLDER] [MPIRUN]}")
+tests=$(realpath "$(dirname "${BASH_SOURCE[0]}")")
+work=${2:-$(mktemp -d)}
+mpirun=${3:-}
+rm -rf "$work" && mkdir -p "$work" && work=$(realpath "$work") && cd "$work" || exit 1
+source "$tests/checks.sh"
+
+# Settings that train on this street within seconds, the same way each time.
+settings=(--preset quick --set train.iterations=6 --set train.log_every=1 --set train.deterministic=true --set train.pose_register=false
+    --set refine.enabled=false --set dataset.test_every=6 --set init.discover_actors=false --set train.checkpoint_every=2)
+
+# same RUN: its surfels and poses are those of `one`, to the bit.
+same() {
+    local file
+    for file in model.safetensors scene.json blocks/000/model.safetensors blocks/001/model.safetensors blocks/002/model.safetensors; do
+        check "$1/$file differs from one/$file" cmp -s "one/$file" "$1/$file"
+    done
+}
+
+# wait_for FILE: until it is there; a minute at most.
+wait_for() {
+    for _ in $(seq 600); do
+        [[ ! -e $1 ]] || return 0
+        sleep 0.1
+    done
+    fail "$1 never came"
+}
+
+wrong_lengths() {
+    bad 2 "blocks.length_m.*\"sixty\"" train street --out x --blocks sixty
+    bad 2 "blocks.length_m" train street --out x --blocks -5m
+    absent x
+}
+
+whole() {
+    good train street --out one --blocks 30m "${settings[@]}"
+    says "^blocks  3 of 26.[0-9] m, with sweeps up to 40 m beside them$"
+    says "^block   3 of 3, metres 53 to 79: .* training frames, .* held out"
+    for file in report.html metrics.json log.jsonl blocks/002/scene.json; do exists one/$file; done
+    absent one/blocks/000/checkpoints
+    check "log.jsonl does not have each iteration once" diff <(seq 1 6) <(grep -o '"iteration":[0-9]*' one/log.jsonl | cut -d: -f2)
+    good info one
+    says "^blocks +3 of the background"
+    good info one/blocks/001   # a run by itself
+    good render one --out scans --frames 28:31
+    good edit one --out edited --remove 0
+    good render edited --out edited_scans --frames 30:31
+    good export one --out one.ply
+    local surfels blocks
+    surfels=$(grep -a -m1 '^element vertex' one.ply | cut -d' ' -f3)
+    blocks=$("$relidar" info one | sed -n 's/^surfels  *\([0-9]*\).*/\1/p')
+    check "one.ply has $surfels surfels, info says $blocks" test "$surfels" = "$blocks"
+    good train --resume one
+    says "nothing to do"
+    bad 2 "the folder is not empty" train street --out one --blocks 30m
+}
+
+# Interrupted in the second block, killed in the third: each time it goes on where it was.
+stopped() {
+    "$relidar" train street --out stopped --blocks 30m "${settings[@]}" --set train.iterations=100000 --quiet 2>err &
+    local pid=$!
+    wait_for stopped/blocks/000/checkpoints
+    kill -INT $pid
+    wait $pid
+    check "an interrupted training ended with $?, expected 130" test $? = 130
+    check "the message does not say how to go on" grep -Eq "interrupted in block 1 of 3, after iteration [0-9]+ of 100000; continue with: relidar train --resume stopped" err
+    absent stopped/scene.json
+    rm -rf stopped
+
+    "$relidar" train street --out stopped --blocks 30m "${settings[@]}" --quiet 2>err &
+    pid=$!
+    wait_for stopped/blocks/001/checkpoints
+    kill -KILL $pid
+    wait $pid 2>/dev/null
+    local first
+    first=$(stat -c %Y stopped/blocks/000/model.safetensors)
+    bad 3 "blocks/000 was trained with loss.depth = .*, found 0.3, expected the same" train --resume stopped --set loss.depth=0.3
+    good train --resume stopped
+    check "the block that was complete was trained again" test "$first" = "$(stat -c %Y stopped/blocks/000/model.safetensors)"
+    same stopped
+    good train street --out stopped --force "${settings[@]}" --no-eval   # in one piece: blocks of the run before are gone
+    absent stopped/blocks
+}
+
+mpi() { "$mpirun" --allow-run-as-root --oversubscribe -n "$@"; }
+
+# Two processes share the blocks; one is killed, and the next start goes on.
+ranks() {
+    mpi 2 "$relidar" train street --out two --blocks 30m "${settings[@]}" >out 2>err
+    check "mpirun: exit code $?, expected 0" test $? = 0
+    check "more than one process talks" test "$(grep -c '^blocks  3 of' out)" = 1
+    same two
+    mpi 2 "$relidar" train street --out piece "${settings[@]}" >out 2>err
+    check "a log in one piece by two processes: exit code 0" test $? != 0
+    check "the message lacks --blocks" grep -Eq "training by 2 processes: .*expected --blocks" err
+
+    mpi 2 "$relidar" train street --out lost --blocks 30m "${settings[@]}" --set train.iterations=100000 >out 2>err &
+    local pid=$!
+    wait_for lost/blocks/001/checkpoints
+    kill -KILL "$(pgrep -f "^$relidar train street --out lost" | tail -1)"
+    wait $pid
+    check "mpirun ended with 0 though one process was killed" test $? != 0
+    absent lost/scene.json
+    rm -rf lost
+
+    mpi 2 "$relidar" train street --out lost --blocks 30m "${settings[@]}" >out 2>err &
+    pid=$!
+    wait_for lost/blocks/001/checkpoints
+    kill -KILL "$(pgrep -f "^$relidar train street --out lost" | tail -1)"
+    wait $pid
+    mpi 2 "$relidar" train --resume lost >out 2>err
+    check "resumed by mpirun: exit code $?, expected 0" test $? = 0
+    same lost
+}
+
+mkdir street && printf 'seed = 5\nn_frames = 60\nrows = 8\ncolumns = 96\nspeed_mps = 13.4\n' >street/street.toml
+wrong_lengths
+if "$relidar" devices >/dev/null 2>&1; then
+    whole
+    stopped
+    [[ -z $mpirun ]] || ranks
+elif [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]]; then
+    fail "no Vulkan device"
+else
+    skipped=1
+fi
+finish_checks

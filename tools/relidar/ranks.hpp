@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// The processes that mpirun has started together.
+#pragma once
+
+#include "options.hpp"
+
+namespace relidar::cli {
+
+/// One of several processes that share a job and its folder, or the only one: then everything here does nothing. Where an exception leaves
+/// it, the process ends without a word to the others, and mpirun ends them.
+class Ranks {
+public:
+    /// Joins the others. @throws UsageError where mpirun has started a program that was built without MPI
+    Ranks();
+    ~Ranks();
+    Ranks(const Ranks&) = delete;
+    Ranks& operator=(const Ranks&) = delete;
+
+    int size() const { return size_; }
+    /// Of them, the one that prints, and writes what they share.
+    bool is_first() const { return rank_ == 0; }
+    /// Returns once all have come here. Takes no time of the processor.
+    void wait_for_all() const;
+    /// A GPU for each process of a machine, in turn, where none was chosen.
+    DeviceChoice device(DeviceChoice chosen) const;
+
+private:
+    int rank_ = 0, size_ = 1, local_rank_ = 0;
+};
+
+}  // namespace relidar::cli
