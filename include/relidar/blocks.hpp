@@ -31,6 +31,7 @@ struct BlockLog {
     Split split;
     Config config;   ///< of the block's own training: in one piece, its settings named for boxes that it has
 };
+/// Copies it out of a prepared log. @param config  of the whole training
 BlockLog block_log(const Sequence& sequence, const Split& split, const Block& block, const Config& config);
 
 /// Leaves only those surfels in the background that belong to a block: a place belongs to the block of the nearest sweep.

@@ -43,8 +43,8 @@ struct Run {
     }
 };
 
-/// Writes config.toml, scene.json, model.safetensors and drop_network.safetensors, each atomically. The folder is made where missing. Blocks
-/// of the scene that lie elsewhere are linked into it (copied where the file system has no links), as blocks/NNN/model.safetensors.
+/// Writes config.toml, scene.json, model.safetensors and drop_network.safetensors, each atomically. The folder is made where missing.
+/// Blocks of the scene that lie elsewhere are linked into it (copied where the file system has no links), as blocks/NNN/model.safetensors.
 /// @throws DataError where the folder cannot be made or written
 void save_run(const Run& run);
 
@@ -53,7 +53,7 @@ Run load_run(const std::filesystem::path& folder);
 
 /// Saves a scene as safetensors: mean [n,3], rotation [n,4], log_scale [n,2], opacity_logit [n], sh [n,3,16], log_scale_w [n] of 3D
 /// Gaussians alone, models and instances in the metadata. @throws DataError where an array is misshapen or not finite, or the file cannot
-/// be written. Where the scene has blocks, their files, which lie in the same folder or below it, are named in the metadata and not written.
+/// be written. Files of its blocks, which lie below the same folder, are named in the metadata and not written.
 void save_model(const std::filesystem::path& path, const Scene& scene);
 /// Reads it back. @throws DataError for missing, misshapen or non-finite arrays, naming array and row
 Scene load_model(const std::filesystem::path& path);

@@ -39,7 +39,7 @@ glm::dvec3 fit_once(const std::vector<PlacedPoint>& points, std::span<const std:
     const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(covariance);
     const Eigen::Matrix3d axes = solver.eigenvectors();
     const Eigen::Vector3d values = solver.eigenvalues();
-    plane = {mean, vector(axes, 0), vector(axes, 1), vector(axes, 2), {sum, values[1], values[2]}};
+    plane = {mean, vector(axes, 0), vector(axes, 1), vector(axes, 2)};
     return glm::dvec3(values[0], values[1], values[2]) / sum;
 }
 

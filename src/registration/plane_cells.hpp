@@ -18,11 +18,10 @@ inline RegisterRound between(const RegisterRound& first, const RegisterRound& la
     return {first.cell_m * std::pow(last.cell_m / first.cell_m, t), first.scale_m * std::pow(last.scale_m / first.scale_m, t)};
 }
 
-/// n . (p - point) = 0, and how firmly its points hold it.
+/// n . (p - point) = 0, with the two directions within it.
 struct Plane {
-    glm::dvec3 point_m{0.0};           ///< weighted mean of its points
+    glm::dvec3 point_m{0.0};   ///< weighted mean of its points
     glm::dvec3 normal{0.0}, u{0.0}, v{0.0};
-    glm::dvec3 stiffness{0.0};         ///< sums of w, w (u . p)^2, w (v . p)^2: of its offset and its two tilts
 };
 
 /// rho'(r) / 2r of rho(r) = r^2 / (1 + r^2 / s^2) (Geman and McClure 1985)

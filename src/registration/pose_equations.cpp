@@ -20,6 +20,12 @@ std::array<std::pair<std::size_t, double>, 2> shares(const ThinPoint& point) {
     return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
 }
 
+/// Of a point's residual, by offset and tilts of its plane.
+Eigen::Vector3d row_of_plane(const PlacedPoint& point, const Plane& plane) {
+    const glm::dvec3 d = point.point_m - plane.point_m;
+    return {1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)};
+}
+
 }  // namespace
 
 Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m) {
@@ -54,15 +60,27 @@ void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::ve
             if (couplings_[k].pose == pose) return couplings_[k];
         return couplings_.emplace_back(Coupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
+    // of the plane's own unknowns, with the weights that its points have now: with those of its fit H would not be positive
+    Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
+    Eigen::Vector3d pull = Eigen::Vector3d::Zero();
+    for (const std::uint32_t i : members) {
+        const Row row = row_of(placed[i], plane, scale_m);
+        const Eigen::Vector3d b = row_of_plane(placed[i], plane);
+        stiffness += row.weight * b * b.transpose();
+        pull += row.weight * row.residual_m * b;
+    }
+    const Eigen::LLT<Eigen::Matrix3d> root(stiffness);
+    if (root.info() != Eigen::Success) return;
+    const auto whitened = [&](const Eigen::Vector3d& b) -> Eigen::Vector3d { return root.matrixL().solve(b); };
     for (const std::uint32_t i : members) {
         const Row row = row_of(placed[i], plane, scale_m);
         add_point(points[i], row);
-        const glm::dvec3 d = placed[i].point_m - plane.point_m;
-        const Eigen::Vector3d b =
-            Eigen::Vector3d(1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)).cwiseQuotient(to_eigen(glm::sqrt(plane.stiffness)));
+        const Eigen::Vector3d b = whitened(row_of_plane(placed[i], plane));
         for (const auto& [pose, share] : shares(points[i]))
             if (share != 0.0) coupling(pose).c += (share * row.weight * row.j * b.transpose()).cast<float>();
     }
+    for (std::size_t k = begin; k < couplings_.size(); ++k)
+        gradient_.segment<6>(6 * Eigen::Index(couplings_[k].pose)) -= couplings_[k].c.cast<double>() * whitened(pull);
     plane_end_.push_back(couplings_.size());
     ++n_planes_;
 }

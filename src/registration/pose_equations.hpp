@@ -2,9 +2,9 @@
 // Gauss-Newton equations of all poses of a track, planes eliminated. A point at fraction s between poses l and l + 1 moves by
 //   dp = sum over k of a_k (v_k + w_k x (p - o)),  a = (1 - s, s),  o where the sensor was,
 // so its residual n . (p - point) - b . (offset, tilts) has the row a_k j, j = (n, (p - o) x n). The Schur complement of the three unknowns
-// of a plane with couplings C and stiffness B is
-//   H = sum w J J^T - C B^-1 C^T,  g = sum w r J,
-// exactly, because weighted principal axes make B diagonal and the planes' own gradient zero.
+// of a plane with couplings C, stiffness B and gradient h is
+//   H = sum w J J^T - C B^-1 C^T,  g = sum w r J - C B^-1 h,
+// positive where B is of the same weights w.
 #pragma once
 
 #include <cstdint>
@@ -47,7 +47,7 @@ public:
     Vector6 gradient(std::size_t pose) const { return gradient_.segment<6>(6 * Eigen::Index(pose)); }
 
 private:
-    /// B^-1/2 C of one plane and one pose.
+    /// C L^-T of one plane and one pose, B = L L^T.
     struct Coupling {
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;

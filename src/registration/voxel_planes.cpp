@@ -32,7 +32,7 @@ void VoxelPlanes::fit(const Cell& cell, const glm::dvec3& centre_m) const {
     cell.n_fitted = cell.sums.n;
     cell.plane.reset();
     if (f.variance[1] < std::pow(kSpread * cell_m_, 2) || f.variance[0] > std::pow(kThickness * cell_m_, 2)) return;
-    cell.plane = Plane{centre_m + f.mean, f.axes[0], f.axes[1], f.axes[2], cell.sums.n * glm::dvec3(1.0, f.variance[1], f.variance[2])};
+    cell.plane = Plane{centre_m + f.mean, f.axes[0], f.axes[1], f.axes[2]};
 }
 
 void VoxelPlanes::forget(double travelled_m) {

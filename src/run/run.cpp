@@ -101,7 +101,8 @@ Run load_run(const fs::path& folder) {
     run.scene = load_model(folder / kModelFile);
     for (const SceneBlock& block : run.scene.blocks)
         if (!path_exists(block.file))
-            throw DataError(fmt::format("{}: no such file, expected it in a run of {} blocks", block.file.string(), run.scene.blocks.size()));
+            throw DataError(
+                fmt::format("{}: no such file, expected it in a run of {} blocks", block.file.string(), run.scene.blocks.size()));
     if (path_exists(folder / kDropNetworkFile)) run.drop_network = load_drop_network(folder / kDropNetworkFile);
     if (run.scene.surfels.size() != scene.n_surfels) {
         throw DataError(fmt::format("{}: counts.surfels: found {}, but {} holds {}", scene_path.string(), scene.n_surfels, kModelFile,

@@ -94,7 +94,8 @@ TEST(PlanBlocks, RefusesABlockThatNothingTrains) {
 TEST(BlockLog, MovesAsTheLogDoes) {
     // there and back with a long way round between, so that a block has frames with a gap of time between them
     const Sequence log = log_along(300, [](int i) {
-        return i < 100 ? glm::dvec3(0.8 * i, 0.0, 0.0) : i < 200 ? glm::dvec3(80.0, 5.0 * (i - 100), 0.0) : glm::dvec3(0.8 * (299 - i), 2.0, 0.0);
+        if (i < 100) return glm::dvec3(0.8 * i, 0.0, 0.0);
+        return i < 200 ? glm::dvec3(80.0, 5.0 * (i - 100), 0.0) : glm::dvec3(0.8 * (299 - i), 2.0, 0.0);
     });
     const Split split = split_frames(log, 10);
     const std::vector<Block> blocks = plan_blocks(log, split, {40.0, 15.0});

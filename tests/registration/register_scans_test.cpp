@@ -60,6 +60,18 @@ void expect_found(const Registration& found, const PoseTrack& exact, const Split
     }
 }
 
+/// A street of which a sweep sees a fifth: what is known of one end by the other is all in the equations.
+TEST(RegisterScans, LongStreetStaysWhereItIs) {
+    SyntheticOptions options;
+    options.seed = 7, options.n_frames = 400, options.rows = 32, options.columns = 256;
+    const Sequence street = make_synthetic_street(options);
+    const Registration found = registered(street, 10);
+    EXPECT_TRUE(found.lost.empty()) << found.lost.size() << " scans are lost";
+    const PoseError error = error_of(found.world_from_vehicle, street.world_from_vehicle, split_frames(street, 10).train);
+    EXPECT_LT(error.rms_m, 0.03);
+    EXPECT_LT(error.worst_m, 0.06);
+}
+
 TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
     const Sequence street = street_of(21);
     const PoseTrack& exact = street.world_from_vehicle;

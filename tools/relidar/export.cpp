@@ -58,7 +58,7 @@ void run_export(const ExportOptions& options) {
 void run_import(const ImportOptions& options) {
     const RunFolder folder(options.out, options.force ? Existing::replace : Existing::refuse);
     Run run = load_run(options.run);
-    run.scene = read_surfel_ply(options.file, run.scene, run.config.image.primitive);
+    run.scene = read_surfel_ply(options.file, whole_scene(run.scene), run.config.image.primitive);
     remove_run_files(folder.path());
     remove_blocks(folder.path());
     run.folder = folder.path();

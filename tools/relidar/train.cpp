@@ -76,8 +76,10 @@ Config config_of(const Options& options) {
     if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
     config.eval.lpips_weights = absolute_path(config.eval.lpips_weights);
     apply_log_part(config, options.part);
-    if (!options.blocks.empty())
-        set_key(config, "blocks.length_m", options.blocks.ends_with('m') ? options.blocks.substr(0, options.blocks.size() - 1) : options.blocks);
+    if (std::string length = options.blocks; !length.empty()) {
+        if (length.ends_with('m')) length.pop_back();
+        set_key(config, "blocks.length_m", length);
+    }
     if (!options.seed.empty()) {
         set_key(config, "init.seed", options.seed);
         set_key(config, "train.seed", options.seed);

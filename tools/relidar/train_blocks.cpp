@@ -163,14 +163,14 @@ private:
         const std::optional<Checkpoint> start = load_newest_checkpoint(checkpoints, note);
         const std::string where = fmt::format("block {} of {}", k + 1, blocks_.size());
         try {
-            TrainResult result =
-                train_logged(device_, log.sequence, log.split, log.config, folder, how_.quiet, {checkpoints, start ? &*start : nullptr, {}, {}});
+            const TrainSession session{checkpoints, start ? &*start : nullptr, {}, {}};
+            TrainResult result = train_logged(device_, log.sequence, log.split, log.config, folder, how_.quiet, session);
             if (!result.interrupted) return result;
             throw Error(ExitCode::interrupted, fmt::format("interrupted in {}, after iteration {} of {}; continue with: {}", where,
                                                            result.iterations, log.config.train.iterations, how_.resume));
         } catch (const Error& error) {
             if (error.code() == ExitCode::interrupted) throw;
-            throw Error(error.code(), fmt::format("{}: {}; blocks before it are kept, continue with: {}", where, error.what(), how_.resume));
+            throw Error(error.code(), fmt::format("{}: {}; trained blocks are kept, continue with: {}", where, error.what(), how_.resume));
         }
     }
 
