@@ -35,11 +35,13 @@ struct Registration {
     std::vector<RegisterRound> rounds;
     std::vector<std::size_t> lost;      ///< frames that their own scan did not place, by position: moved as their neighbours were
     double on_planes = 0.0;             ///< share of a training scan's points that lie on common planes, the median over scans
+    std::size_t places_again = 0;       ///< at which a later pass through a road was put on an earlier one
+    double loops_off_m = 0.0;           ///< by which one of them was off, the most
     bool stopped = false;
 };
 
 /// Finds poses of the sensor at which all scans lie on common planes. First scan by scan, each on the map of those before it, starting
-/// where the given poses say that it moved; then all at once:
+/// where the given poses say that it moved; then where a road is driven again the later pass on the earlier one; then all at once:
 ///   min over all poses and planes (n, d) of  sum over points p of rho(n . p - d),  rho(r) = r^2 / (1 + r^2 / s^2),
 /// each point moving with the poses between which it was fired. So given poses may drift by metres, or jump. What all poses have in common
 /// cannot be seen: the mean correction is zero, or without given motion the pose in the middle stays.

@@ -10,6 +10,7 @@
 #include <relidar/error.hpp>
 
 #include "core/parallel.hpp"
+#include "registration/loops.hpp"
 #include "registration/odometry.hpp"
 #include "registration/plane_adjustment.hpp"
 
@@ -73,7 +74,8 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
         throw UsageError(
             fmt::format("registering the scans of {}: found {} LiDARs, expected one; train.pose_register=false keeps the log's own poses",
                         sequence.name, sequence.lidars.size()));
-    Registration result{sequence.world_from_vehicle, {}, {}, 0.0, false};
+    Registration result;
+    result.world_from_vehicle = sequence.world_from_vehicle;
     if (split.train.size() < 2) return result;
     const auto proceed = [&](const char* what) {
         return [&, what](double done) {
@@ -90,9 +92,13 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     const PoseTrack followed =
         follow_scans(sequence.world_from_vehicle, by_pose, {first, kLastFollowed, options.given_motion, proceed("following the scans")});
     if (result.stopped) return result;
+    const ClosedLoops closed = close_loops(followed, by_pose, {first, kLastFollowed, proceed("looking for roads driven again")});
+    if (result.stopped) return result;
+    result.places_again = closed.places;
+    result.loops_off_m = closed.largest_m;
 
     const std::vector<bool> gauge = options.given_motion ? is_train : marked({split.train[split.train.size() / 2]}, sequence.frames.size());
-    PlaneAdjustment adjustment(sequence.world_from_vehicle, followed, joined(scans), gauge);
+    PlaneAdjustment adjustment(sequence.world_from_vehicle, closed.track, joined(scans), gauge);
     result.rounds = adjustment.run(first, kLast, proceed("registering all scans together"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)

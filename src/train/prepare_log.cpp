@@ -46,6 +46,11 @@ std::string way_text(const PoseTrack& track) {
     return fmt::format("{:.1f} m driven", metres);
 }
 
+std::string loops_text(const Registration& found) {
+    if (found.places_again == 0) return "";
+    return fmt::format("; {} places seen again on a later pass, up to {:.2f} m off before", found.places_again, found.loops_off_m);
+}
+
 constexpr double kMostLost = 0.05;   // of the scans, one in any case
 
 RegisterOptions register_options(const Sequence& sequence, const Config& config, const PrepareSession& session) {
@@ -87,10 +92,11 @@ void register_sensor(Sequence& sequence, const Split& split, const Config& confi
     }
     if (found.stopped) throw Error(ExitCode::interrupted, "interrupted while scans were registered: nothing is trained yet");
     if (found.rounds.empty()) return;
-    session.tell(fmt::format("scans registered: {:.0f} % of their points lie on common planes, {:.3f} m from them; {}",
+    session.tell(fmt::format("scans registered: {:.0f} % of their points lie on common planes, {:.3f} m from them; {}{}",
                              100.0 * found.on_planes, found.rounds.back().residual_m,
                              config.dataset.poses == kNoPoses ? way_text(found.world_from_vehicle)
-                                                              : corrections_text(sequence.world_from_vehicle, found.world_from_vehicle)));
+                                                              : corrections_text(sequence.world_from_vehicle, found.world_from_vehicle),
+                             loops_text(found)));
     tell_lost(sequence, found, config, session);
     set_vehicle_poses(sequence, found.world_from_vehicle);
 }
