@@ -104,7 +104,7 @@ RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
     });
     for (std::size_t c = 1; c < kChunks; ++c) parts[0].add(std::move(parts[c]));
     const PoseTrack before = track_;
-    const Eigen::VectorXd step = parts[0].solve(corrections(start_, track_), kPrior);
+    const Eigen::VectorXd step = parts[0].solve(track_, corrections(start_, track_), kPrior);
     for (std::size_t k = 0; k < track_.pose.size(); ++k) track_.pose[k] = moved(track_.pose[k], twist_of(step, k));
     remove_common_motion();
     round.planes = parts[0].n_planes();

@@ -4,13 +4,17 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <map>
+#include <span>
+#include <utility>
 
 #include <Eigen/Cholesky>
+#include <Eigen/SparseCholesky>
 
 namespace relidar {
 namespace {
 
-constexpr int kMostIterations = 300;
+constexpr int kMostIterations = 100;   // 20 to 30 are usual, however long the log
 constexpr double kTolerance = 1e-4;   // of the residual's norm: the next round corrects what is left
 
 Eigen::Vector3d to_eigen(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
@@ -96,6 +100,7 @@ void PoseEquations::add(PoseEquations&& other) {
     n_planes_ += other.n_planes_;
     cost_ += other.cost_;
     weight_ += other.weight_;
+    other = PoseEquations(0);   // gives its memory back
 }
 
 Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
@@ -117,16 +122,98 @@ Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
     return y;
 }
 
-Eigen::VectorXd PoseEquations::solve(const Eigen::VectorXd& correction, double prior) const {
+Vector6 PoseEquations::pull_of(double prior) const {
+    Vector6 mean = Vector6::Zero();
+    for (const Matrix6& d : diagonal_) mean += d.diagonal() / double(diagonal_.size());
+    return prior * mean;
+}
+
+/// The equations among rigid motions of groups of poses: twists about the first pose of each, that carry the others along.
+class GroupMotions {
+public:
+    GroupMotions(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
+        : track_(track), n_(equations.diagonal_.size()) {
+        for (std::size_t k = 0; k < n_; ++k) {
+            const Matrix6 carry = carried(k);
+            block(k / kGroup, k / kGroup) += carry.transpose() * (equations.diagonal_[k] + Matrix6(pull.asDiagonal())) * carry;
+            if (k + 1 < n_) add_pair(k, k + 1, carry.transpose() * equations.next_[k] * carried(k + 1));
+        }
+        std::size_t begin = 0;
+        for (const std::size_t end : equations.plane_end_) {
+            add_plane(std::span(equations.couplings_).subspan(begin, end - begin));
+            begin = end;
+        }
+        factorise();
+    }
+
+    /// Adds the groups' motions that answer a residual.
+    void add_solution(const Eigen::VectorXd& residual, Eigen::VectorXd& z) const {
+        if (solver_.info() != Eigen::Success) return;
+        Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
+        for (std::size_t k = 0; k < n_; ++k)
+            sums.segment<6>(6 * Eigen::Index(k / kGroup)) += carried(k).transpose() * residual.segment<6>(6 * Eigen::Index(k));
+        const Eigen::VectorXd motion = solver_.solve(sums);
+        for (std::size_t k = 0; k < n_; ++k)
+            z.segment<6>(6 * Eigen::Index(k)) += carried(k) * motion.segment<6>(6 * Eigen::Index(k / kGroup));
+    }
+
+private:
+    static constexpr std::size_t kGroup = 8;
+
+    const PoseTrack& track_;
+    const std::size_t n_;
+    std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;   // row, column
+    Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;
+
+    std::size_t n_groups() const { return (n_ + kGroup - 1) / kGroup; }
+    Matrix6& block(std::size_t row, std::size_t column) { return blocks_.try_emplace({row, column}, Matrix6::Zero()).first->second; }
+
+    /// What a group's twist is at one of its poses.
+    Matrix6 carried(std::size_t k) const {
+        const glm::dvec3 d = track_.pose[k].translation - track_.pose[k / kGroup * kGroup].translation;
+        Matrix6 m = Matrix6::Identity();
+        m.topRightCorner<3, 3>() << 0.0, d.z, -d.y, -d.z, 0.0, d.x, d.y, -d.x, 0.0;   // w x d
+        return m;
+    }
+
+    void add_pair(std::size_t k, std::size_t l, const Matrix6& m) {
+        block(k / kGroup, l / kGroup) += m;
+        block(l / kGroup, k / kGroup) += m.transpose();
+    }
+
+    void add_plane(std::span<const PoseEquations::Coupling> couplings) {
+        std::vector<std::pair<std::size_t, Eigen::Matrix<double, 6, 3>>> groups;
+        for (const PoseEquations::Coupling& coupling : couplings) {
+            const std::size_t group = coupling.pose / kGroup;
+            auto found = std::find_if(groups.begin(), groups.end(), [&](const auto& g) { return g.first == group; });
+            if (found == groups.end()) found = groups.insert(groups.end(), {group, Eigen::Matrix<double, 6, 3>::Zero()});
+            found->second += carried(coupling.pose).transpose() * coupling.c.cast<double>();
+        }
+        for (const auto& [row, a] : groups)
+            for (const auto& [column, b] : groups) block(row, column) -= a * b.transpose();
+    }
+
+    void factorise() {
+        std::vector<Eigen::Triplet<double>> entries;
+        for (const auto& [at, m] : blocks_)
+            for (int r = 0; r < 6; ++r)
+                for (int c = 0; c < 6; ++c) entries.emplace_back(int(6 * at.first) + r, int(6 * at.second) + c, m(r, c));
+        Eigen::SparseMatrix<double> h(6 * Eigen::Index(n_groups()), 6 * Eigen::Index(n_groups()));
+        h.setFromTriplets(entries.begin(), entries.end());
+        solver_.compute(h);
+    }
+};
+
+Eigen::VectorXd PoseEquations::solve(const PoseTrack& track, const Eigen::VectorXd& correction, double prior) const {
     const std::size_t n = diagonal_.size();
-    Matrix6 mean = Matrix6::Zero();
-    for (const Matrix6& d : diagonal_) mean += d / double(n);
-    const Vector6 pull = prior * mean.diagonal();
+    const Vector6 pull = pull_of(prior);
     std::vector<Eigen::LLT<Matrix6>> inverse;
     for (const Matrix6& d : diagonal_) inverse.emplace_back(d + Matrix6(pull.asDiagonal()) + 1e-12 * Matrix6::Identity());
+    const GroupMotions groups(*this, track, pull);
     const auto preconditioned = [&](const Eigen::VectorXd& r) {
         Eigen::VectorXd z(r.size());
         for (std::size_t k = 0; k < n; ++k) z.segment<6>(6 * Eigen::Index(k)) = inverse[k].solve(r.segment<6>(6 * Eigen::Index(k)));
+        groups.add_solution(r, z);
         return z;
     };
     const Eigen::VectorXd pulls = pull.replicate(Eigen::Index(n), 1);

@@ -37,9 +37,10 @@ public:
                   const Plane& plane, double scale_m);
     void add(PoseEquations&& other);
 
-    /// Step of all poses, [n_poses,6], by conjugate gradients with blocks of 6 x 6 as preconditioner.
-    /// @param prior added to the diagonal, as a share of its mean; pulls `correction` to zero
-    Eigen::VectorXd solve(const Eigen::VectorXd& correction, double prior) const;
+    /// Step of all poses, [n_poses,6], by conjugate gradients. Preconditioner: the diagonal blocks, and rigid motions of eight poses at a
+    /// time, solved directly, without which the number of iterations would grow with the length of the log.
+    /// @param track  of the poses @param prior added to the diagonal, as a share of its mean; pulls `correction` to zero
+    Eigen::VectorXd solve(const PoseTrack& track, const Eigen::VectorXd& correction, double prior) const;
 
     std::size_t n_planes() const { return n_planes_; }
     double residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
@@ -60,6 +61,9 @@ private:
     double cost_ = 0.0, weight_ = 0.0;
 
     Eigen::VectorXd times(const Eigen::VectorXd& x) const;
+    /// Diagonal of what pulls a correction to zero, [6].
+    Vector6 pull_of(double prior) const;
+    friend class GroupMotions;
 };
 
 }  // namespace relidar
