@@ -3,7 +3,9 @@
 #include "train_blocks.hpp"
 
 #include <algorithm>
+#include <array>
 #include <chrono>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -22,8 +24,8 @@ using Clock = std::chrono::steady_clock;
 
 /// Of settings that a block's surfels do not depend on.
 bool is_free(const std::string& key) {
-    constexpr std::array kFree{"preset", "dataset.path", "dataset.poses", "train.log_every",
-                               "init.actor_classes", "init.actor_tracks"};   // a block names those that it has
+    // a block names those actors that it has
+    constexpr std::array kFree{"preset", "dataset.path", "train.log_every", "init.actor_classes", "init.actor_tracks"};
     constexpr std::array kFreeGroups{"train.checkpoint_", "render.", "refine.", "eval.", "trace.", "blocks."};
     return std::find(kFree.begin(), kFree.end(), key) != kFree.end() ||
            std::any_of(kFreeGroups.begin(), kFreeGroups.end(), [&](const char* group) { return key.starts_with(group); });
@@ -125,7 +127,7 @@ private:
         fs::create_directories(folder, failed);   // taking the lock says why where it cannot be
         const std::unique_ptr<FolderLock> lock = FolderLock::take_if_free(folder);
         if (!lock) return false;
-        const BlockLog log = block_log(run_.sequence, run_.split, blocks_[k], run_.config);
+        BlockLog log = block_log(run_.sequence, run_.split, blocks_[k], run_.config);
         if (fs::is_regular_file(folder / "scene.json", failed)) {
             const Run trained = load_run(folder);
             check_frames(trained, log);
@@ -138,24 +140,18 @@ private:
         seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
         ++trained_;
         total_.add(result);
-        save(k, log, folder, result);
+        save(k, std::move(log), folder, result);
         return true;
     }
 
-    void save(std::size_t k, const BlockLog& log, const fs::path& folder, TrainResult& result) const {
-        Run part{folder, log.config, {}, log.split, {}, {}};
-        part.sequence = without_scans(log.sequence);
+    void save(std::size_t k, BlockLog log, const fs::path& folder, TrainResult& result) const {
+        Run part{folder, log.config, std::move(log.sequence), log.split, {}, {}};
         take_result(part, result);
         keep_own_surfels(part.scene, run_.sequence, blocks_, k);
         save_run(part);
         remove_checkpoints(checkpoint_folder(folder));
         std::error_code failed;
         fs::remove(checkpoint_folder(folder), failed);
-    }
-
-    static Sequence without_scans(Sequence log) {
-        for (Frame& frame : log.frames) frame.scan = {};
-        return log;
     }
 
     TrainResult train_or_tell(std::size_t k, const BlockLog& log, const fs::path& folder) const {
