@@ -83,7 +83,8 @@ std::vector<float> intensities_of(const Arrays& arrays, const std::string& name,
 RayTable sensor_rays(const Arrays& arrays, const ImageSource& source) {
     RayTable rays = nominal_rays(source.lidar, source.time_s);
     if (rays.size() == 0)
-        throw DataError(fmt::format("{}: no directions of its rays, expected them, or the LiDAR's sensor in sequence.json", arrays.where()));
+        throw DataError(
+            fmt::format("{}: no directions of its rays, expected them, or the LiDAR's sensor in sequence.json", arrays.where()));
     if (std::size_t(rays.rows) != arrays.rows || std::size_t(rays.columns) != arrays.columns)
         throw DataError(fmt::format("{}: range of {} x {} without directions, expected {} x {}, as the LiDAR's sensor has them",
                                     arrays.where(), arrays.rows, arrays.columns, rays.rows, rays.columns));
@@ -95,8 +96,10 @@ void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
     for (NamedArray& array : arrays) {
         const std::size_t row = rows > 0 && array.shape.size() >= 2 && array.shape[0] == rows ? array.bytes.size() / rows : 0;
         std::vector<std::byte> flipped;
-        for (std::size_t i = rows; row > 0 && i-- > 0;)
-            flipped.insert(flipped.end(), array.bytes.begin() + std::ptrdiff_t(i * row), array.bytes.begin() + std::ptrdiff_t((i + 1) * row));
+        for (std::size_t i = rows; row > 0 && i-- > 0;) {
+            const auto begin = array.bytes.begin() + std::ptrdiff_t(i * row);
+            flipped.insert(flipped.end(), begin, begin + std::ptrdiff_t(row));
+        }
         if (row > 0) array.bytes = std::move(flipped);
     }
 }

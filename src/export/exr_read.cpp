@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// OpenEXR images of scan lines. The header is read here first, by the published layout of the file: OpenEXR allocates what a header asks for
-// before it looks whether so much can be there.
+// OpenEXR images of scan lines. The header is read here first, by the published layout of the file: OpenEXR allocates what a header asks
+// for before it looks whether so much can be there.
 #include <relidar/export.hpp>
 
 #include <algorithm>
@@ -50,7 +50,8 @@ public:
     /// Up to a zero byte.
     std::string name() {
         const std::size_t end = file_.find('\0', at_);
-        if (end == std::string::npos || end - at_ > 255) throw DataError("its header is cut short, or a name in it is longer than 255 bytes");
+        if (end == std::string::npos || end - at_ > 255)
+            throw DataError("its header is cut short, or a name in it is longer than 255 bytes");
         const std::string text = file_.substr(at_, end - at_);
         at_ = end + 1;
         return text;
@@ -76,7 +77,8 @@ void read_window(std::string_view bytes, Promise& promise) {
     promise.rows = std::int64_t(corner[3]) - corner[1] + 1;
     constexpr std::int32_t kFarthest = 1 << 29;   // of a corner: what the library counts with ints
     for (const std::int32_t c : corner)
-        if (c < -kFarthest || c > kFarthest) throw DataError(fmt::format("a corner of dataWindow at {}, expected one within {}", c, kFarthest));
+        if (c < -kFarthest || c > kFarthest)
+            throw DataError(fmt::format("a corner of dataWindow at {}, expected one within {}", c, kFarthest));
 }
 
 void read_compression(std::string_view bytes, Promise& promise) {

@@ -115,7 +115,8 @@ TEST(ExrFolder, ImagesWithRaysAreReadBitByBit) {
 }
 
 TEST(ExrFolder, ImagesWithoutRaysTakeThoseOfTheSensor) {
-    const StreetOfImages street("sensor", [](const std::string& name) { return name.starts_with("range") || name.starts_with("intensity"); });
+    const auto keep = [](const std::string& name) { return name.starts_with("range") || name.starts_with("intensity"); };
+    const StreetOfImages street("sensor", keep);
     const Sequence found = load_sequence(street.folder.string(), {});
     expect_same_scans(found, street.truth, 1e-6);   // 0.1 mm at 80 m
 }
@@ -157,7 +158,8 @@ TEST(ExrFolder, ImagesOfOtherPrograms) {
     test::write_text(folder / "rays.json", fmt::format(R"({{"directions": [{}]}})", directions));
     std::vector<Imath::half> range(n);
     std::vector<unsigned> intensity(n);
-    for (int i = 0; i < n; ++i) range[std::size_t(i)] = Imath::half(float(i % 2048) / 32.0f), intensity[std::size_t(i)] = unsigned(i % 1000);
+    for (std::size_t i = 0; i < range.size(); ++i)
+        range[i] = Imath::half(float(i % 2048) / 32.0f), intensity[i] = unsigned(i % 1000);
     for (const Imf::Compression compression : {Imf::NO_COMPRESSION, Imf::RLE_COMPRESSION, Imf::ZIPS_COMPRESSION, Imf::PIZ_COMPRESSION}) {
         const Imath::Box2i window({-7, 11}, {-7 + n - 1, 11});
         Imf::Header header(window, window);
@@ -303,7 +305,8 @@ TEST_F(ExrDamage, OfWhatIsMissing) {
     expect(good(), "deskewed or in the world", {{"points_in", "world: the dataset's own"}});
     expect(good(), "deskewed or in the world", {{"points_in", "sensor at time_s: x forward, y left, z up"}});
     expect(good(), "nothing", {{"points_in", "sensor at each ray's firing time: x forward, y left, z up"}});
-    test::write_text(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10, "lidars": [{"sensor": "VLP-16"}]})");
+    test::write_text(folder / "sequence.json",
+                     R"({"format": "relidar log", "version": 1, "rate_hz": 10, "lidars": [{"sensor": "VLP-16"}]})");
     expect(range, "range of 20 x 12 without directions, expected 16 x 1808");
 }
 
