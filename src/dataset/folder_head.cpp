@@ -193,7 +193,8 @@ std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadL
                 ++number;
             }
         if (number == 0)
-            throw DataError(fmt::format("{}: no scan, expected files .npz, .exr, .pcd, .ply, .bin or .npy", (folder / lidars[l].scans).string()));
+            throw DataError(
+                fmt::format("{}: no scan, expected files .npz, .exr, .pcd, .ply, .bin or .npy", (folder / lidars[l].scans).string()));
     }
     return frames;
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a plain folder: rays as npz and EXR have them, or points that are put on the rays that took them. What points do not say, rings and
-// beams, is found from a few scans of each LiDAR first.
+// Scans of a plain folder: rays as npz and EXR have them, or points that are put on the rays that took them. What points do not say, rings
+// and beams, is found from a few scans of each LiDAR first.
 #include <algorithm>
 #include <cmath>
 
