@@ -117,6 +117,16 @@ void write_trajectory(const std::filesystem::path& path, const PoseTrack& track)
 /// Float channels of one image, ZIP compressed. @param channels name -> [rows*columns] @param notes string attributes
 void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels,
                const FileNotes& notes = {});
+/// Channels of one image.
+struct ExrImage {
+    int rows = 0;
+    int columns = 0;
+    std::map<std::string, std::vector<float>> channels;   ///< name -> [rows*columns]
+    std::map<std::string, std::string> notes;             ///< string attributes
+};
+/// Every channel of an OpenEXR image of scan lines, whatever its compression and type of numbers. Sizes are checked against the file before
+/// anything is allocated. @throws DataError for tiles, deep or several images, subsampled channels, absurd sizes, damage
+ExrImage read_exr(const std::filesystem::path& path);
 
 /// 8-bit RGB image.
 struct Image {

@@ -188,12 +188,13 @@ std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadL
     for (std::size_t l = 0; l < lidars.size(); ++l) {
         int number = 0;
         for (const fs::path& file : list_folder(folder / lidars[l].scans))
-            if (is_point_file(file) || file.extension() == ".npz") {
+            if (is_point_file(file) || is_image_file(file)) {
                 frames.push_back({number, number / rate_hz, int(l), file});
                 ++number;
             }
         if (number == 0)
-            throw DataError(fmt::format("{}: no scan, expected files .npz, .pcd, .ply, .bin or .npy", (folder / lidars[l].scans).string()));
+            throw DataError(
+                fmt::format("{}: no scan, expected files .npz, .exr, .pcd, .ply, .bin or .npy", (folder / lidars[l].scans).string()));
     }
     return frames;
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a plain folder: rays as npz has them, or points that are put on the rays that took them. What points do not say, rings and
-// beams, is found from a few scans of each LiDAR first.
+// Scans of a plain folder: rays as npz and EXR have them, or points that are put on the rays that took them. What points do not say, rings
+// and beams, is found from a few scans of each LiDAR first.
 #include <algorithm>
 #include <cmath>
 
@@ -83,8 +83,9 @@ public:
 
     void read(std::size_t i) {
         Frame& frame = sequence_.frames[i];
-        if (files_[i].extension() == ".npz") {
-            frame.scan = read_scan_npz(files_[i], head_, frame.time_s);
+        if (is_image_file(files_[i])) {
+            const ImageSource source{head_, head_.lidars[std::size_t(frame.lidar)], sequence_.lidar_of(frame), frame.time_s};
+            frame.scan = files_[i].extension() == ".exr" ? read_scan_exr(files_[i], source) : read_scan_npz(files_[i], source);
             return;
         }
         const Plan& plan = plans_[std::size_t(frame.lidar)];

@@ -145,6 +145,8 @@ bool is_point_file(const fs::path& file) {
     return ending == ".pcd" || ending == ".ply" || ending == ".bin" || ending == ".npy";
 }
 
+bool is_image_file(const fs::path& file) { return file.extension() == ".npz" || file.extension() == ".exr"; }
+
 PointTable read_point_file(const fs::path& file, const std::vector<std::string>& columns) {
     static const std::vector<std::string> kKitti = {"x", "y", "z", "intensity"};
     const std::string ending = file.extension().string();
@@ -152,7 +154,7 @@ PointTable read_point_file(const fs::path& file, const std::vector<std::string>&
     if (ending == ".npy") return read_npy_points(file, columns.empty() ? kKitti : columns);
     if (ending == ".pcd") return read_pcd(read_file(file), file.string());
     if (ending == ".ply") return read_ply(read_file(file), file.string());
-    throw DataError(fmt::format("{}: the ending '{}', expected .npz, .pcd, .ply, .bin or .npy", file.string(), excerpt(ending)));
+    throw DataError(fmt::format("{}: the ending '{}', expected .npz, .exr, .pcd, .ply, .bin or .npy", file.string(), excerpt(ending)));
 }
 
 }  // namespace relidar::folder

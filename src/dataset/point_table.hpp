@@ -42,6 +42,8 @@ PointTable read_lines(std::string_view text, const std::vector<PointField>& fiel
 
 /// Whether a file's ending is that of one of the formats.
 bool is_point_file(const std::filesystem::path& file);
+/// Whether a file's ending is that of images, which hold a ray each pixel.
+bool is_image_file(const std::filesystem::path& file);
 /// Points of a file, its format by its ending. @param columns  fields of .bin and .npy; empty: x y z intensity
 /// @throws DataError naming the file
 PointTable read_point_file(const std::filesystem::path& file, const std::vector<std::string>& columns);

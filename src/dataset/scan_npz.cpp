@@ -19,7 +19,7 @@ constexpr std::size_t kMostReturns = 8;
 /// The arrays of one file, looked up by name, their sizes checked against the image's.
 class Arrays {
 public:
-    explicit Arrays(const std::filesystem::path& file) : where_(file.string()), arrays_(read_npz(file)) {
+    Arrays(const std::string& where, std::vector<NamedArray> arrays) : where_(where), arrays_(std::move(arrays)) {
         const std::vector<std::size_t>& shape = at("range").shape;
         if (shape.empty() || shape.size() > 2 || at("range").count() > kMaxRays)
             throw DataError(fmt::format("{}: range of shape [{}], expected [rows, columns] or [rays], at most {} rays", where_,
@@ -79,20 +79,54 @@ std::vector<float> intensities_of(const Arrays& arrays, const std::string& name,
     return intensity;
 }
 
-RayTable rays_of(const Arrays& arrays, const PointUnits& units, double time_s) {
+/// Rays of images that hold none: those of the LiDAR's sensor.
+RayTable sensor_rays(const Arrays& arrays, const ImageSource& source) {
+    RayTable rays = nominal_rays(source.lidar, source.time_s);
+    if (rays.size() == 0)
+        throw DataError(
+            fmt::format("{}: no directions of its rays, expected them, or the LiDAR's sensor in sequence.json", arrays.where()));
+    if (std::size_t(rays.rows) != arrays.rows || std::size_t(rays.columns) != arrays.columns)
+        throw DataError(fmt::format("{}: range of {} x {} without directions, expected {} x {}, as the LiDAR's sensor has them",
+                                    arrays.where(), arrays.rows, arrays.columns, rays.rows, rays.columns));
+    return rays;
+}
+
+/// Images whose first row is the lowest beam, as relidar counts them.
+void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
+    for (NamedArray& array : arrays) {
+        const std::size_t row = rows > 0 && array.shape.size() >= 2 && array.shape[0] == rows ? array.bytes.size() / rows : 0;
+        std::vector<std::byte> flipped;
+        for (std::size_t i = rows; row > 0 && i-- > 0;) {
+            const auto begin = array.bytes.begin() + std::ptrdiff_t(i * row);
+            flipped.insert(flipped.end(), begin, begin + std::ptrdiff_t(row));
+        }
+        if (row > 0) array.bytes = std::move(flipped);
+    }
+}
+
+/// What images say of times and rings, where they do.
+void add_times_and_rings(const Arrays& arrays, const ImageSource& source, RayTable& rays) {
+    const PointUnits& units = source.head.units;
+    const std::size_t n = rays.size();
+    if (arrays.find("time")) {
+        const std::vector<double> time = arrays.values("time", 1);
+        for (std::size_t i = 0; i < n; ++i) rays.time_offset_s[i] = time_offset(time[i], units, source.time_s, arrays.ray("time", i));
+    }
+    if (arrays.find("ring")) {
+        const std::vector<double> ring = arrays.values("ring", 1);
+        for (std::size_t i = 0; i < n; ++i) rays.channel[i] = ring_number(ring[i], arrays.ray("ring", i));
+    }
+    if (arrays.find("divergence_rad")) rays.divergence_rad = arrays.at("divergence_rad").as_float().at(0);
+}
+
+RayTable own_rays(const Arrays& arrays) {
     RayTable rays;
     rays.rows = int(arrays.rows);
     rays.columns = int(arrays.columns);
     rays.direction = arrays.vectors("directions");
     rays.origin = arrays.find("origin") ? arrays.vectors("origin") : std::vector<glm::vec3>(rays.direction.size(), glm::vec3(0.0f));
-    const std::vector<double> time = arrays.image("time", units.absolute_times ? time_s : 0.0);
-    const bool has_rings = arrays.find("ring") != nullptr;
-    const std::vector<double> ring = arrays.image("ring", 0.0);
-    for (std::size_t i = 0; i < time.size(); ++i) {
-        rays.time_offset_s.push_back(time_offset(time[i], units, time_s, arrays.ray("time", i)));
-        rays.channel.push_back(has_rings ? ring_number(ring[i], arrays.ray("ring", i)) : std::uint16_t(i / arrays.columns));
-    }
-    if (arrays.find("divergence_rad")) rays.divergence_rad = arrays.at("divergence_rad").as_float().at(0);
+    rays.time_offset_s.assign(rays.size(), 0.0f);
+    for (std::size_t i = 0; i < rays.size(); ++i) rays.channel.push_back(std::uint16_t(i / arrays.columns));
     return rays;
 }
 
@@ -132,11 +166,16 @@ std::uint16_t ring_number(double found, const std::string& where) {
     return std::uint16_t(found);
 }
 
-Scan read_scan_npz(const std::filesystem::path& file, const Head& head, double time_s) {
-    const Arrays arrays(file);
+Scan scan_of_images(const std::string& where, std::vector<NamedArray> given, const ImageSource& source) {
+    const Head& head = source.head;
+    const bool has_rays = find_array(given, "directions") != nullptr;
+    const NamedArray* range = find_array(given, "range");
+    if (!has_rays && source.of_head.lowest_first && range && range->shape.size() == 2) flip_rows(given, range->shape[0]);
+    const Arrays arrays(where, std::move(given));
     check_frame(arrays, head.motion_compensated);
     Scan scan;
-    scan.rays = rays_of(arrays, head.units, time_s);
+    scan.rays = has_rays ? own_rays(arrays) : sensor_rays(arrays, source);
+    add_times_and_rings(arrays, source, scan.rays);
     // of a rendering: the surface that a ray met, where the mean lies between two
     scan.range_m = ranges_of(arrays, arrays.find("median_range") ? "median_range" : "range");
     scan.intensity = intensities_of(arrays, "intensity", scan.range_m, head.units);
@@ -146,6 +185,10 @@ Scan read_scan_npz(const std::filesystem::path& file, const Head& head, double t
         scan.further.push_back(std::move(further));
     }
     return scan;
+}
+
+Scan read_scan_npz(const std::filesystem::path& file, const ImageSource& source) {
+    return scan_of_images(file.string(), read_npz(file), source);
 }
 
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan) {

@@ -121,7 +121,8 @@ void exr(const fs::path& path, const PlacedScan& placed) {
     std::map<std::string, std::vector<float>> channels{{"range", image.range_m},         {"median_range", scan.median_range_m},
                                                        {"intensity", image.intensity},   {"drop_prob", image.drop_prob},
                                                        {"weight", scan.weight},          {"time", scan.time_offset_s},
-                                                       {"instance", {scan.instance.begin(), scan.instance.end()}}};
+                                                       {"instance", {scan.instance.begin(), scan.instance.end()}},
+                                                       {"ring", {scan.channel.begin(), scan.channel.end()}}};
     if (!scan.further.empty()) channels["range_2"] = scan.further[0].range_m, channels["intensity_2"] = scan.further[0].intensity;
     constexpr const char* kAxes = "xyz";
     for (int axis = 0; axis < 3; ++axis) {
