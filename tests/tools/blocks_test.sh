@@ -92,6 +92,17 @@ stopped() {
     absent stopped/blocks
 }
 
+# kill_one FOLDER: the last started of the processes that train into it.
+kill_one() {
+    local process last=""
+    for process in /proc/[0-9]*; do
+        [[ $(readlink "$process/exe" 2>/dev/null) == "$relidar" ]] || continue
+        tr '\0' ' ' <"$process/cmdline" 2>/dev/null | grep -q -- "--out $1 " && last=${process#/proc/}
+    done
+    check "no process trains into $1" test -n "$last"
+    [[ -z $last ]] || kill -KILL "$last"
+}
+
 mpi() { "$mpirun" --allow-run-as-root --oversubscribe -n "$@"; }
 
 # Two processes share the blocks; one is killed, and the next start goes on.
@@ -107,7 +118,7 @@ ranks() {
     mpi 2 "$relidar" train street --out lost --blocks 30m "${settings[@]}" --set train.iterations=100000 >out 2>err &
     local pid=$!
     wait_for lost/blocks/001/checkpoints
-    kill -KILL "$(pgrep -f "^$relidar train street --out lost" | tail -1)"
+    kill_one lost
     wait $pid
     check "mpirun ended with 0 though one process was killed" test $? != 0
     absent lost/scene.json
@@ -116,7 +127,7 @@ ranks() {
     mpi 2 "$relidar" train street --out lost --blocks 30m "${settings[@]}" >out 2>err &
     pid=$!
     wait_for lost/blocks/001/checkpoints
-    kill -KILL "$(pgrep -f "^$relidar train street --out lost" | tail -1)"
+    kill_one lost
     wait $pid
     mpi 2 "$relidar" train --resume lost >out 2>err
     check "resumed by mpirun: exit code $?, expected 0" test $? = 0
