@@ -40,11 +40,7 @@ PoseTrack poses_around(const Sequence& sequence, const std::vector<int>& frames)
 }
 
 bool comes_near(const BoxTrack& box, const Sequence& sequence, const std::vector<int>& frames) {
-    return std::any_of(frames.begin(), frames.end(), [&](int position) {
-        const double time_s = sequence.frames[std::size_t(position)].time_s;
-        return box.present(time_s) && glm::distance(box.world_from_box.at(time_s).translation,
-                                                    sequence.world_from_vehicle.at(time_s).translation) <= kSeen_m;
-    });
+    return std::any_of(frames.begin(), frames.end(), [&](int position) { return is_within(box, sequence, position, kSeen_m); });
 }
 
 /// The words of a list that name a box. Where none is left, no class is wanted either: the list has named others alone.

@@ -9,6 +9,8 @@
 
 #include <relidar/error.hpp>
 
+#include "blocks/way.hpp"
+
 namespace relidar {
 namespace {
 
@@ -18,11 +20,8 @@ constexpr double kWellSeen_m = 60.0;   // of a box from the sensor: what lies fa
 
 /// Training frames of a block that have a box near enough to teach what is in it.
 std::size_t count_sightings(const BoxTrack& box, const Sequence& sequence, const Block& block) {
-    return std::size_t(std::count_if(block.train.begin(), block.train.end(), [&](int position) {
-        const double time_s = sequence.frames[std::size_t(position)].time_s;
-        return box.present(time_s) && glm::distance(box.world_from_box.at(time_s).translation,
-                                                    sequence.world_from_vehicle.at(time_s).translation) <= kWellSeen_m;
-    }));
+    return std::size_t(std::count_if(block.train.begin(), block.train.end(),
+                                     [&](int position) { return is_within(box, sequence, position, kWellSeen_m); }));
 }
 
 /// Surfels of a block's background with the box around them.

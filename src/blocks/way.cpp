@@ -11,6 +11,12 @@ std::vector<glm::dvec3> frame_places(const Sequence& sequence) {
     return places;
 }
 
+bool is_within(const BoxTrack& box, const Sequence& sequence, int position, double metres) {
+    const double time_s = sequence.frames[std::size_t(position)].time_s;
+    return box.present(time_s) &&
+           glm::distance(box.world_from_box.at(time_s).translation, sequence.world_from_vehicle.at(time_s).translation) <= metres;
+}
+
 struct NearestPlace::Tree {
     struct Places {
         std::vector<glm::dvec3> m;

@@ -14,6 +14,9 @@ namespace relidar {
 /// Positions of the vehicle at the frames of a log. @return [frames] world
 std::vector<glm::dvec3> frame_places(const Sequence& sequence);
 
+/// Whether a box is present at a frame, within so many metres of the vehicle.
+bool is_within(const BoxTrack& box, const Sequence& sequence, int position, double metres);
+
 /// Asks for the nearest of some places. For any thread.
 class NearestPlace {
 public:
