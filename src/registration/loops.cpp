@@ -29,16 +29,6 @@ constexpr double kPlace_m = 0.05, kPlace_rad = 2e-3;    // and of a place that i
 constexpr double kBelieved_m = 0.5;       // kernel of places that contradict the others
 constexpr int kReweighted = 6;
 
-using Matrix3 = Eigen::Matrix3d;
-
-Eigen::Vector3d to_eigen(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
-
-Matrix3 cross_matrix(const glm::dvec3& v) {
-    Matrix3 m;
-    m << 0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0;
-    return m;
-}
-
 /// A later pose seen on the map of an earlier one.
 struct SeenAgain {
     std::size_t earlier, later;   // keys
@@ -219,8 +209,7 @@ private:
         Eigen::VectorXd g;
 
         void add(std::size_t a, std::size_t b, const glm::dvec3& from_a_to_b, const Twist& off, const Vector6& weight) {
-            Matrix6 ja = -Matrix6::Identity();
-            ja.topRightCorner<3, 3>() = cross_matrix(from_a_to_b);   // -(w x d) = d x w
+            const Matrix6 ja = -carried_by(from_a_to_b);
             const Matrix6 jb = Matrix6::Identity();
             const Vector6 target = Eigen::Map<const Vector6>(off.data());
             const auto block = [&](std::size_t i, std::size_t j, const Matrix6& m) {
@@ -261,9 +250,7 @@ private:
 
     /// A key's correction at another pose.
     Vector6 carried_to(std::size_t k, std::size_t key, const Eigen::VectorXd& x) const {
-        Vector6 c = x.segment<6>(6 * Eigen::Index(key));
-        c.head<3>() += Eigen::Vector3d(c.tail<3>()).cross(to_eigen(track_.pose[k].translation - pose(key).translation));
-        return c;
+        return carried_by(track_.pose[k].translation - pose(key).translation) * x.segment<6>(6 * Eigen::Index(key));
     }
 
     /// What a place is still off under corrections of all keys.

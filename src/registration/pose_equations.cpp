@@ -40,6 +40,12 @@ Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m) {
     return row;
 }
 
+Matrix6 carried_by(const glm::dvec3& d) {
+    Matrix6 m = Matrix6::Identity();
+    m.topRightCorner<3, 3>() << 0.0, d.z, -d.y, -d.z, 0.0, d.x, d.y, -d.x, 0.0;
+    return m;
+}
+
 PoseEquations::PoseEquations(std::size_t n_poses)
     : diagonal_(n_poses, Matrix6::Zero()), next_(n_poses, Matrix6::Zero()), gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
 
@@ -132,11 +138,12 @@ Vector6 PoseEquations::pull_of(double prior) const {
 class GroupMotions {
 public:
     GroupMotions(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
-        : track_(track), n_(equations.diagonal_.size()) {
+        : n_(equations.diagonal_.size()) {
+        for (std::size_t k = 0; k < n_; ++k)
+            carry_.push_back(carried_by(track.pose[k].translation - track.pose[k / kGroup * kGroup].translation));
         for (std::size_t k = 0; k < n_; ++k) {
-            const Matrix6 carry = carried(k);
-            block(k / kGroup, k / kGroup) += carry.transpose() * (equations.diagonal_[k] + Matrix6(pull.asDiagonal())) * carry;
-            if (k + 1 < n_) add_pair(k, k + 1, carry.transpose() * equations.next_[k] * carried(k + 1));
+            block(k / kGroup, k / kGroup) += carry_[k].transpose() * (equations.diagonal_[k] + Matrix6(pull.asDiagonal())) * carry_[k];
+            if (k + 1 < n_) add_pair(k, k + 1, carry_[k].transpose() * equations.next_[k] * carry_[k + 1]);
         }
         std::size_t begin = 0;
         for (const std::size_t end : equations.plane_end_) {
@@ -151,30 +158,22 @@ public:
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
         for (std::size_t k = 0; k < n_; ++k)
-            sums.segment<6>(6 * Eigen::Index(k / kGroup)) += carried(k).transpose() * residual.segment<6>(6 * Eigen::Index(k));
+            sums.segment<6>(6 * Eigen::Index(k / kGroup)) += carry_[k].transpose() * residual.segment<6>(6 * Eigen::Index(k));
         const Eigen::VectorXd motion = solver_.solve(sums);
         for (std::size_t k = 0; k < n_; ++k)
-            z.segment<6>(6 * Eigen::Index(k)) += carried(k) * motion.segment<6>(6 * Eigen::Index(k / kGroup));
+            z.segment<6>(6 * Eigen::Index(k)) += carry_[k] * motion.segment<6>(6 * Eigen::Index(k / kGroup));
     }
 
 private:
     static constexpr std::size_t kGroup = 8;
 
-    const PoseTrack& track_;
     const std::size_t n_;
+    std::vector<Matrix6> carry_;   // [poses] what its group's twist is at a pose
     std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;   // row, column
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;
 
     std::size_t n_groups() const { return (n_ + kGroup - 1) / kGroup; }
     Matrix6& block(std::size_t row, std::size_t column) { return blocks_.try_emplace({row, column}, Matrix6::Zero()).first->second; }
-
-    /// What a group's twist is at one of its poses.
-    Matrix6 carried(std::size_t k) const {
-        const glm::dvec3 d = track_.pose[k].translation - track_.pose[k / kGroup * kGroup].translation;
-        Matrix6 m = Matrix6::Identity();
-        m.topRightCorner<3, 3>() << 0.0, d.z, -d.y, -d.z, 0.0, d.x, d.y, -d.x, 0.0;   // w x d
-        return m;
-    }
 
     void add_pair(std::size_t k, std::size_t l, const Matrix6& m) {
         block(k / kGroup, l / kGroup) += m;
@@ -187,7 +186,7 @@ private:
             const std::size_t group = coupling.pose / kGroup;
             auto found = std::find_if(groups.begin(), groups.end(), [&](const auto& g) { return g.first == group; });
             if (found == groups.end()) found = groups.insert(groups.end(), {group, Eigen::Matrix<double, 6, 3>::Zero()});
-            found->second += carried(coupling.pose).transpose() * coupling.c.cast<double>();
+            found->second += carry_[coupling.pose].transpose() * coupling.c.cast<double>();
         }
         for (const auto& [row, a] : groups)
             for (const auto& [column, b] : groups) block(row, column) -= a * b.transpose();

@@ -26,6 +26,9 @@ struct Row {
 };
 Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m);
 
+/// What a twist about one place is about another, at d from it, that it carries along: v + w x d, w.
+Matrix6 carried_by(const glm::dvec3& d);
+
 /// Sums over some cells. Added up in their order they are the same on any number of threads.
 class PoseEquations {
 public:
