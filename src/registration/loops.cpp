@@ -7,8 +7,8 @@
 
 #include <Eigen/SparseCholesky>
 
+#include "registration/level_maps.hpp"
 #include "registration/pose_equations.hpp"
-#include "registration/voxel_planes.hpp"
 
 namespace relidar {
 namespace {
@@ -20,7 +20,7 @@ constexpr double kMap_m = 14.0;           // of the earlier pass, to either side
 constexpr double kGrid_m = 1.5, kWidest_m = 6.0, kHighest_m = 4.5;   // starts about the place that the track says
 constexpr double kGridPenalty = 0.01;     // share of points that a step of the grid away must bring more
 constexpr std::size_t kGridPoints = 400;
-constexpr int kLevels = 3, kMostSteps = 10;
+constexpr int kMostSteps = 10;
 constexpr double kConverged_m = 1e-3, kPrior = 1e-4;
 constexpr double kLeastShare = 0.4;       // of a scan's points on planes of the earlier pass: odometry has 0.5 to 0.8
 constexpr std::size_t kFewestPlaces = 2;
@@ -38,7 +38,7 @@ struct SeenAgain {
 class Loops {
 public:
     Loops(const PoseTrack& track, const std::vector<std::vector<ThinPoint>>& scans, const LoopOptions& options)
-        : track_(track), scans_(scans), options_(options) {
+        : track_(track), scans_(scans), options_(options), maps_(options.first, options.last) {
         double way = 0.0;
         for (std::size_t k = 0; k < track.pose.size(); ++k) {
             if (k > 0) way += glm::distance(track.pose[k].translation, track.pose[k - 1].translation);
@@ -72,12 +72,11 @@ private:
     std::vector<double> way_m_;        // [poses] driven
     std::vector<std::size_t> keys_;    // poses that are looked at
     std::vector<SeenAgain> places_;
-    std::vector<VoxelPlanes> maps_;    // [kLevels] about the key of map_of_
+    LevelMaps maps_;                   // about the key of map_of_
     std::optional<std::size_t> map_of_;
 
     const Pose& pose(std::size_t key) const { return track_.pose[keys_[key]]; }
     double way_m(std::size_t key) const { return way_m_[keys_[key]]; }
-    RegisterRound round(int level) const { return between(options_.first, options_.last, level / double(kLevels - 1)); }
 
     std::optional<std::size_t> nearest_earlier(std::size_t later) const {
         std::optional<std::size_t> nearest;
@@ -96,13 +95,9 @@ private:
         if (map_of_ == about) return;
         map_of_ = about;
         maps_.clear();
-        for (int level = 0; level < kLevels; ++level) maps_.emplace_back(round(level).cell_m);
         for (std::size_t key = 0; key < keys_.size(); ++key) {
             if (std::abs(way_m(key) - way_m(about)) > kMap_m) continue;
-            for (const ThinPoint& point : scans_[keys_[key]]) {
-                const glm::dvec3 at = place(track_, point).point_m;
-                for (VoxelPlanes& map : maps_) map.add(at, 0.0);
-            }
+            for (const ThinPoint& point : scans_[keys_[key]]) maps_.add(place(track_, point).point_m, 0.0);
         }
     }
 
@@ -117,18 +112,12 @@ private:
         return points;
     }
 
-    const Plane* finest_plane(const glm::dvec3& point_m, int level) const {
-        const Plane* plane = nullptr;
-        for (int l = level; l >= 0 && !plane; --l) plane = maps_[std::size_t(l)].at(point_m);
-        return plane;
-    }
-
     double coarse_share(const std::vector<PlacedPoint>& points, const Pose& at) const {
         const std::size_t step = std::max<std::size_t>(1, points.size() / kGridPoints);
         std::size_t n = 0, on_planes = 0;
         for (std::size_t i = 0; i < points.size(); i += step, ++n) {
             const glm::dvec3 p = at * points[i].point_m;
-            const Plane* plane = maps_.front().at(p);
+            const Plane* plane = maps_.finest_plane(p, 0);
             on_planes += plane && weight_of(glm::dot(plane->normal, p - plane->point_m), options_.first.scale_m) > 0.25;
         }
         return double(on_planes) / double(std::max<std::size_t>(n, 1));
@@ -160,9 +149,9 @@ private:
         std::size_t on_planes = 0;
         for (const PlacedPoint& point : points) {
             const glm::dvec3 p = at * point.point_m;
-            const Plane* plane = finest_plane(p, level);
+            const Plane* plane = maps_.finest_plane(p, level);
             if (!plane) continue;
-            const Row row = row_of({p, at.translation}, *plane, round(level).scale_m);
+            const Row row = row_of({p, at.translation}, *plane, maps_.round(level).scale_m);
             stiffness += row.weight * row.j * row.j.transpose();
             gradient += row.weight * row.residual_m * row.j;
             on_planes += row.weight > 0.25;
@@ -178,7 +167,7 @@ private:
 
     double settle(const std::vector<PlacedPoint>& points, Pose& at) const {
         double share = 0.0;
-        for (int level = 0; level < kLevels; ++level)
+        for (int level = 0; level < LevelMaps::kLevels; ++level)
             for (int i = 0; i < kMostSteps && step(points, at, level, share) > kConverged_m; ++i) {}
         return share;
     }

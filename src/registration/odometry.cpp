@@ -10,12 +10,13 @@
 
 #include <Eigen/Cholesky>
 
+#include "registration/level_maps.hpp"
 #include "registration/pose_equations.hpp"
 
 namespace relidar {
 namespace {
 
-constexpr int kLevels = 3, kMostSteps = 8;
+constexpr int kMostSteps = 8;
 constexpr double kConverged_m = 1e-3;       // length of the last step
 constexpr double kPrior = 3e-4;  // of the mean stiffness, towards the prediction: decides along what no point sees, such as a bare road
 constexpr double kFewestShare = 0.1;        // of a scan's points that lie on planes of the map: streets 0.5 to 0.8
@@ -31,8 +32,7 @@ Pose scaled_motion(const Pose& a, const Pose& b, double s) { return interpolate(
 class Follower {
 public:
     Follower(const PoseTrack& given, const OdometryOptions& options, std::optional<Pose> first_motion)
-        : given_(given), track_(given), options_(options), first_motion_(first_motion) {
-        for (int level = 0; level < kLevels; ++level) maps_.emplace_back(round(level).cell_m);
+        : given_(given), track_(given), options_(options), first_motion_(first_motion), maps_(options.first, options.last) {
         if (track_.pose.size() > 1) track_.pose[1] = predictions(1).front();
     }
 
@@ -44,15 +44,14 @@ public:
             const Candidate candidate = placed(pose, start, scan);
             if (candidate.share > best.share) best = candidate;
         }
-        const bool is_lost = !scan.empty() && !maps_.front().empty() && best.share < kFewestShare;
+        const bool is_lost = !scan.empty() && !maps_.empty() && best.share < kFewestShare;
         set(pose, is_lost ? starts.front() : best.pose);
         if (pose > 0) travelled_m_ += glm::distance(track_.pose[pose].translation, track_.pose[pose - 1].translation);
         if (scan.empty()) return;
         share_ += best.share;
         lost_in_a_row_ = is_lost ? lost_in_a_row_ + 1 : 0;
         if (is_lost && lost_in_a_row_ < kLostInARow) return;
-        if (is_lost)
-            for (VoxelPlanes& map : maps_) map = VoxelPlanes(map.cell_m());
+        if (is_lost) maps_.clear();
         add_to_maps(scan);
     }
 
@@ -68,18 +67,13 @@ private:
     PoseTrack track_;
     const OdometryOptions& options_;
     std::optional<Pose> first_motion_;
-    std::vector<VoxelPlanes> maps_;   ///< [kLevels]
+    LevelMaps maps_;
     double travelled_m_ = 0.0, share_ = 0.0;
     int lost_in_a_row_ = 0;
 
-    RegisterRound round(int level) const { return between(options_.first, options_.last, level / double(kLevels - 1)); }
-
     void add_to_maps(const std::vector<ThinPoint>& scan) {
-        for (const ThinPoint& point : scan) {
-            const glm::dvec3 at = place(track_, point).point_m;
-            for (VoxelPlanes& map : maps_) map.add(at, travelled_m_);
-        }
-        for (VoxelPlanes& map : maps_) map.forget(travelled_m_ - kMemory_m);
+        for (const ThinPoint& point : scan) maps_.add(place(track_, point).point_m, travelled_m_);
+        maps_.forget(travelled_m_ - kMemory_m);
     }
 
     /// Motion from pose k - 1 to k as the velocity from pose k - 2 to k - 1 has it.
@@ -109,20 +103,13 @@ private:
     /// A scan moved onto the maps. @return where it ends, and the share of its points that lie on planes there
     Candidate placed(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan) {
         set(k, start);
-        if (maps_.front().empty() || scan.empty()) return {start, 0.0};
+        if (maps_.empty() || scan.empty()) return {start, 0.0};
         double share = 0.0;
-        for (int level = 0; level < kLevels; ++level) {
-            const double scale_m = round(level).scale_m;
+        for (int level = 0; level < LevelMaps::kLevels; ++level) {
+            const double scale_m = maps_.round(level).scale_m;
             for (int i = 0; i < kMostSteps && step(k, start, scan, level, scale_m, share) > kConverged_m; ++i) {}
         }
         return {track_.pose[k], share};
-    }
-
-    /// Of the maps up to a level: what lies far away fills large cells only.
-    const Plane* finest_plane(const glm::dvec3& point_m, int level) const {
-        const Plane* plane = nullptr;
-        for (int l = level; l >= 0 && !plane; --l) plane = maps_[std::size_t(l)].at(point_m);
-        return plane;
     }
 
     /// @return length of the step
@@ -132,7 +119,7 @@ private:
         std::size_t on_planes = 0;
         for (const ThinPoint& point : scan) {
             const PlacedPoint at = place(track_, point);
-            const Plane* plane = finest_plane(at.point_m, level);
+            const Plane* plane = maps_.finest_plane(at.point_m, level);
             if (!plane) continue;
             const Row row = row_of(at, *plane, scale_m);
             const double a = point.left + 1 == k ? double(point.s) : 1.0;   // how far the point moves along

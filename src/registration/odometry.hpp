@@ -7,7 +7,6 @@
 #include <vector>
 
 #include "registration/thin_scans.hpp"
-#include "registration/voxel_planes.hpp"
 
 namespace relidar {
 

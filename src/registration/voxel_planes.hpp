@@ -15,7 +15,6 @@ class VoxelPlanes {
 public:
     explicit VoxelPlanes(double cell_m) : cell_m_(cell_m) {}
 
-    double cell_m() const { return cell_m_; }
     bool empty() const { return cells_.empty(); }
     /// @param travelled_m  how far the sensor had come when the point was seen
     void add(const glm::dvec3& point_m, double travelled_m);
