@@ -80,11 +80,15 @@ struct TrainConfig {
     double box_rate_rad = 2e-4;
     double pose_prior_per_m2 = 0.01;     ///< weights of |translation|^2 and |rotation|^2 of every correction in the loss
     double pose_prior_per_rad2 = 0.1;
+    int frame_memory_mib = 2048;       ///< device memory for rays that stay there; those of further frames come when it is their turn
     int log_every = 50;
     int checkpoint_every = 0;          ///< iterations between checkpoints; 0 = by time alone
     double checkpoint_minutes = 10.0;  ///< minutes between checkpoints; 0 = by iterations alone
     int checkpoint_keep = 2;           ///< the newest so many stay
     std::uint64_t seed = 1;
+
+    /// @param poses  "sensor" or "actors"
+    bool refines(const char* poses) const { return refine_poses.find(poses) != std::string::npos; }
 };
 
 /// A long log is trained in blocks, each a stretch of the way with the sweeps that see it.

@@ -209,6 +209,8 @@ void visit_training(C& c, Visitor&& f) {
 /// What training tells and keeps.
 template <class C, class Visitor>
 void visit_keeping(C& c, Visitor&& f) {
+    f("train.frame_memory_mib", c.train.frame_memory_mib, between(0, kMaxCount),
+      "device memory for rays and targets that stay there, MiB; those of further frames are sent again whenever it is their turn");
     f("train.log_every", c.train.log_every, between(1, kMaxCount), "steps between two lines of the log");
     f("train.checkpoint_every", c.train.checkpoint_every, between(0, kMaxCount), "steps between two checkpoints; 0: by time alone");
     f("train.checkpoint_minutes", c.train.checkpoint_minutes, at_least(0),

@@ -96,8 +96,8 @@ SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random
         const std::uint32_t first = static_cast<std::uint32_t>(random.next() % (wraps ? image.columns : image.columns - columns.n + 1));
         const std::uint32_t n = image.rows * columns.n;
         run(stream, b.gather, n,
-            {.rays = frame.rays.address(),
-             .targets = frame.targets.address(),
+            {.rays = frame.rays().address(),
+             .targets = frame.targets().address(),
              .batch_rays = b.rays.address(),
              .batch_targets = b.targets.address(),
              .rows = image.rows,
@@ -114,7 +114,7 @@ SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random
     const std::uint32_t first = static_cast<std::uint32_t>(random.next() % stride);
     const RayBatch rays = frame.batch(first, stride);
     return {rays,
-            {&frame.targets, first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride,
+            {&frame.targets(), first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride,
              stride == 1 ? frame.image : ImageShape{}},
             {}};
 }

@@ -4,11 +4,6 @@
 
 #include <algorithm>
 
-#include <fmt/format.h>
-
-#include <relidar/error.hpp>
-
-#include "core/parallel.hpp"
 #include "train/sensor_drop.hpp"
 
 namespace relidar {
@@ -74,38 +69,7 @@ void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& m
 
 RayBatch FrameData::batch(std::uint32_t first, std::uint32_t stride) const {
     const bool whole = image.columns % stride == 0 && first < stride;   // every stride-th column of each row
-    return {&rays, first, stride, (n_rays - first + stride - 1) / stride, whole ? image.columns / stride : 0, &targets};
-}
-
-std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, const std::vector<int>& positions, const Unknown& unknown) {
-    std::vector<std::vector<DeviceRay>> rays(positions.size());
-    std::vector<std::vector<DeviceTarget>> targets(positions.size());
-    run_parallel(static_cast<int>(positions.size()), [&](int i) {
-        const std::size_t k = std::size_t(i);
-        make_targets(sequence, sequence.frames[std::size_t(positions[k])], unknown, rays[k], targets[k]);
-    });
-    std::vector<FrameData> frames;
-    for (std::size_t k = 0; k < positions.size(); ++k) {
-        const Frame& frame = sequence.frames[std::size_t(positions[k])];
-        if (rays[k].empty())
-            throw DataError(fmt::format("preparing frame {} of {}: it has no rays, expected at least one", frame.index, sequence.name));
-        FrameData& data = frames.emplace_back();
-        data.position = positions[k];
-        data.index = frame.index;
-        data.rays = Array<DeviceRay>(device, std::span<const DeviceRay>(rays[k]), "training rays");
-        data.targets = Array<DeviceTarget>(device, std::span<const DeviceTarget>(targets[k]), "training targets");
-        data.n_rays = static_cast<std::uint32_t>(rays[k].size());
-        const RayTable& table = frame.scan.rays;
-        const bool spins = !sequence.lidar_of(frame).sensor.beams.empty();
-        if (table.rows > 1) data.image = {static_cast<std::uint32_t>(table.rows), static_cast<std::uint32_t>(table.columns), spins};
-        for (const DeviceTarget& t : targets[k]) {
-            data.n_known += t.weight > 0.0f;
-            data.n_returned += t.weight > 0.0f && t.range_m > 0.0f;
-        }
-        data.sensor_position_m =
-            glm::vec3(sequence.world_from_vehicle.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation);
-    }
-    return frames;
+    return {&rays(), first, stride, (n_rays - first + stride - 1) / stride, whole ? image.columns / stride : 0, &targets()};
 }
 
 }  // namespace relidar

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// The training frames on the device: world rays, each from where the sensor was when it fired, and what each measured.
+// A training frame on the device: world rays, each from where the sensor was when it fired, and what each measured.
 #pragma once
 
+#include <cstdint>
+#include <memory>
 #include <vector>
 
 #include <relidar/config.hpp>
@@ -10,21 +12,34 @@
 #include <relidar/sequence.hpp>
 #include <relidar/stages/traversal.hpp>
 
+#include "shared/train.h"
+
 namespace relidar {
 
-/// One frame, resident on the device.
+/// Rays of a frame on the device. The arrays may be longer than the frame: they serve several, one after the other.
+struct FrameArrays {
+    Array<DeviceRay> rays;                ///< [n] of the poses with which training began
+    Array<DeviceTarget> targets;          ///< [n]
+    Array<shared::RayPlace> places;       ///< [n] in the poses of the vehicle, from FrameData::first_knot; none where those stay
+};
+
+/// One training frame.
 struct FrameData {
     int position = 0;                 ///< in Sequence::frames
     int index = 0;                    ///< the dataset's own number
-    Array<DeviceRay> rays;            ///< [n]
-    Array<DeviceTarget> targets;      ///< [n]
     std::uint32_t n_rays = 0;
     ImageShape image;                 ///< of the rays; none where the sensor has no image order
-    double n_returned = 0.0;          ///< known rays that returned
+    std::size_t first_knot = 0;       ///< first pose of the vehicle between which rays were fired
+    std::uint32_t n_knots = 0;        ///< such poses
+    std::shared_ptr<const FrameArrays> arrays;       ///< where the frame is on the device, or comes to
+    const Array<DeviceRay>* moved_rays = nullptr;    ///< [n] of corrected poses, where there are any
+    double n_returned = 0.0;          ///< known rays that returned, once the frame was on the device
     double n_known = 0.0;
     std::vector<InstancePose> placed;    ///< of all instances of the scene
     glm::vec3 sensor_position_m{0.0f};   ///< world, at the reference time
 
+    const Array<DeviceRay>& rays() const { return moved_rays ? *moved_rays : arrays->rays; }
+    const Array<DeviceTarget>& targets() const { return arrays->targets; }
     /// Every stride-th ray from `first` on.
     RayBatch batch(std::uint32_t first, std::uint32_t stride) const;
 };
@@ -40,8 +55,5 @@ struct Unknown {
 /// have met one, are unknown (weight 0): the background must not learn them.
 void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& unknown, std::vector<DeviceRay>& rays,
                   std::vector<DeviceTarget>& targets);
-
-/// @throws DataError where a frame has no usable ray
-std::vector<FrameData> upload_frames(Device& device, const Sequence& sequence, const std::vector<int>& positions, const Unknown& unknown);
 
 }  // namespace relidar

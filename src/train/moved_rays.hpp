@@ -25,35 +25,26 @@ struct PoseGradient {
 
 class MovedRays {
 public:
-    /// Takes the frames' rays as those of the uncorrected poses. 32 bytes a ray on the device.
-    MovedRays(Device& device, const Sequence& sequence, std::vector<FrameData>& frames);
-    /// Records frame.rays anew. @param frame_index of the constructor's frames
-    void move(Stream& stream, const TrackCorrection& sensor, std::size_t frame_index, FrameData& frame);
+    MovedRays(Device& device, const std::vector<FrameData>& frames);
+    /// Records the rays of a frame that is on the device, and has the frame point to them. They serve until the next call.
+    void move(Stream& stream, const TrackCorrection& sensor, FrameData& frame);
     /// Records gradients of the poses between which the batch's rays were fired, from dL/d(ray) of a backward pass; the frame was moved
     /// last. The direction from which spherical harmonics are seen is taken as fixed.
-    void sum_gradients(Stream& stream, std::size_t frame_index, const SampledBatch& batch, const Array<float>& d_rays);
+    void sum_gradients(Stream& stream, const FrameData& frame, const SampledBatch& batch, const Array<float>& d_rays);
     /// [kRows, poses of a frame at most, 6] of the last sum_gradients().
     const Array<float>& gradient_rows() const { return rows_; }
     /// What they mean, of a frame.
-    std::vector<PoseGradient> gradients_in(std::span<const float> gradient_rows, std::size_t frame_index) const;
+    std::vector<PoseGradient> gradients_in(std::span<const float> gradient_rows, const FrameData& frame) const;
 
 private:
     static constexpr std::uint32_t kRows = 16;   ///< workgroups a pose: together enough rays at a time for a GPU
 
-    struct Source {
-        Array<DeviceRay> rays;               ///< of the uncorrected poses
-        Array<shared::RayPlace> places;      ///< counted from first_knot
-        std::size_t first_knot = 0;          ///< in the sensor's track
-        std::uint32_t n_knots = 0;
-    };
-    std::vector<Source> sources_;
     std::uint32_t most_knots_;
+    Array<DeviceRay> moved_;                 ///< [rays of a frame at most] of the frame moved last
     Array<shared::PoseKnot> knots_;          ///< [most_knots] of the frame moved last
     Array<float> rows_;
     Kernel<shared::MoveRaysParams> move_;
     Kernel<shared::KnotGradientsParams> gradients_;
-
-    static std::vector<Source> make_sources(Device& device, const Sequence& sequence, std::vector<FrameData>& frames);
 };
 
 }  // namespace relidar

@@ -11,6 +11,7 @@
 
 #include "train/moved_rays.hpp"
 #include "train/readback_lag.hpp"
+#include "train/training_frames.hpp"
 
 namespace relidar {
 namespace {
@@ -37,8 +38,6 @@ void drop_first(std::vector<T>& values, std::size_t n) {
     values.erase(values.begin(), values.begin() + std::ptrdiff_t(n));
 }
 
-bool wants(const TrainConfig& config, const char* word) { return config.refine_poses.find(word) != std::string::npos; }
-
 PoseStep step_at(const TrainConfig& c, double rate_m, double rate_rad, int step) {
     const double decay = exponential_schedule(1.0, kFinalShare, step, c.iterations);
     return {rate_m * decay, rate_rad * decay, c.pose_prior_per_m2, c.pose_prior_per_rad2};
@@ -47,15 +46,15 @@ PoseStep step_at(const TrainConfig& c, double rate_m, double rate_rad, int step)
 }  // namespace
 
 PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config,
-                         std::vector<FrameData>& frames)
-    : config_(config), n_frames_(frames.size()), layout_(layout_of(layout)), poses_(without_scans(sequence)) {
-    if (wants(config, "sensor")) {
+                         const TrainingFrames& frames)
+    : config_(config), frames_(frames), layout_(layout_of(layout)), poses_(without_scans(sequence)) {
+    if (config.refines("sensor")) {
         sensor_.emplace(sequence.world_from_vehicle);
-        rays_ = std::make_unique<MovedRays>(device, sequence, frames);
+        rays_ = std::make_unique<MovedRays>(device, frames.all());
         floats_of_rays_ = rays_->gradient_rows().size();
         make_room(of_rays_, device, floats_of_rays_, "pose gradients of rays");
     }
-    if (!wants(config, "actors")) return;
+    if (!config.refines("actors")) return;
     for (std::size_t i = 0; i < layout_.instances.size(); ++i) {
         const auto box = std::find_if(sequence.boxes.begin(), sequence.boxes.end(),
                                       [&](const BoxTrack& b) { return b.id == layout_.instances[i].track; });
@@ -73,8 +72,8 @@ RefinedPoses PoseRefiner::poses() const { return {poses_.world_from_vehicle, pos
 
 WantedGradients PoseRefiner::wanted() const { return {.rays = sensor_.has_value(), .poses = !actors_.empty()}; }
 
-void PoseRefiner::place(Stream& stream, std::size_t frame_index, FrameData& frame) {
-    if (rays_) rays_->move(stream, *sensor_, frame_index, frame);
+void PoseRefiner::place(Stream& stream, FrameData& frame) {
+    if (rays_) rays_->move(stream, *sensor_, frame);
     const Frame& sweep = poses_.frames[std::size_t(frame.position)];
     frame.placed = place_instances(layout_, poses_, moment_of(sweep));
     frame.sensor_position_m = glm::vec3(poses_.world_from_vehicle.at(sweep.time_s, poses_.lidar_of(sweep).vehicle_from_sensor).translation);
@@ -85,7 +84,7 @@ void PoseRefiner::record(Stream& stream, std::size_t frame_index, const FrameDat
     if (step <= config_.pose_from) return;
     const std::size_t slot = std::size_t(step) % kReadbackLag;
     if (rays_) {
-        rays_->sum_gradients(stream, frame_index, batch, gradients.rays);
+        rays_->sum_gradients(stream, frame, batch, gradients.rays);
         of_rays_[slot].record(stream, rays_->gradient_rows().buffer(), floats_of_rays_ * sizeof(float));
     }
     if (!actors_.empty()) of_instances_[slot].record(stream, gradients.poses.buffer(), floats_of_instances_ * sizeof(float));
@@ -112,7 +111,7 @@ void PoseRefiner::take_oldest_step(Stream& stream) {
     const std::span<const float> gradient = fetch(stream, 0);
     const int step = static_cast<int>(coming_.step.front());
     if (rays_) {
-        for (const PoseGradient& g : rays_->gradients_in(gradient.first(floats_of_rays_), coming_.frame.front()))
+        for (const PoseGradient& g : rays_->gradients_in(gradient.first(floats_of_rays_), frames_.all()[coming_.frame.front()]))
             sensor_->add_gradient(g.pose, 1.0, g.gradient);
         sensor_->step(step_at(config_, config_.pose_rate_m, config_.pose_rate_rad, step));
         sensor_->remove_common_motion();
@@ -146,7 +145,7 @@ bool PoseRefiner::take_over() {
                        std::all_of(actors_.begin(), actors_.end(), [](const Actor& a) { return a.correction.is_sound(); }) &&
                        n <= kReadbackLag && coming_.frame.size() == n && coming_.actor_time_s.size() == n * actors_.size() &&
                        coming_.gradient.size() == n * (floats_of_rays_ + floats_of_instances_) &&
-                       std::all_of(coming_.frame.begin(), coming_.frame.end(), [this](std::uint64_t frame) { return frame < n_frames_; });
+                       std::all_of(coming_.frame.begin(), coming_.frame.end(), [this](std::uint64_t frame) { return frame < frames_.all().size(); });
     if (sound) update_poses();
     return sound;
 }

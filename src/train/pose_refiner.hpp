@@ -18,6 +18,7 @@
 namespace relidar {
 
 class MovedRays;
+class TrainingFrames;
 struct FrameData;
 struct Gradients;
 struct RefinedPoses;
@@ -28,13 +29,13 @@ struct WantedGradients;
 class PoseRefiner {
 public:
     /// @param layout of the scene: the tracks of its instances are those corrected
-    PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config, std::vector<FrameData>& frames);
+    PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config, const TrainingFrames& frames);
     ~PoseRefiner();
 
     /// What record() needs of a backward pass.
     WantedGradients wanted() const;
-    /// Rays, actors and view origin of a frame as corrected so far. Records.
-    void place(Stream& stream, std::size_t frame_index, FrameData& frame);
+    /// Rays, actors and view origin of a frame that is on the device, as corrected so far. Records.
+    void place(Stream& stream, FrameData& frame);
     /// Records the gradients of the poses that this batch has seen, on their way to take_steps().
     /// @param step counts from 1; nothing happens up to train.pose_from
     void record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch, const Gradients& gradients,
@@ -73,7 +74,7 @@ private:
     };
 
     const TrainConfig& config_;
-    std::size_t n_frames_;
+    const TrainingFrames& frames_;
     Scene layout_;
     Sequence poses_;   ///< the log without its scans, as corrected so far
     std::optional<TrackCorrection> sensor_;

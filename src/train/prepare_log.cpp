@@ -177,7 +177,7 @@ void add_rays_behind(Sequence& sequence, const Split& split, const PrepareSessio
     session.tell(fmt::format("{} second returns are trained on as rays that start behind the first surface", n));
 }
 
-bool registers_sensor(const TrainConfig& config) { return config.pose_register && config.refine_poses.find("sensor") != std::string::npos; }
+bool registers_sensor(const TrainConfig& config) { return config.pose_register && config.refines("sensor"); }
 
 }  // namespace
 

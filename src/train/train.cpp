@@ -65,6 +65,10 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     if (config.train.refine_poses == "actors" && initial.instances.size() < 2 && session.note)
         session.note("train.refine_poses=actors: the scene has no actor, no pose is refined");
     TrainLoop loop(device, sequence, split, initial, config);
+    const TrainingFrames& frames = loop.frames();
+    if (frames.n_staying() < frames.all().size() && session.note)
+        session.note(fmt::format("{} of {} training frames stay on the device (train.frame_memory_mib={}), the others are sent in their turn",
+                                 frames.n_staying(), frames.all().size(), config.train.frame_memory_mib));
     if (session.start) {
         loop.restore(*session.start);
         read_result(*session.start, config, result);

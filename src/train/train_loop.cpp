@@ -30,6 +30,10 @@ std::size_t FrameSampler::next() {
     return frame;
 }
 
+std::optional<std::size_t> FrameSampler::coming() const {
+    return position_ == 0 ? std::nullopt : std::optional(std::size_t(order_[position_]));
+}
+
 bool FrameSampler::is_sound(std::size_t n) const {
     std::vector<std::uint64_t> sorted = order_, all(n);
     std::sort(sorted.begin(), sorted.end());
@@ -54,13 +58,13 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
 /// Active degree of the spherical harmonics; the image's own may be lower.
 int sh_degree_at(const TrainConfig& c, int step) { return c.sh_degree_start + std::max(step - 1, 0) / std::max(1, c.sh_degree_interval); }
 
-std::uint32_t largest_batch(const std::vector<FrameData>& frames) {
+std::uint32_t largest_batch(const TrainingFrames& frames) {
     std::uint32_t largest = 0;
-    for (const FrameData& frame : frames) largest = std::max(largest, frame.n_rays);
+    for (const FrameData& frame : frames.all()) largest = std::max(largest, frame.n_rays);
     return largest;
 }
 
-RendererOptions renderer_options(const Config& config, const std::vector<FrameData>& frames) {
+RendererOptions renderer_options(const Config& config, const TrainingFrames& frames) {
     return {.accel = accel_options(config),
             .trace = training_trace_options(config),
             .n_rays = largest_batch(frames),
@@ -71,7 +75,7 @@ RendererOptions renderer_options(const Config& config, const std::vector<FrameDa
 bool all_have_gradients(const Config& config) { return config.loss.uses_surfels() && !config.train.only_touched; }
 
 std::optional<PoseRefiner> make_refiner(Device& device, const Sequence& sequence, const Scene& initial, const TrainConfig& config,
-                                        std::vector<FrameData>& frames) {
+                                        const TrainingFrames& frames) {
     if (config.refine_poses == "none") return std::nullopt;
     return std::optional<PoseRefiner>(std::in_place, device, sequence, initial, config, frames);
 }
@@ -83,12 +87,16 @@ Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene
     return masks;
 }
 
+FrameUse frame_use(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
+    return {unknown(sequence, split, scene, config), config.train.refines("sensor"), std::uint64_t(config.train.frame_memory_mib) << 20};
+}
+
 }  // namespace
 
 TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial, const Config& config)
     : config_(config),
-      frames_(upload_frames(device, sequence, split.train, unknown(sequence, split, initial, config))),
-      batches_(device, config, frames_),
+      frames_(device, sequence, split.train, frame_use(sequence, split, initial, config)),
+      batches_(device, config, frames_.all()),
       refiner_(make_refiner(device, sequence, initial, config.train, frames_)),
       renderer_(device, initial, config.image, renderer_options(config, frames_),
                 {backward_options(config), refiner_ ? refiner_->wanted() : WantedGradients{}, all_have_gradients(config)}),
@@ -97,12 +105,11 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       adam_(device, n_surfels(), {.only_touched = config.train.only_touched}, initial.surfels.primitive()),
       reports_(device),
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
-      sampler_(frames_.size(), config.train.seed) {
-    for (FrameData& frame : frames_) {
-        frame.placed = place_instances(initial, sequence, moment_of(sequence.frames[std::size_t(frame.position)]));
-    }
+      sampler_(frames_.all().size(), config.train.seed) {
+    for (std::size_t i = 0; i < frames_.all().size(); ++i)
+        frames_[i].placed = place_instances(initial, sequence, moment_of(sequence.frames[std::size_t(frames_[i].position)]));
     if (config.densify.strategy != DensifyStrategy::none || config.densify.prune_unseen)
-        densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.size()),
+        densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.all().size()),
                            config.train.seed);
 }
 
@@ -114,11 +121,12 @@ TrainLoop::~TrainLoop() {
     }
 }
 
-void TrainLoop::place(std::size_t frame_index, int step) {
-    FrameData& frame = frames_[frame_index];
-    if (refiner_) refiner_->place(stream_, frame_index, frame);
+const FrameData& TrainLoop::place(std::size_t frame_index, int step) {
+    FrameData& frame = frames_.bring(stream_, frame_index);
+    if (refiner_) refiner_->place(stream_, frame);
     renderer_.set_sh_degree(sh_degree_at(config_.train, step));
     renderer_.place(frame.placed, frame.sensor_position_m);
+    return frame;
 }
 
 void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms) {
@@ -131,10 +139,10 @@ void TrainLoop::iterate(int step, bool ends_line) {
     look_at_reports(step - kReadbackLag);
     if (refiner_) refiner_->take_steps(stream_, step - kReadbackLag);
     const std::size_t frame_index = sampler_.next();
-    const FrameData& frame = frames_[frame_index];
     DeviceScene& scene = renderer_.scene();
 
-    place(frame_index, step);
+    const FrameData& frame = place(frame_index, step);
+    if (const std::optional<std::size_t> coming = sampler_.coming()) frames_.expect(*coming);
     const SampledBatch batch = batches_.sample(stream_, frame, sampler_.random());
     const TermRow terms = reports_.row();
     learn_from(batch.rays, batch.targets, terms);
@@ -164,10 +172,10 @@ void TrainLoop::change_surfels(const std::function<DensifyReport(double others_b
 
 void TrainLoop::prune_unseen() {
     densifier_->forget(stream_);
-    for (std::size_t i = 0; i < frames_.size(); ++i) {
-        const FrameData& frame = frames_[i];
-        place(i, config_.train.iterations);
-        learn_from(frame.batch(0, 1), {&frame.targets, 0, 1, frame.n_rays, frame.n_returned, frame.n_known, frame.image}, reports_.row());
+    for (std::size_t i = 0; i < frames_.all().size(); ++i) {
+        const FrameData& frame = place(i, config_.train.iterations);
+        if (i + 1 < frames_.all().size()) frames_.expect(i + 1);
+        learn_from(frame.batch(0, 1), {&frame.targets(), 0, 1, frame.n_rays, frame.n_returned, frame.n_known, frame.image}, reports_.row());
         const Gradients& gradients = renderer_.gradients();
         densifier_->observe(stream_, renderer_.scene(), {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(i), true});
         stream_.submit();
@@ -231,10 +239,10 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
     settle();   // of the steps this state replaces
     visit_state(StateReader(checkpoint));
     last_step_ = checkpoint.iteration;
-    if (!sampler_.is_sound(frames_.size()) || !reports_.is_sound())
+    if (!sampler_.is_sound(frames_.all().size()) || !reports_.is_sound())
         throw DataError(
             fmt::format("resuming from iteration {}: the order of frames or the sums of losses are not those of {} frames and {} terms",
-                        checkpoint.iteration, frames_.size(), kLossTerms));
+                        checkpoint.iteration, frames_.all().size(), kLossTerms));
     if (refiner_ && !refiner_->take_over())
         throw DataError(
             fmt::format("resuming from iteration {}: the corrections of poses are not those of this log", checkpoint.iteration));
@@ -244,13 +252,13 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
     constexpr std::uint32_t kRays = 20000;   // of each frame: hundreds a bin over a log
     constexpr float kSolid = 0.9f;           // a ray must meet this much of a surface
     DropCounts counts(sequence);
-    for (std::size_t k = 0; k < frames_.size(); ++k) {
-        const FrameData& frame = frames_[k];
+    for (std::size_t k = 0; k < frames_.all().size(); ++k) {
+        const FrameData& frame = place(k, config_.train.iterations);
+        if (k + 1 < frames_.all().size()) frames_.expect(k + 1);
         const Frame& sweep = sequence.frames[std::size_t(frame.position)];
         const std::uint32_t stride = std::max(1u, frame.n_rays / kRays),
                             first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
         const RayBatch rays = frame.batch(first, stride);
-        place(k, config_.train.iterations);
         renderer_.record_forward(rays);
         stream_.finish();
         const Rendering r = to_rendering(renderer_.rendered().rendered->download(rays.n_rays));

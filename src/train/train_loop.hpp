@@ -16,9 +16,9 @@
 
 #include "core/random.hpp"
 #include "train/batch.hpp"
-#include "train/frame_data.hpp"
 #include "train/iteration_reports.hpp"
 #include "train/pose_refiner.hpp"
+#include "train/training_frames.hpp"
 
 namespace relidar {
 
@@ -27,6 +27,8 @@ class FrameSampler {
 public:
     FrameSampler(std::size_t n, std::uint64_t seed);
     std::size_t next();
+    /// What next() will return; nothing where a new epoch begins, whose order is not drawn yet.
+    std::optional<std::size_t> coming() const;
     Random& random() { return random_; }
 
     template <class Visitor>
@@ -76,10 +78,11 @@ public:
     Scene download() { return renderer_.download(); }
     const KernelTimes& times() { return renderer_.stream().times(); }
     std::uint32_t n_surfels() const { return renderer_.scene().size(); }
+    const TrainingFrames& frames() const { return frames_; }
 
 private:
     const Config& config_;
-    std::vector<FrameData> frames_;
+    TrainingFrames frames_;
     BatchSampler batches_;
     std::optional<PoseRefiner> refiner_;   ///< where the config wants one
     DifferentiableRenderer renderer_;
@@ -113,8 +116,8 @@ private:
         for (const auto& [name, count] : kDensifyCounts) visit(std::string("densify/report/") + name, densified_.*count);
     }
 
-    /// Records where everything is in a frame, and the surfels as they look from there at a step.
-    void place(std::size_t frame_index, int step);
+    /// Records a frame's rays, where everything is in it, and the surfels as they look from there at a step.
+    const FrameData& place(std::size_t frame_index, int step);
     /// Records the image of a batch, its losses, and the gradients of those.
     void learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
     /// Looks at the reports of the iterations up to `last`.

@@ -27,8 +27,9 @@ std::vector<FrameData> numbered_frame(Device& device, std::uint32_t rows, std::u
         targets.push_back({float(i), 0.5f, 1.0f});
     }
     std::vector<FrameData> frames(1);
-    frames[0].rays = Array<DeviceRay>(device, std::span<const DeviceRay>(rays), "rays");
-    frames[0].targets = Array<DeviceTarget>(device, std::span<const DeviceTarget>(targets), "targets");
+    frames[0].arrays = std::make_shared<FrameArrays>(FrameArrays{{device, std::span<const DeviceRay>(rays), "rays"},
+                                                                 {device, std::span<const DeviceTarget>(targets), "targets"},
+                                                                 {}});
     frames[0].n_rays = rows * columns;
     frames[0].n_returned = frames[0].n_known = rows * columns;
     if (image) frames[0].image = {rows, columns, true};

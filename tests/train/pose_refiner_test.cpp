@@ -15,6 +15,7 @@
 #include "../support/device.hpp"
 #include "train/moved_rays.hpp"
 #include "train/pose_refiner.hpp"
+#include "train/training_frames.hpp"
 
 namespace relidar {
 namespace {
@@ -59,16 +60,16 @@ TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
     for (const bool rolling : {true, false}) {
         Sequence street = street_of(5, 8, 64);
         street.rolling_shutter = rolling;
-        std::vector<FrameData> frames = upload_frames(device(), street, {0, 1, 3}, {});
-        MovedRays rays(device(), street, frames);
+        TrainingFrames frames(device(), street, {0, 1, 3}, {.unknown = {}, .moves_rays = true});
+        MovedRays rays(device(), frames.all());
         std::mt19937_64 random(7);
         const TrackCorrection correction = random_correction(street.world_from_vehicle, random);
         const PoseTrack corrected = correction.corrected();
         Stream stream(device());
-        for (std::size_t f = 0; f < frames.size(); ++f) {
-            rays.move(stream, correction, f, frames[f]);
+        for (std::size_t f = 0; f < frames.all().size(); ++f) {
+            rays.move(stream, correction, frames[f]);
             stream.finish();
-            const std::vector<DeviceRay> moved = frames[f].rays.download();
+            const std::vector<DeviceRay> moved = frames[f].rays().download(frames[f].n_rays);
             const Frame& frame = street.frames[std::size_t(frames[f].position)];
             double farthest = 0.0, base = 0.0;
             for (std::size_t i = 0; i < moved.size(); ++i) {
@@ -87,8 +88,8 @@ TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
 /// L = sum a . origin' + b . direction' over the batch, differentiated through the corrected track in double.
 TEST_F(Poses, GradientsAreThoseOfDifferences) {
     const Sequence street = street_of(5, 8, 64);
-    std::vector<FrameData> frames = upload_frames(device(), street, {1, 2, 4}, {});
-    MovedRays rays(device(), street, frames);
+    TrainingFrames frames(device(), street, {1, 2, 4}, {.unknown = {}, .moves_rays = true});
+    MovedRays rays(device(), frames.all());
     std::mt19937_64 random(9);
     std::normal_distribution<float> normal;
     TrackCorrection correction = random_correction(street.world_from_vehicle, random);
@@ -97,17 +98,17 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
     for (const auto& [batch_kind, f] : {std::pair{"rays", 0u}, {"columns", 1u}, {"columns", 2u}}) {
         Config config;
         config.train.batch = batch_kind, config.train.rays_per_iteration = 130;
-        BatchSampler sampler(device(), config, frames);
-        rays.move(stream, correction, f, frames[f]);
+        BatchSampler sampler(device(), config, frames.all());
+        rays.move(stream, correction, frames[f]);
         const SampledBatch batch = sampler.sample(stream, frames[f], draw);
         std::vector<float> upstream(6 * std::size_t(batch.rays.n_rays));
         for (float& x : upstream) x = normal(random);
         const Array<float> d_rays(device(), std::span<const float>(upstream), "ray gradients");
-        rays.sum_gradients(stream, f, batch, d_rays);
+        rays.sum_gradients(stream, frames[f], batch, d_rays);
         stream.finish();
-        const std::vector<PoseGradient> actual = rays.gradients_in(rays.gradient_rows().download(), f);
+        const std::vector<PoseGradient> actual = rays.gradients_in(rays.gradient_rows().download(), frames[f]);
         const std::vector<DeviceRay> batch_rays = batch.rays.rays->download();
-        const std::vector<DeviceRay> all = frames[f].rays.download();
+        const std::vector<DeviceRay> all = frames[f].rays().download(frames[f].n_rays);
         const Frame& frame = street.frames[std::size_t(frames[f].position)];
         std::vector<std::size_t> ids;   // by where the batch's rays lie among the frame's
         for (std::uint32_t k = 0; k < batch.rays.n_rays; ++k) {

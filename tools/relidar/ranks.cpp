@@ -3,14 +3,25 @@
 
 #include <chrono>
 #include <exception>
+#include <limits>
 #include <thread>
 
 #include <mpi.h>
 
 #include "launched_by_mpi.hpp"
+#include <relidar/error.hpp>
 #include <relidar/gpu.hpp>
 
 namespace relidar::cli {
+namespace {
+
+/// MPI_Wait would spin.
+void sleep_until(MPI_Request request) {
+    for (int done = 0; !done; std::this_thread::sleep_for(std::chrono::milliseconds(done ? 0 : 20)))
+        MPI_Test(&request, &done, MPI_STATUS_IGNORE);
+}
+
+}  // namespace
 
 Ranks::Ranks() {
     if (!launched_by_mpi()) return;
@@ -33,8 +44,36 @@ void Ranks::wait_for_all() const {
     if (size_ == 1) return;
     MPI_Request request;
     MPI_Ibarrier(MPI_COMM_WORLD, &request);
-    for (int done = 0; !done; std::this_thread::sleep_for(std::chrono::milliseconds(done ? 0 : 20)))   // MPI_Barrier would spin
-        MPI_Test(&request, &done, MPI_STATUS_IGNORE);
+    sleep_until(request);
+}
+
+Ranks::Share Ranks::share(std::size_t n) const {
+    const auto first_of = [&](int rank) { return n * std::size_t(rank) / std::size_t(size_); };
+    return {first_of(rank_), first_of(rank_ + 1)};
+}
+
+std::vector<std::string> Ranks::gather(const std::string& text) const {
+    if (size_ == 1) return {text};
+    const auto n = static_cast<unsigned long long>(text.size());
+    std::vector<unsigned long long> sizes(is_first() ? std::size_t(size_) : 0);
+    MPI_Request request;
+    MPI_Igather(&n, 1, MPI_UNSIGNED_LONG_LONG, sizes.data(), 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD, &request);
+    sleep_until(request);
+    std::vector<int> counts, places;   // MPI counts in int
+    unsigned long long total = 0;
+    for (const unsigned long long size : sizes) {
+        places.push_back(static_cast<int>(total));
+        counts.push_back(static_cast<int>(size));
+        total += size;
+    }
+    if (total > std::size_t(std::numeric_limits<int>::max()))
+        throw Error(ExitCode::bug, "collecting results of several processes: found more than 2 GiB of them, expected less");
+    std::string all(total, '\0');
+    MPI_Igatherv(text.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(), places.data(), MPI_CHAR, 0, MPI_COMM_WORLD, &request);
+    sleep_until(request);
+    std::vector<std::string> texts;
+    for (std::size_t r = 0; r < counts.size(); ++r) texts.push_back(all.substr(std::size_t(places[r]), std::size_t(counts[r])));
+    return texts;
 }
 
 DeviceChoice Ranks::device(DeviceChoice chosen) const {

@@ -2,6 +2,10 @@
 // The processes that mpirun has started together.
 #pragma once
 
+#include <cstddef>
+#include <string>
+#include <vector>
+
 #include "options.hpp"
 
 namespace relidar::cli {
@@ -19,6 +23,14 @@ public:
     int size() const { return size_; }
     /// Of them, the one that prints, and writes what they share.
     bool is_first() const { return rank_ == 0; }
+    /// What this process does of a list of n entries: neighbours, as many as any other does, or one more.
+    struct Share {
+        std::size_t begin, end;
+        bool empty() const { return begin == end; }
+    };
+    Share share(std::size_t n) const;
+    /// Brings a text of each process to the first. @return [size] there, in order of ranks; elsewhere nothing
+    std::vector<std::string> gather(const std::string& text) const;
     /// Returns once all have come here. Takes no time of the processor.
     void wait_for_all() const;
     /// A GPU for each process of a machine, in turn, where none was chosen.

@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+// Training frames that stay on the device and frames that come in their turn: the same rays and targets, whatever comes when; the same
+// training, bit by bit; and memory that does not grow with the log.
+#include "train/training_frames.hpp"
+
+#include <algorithm>
+#include <numeric>
+
+#include <relidar/dataset.hpp>
+#include <relidar/error.hpp>
+#include <relidar/train.hpp>
+
+#include "../export/temporary_folder.hpp"
+#include "../support/device.hpp"
+#include "core/random.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr std::uint64_t kAll = ~0ull;
+
+class FramesInTurn : public test::DeviceTest {
+protected:
+    static Sequence street(int n_frames) { return make_synthetic_street({.n_frames = n_frames, .rows = 8, .columns = 64}); }
+    static std::vector<int> positions(const Sequence& log) {
+        std::vector<int> all(log.frames.size());
+        std::iota(all.begin(), all.end(), 0);
+        return all;
+    }
+    static std::uint64_t bytes_of_frame(const Sequence& log) {
+        return log.frames[0].scan.range_m.size() * (sizeof(DeviceRay) + sizeof(DeviceTarget) + sizeof(shared::RayPlace));
+    }
+};
+
+/// Against the same arrays made on the host, in a random order that repeats frames, with the right, the wrong and no frame expected.
+TEST_F(FramesInTurn, AreThoseOfTheLog) {
+    Sequence log = street(5);
+    log.frames[3].scan = make_synthetic_street({.n_frames = 5, .rows = 4, .columns = 50}).frames[3].scan;   // a shorter one
+    for (const auto& [stay_bytes, n_staying] : {std::pair(std::uint64_t(0), 0u), {2 * bytes_of_frame(log), 2u}, {kAll, 5u}}) {
+        TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .moves_rays = true, .stay_bytes = stay_bytes});
+        EXPECT_EQ(frames.n_staying(), n_staying);
+        Stream stream(device());
+        Random random(1);
+        std::size_t next = 0;
+        for (int turn = 0; turn < 30; ++turn) {
+            const FrameData& frame = frames.bring(stream, next);
+            const Frame& sweep = log.frames[next];
+            next = random.next() % 5;
+            if (turn % 3 != 0) frames.expect(turn % 3 == 1 ? next : (next + 1) % 5);
+            stream.finish();
+            std::vector<DeviceRay> rays;
+            std::vector<DeviceTarget> targets;
+            make_targets(log, sweep, {}, rays, targets);
+            ASSERT_EQ(frame.n_rays, rays.size());
+            const std::vector<DeviceRay> there = frame.rays().download(frame.n_rays);
+            const std::vector<DeviceTarget> measured = frame.targets().download(frame.n_rays);
+            const std::vector<shared::RayPlace> places = frame.arrays->places.download(frame.n_rays);
+            double known = 0.0, returned = 0.0;
+            for (std::size_t i = 0; i < rays.size(); ++i) {
+                ASSERT_TRUE(there[i].origin == rays[i].origin && there[i].direction == rays[i].direction) << turn << ", ray " << i;
+                ASSERT_TRUE(measured[i].range_m == targets[i].range_m && measured[i].weight == targets[i].weight) << turn << ", ray " << i;
+                const TrackPlace place = log.world_from_vehicle.place(sweep.time_s + double(sweep.scan.rays.time_offset_s[i]));
+                ASSERT_EQ(frame.first_knot + places[i].left, place.left) << "turn " << turn << ", ray " << i;
+                ASSERT_LT(places[i].left + 1, frame.n_knots + (frame.n_knots == 1)) << "turn " << turn << ", ray " << i;
+                ASSERT_FLOAT_EQ(places[i].s, float(place.s)) << "turn " << turn << ", ray " << i;
+                known += targets[i].weight > 0.0f;
+                returned += targets[i].weight > 0.0f && targets[i].range_m > 0.0f;
+            }
+            EXPECT_EQ(frame.n_returned, returned);
+            EXPECT_EQ(frame.n_known, known);
+        }
+    }
+}
+
+TEST_F(FramesInTurn, TakeNoMoreMemoryForALongerLog) {
+    const auto bytes = [&](int n_frames, std::uint64_t stay_bytes) {
+        const Sequence log = street(n_frames);
+        const std::uint64_t before = device().allocated_bytes();
+        const TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .moves_rays = true, .stay_bytes = stay_bytes});
+        return device().allocated_bytes() - before;
+    };
+    EXPECT_EQ(bytes(4, 0), bytes(12, 0));
+    EXPECT_GT(bytes(12, kAll), bytes(4, kAll));
+    EXPECT_LT(bytes(12, 0), bytes(4, kAll));
+}
+
+TEST_F(FramesInTurn, AFrameWithoutRaysIsNamed) {
+    Sequence log = street(3);
+    log.frames[1].scan = {};
+    const std::string message = error_message<DataError>([&] { TrainingFrames(device(), log, positions(log), {}); });
+    EXPECT_EQ(message, "preparing frame 1 of " + log.name + ": it has no rays, expected at least one");
+}
+
+/// With everything that looks at a frame twice: refined poses, pruning and the sensor's own drops after the last step.
+TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
+    const Sequence log = make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .moving_cars = true});
+    const auto trained = [&](int frame_memory_mib, const std::string& batch) {
+        Config config = make_preset("quick");
+        config.init.voxel_m = 0.4;
+        config.train.iterations = 20;
+        config.train.rays_per_iteration = 1000;
+        config.train.batch = batch;
+        config.train.refine_poses = "sensor,actors";
+        config.train.sensor_drop = true;
+        config.train.deterministic = true;
+        config.train.frame_memory_mib = frame_memory_mib;
+        config.densify.prune_unseen = true;
+        std::vector<std::string> notes;
+        const TrainSession session{{}, nullptr, {}, [&](const std::string& note) { notes.push_back(note); }};
+        TrainResult result = train(device(), log, split_frames(log, 0), config, [](const TrainProgress&) { return true; }, session);
+        const auto n_told = std::count(notes.begin(), notes.end(),
+                                       "0 of 8 training frames stay on the device (train.frame_memory_mib=0), the others are sent in "
+                                       "their turn");
+        EXPECT_EQ(n_told, frame_memory_mib > 0 ? 0 : 1);
+        return result;
+    };
+    for (const char* batch : {"rays", "columns"}) {
+        const TrainResult stay = trained(2048, batch), come = trained(0, batch);
+        const Surfels &a = stay.scene.surfels, &b = come.scene.surfels;
+        EXPECT_TRUE(a.mean == b.mean && a.rotation == b.rotation && a.log_scale == b.log_scale && a.opacity_logit == b.opacity_logit &&
+                    a.sh == b.sh)
+            << batch;
+        EXPECT_EQ(stay.scene.sensor_drop.probability, come.scene.sensor_drop.probability) << batch;
+        ASSERT_TRUE(stay.poses && come.poses);
+        for (std::size_t k = 0; k < stay.poses->world_from_vehicle.pose.size(); ++k) {
+            EXPECT_EQ(stay.poses->world_from_vehicle.pose[k].translation, come.poses->world_from_vehicle.pose[k].translation) << batch;
+            EXPECT_EQ(stay.poses->world_from_vehicle.pose[k].rotation, come.poses->world_from_vehicle.pose[k].rotation) << batch;
+        }
+    }
+}
+
+}  // namespace
+}  // namespace relidar
