@@ -7,6 +7,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <relidar/config.hpp>
@@ -27,6 +28,8 @@ class ScanRecording;
 
 /// Names of the formats: extensions of a scan's files, and recordings of all scans, mcap and rosbag.
 std::vector<std::string> scan_formats();
+/// Whether a format is one file of all scans, which one process writes.
+bool is_recording(const std::string& format);
 
 /// Frame of reference of points, and of the rays in npz and exr.
 enum class PointFrame { sensor, world };
@@ -70,22 +73,24 @@ public:
     /// Makes the folder where it is missing, and removes an earlier rendering from it.
     /// @throws UsageError for an unknown format, naming the nearest; DataError where the folder cannot be written
     ScanFolder(std::filesystem::path folder, ScanFormat format);
+    /// Of a process that writes some of the scans of a rendering, in a folder that another one has made: removes nothing.
+    /// @throws UsageError for a recording, which one process writes; else as above
+    static ScanFolder joining(std::filesystem::path folder, ScanFormat format);
     /// Writes the files of one scan. @param frame  its number @throws DataError as write_atomically()
     void write(int frame, const RenderedScan& scan);
     /// Writes scans.json and gives recordings their names: to be called after the last scan.
     void finish();
+    /// What scans.json says of the scans written so far, JSON without a line break each; and takes what other processes have written.
+    const std::vector<std::string>& entries() const { return entries_; }
+    void set_entries(std::vector<std::string> entries) { entries_ = std::move(entries); }
 
 private:
-    struct Entry {
-        int frame;
-        double time_s;
-        Pose world_from_sensor;
-        std::size_t rays, points;
-        std::vector<std::string> files;
-    };
+    struct Joining {};
+    ScanFolder(std::filesystem::path folder, ScanFormat format, Joining);
+
     std::filesystem::path folder_;
     ScanFormat format_;
-    std::vector<Entry> entries_;
+    std::vector<std::string> entries_;
     struct Recording {
         std::string name;
         std::shared_ptr<scan_files::ScanRecording> file;   ///< shared so that a folder can be moved

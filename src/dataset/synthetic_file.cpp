@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <fstream>
+#include <optional>
+#include <type_traits>
 
 #include <fmt/format.h>
 #include <toml++/toml.h>
@@ -26,7 +28,9 @@ template <class T>
 void read_value(const toml::table& table, const char* key, const char* type, const std::string& file, T& value) {
     const toml::node* node = table.get(key);
     if (!node) return;
-    const auto found = node->value<T>();
+    // toml++ casts a real number to an integer before it looks whether it is one
+    const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
+    const auto found = is_cut ? std::nullopt : node->value<T>();
     if (!found)
         throw DataError(fmt::format("{} line {}: {} has the wrong type or size, expected {}", file, node->source().begin.line, key, type));
     value = *found;

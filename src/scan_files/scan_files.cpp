@@ -9,6 +9,7 @@
 #include <relidar/export.hpp>
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
+#include "scan_files/scan_entry.hpp"
 #include "scan_files/scan_recording.hpp"
 
 namespace relidar {
@@ -252,14 +253,14 @@ bool ScanFolder::wants(const std::string& format) const {
 void ScanFolder::write(int frame, const RenderedScan& scan) {
     PlacedScan placed{scan, format_, frame, {}, {}, {}, notes_of(format_, frame, scan)};
     place_rays(placed);
-    Entry entry{frame, scan.time_s, scan.world_from_sensor, scan.image.range_m.size(), count_points(scan, format_.config), {}};
+    std::vector<std::string> files;
     for (const Format& format : kFormats) {
         if (!wants(format.name)) continue;
-        entry.files.push_back(fmt::format("frame_{:06}.{}", frame, format.name));
-        format.write(folder_ / entry.files.back(), placed);
+        files.push_back(fmt::format("frame_{:06}.{}", frame, format.name));
+        format.write(folder_ / files.back(), placed);
     }
     for (const Recording& recording : recordings_) recording.file->add(recorded(placed), scan.time_s);
-    entries_.push_back(std::move(entry));
+    entries_.push_back(scan_files::entry_json(frame, scan, count_points(scan, format_.config), files));
 }
 
 }  // namespace relidar

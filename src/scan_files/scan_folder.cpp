@@ -12,6 +12,7 @@
 #include <relidar/export.hpp>
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
+#include "scan_files/scan_entry.hpp"
 #include "scan_files/scan_recording.hpp"
 
 namespace relidar {
@@ -67,13 +68,25 @@ FileNotes recording_notes(const ScanFormat& format) {
 
 }  // namespace
 
-ScanFolder::ScanFolder(fs::path folder, ScanFormat format) : folder_(std::move(folder)), format_(std::move(format)) {
+ScanFolder::ScanFolder(fs::path folder, ScanFormat format, Joining) : folder_(std::move(folder)), format_(std::move(format)) {
     const std::vector<std::string> known = scan_formats();
     for (const std::string& name : format_.formats)
         if (std::find(known.begin(), known.end(), name) == known.end())
             throw UsageError(fmt::format("writing scans: found format \"{}\", did you mean {}? (known: {})", name,
                                          nearest_name(name, known), fmt::join(known, ", ")));
     check_writable(folder_);
+}
+
+ScanFolder ScanFolder::joining(fs::path folder, ScanFormat format) {
+    ScanFolder joined(std::move(folder), std::move(format), Joining{});
+    for (const std::string& name : joined.format_.formats)
+        if (is_recording(name))
+            throw UsageError(
+                fmt::format("writing scans by several processes: found format {}, one file of all scans; expected one process", name));
+    return joined;
+}
+
+ScanFolder::ScanFolder(fs::path folder, ScanFormat format) : ScanFolder(std::move(folder), std::move(format), Joining{}) {
     for (const fs::path& file : scans_in(folder_)) {
         std::error_code failed;
         fs::remove(file, failed);
@@ -120,14 +133,22 @@ void ScanFolder::summarise() const {
                  {"scans", Json::array()},
                  {"settings", settings_json(config)}};
     for (const Recording& recording : recordings_) json["recordings"].push_back(recording.name);
-    for (const Entry& e : entries_)
-        json["scans"].push_back({{"frame_number", e.frame},
-                                 {"time_s", e.time_s},
-                                 {"world_from_sensor", matrix_json(e.world_from_sensor)},
-                                 {"rays", e.rays},
-                                 {"points", e.points},
-                                 {"files", e.files}});
+    for (const std::string& entry : entries_) json["scans"].push_back(Json::parse(entry));
     write_text(folder_ / kSummary, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+std::string scan_files::entry_json(int frame, const RenderedScan& scan, std::size_t n_points, const std::vector<std::string>& files) {
+    const Json entry = {{"frame_number", frame},
+                        {"time_s", scan.time_s},
+                        {"world_from_sensor", matrix_json(scan.world_from_sensor)},
+                        {"rays", scan.image.range_m.size()},
+                        {"points", n_points},
+                        {"files", files}};
+    return entry.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+bool is_recording(const std::string& format) {
+    return std::ranges::any_of(scan_files::kRecordingKinds, [&](const char* kind) { return format == kind; });
 }
 
 std::vector<fs::path> scans_in(const fs::path& folder) {

@@ -7,6 +7,7 @@
 #include <set>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
 #include <relidar/error.hpp>
@@ -66,6 +67,15 @@ void check_name(const std::string& name, const std::set<std::string>& taken, con
     if (taken.contains(name)) throw DataError(fmt::format("{}: name: \"{}\" is there twice, expected it once", where, name));
 }
 
+/// A misspelt mounting would leave a sensor at the rig's origin without a word.
+void check_keys(const Json& sensor, const std::string& where) {
+    static const std::vector<std::string> kKeys{"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"};
+    for (const auto& [key, value] : sensor.items())
+        if (std::find(kKeys.begin(), kKeys.end(), key) == kKeys.end())
+            throw DataError(fmt::format("{}: unknown key '{}', did you mean '{}'? (known: {})", where, excerpt(key),
+                                        nearest_name(key, kKeys), fmt::join(kKeys, ", ")));
+}
+
 }  // namespace
 
 std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
@@ -86,6 +96,7 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
         const std::string name = text_of(sensor, "name", where);
         check_name(name, names, where);
         names.insert(name);
+        check_keys(sensor, where);
         const SensorModel model = find_sensor(beside(text_of(sensor, "sensor", where), path));
         rig.push_back({name, model, mounting(sensor, where), returns_of(sensor, where)});
     }

@@ -145,7 +145,8 @@ bool PoseRefiner::take_over() {
                        std::all_of(actors_.begin(), actors_.end(), [](const Actor& a) { return a.correction.is_sound(); }) &&
                        n <= kReadbackLag && coming_.frame.size() == n && coming_.actor_time_s.size() == n * actors_.size() &&
                        coming_.gradient.size() == n * (floats_of_rays_ + floats_of_instances_) &&
-                       std::all_of(coming_.frame.begin(), coming_.frame.end(), [this](std::uint64_t frame) { return frame < frames_.all().size(); });
+                       std::all_of(coming_.frame.begin(), coming_.frame.end(),
+                                   [this](std::uint64_t frame) { return frame < frames_.all().size(); });
     if (sound) update_poses();
     return sound;
 }

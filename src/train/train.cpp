@@ -67,7 +67,8 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     TrainLoop loop(device, sequence, split, initial, config);
     const TrainingFrames& frames = loop.frames();
     if (frames.n_staying() < frames.all().size() && session.note)
-        session.note(fmt::format("{} of {} training frames stay on the device (train.frame_memory_mib={}), the others are sent in their turn",
+        session.note(fmt::format("{} of {} training frames stay on the device (train.frame_memory_mib={}), the others are sent in their "
+                                 "turn",
                                  frames.n_staying(), frames.all().size(), config.train.frame_memory_mib));
     if (session.start) {
         loop.restore(*session.start);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which frames stay is fixed: in random order any choice of as many serves as well, and this one needs no bookkeeping. A copy is part of the
-// stream, between the iteration that uses the place before it and the one that wants the frame, so that one place is enough.
+// Which frames stay is fixed: in random order any choice of as many serves as well, and this one needs no bookkeeping. A copy is part of
+// the stream, between the iteration that uses the place before it and the one that wants the frame, so that one place is enough.
 #include "train/training_frames.hpp"
 
 #include <algorithm>

@@ -377,6 +377,9 @@ TEST(Synthetic, WrongFilesAreNamed) {
     EXPECT_THAT(message("speed_mps = \"fast\"\n"), HasSubstr("line 1: speed_mps has the wrong type"));
     EXPECT_THAT(message("n_frames = 0\n"), HasSubstr("n_frames is 0"));
     EXPECT_THAT(message("rows = \n"), HasSubstr("street.toml line 1: malformed TOML"));
+    for (const char* real : {"16.0", "4.4e38", "-1e308", "nan"})   // libFuzzer: casts of what no integer holds
+        EXPECT_THAT(message(std::string("rows = ") + real + "\n"),
+                    HasSubstr("street.toml line 1: rows has the wrong type or size, expected a whole number"));
     SyntheticOptions options;
     options.columns = 0;
     EXPECT_THROW(make_synthetic_street(options), UsageError);

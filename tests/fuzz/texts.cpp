@@ -45,8 +45,8 @@ void read_scene(std::string_view input, const fs::path& folder) {
     }();
     put(run.folder / "scene.json", input);
     const Run read = load_run(run.folder);
-    if (read.sequence.lidars[0].sensor.beams.size() * std::size_t(read.sequence.lidars[0].sensor.columns) < 10000)
-        make_rays(read.sequence.lidars[0].sensor);
+    const SpinningSensor& sensor = read.sequence.lidars[0].sensor;
+    if (!sensor.beams.empty() && sensor.beams.size() * std::size_t(sensor.columns) < 10000) make_rays(sensor);
     for (const BoxTrack& box : read.sequence.boxes) (void)box.present(read.sequence.frames[0].time_s);
     for (const Lidar& lidar : read.sequence.lidars)   // made where they are few
         if (lidar.pattern && std::holds_alternative<RayTable>(*lidar.pattern)) nominal_rays(lidar, 0.0);

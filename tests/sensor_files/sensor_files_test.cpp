@@ -204,6 +204,8 @@ TEST(Rigs, WrongRigsAreNamed) {
                 HasSubstr("sensor 1: name: \"a\" is there twice"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "translation_m": [1, 2]}]})"),
                 HasSubstr("sensor 0: translation_m: expected three numbers of at most 1000"));
+    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "translation": [1, 2, 0]}]})"),
+                HasSubstr("sensor 0: unknown key 'translation', did you mean 'translation_m'?"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP"}]})"), HasSubstr("did you mean"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "returns": 3}]})"),
                 HasSubstr("sensor 0: returns: expected 1 or 2"));

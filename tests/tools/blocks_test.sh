@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 #
 # relidar train --blocks on a small synthetic street: the run is used as any other; whatever ends its training, --resume goes on, and what
-# comes out is the same to the bit; so it is where mpirun shares the blocks among processes, and where one of them is killed.
+# comes out is the same to the bit; so it is where mpirun shares the blocks among processes, and where one of them is killed. Processes
+# that share frames render and score as one does.
 #
 #   blocks_test.sh RELIDAR [WORK_FOLDER] [MPIRUN]
 #
@@ -134,12 +135,54 @@ ranks() {
     same lost
 }
 
+# What metrics.json says of frames, without times.
+scores() { sed '/"timings"/,$d' "$1" | grep -v '"trace_ms"'; }
+
+# Processes that share frames write the files that one writes, and find the same scores.
+frames() {
+    printf '{"sensors": [{"name": "left", "sensor": "VLP-16", "translation_m": [0, 1, 0]}, {"name": "right", "sensor": "VLP-16", "translation_m": [0, -1, 0]}]}' >rig.json
+    local how
+    for how in "--frames all --format npz,ply" "--frames 28:30" "--frames 20:25 --sensor rig.json" "--frames 20:25 --sensor rig.json --merge"; do
+        rm -rf alone together
+        # shellcheck disable=SC2086
+        good render one --out alone $how --quiet
+        # shellcheck disable=SC2086
+        mpi 3 "$relidar" render one --out together $how >out 2>err
+        check "mpirun render $how: exit code $?, expected 0" test $? = 0
+        check "more than one process talks" test "$(wc -l <out)" = 1
+        says " in the first of 3 processes"
+        check "render $how: three processes write other files than one" diff -r alone together
+    done
+    mpi 2 "$relidar" render one --out together --frames 20:25 >out 2>err
+    check "two processes overwrite a rendering" test $? != 0
+    check "the message lacks --overwrite" grep -Eq "holds another rendering .*--overwrite" err
+    exists together/frame_000020.npz
+    mpi 2 "$relidar" render one --out together --frames 20:25 --overwrite --quiet >out 2>err
+    check "render --overwrite by two processes: exit code $?, expected 0" test $? = 0
+    mpi 2 "$relidar" render one --out film --format mcap >out 2>err
+    check "two processes write one recording" test $? != 0
+    check "the message lacks mcap" grep -Eq -- "--format mcap: found 2 processes, expected one" err
+    absent film
+
+    good eval one --out alone.json --baseline nearest --pictures alone_pictures --quiet
+    mpi 3 "$relidar" eval one --out together.json --baseline nearest --pictures together_pictures >out 2>err
+    check "mpirun eval: exit code $?, expected 0" test $? = 0
+    check "more than one process talks" test "$(grep -c 'held-out frames' out)" = 1
+    check "three processes find other scores than one" diff <(scores alone.json) <(scores together.json)
+    check "three processes draw other pictures than one" diff -r alone_pictures together_pictures
+    good eval street --out alone.json --baseline nearest --quiet
+    mpi 2 "$relidar" eval street --out together.json --baseline nearest --quiet >out 2>err
+    check "two processes find another baseline than one" diff <(scores alone.json) <(scores together.json)
+    mpi 2 "$relidar" eval one --open >out 2>err
+    check "--open by two processes: exit code 0" test $? != 0
+}
+
 mkdir street && printf 'seed = 5\nn_frames = 60\nrows = 8\ncolumns = 96\nspeed_mps = 13.4\n' >street/street.toml
 wrong_lengths
 if "$relidar" devices >/dev/null 2>&1; then
     whole
     stopped
-    [[ -z $mpirun ]] || ranks
+    if [[ -n $mpirun ]]; then ranks; frames; fi
 elif [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]]; then
     fail "no Vulkan device"
 else

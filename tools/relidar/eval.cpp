@@ -18,6 +18,7 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include "pictures.hpp"
+#include "ranks.hpp"
 #include "recast.hpp"
 #include "run_report.hpp"
 #include <relidar/export.hpp>
@@ -61,10 +62,13 @@ struct Output {
     }
 };
 
+void write_pictures(const Output& output, const Evaluation& evaluation, const Config& config) {
+    if (output.pictures) write_strips(output.pictures->path(), evaluation, config.dataset.max_range_m);
+}
+
 void write_results(const Output& output, const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin, bool quiet) {
     end_progress_line();
     if (!output.file.empty()) write_text(output.file, metrics_json(evaluation, config, origin));
-    if (output.pictures) write_strips(output.pictures->path(), evaluation, config.dataset.max_range_m);
     if (quiet) return;
     print(metric_table(evaluation, origin.baseline));
     print(fmt::format("\n{} held-out frames", evaluation.frames.size()));
@@ -106,16 +110,23 @@ void add_edited_scores(Evaluation& evaluation, const Config& config, const std::
     if (!rows.empty()) evaluation.mean = mean(rows);
 }
 
-void score_run(const Options& options, const std::string& command_line) {
+/// Leaves the frames that this process scores.
+void keep_share(std::vector<int>& positions, const Ranks& ranks) {
+    const Ranks::Share share = ranks.share(positions.size());
+    positions = {positions.begin() + std::ptrdiff_t(share.begin), positions.begin() + std::ptrdiff_t(share.end)};
+}
+
+void score_run(const Options& options, const Ranks& ranks, const std::string& command_line) {
     std::optional<FolderLock> lock;   // its metrics.json belongs to what is scored
-    if (options.out.empty() && is_run(options.target)) lock.emplace(options.target);
+    if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
     Run run = load_run(options.target);
     apply_options(run.config, options);
     if (options.no_refine) run.config.refine.enabled = false;
     const Output output(options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out), options.pictures);
     check_held_out(run.split, run.folder.string());
+    keep_share(run.split.test, ranks);
     Device device(device_options(options.device));
-    const Sequence log = load_dataset(run.config);
+    const Sequence log = load_dataset(run.config, options.quiet);
     std::vector<Scan> before;
     if (is_recastable(run)) before = attach_recast(run);
     else attach_scans(run, run.split.test, log);
@@ -126,10 +137,14 @@ void score_run(const Options& options, const std::string& command_line) {
     Progress progress(options.quiet);
     std::optional<Evaluation> baseline;
     if (!options.baseline.empty())
-        baseline = evaluate_baseline(options.baseline, run.config, run.sequence, run.split, shown_until_interrupted(progress));
+        baseline =
+            joined(evaluate_baseline(options.baseline, run.config, run.sequence, run.split, shown_until_interrupted(progress)), ranks);
     ScanRenderer renderer(device, run);
     Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress));
     add_edited_scores(evaluation, run.config, before);
+    write_pictures(output, evaluation, run.config);
+    evaluation = joined(evaluation, ranks);
+    if (!ranks.is_first()) return;
     if (!options.quiet) print(edit_note(run));
     write_results(output, evaluation, run.config,
                   {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds_since(start),
@@ -141,34 +156,44 @@ void score_run(const Options& options, const std::string& command_line) {
 }
 
 /// The baseline alone: a log, no run, no device.
-void score_log(const Options& options) {
+void score_log(const Options& options, const Ranks& ranks) {
     Config config = make_preset("default");
     apply_options(config, options);
     config.dataset.path = absolute_dataset(options.target);
     apply_log_part(config, options.part);
     const Output output(options.out, options.pictures);
-    const Sequence log = load_dataset(config);
-    for (const std::string& text : log.notes) note(text);
-    const Split split = split_frames(log, config.dataset.test_every);
+    const Sequence log = load_dataset(config, options.quiet);
+    if (!options.quiet)
+        for (const std::string& text : log.notes) note(text);
+    Split split = split_frames(log, config.dataset.test_every);
     check_held_out(split, options.target);
+    keep_share(split.test, ranks);
 
     catch_interrupts();
     const auto start = std::chrono::steady_clock::now();
     Progress progress(options.quiet);
-    const Evaluation evaluation = evaluate_baseline(options.baseline, config, log, split, shown_until_interrupted(progress));
-    write_results(output, evaluation, config, {"", "none", 0, seconds_since(start)}, options.quiet);
+    Evaluation evaluation = evaluate_baseline(options.baseline, config, log, split, shown_until_interrupted(progress));
+    write_pictures(output, evaluation, config);
+    evaluation = joined(evaluation, ranks);
+    if (ranks.is_first()) write_results(output, evaluation, config, {"", "none", 0, seconds_since(start)}, options.quiet);
 }
 
-void run_eval(const Options& options, const std::string& command_line) {
+void run_eval(const Options& given, const std::string& command_line) {
+    const Ranks ranks;
+    Options options = given;
+    options.quiet = options.quiet || !ranks.is_first();
+    options.device = ranks.device(options.device);
+    if (options.open && ranks.size() > 1)
+        throw UsageError(fmt::format("--open: found {} processes, expected one: the page has pictures of all frames", ranks.size()));
     if (!options.baseline.empty()) (void)find_baseline(options.baseline);   // a wrong name is found before the log is read
     if (!options.baseline.empty() && !is_run(options.target)) {
         if (options.open) throw UsageError("--open: found a log, expected a run: there is no page of a baseline alone");
-        return score_log(options);
+        return score_log(options, ranks);
     }
     if (!options.part.frames.empty() || !options.part.sequence.empty())
         throw UsageError(fmt::format("{}: found it beside a run, which has its own held-out frames; expected it with --baseline and a log",
                                      options.part.frames.empty() ? "--sequence" : "--frames"));
-    score_run(options, command_line);
+    score_run(options, ranks, command_line);
 }
 
 }  // namespace
@@ -205,6 +230,7 @@ void add_eval(CLI::App& app, Call& call) {
         "Examples:\n"
         "  relidar eval run --open\n"
         "  relidar eval run --out median.json --set render.range=median\n"
+        "  mpirun -n 8 relidar eval run\n"
         "  relidar eval run --baseline nearest --pictures pictures\n"
         "  relidar eval LOG --baseline nearest --frames 0:50 --set sensor.grid=kitti360");
     command->callback([&call, options] { call.run = [&call, options] { run_eval(*options, call.command_line); }; });

@@ -9,6 +9,7 @@
 namespace relidar::cli {
 
 class Progress;
+class Ranks;
 
 /// The same settings with the weights of LPIPS that RELIDAR_LPIPS_WEIGHTS names, where they name none. For scoring only: a run keeps the
 /// settings it was given, and is scored elsewhere with what is there.
@@ -20,6 +21,10 @@ relidar::Progress shown_until_interrupted(Progress& progress);
 /// Metric tables for the terminal: mean, lowest and highest of the frames, the mean of the baseline where there is one, errors by
 /// region, and what the names mean.
 std::string metric_table(const Evaluation& evaluation, const Evaluation* baseline = nullptr);
+
+/// The evaluation of all frames, where each process has scored its share of them: on the first one; elsewhere what was given. Frames of
+/// other processes come without their images.
+Evaluation joined(const Evaluation& mine, const Ranks& ranks);
 
 /// What a metrics.json needs beside the numbers.
 struct MetricsOrigin {

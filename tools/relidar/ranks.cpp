@@ -4,6 +4,7 @@
 #include <chrono>
 #include <exception>
 #include <limits>
+#include <numeric>
 #include <thread>
 
 #include <mpi.h>
@@ -48,7 +49,7 @@ void Ranks::wait_for_all() const {
 }
 
 Ranks::Share Ranks::share(std::size_t n) const {
-    const auto first_of = [&](int rank) { return n * std::size_t(rank) / std::size_t(size_); };
+    const auto first_of = [&](int rank) { return (n * std::size_t(rank) + std::size_t(size_ - 1)) / std::size_t(size_); };
     return {first_of(rank_), first_of(rank_ + 1)};
 }
 
@@ -59,17 +60,14 @@ std::vector<std::string> Ranks::gather(const std::string& text) const {
     MPI_Request request;
     MPI_Igather(&n, 1, MPI_UNSIGNED_LONG_LONG, sizes.data(), 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD, &request);
     sleep_until(request);
-    std::vector<int> counts, places;   // MPI counts in int
-    unsigned long long total = 0;
-    for (const unsigned long long size : sizes) {
-        places.push_back(static_cast<int>(total));
-        counts.push_back(static_cast<int>(size));
-        total += size;
-    }
-    if (total > std::size_t(std::numeric_limits<int>::max()))
+    const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
+    if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))   // MPI counts in int
         throw Error(ExitCode::bug, "collecting results of several processes: found more than 2 GiB of them, expected less");
+    std::vector<int> counts(sizes.begin(), sizes.end()), places(sizes.size());
+    std::exclusive_scan(counts.begin(), counts.end(), places.begin(), 0);
     std::string all(total, '\0');
-    MPI_Igatherv(text.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(), places.data(), MPI_CHAR, 0, MPI_COMM_WORLD, &request);
+    MPI_Igatherv(text.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(), places.data(), MPI_CHAR, 0, MPI_COMM_WORLD,
+                 &request);
     sleep_until(request);
     std::vector<std::string> texts;
     for (std::size_t r = 0; r < counts.size(); ++r) texts.push_back(all.substr(std::size_t(places[r]), std::size_t(counts[r])));

@@ -23,10 +23,9 @@ public:
     int size() const { return size_; }
     /// Of them, the one that prints, and writes what they share.
     bool is_first() const { return rank_ == 0; }
-    /// What this process does of a list of n entries: neighbours, as many as any other does, or one more.
+    /// What this process does of a list of n entries: neighbours, as many as others do, or one more or less. The first has some.
     struct Share {
         std::size_t begin, end;
-        bool empty() const { return begin == end; }
     };
     Share share(std::size_t n) const;
     /// Brings a text of each process to the first. @return [size] there, in order of ranks; elsewhere nothing

@@ -15,6 +15,7 @@
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
+#include "ranks.hpp"
 #include "trajectory.hpp"
 #include <relidar/edit.hpp>
 #include <relidar/render.hpp>
@@ -148,10 +149,13 @@ void check_empty(const std::filesystem::path& folder, const Options& options) {
 }
 
 /// @throws UsageError for what can be refused before the run is loaded
-void check_options(const Options& options, bool is_rig) {
-    parse_formats(options.formats);
+void check_options(const Options& options, bool is_rig, const Ranks& ranks) {
+    for (const std::string& format : parse_formats(options.formats))
+        if (ranks.size() > 1 && is_recording(format))
+            throw UsageError(
+                fmt::format("--format {}: found {} processes, expected one: it is one file of all scans", format, ranks.size()));
     parse_point_frame(options.point_frame);
-    check_empty(options.out, options);
+    if (ranks.is_first()) check_empty(options.out, options);
     if (options.merge && !is_rig)
         throw UsageError("--merge: found no rig as --sensor, expected one: there is nothing to merge");
     const TrajectoryChoice& t = options.trajectory;
@@ -208,24 +212,45 @@ std::vector<Wanted> wanted_sensors(const Options& options, const Rig& rig, const
     return wanted;
 }
 
-/// Folders that scans go to: one for each sensor, or one for all that are merged.
-std::vector<ScanFolder> scan_folders(const Options& options, const Run& run, const std::vector<Wanted>& wanted, const Pose& offset) {
+/// Format of the files that a rig's sensors share.
+ScanFormat merged_format(const Options& options, const Run& run, const std::vector<Wanted>& wanted, const Pose& offset) {
+    SensorChoice rig = wanted.front().sensor;
+    rig.name = std::filesystem::path(options.sensor).stem().string();
+    for (const Wanted& w : wanted) rig.returns = std::max(rig.returns, w.sensor.returns);
+    for (const Wanted& w : wanted)
+        rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m), std::max(rig.limits.max_m, w.sensor.limits.max_m)};
+    return wanted_format(options, run, rig, offset);
+}
+
+/// Folders that scans go to: one for each sensor, or one for all that are merged. The first process makes them before the others join.
+std::vector<ScanFolder> scan_folders(const Options& options, const Run& run, const std::vector<Wanted>& wanted, const Pose& offset,
+                                     const Ranks& ranks) {
     std::vector<ScanFolder> folders;
-    if (options.merge) {
-        SensorChoice rig = wanted.front().sensor;
-        rig.name = std::filesystem::path(options.sensor).stem().string();
-        for (const Wanted& w : wanted) rig.returns = std::max(rig.returns, w.sensor.returns);
+    if (!ranks.is_first()) ranks.wait_for_all();
+    const auto add = [&](const std::filesystem::path& folder, const ScanFormat& format) {
+        if (!ranks.is_first()) return folders.push_back(ScanFolder::joining(folder, format));
+        if (folder != options.out) check_empty(folder, options), std::filesystem::create_directories(folder);
+        folders.emplace_back(folder, format);
+    };
+    if (options.merge) add(options.out, merged_format(options, run, wanted, offset));
+    else
         for (const Wanted& w : wanted)
-            rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m), std::max(rig.limits.max_m, w.sensor.limits.max_m)};
-        folders.emplace_back(options.out, wanted_format(options, run, rig, offset));
-        return folders;
-    }
-    for (const Wanted& w : wanted) {
-        const std::filesystem::path folder = std::filesystem::path(options.out) / w.folder;
-        if (!w.folder.empty()) check_empty(folder, options), std::filesystem::create_directories(folder);
-        folders.emplace_back(folder, wanted_format(options, run, w.sensor, offset * w.mounting));
-    }
+            add(w.folder.empty() ? std::filesystem::path(options.out) : std::filesystem::path(options.out) / w.folder,
+                wanted_format(options, run, w.sensor, offset * w.mounting));
+    if (ranks.is_first()) ranks.wait_for_all();
     return folders;
+}
+
+/// Writes what says which scans there are, of all processes.
+void finish(std::vector<ScanFolder>& folders, const Ranks& ranks) {
+    for (ScanFolder& folder : folders) {
+        std::vector<std::string> entries;
+        for (const std::string& of_one : ranks.gather(fmt::format("{}", fmt::join(folder.entries(), "\n"))))
+            if (!of_one.empty())
+                for (const std::string& entry : split(of_one, '\n')) entries.push_back(entry);
+        folder.set_entries(std::move(entries));
+        if (ranks.is_first()) folder.finish();
+    }
 }
 
 /// Says whose scans the run's network does not fit.
@@ -238,9 +263,55 @@ void note_unrefined(const Run& run, const ScanRenderer& renderer, const std::vec
                              run.drop_network.smallest_side(), w.sensor.name));
 }
 
-void run_render(const Options& options) {
+/// Renders and writes scans, one sweep after the other.
+class SweepRenderer {
+public:
+    SweepRenderer(ScanRenderer& renderer, const Options& options, const std::vector<Wanted>& wanted, const Pose& offset,
+                  const PoseTrack& track)
+        : renderer_(renderer), options_(options), wanted_(wanted), offset_(offset), track_(track) {
+        for (const Wanted& w : wanted) mountings_.push_back(w.mounting);
+    }
+
+    /// @param folders  one for each wanted sensor, or one for all that are merged
+    void render(const Sweep& sweep, std::vector<ScanFolder>& folders) {
+        std::vector<RenderedScan> scans;
+        for (const Wanted& w : wanted_) {
+            stop_if_interrupted();
+            scans.push_back(drives() ? renderer_.render(w.sensor, {sweep.time_s, moved_track(track_, w.mounting)}, options_.sample)
+                                     : renderer_.render(w.sensor, sweep.time_s, offset_ * w.mounting, options_.sample));
+            trace_ms_ += scans.back().trace_ms;
+            n_rays_ += double(scans.back().image.range_m.size());
+        }
+        if (options_.merge) scans = {merge_scans(scans, mountings_)};
+        for (std::size_t s = 0; s < scans.size(); ++s) folders[s].write(sweep.number, scans[s]);
+    }
+    bool drives() const { return !options_.trajectory.file.empty(); }
+    /// What was rendered, in a line. @param n_sweeps  by this process @param n_all  by all
+    std::string summary(std::size_t n_sweeps, std::size_t n_all, int n_processes) const {
+        const double n = double(n_sweeps);
+        return fmt::format("{} scans of {} rays in {} ({}); tracing {:.1f} ms a scan, {:.3f} Mrays/s{}\n", n_all, n_rays_ / n, options_.out,
+                           fmt::join(parse_formats(options_.formats), ", "), trace_ms_ / n,
+                           trace_ms_ > 0.0 ? 1e-3 * n_rays_ / trace_ms_ : 0.0,
+                           n_processes > 1 ? fmt::format(" in the first of {} processes", n_processes) : "");
+    }
+
+private:
+    ScanRenderer& renderer_;
+    const Options& options_;
+    const std::vector<Wanted>& wanted_;
+    const Pose offset_;
+    const PoseTrack& track_;
+    std::vector<Pose> mountings_;
+    double trace_ms_ = 0.0, n_rays_ = 0.0;
+};
+
+void run_render(const Options& given) {
+    const Ranks ranks;
+    Options options = given;
+    options.quiet = options.quiet || !ranks.is_first();
+    options.device = ranks.device(options.device);
     const Rig rig = find_rig(options.sensor);
-    check_options(options, rig.has_value());
+    check_options(options, rig.has_value(), ranks);
     const Pose offset = parse_offset(options.offset);
     const bool drives = !options.trajectory.file.empty();
     const PoseTrack track = drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
@@ -255,36 +326,23 @@ void run_render(const Options& options) {
     Device device(device_options(options.device));
     ScanRenderer renderer(device, run);
     if (!options.only.empty()) renderer.show_only(shown);
-    std::vector<ScanFolder> folders = scan_folders(options, run, wanted, offset);
+    std::vector<ScanFolder> folders = scan_folders(options, run, wanted, offset, ranks);
 
     if (options.sample && run.sequence.range_noise.sigma_m.empty() && !options.quiet)
         note(fmt::format("{} knows no range noise: sampled ranges are exact", run.folder.string()));
     if (!options.quiet) note_unrefined(run, renderer, wanted);
     catch_interrupts();
     Progress progress(options.quiet);
-    std::vector<Pose> mountings;
-    for (const Wanted& w : wanted) mountings.push_back(w.mounting);
-    double trace_ms = 0.0, n_rays = 0.0;
-    for (std::size_t done = 0; done < sweeps.size(); ++done) {
-        const auto [number, time_s] = sweeps[done];
-        std::vector<RenderedScan> scans;
-        for (const Wanted& w : wanted) {
-            stop_if_interrupted();
-            scans.push_back(drives ? renderer.render(w.sensor, {time_s, moved_track(track, w.mounting)}, options.sample)
-                                   : renderer.render(w.sensor, time_s, offset * w.mounting, options.sample));
-            trace_ms += scans.back().trace_ms;
-            n_rays += double(scans.back().image.range_m.size());
-        }
-        if (options.merge) scans = {merge_scans(scans, mountings)};
-        for (std::size_t s = 0; s < scans.size(); ++s) folders[s].write(number, scans[s]);
-        progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", number), done + 1, sweeps.size());
+    SweepRenderer sweep_renderer(renderer, options, wanted, offset, track);
+    const Ranks::Share share = ranks.share(sweeps.size());
+    for (std::size_t i = share.begin; i < share.end; ++i) {
+        sweep_renderer.render(sweeps[i], folders);
+        progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", sweeps[i].number), i + 1 - share.begin,
+                       share.end - share.begin);
     }
-    for (ScanFolder& scans : folders) scans.finish();
+    finish(folders, ranks);
     end_progress_line();
-    if (options.quiet) return;
-    const double n = double(sweeps.size());
-    print(fmt::format("{} scans of {} rays in {} ({}); tracing {:.1f} ms a scan, {:.3f} Mrays/s\n", sweeps.size(), n_rays / n, options.out,
-                      fmt::join(parse_formats(options.formats), ", "), trace_ms / n, trace_ms > 0.0 ? 1e-3 * n_rays / trace_ms : 0.0));
+    if (!options.quiet) print(sweep_renderer.summary(share.end - share.begin, sweeps.size(), ranks.size()));
 }
 
 void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
@@ -372,7 +430,8 @@ void add_render(CLI::App& app, Call& call) {
         "  relidar render run --out map --frames all --frame world --format pcd\n"
         "  relidar render run --out lane --trajectory way.csv --rate 20 --format pcd\n"
         "  relidar render run --out left --frames 10:20 --offset 0,2,1,0 --format npz,ply\n"
-        "  relidar render run --out small --sensor VLP-16 --format png");
+        "  relidar render run --out small --sensor VLP-16 --format png\n"
+        "  mpirun -n 8 relidar render run --out scans --frames all");
     command->callback([&call, options] { call.run = [options] { run_render(*options); }; });
 }
 
