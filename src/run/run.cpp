@@ -3,6 +3,12 @@
 // Read back with every complaint naming its file.
 #include <relidar/run.hpp>
 
+#include <cerrno>
+#include <cstdlib>
+#include <system_error>
+
+#include <unistd.h>
+
 #include <fmt/format.h>
 
 #include "core/files.hpp"
@@ -123,10 +129,11 @@ bool is_run(const fs::path& path) {
 
 void check_writable(const fs::path& folder) {
     make_folder(folder);
-    const fs::path probe = folder / ".relidar-probe";
-    write_text(probe, "");
-    std::error_code failed;
-    fs::remove(probe, failed);
+    std::string probe = (folder / ".relidar-probe-XXXXXX").string();   // several processes may try at the same time
+    const int file = ::mkstemp(probe.data());
+    if (file < 0) throw DataError(fmt::format("writing into '{}': {}", folder.string(), std::generic_category().message(errno)));
+    ::close(file);
+    ::unlink(probe.c_str());
 }
 
 }  // namespace relidar

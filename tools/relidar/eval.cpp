@@ -51,19 +51,21 @@ void check_held_out(const Split& split, const std::string& where) {
     if (split.test.empty()) throw DataError(fmt::format("{}: no frame was held out, expected at least one to evaluate", where));
 }
 
-/// Where results go, proved writable before the work begins.
+/// Where results go, proved writable before the work begins: by the first process, before another goes on.
 struct Output {
-    std::filesystem::path file;                ///< empty: no file
-    std::optional<OutputFolder> folder, pictures;
+    std::filesystem::path file, pictures;      ///< empty: none
+    std::optional<OutputFolder> of_file, of_pictures;
 
-    Output(const std::filesystem::path& metrics, const std::string& picture_folder) : file(metrics) {
-        if (!file.empty()) folder.emplace(file.has_parent_path() ? file.parent_path() : ".");
-        if (!picture_folder.empty()) pictures.emplace(picture_folder);
+    Output(const std::filesystem::path& metrics, const std::string& picture_folder, const Ranks& ranks)
+        : file(metrics), pictures(picture_folder) {
+        if (ranks.is_first() && !file.empty()) of_file.emplace(file.has_parent_path() ? file.parent_path() : ".");
+        if (ranks.is_first() && !pictures.empty()) of_pictures.emplace(pictures);
+        ranks.wait_for_all();
     }
 };
 
 void write_pictures(const Output& output, const Evaluation& evaluation, const Config& config) {
-    if (output.pictures) write_strips(output.pictures->path(), evaluation, config.dataset.max_range_m);
+    if (!output.pictures.empty()) write_strips(output.pictures, evaluation, config.dataset.max_range_m);
 }
 
 void write_results(const Output& output, const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin, bool quiet) {
@@ -122,7 +124,7 @@ void score_run(const Options& options, const Ranks& ranks, const std::string& co
     Run run = load_run(options.target);
     apply_options(run.config, options);
     if (options.no_refine) run.config.refine.enabled = false;
-    const Output output(options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out), options.pictures);
+    const Output output(options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out), options.pictures, ranks);
     check_held_out(run.split, run.folder.string());
     keep_share(run.split.test, ranks);
     Device device(device_options(options.device));
@@ -161,7 +163,7 @@ void score_log(const Options& options, const Ranks& ranks) {
     apply_options(config, options);
     config.dataset.path = absolute_dataset(options.target);
     apply_log_part(config, options.part);
-    const Output output(options.out, options.pictures);
+    const Output output(options.out, options.pictures, ranks);
     const Sequence log = load_dataset(config, options.quiet);
     if (!options.quiet)
         for (const std::string& text : log.notes) note(text);

@@ -315,7 +315,8 @@ void run_render(const Options& given) {
     const Pose offset = parse_offset(options.offset);
     const bool drives = !options.trajectory.file.empty();
     const PoseTrack track = drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
-    const OutputFolder folder(options.out);
+    std::optional<OutputFolder> folder;
+    if (ranks.is_first()) folder.emplace(options.out);   // which goes again where nothing was written: not for each process to decide
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
     if (options.no_refine) run.config.refine.enabled = false;
