@@ -2,7 +2,9 @@
 // Rendered frames beside real ones, scored: a run on the frames it never saw, and the baseline that any rendering has to beat.
 #pragma once
 
+#include <array>
 #include <cstddef>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -13,6 +15,15 @@
 
 namespace relidar {
 
+/// Rays that really returned, by how far away and how far off the rendered range is.
+struct RangeErrorCounts {
+    static constexpr std::array<double, 7> kRangeEdges_m{0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0};   ///< of the real range
+    static constexpr std::array<double, 3> kErrorEdges_m{0.05, 0.2, 1.0};
+    static constexpr std::size_t kBands = kErrorEdges_m.size() + 2;   ///< the last: the rendered ray does not return
+
+    std::array<std::array<double, kBands>, kRangeEdges_m.size() - 1> rays{};
+};
+
 /// A frame rendered on the rays of the real one, and how close it came.
 struct ScoredFrame {
     int frame = 0;  ///< the dataset's own number
@@ -20,10 +31,14 @@ struct ScoredFrame {
     double time_s = 0.0;
     std::optional<SweepStart> start = {};   ///< of the sweep, see Frame
     std::size_t n_rays = 0;  ///< traced; a grid of binned points has fewer pixels or more
-    RenderedScan rendered;
-    RangeImage real;
+    RenderedScan rendered;   ///< of an evaluation of many frames: of the middle one alone, of the others its time
+    RangeImage real;         ///< likewise
     MetricRow metrics;
+    RangeErrorCounts range_errors;
 };
+
+/// Is given each frame once it is scored, with its images, and may add metrics.
+using SeeFrame = std::function<void(ScoredFrame&)>;
 
 /// Scored frames and what they are on average.
 struct Evaluation {
@@ -47,10 +62,11 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequ
                         const Pose& sensor_offset = {});
 
 /// Scores frames of `sequence` by their positions in it.
+/// Memory does not grow with their number.
 /// @param progress  called before each frame and after the last; what it throws ends the evaluation
 /// @throws DataError where an LPIPS file is named and cannot be read
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const std::vector<int>& positions,
-                           const Progress& progress = {});
+                           const Progress& progress = {}, const SeeFrame& see = {});
 
 /// Means of scored frames. @param times of the renderer that made them
 Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times);
@@ -61,9 +77,9 @@ MetricRow mean_times(const KernelTimes& times);
 /// The baselines: the neighbouring training scans, points in moving boxes left where they are, or moved with their boxes.
 /// @param name  "nearest" or "nearest-actors" @throws UsageError for another name
 BoxMotion find_baseline(const std::string& name);
-/// A baseline on the held-out frames of a log with its scans. @param progress as evaluate_frames() @throws as find_baseline()
+/// A baseline on the held-out frames of a log with its scans. @param progress, see  as evaluate_frames() @throws as find_baseline()
 Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence, const Split& split,
-                             const Progress& progress = {});
+                             const Progress& progress = {}, const SeeFrame& see = {});
 
 /// Reads the weights of LPIPS, where some are named, to notice a wrong file before the long work. @throws DataError as read_lpips_weights
 void check_lpips_weights(const Config& config);

@@ -17,19 +17,7 @@ namespace relidar {
 namespace {
 
 constexpr double kSameTime_s = 1e-3;
-
-/// Does the work of n frames, telling before each and after the last how far it is.
-void for_each_frame(const std::vector<int>& positions, const Sequence& sequence, const char* what, const Progress& progress,
-                    const std::function<void(int, const Frame&)>& work) {
-    const auto tell = [&](std::size_t done) {
-        if (progress) progress(what, double(done) / double(positions.size()));
-    };
-    for (std::size_t i = 0; i < positions.size(); ++i) {
-        tell(i);
-        work(positions[i], sequence.frames.at(static_cast<std::size_t>(positions[i])));
-    }
-    if (!positions.empty()) tell(positions.size());
-}
+constexpr std::size_t kScoredAtOnce = 16;   // on all cores, and so many frames have their images in memory
 
 SensorChoice sensor_of(const Config& config, const Sequence& sequence, const Frame& frame) {
     SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
@@ -102,6 +90,61 @@ void add_tail_shares(std::vector<ScoredFrame>& frames, const Sequence& sequence,
                                         config.init.actor_min_step_m));
 }
 
+RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage& real) {
+    constexpr auto& kRanges = RangeErrorCounts::kRangeEdges_m;
+    constexpr auto& kErrors = RangeErrorCounts::kErrorEdges_m;
+    RangeErrorCounts counts;
+    for (std::size_t i = 0; i < real.range_m.size(); ++i) {
+        const double range_m = real.range_m[i], error_m = std::abs(double(rendered.range_m[i]) - range_m);
+        if (!(range_m > kRanges.front() && range_m <= kRanges.back())) continue;
+        const auto row = std::size_t(std::lower_bound(kRanges.begin(), kRanges.end(), range_m) - kRanges.begin()) - 1;
+        const auto band = std::size_t(std::upper_bound(kErrors.begin(), kErrors.end(), error_m) - kErrors.begin());
+        counts.rays[row][returned(rendered.drop_prob[i], rendered.range_m[i]) ? band : RangeErrorCounts::kBands - 1] += 1.0;
+    }
+    return counts;
+}
+
+void drop_images(ScoredFrame& frame) {
+    const double trace_ms = frame.rendered.trace_ms;
+    frame.rendered = {};
+    frame.rendered.trace_ms = trace_ms;
+    frame.real = {};
+}
+
+/// What all evaluations of many frames are: a few are rendered, scored, seen and forgotten.
+struct ManyFrames {
+    const std::vector<int>& positions;   ///< in the sequence
+    const Sequence& sequence;
+    const Config& config;
+    const Progress& progress;
+    const SeeFrame& see;
+};
+
+/// @param what  is done with a frame, for the progress @param render  makes the frame at a position
+std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
+                                   const std::function<RenderedFrame(int position, const Frame&)>& render) {
+    const std::unique_ptr<Lpips> lpips = load_lpips(many.config);
+    const std::size_t n = many.positions.size();
+    std::vector<ScoredFrame> scored;
+    for (std::size_t first = 0; first < n; first += kScoredAtOnce) {
+        std::vector<RenderedFrame> some;
+        for (std::size_t i = first; i < std::min(first + kScoredAtOnce, n); ++i) {
+            if (many.progress) many.progress(what, double(i) / double(n));
+            some.push_back(render(many.positions[i], many.sequence.frames.at(std::size_t(many.positions[i]))));
+        }
+        std::vector<ScoredFrame> done = score(std::move(some), many.config, lpips.get());
+        add_tail_shares(done, many.sequence, many.config);
+        for (ScoredFrame& frame : done) {
+            frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
+            if (many.see) many.see(frame);
+            if (scored.size() != n / 2) drop_images(frame);
+            scored.push_back(std::move(frame));
+        }
+    }
+    if (many.progress && n > 0) many.progress(what, 1.0);
+    return scored;
+}
+
 }  // namespace
 
 void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& log) {
@@ -128,13 +171,10 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequ
 }
 
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const std::vector<int>& positions,
-                           const Progress& progress) {
-    const std::unique_ptr<Lpips> lpips = load_lpips(config);
-    std::vector<RenderedFrame> frames;
-    for_each_frame(positions, sequence, "rendering held-out frames", progress,
-                   [&](int, const Frame& frame) { frames.push_back(render_frame(renderer, config, sequence, frame, {})); });
-    std::vector<ScoredFrame> scored = score(std::move(frames), config, lpips.get());
-    add_tail_shares(scored, sequence, config);
+                           const Progress& progress, const SeeFrame& see) {
+    std::vector<ScoredFrame> scored =
+        score_all({positions, sequence, config, progress, see}, "rendering held-out frames",
+                  [&](int, const Frame& frame) { return render_frame(renderer, config, sequence, frame, {}); });
     return summarise(std::move(scored), renderer.times());
 }
 
@@ -145,20 +185,17 @@ BoxMotion find_baseline(const std::string& name) {
 }
 
 Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence, const Split& split,
-                             const Progress& progress) {
+                             const Progress& progress, const SeeFrame& see) {
     const BoxMotion boxes = find_baseline(name);
-    const std::unique_ptr<Lpips> lpips = load_lpips(config);
-    std::vector<RenderedFrame> frames;
-    for_each_frame(split.test, sequence, "projecting neighbours of held-out frames", progress, [&](int position, const Frame& frame) {
+    const auto project = [&](int position, const Frame& frame) {
         RenderedFrame result = real_frame(config, sequence, frame, {});
         Scan points = neighbour_points(sequence, position, split.train, boxes, config.init.actor_min_step_m);
         drop_outside(points, configured_sensor(config, sequence, frame.lidar).limits);
         result.frame.rendered.image = real_image(config, config.sensor.grid == "native" ? bin_onto_rays(frame.scan.rays, points) : points);
-        frames.push_back(std::move(result));
-    });
-    std::vector<ScoredFrame> scored = score(std::move(frames), config, lpips.get());
-    add_tail_shares(scored, sequence, config);
-    Evaluation evaluation = summarise(std::move(scored), {});
+        return result;
+    };
+    Evaluation evaluation =
+        summarise(score_all({split.test, sequence, config, progress, see}, "projecting neighbours of held-out frames", project), {});
     evaluation.title = "baseline " + name;
     return evaluation;
 }

@@ -52,7 +52,11 @@ Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
     Progress progress(quiet);
     const Config config = with_lpips_weights(run.config);
     ScanRenderer renderer(device, run);
-    return evaluate_frames(renderer, config, run.sequence, run.split.test, shown_until_interrupted(progress));
+    std::vector<ScoredFrame> with_images;   // which are written as scans
+    Evaluation evaluation = evaluate_frames(renderer, config, run.sequence, run.split.test, shown_until_interrupted(progress),
+                                            [&](const ScoredFrame& frame) { with_images.push_back(frame); });
+    evaluation.frames = std::move(with_images);
+    return evaluation;
 }
 
 /// The held-out frames seen from the shifted sensor, against what that sensor would have measured.

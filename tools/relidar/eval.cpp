@@ -62,11 +62,11 @@ struct Output {
         if (ranks.is_first() && !pictures.empty()) of_pictures.emplace(pictures);
         ranks.wait_for_all();
     }
-};
 
-void write_pictures(const Output& output, const Evaluation& evaluation, const Config& config) {
-    if (!output.pictures.empty()) write_strips(output.pictures, evaluation, config.dataset.max_range_m);
-}
+    void draw(const ScoredFrame& frame, const Config& config) const {
+        if (!pictures.empty()) write_strips(pictures, frame, config.dataset.max_range_m);
+    }
+};
 
 void write_results(const Output& output, const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin, bool quiet) {
     end_progress_line();
@@ -101,15 +101,9 @@ std::string edit_note(const Run& run) {
            "the edit is\n";
 }
 
-/// Scores of the pixels an edit changes.
-void add_edited_scores(Evaluation& evaluation, const Config& config, const std::vector<Scan>& before) {
-    std::vector<MetricRow> rows;
-    for (std::size_t i = 0; i < before.size(); ++i) {
-        ScoredFrame& frame = evaluation.frames[i];
-        frame.metrics.merge(evaluate_regions(frame.rendered.image, frame.real, {edited_region(frame.real, real_image(config, before[i]))}));
-        rows.push_back(frame.metrics);
-    }
-    if (!rows.empty()) evaluation.mean = mean(rows);
+/// Scores of the pixels an edit changes. @param before  the street without the edit
+void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& before) {
+    frame.metrics.merge(evaluate_regions(frame.rendered.image, frame.real, {edited_region(frame.real, real_image(config, before))}));
 }
 
 /// Leaves the frames that this process scores.
@@ -142,10 +136,13 @@ void score_run(const Options& options, const Ranks& ranks, const std::string& co
         baseline =
             joined(evaluate_baseline(options.baseline, run.config, run.sequence, run.split, shown_until_interrupted(progress)), ranks);
     ScanRenderer renderer(device, run);
-    Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress));
-    add_edited_scores(evaluation, run.config, before);
-    write_pictures(output, evaluation, run.config);
-    evaluation = joined(evaluation, ranks);
+    std::size_t n_seen = 0;
+    const auto see = [&](ScoredFrame& frame) {
+        if (!before.empty()) add_edited_scores(frame, run.config, before[n_seen++]);
+        output.draw(frame, run.config);
+    };
+    const Evaluation evaluation =
+        joined(evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress), see), ranks);
     if (!ranks.is_first()) return;
     if (!options.quiet) print(edit_note(run));
     write_results(output, evaluation, run.config,
@@ -174,9 +171,9 @@ void score_log(const Options& options, const Ranks& ranks) {
     catch_interrupts();
     const auto start = std::chrono::steady_clock::now();
     Progress progress(options.quiet);
-    Evaluation evaluation = evaluate_baseline(options.baseline, config, log, split, shown_until_interrupted(progress));
-    write_pictures(output, evaluation, config);
-    evaluation = joined(evaluation, ranks);
+    const auto see = [&](const ScoredFrame& frame) { output.draw(frame, config); };
+    const Evaluation evaluation =
+        joined(evaluate_baseline(options.baseline, config, log, split, shown_until_interrupted(progress), see), ranks);
     if (ranks.is_first()) write_results(output, evaluation, config, {"", "none", 0, seconds_since(start)}, options.quiet);
 }
 

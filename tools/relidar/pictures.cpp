@@ -63,15 +63,13 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
             std::move(drops)};
 }
 
-void write_strips(const std::filesystem::path& folder, const Evaluation& evaluation, double max_range_m) {
+void write_strips(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m) {
     constexpr const char* kNames[] = {"range", "intensity", "drop"};   // in the order of comparison_figures
-    for (const ScoredFrame& frame : evaluation.frames) {
-        const std::vector<ReportFigure> figures = comparison_figures(frame, "", "real", max_range_m);
-        for (std::size_t k = 0; k < figures.size(); ++k) {
-            std::vector<Image> strip;
-            for (const auto& [caption, image] : figures[k].images) strip.push_back(image);
-            write_png(folder / fmt::format("{}_{:06}.png", kNames[k], frame.frame), stack(strip, picture_stretch(frame.real)));
-        }
+    const std::vector<ReportFigure> figures = comparison_figures(frame, "", "real", max_range_m);
+    for (std::size_t k = 0; k < figures.size(); ++k) {
+        std::vector<Image> strip;
+        for (const auto& [caption, image] : figures[k].images) strip.push_back(image);
+        write_png(folder / fmt::format("{}_{:06}.png", kNames[k], frame.frame), stack(strip, picture_stretch(frame.real)));
     }
 }
 

@@ -20,8 +20,8 @@ namespace relidar::cli {
 std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title, const std::string& real,
                                              double max_range_m);
 
-/// Writes FOLDER/{range,intensity,drop}_000123.png for each frame: real, rendered and error stacked.
-void write_strips(const std::filesystem::path& folder, const Evaluation& evaluation, double max_range_m);
+/// Writes FOLDER/{range,intensity,drop}_000123.png of a frame: real, rendered and error stacked.
+void write_strips(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m);
 
 /// Real and rendered range stacked.
 Image range_pair(const ScoredFrame& frame, double max_range_m);

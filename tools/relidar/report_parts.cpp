@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "report_parts.hpp"
 
-#include <array>
-#include <cmath>
+#include <algorithm>
 #include <limits>
 
 #include <fmt/format.h>
@@ -11,22 +10,6 @@
 #include <relidar/render.hpp>
 
 namespace relidar::cli {
-namespace {
-
-constexpr std::array<double, 7> kRangeEdges_m = {0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0};
-constexpr std::array<double, 3> kErrorEdges_m = {0.05, 0.2, 1.0};
-constexpr std::size_t kBands = kErrorEdges_m.size() + 2;   // the last: missed
-
-/// Band of an error; the last where the simulated ray does not return.
-std::size_t band_of(const RangeImage& rendered, const RangeImage& real, std::size_t i) {
-    if (!returned(rendered.drop_prob[i], rendered.range_m[i])) return kBands - 1;
-    const double error_m = std::abs(double(rendered.range_m[i]) - double(real.range_m[i]));
-    std::size_t band = 0;
-    while (band < kErrorEdges_m.size() && error_m >= kErrorEdges_m[band]) ++band;
-    return band;
-}
-
-}  // namespace
 
 ReportView points_beside(const ScoredFrame& frame, const Config& config, const std::string& title, const std::string& real_name) {
     const RangeImage &rendered = frame.rendered.image, &real = frame.real;
@@ -53,15 +36,13 @@ ReportBars errors_by_range(const Evaluation& evaluation, const std::string& titl
                     "Of all rays that really returned. Missed: the simulated ray does not return.",
                     {"below 5 cm", "5 to 20 cm", "20 cm to 1 m", "above 1 m", "missed"},
                     {}};
-    for (std::size_t r = 0; r + 1 < kRangeEdges_m.size(); ++r) {
-        const double low_m = kRangeEdges_m[r], high_m = kRangeEdges_m[r + 1];
-        ReportBars::Row row{fmt::format("{} to {} m", low_m, high_m), 0.0, std::vector<double>(kBands, 0.0)};
+    constexpr auto& kEdges_m = RangeErrorCounts::kRangeEdges_m;
+    for (std::size_t r = 0; r + 1 < kEdges_m.size(); ++r) {
+        ReportBars::Row row{fmt::format("{} to {} m", kEdges_m[r], kEdges_m[r + 1]), 0.0, std::vector<double>(RangeErrorCounts::kBands)};
         for (const ScoredFrame& frame : evaluation.frames)
-            for (std::size_t i = 0; i < frame.real.range_m.size(); ++i) {
-                const double range_m = frame.real.range_m[i];
-                if (!(range_m > low_m && range_m <= high_m)) continue;
-                row.count += 1.0;
-                row.share[band_of(frame.rendered.image, frame.real, i)] += 1.0;
+            for (std::size_t band = 0; band < row.share.size(); ++band) {
+                row.count += frame.range_errors.rays[r][band];
+                row.share[band] += frame.range_errors.rays[r][band];
             }
         for (double& share : row.share) share /= std::max(row.count, 1.0);
         bars.rows.push_back(std::move(row));
