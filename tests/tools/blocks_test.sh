@@ -135,6 +135,33 @@ ranks() {
     same lost
 }
 
+# Processes that cannot work together, and one that fails: mpirun ends with its exit code, and the others leave what a next start needs.
+misfits() {
+    cp "$relidar" other && printf x >>other
+    mpi 1 "$relidar" train street --out misfit --blocks 30m "${settings[@]}" : -n 1 ./other train street --out misfit --blocks 30m "${settings[@]}" >out 2>err
+    check "two builds: exit code $?, expected 2" test $? = 2
+    check "the message lacks the build" grep -Eq "process 1 is another build of relidar than the first" err
+    mpi 1 "$relidar" train street --out misfit --force --blocks 30m "${settings[@]}" : -n 1 "$relidar" train street --out misfit --force --blocks 30m "${settings[@]}" --device 99 >out 2>err
+    check "a device that one process lacks: exit code $?, expected 4" test $? = 4
+    check "the message lacks the device" grep -Eq "^relidar: opening device 99: found" err
+    absent misfit/scene.json
+    mpi 2 "$relidar" train --resume misfit street --blocks 30m "${settings[@]}" >out 2>err
+    check "resumed after a device failed: exit code $?, expected 0" test $? = 0
+    same misfit
+
+    mkdir -p full && mount -t tmpfs -o size=6m tmpfs full 2>/dev/null || return 0   # not everybody may
+    mpi 2 "$relidar" train street --out full/run --blocks 30m "${settings[@]}" --quiet >out 2>err
+    check "a full folder: exit code $?, expected 3" test $? = 3
+    check "the message lacks the block" grep -Eq "^relidar: block . of 3: writing .*: No space left on device; trained blocks are kept, continue with: relidar train --resume full/run" err
+    absent full/run/scene.json
+    check "nothing is kept in the full folder" test -s full/run/blocks/000/scene.json
+    mount -o remount,size=64m full
+    mpi 2 "$relidar" train --resume full/run >out 2>err
+    check "resumed with room again: exit code $?, expected 0" test $? = 0
+    check "the blocks of a folder that was full differ" cmp -s one/blocks/002/model.safetensors full/run/blocks/002/model.safetensors
+    umount -l full
+}
+
 # What metrics.json says of frames, without times.
 scores() { sed '/"timings"/,$d' "$1" | grep -v '"trace_ms"'; }
 
@@ -182,7 +209,7 @@ wrong_lengths
 if "$relidar" devices >/dev/null 2>&1; then
     whole
     stopped
-    if [[ -n $mpirun ]]; then ranks; frames; fi
+    if [[ -n $mpirun ]]; then ranks; misfits; frames; fi
 elif [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]]; then
     fail "no Vulkan device"
 else

@@ -3,10 +3,12 @@
 
 #include <chrono>
 #include <exception>
+#include <fstream>
 #include <limits>
 #include <numeric>
 #include <thread>
 
+#include <fmt/format.h>
 #include <mpi.h>
 
 #include "launched_by_mpi.hpp"
@@ -22,6 +24,27 @@ void sleep_until(MPI_Request request) {
         MPI_Test(&request, &done, MPI_STATUS_IGNORE);
 }
 
+/// FNV-1a of the program's own file: what tells one build from another. 0 where it cannot be read.
+unsigned long long build_number() {
+    std::ifstream program("/proc/self/exe", std::ios::binary);
+    unsigned long long hash = 14695981039346656037ull;
+    std::vector<char> block(1 << 20);
+    while (program.read(block.data(), std::streamsize(block.size())) || program.gcount() > 0)
+        for (std::streamsize i = 0; i < program.gcount(); ++i)
+            hash = (hash ^ static_cast<unsigned char>(block[std::size_t(i)])) * 1099511628211ull;
+    return program.bad() || !program.eof() ? 0 : hash;
+}
+
+/// Two builds may number settings and arrays otherwise. @throws UsageError in a process that is not the build of the first
+void check_build(int rank) {
+    const unsigned long long own = build_number();
+    unsigned long long first = own;
+    MPI_Bcast(&first, 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD);
+    if (own != first)
+        throw UsageError(
+            fmt::format("started by mpirun: process {} is another build of relidar than the first one, expected the same program", rank));
+}
+
 }  // namespace
 
 Ranks::Ranks() {
@@ -33,6 +56,7 @@ Ranks::Ranks() {
     MPI_Comm_split_type(MPI_COMM_WORLD, MPI_COMM_TYPE_SHARED, rank_, MPI_INFO_NULL, &on_this_machine);
     MPI_Comm_rank(on_this_machine, &local_rank_);
     MPI_Comm_free(&on_this_machine);
+    check_build(rank_);
 }
 
 Ranks::~Ranks() {

@@ -14,7 +14,7 @@ namespace relidar::cli {
 /// it, the process ends without a word to the others, and mpirun ends them.
 class Ranks {
 public:
-    /// Joins the others. @throws UsageError where mpirun has started a program that was built without MPI
+    /// Joins the others. @throws UsageError where mpirun has started a program that was built without MPI, or several builds
     Ranks();
     ~Ranks();
     Ranks(const Ranks&) = delete;

@@ -136,14 +136,22 @@ private:
         }
         tell(k, log);
         const auto start = Clock::now();
-        TrainResult result = train_or_tell(k, log, folder);
-        end_progress_line();
+        try {
+            TrainResult result = train(k, log, folder);
+            end_progress_line();
+            total_.add(result);
+            save(k, std::move(log), folder, result);
+        } catch (const Error& error) {
+            if (error.code() == ExitCode::interrupted) throw;
+            throw Error(error.code(),
+                        fmt::format("{}: {}; trained blocks are kept, continue with: {}", name_of(k), error.what(), how_.resume));
+        }
         seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
         ++trained_;
-        total_.add(result);
-        save(k, std::move(log), folder, result);
         return true;
     }
+
+    std::string name_of(std::size_t k) const { return fmt::format("block {} of {}", k + 1, blocks_.size()); }
 
     void save(std::size_t k, BlockLog log, const fs::path& folder, TrainResult& result) const {
         Run part{folder, log.config, std::move(log.sequence), log.split, {}, {}};
@@ -155,20 +163,14 @@ private:
         fs::remove(checkpoint_folder(folder), failed);
     }
 
-    TrainResult train_or_tell(std::size_t k, const BlockLog& log, const fs::path& folder) const {
+    TrainResult train(std::size_t k, const BlockLog& log, const fs::path& folder) const {
         const fs::path checkpoints = checkpoint_folder(folder);
         const std::optional<Checkpoint> start = load_newest_checkpoint(checkpoints, note);
-        const std::string where = fmt::format("block {} of {}", k + 1, blocks_.size());
-        try {
-            const TrainSession session{checkpoints, start ? &*start : nullptr, {}, {}};
-            TrainResult result = train_logged(device_, log.sequence, log.split, log.config, folder, how_.quiet, session);
-            if (!result.interrupted) return result;
-            throw Error(ExitCode::interrupted, fmt::format("interrupted in {}, after iteration {} of {}; continue with: {}", where,
-                                                           result.iterations, log.config.train.iterations, how_.resume));
-        } catch (const Error& error) {
-            if (error.code() == ExitCode::interrupted) throw;
-            throw Error(error.code(), fmt::format("{}: {}; trained blocks are kept, continue with: {}", where, error.what(), how_.resume));
-        }
+        const TrainSession session{checkpoints, start ? &*start : nullptr, {}, {}};
+        TrainResult result = train_logged(device_, log.sequence, log.split, log.config, folder, how_.quiet, session);
+        if (!result.interrupted) return result;
+        throw Error(ExitCode::interrupted, fmt::format("interrupted in {}, after iteration {} of {}; continue with: {}", name_of(k),
+                                                       result.iterations, log.config.train.iterations, how_.resume));
     }
 
     void tell(std::size_t k, const BlockLog& log) const {
