@@ -32,6 +32,7 @@ struct DatasetConfig {
     bool allow_missing_scans = true;
     double min_range_m = 0.0;
     double max_range_m = 80.0;
+    int memory_mib = 0;            ///< for scans; what goes beyond lies in a mapped file. 0: half of what the machine has
 };
 
 struct SensorConfig {

@@ -3,6 +3,7 @@
 // ordering points into an image. Sensor frame: x forward, y left, z up, metres.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
 #include <limits>
@@ -16,16 +17,67 @@
 
 namespace relidar {
 
+// Where the arrays of rays and scans lie. A log of 6000 scans is 30 GB, which few machines have: beyond a limit the arrays lie in a file
+// that is mapped into memory, of which the system keeps what is in use. Scans are written once and then read frame by frame, so that this
+// costs little.
+
+/// How much the arrays of all scans of this process may take of its memory from now on. What goes beyond lies in a file without a name in a
+/// folder, which ends with the process. Unlimited until this is called.
+/// @param bytes  0: half of what the machine, or the control group of the process, has
+/// @param folder  of the file, made where the first array goes there
+void limit_scan_memory(std::uint64_t bytes, const std::filesystem::path& folder);
+
+/// Bytes of the arrays of all scans. Small ones (below 16 KiB) are not counted.
+struct ScanMemoryUse {
+    std::uint64_t in_memory = 0;
+    std::uint64_t in_file = 0;
+};
+/// What they take now.
+ScanMemoryUse scan_memory_use();
+
+/// @throws DataError naming the folder where its disk is full or it cannot be written, std::bad_alloc
+void* allocate_scan_array(std::size_t bytes);
+void free_scan_array(void* array, std::size_t bytes) noexcept;
+
+/// Allocator of the arrays of scans.
+template <class T>
+struct ScanAllocator {
+    using value_type = T;
+
+    ScanAllocator() = default;
+    template <class U>
+    ScanAllocator(const ScanAllocator<U>&) {}
+    T* allocate(std::size_t n) { return static_cast<T*>(allocate_scan_array(n * sizeof(T))); }
+    void deallocate(T* array, std::size_t n) noexcept { free_scan_array(array, n * sizeof(T)); }
+    bool operator==(const ScanAllocator&) const { return true; }
+};
+
+/// A value for each ray of a scan.
+template <class T>
+using ScanArray = std::vector<T, ScanAllocator<T>>;
+
+/// A copy in memory.
+template <class T>
+std::vector<T> to_vector(const ScanArray<T>& values) {
+    return {values.begin(), values.end()};
+}
+
+/// And back.
+template <class T>
+ScanArray<T> to_scan_array(const std::vector<T>& values) {
+    return {values.begin(), values.end()};
+}
+
 /// A table of rays in range-image order; ray (row, column) is entry row * columns + column, row 0 the highest beam,
 /// column 0 at azimuth +180 degrees, azimuth falling with the column. A sensor without image order has rows = 1.
 struct RayTable {
     int rows = 0;
     int columns = 0;
-    std::vector<glm::vec3> origin;      ///< [rows*columns] metres, sensor frame: where the beam starts
-    std::vector<glm::vec3> direction;   ///< [rows*columns] unit, sensor frame
-    std::vector<float> time_offset_s;   ///< [rows*columns] firing time relative to the frame's reference time
-    std::vector<std::uint16_t> channel; ///< [rows*columns] beam number, 0 = highest
-    float divergence_rad = 0.0f;        ///< full beam divergence; 0 = ideal ray
+    ScanArray<glm::vec3> origin;       ///< [rows*columns] metres, sensor frame: where the beam starts
+    ScanArray<glm::vec3> direction;    ///< [rows*columns] unit, sensor frame
+    ScanArray<float> time_offset_s;    ///< [rows*columns] firing time relative to the frame's reference time
+    ScanArray<std::uint16_t> channel;  ///< [rows*columns] beam number, 0 = highest
+    float divergence_rad = 0.0f;       ///< full beam divergence; 0 = ideal ray
 
     std::size_t size() const { return direction.size(); }
 };

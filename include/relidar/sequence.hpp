@@ -42,8 +42,8 @@ struct FurtherReturn {
 /// One measured (or simulated) sweep: its rays and what came back along each.
 struct Scan {
     RayTable rays;                   ///< a returned ray carries its own direction and origin
-    std::vector<float> range_m;      ///< [n] of the strongest return, along the ray from its origin; 0 = dropped
-    std::vector<float> intensity;    ///< [n] 0..1; 0 where dropped
+    ScanArray<float> range_m;      ///< [n] of the strongest return, along the ray from its origin; 0 = dropped
+    ScanArray<float> intensity;    ///< [n] 0..1; 0 where dropped
     std::vector<FurtherReturn> further = {};   ///< second, third ... return of the rays, none of a dropped one
 
     /// End point of a ray. @return [3] metres, sensor frame at the ray's firing time

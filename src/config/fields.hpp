@@ -52,6 +52,8 @@ void visit_dataset(C& c, Visitor&& f) {
       "returns nearer than this count as dropped, and the log's sensor simulates none there, metres");
     f("dataset.max_range_m", c.dataset.max_range_m, above(0),
       "returns beyond this range count as dropped, and the log's sensor simulates none there, metres");
+    f("dataset.memory_mib", c.dataset.memory_mib, between(0, kMaxCount),
+      "memory for scans, MiB; those that do not fit lie in a file in TMPDIR, mapped; 0: half of the memory of the machine");
 }
 
 template <class C, class Visitor>

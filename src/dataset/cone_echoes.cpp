@@ -68,8 +68,9 @@ RayTable cone_rays(const RayTable& rays) {
 }
 
 Scan receive(const RayTable& rays, const Scan& cone) {
-    Scan scan{rays, std::vector<float>(rays.size()), std::vector<float>(rays.size()), {}};
-    FurtherReturn& further = scan.further.emplace_back(FurtherReturn{scan.range_m, scan.intensity});
+    Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size()), {}};
+    FurtherReturn& further =
+        scan.further.emplace_back(FurtherReturn{std::vector<float>(rays.size()), std::vector<float>(rays.size())});
     for (std::size_t i = 0; i < rays.size(); ++i) {
         int n_back = 0;
         const std::vector<Return> returns = returns_of(cone, i, n_back);

@@ -56,7 +56,7 @@ Json json_of(const SpinningSensor& sensor) {
 }
 
 Json rays_json(const RayTable& rays) {
-    const auto vectors = [](const std::vector<glm::vec3>& list) {
+    const auto vectors = [](const ScanArray<glm::vec3>& list) {
         Json json = Json::array();
         for (const glm::vec3& v : list) json.push_back({v.x, v.y, v.z});
         return json;

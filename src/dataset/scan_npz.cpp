@@ -123,8 +123,9 @@ RayTable own_rays(const Arrays& arrays) {
     RayTable rays;
     rays.rows = int(arrays.rows);
     rays.columns = int(arrays.columns);
-    rays.direction = arrays.vectors("directions");
-    rays.origin = arrays.find("origin") ? arrays.vectors("origin") : std::vector<glm::vec3>(rays.direction.size(), glm::vec3(0.0f));
+    rays.direction = to_scan_array(arrays.vectors("directions"));
+    if (arrays.find("origin")) rays.origin = to_scan_array(arrays.vectors("origin"));
+    else rays.origin.assign(rays.direction.size(), glm::vec3(0.0f));
     rays.time_offset_s.assign(rays.size(), 0.0f);
     for (std::size_t i = 0; i < rays.size(); ++i) rays.channel.push_back(std::uint16_t(i / arrays.columns));
     return rays;
@@ -177,8 +178,9 @@ Scan scan_of_images(const std::string& where, std::vector<NamedArray> given, con
     scan.rays = has_rays ? own_rays(arrays) : sensor_rays(arrays, source);
     add_times_and_rings(arrays, source, scan.rays);
     // of a rendering: the surface that a ray met, where the mean lies between two
-    scan.range_m = ranges_of(arrays, arrays.find("median_range") ? "median_range" : "range");
-    scan.intensity = intensities_of(arrays, "intensity", scan.range_m, head.units);
+    const std::vector<float> range_m = ranges_of(arrays, arrays.find("median_range") ? "median_range" : "range");
+    scan.range_m = to_scan_array(range_m);
+    scan.intensity = to_scan_array(intensities_of(arrays, "intensity", range_m, head.units));
     for (std::size_t number = 2; number <= kMostReturns && arrays.find(fmt::format("range_{}", number)); ++number) {
         FurtherReturn further{ranges_of(arrays, fmt::format("range_{}", number)), {}};
         further.intensity = intensities_of(arrays, fmt::format("intensity_{}", number), further.range_m, head.units);
@@ -198,7 +200,7 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan) {
     const auto add = [&](const std::string& name, const auto& values) {
         arrays.push_back(make_array(name, shape, values.data(), values.size()));
     };
-    const auto add_vectors = [&](const char* name, const std::vector<glm::vec3>& v) {
+    const auto add_vectors = [&](const char* name, const ScanArray<glm::vec3>& v) {
         arrays.push_back(make_array(name, {shape[0], shape[1], 3}, v.empty() ? nullptr : &v.front().x, v.size() * 3));
     };
     add("range", scan.range_m);

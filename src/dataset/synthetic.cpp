@@ -86,7 +86,7 @@ void cast_rays(const street::Street& whole, const glm::dvec3& offset_m, const Po
 }
 
 Scan empty_scan(const RayTable& rays) {
-    return {rays, std::vector<float>(rays.size(), 0.0f), std::vector<float>(rays.size(), 0.0f)};
+    return {rays, ScanArray<float>(rays.size(), 0.0f), ScanArray<float>(rays.size(), 0.0f)};
 }
 
 /// Position in the street of relidar's origin: the sensor in the middle frame.

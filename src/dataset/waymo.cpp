@@ -10,6 +10,7 @@
 #include <cmath>
 #include <iterator>
 #include <optional>
+#include <span>
 #include <utility>
 
 #include <fmt/format.h>
@@ -191,7 +192,7 @@ public:
             else if (scan.range_m[ray] > 0.0f)
                 place(ray, pixel_pose(*poses, ray, where_));
         if (images.second.empty()) return;
-        FurtherReturn& second = scan.further.emplace_back(FurtherReturn{scan.range_m, scan.intensity});
+        FurtherReturn& second = scan.further.emplace_back(FurtherReturn{to_vector(scan.range_m), to_vector(scan.intensity)});
         read_returns(inflated(images.second), second.range_m, second.intensity);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
             if (scan.range_m[ray] == 0.0f) second.range_m[ray] = second.intensity[ray] = 0.0f;
@@ -209,7 +210,7 @@ private:
                                     image.columns, scan.rays.rows, scan.rays.columns));
     }
 
-    void read_returns(const Image& image, std::vector<float>& range_m, std::vector<float>& intensity) const {
+    void read_returns(const Image& image, std::span<float> range_m, std::span<float> intensity) const {
         constexpr float kFarthest_m = 1e4f;
         for (std::size_t ray = 0; ray < range_m.size(); ++ray) {
             const float range = image.pixel(ray)[0], brightness = image.pixel(ray)[1];

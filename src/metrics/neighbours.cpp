@@ -140,7 +140,7 @@ Scan bin_onto_rays(const RayTable& rays, const Scan& points) {
         throw DataError(fmt::format("binning points onto the sensor's rays: found {} x {} rays, expected an image of rows and columns",
                                     rays.rows, rays.columns));
     const Beams beams{rays};
-    Scan scan{rays, std::vector<float>(rays.size()), std::vector<float>(rays.size())};
+    Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size())};
     for (std::size_t i = 0; i < points.range_m.size(); ++i) {
         const glm::vec3 point = points.point(i);
         const Place place = beams.nearest(point);

@@ -165,7 +165,7 @@ void resize(Scan& scan, int rows, int columns, std::size_t n_further) {
     scan.rays.channel.resize(n);
     scan.range_m.assign(n, 0.0f);
     scan.intensity.assign(n, 0.0f);
-    scan.further.assign(n_further, {scan.range_m, scan.intensity});
+    scan.further.assign(n_further, {std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
 }
 
 /// The modelled ray of a firing, with range 0.

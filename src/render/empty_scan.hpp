@@ -12,10 +12,10 @@ inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& taken =
     RenderedScan scan;
     scan.image.rows = rays.rows;
     scan.image.columns = rays.columns;
-    scan.image.origin = rays.origin;
-    scan.image.direction = rays.direction;
-    scan.time_offset_s = rays.time_offset_s;
-    scan.channel = rays.channel;
+    scan.image.origin = to_vector(rays.origin);
+    scan.image.direction = to_vector(rays.direction);
+    scan.time_offset_s = to_vector(rays.time_offset_s);
+    scan.channel = to_vector(rays.channel);
     scan.world_from_sensor = taken.world_from_sensor;
     scan.track = taken.track;
     scan.time_s = taken.time_s;

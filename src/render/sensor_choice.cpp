@@ -122,7 +122,13 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
 RangeImage real_image(const Config& config, const Scan& scan) {
     RangeImage image;
     if (config.sensor.grid == "native") {
-        image = {scan.rays.rows, scan.rays.columns, scan.range_m, scan.intensity, {}, scan.rays.origin, scan.rays.direction};
+        image = {scan.rays.rows,
+                 scan.rays.columns,
+                 to_vector(scan.range_m),
+                 to_vector(scan.intensity),
+                 {},
+                 to_vector(scan.rays.origin),
+                 to_vector(scan.rays.direction)};
     } else {
         const RangeGrid grid = find_grid(config.sensor.grid);
         std::vector<glm::vec3> points;
@@ -134,7 +140,8 @@ RangeImage real_image(const Config& config, const Scan& scan) {
         }
         const GridImage binned = project_points(grid, points, intensity);
         const RayTable cells = make_rays(grid);
-        image = {grid.rows, grid.columns, binned.range_m, binned.intensity, {}, cells.origin, cells.direction};
+        image = {grid.rows,        grid.columns, binned.range_m, binned.intensity, {}, to_vector(cells.origin),
+                 to_vector(cells.direction)};
     }
     for (const float range : image.range_m) image.drop_prob.push_back(range > 0.0f ? 0.0f : 1.0f);
     return image;

@@ -16,7 +16,7 @@ using Json = nlohmann::ordered_json;
 
 constexpr double kTurn = 10.0;   // radians, more than a turn
 
-Json vectors_json(const std::vector<glm::vec3>& vectors) {
+Json vectors_json(const ScanArray<glm::vec3>& vectors) {
     Json json = Json::array();
     for (const glm::vec3& v : vectors) json.push_back(v.x), json.push_back(v.y), json.push_back(v.z);
     return json;
@@ -91,9 +91,9 @@ std::vector<double> numbers(const JsonField& field, std::size_t n, double larges
     return values;
 }
 
-std::vector<glm::vec3> vectors(const JsonField& field, std::size_t n, double largest) {
+ScanArray<glm::vec3> vectors(const JsonField& field, std::size_t n, double largest) {
     const std::vector<double> values = numbers(field, 3 * n, largest);
-    std::vector<glm::vec3> vectors;
+    ScanArray<glm::vec3> vectors;
     for (std::size_t i = 0; i < n; ++i) vectors.emplace_back(values[3 * i], values[3 * i + 1], values[3 * i + 2]);
     return vectors;
 }

@@ -3,7 +3,9 @@
 #include <relidar/train.hpp>
 
 #include <algorithm>
+#include <filesystem>
 #include <iterator>
+#include <system_error>
 
 #include <fmt/format.h>
 
@@ -27,6 +29,9 @@ Sequence load_log(const Config& config, const Progress& progress) {
     options.max_range_m = config.dataset.max_range_m;
     options.min_range_m = config.dataset.min_range_m;
     options.progress = progress;
+    std::error_code failed;
+    const std::filesystem::path folder = std::filesystem::temp_directory_path(failed);
+    limit_scan_memory(std::uint64_t(config.dataset.memory_mib) << 20, failed ? "/tmp" : folder);
     return load_sequence(config.dataset.path, options);
 }
 

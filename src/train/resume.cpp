@@ -28,6 +28,8 @@ constexpr std::array kFree{"preset",
                            "dataset.path",
                            "dataset.sequence",
                            "dataset.poses",
+                           "dataset.memory_mib",
+                           "train.frame_memory_mib",
                            "train.iterations",
                            "train.log_every",
                            "train.checkpoint_every",
@@ -42,8 +44,8 @@ constexpr std::array kFree{"preset",
 /// Hash of everything added, in order.
 class Hash {
 public:
-    template <class T>
-    void add(const std::vector<T>& values) { add(values.data(), values.size() * sizeof(T)); }
+    template <class T, class Allocator>
+    void add(const std::vector<T, Allocator>& values) { add(values.data(), values.size() * sizeof(T)); }
     void add(const std::string& text) { add(text.data(), text.size()); }
     void add(const PoseTrack& track) {
         add(track.time_s);

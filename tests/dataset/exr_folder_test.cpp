@@ -45,9 +45,9 @@ fs::path one_frame(const std::string& name, const std::string& head = kHead) {
 
 /// The channels of a rendering, of a scan.
 Channels channels_of(const Scan& scan) {
-    Channels channels{{"range", scan.range_m},
-                      {"intensity", scan.intensity},
-                      {"time", scan.rays.time_offset_s},
+    Channels channels{{"range", to_vector(scan.range_m)},
+                      {"intensity", to_vector(scan.intensity)},
+                      {"time", to_vector(scan.rays.time_offset_s)},
                       {"ring", {scan.rays.channel.begin(), scan.rays.channel.end()}}};
     for (int axis = 0; axis < 3; ++axis) {
         const std::string letter(1, "xyz"[axis]);
@@ -132,8 +132,8 @@ TEST(ExrFolder, RowsFromBelow) {
         EXPECT_NEAR(scan.rays.direction[0].z, std::sin(5.0 * kPi / 180.0), 1e-6) << "row 0 is the highest beam in either case";
         return scan.range_m;
     };
-    EXPECT_EQ(ranges(R"("ring_0": "highest",)"), (std::vector<float>{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12}));
-    EXPECT_EQ(ranges(R"("ring_0": "lowest",)"), (std::vector<float>{9, 10, 11, 12, 5, 6, 7, 8, 1, 2, 3, 4}));
+    EXPECT_EQ(ranges(R"("ring_0": "highest",)"), (ScanArray<float>{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12}));
+    EXPECT_EQ(ranges(R"("ring_0": "lowest",)"), (ScanArray<float>{9, 10, 11, 12, 5, 6, 7, 8, 1, 2, 3, 4}));
 }
 
 TEST(ExrFolder, TheSensorThatAFileNames) {

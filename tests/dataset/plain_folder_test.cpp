@@ -414,8 +414,8 @@ TEST(PlainFolder, ReadsRenderedScans) {
     test::write_text(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10})");
     test::write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
     const Scan scan = load_sequence(folder.string(), {}).frames[0].scan;
-    EXPECT_EQ(scan.range_m, (std::vector<float>{5.5f, 0.0f}));
-    EXPECT_EQ(scan.intensity, (std::vector<float>{0.25f, 0.0f}));
+    EXPECT_EQ(scan.range_m, (ScanArray<float>{5.5f, 0.0f}));
+    EXPECT_EQ(scan.intensity, (ScanArray<float>{0.25f, 0.0f}));
     const std::int32_t deskewed = 1;
     arrays.push_back(make_array("deskewed", {}, &deskewed, 1));
     write_npz(folder / "scans/frame_000000.npz", arrays);

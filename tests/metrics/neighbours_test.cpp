@@ -130,7 +130,7 @@ TEST(BinOntoRays, TakesTheNearestAndLeavesOutWhatNoBeamMeets) {
         const double e = elevation_deg * kPi / 180.0;
         return glm::vec3(std::cos(e), 0.0, std::sin(e));
     };
-    Scan points{{1, 5, std::vector<glm::vec3>(5), {}, {}, {}}, {20.0f, 10.0f, 30.0f, 1000.0f, 1000.0f}, {0.2f, 0.1f, 0.3f, 0.4f, 0.5f}};
+    Scan points{{1, 5, ScanArray<glm::vec3>(5), {}, {}, {}}, {20.0f, 10.0f, 30.0f, 1000.0f, 1000.0f}, {0.2f, 0.1f, 0.3f, 0.4f, 0.5f}};
     points.rays.origin = {rays.origin[ray], rays.origin[ray], rays.origin[ray], {}, {}};
     points.rays.direction = {rays.direction[ray], rays.direction[ray], rays.direction[ray], at(5.4), at(-12.8)};
     const Scan scan = bin_onto_rays(rays, points);

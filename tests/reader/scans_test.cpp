@@ -39,7 +39,7 @@ struct Truth {
         scan.rays = make_rays(s);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
-        if (second) scan.further.assign(1, {scan.range_m, scan.intensity});
+        if (second) scan.further.assign(1, {to_vector(scan.range_m), to_vector(scan.intensity)});
         for (std::size_t i = 0; i < scan.rays.size(); ++i) {
             if (random.uniform() < 0.2) continue;
             scan.range_m[i] = float(random.uniform(2.0, 60.0)), scan.intensity[i] = float(random.uniform());
@@ -139,7 +139,7 @@ TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
     const ScanPoints points{{point(1.0, 7.0f), point(3.0, 5.0f), point(3.0, 6.0f)}, {0.1f, 0.2f, 0.3f}, {0, 0, 0}, {0.05f, 0.0f, 0.1f}, {},
                             {2, 1, 0}};
     const Scan scan = spinning_scan(points, one, sweep);
-    EXPECT_EQ(scan.rays.time_offset_s, (std::vector<float>{0.1f, 0.0f, 0.05f}));
+    EXPECT_EQ(scan.rays.time_offset_s, (ScanArray<float>{0.1f, 0.0f, 0.05f}));
     for (std::size_t i = 0; i < 3; ++i) EXPECT_NEAR(scan.range_m[i], (std::array{6.0f, 5.0f, 7.0f}[i]), 1e-6f);
     ScanPoints beyond = points;
     beyond.firing[0] = 3;
@@ -155,9 +155,9 @@ TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
     const Scan scan = unordered_scan(points);
     EXPECT_EQ(scan.rays.rows, 1);
     EXPECT_EQ(scan.rays.columns, 3) << "a point in the sensor has no direction";
-    EXPECT_EQ(scan.range_m, (std::vector<float>{5, 2, 1}));
+    EXPECT_EQ(scan.range_m, (ScanArray<float>{5, 2, 1}));
     EXPECT_EQ(scan.further[0].range_m, (std::vector<float>{10, 0, 0}));
-    EXPECT_EQ(scan.intensity, (std::vector<float>{0.1f, 0.3f, 0.0f}));
+    EXPECT_EQ(scan.intensity, (ScanArray<float>{0.1f, 0.3f, 0.0f}));
     EXPECT_EQ(scan.rays.direction[1], glm::vec3(0, 0, -1));
     EXPECT_EQ(scan.rays.time_offset_s[2], 0.03f);
 }

@@ -110,7 +110,7 @@ Sequence drive_around_block(int n_frames) {
         drive.world_from_vehicle.time_s.push_back(0.1 * k);
         drive.world_from_vehicle.pose.push_back(sensor_at(driven_m(0.1 * k, 0.1 * n_frames)));
         drive.frames.push_back(
-            {.index = k, .time_s = 0.1 * k, .scan = {rays, std::vector<float>(rays.size(), 0.0f), std::vector<float>(rays.size(), 0.0f)}});
+            {.index = k, .time_s = 0.1 * k, .scan = {rays, ScanArray<float>(rays.size(), 0.0f), ScanArray<float>(rays.size(), 0.0f)}});
     }
     const street::Street town = make_town();
     run_parallel(n_frames, [&](int k) {

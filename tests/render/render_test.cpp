@@ -119,10 +119,10 @@ TEST(ProjectScan, RealAndSimulatedPointsAreBinnedAlike) {
     const RenderedScan simulated = scan_of(points, std::vector<float>(points.size(), 0.0f));
     real.rays.rows = 1;
     real.rays.columns = 500;
-    real.rays.origin = simulated.image.origin;
-    real.rays.direction = simulated.image.direction;
-    real.range_m = simulated.image.range_m;
-    real.intensity = simulated.image.intensity;
+    real.rays.origin = to_scan_array(simulated.image.origin);
+    real.rays.direction = to_scan_array(simulated.image.direction);
+    real.range_m = to_scan_array(simulated.image.range_m);
+    real.intensity = to_scan_array(simulated.image.intensity);
     Config config;
     config.sensor.grid = "kitti360";
     const RangeImage image = real_image(config, real);

@@ -50,10 +50,10 @@ TEST_F(ExrScans, AreReadAsScans) {
     const Scan scan = load_sequence(folder.string(), {}).frames.at(0).scan;
     EXPECT_THAT(scan.range_m, testing::ElementsAre(10.5f, 12.0f, 0.0f, 55.25f)) << "the median, where the ray returns";
     EXPECT_THAT(scan.intensity, testing::ElementsAre(0.5f, 1.0f, 0.0f, 0.125f));
-    EXPECT_EQ(scan.rays.direction, truth.image.direction);
-    EXPECT_EQ(scan.rays.origin, truth.image.origin);
-    EXPECT_EQ(scan.rays.channel, truth.channel);
-    EXPECT_EQ(scan.rays.time_offset_s, truth.time_offset_s);
+    EXPECT_EQ(to_vector(scan.rays.direction), truth.image.direction);
+    EXPECT_EQ(to_vector(scan.rays.origin), truth.image.origin);
+    EXPECT_EQ(to_vector(scan.rays.channel), truth.channel);
+    EXPECT_EQ(to_vector(scan.rays.time_offset_s), truth.time_offset_s);
     ASSERT_EQ(scan.further.size(), 1u);
     EXPECT_EQ(scan.further[0].range_m, truth.further[0].range_m);
     EXPECT_EQ(scan.further[0].intensity, truth.further[0].intensity);

@@ -68,8 +68,8 @@ TEST(SensorFiles, RayTablesSayTheSameInEveryFormat) {
         const RayTable rays = make_rays(sensor);
         expect_rays(rays, directions, origins);
         EXPECT_EQ(rays.rows, file == csv ? 1 : 2) << file;
-        EXPECT_EQ(rays.time_offset_s, time) << file;
-        EXPECT_EQ(rays.channel, ring) << file;
+        EXPECT_EQ(to_vector(rays.time_offset_s), time) << file;
+        EXPECT_EQ(to_vector(rays.channel), ring) << file;
         EXPECT_FLOAT_EQ(rays.divergence_rad, 2e-3f) << file;
         EXPECT_EQ(sensor.limits.max_m, 50.0) << file;
     }

@@ -43,7 +43,7 @@ std::vector<reference::Ray> to_reference(const WorldRays& rays) {
     return result;
 }
 
-WorldRays to_world_rays(const RayTable& table) { return {table.origin, table.direction}; }
+WorldRays to_world_rays(const RayTable& table) { return {to_vector(table.origin), to_vector(table.direction)}; }
 
 Surfels take(const Surfels& surfels, const std::vector<std::uint32_t>& order) {
     Surfels result;

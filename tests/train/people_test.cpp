@@ -52,7 +52,7 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
             if (labelled.category == "Car") continue;
             const BoxTrack box = above_ground(labelled);
             const int real =
-                returns_in(street, frame, box, frame.scan.range_m, [&](std::size_t i) { return frame.scan.range_m[i] > 0.0f; });
+                returns_in(street, frame, box, to_vector(frame.scan.range_m), [&](std::size_t i) { return frame.scan.range_m[i] > 0.0f; });
             const int simulated = returns_in(street, frame, box, scan.median_range_m, [&](std::size_t i) {
                 return scan.median_range_m[i] > 0.0f && scan.image.drop_prob[i] < 0.5f;
             });

@@ -69,7 +69,8 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
         SensorChoice sensor = configured_sensor(config, street, frame.lidar);
         sensor.returns = frame.lidar == test::kTwoReturns ? 2 : 1;
         const RenderedScan scan = renderer.render(sensor, frame.time_s);
-        ASSERT_EQ(scan.image.direction, frame.scan.rays.direction) << "nominal rays are those of the scan, LiDAR " << frame.lidar;
+        ASSERT_EQ(scan.image.direction, to_vector(frame.scan.rays.direction))
+            << "nominal rays are those of the scan, LiDAR " << frame.lidar;
         const PoseTrack track = street.world_from_sensor(frame.lidar);
         const RayTable& rays = frame.scan.rays;
         Scan truth = sensor.returns == 2 ? cast_synthetic_beams(options, rays, track, frame.time_s)

@@ -37,13 +37,16 @@ RayTable rays_of(const py::dict& dict) {
     RayTable rays;
     rays.rows = static_cast<int>(image[0]);
     rays.columns = static_cast<int>(image[1]);
-    rays.direction = copied<float, glm::vec3>(directions, "sensor: directions", vectors);
+    rays.direction = to_scan_array(copied<float, glm::vec3>(directions, "sensor: directions", vectors));
     const auto given = [&](const char* name) { return dict.contains(name) ? py::object(dict[name]) : py::object(); };
     const std::size_t n = rays.size();
     const py::object origin = given("origin"), time = given("time"), ring = given("ring");
-    rays.origin = origin ? copied<float, glm::vec3>(origin, "sensor: origin", vectors) : std::vector<glm::vec3>(n);
-    rays.time_offset_s = time ? copied<float, float>(time, "sensor: time", image) : std::vector<float>(n);
-    rays.channel = ring ? copied<std::uint16_t, std::uint16_t>(ring, "sensor: ring", image) : std::vector<std::uint16_t>(n);
+    rays.origin.resize(n);
+    rays.time_offset_s.resize(n);
+    rays.channel.resize(n);
+    if (origin) rays.origin = to_scan_array(copied<float, glm::vec3>(origin, "sensor: origin", vectors));
+    if (time) rays.time_offset_s = to_scan_array(copied<float, float>(time, "sensor: time", image));
+    if (ring) rays.channel = to_scan_array(copied<std::uint16_t, std::uint16_t>(ring, "sensor: ring", image));
     check_rays(rays);
     return rays;
 }
@@ -68,10 +71,10 @@ SensorChoice sensor_of(const py::handle& sensor, const Run& run, int lidar) {
 py::dict to_dict(const RayTable& rays) {
     const Shape image{rays.rows, rays.columns}, vectors{rays.rows, rays.columns, 3};
     py::dict dict;
-    dict["directions"] = owned<float>(std::vector<glm::vec3>(rays.direction), vectors);
-    dict["origin"] = owned<float>(std::vector<glm::vec3>(rays.origin), vectors);
-    dict["time"] = owned<float>(std::vector<float>(rays.time_offset_s), image);
-    dict["ring"] = owned<std::uint16_t>(std::vector<std::uint16_t>(rays.channel), image);
+    dict["directions"] = owned<float>(to_vector(rays.direction), vectors);
+    dict["origin"] = owned<float>(to_vector(rays.origin), vectors);
+    dict["time"] = owned<float>(to_vector(rays.time_offset_s), image);
+    dict["ring"] = owned<std::uint16_t>(to_vector(rays.channel), image);
     return dict;
 }
 

@@ -38,8 +38,8 @@ py::dict scan_of(const Log& log, int position) {
     const Scan& scan = frames[static_cast<std::size_t>(position)].scan;
     const Shape image{scan.rays.rows, scan.rays.columns};
     py::dict dict = to_dict(scan.rays);
-    dict["range"] = owned<float>(std::vector<float>(scan.range_m), image);
-    dict["intensity"] = owned<float>(std::vector<float>(scan.intensity), image);
+    dict["range"] = owned<float>(to_vector(scan.range_m), image);
+    dict["intensity"] = owned<float>(to_vector(scan.intensity), image);
     return dict;
 }
 

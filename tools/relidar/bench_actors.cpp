@@ -57,10 +57,10 @@ std::vector<InstancePose> poses_at(int n_actors, int step) {
 BenchCase case_of_actors(int n_actors, bool own_models) {
     BenchCase bench;
     bench.name = fmt::format("{} actors", n_actors);
-    RayTable table = make_benchmark_rays(kRows, kColumns, 2.0, -24.9);
+    const RayTable table = make_benchmark_rays(kRows, kColumns, 2.0, -24.9);
     bench.rows = table.rows;
     bench.columns = table.columns;
-    bench.rays = {std::move(table.origin), std::move(table.direction)};
+    bench.rays = {to_vector(table.origin), to_vector(table.direction)};
     bench.scene = scene_of_actors(n_actors, own_models);
     bench.config = make_preset("paper");
     bench.config.image.sh_direction = own_models ? ShDirection::surfel : ShDirection::ray;

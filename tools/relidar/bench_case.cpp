@@ -64,7 +64,7 @@ BenchCase street_case(const BenchChoice& choice) {
     bench.rows = table.rows;
     bench.columns = table.columns;
     bench.view_origin_m = table.origin.front();
-    bench.rays = {std::move(table.origin), std::move(table.direction)};   // the street's world is the sensor's
+    bench.rays = {to_vector(table.origin), to_vector(table.direction)};   // the street's world is the sensor's
     Surfels surfels = make_benchmark_street(static_cast<std::uint32_t>(choice.n_surfels), 20261120, choice.street != "A");
     if (choice.street == "C") surfels.opacity_logit.assign(surfels.size(), kFaintLogit);
     bench.scene = make_background_scene(surfels.permuted(kd_order(surfels.mean)));

@@ -150,6 +150,9 @@ Sequence load_dataset(const Config& config, bool quiet) {
     Sequence sequence = load_log(config, shown_by(progress));
     if (!sequence.frames.empty())
         note_frames_beyond({config.dataset.frames_begin, config.dataset.frames_end}, sequence.frames.back().index, sequence.source);
+    if (const ScanMemoryUse use = scan_memory_use(); use.in_file > 0 && !quiet)
+        note(fmt::format("{} of the scans lie in memory, {} in a file in {} (dataset.memory_mib)", byte_size(use.in_memory),
+                         byte_size(use.in_file), fs::temp_directory_path().string()));
     return sequence;
 }
 

@@ -73,10 +73,10 @@ RayTable read_rays(const v1::RayTable& message, const std::string& field) {
     RayTable rays;
     rays.rows = has_order ? int(message.rows()) : 1;
     rays.columns = has_order ? int(message.columns()) : int(n);
-    rays.direction = read_array<glm::vec3>(message.direction(), n, field + ".direction");
-    rays.origin = read_array<glm::vec3>(message.origin_m(), n, field + ".origin_m");
-    rays.time_offset_s = read_array<float>(message.time_s(), n, field + ".time_s");
-    rays.channel = read_array<std::uint16_t>(message.ring(), n, field + ".ring");
+    rays.direction = to_scan_array(read_array<glm::vec3>(message.direction(), n, field + ".direction"));
+    rays.origin = to_scan_array(read_array<glm::vec3>(message.origin_m(), n, field + ".origin_m"));
+    rays.time_offset_s = to_scan_array(read_array<float>(message.time_s(), n, field + ".time_s"));
+    rays.channel = to_scan_array(read_array<std::uint16_t>(message.ring(), n, field + ".ring"));
     rays.origin.resize(n, glm::vec3(0.0f));
     rays.time_offset_s.resize(n, 0.0f);
     for (std::size_t i = rays.channel.size(); i < n; ++i) rays.channel.push_back(std::uint16_t(i / std::size_t(rays.columns)));
@@ -177,7 +177,7 @@ SensorChoice named_sensor(const std::string& name, const Run& run, int lidar) {
 }
 
 FiringSpan firing_span(const SensorChoice& sensor) {
-    const std::vector<float>& times = sensor.rays.time_offset_s;
+    const ScanArray<float>& times = sensor.rays.time_offset_s;
     if (times.empty()) {   // a Rosette, or one that is known by its scans alone
         const double period_s = sensor.pattern ? period_of(*sensor.pattern) : 0.0;
         return {-0.5 * period_s, 0.5 * period_s};

@@ -71,7 +71,7 @@ ScanColumns simulated_columns(const RenderedScan& scan, const Config& config, co
 ScanColumns measured_columns(const Sequence& sequence, const Frame& frame) {
     const Scan& scan = frame.scan;
     const PoseTrack world_from_sensor = sequence.world_from_sensor(frame.lidar);
-    ScanColumns result{scan.rays.rows, scan.rays.columns, {}, scan.range_m, {}, {}, {}, scan.rays.channel};
+    ScanColumns result{scan.rays.rows, scan.rays.columns, {}, to_vector(scan.range_m), {}, {}, {}, to_vector(scan.rays.channel)};
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         const WorldRay ray = world_ray(world_from_sensor, frame.time_s, scan.rays, i, sequence.rolling_shutter);
         result.position_m.push_back(glm::vec3(ray.origin_m + double(scan.range_m[i]) * ray.direction));
