@@ -48,7 +48,7 @@ class MappedFile {
 public:
     explicit MappedFile(fs::path folder) : folder_(std::move(folder)) {
         std::string name = (folder_ / "relidar-scans-XXXXXX").string();
-        file_ = ::mkstemp(name.data());
+        file_ = ::mkostemp(name.data(), O_CLOEXEC);
         if (file_ < 0) fail(folder_, 0, errno);
         ::unlink(name.c_str());
         void* begin = ::mmap(nullptr, kReserved, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_NORESERVE, file_, 0);
