@@ -67,6 +67,12 @@ void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& m
     }
 }
 
+std::uint32_t most_rays(std::span<const FrameData> frames) {
+    std::uint32_t most = 0;
+    for (const FrameData& frame : frames) most = std::max(most, frame.n_rays);
+    return most;
+}
+
 RayBatch FrameData::batch(std::uint32_t first, std::uint32_t stride) const {
     const bool whole = image.columns % stride == 0 && first < stride;   // every stride-th column of each row
     return {&rays(), first, stride, (n_rays - first + stride - 1) / stride, whole ? image.columns / stride : 0, &targets()};

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <span>
 #include <vector>
 
 #include <relidar/config.hpp>
@@ -43,6 +44,9 @@ struct FrameData {
     /// Every stride-th ray from `first` on.
     RayBatch batch(std::uint32_t first, std::uint32_t stride) const;
 };
+
+/// Rays of the largest of some frames; 0 of none.
+std::uint32_t most_rays(std::span<const FrameData> frames);
 
 /// What training must not look at.
 struct Unknown {

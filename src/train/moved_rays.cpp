@@ -16,12 +16,6 @@ std::uint32_t most_knots(const std::vector<FrameData>& frames) {
     return most;
 }
 
-std::uint32_t most_rays(const std::vector<FrameData>& frames) {
-    std::uint32_t most = 0;
-    for (const FrameData& frame : frames) most = std::max(most, frame.n_rays);
-    return most;
-}
-
 }  // namespace
 
 MovedRays::MovedRays(Device& device, const std::vector<FrameData>& frames)

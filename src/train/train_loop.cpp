@@ -58,16 +58,10 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
 /// Active degree of the spherical harmonics; the image's own may be lower.
 int sh_degree_at(const TrainConfig& c, int step) { return c.sh_degree_start + std::max(step - 1, 0) / std::max(1, c.sh_degree_interval); }
 
-std::uint32_t largest_batch(const TrainingFrames& frames) {
-    std::uint32_t largest = 0;
-    for (const FrameData& frame : frames.all()) largest = std::max(largest, frame.n_rays);
-    return largest;
-}
-
 RendererOptions renderer_options(const Config& config, const TrainingFrames& frames) {
     return {.accel = accel_options(config),
             .trace = training_trace_options(config),
-            .n_rays = largest_batch(frames),
+            .n_rays = most_rays(frames.all()),
             .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
 }
 
@@ -101,7 +95,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       renderer_(device, initial, config.image, renderer_options(config, frames_),
                 {backward_options(config), refiner_ ? refiner_->wanted() : WantedGradients{}, all_have_gradients(config)}),
       stream_(renderer_.stream()),
-      losses_(make_losses(device, config.loss, largest_batch(frames_))),
+      losses_(make_losses(device, config.loss, most_rays(frames_.all()))),
       adam_(device, n_surfels(), {.only_touched = config.train.only_touched}, initial.surfels.primitive()),
       reports_(device),
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
@@ -209,7 +203,7 @@ void TrainLoop::check_room(const IterationReports::Report& report) {
                         report.first_step, report.last_step, report.most_hits, report.hit_capacity,
                         report.most_hits / std::max(1u, config_.train.rays_per_iteration > 0
                                                             ? static_cast<std::uint32_t>(config_.train.rays_per_iteration)
-                                                            : largest_batch(frames_)) +
+                                                            : most_rays(frames_.all())) +
                             1));
     if (report.most_hits <= renderer_.backward_pass().hit_capacity() / 2) return;
     close_report(last_step_, false);   // of iterations that had the room there is now

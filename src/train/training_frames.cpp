@@ -71,12 +71,11 @@ TrainingFrames::TrainingFrames(Device& device, const Sequence& sequence, const s
         ++n_staying_;
     }
     keep_on_device(device);
-    std::uint32_t most_rays = 0;
-    for (std::size_t i = n_staying_; i < frames_.size(); ++i) most_rays = std::max(most_rays, frames_[i].n_rays);
-    if (most_rays == 0) return;
-    shared_ = std::make_shared<FrameArrays>(FrameArrays{{device, most_rays, "training rays"},
-                                                        {device, most_rays, "training targets"},
-                                                        {device, use_.moves_rays ? most_rays : 0, "places of rays"}});
+    const std::uint32_t n = most_rays(std::span(frames_).subspan(n_staying_));
+    if (n == 0) return;
+    shared_ = std::make_shared<FrameArrays>(FrameArrays{{device, n, "training rays"},
+                                                        {device, n, "training targets"},
+                                                        {device, use_.moves_rays ? n : 0, "places of rays"}});
     for (std::size_t i = n_staying_; i < frames_.size(); ++i) frames_[i].arrays = shared_;
 }
 
