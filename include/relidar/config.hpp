@@ -96,6 +96,7 @@ struct TrainConfig {
 struct BlockConfig {
     double length_m = 0.0;   ///< of the way that the sensor has driven, a block, at most; 0 = the log is trained in one piece
     double halo_m = 40.0;    ///< sweeps that were taken so near to a block are trained on with it
+    int actor_epochs = 4;    ///< so often every training frame teaches the actors before the joined background; 0 = not
 };
 
 struct RenderConfig {

@@ -58,8 +58,10 @@ void save_model(const std::filesystem::path& path, const Scene& scene);
 /// Reads it back. @throws DataError for missing, misshapen or non-finite arrays, naming array and row
 Scene load_model(const std::filesystem::path& path);
 
+/// The background of one block. @throws DataError as load_model(), and for a file that does not hold what the scene says
+Surfels read_block(const SceneBlock& block);
 /// The scene with some of its blocks read into its background, which gets kd order; without the others.
-/// @param blocks  positions in Scene::blocks @throws DataError as load_model(), and for a file that does not hold what the scene says
+/// @param blocks  positions in Scene::blocks @throws DataError as read_block()
 Scene read_blocks(const Scene& scene, const std::vector<std::size_t>& blocks);
 /// The same with all of them: for what works on every surfel.
 Scene whole_scene(const Scene& scene);

@@ -94,6 +94,9 @@ struct DrivingScene {
 /// A scene of one model, the background, with one instance.
 Scene make_background_scene(Surfels surfels);
 
+/// The scene with another background, which is put into kd order, and without blocks.
+Scene with_background(const Scene& scene, const Surfels& background);
+
 /// The same scene with a model of its own for every instance: the surfels of a model placed n times are there n times.
 Scene own_models(Scene scene);
 

@@ -171,6 +171,9 @@ struct Sequence {
     std::optional<std::uint16_t> beam_number(int lidar, std::uint16_t channel) const;
 };
 
+/// All of a log but its frames.
+Sequence without_frames(const Sequence& sequence);
+
 /// Position of a LiDAR in Sequence::lidars, by its name; the first for an empty one. @throws UsageError for a name that none has
 int find_lidar(const Sequence& sequence, const std::string& name);
 

@@ -109,6 +109,19 @@ struct RefineSession {
 /// @throws DataError where no training frame has an image, or none has a dropped ray
 DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& session = {});
 
+/// How actors are trained on.
+struct ActorSession {
+    std::function<void(int step, int n_steps)> step = {};   ///< called after each step
+    std::function<bool()> stop = {};                        ///< asked after each step; true ends it
+};
+
+/// Trains the actors of a run whose scene is in blocks and whose sequence has its scans, blocks.actor_epochs times on each training frame
+/// that sees one. A block's training knows nothing of what lies behind its actors beyond its own sweeps' surroundings: here they learn
+/// before the background of all blocks, which stays as it is. Rays are those that come near an actor's box; of the background takes part
+/// what lies along them. The number of surfels stays.
+/// @return whether it came to its end @throws DataError as read_blocks(), and where a loss is not finite
+bool train_actors(Device& device, Run& run, const ActorSession& session = {});
+
 /// Gives a run what training has made of its log: the scene, and the poses where training has corrected them. Both are moved out of the
 /// result.
 void take_result(Run& run, TrainResult& result);

@@ -57,17 +57,11 @@ void keep_known(InitialiseOptions& options, const std::vector<BoxTrack>& boxes) 
 
 BlockLog block_log(const Sequence& sequence, const Split& split, const Block& block, const Config& config) {
     const std::vector<int> frames = frames_of(block, split);
-    BlockLog log{{}, {}, config};
+    BlockLog log{without_frames(sequence), {}, config};
     Sequence& part = log.sequence;
     part.name = fmt::format("{}, metres {:.0f} to {:.0f}", sequence.name, block.begin_m, block.end_m);
-    part.source = sequence.source;
-    part.lidars = sequence.lidars;
     part.world_from_vehicle = poses_around(sequence, frames);
-    part.world_offset_m = sequence.world_offset_m;
-    part.intensity_response = sequence.intensity_response;
-    part.range_noise = sequence.range_noise;
-    part.conventions = sequence.conventions;
-    part.rolling_shutter = sequence.rolling_shutter;
+    part.boxes.clear();
     for (const int position : frames) {
         const bool trains = std::binary_search(block.train.begin(), block.train.end(), position);
         (trains ? log.split.train : log.split.test).push_back(static_cast<int>(part.frames.size()));

@@ -226,6 +226,8 @@ void visit_blocks(C& c, Visitor&& f) {
     f("blocks.length_m", c.blocks.length_m, between(0, 1e6),
       "the log is trained in blocks of at most so many metres of its way; 0: in one piece");
     f("blocks.halo_m", c.blocks.halo_m, between(0, 1e6), "training frames that were taken so near to a block are trained on with it");
+    f("blocks.actor_epochs", c.blocks.actor_epochs, between(0, 1000),
+      "so often every training frame teaches the actors once the blocks are joined; 0: actors stay as a block has left them");
 }
 
 template <class C, class Visitor>

@@ -39,8 +39,8 @@ struct Adam::Impl {
     Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, Primitive primitive)
         : options(o),
           per_float(o.thread_per_float.value_or(coalesces(device))),
-          moment1(device, n_surfels, "first moment", primitive),
-          moment2(device, n_surfels, "second moment", primitive),
+          moment1(device, n_surfels - std::min(o.n_fixed, n_surfels), "first moment", primitive),
+          moment2(device, moment1.n, "second moment", primitive),
           kernel(device, "optimizer/adam", constants(per_float)) {}
 };
 
@@ -58,7 +58,8 @@ SurfelArrays& Adam::moment2() { return impl_->moment2; }
 void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t>* touched, const LearningRates& rates,
                 int step, int sh_degree) {
     Impl& a = *impl_;
-    RELIDAR_ASSERT_LE(p.n, a.moment1.n);
+    const std::uint32_t first = std::min(a.options.n_fixed, p.n), n_rows = p.n - first;
+    RELIDAR_ASSERT_LE(n_rows, a.moment1.n);
     RELIDAR_ASSERT_LE(p.n, g.n);
     const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step)));
     const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step)));
@@ -66,12 +67,13 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
     for (const ParameterGroup& group : groups_of(p.primitive)) {
         const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
         const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;   // of all but the first float of a block
-        run(stream, a.kernel, std::size_t(p.n) * (a.per_float ? stride : 1u),
-            {.values = (p.*group.device).address(),
-             .gradients = (g.*group.device).address(),
+        const std::size_t from = std::size_t(first) * stride;
+        run(stream, a.kernel, std::size_t(n_rows) * (a.per_float ? stride : 1u),
+            {.values = (p.*group.device).address(from),
+             .gradients = (g.*group.device).address(from),
              .moment1 = (a.moment1.*group.device).address(),
              .moment2 = (a.moment2.*group.device).address(),
-             .touched = address_of(touched),
+             .touched = touched ? touched->address(first) : Address<std::uint32_t>{},
              .learning_rate = static_cast<float>(rates.*group.rate * rest_factor),
              .beta1 = static_cast<float>(a.options.beta1),
              .beta2 = static_cast<float>(a.options.beta2),
@@ -79,7 +81,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
              .correction1 = correction1,
              .correction2 = correction2,
              .first_scale = static_cast<float>(1.0 / std::max(rest_factor, 1e-12)),
-             .n_rows = p.n,
+             .n_rows = n_rows,
              .stride = stride,
              .block = block,
              .n_active = group.harmonics ? active_harmonics : block,

@@ -9,7 +9,6 @@
 #include <relidar/error.hpp>
 
 namespace relidar {
-namespace {
 
 Surfels read_block(const SceneBlock& block) {
     const Scene scene = load_model(block.file);
@@ -20,19 +19,10 @@ Surfels read_block(const SceneBlock& block) {
     return scene.surfels.slice(0, background.count);
 }
 
-}  // namespace
-
 Scene read_blocks(const Scene& scene, const std::vector<std::size_t>& blocks) {
-    const std::uint32_t in_memory = scene.models.front().count;
-    Surfels background = scene.surfels.slice(0, in_memory);
+    Surfels background = scene.surfels.slice(0, scene.models.front().count);
     for (const std::size_t i : blocks) background.append(read_block(scene.blocks[i]));
-    Scene read = layout_of(scene);
-    read.blocks.clear();
-    read.surfels = background.permuted(kd_order(background.mean));
-    read.models.front().count = static_cast<std::uint32_t>(background.size());
-    for (Model& model : read.models) model.first += &model == &read.models.front() ? 0 : read.models.front().count - in_memory;
-    read.surfels.append(scene.surfels.slice(in_memory, scene.surfels.size() - in_memory));
-    return read;
+    return with_background(scene, background);
 }
 
 Scene whole_scene(const Scene& scene) {

@@ -65,6 +65,17 @@ void make_gaussians(Surfels& surfels, double thickness) {
         surfels.log_scale_w.push_back(0.5f * (s.x + s.y) + static_cast<float>(std::log(thickness)));
 }
 
+Scene with_background(const Scene& scene, const Surfels& background) {
+    const std::uint32_t before = scene.models.front().count, n = static_cast<std::uint32_t>(background.size());
+    Scene other = layout_of(scene);
+    other.blocks.clear();
+    other.surfels = background.permuted(kd_order(background.mean));
+    other.models.front().count = n;
+    for (std::size_t i = 1; i < other.models.size(); ++i) other.models[i].first += n - before;   // modulo 2^32
+    other.surfels.append(scene.surfels.slice(before, scene.surfels.size() - before));
+    return other;
+}
+
 Scene layout_of(const Scene& scene) { return {{}, scene.models, scene.instances, scene.sensor_drop, scene.blocks}; }
 
 std::size_t count_surfels(const Scene& scene) {

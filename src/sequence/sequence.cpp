@@ -117,6 +117,21 @@ std::optional<std::uint16_t> Sequence::beam_number(int lidar, std::uint16_t chan
     return static_cast<std::uint16_t>(number);
 }
 
+Sequence without_frames(const Sequence& all) {
+    return {all.name,
+            all.source,
+            all.lidars,
+            {},
+            all.world_from_vehicle,
+            all.boxes,
+            all.world_offset_m,
+            all.intensity_response,
+            all.range_noise,
+            all.conventions,
+            all.notes,
+            all.rolling_shutter};
+}
+
 PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved) {
     for (Pose& pose : track.pose) pose = pose * sensor_from_moved;
     return track;

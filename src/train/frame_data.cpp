@@ -4,18 +4,14 @@
 
 #include <algorithm>
 
+#include "train/placed_box.hpp"
 #include "train/sensor_drop.hpp"
 
 namespace relidar {
 
 namespace {
 
-/// A moving box where it is now, or would be beside its labels, grown by the margin.
-struct PlacedBox {
-    Pose box_from_world;
-    glm::dvec3 half_size_m;
-};
-
+/// Moving boxes where they are now, or would be beside their labels, grown by the margin.
 std::vector<PlacedBox> masked_boxes_at(const Sequence& sequence, double t_s, const Unknown& masks) {
     std::vector<PlacedBox> placed;
     for (const BoxTrack& box : separate_boxes(sequence, masks.moving)) {
@@ -27,24 +23,9 @@ std::vector<PlacedBox> masked_boxes_at(const Sequence& sequence, double t_s, con
     return placed;
 }
 
-/// Interval of a ray inside a box. @return entry > exit where it misses
-glm::dvec2 box_interval(const PlacedBox& box, const WorldRay& ray) {
-    const glm::dvec3 o = box.box_from_world * ray.origin_m, d = box.box_from_world.rotation * ray.direction;
-    glm::dvec2 interval(0.0, 1e30);
-    for (int axis = 0; axis < 3; ++axis) {
-        if (std::abs(d[axis]) < 1e-12) {
-            if (std::abs(o[axis]) > box.half_size_m[axis]) return {1.0, 0.0};
-            continue;
-        }
-        const double a = (-box.half_size_m[axis] - o[axis]) / d[axis], b = (box.half_size_m[axis] - o[axis]) / d[axis];
-        interval = {std::max(interval.x, std::min(a, b)), std::min(interval.y, std::max(a, b))};
-    }
-    return interval;
-}
-
 bool is_unknown(const std::vector<PlacedBox>& boxes, const WorldRay& ray, double range_m) {
     return std::any_of(boxes.begin(), boxes.end(), [&](const PlacedBox& box) {
-        const glm::dvec2 inside = box_interval(box, ray);
+        const glm::dvec2 inside = box.interval(ray);
         return inside.x <= inside.y && (range_m <= 0.0 || (range_m >= inside.x && range_m <= inside.y));
     });
 }

@@ -58,8 +58,18 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
 /// Active degree of the spherical harmonics; the image's own may be lower.
 int sh_degree_at(const TrainConfig& c, int step) { return c.sh_degree_start + std::max(step - 1, 0) / std::max(1, c.sh_degree_interval); }
 
-RendererOptions renderer_options(const Config& config, const TrainingFrames& frames) {
-    return {.accel = accel_options(config),
+/// Where most surfels are fixed, fitting trees to the few that learn is most of an iteration. It is done every kFitEvery iterations then,
+/// around boxes that none leaves in between: at the rates of training a surfel moves by millimetres and grows by some per cent.
+constexpr int kFitEvery = 4;
+
+AccelOptions tree_options(const Config& config, std::uint32_t n_fixed) {
+    AccelOptions options = accel_options(config);
+    if (n_fixed > 0) options.margin_scale = 1.1f, options.margin_m = 0.01f;
+    return options;
+}
+
+RendererOptions renderer_options(const Config& config, const TrainingFrames& frames, std::uint32_t n_fixed) {
+    return {.accel = tree_options(config, n_fixed),
             .trace = training_trace_options(config),
             .n_rays = most_rays(frames.all()),
             .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
@@ -87,16 +97,18 @@ FrameUse frame_use(const Sequence& sequence, const Split& split, const Scene& sc
 
 }  // namespace
 
-TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial, const Config& config)
+TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial, const Config& config,
+                     std::uint32_t n_fixed)
     : config_(config),
+      n_fixed_(n_fixed),
       frames_(device, sequence, split.train, frame_use(sequence, split, initial, config)),
       batches_(device, config, frames_.all()),
       refiner_(make_refiner(device, sequence, initial, config.train, frames_)),
-      renderer_(device, initial, config.image, renderer_options(config, frames_),
+      renderer_(device, initial, config.image, renderer_options(config, frames_, n_fixed),
                 {backward_options(config), refiner_ ? refiner_->wanted() : WantedGradients{}, all_have_gradients(config)}),
       stream_(renderer_.stream()),
       losses_(make_losses(device, config.loss, most_rays(frames_.all()))),
-      adam_(device, n_surfels(), {.only_touched = config.train.only_touched}, initial.surfels.primitive()),
+      adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed}, initial.surfels.primitive()),
       reports_(device),
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.all().size(), config.train.seed) {
@@ -119,7 +131,10 @@ const FrameData& TrainLoop::place(std::size_t frame_index, int step) {
     FrameData& frame = frames_.bring(stream_, frame_index);
     if (refiner_) refiner_->place(stream_, frame);
     renderer_.set_sh_degree(sh_degree_at(config_.train, step));
-    renderer_.place(frame.placed, frame.sensor_position_m);
+    // without harmonics per surfel, move() would leave the records of hits as they were
+    const bool fits = n_fixed_ == 0 || config_.image.sh_direction == ShDirection::ray || step % kFitEvery == 1;
+    if (fits) renderer_.place(frame.placed, frame.sensor_position_m);
+    else renderer_.move(frame.placed, frame.sensor_position_m);
     return frame;
 }
 

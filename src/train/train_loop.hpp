@@ -48,7 +48,9 @@ private:
 
 class TrainLoop {
 public:
-    TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial, const Config& config);
+    /// @param n_fixed  the first so many surfels stay as they are
+    TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial, const Config& config,
+              std::uint32_t n_fixed = 0);
     ~TrainLoop();
     TrainLoop(const TrainLoop&) = delete;
     TrainLoop& operator=(const TrainLoop&) = delete;
@@ -82,6 +84,7 @@ public:
 
 private:
     const Config& config_;
+    const std::uint32_t n_fixed_;
     TrainingFrames frames_;
     BatchSampler batches_;
     std::optional<PoseRefiner> refiner_;   ///< where the config wants one

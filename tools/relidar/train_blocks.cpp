@@ -10,6 +10,7 @@
 #include <fmt/format.h>
 
 #include "console.hpp"
+#include "interrupt.hpp"
 #include "output_folder.hpp"
 #include "training.hpp"
 #include <relidar/blocks.hpp>
@@ -116,6 +117,7 @@ public:
         if (!how_.ranks.is_first()) return {};
         for (const std::size_t k : others) total_.add(read_log(folders[k]));
         join_blocks(run_, blocks_, folders);
+        train_actors();
         TrainResult result = total_.take(run_.config.train.iterations);
         write_log(run_.folder, result.log);
         return result;
@@ -149,6 +151,22 @@ private:
         seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
         ++trained_;
         return true;
+    }
+
+    void train_actors() {
+        Progress progress(how_.quiet);
+        const auto start = Clock::now();
+        const auto show = [&](int step, int n_steps) {
+            const double s = std::chrono::duration<double>(Clock::now() - start).count();
+            progress.show(fmt::format("actors before the joined background, step {}/{}  {:.2f} it/s  eta {}", step, n_steps, step / s,
+                                      duration(s / step * (n_steps - step))),
+                          step == n_steps);
+        };
+        const bool done = relidar::train_actors(device_, run_, {show, interrupted});
+        end_progress_line();
+        if (!done)
+            throw Error(ExitCode::interrupted, fmt::format("interrupted after the last block, while actors learn; continue with: {}",
+                                                           how_.resume));
     }
 
     std::string name_of(std::size_t k) const { return fmt::format("block {} of {}", k + 1, blocks_.size()); }

@@ -17,6 +17,7 @@ struct AdamOptions {
     double epsilon = 1e-15;
     /// surfels without a gradient in this batch keep values and moments; false: their moments decay, and move them
     bool only_touched = false;
+    std::uint32_t n_fixed = 0;   ///< the first so many surfels stay as they are, and have no moments
     std::optional<bool> thread_per_float = std::nullopt;   ///< instead of one thread a surfel and group; not given: on GPUs
 };
 

@@ -1,0 +1,227 @@
+// SPDX-License-Identifier: Apache-2.0
+// Actors of a scene in blocks learn on before the joined background. What they learn from is little: the rays near their boxes, and the
+// surfels along these, so that many blocks go into one training and an actor that drives along learns from all of them in random order.
+#include <relidar/train.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include <relidar/run.hpp>
+
+#include "core/parallel.hpp"
+#include "train/placed_box.hpp"
+#include "train/train_loop.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kBeside_m = 0.5;              // of an actor's box: its silhouette
+constexpr double kSweep_m = 0.2;               // that a sensor comes along while its beam crosses an actor
+constexpr double kAlong_m = 2.0;               // that it comes along within a sweep, to either side of its time
+constexpr double kReach_sigmas = 3.5;          // of a surfel: beyond, its alpha is below any that is blended
+constexpr std::size_t kTogether = 1'500'000;   // surfels of the blocks that go into one training, of which it takes what is near actors
+constexpr float kBlind = 0.5f;                 // of the sensor's own drop probability: such rays tell nothing of actors
+
+/// An actor at the moment at which the sensor faces it.
+struct Sight {
+    glm::dvec3 sensor_m;
+    PlacedBox box;
+
+    bool is_met_by(const WorldRay& ray) const { return meets(ray, kBeside_m); }
+    /// Whether a ball is on the way of rays that meet it, before or behind.
+    bool may_show(const glm::dvec3& point_m, double reach_m) const {
+        return meets({sensor_m, glm::normalize(point_m - sensor_m)}, kBeside_m + kSweep_m + reach_m);
+    }
+
+private:
+    bool meets(const WorldRay& ray, double grown_m) const {
+        const glm::dvec2 inside = box.interval(ray, grown_m);
+        return inside.x <= inside.y;
+    }
+};
+
+/// A training frame with the actors that it sees.
+struct SightedFrame {
+    int position = 0;   ///< in Sequence::frames
+    glm::dvec3 sensor_m{0.0};
+    std::vector<Sight> sights;
+};
+
+/// Frames that go into one training, and the blocks that their rays can reach.
+struct Stretch {
+    std::vector<SightedFrame> frames;
+    std::set<std::size_t> blocks;
+};
+
+double farthest_m(const Scan& scan) { return scan.range_m.empty() ? 0.0 : *std::max_element(scan.range_m.begin(), scan.range_m.end()); }
+
+/// Those that the frame's returns reach.
+std::vector<Sight> sights_of(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor) {
+    const std::vector<InstancePose> placed = place_instances(run.scene, run.sequence, moment_of(frame));
+    const double reach_m = farthest_m(frame.scan);
+    std::vector<Sight> sights;
+    for (std::size_t i = 0; i < placed.size(); ++i) {
+        const auto box = std::find_if(run.sequence.boxes.begin(), run.sequence.boxes.end(),
+                                      [&](const BoxTrack& b) { return b.id == run.scene.instances[i].track; });
+        if (box == run.sequence.boxes.end() || !placed[i].present) continue;
+        const Sight sight{world_from_sensor.at(placed[i].time_s).translation, {inverse(placed[i].world_from_model), 0.5 * box->size_m}};
+        if (glm::distance(sight.sensor_m, placed[i].world_from_model.translation) < reach_m + 0.5 * glm::length(box->size_m))
+            sights.push_back(sight);
+    }
+    return sights;
+}
+
+bool reaches(const SceneBlock& block, const glm::dvec3& sensor_m, double range_m) {
+    const glm::dvec3 nearest = glm::clamp(sensor_m, glm::dvec3(block.low_m), glm::dvec3(block.high_m));
+    return block.count > 0 && glm::distance(nearest, sensor_m) <= range_m + kAlong_m;
+}
+
+/// Cuts the training frames into stretches whose blocks have kTogether surfels at most, or those of one frame.
+std::vector<Stretch> stretches_of(const Run& run) {
+    std::vector<Stretch> stretches(1);
+    for (const int position : run.split.train) {
+        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        const PoseTrack world_from_sensor = run.sequence.world_from_sensor(frame.lidar);
+        const glm::dvec3 sensor_m = world_from_sensor.at(frame.time_s).translation;
+        SightedFrame sighted{position, sensor_m, sights_of(run, frame, world_from_sensor)};
+        if (sighted.sights.empty()) continue;
+        std::set<std::size_t> reached, together = stretches.back().blocks;
+        for (std::size_t i = 0; i < run.scene.blocks.size(); ++i)
+            if (reaches(run.scene.blocks[i], sensor_m, farthest_m(frame.scan))) reached.insert(i);
+        together.insert(reached.begin(), reached.end());
+        std::size_t n = 0;
+        for (const std::size_t i : together) n += run.scene.blocks[i].count;
+        if (n > kTogether && !stretches.back().frames.empty()) stretches.emplace_back(), together = reached;
+        stretches.back().frames.push_back(std::move(sighted));
+        stretches.back().blocks = std::move(together);
+    }
+    return stretches;
+}
+
+/// The rays of a scan that come near an actor and that the sensor is not blind for, without image order.
+Scan rays_near(const Run& run, const Frame& frame, const std::vector<Sight>& sights) {
+    const Scan& all = frame.scan;
+    const PoseTrack track = run.sequence.world_from_sensor(frame.lidar);
+    Scan scan;
+    scan.rays.divergence_rad = all.rays.divergence_rad;
+    for (std::size_t i = 0; i < all.range_m.size(); ++i) {
+        const WorldRay ray = world_ray(track, frame.time_s, all.rays, i, run.sequence.rolling_shutter);
+        if (std::none_of(sights.begin(), sights.end(), [&](const Sight& sight) { return sight.is_met_by(ray); })) continue;
+        const auto beam = run.sequence.beam_number(frame.lidar, all.rays.channel[i]);
+        if (beam && run.scene.sensor_drop.at(*beam, all.rays.direction[i]) > kBlind) continue;
+        scan.rays.origin.push_back(all.rays.origin[i]);
+        scan.rays.direction.push_back(all.rays.direction[i]);
+        scan.rays.time_offset_s.push_back(all.rays.time_offset_s[i]);
+        scan.rays.channel.push_back(all.rays.channel[i]);
+        scan.range_m.push_back(all.range_m[i]);
+        scan.intensity.push_back(all.intensity[i]);
+    }
+    scan.rays.rows = 1;
+    scan.rays.columns = static_cast<int>(scan.range_m.size());
+    return scan;
+}
+
+/// The log of a stretch: its frames with the rays that are near actors.
+Sequence log_of(const Run& run, const Stretch& stretch) {
+    std::vector<Frame> frames(stretch.frames.size());
+    run_parallel(static_cast<int>(frames.size()), [&](int i) {
+        const SightedFrame& sighted = stretch.frames[std::size_t(i)];
+        const Frame& from = run.sequence.frames[std::size_t(sighted.position)];
+        frames[std::size_t(i)] = {from.index, from.time_s, rays_near(run, from, sighted.sights), from.lidar, from.start};
+    });
+    Sequence log = without_frames(run.sequence);
+    for (Frame& frame : frames)
+        if (frame.scan.rays.columns > 0) log.frames.push_back(std::move(frame));
+    return log;
+}
+
+/// Those surfels that lie along rays near actors.
+Surfels along_rays(const Surfels& surfels, const std::vector<const SightedFrame*>& frames) {
+    std::vector<std::uint8_t> kept(surfels.size(), 0);
+    for_each_block(surfels.size(), [&](std::size_t i) {
+        const glm::dvec3 mean = surfels.mean[i];
+        const double reach_m = kReach_sigmas * std::exp(double(std::max(surfels.log_scale[i].x, surfels.log_scale[i].y)));
+        kept[i] = std::any_of(frames.begin(), frames.end(), [&](const SightedFrame* frame) {
+            return std::any_of(frame->sights.begin(), frame->sights.end(), [&](const Sight& s) { return s.may_show(mean, reach_m); });
+        });
+    });
+    std::vector<std::uint32_t> order;
+    for (std::uint32_t i = 0; i < kept.size(); ++i)
+        if (kept[i]) order.push_back(i);
+    return surfels.permuted(order);
+}
+
+/// What a stretch is trained on, and the extent that training a block of it would have.
+struct StretchScene {
+    Scene scene;
+    double extent_m = 1.0;
+};
+
+StretchScene scene_of(const Run& run, const Stretch& stretch) {
+    std::vector<const SightedFrame*> all;
+    for (const SightedFrame& frame : stretch.frames) all.push_back(&frame);
+    Surfels background = along_rays(run.scene.surfels.slice(0, run.scene.models.front().count), all);
+    double extent_m = stretch.blocks.empty() ? background_extent(run.scene) : 0.0;
+    for (const std::size_t i : stretch.blocks) {
+        const Scene block = make_background_scene(read_block(run.scene.blocks[i]));
+        std::vector<const SightedFrame*> near;
+        for (const SightedFrame& frame : stretch.frames)
+            if (reaches(run.scene.blocks[i], frame.sensor_m, farthest_m(run.sequence.frames[std::size_t(frame.position)].scan)))
+                near.push_back(&frame);
+        background.append(along_rays(block.surfels, near));
+        extent_m += background_extent(block) / double(stretch.blocks.size());
+    }
+    return {with_background(run.scene, background), extent_m};
+}
+
+/// The schedule of training once more, on all rays there are, without what changes poses or the number of surfels.
+Config settings_of(const Config& config, double extent_m, std::size_t n_frames) {
+    Config c = config;
+    TrainConfig& t = c.train;
+    t.iterations = static_cast<int>(std::min<std::size_t>(std::size_t(config.blocks.actor_epochs) * n_frames, 1'000'000'000));
+    t.rays_per_iteration = 0;
+    t.only_touched = true;
+    t.sensor_drop = false;   // such rays are left out before
+    t.refine_poses = "none";
+    t.sh_degree_start = c.image.sh_degree;
+    if (!(t.extent_m > 0.0)) t.extent_m = extent_m;
+    c.densify.strategy = DensifyStrategy::none;
+    c.densify.prune_unseen = false;
+    c.loss.intensity_ssim = c.loss.normal = 0.0f;   // compare neighbours in an image
+    return c;
+}
+
+}  // namespace
+
+bool train_actors(Device& device, Run& run, const ActorSession& session) {
+    if (run.config.blocks.actor_epochs == 0 || run.scene.instances.size() < 2) return true;
+    const std::vector<Stretch> stretches = stretches_of(run);
+    const std::uint32_t n_before = run.scene.models.front().count;
+    const std::size_t n_actors = run.scene.surfels.size() - n_before;
+    std::size_t n_frames = 0, done = 0;
+    for (const Stretch& stretch : stretches) n_frames += stretch.frames.size();
+    for (const Stretch& stretch : stretches) {
+        const Sequence log = log_of(run, stretch);
+        if (log.frames.empty()) continue;
+        Split split;
+        for (std::size_t i = 0; i < log.frames.size(); ++i) split.train.push_back(static_cast<int>(i));
+        const auto [scene, extent_m] = scene_of(run, stretch);
+        const Config config = settings_of(run.config, extent_m, log.frames.size());
+        TrainLoop loop(device, log, split, scene, config, scene.models.front().count);
+        for (int step = 1; step <= config.train.iterations; ++step) {
+            loop.iterate(step);
+            if (session.step) session.step(static_cast<int>(done) + step, run.config.blocks.actor_epochs * static_cast<int>(n_frames));
+            if (session.stop && session.stop()) return false;
+        }
+        loop.finish();
+        done += std::size_t(config.train.iterations);
+        const Scene trained = loop.download();
+        Surfels surfels = run.scene.surfels.slice(0, n_before);
+        surfels.append(trained.surfels.slice(trained.surfels.size() - n_actors, n_actors));
+        run.scene.surfels = std::move(surfels);
+    }
+    return true;
+}
+
+}  // namespace relidar

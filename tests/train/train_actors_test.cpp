@@ -1,0 +1,155 @@
+// SPDX-License-Identifier: Apache-2.0
+// Actors that learn on before a background they have not been trained with: they close up, and nothing else changes.
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <vector>
+
+#include <stdlib.h>
+
+#include <gmock/gmock.h>
+
+#include <relidar/dataset.hpp>
+#include <relidar/render.hpp>
+#include <relidar/run.hpp>
+#include <relidar/train.hpp>
+
+#include "../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+class TrainActors : public test::DeviceTest {
+protected:
+    /// A street in two blocks, one of what lies before x = 0 and one of what lies behind. Its cars are thin: rays shine through.
+    void SetUp() override {
+        DeviceTest::SetUp();
+        if (IsSkipped()) return;
+        std::string pattern = (std::filesystem::temp_directory_path() / "relidar-actors-XXXXXX").string();
+        ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
+        folder = pattern;
+        SyntheticOptions options;
+        options.n_frames = 11;
+        options.rows = 24;
+        options.columns = 384;
+        run.folder = folder;
+        run.sequence = make_synthetic_street(options);
+        run.split = split_frames(run.sequence, 10);
+        run.config = make_preset("quick");
+        run.config.init.voxel_m = 0.3;
+        run.config.init.actor_min_points = 10;
+        run.config.init.scale_factor = 0.8;   // no holes between the points of a car
+        run.config.train.deterministic = true;
+        run.config.blocks.actor_epochs = 4;
+        Scene whole = initialise_scene(run.sequence, run.split.train, run.config.init);
+        for (std::size_t i = 0; i < whole.surfels.size(); ++i) whole.surfels.opacity_logit[i] = i < whole.models[0].count ? 6.0f : -1.5f;
+        run.scene = with_background(whole, {});
+        for (const bool right : {false, true}) run.scene.blocks.push_back(save_half(whole, right));
+    }
+
+    void TearDown() override {
+        if (!folder.empty()) std::filesystem::remove_all(folder);
+        DeviceTest::TearDown();
+    }
+
+    SceneBlock save_half(const Scene& whole, bool right) {
+        std::vector<std::uint32_t> order;
+        for (std::uint32_t i = 0; i < whole.models[0].count; ++i)
+            if ((whole.surfels.mean[i].x >= 0.0f) == right) order.push_back(i);
+        const Scene half = make_background_scene(whole.surfels.permuted(order));
+        SceneBlock block{folder / (right ? "right.safetensors" : "left.safetensors"), half.models[0].count, half.surfels.mean[0],
+                         half.surfels.mean[0]};
+        for (const glm::vec3& mean : half.surfels.mean) {
+            block.low_m = glm::min(block.low_m, mean);
+            block.high_m = glm::max(block.high_m, mean);
+        }
+        save_model(block.file, half);
+        return block;
+    }
+
+    /// Median error of the mean range where the held-out frame's rays return from a car.
+    double error_on_cars() {
+        const Frame& frame = run.sequence.frames[std::size_t(run.split.test[0])];
+        ScanRenderer renderer(device(), run.scene, run.config, run.sequence);
+        const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
+        std::vector<double> errors;
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
+            if (!(frame.scan.range_m[i] > 0.0f)) continue;
+            const WorldReturn at = world_return(run.sequence, frame, i);
+            if (!in_moving_box(run.sequence.boxes, at.point_m, at.time_s, 0.01, -0.05)) continue;
+            errors.push_back(std::abs(scan.image.range_m[i] - frame.scan.range_m[i]));
+        }
+        EXPECT_GT(errors.size(), 20u) << "the cars must be seen";
+        std::sort(errors.begin(), errors.end());
+        return errors.empty() ? 0.0 : errors[errors.size() / 2];
+    }
+
+    std::filesystem::path folder;
+    relidar::Run run;
+};
+
+TEST_F(TrainActors, CloseUpBeforeTheJoinedBackgroundWhichStays) {
+    run.config.blocks.actor_epochs = 20;
+    const double before = error_on_cars();
+    const Scene was = run.scene;
+    int last = 0, expected = 0;
+    EXPECT_TRUE(train_actors(device(), run, {[&](int step, int n_steps) {
+                                                 EXPECT_EQ(step, ++last);
+                                                 expected = n_steps;
+                                             },
+                                             {}}));
+    EXPECT_EQ(last, expected);
+    EXPECT_EQ(last, 20 * int(run.split.train.size())) << "a car is seen in every frame";
+    const double after = error_on_cars();
+    std::printf("mean range of cars: %.3f m off before, %.3f m after\n", before, after);
+    EXPECT_GT(before, 0.5) << "they must be thin, or there is nothing to learn";
+    EXPECT_LT(after, 0.3 * before);
+
+    EXPECT_EQ(run.scene.models[0].count, 0u) << "the background stays in its files";
+    ASSERT_EQ(run.scene.surfels.size(), was.surfels.size());
+    EXPECT_NE(run.scene.surfels.opacity_logit, was.surfels.opacity_logit);
+}
+
+TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
+    run.scene = whole_scene(run.scene);
+    const Scene was = run.scene;
+    const std::size_t n = was.models[0].count;
+    ASSERT_GT(n, 1000u);
+    EXPECT_TRUE(train_actors(device(), run));
+    const auto same = [&](auto Surfels::*field) {
+        const auto &a = was.surfels.*field, &b = run.scene.surfels.*field;
+        ASSERT_EQ(a.size(), b.size());
+        const std::ptrdiff_t floats = std::ptrdiff_t(a.size() / was.surfels.size() * n);
+        EXPECT_TRUE(std::equal(a.begin(), a.begin() + floats, b.begin()));
+        EXPECT_FALSE(std::equal(a.begin() + floats, a.end(), b.begin() + floats)) << "actors learn";
+    };
+    same(&Surfels::mean), same(&Surfels::rotation), same(&Surfels::log_scale), same(&Surfels::opacity_logit), same(&Surfels::sh);
+}
+
+/// What lies along the rays is all of the background that takes part: surfels high above the street leave every bit.
+TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
+    relidar::Run other = run;
+    Surfels far = read_block(run.scene.blocks[0]).slice(0, 100);
+    for (glm::vec3& mean : far.mean) mean += glm::vec3(0.0f, 0.0f, 60.0f);   // above the street
+    const Scene above = make_background_scene(far);
+    SceneBlock block{folder / "above.safetensors", 100, {-100, -100, -100}, {100, 100, 100}};
+    save_model(block.file, above);
+    other.scene.blocks.push_back(block);
+    run.config.train.extent_m = other.config.train.extent_m = 50.0;
+    EXPECT_TRUE(train_actors(device(), run));
+    EXPECT_TRUE(train_actors(device(), other));
+    EXPECT_EQ(run.scene.surfels.mean, other.scene.surfels.mean);
+    EXPECT_EQ(run.scene.surfels.sh, other.scene.surfels.sh);
+}
+
+TEST_F(TrainActors, StopWhenAskedAndDoNothingWhenTurnedOff) {
+    const Scene was = run.scene;
+    EXPECT_FALSE(train_actors(device(), run, {{}, [] { return true; }}));
+    EXPECT_EQ(run.scene.surfels.mean, was.surfels.mean) << "half a training is none";
+    run.config.blocks.actor_epochs = 0;
+    EXPECT_TRUE(train_actors(device(), run));
+    EXPECT_EQ(run.scene.surfels.mean, was.surfels.mean);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,138 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar_bench_air: how many points of a trained synthetic street hang in the air, from where its sensor was and from beside there. A
+// point is on a surface where the exact street has one within 5 cm of it, whichever ray it came from.
+#include <array>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include <relidar/dataset.hpp>
+#include <relidar/error.hpp>
+#include <relidar/gpu.hpp>
+#include <relidar/math.hpp>
+#include <relidar/render.hpp>
+#include <relidar/run.hpp>
+
+namespace {
+
+using namespace relidar;
+
+constexpr float kOnSurface_m = 0.05f, kFar_m = 0.3f;
+constexpr std::size_t kProbes = 256;         // directions about a point: a surface is within 7 degrees of square to one of them
+constexpr std::size_t kTogether = 4096;      // points whose surroundings are cast at once
+
+/// Directions spread evenly over the sphere (Fibonacci's spiral).
+std::array<glm::vec3, kProbes> all_around() {
+    std::array<glm::vec3, kProbes> directions;
+    for (std::size_t i = 0; i < kProbes; ++i) {
+        const double z = 1.0 - 2.0 * (double(i) + 0.5) / double(kProbes), turn = double(i) * kPi * (3.0 - std::sqrt(5.0));
+        const double r = std::sqrt(1.0 - z * z);
+        directions[i] = {float(r * std::cos(turn)), float(r * std::sin(turn)), float(z)};
+    }
+    return directions;
+}
+
+/// The exact street from one place of the sensor.
+struct Place {
+    const SyntheticOptions& street;
+    const PoseTrack& world_from_sensor;
+    double time_s;
+};
+
+/// Distance of points to the nearest surface at the times of their rays; infinity where there is none within a sensor's range.
+/// @param rays  of the points, each with its range in range_m @param chosen  those that are asked for
+std::vector<float> distances(const Place& place, const RayTable& rays, const std::vector<float>& range_m,
+                             const std::vector<std::size_t>& chosen) {
+    static const std::array<glm::vec3, kProbes> directions = all_around();
+    std::vector<float> nearest(chosen.size(), std::numeric_limits<float>::infinity());
+    for (std::size_t first = 0; first < chosen.size(); first += kTogether) {
+        const std::size_t n = std::min(kTogether, chosen.size() - first);
+        RayTable probes;
+        probes.rows = 1;
+        probes.columns = static_cast<int>(n * kProbes);
+        for (std::size_t k = 0; k < n; ++k) {
+            const std::size_t i = chosen[first + k];
+            for (const glm::vec3& direction : directions) {
+                probes.origin.push_back(rays.origin[i] + range_m[i] * rays.direction[i]);
+                probes.direction.push_back(direction);
+                probes.time_offset_s.push_back(rays.time_offset_s[i]);
+                probes.channel.push_back(rays.channel[i]);
+            }
+        }
+        const Scan around = cast_synthetic_street(place.street, probes, place.world_from_sensor, place.time_s);
+        for (std::size_t k = 0; k < n * kProbes; ++k)
+            if (around.range_m[k] > 0.0f) nearest[first + k / kProbes] = std::min(nearest[first + k / kProbes], around.range_m[k]);
+    }
+    return nearest;
+}
+
+struct Count {
+    std::size_t points = 0, in_air = 0, far_out = 0, at_another_range = 0;
+
+    /// @param range_m [n] of the points of a scan, those that returned
+    void add(const Place& place, const RayTable& rays, const RenderedScan& scan, const std::vector<float>& range_m) {
+        const Scan truth = cast_synthetic_street(place.street, rays, place.world_from_sensor, place.time_s);
+        std::vector<std::size_t> doubtful;
+        for (std::size_t i = 0; i < range_m.size(); ++i) {
+            if (!returned(scan.image.drop_prob[i], range_m[i])) continue;
+            ++points;
+            if (std::abs(range_m[i] - truth.range_m[i]) > kOnSurface_m) doubtful.push_back(i);
+        }
+        at_another_range += doubtful.size();
+        for (const float d : distances(place, rays, range_m, doubtful)) {
+            in_air += d > kOnSurface_m;
+            far_out += d > kFar_m;
+        }
+    }
+    std::string row(const std::string& name) const {
+        const auto share = [&](std::size_t n) { return 100.0 * double(n) / double(std::max<std::size_t>(points, 1)); };
+        return fmt::format("| {} | {} | {:.2f} % | **{:.2f} %** | {:.2f} % |\n", name, points, share(at_another_range), share(in_air),
+                           share(far_out));
+    }
+};
+
+void run(const std::string& folder, int device_index) {
+    const Run run = load_run(folder);
+    const std::string dataset = run.config.dataset.path, prefix = "synthetic:";
+    const SyntheticOptions street = read_synthetic(dataset.starts_with(prefix) ? dataset.substr(prefix.size()) : dataset);
+    Device device(from_environment({.index = device_index}));
+    ScanRenderer renderer(device, run);
+    fmt::print("| sensor | points | other range than the street's by 5 cm | in the air by 5 cm | by 30 cm |\n|---|--:|--:|--:|--:|\n");
+    const std::vector<std::pair<std::string, glm::dvec3>> offsets{
+        {"where it was", {0, 0, 0}}, {"1 m to the left", {0, 1, 0}}, {"2 m to the left", {0, 2, 0}}, {"2 m left, 1 m up", {0, 2, 1}}};
+    for (const auto& [name, offset_m] : offsets) {
+        Count points, image;
+        for (const int position : run.split.test) {
+            const Frame& frame = run.sequence.frames[std::size_t(position)];
+            const SensorChoice sensor = configured_sensor(run.config, run.sequence, frame.lidar);
+            const RayTable rays = nominal_rays(run.sequence.lidar_of(frame), frame.time_s);
+            const Pose offset{{1, 0, 0, 0}, offset_m};
+            const PoseTrack track = moved_track(run.sequence.world_from_sensor(frame.lidar), offset);
+            const RenderedScan scan = renderer.render(sensor, frame.time_s, offset);
+            const Place place{street, track, frame.time_s};
+            points.add(place, rays, scan, scan.median_range_m);
+            image.add(place, rays, scan, scan.image.range_m);
+        }
+        fmt::print("{}{}", points.row(name + ", points"), image.row(name + ", image"));
+    }
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    std::string folder;
+    int device = -1;
+    CLI::App app("points in the air of a trained synthetic street, from where its sensor was and from beside there", "relidar_bench_air");
+    app.add_option("RUN", folder, "run trained on a folder with street.toml")->required();
+    app.add_option("--device", device, "as of `relidar render`");
+    CLI11_PARSE(app, argc, argv);
+    try {
+        run(folder, device);
+    } catch (const Error& error) {
+        fmt::print(stderr, "relidar_bench_air: {}\n", error.what());
+        return static_cast<int>(error.code());
+    }
+}
