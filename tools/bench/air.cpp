@@ -22,6 +22,7 @@ using namespace relidar;
 
 constexpr float kOnSurface_m = 0.05f, kFar_m = 0.3f;
 constexpr std::size_t kProbes = 256;         // directions about a point: a surface is within 7 degrees of square to one of them
+constexpr float kBefore_m = 0.2f;            // of a surface: where a point behind it is looked at from
 constexpr std::size_t kTogether = 4096;      // points whose surroundings are cast at once
 
 /// Directions spread evenly over the sphere (Fibonacci's spiral).
@@ -42,29 +43,48 @@ struct Place {
     double time_s;
 };
 
-/// Distance of points to the nearest surface at the times of their rays; infinity where there is none within a sensor's range.
-/// @param rays  of the points, each with its range in range_m @param chosen  those that are asked for
-std::vector<float> distances(const Place& place, const RayTable& rays, const std::vector<float>& range_m,
-                             const std::vector<std::size_t>& chosen) {
+/// Points of a scan and what the street has along their rays.
+struct Points {
+    const RayTable& rays;
+    const std::vector<float>& range_m;
+    const Scan& truth;
+
+    glm::vec3 at(std::size_t i, float range) const { return rays.origin[i] + range * rays.direction[i]; }
+};
+
+/// Distance of points to the nearest surface at the times of their rays, as far as it is within kOnSurface_m, or about that: infinity where
+/// no probe meets one. Surfaces of the street have one side. So a point is asked from itself, and one that lies behind what its ray meets
+/// also from before that, by rays to all around it.
+std::vector<float> distances(const Place& place, const Points& points, const std::vector<std::size_t>& chosen) {
     static const std::array<glm::vec3, kProbes> directions = all_around();
     std::vector<float> nearest(chosen.size(), std::numeric_limits<float>::infinity());
+    const auto is_behind = [&](std::size_t i) { return points.truth.range_m[i] > 0.0f && points.truth.range_m[i] < points.range_m[i]; };
     for (std::size_t first = 0; first < chosen.size(); first += kTogether) {
-        const std::size_t n = std::min(kTogether, chosen.size() - first);
         RayTable probes;
-        probes.rows = 1;
-        probes.columns = static_cast<int>(n * kProbes);
-        for (std::size_t k = 0; k < n; ++k) {
-            const std::size_t i = chosen[first + k];
-            for (const glm::vec3& direction : directions) {
-                probes.origin.push_back(rays.origin[i] + range_m[i] * rays.direction[i]);
-                probes.direction.push_back(direction);
-                probes.time_offset_s.push_back(rays.time_offset_s[i]);
-                probes.channel.push_back(rays.channel[i]);
+        std::vector<std::size_t> asked;   // [probes] position in `chosen`
+        for (std::size_t k = first; k < std::min(first + kTogether, chosen.size()); ++k) {
+            const std::size_t i = chosen[k];
+            const glm::vec3 point = points.at(i, points.range_m[i]);
+            const glm::vec3 before = points.at(i, std::max(points.truth.range_m[i] - kBefore_m, 0.0f));
+            for (const bool from_before : {false, true}) {
+                if (from_before && !is_behind(i)) continue;
+                for (const glm::vec3& direction : directions) {
+                    probes.origin.push_back(from_before ? before : point);
+                    probes.direction.push_back(from_before ? glm::normalize(point + kOnSurface_m * direction - before) : direction);
+                    probes.time_offset_s.push_back(points.rays.time_offset_s[i]);
+                    probes.channel.push_back(points.rays.channel[i]);
+                    asked.push_back(k);
+                }
             }
         }
+        probes.rows = 1;
+        probes.columns = static_cast<int>(asked.size());
         const Scan around = cast_synthetic_street(place.street, probes, place.world_from_sensor, place.time_s);
-        for (std::size_t k = 0; k < n * kProbes; ++k)
-            if (around.range_m[k] > 0.0f) nearest[first + k / kProbes] = std::min(nearest[first + k / kProbes], around.range_m[k]);
+        for (std::size_t j = 0; j < asked.size(); ++j) {
+            const std::size_t i = chosen[asked[j]];
+            if (around.range_m[j] > 0.0f)
+                nearest[asked[j]] = std::min(nearest[asked[j]], glm::distance(around.point(j), points.at(i, points.range_m[i])));
+        }
     }
     return nearest;
 }
@@ -82,7 +102,7 @@ struct Count {
             if (std::abs(range_m[i] - truth.range_m[i]) > kOnSurface_m) doubtful.push_back(i);
         }
         at_another_range += doubtful.size();
-        for (const float d : distances(place, rays, range_m, doubtful)) {
+        for (const float d : distances(place, {rays, range_m, truth}, doubtful)) {
             in_air += d > kOnSurface_m;
             far_out += d > kFar_m;
         }
