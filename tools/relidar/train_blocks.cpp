@@ -145,8 +145,7 @@ private:
             save(k, std::move(log), folder, result);
         } catch (const Error& error) {
             if (error.code() == ExitCode::interrupted) throw;
-            throw Error(error.code(),
-                        fmt::format("{}: {}; trained blocks are kept, continue with: {}", name_of(k), error.what(), how_.resume));
+            throw Error(error.code(), kept(fmt::format("{}: {}", name_of(k), error.what())));
         }
         seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
         ++trained_;
@@ -162,11 +161,18 @@ private:
                                       duration(s / step * (n_steps - step))),
                           step == n_steps);
         };
-        const bool done = relidar::train_actors(device_, run_, {show, interrupted});
+        try {
+            if (!relidar::train_actors(device_, run_, {show, interrupted}))
+                throw Error(ExitCode::interrupted, "interrupted while actors learn before the joined background");
+        } catch (const Error& error) {
+            throw Error(error.code(), kept(error.what()));
+        }
         end_progress_line();
-        if (!done)
-            throw Error(ExitCode::interrupted, fmt::format("interrupted after the last block, while actors learn; continue with: {}",
-                                                           how_.resume));
+    }
+
+    /// What went wrong, and that nothing is lost.
+    std::string kept(const std::string& what) const {
+        return fmt::format("{}; trained blocks are kept, continue with: {}", what, how_.resume);
     }
 
     std::string name_of(std::size_t k) const { return fmt::format("block {} of {}", k + 1, blocks_.size()); }
