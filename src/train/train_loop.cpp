@@ -59,7 +59,8 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
 int sh_degree_at(const TrainConfig& c, int step) { return c.sh_degree_start + std::max(step - 1, 0) / std::max(1, c.sh_degree_interval); }
 
 /// Where most surfels are fixed, fitting trees to the few that learn is most of an iteration. It is done every kFitEvery iterations then,
-/// around boxes that none leaves in between: at the rates of training a surfel moves by millimetres and grows by some per cent.
+/// around boxes that are a tenth larger: at the rates of training a surfel moves by millimetres and grows by some per cent in between. One
+/// that has just begun to be visible at all may grow by more, and is met from the next fit on.
 constexpr int kFitEvery = 4;
 
 AccelOptions tree_options(const Config& config, std::uint32_t n_fixed) {
