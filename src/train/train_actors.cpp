@@ -45,7 +45,13 @@ private:
 struct SightedFrame {
     int position = 0;   ///< in Sequence::frames
     glm::dvec3 sensor_m{0.0};
+    double reach_m = 0.0;   ///< of its farthest return
     std::vector<Sight> sights;
+
+    bool reaches(const SceneBlock& block) const {
+        const glm::dvec3 nearest = glm::clamp(sensor_m, glm::dvec3(block.low_m), glm::dvec3(block.high_m));
+        return block.count > 0 && glm::distance(nearest, sensor_m) <= reach_m + kAlong_m;
+    }
 };
 
 /// Frames that go into one training, and the blocks that their rays can reach.
@@ -54,59 +60,57 @@ struct Stretch {
     std::set<std::size_t> blocks;
 };
 
-double farthest_m(const Scan& scan) { return scan.range_m.empty() ? 0.0 : *std::max_element(scan.range_m.begin(), scan.range_m.end()); }
+/// Poses of each LiDAR: made once, since they are as many as the log has sweeps.
+std::vector<PoseTrack> sensor_tracks(const Sequence& sequence) {
+    std::vector<PoseTrack> tracks;
+    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) tracks.push_back(sequence.world_from_sensor(static_cast<int>(l)));
+    return tracks;
+}
 
-/// Those that the frame's returns reach.
-std::vector<Sight> sights_of(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor) {
+/// A frame with those actors that its returns reach.
+SightedFrame sighted(const Run& run, int position, const std::vector<PoseTrack>& tracks) {
+    const Frame& frame = run.sequence.frames[std::size_t(position)];
+    const PoseTrack& world_from_sensor = tracks[std::size_t(frame.lidar)];
     const std::vector<InstancePose> placed = place_instances(run.scene, run.sequence, moment_of(frame));
-    const double reach_m = farthest_m(frame.scan);
-    std::vector<Sight> sights;
+    SightedFrame result{position, world_from_sensor.at(frame.time_s).translation, 0.0, {}};
+    for (const float range_m : frame.scan.range_m) result.reach_m = std::max(result.reach_m, double(range_m));
     for (std::size_t i = 0; i < placed.size(); ++i) {
         const auto box = std::find_if(run.sequence.boxes.begin(), run.sequence.boxes.end(),
                                       [&](const BoxTrack& b) { return b.id == run.scene.instances[i].track; });
         if (box == run.sequence.boxes.end() || !placed[i].present) continue;
         const Sight sight{world_from_sensor.at(placed[i].time_s).translation, {inverse(placed[i].world_from_model), 0.5 * box->size_m}};
-        if (glm::distance(sight.sensor_m, placed[i].world_from_model.translation) < reach_m + 0.5 * glm::length(box->size_m))
-            sights.push_back(sight);
+        if (glm::distance(sight.sensor_m, placed[i].world_from_model.translation) < result.reach_m + 0.5 * glm::length(box->size_m))
+            result.sights.push_back(sight);
     }
-    return sights;
-}
-
-bool reaches(const SceneBlock& block, const glm::dvec3& sensor_m, double range_m) {
-    const glm::dvec3 nearest = glm::clamp(sensor_m, glm::dvec3(block.low_m), glm::dvec3(block.high_m));
-    return block.count > 0 && glm::distance(nearest, sensor_m) <= range_m + kAlong_m;
+    return result;
 }
 
 /// Cuts the training frames into stretches whose blocks have kTogether surfels at most, or those of one frame.
-std::vector<Stretch> stretches_of(const Run& run) {
+std::vector<Stretch> stretches_of(const Run& run, const std::vector<PoseTrack>& tracks) {
     std::vector<Stretch> stretches(1);
     for (const int position : run.split.train) {
-        const Frame& frame = run.sequence.frames[std::size_t(position)];
-        const PoseTrack world_from_sensor = run.sequence.world_from_sensor(frame.lidar);
-        const glm::dvec3 sensor_m = world_from_sensor.at(frame.time_s).translation;
-        SightedFrame sighted{position, sensor_m, sights_of(run, frame, world_from_sensor)};
-        if (sighted.sights.empty()) continue;
+        SightedFrame frame = sighted(run, position, tracks);
+        if (frame.sights.empty()) continue;
         std::set<std::size_t> reached, together = stretches.back().blocks;
         for (std::size_t i = 0; i < run.scene.blocks.size(); ++i)
-            if (reaches(run.scene.blocks[i], sensor_m, farthest_m(frame.scan))) reached.insert(i);
+            if (frame.reaches(run.scene.blocks[i])) reached.insert(i);
         together.insert(reached.begin(), reached.end());
         std::size_t n = 0;
         for (const std::size_t i : together) n += run.scene.blocks[i].count;
         if (n > kTogether && !stretches.back().frames.empty()) stretches.emplace_back(), together = reached;
-        stretches.back().frames.push_back(std::move(sighted));
+        stretches.back().frames.push_back(std::move(frame));
         stretches.back().blocks = std::move(together);
     }
     return stretches;
 }
 
 /// The rays of a scan that come near an actor and that the sensor is not blind for, without image order.
-Scan rays_near(const Run& run, const Frame& frame, const std::vector<Sight>& sights) {
+Scan rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor, const std::vector<Sight>& sights) {
     const Scan& all = frame.scan;
-    const PoseTrack track = run.sequence.world_from_sensor(frame.lidar);
     Scan scan;
     scan.rays.divergence_rad = all.rays.divergence_rad;
     for (std::size_t i = 0; i < all.range_m.size(); ++i) {
-        const WorldRay ray = world_ray(track, frame.time_s, all.rays, i, run.sequence.rolling_shutter);
+        const WorldRay ray = world_ray(world_from_sensor, frame.time_s, all.rays, i, run.sequence.rolling_shutter);
         if (std::none_of(sights.begin(), sights.end(), [&](const Sight& sight) { return sight.is_met_by(ray); })) continue;
         const auto beam = run.sequence.beam_number(frame.lidar, all.rays.channel[i]);
         if (beam && run.scene.sensor_drop.at(*beam, all.rays.direction[i]) > kBlind) continue;
@@ -123,12 +127,13 @@ Scan rays_near(const Run& run, const Frame& frame, const std::vector<Sight>& sig
 }
 
 /// The log of a stretch: its frames with the rays that are near actors.
-Sequence log_of(const Run& run, const Stretch& stretch) {
+Sequence log_of(const Run& run, const Stretch& stretch, const std::vector<PoseTrack>& tracks) {
     std::vector<Frame> frames(stretch.frames.size());
     run_parallel(static_cast<int>(frames.size()), [&](int i) {
         const SightedFrame& sighted = stretch.frames[std::size_t(i)];
         const Frame& from = run.sequence.frames[std::size_t(sighted.position)];
-        frames[std::size_t(i)] = {from.index, from.time_s, rays_near(run, from, sighted.sights), from.lidar, from.start};
+        const PoseTrack& world_from_sensor = tracks[std::size_t(from.lidar)];
+        frames[std::size_t(i)] = {from.index, from.time_s, rays_near(run, from, world_from_sensor, sighted.sights), from.lidar, from.start};
     });
     Sequence log = without_frames(run.sequence);
     for (Frame& frame : frames)
@@ -167,8 +172,7 @@ StretchScene scene_of(const Run& run, const Stretch& stretch) {
         const Scene block = make_background_scene(read_block(run.scene.blocks[i]));
         std::vector<const SightedFrame*> near;
         for (const SightedFrame& frame : stretch.frames)
-            if (reaches(run.scene.blocks[i], frame.sensor_m, farthest_m(run.sequence.frames[std::size_t(frame.position)].scan)))
-                near.push_back(&frame);
+            if (frame.reaches(run.scene.blocks[i])) near.push_back(&frame);
         background.append(along_rays(block.surfels, near));
         extent_m += background_extent(block) / double(stretch.blocks.size());
     }
@@ -196,13 +200,14 @@ Config settings_of(const Config& config, double extent_m, std::size_t n_frames) 
 
 bool train_actors(Device& device, Run& run, const ActorSession& session) {
     if (run.config.blocks.actor_epochs == 0 || run.scene.instances.size() < 2) return true;
-    const std::vector<Stretch> stretches = stretches_of(run);
+    const std::vector<PoseTrack> tracks = sensor_tracks(run.sequence);
+    const std::vector<Stretch> stretches = stretches_of(run, tracks);
     const std::uint32_t n_before = run.scene.models.front().count;
     const std::size_t n_actors = run.scene.surfels.size() - n_before;
     std::size_t n_frames = 0, done = 0;
     for (const Stretch& stretch : stretches) n_frames += stretch.frames.size();
     for (const Stretch& stretch : stretches) {
-        const Sequence log = log_of(run, stretch);
+        const Sequence log = log_of(run, stretch, tracks);
         if (log.frames.empty()) continue;
         Split split;
         for (std::size_t i = 0; i < log.frames.size(); ++i) split.train.push_back(static_cast<int>(i));

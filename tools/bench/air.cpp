@@ -92,17 +92,17 @@ std::vector<float> distances(const Place& place, const Points& points, const std
 struct Count {
     std::size_t points = 0, in_air = 0, far_out = 0, at_another_range = 0;
 
-    /// @param range_m [n] of the points of a scan, those that returned
-    void add(const Place& place, const RayTable& rays, const RenderedScan& scan, const std::vector<float>& range_m) {
-        const Scan truth = cast_synthetic_street(place.street, rays, place.world_from_sensor, place.time_s);
+    /// @param scan  whose rays return or not
+    void add(const Place& place, const Points& of, const RenderedScan& scan) {
+        const std::vector<float>& range_m = of.range_m;
         std::vector<std::size_t> doubtful;
         for (std::size_t i = 0; i < range_m.size(); ++i) {
             if (!returned(scan.image.drop_prob[i], range_m[i])) continue;
             ++points;
-            if (std::abs(range_m[i] - truth.range_m[i]) > kOnSurface_m) doubtful.push_back(i);
+            if (std::abs(range_m[i] - of.truth.range_m[i]) > kOnSurface_m) doubtful.push_back(i);
         }
         at_another_range += doubtful.size();
-        for (const float d : distances(place, {rays, range_m, truth}, doubtful)) {
+        for (const float d : distances(place, of, doubtful)) {
             in_air += d > kOnSurface_m;
             far_out += d > kFar_m;
         }
@@ -133,8 +133,9 @@ void run(const std::string& folder, int device_index) {
             const PoseTrack track = moved_track(run.sequence.world_from_sensor(frame.lidar), offset);
             const RenderedScan scan = renderer.render(sensor, frame.time_s, offset);
             const Place place{street, track, frame.time_s};
-            points.add(place, rays, scan, scan.median_range_m);
-            image.add(place, rays, scan, scan.image.range_m);
+            const Scan truth = cast_synthetic_street(street, rays, track, frame.time_s);
+            points.add(place, {rays, scan.median_range_m, truth}, scan);
+            image.add(place, {rays, scan.image.range_m, truth}, scan);
         }
         fmt::print("{}{}", points.row(name + ", points"), image.row(name + ", image"));
     }
