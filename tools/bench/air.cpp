@@ -16,6 +16,8 @@
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
 
+#include "street_of.hpp"
+
 namespace {
 
 using namespace relidar;
@@ -116,8 +118,7 @@ struct Count {
 
 void run(const std::string& folder, int device_index) {
     const Run run = load_run(folder);
-    const std::string dataset = run.config.dataset.path, prefix = "synthetic:";
-    const SyntheticOptions street = read_synthetic(dataset.starts_with(prefix) ? dataset.substr(prefix.size()) : dataset);
+    const SyntheticOptions street = street_of(run);
     Device device(from_environment({.index = device_index}));
     ScanRenderer renderer(device, run);
     fmt::print("| sensor | points | other range than the street's by 5 cm | in the air by 5 cm | by 30 cm |\n|---|--:|--:|--:|--:|\n");

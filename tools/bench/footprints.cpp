@@ -16,6 +16,8 @@
 #include <relidar/run.hpp>
 #include <relidar/sensor_files.hpp>
 
+#include "street_of.hpp"
+
 namespace {
 
 using namespace relidar;
@@ -130,8 +132,7 @@ void run(const std::string& folder, const std::string& sensor_name, double diver
     const SensorModel model = find_sensor(sensor_name);
     const RayTable rays = make_rays(model);
     const double divergence_rad = divergence_mrad > 0.0 ? divergence_mrad * 1e-3 : double(rays.divergence_rad);
-    const std::string dataset = run.config.dataset.path, prefix = "synthetic:";
-    const SyntheticOptions street = read_synthetic(dataset.starts_with(prefix) ? dataset.substr(prefix.size()) : dataset);
+    const SyntheticOptions street = street_of(run);
     Device device(from_environment({.index = device_index}));
     std::vector<Scan> cones;
     for (const int position : run.split.test) {

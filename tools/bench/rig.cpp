@@ -15,6 +15,8 @@
 #include <relidar/run.hpp>
 #include <relidar/sensor_files.hpp>
 
+#include "street_of.hpp"
+
 namespace {
 
 using namespace relidar;
@@ -65,8 +67,7 @@ std::string row(const std::string& name, Score& s) {
 
 void run(const std::string& folder, int device_index) {
     Run run = load_run(folder);
-    const std::string dataset = run.config.dataset.path, prefix = "synthetic:";
-    const SyntheticOptions street = read_synthetic(dataset.starts_with(prefix) ? dataset.substr(prefix.size()) : dataset);
+    const SyntheticOptions street = street_of(run);
     const auto rig = find_rig(street.rig);
     if (!rig) throw UsageError(fmt::format("{}: its street was not logged by a rig, expected one with rig = FILE", folder));
     Device device(from_environment({.index = device_index}));
