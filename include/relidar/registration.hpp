@@ -8,6 +8,7 @@
 
 #include <relidar/progress.hpp>
 #include <relidar/sequence.hpp>
+#include <relidar/team.hpp>
 
 namespace relidar {
 
@@ -19,6 +20,7 @@ struct RegisterOptions {
     double mover_margin_m = 0.2;    ///< boxes are grown by this
     std::function<bool()> stop;     ///< asked before every scan and round; true ends registration with nothing changed
     Progress progress = {};         ///< of both parts
+    Team team = {};                 ///< processes that register the same log
 };
 
 /// One round: planes are fitted to the cells of a grid, then all poses take one step towards them.
@@ -38,6 +40,7 @@ struct Registration {
     std::size_t places_again = 0;       ///< at which a later pass through a road was put on an earlier one
     double loops_off_m = 0.0;           ///< by which one of them was off, the most
     bool stopped = false;
+    bool done = false;   ///< false: the poses are the log's own
 };
 
 /// Finds poses of the sensor at which all scans lie on common planes. First scan by scan, each on the map of those before it, starting
@@ -46,7 +49,8 @@ struct Registration {
 /// each point moving with the poses between which it was fired. So given poses may drift by metres, or jump. What all poses have in common
 /// cannot be seen: the mean correction is zero, or without given motion the pose in the middle stays.
 /// Held-out scans shape no plane and move no other pose than their own, which is found last, on the planes of the training scans.
-/// Deterministic, whatever the number of threads. One training scan is left where it is.
+/// Deterministic, whatever the number of threads and processes. One training scan is left where it is.
+/// A team shares the first step; the rest is the first process's alone, and the others return without it.
 /// Of a log with one LiDAR: scans of several would need a pose each at one time.
 /// @throws DataError where no two training scans see a common surface, UsageError for a log of several LiDARs
 Registration register_scans(const Sequence& sequence, const Split& split, const RegisterOptions& options);

@@ -24,4 +24,5 @@
 #include <relidar/sensor.hpp>
 #include <relidar/sensor_files.hpp>
 #include <relidar/sequence.hpp>
+#include <relidar/team.hpp>
 #include <relidar/train.hpp>

@@ -15,6 +15,7 @@
 #include <relidar/math.hpp>
 #include <relidar/progress.hpp>
 #include <relidar/sequence.hpp>
+#include <relidar/team.hpp>
 
 namespace relidar {
 
@@ -166,9 +167,9 @@ struct InstancePose {
 /// Tracks of what moves without a label: returns of training frames, within 40 m and outside labelled boxes, that other training frames see
 /// through are grouped, linked from frame to frame and placed as rigid upright boxes, of which the end near the sensor is sure and the size
 /// what they showed when they showed most. Only what is seen in at least 6 frames and comes 0.6 m far becomes a track, parts of the
-/// sensor's own vehicle excepted. x is the direction of motion; ids are mover-0, mover-1, ...
+/// sensor's own vehicle excepted. x is the direction of motion; ids are mover-0, mover-1, ... The same in all processes of a team.
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
-                                      const Progress& progress = {});
+                                      const Progress& progress = {}, const Team& team = {});
 
 /// Boxes whose points and rays are not the background's: those that move, and the tracks asked for; none with ActorMode::background.
 /// @throws DataError for a box without a size or with a pose that is not finite, UsageError for an unknown track

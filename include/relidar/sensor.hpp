@@ -23,9 +23,12 @@ namespace relidar {
 
 /// How much the arrays of all scans of this process may take of its memory from now on. What goes beyond lies in a file without a name in a
 /// folder, which ends with the process. Unlimited until this is called.
-/// @param bytes  0: half of what the machine, or the control group of the process, has
+/// @param bytes  0: half of what the machine, or the control group of the process, has, shared with other processes (share_scan_memory())
 /// @param folder  of the file, made where the first array goes there
 void limit_scan_memory(std::uint64_t bytes, const std::filesystem::path& folder);
+
+/// Says that so many processes of this machine hold scans; one until this is called.
+void share_scan_memory(int n_processes);
 
 /// Bytes of the arrays of all scans. Small ones (below 16 KiB) are not counted.
 struct ScanMemoryUse {

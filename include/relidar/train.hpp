@@ -17,6 +17,7 @@
 #include <relidar/refine.hpp>
 #include <relidar/scene.hpp>
 #include <relidar/sequence.hpp>
+#include <relidar/team.hpp>
 
 namespace relidar {
 
@@ -77,12 +78,14 @@ struct PrepareSession {
     std::function<void(const std::string&)> tell;   ///< one line about each estimate, as soon as it is made
     std::function<bool()> stop;                     ///< asked now and then; true ends it
     Progress progress = {};                         ///< of what takes longer than a moment
+    Team team = {};                                 ///< processes that prepare the same log
 };
 
 /// Estimates what the log does not say and training needs from the start, in this order, as the settings ask: poses of the sensor
 /// (train.refine_poses with train.pose_register), offsets and responses of its beams (sensor.calibrate_range, sensor.calibrate_intensity),
 /// tracks of what moves without a label (init.discover_actors). From training frames alone, but for the poses of held-out ones; the same
-/// for the same log and settings, so that a resumed training prepares its log anew.
+/// for the same log and settings, so that a resumed training prepares its log anew, and in all processes of a team, of which the first one
+/// alone tells.
 /// @throws Error with exit code 130 where stopped; DataError where more than 5 % of the scans do not find their place among the others and
 /// train.allow_lost_scans is not set; UsageError where a log without poses is not to be registered
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session = {});

@@ -6,10 +6,14 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cmath>
+#include <thread>
+#include <utility>
 
 #include <Eigen/Cholesky>
 
+#include "core/parallel.hpp"
 #include "registration/level_maps.hpp"
 #include "registration/pose_equations.hpp"
 
@@ -23,22 +27,39 @@ constexpr double kFewestShare = 0.1;        // of a scan's points that lie on pl
 constexpr double kMemory_m = 80.0;          // what was last seen so far back is forgotten: odometry must not close loops
 constexpr double kSame_m = 0.05;            // predictions nearer to each other lead to the same place
 constexpr int kLostInARow = 5;              // after which the map begins anew
+constexpr std::size_t kStretch = 200;       // poses
+constexpr std::size_t kOverlap = 20;        // poses that a stretch and the one before it both have: enough for a map
 constexpr int kTrialScans = 4;              // by which the first motion is chosen
 constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;   // between scans: 40 m/s at 10 Hz
 
 /// The motion from a to b, s times.
 Pose scaled_motion(const Pose& a, const Pose& b, double s) { return interpolate(Pose{}, inverse(a) * b, s); }
 
+/// Poses that are followed one after the other.
+struct Stretch {
+    std::size_t begin, end;
+};
+
+/// Stretches of a log: the last one may be up to twice as long as the others.
+std::vector<Stretch> stretches_of(std::size_t n_poses) {
+    std::vector<Stretch> stretches{{0, n_poses}};
+    for (std::size_t begin = kStretch; begin + kStretch <= n_poses; begin += kStretch) {
+        stretches.back().end = begin;
+        stretches.push_back({begin - kOverlap, n_poses});
+    }
+    return stretches;
+}
+
 class Follower {
 public:
-    Follower(const PoseTrack& given, const OdometryOptions& options, std::optional<Pose> first_motion)
-        : given_(given), track_(given), options_(options), first_motion_(first_motion), maps_(options.first, options.last) {
-        if (track_.pose.size() > 1) track_.pose[1] = predictions(1).front();
+    Follower(const PoseTrack& given, const OdometryOptions& options, std::size_t begin, std::optional<Pose> first_motion)
+        : given_(given), track_(given), options_(options), begin_(begin), first_motion_(first_motion), maps_(options.first, options.last) {
+        if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = predictions(begin + 1).front();
     }
 
     /// Poses are followed in their order.
     void follow(std::size_t pose, const std::vector<ThinPoint>& scan) {
-        const std::vector<Pose> starts = pose == 0 ? std::vector<Pose>{track_.pose[0]} : predictions(pose);
+        const std::vector<Pose> starts = pose == begin_ ? std::vector<Pose>{track_.pose[pose]} : predictions(pose);
         Candidate best{starts.front(), 0.0};
         for (const Pose& start : starts) {
             const Candidate candidate = placed(pose, start, scan);
@@ -46,7 +67,7 @@ public:
         }
         const bool is_lost = !scan.empty() && !maps_.empty() && best.share < kFewestShare;
         set(pose, is_lost ? starts.front() : best.pose);
-        if (pose > 0) travelled_m_ += glm::distance(track_.pose[pose].translation, track_.pose[pose - 1].translation);
+        if (pose > begin_) travelled_m_ += glm::distance(track_.pose[pose].translation, track_.pose[pose - 1].translation);
         if (scan.empty()) return;
         share_ += best.share;
         lost_in_a_row_ = is_lost ? lost_in_a_row_ + 1 : 0;
@@ -66,6 +87,7 @@ private:
     const PoseTrack& given_;
     PoseTrack track_;
     const OdometryOptions& options_;
+    std::size_t begin_;
     std::optional<Pose> first_motion_;
     LevelMaps maps_;
     double travelled_m_ = 0.0, share_ = 0.0;
@@ -78,19 +100,19 @@ private:
 
     /// Motion from pose k - 1 to k as the velocity from pose k - 2 to k - 1 has it.
     Pose kept_motion(std::size_t k) const {
-        if (k < 2) return first_motion_.value_or(Pose{});
+        if (k < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
         return scaled_motion(track_.pose[k - 2], track_.pose[k - 1], (t[k] - t[k - 1]) / (t[k - 1] - t[k - 2]));
     }
 
     Pose given_motion(std::size_t k) const { return inverse(given_.pose[k - 1]) * given_.pose[k]; }
 
-    /// Where pose k > 0 may be, the likeliest first.
+    /// Where a pose after the first may be, the likeliest first.
     std::vector<Pose> predictions(std::size_t k) const {
         const Pose kept = track_.pose[k - 1] * kept_motion(k);
         if (!options_.given_motion) return {kept};
         const Pose given = track_.pose[k - 1] * given_motion(k);
-        if (k < 2 || glm::distance(given.translation, kept.translation) < kSame_m) return {given};
+        if (k < begin_ + 2 || glm::distance(given.translation, kept.translation) < kSame_m) return {given};
         return {given, kept};
     }
 
@@ -141,15 +163,17 @@ private:
     }
 };
 
-/// How the sensor moved from its first pose to the second, where nothing says so: the speed ahead on which the first scans agree best.
-Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options) {
+/// How the sensor moved from a stretch's first pose to the second, where nothing says so: the speed ahead on which the first scans agree
+/// best.
+Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options,
+                       const Stretch& stretch) {
     Pose best;
     double best_share = -1.0;
     for (double step_m = -kBackwards_m; step_m <= kFastest_m; step_m += kTrialStep_m) {
         const Pose motion{{1.0, 0.0, 0.0, 0.0}, {step_m, 0.0, 0.0}};
-        Follower follower(given, options, motion);
+        Follower follower(given, options, stretch.begin, motion);
         int n = 0;
-        for (std::size_t k = 0; k < scans.size() && n < kTrialScans; ++k, n += !scans[k - 1].empty()) follower.follow(k, scans[k]);
+        for (std::size_t k = stretch.begin; k < stretch.end && n < kTrialScans; n += !scans[k++].empty()) follower.follow(k, scans[k]);
         if (follower.share() <= best_share) continue;
         best_share = follower.share();
         best = motion;
@@ -157,15 +181,62 @@ Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<Thi
     return best;
 }
 
+/// @param proceed asked before each scan @return poses of the stretch, the first as given; nothing where ended
+std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options,
+                           const Stretch& stretch, const std::function<bool()>& proceed) {
+    Follower follower(given, options, stretch.begin,
+                      options.given_motion ? std::nullopt : std::optional(find_first_motion(given, scans, options, stretch)));
+    for (std::size_t k = stretch.begin; k < stretch.end; ++k) {
+        if (!proceed()) return {};
+        follower.follow(k, scans[k]);
+    }
+    const auto first = follower.track().pose.begin();
+    return {first + std::ptrdiff_t(stretch.begin), first + std::ptrdiff_t(stretch.end)};
+}
+
+/// Puts each stretch where the one before it has seen the last scan that both have.
+std::vector<Pose> chained(const std::vector<Stretch>& stretches, const std::vector<Pose>& poses,
+                          const std::vector<std::vector<ThinPoint>>& scans) {
+    auto own = poses.begin();   // of the first pose of a stretch, by that stretch
+    std::vector<Pose> track(own, own + std::ptrdiff_t(stretches.front().end));
+    for (std::size_t i = 1; i < stretches.size(); ++i) {
+        own += std::ptrdiff_t(stretches[i - 1].end - stretches[i - 1].begin);
+        const auto [begin, end] = stretches[i];
+        std::size_t last = track.size() - 1;
+        while (last > begin && scans[last].empty()) --last;
+        const Pose place = track[last] * inverse(own[std::ptrdiff_t(last - begin)]);
+        track.resize(last + 1);
+        for (std::size_t k = last + 1; k < end; ++k) {
+            track.push_back(place * own[std::ptrdiff_t(k - begin)]);
+            track.back().rotation = glm::normalize(track.back().rotation);
+        }
+    }
+    return track;
+}
+
 }  // namespace
 
 PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options) {
-    Follower follower(given, options, options.given_motion ? std::nullopt : std::optional(find_first_motion(given, scans, options)));
-    for (std::size_t k = 0; k < scans.size(); ++k) {
-        if (!options.proceed(double(k) / double(scans.size()))) return given;
-        follower.follow(k, scans[k]);
-    }
-    return follower.track();
+    const std::vector<Stretch> stretches = stretches_of(scans.size());
+    const Team::Share share = options.team.share(stretches.size());
+    std::size_t n = 0;
+    for (std::size_t i = share.begin; i < share.end; ++i) n += stretches[i].end - stretches[i].begin;
+    const std::thread::id caller = std::this_thread::get_id();
+    std::atomic<std::size_t> done = 0;
+    std::atomic<bool> ended = false;
+    const auto proceed = [&] {
+        const std::size_t before = done++;
+        if (std::this_thread::get_id() == caller && !options.proceed(double(before) / double(n))) ended = true;
+        return !ended;
+    };
+    std::vector<std::vector<Pose>> parts(share.end - share.begin);
+    run_parallel(static_cast<int>(parts.size()), [&](int i) {
+        parts[std::size_t(i)] = followed(given, scans, options, stretches[share.begin + std::size_t(i)], proceed);
+    });
+    if (ended) return given;
+    std::vector<Pose> own;
+    for (const std::vector<Pose>& part : parts) own.insert(own.end(), part.begin(), part.end());
+    return {given.time_s, chained(stretches, options.team.joined(std::move(own)), scans)};
 }
 
 }  // namespace relidar

@@ -89,9 +89,9 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     const std::vector<std::vector<ThinPoint>> scans = thin_scans(sequence, split.train, options, kThin_m);
     std::vector<std::vector<ThinPoint>> by_pose(sequence.frames.size());
     for (std::size_t i = 0; i < scans.size(); ++i) by_pose[std::size_t(split.train[i])] = scans[i];
-    const PoseTrack followed =
-        follow_scans(sequence.world_from_vehicle, by_pose, {first, kLastFollowed, options.given_motion, proceed("following the scans")});
-    if (result.stopped) return result;
+    const PoseTrack followed = follow_scans(
+        sequence.world_from_vehicle, by_pose, {first, kLastFollowed, options.given_motion, proceed("following the scans"), options.team});
+    if (result.stopped || !options.team.is_first()) return result;
     const ClosedLoops closed = close_loops(followed, by_pose, {first, kLastFollowed, proceed("looking for roads driven again")});
     if (result.stopped) return result;
     result.places_again = closed.places;
@@ -114,6 +114,7 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     result.lost.insert(result.lost.end(), lost.begin(), lost.end());
     std::sort(result.lost.begin(), result.lost.end());
     result.world_from_vehicle = adjustment.track();
+    result.done = true;
     return result;
 }
 

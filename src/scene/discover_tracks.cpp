@@ -410,14 +410,14 @@ std::vector<BoxTrack> without_parts(std::vector<BoxTrack> boxes) {
 }  // namespace
 
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
-                                      const Progress& progress) {
+                                      const Progress& progress, const Team& team) {
     std::vector<int> positions = train_positions;   // of the first LiDAR: two at one time would see a mover twice
     std::erase_if(positions, [&](int position) { return sequence.frames[std::size_t(position)].lidar != 0; });
     std::vector<double> times;
     for (const int position : positions) times.push_back(sequence.frames[std::size_t(position)].time_s);
     const Visibility visibility(sequence, positions);
     std::vector<Track> tracks =
-        link(find_mover_clusters(sequence, positions, visibility, options, progress), times, sequence.world_from_vehicle);
+        link(find_mover_clusters(sequence, positions, visibility, options, progress, team), times, sequence.world_from_vehicle);
     std::erase_if(tracks, [&](const Track& track) { return !moves(track) || rides_along(track, sequence.world_from_vehicle); });
     join_parts(tracks);
     std::vector<std::optional<BoxTrack>> found(tracks.size());

@@ -140,19 +140,21 @@ void MoverCluster::take_in(const MoverCluster& other) {
 
 std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions,
                                                            const Visibility& visibility, const InitialiseOptions& options,
-                                                           const Progress& progress) {
+                                                           const Progress& progress, const Team& team) {
     std::vector<std::vector<Return>> frames(positions.size());
     run_parallel(static_cast<int>(positions.size()), [&](int i) {
         frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])], options);
     });
     const std::vector<glm::vec3> cells = number_cells(frames);
-    std::vector<Motion> motion(cells.size());
-    for_each_block_told(cells.size(), progress, "what moved", [&](std::size_t i) {
-        const Visibility::Votes votes = visibility.votes(cells[i]);
+    const Team::Share share = team.share(cells.size());
+    std::vector<Motion> motion(share.end - share.begin);
+    for_each_block_told(motion.size(), progress, "what moved", [&](std::size_t i) {
+        const Visibility::Votes votes = visibility.votes(cells[share.begin + i]);
         motion[i] = votes.is_seen_through(kSeenThroughShare) ? Motion::moved
                     : votes.seen <= kSeldomSeen              ? Motion::seldom_seen
                                                              : Motion::rests;
     });
+    motion = team.joined(std::move(motion));
     std::vector<std::vector<MoverCluster>> clusters(frames.size());
     run_parallel(static_cast<int>(frames.size()), [&](int i) {
         std::vector<Return>& frame = frames[std::size_t(i)];

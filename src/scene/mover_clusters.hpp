@@ -23,6 +23,6 @@ struct MoverCluster {
 /// @param positions  frames that are looked at, ascending @param visibility  of these frames @return [positions] clusters of each
 std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions,
                                                            const Visibility& visibility, const InitialiseOptions& options,
-                                                           const Progress& progress);
+                                                           const Progress& progress, const Team& team);
 
 }  // namespace relidar

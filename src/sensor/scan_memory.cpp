@@ -116,6 +116,7 @@ private:
 struct Memory {
     std::atomic<std::uint64_t> limit = ~0ull, used = 0;
     std::atomic<MappedFile*> file = nullptr;
+    std::atomic<int> processes = 1;
     std::mutex mutex;      ///< of what follows
     fs::path folder;
 
@@ -152,8 +153,10 @@ void limit_scan_memory(std::uint64_t bytes, const fs::path& folder) {
     Memory& m = memory();
     const std::lock_guard lock(m.mutex);
     m.folder = folder;
-    m.limit = bytes > 0 ? bytes : of_machine() / 2;
+    m.limit = bytes > 0 ? bytes : of_machine() / 2 / std::uint64_t(m.processes);
 }
+
+void share_scan_memory(int n_processes) { memory().processes = std::max(n_processes, 1); }
 
 ScanMemoryUse scan_memory_use() {
     const MappedFile* file = memory().file;

@@ -7,11 +7,13 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <span>
 
 #include <Eigen/Cholesky>
 
 #include <relidar/sequence.hpp>
 
+#include "core/parallel.hpp"
 #include "sequence/intensity_places.hpp"
 #include "sequence/beam_returns.hpp"
 
@@ -25,6 +27,7 @@ constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor =
 constexpr double kLeastGain = 0.95;         // what does not bring the error down to this share of what it was is not there
 constexpr int kSteps = 12;
 constexpr double kDamping = 1e-3;
+constexpr std::size_t kChunks = 64;        // sums are added up in this many parts, whatever the number of threads
 
 struct Response {
     double gain = 1.0;
@@ -49,15 +52,42 @@ std::pair<std::size_t, double> knot_at(double range_m) {
     return {left, std::clamp((range_m - kKnots_m[left]) / (kKnots_m[left + 1] - kKnots_m[left]), 0.0, 1.0)};
 }
 
-void fit_albedos(Model& m, const PlaceReturns& returns) {
-    std::vector<double> sum(returns.n_places, 0.0), weight(returns.n_places, 0.0);
-    for (const PlaceReturn& r : returns.seen) {
-        const Response& beam = m.beams[r.beam];
-        const double x = beam.gain * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine);
-        sum[r.place] += x * (double(r.intensity) - beam.offset);
-        weight[r.place] += x * x;
+/// Where the chunks of some returns begin, and their end; all returns of a place are in one chunk.
+std::vector<std::size_t> chunk_bounds(const std::vector<PlaceReturn>& seen) {
+    std::vector<std::size_t> bounds{0};
+    for (std::size_t c = 1; c < kChunks; ++c) {
+        std::size_t at = std::max(seen.size() * c / kChunks, bounds.back());
+        while (at > 0 && at < seen.size() && seen[at].place == seen[at - 1].place) ++at;
+        bounds.push_back(at);
     }
-    for (std::size_t p = 0; p < returns.n_places; ++p) m.albedo[p] = std::max(sum[p] / std::max(weight[p], 1e-12), 0.0);
+    bounds.push_back(seen.size());
+    return bounds;
+}
+
+/// task(returns of one place, chunk) for each place, chunks at the same time.
+template <class Task>
+void for_each_place(const std::vector<PlaceReturn>& seen, const Task& task) {
+    const std::vector<std::size_t> bounds = chunk_bounds(seen);
+    run_parallel(static_cast<int>(kChunks), [&](int chunk) {
+        const std::size_t last = bounds[std::size_t(chunk) + 1];
+        for (std::size_t begin = bounds[std::size_t(chunk)], end = begin; begin < last; begin = end) {
+            while (end < last && seen[end].place == seen[begin].place) ++end;
+            task(std::span(seen).subspan(begin, end - begin), std::size_t(chunk));
+        }
+    });
+}
+
+void fit_albedos(Model& m, const PlaceReturns& returns) {
+    for_each_place(returns.seen, [&](std::span<const PlaceReturn> place, std::size_t) {
+        double sum = 0.0, weight = 0.0;
+        for (const PlaceReturn& r : place) {
+            const Response& beam = m.beams[r.beam];
+            const double x = beam.gain * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine);
+            sum += x * (double(r.intensity) - beam.offset);
+            weight += x * x;
+        }
+        m.albedo[place.front().place] = std::max(sum / std::max(weight, 1e-12), 0.0);
+    });
 }
 
 /// Where the unknowns of the wanted parts stand in the system: rho, q, then gain and offset of each beam.
@@ -103,36 +133,51 @@ struct System {
     double mean = 0.0, spread = 0.0;   ///< of what the mean beam measures
 };
 
-/// @param returns in the order of their places
-System system_of(const Model& m, const Layout& at, const PlaceReturns& returns) {
-    System sys{Eigen::MatrixXd::Zero(at.size(), at.size()), Eigen::VectorXd::Zero(at.size())};
-    std::vector<double> coupling(std::size_t(at.size()), 0.0);
-    std::vector<Eigen::Index> touched;
-    double sum = 0.0, sum2 = 0.0;
-    for (std::size_t begin = 0, end = 0; begin < returns.seen.size(); begin = end) {
+/// Sums over the places of a chunk.
+struct Sums {
+    System system;
+    std::vector<double> coupling;          // of the place at hand with each unknown; zero between places
+    std::vector<Eigen::Index> touched;     // of its unknowns
+    double sum = 0.0, squares = 0.0;       // of what is expected
+
+    explicit Sums(Eigen::Index n)
+        : system{Eigen::MatrixXd::Zero(n, n), Eigen::VectorXd::Zero(n)}, coupling(std::size_t(n), 0.0) {}
+
+    void add(const Model& m, const Layout& at, std::span<const PlaceReturn> place) {
         double cc = 0.0, ce = 0.0;
         touched.clear();
-        for (end = begin; end < returns.seen.size() && returns.seen[end].place == returns.seen[begin].place; ++end) {
-            const Row row = row_of(m, at, returns.seen[end]);
+        for (const PlaceReturn& r : place) {
+            const Row row = row_of(m, at, r);
             for (std::size_t i = 0; i < row.n; ++i) {
                 const auto [unknown, derivative] = row.by[i];
                 if (coupling[std::size_t(unknown)] == 0.0) touched.push_back(unknown);
                 coupling[std::size_t(unknown)] += derivative * row.by_albedo;
-                sys.g[unknown] += derivative * row.error;
-                for (std::size_t j = 0; j < row.n; ++j) sys.h(unknown, row.by[j].first) += derivative * row.by[j].second;
+                system.g[unknown] += derivative * row.error;
+                for (std::size_t j = 0; j < row.n; ++j) system.h(unknown, row.by[j].first) += derivative * row.by[j].second;
             }
             cc += row.by_albedo * row.by_albedo, ce += row.by_albedo * row.error;
-            const double expected = m.albedo[returns.seen[end].place] * row.by_albedo;
-            sum += expected, sum2 += expected * expected;
+            const double expected = m.albedo[r.place] * row.by_albedo;
+            sum += expected, squares += expected * expected;
         }
         for (const Eigen::Index i : touched) {
-            sys.g[i] -= coupling[std::size_t(i)] * ce / cc;
-            for (const Eigen::Index j : touched) sys.h(i, j) -= coupling[std::size_t(i)] * coupling[std::size_t(j)] / cc;
+            system.g[i] -= coupling[std::size_t(i)] * ce / cc;
+            for (const Eigen::Index j : touched) system.h(i, j) -= coupling[std::size_t(i)] * coupling[std::size_t(j)] / cc;
         }
         for (const Eigen::Index i : touched) coupling[std::size_t(i)] = 0.0;
     }
-    sys.mean = sum / double(returns.seen.size());
-    sys.spread = std::sqrt(std::max(sum2 / double(returns.seen.size()) - sys.mean * sys.mean, 0.0));
+};
+
+System system_of(const Model& m, const Layout& at, const PlaceReturns& returns) {
+    std::vector<Sums> sums(kChunks, Sums(at.size()));
+    for_each_place(returns.seen, [&](std::span<const PlaceReturn> place, std::size_t chunk) { sums[chunk].add(m, at, place); });
+    for (std::size_t c = 1; c < kChunks; ++c) {
+        sums[0].system.h += sums[c].system.h, sums[0].system.g += sums[c].system.g;
+        sums[0].sum += sums[c].sum, sums[0].squares += sums[c].squares;
+    }
+    System sys = std::move(sums[0].system);
+    const double n = double(returns.seen.size());
+    sys.mean = sums[0].sum / n;
+    sys.spread = std::sqrt(std::max(sums[0].squares / n - sys.mean * sys.mean, 0.0));
     return sys;
 }
 
@@ -185,14 +230,21 @@ void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
 }
 
 double error_of(const Model& m, const PlaceReturns& returns) {
-    double squares = 0.0;
-    for (const PlaceReturn& r : returns.seen) {
-        const Response& beam = m.beams[r.beam];
-        const double error =
-            beam.gain * m.albedo[r.place] * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine) + beam.offset - double(r.intensity);
-        squares += error * error;
-    }
-    return std::sqrt(squares / double(returns.seen.size()));
+    struct alignas(64) Sum {   // a cache line each: threads write side by side
+        double of = 0.0;
+    };
+    std::array<Sum, kChunks> squares;
+    for_each_place(returns.seen, [&](std::span<const PlaceReturn> place, std::size_t chunk) {
+        for (const PlaceReturn& r : place) {
+            const Response& beam = m.beams[r.beam];
+            const double mean_beam = m.albedo[r.place] * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine),
+                         error = beam.gain * mean_beam + beam.offset - double(r.intensity);
+            squares[chunk].of += error * error;
+        }
+    });
+    double all = 0.0;
+    for (const Sum& sum : squares) all += sum.of;
+    return std::sqrt(all / double(returns.seen.size()));
 }
 
 Model fitted(const PlaceReturns& returns, std::size_t n_beams, Parts parts) {

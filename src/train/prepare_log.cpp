@@ -65,6 +65,7 @@ RegisterOptions register_options(const Sequence& sequence, const Config& config,
     options.mover_margin_m = config.init.actor_margin_m;
     options.stop = session.stop;
     options.progress = session.progress;
+    options.team = session.team;
     for (const BoxTrack& box : sequence.boxes)   // without poses nobody knows which boxes move
         if (!options.given_motion || box.mean_step_m() > config.init.actor_min_step_m) options.movers.push_back(box);
     return options;
@@ -86,24 +87,32 @@ void tell_lost(const Sequence& sequence, const Registration& found, const Config
     session.tell(text + ": moved as their neighbours were");
 }
 
-void register_sensor(Sequence& sequence, const Split& split, const Config& config, const PrepareSession& session) {
+/// @return done where there are poses to be taken
+Registration registered(const Sequence& sequence, const Split& split, const Config& config, const PrepareSession& session) {
     Registration found;
     try {
         found = register_scans(sequence, split, register_options(sequence, config, session));
     } catch (const DataError& error) {
         if (!config.train.allow_lost_scans) throw;
         session.tell(fmt::format("{}; the log's own poses are used", error.what()));
-        return;
+        return {};
     }
     if (found.stopped) throw Error(ExitCode::interrupted, "interrupted while scans were registered: nothing is trained yet");
-    if (found.rounds.empty()) return;
+    if (!found.done) return found;
     session.tell(fmt::format("scans registered: {:.0f} % of their points lie on common planes, {:.3f} m from them; {}{}",
                              100.0 * found.on_planes, found.rounds.back().residual_m,
                              config.dataset.poses == kNoPoses ? way_text(found.world_from_vehicle)
                                                               : corrections_text(sequence.world_from_vehicle, found.world_from_vehicle),
                              loops_text(found)));
     tell_lost(sequence, found, config, session);
-    set_vehicle_poses(sequence, found.world_from_vehicle);
+    return found;
+}
+
+void register_sensor(Sequence& sequence, const Split& split, const Config& config, const PrepareSession& session) {
+    Registration found = registered(sequence, split, config, session);
+    if (!found.done) found.world_from_vehicle.pose.clear();
+    PoseTrack track{sequence.world_from_vehicle.time_s, session.team.of_first(std::move(found.world_from_vehicle.pose))};
+    if (!track.pose.empty()) set_vehicle_poses(sequence, std::move(track));
 }
 
 void calibrate_beams(Sequence& sequence, const Split& split, const SensorConfig& config, const PrepareSession& session) {
@@ -129,6 +138,25 @@ void calibrate_intensities(Sequence& sequence, const Split& split, const Prepare
                                                          : "what was tried: none is taken"));
 }
 
+/// What the beams were found to be.
+void calibrate(Sequence& sequence, const Split& split, const SensorConfig& config, const PrepareSession& session) {
+    if (session.team.is_first()) {
+        calibrate_beams(sequence, split, config, session);
+        if (measure_range_noise(sequence, split.train) > 0)
+            session.tell(fmt::format("ranges scatter by {:.0f} mm at 10 m and by {:.0f} mm at 40 m where surfaces are met squarely",
+                                     1e3 * sequence.range_noise.at(10.0, 1.0), 1e3 * sequence.range_noise.at(40.0, 1.0)));
+        if (config.calibrate_intensity) calibrate_intensities(sequence, split, session);
+    }
+    const auto take_of_first = [&](auto& values) { values = session.team.of_first(std::move(values)); };
+    for (Lidar& lidar : sequence.lidars) take_of_first(lidar.sensor.beams);
+    take_of_first(sequence.range_noise.range_m);
+    take_of_first(sequence.range_noise.cosine);
+    take_of_first(sequence.range_noise.sigma_m);
+    take_of_first(sequence.intensity_response.range_m);
+    take_of_first(sequence.intensity_response.factor);
+    sequence.intensity_response.incidence = session.team.of_first(std::vector{sequence.intensity_response.incidence}).front();
+}
+
 /// Ids with their sizes and speeds.
 std::string described(const std::vector<BoxTrack>& boxes) {
     std::vector<std::string> words;
@@ -142,7 +170,7 @@ std::string described(const std::vector<BoxTrack>& boxes) {
 }
 
 void add_discovered(Sequence& sequence, const Split& split, const InitialiseOptions& options, const PrepareSession& session) {
-    std::vector<BoxTrack> found = discover_tracks(sequence, split.train, options, session.progress);
+    std::vector<BoxTrack> found = discover_tracks(sequence, split.train, options, session.progress, session.team);
     session.tell(fmt::format("{} movers discovered without a label{}", found.size(), found.empty() ? "" : ": " + described(found)));
     std::move(found.begin(), found.end(), std::back_inserter(sequence.boxes));
 }
@@ -187,7 +215,7 @@ bool registers_sensor(const TrainConfig& config) { return config.pose_register &
 }  // namespace
 
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session) {
-    if (!session.tell) session.tell = [](const std::string&) {};
+    if (!session.tell || !session.team.is_first()) session.tell = [](const std::string&) {};
     if (config.dataset.poses == kNoPoses && !registers_sensor(config.train))
         throw UsageError(
             "dataset.poses=none: the poses have to be found from the scans; expected train.refine_poses=sensor and "
@@ -196,11 +224,7 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
         session.tell(
             fmt::format("scans of {} LiDARs are not registered: training starts from the log's own poses", sequence.lidars.size()));
     else if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
-    calibrate_beams(sequence, split, config.sensor, session);
-    if (measure_range_noise(sequence, split.train) > 0)
-        session.tell(fmt::format("ranges scatter by {:.0f} mm at 10 m and by {:.0f} mm at 40 m where surfaces are met squarely",
-                                 1e3 * sequence.range_noise.at(10.0, 1.0), 1e3 * sequence.range_noise.at(40.0, 1.0)));
-    if (config.sensor.calibrate_intensity) calibrate_intensities(sequence, split, session);
+    calibrate(sequence, split, config.sensor, session);
     if (config.init.discover_actors && config.init.actors != ActorMode::background) add_discovered(sequence, split, config.init, session);
     if (config.train.second_returns) add_rays_behind(sequence, split, session);
 }

@@ -52,6 +52,21 @@ TEST(ScanMemory, IsUnlimitedUntilItIsLimited) {
     });
 }
 
+TEST(ScanMemory, ProcessesOfAMachineShareTheDefault) {
+    in_own_process([] {
+        limit_scan_memory(0, fs::temp_directory_path());
+        const ScanArray<float> alone(1 << 18, 1.0f);
+        EXPECT_EQ(scan_memory_use().in_file, 0u);
+        share_scan_memory(10'000'000);   // each may take some kilobytes
+        limit_scan_memory(0, fs::temp_directory_path());
+        const ScanArray<float> one_of_many(1 << 18, 1.0f);
+        EXPECT_EQ(scan_memory_use().in_file, 1u << 20);
+        limit_scan_memory(8 << 20, fs::temp_directory_path());
+        const ScanArray<float> as_told(1 << 18, 1.0f);
+        EXPECT_EQ(scan_memory_use().in_file, 1u << 20) << "what a setting gives is each process's own";
+    });
+}
+
 TEST(ScanMemory, KeepsWhatIsWrittenWhereverItLies) {
     in_own_process([] {
         limit_scan_memory(3 << 20, fs::temp_directory_path());

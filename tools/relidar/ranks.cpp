@@ -14,6 +14,7 @@
 #include "launched_by_mpi.hpp"
 #include <relidar/error.hpp>
 #include <relidar/gpu.hpp>
+#include <relidar/sensor.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -45,18 +46,50 @@ void check_build(int rank) {
             fmt::format("started by mpirun: process {} is another build of relidar than the first one, expected the same program", rank));
 }
 
+/// Where texts of some processes lie, one after the other.
+struct Places {
+    explicit Places(const std::vector<unsigned long long>& sizes) {
+        total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
+        if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))   // MPI counts in int
+            throw Error(ExitCode::bug, "collecting results of several processes: found more than 2 GiB of them, expected less");
+        counts.assign(sizes.begin(), sizes.end());
+        begins.resize(sizes.size());
+        std::exclusive_scan(counts.begin(), counts.end(), begins.begin(), 0);
+    }
+    unsigned long long total;
+    std::vector<int> counts, begins;
+};
+
+std::string gather_in_all(const std::string& own, int size) {
+    const auto n = static_cast<unsigned long long>(own.size());
+    std::vector<unsigned long long> sizes(static_cast<std::size_t>(size));
+    MPI_Request request;
+    MPI_Iallgather(&n, 1, MPI_UNSIGNED_LONG_LONG, sizes.data(), 1, MPI_UNSIGNED_LONG_LONG, MPI_COMM_WORLD, &request);
+    sleep_until(request);
+    const Places places(sizes);
+    std::string all(places.total, '\0');
+    MPI_Iallgatherv(own.data(), static_cast<int>(n), MPI_CHAR, all.data(), places.counts.data(), places.begins.data(), MPI_CHAR,
+                    MPI_COMM_WORLD, &request);
+    sleep_until(request);
+    return all;
+}
+
 }  // namespace
 
 Ranks::Ranks() {
     if (!launched_by_mpi()) return;
     MPI_Init(nullptr, nullptr);
-    MPI_Comm_rank(MPI_COMM_WORLD, &rank_);
-    MPI_Comm_size(MPI_COMM_WORLD, &size_);
+    MPI_Comm_rank(MPI_COMM_WORLD, &team_.rank);
+    MPI_Comm_size(MPI_COMM_WORLD, &team_.size);
+    team_.gather = [size = team_.size](const std::string& own) { return gather_in_all(own, size); };
     MPI_Comm on_this_machine;
-    MPI_Comm_split_type(MPI_COMM_WORLD, MPI_COMM_TYPE_SHARED, rank_, MPI_INFO_NULL, &on_this_machine);
+    MPI_Comm_split_type(MPI_COMM_WORLD, MPI_COMM_TYPE_SHARED, team_.rank, MPI_INFO_NULL, &on_this_machine);
     MPI_Comm_rank(on_this_machine, &local_rank_);
+    int n_here = 1;
+    MPI_Comm_size(on_this_machine, &n_here);
     MPI_Comm_free(&on_this_machine);
-    check_build(rank_);
+    share_scan_memory(n_here);
+    check_build(team_.rank);
 }
 
 Ranks::~Ranks() {
@@ -66,40 +99,32 @@ Ranks::~Ranks() {
 }
 
 void Ranks::wait_for_all() const {
-    if (size_ == 1) return;
+    if (size() == 1) return;
     MPI_Request request;
     MPI_Ibarrier(MPI_COMM_WORLD, &request);
     sleep_until(request);
 }
 
-Ranks::Share Ranks::share(std::size_t n) const {
-    const auto first_of = [&](int rank) { return (n * std::size_t(rank) + std::size_t(size_ - 1)) / std::size_t(size_); };
-    return {first_of(rank_), first_of(rank_ + 1)};
-}
-
 std::vector<std::string> Ranks::gather(const std::string& text) const {
-    if (size_ == 1) return {text};
+    if (size() == 1) return {text};
     const auto n = static_cast<unsigned long long>(text.size());
-    std::vector<unsigned long long> sizes(is_first() ? std::size_t(size_) : 0);
+    std::vector<unsigned long long> sizes(is_first() ? std::size_t(size()) : 0);
     MPI_Request request;
     MPI_Igather(&n, 1, MPI_UNSIGNED_LONG_LONG, sizes.data(), 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD, &request);
     sleep_until(request);
-    const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
-    if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))   // MPI counts in int
-        throw Error(ExitCode::bug, "collecting results of several processes: found more than 2 GiB of them, expected less");
-    std::vector<int> counts(sizes.begin(), sizes.end()), places(sizes.size());
-    std::exclusive_scan(counts.begin(), counts.end(), places.begin(), 0);
-    std::string all(total, '\0');
-    MPI_Igatherv(text.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(), places.data(), MPI_CHAR, 0, MPI_COMM_WORLD,
-                 &request);
+    const Places places(sizes);
+    std::string all(places.total, '\0');
+    MPI_Igatherv(text.data(), static_cast<int>(n), MPI_CHAR, all.data(), places.counts.data(), places.begins.data(), MPI_CHAR, 0,
+                 MPI_COMM_WORLD, &request);
     sleep_until(request);
     std::vector<std::string> texts;
-    for (std::size_t r = 0; r < counts.size(); ++r) texts.push_back(all.substr(std::size_t(places[r]), std::size_t(counts[r])));
+    for (std::size_t r = 0; r < sizes.size(); ++r)
+        texts.push_back(all.substr(std::size_t(places.begins[r]), std::size_t(places.counts[r])));
     return texts;
 }
 
 DeviceChoice Ranks::device(DeviceChoice chosen) const {
-    if (size_ == 1 || chosen.index >= 0) return chosen;
+    if (size() == 1 || chosen.index >= 0) return chosen;
     std::vector<int> gpus;
     for (const DeviceInfo& device : list_devices())
         if (device.type != "CPU" && device.why_not_usable.empty()) gpus.push_back(device.index);

@@ -6,6 +6,8 @@
 #include <string>
 #include <vector>
 
+#include <relidar/team.hpp>
+
 #include "options.hpp"
 
 namespace relidar::cli {
@@ -20,14 +22,11 @@ public:
     Ranks(const Ranks&) = delete;
     Ranks& operator=(const Ranks&) = delete;
 
-    int size() const { return size_; }
+    int size() const { return team_.size; }
     /// Of them, the one that prints, and writes what they share.
-    bool is_first() const { return rank_ == 0; }
-    /// What this process does of a list of n entries: neighbours, as many as others do, or one more or less. The first has some.
-    struct Share {
-        std::size_t begin, end;
-    };
-    Share share(std::size_t n) const;
+    bool is_first() const { return team_.is_first(); }
+    /// For the library's work that they share.
+    const Team& team() const { return team_; }
     /// Brings a text of each process to the first. @return [size] there, in order of ranks; elsewhere nothing
     std::vector<std::string> gather(const std::string& text) const;
     /// Returns once all have come here. Takes no time of the processor.
@@ -36,7 +35,8 @@ public:
     DeviceChoice device(DeviceChoice chosen) const;
 
 private:
-    int rank_ = 0, size_ = 1, local_rank_ = 0;
+    Team team_;
+    int local_rank_ = 0;
 };
 
 }  // namespace relidar::cli

@@ -335,7 +335,7 @@ void run_render(const Options& given) {
     catch_interrupts();
     Progress progress(options.quiet);
     SweepRenderer sweep_renderer(renderer, options, wanted, offset, track);
-    const Ranks::Share share = ranks.share(sweeps.size());
+    const Team::Share share = ranks.team().share(sweeps.size());
     for (std::size_t i = share.begin; i < share.end; ++i) {
         sweep_renderer.render(sweeps[i], folders);
         progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", sweeps[i].number), i + 1 - share.begin,

@@ -226,7 +226,7 @@ void run_train(const Options& given, const std::string& command_line) {
     if (!options.quiet) announce(sequence, split, device, start ? &*start : nullptr);
 
     catch_interrupts();
-    prepare_log_shown(sequence, split, config, options.quiet);
+    prepare_log_shown(sequence, split, config, options.quiet, ranks.team());
     if (start) check_resumable(*start, sequence, split, config);
     if (folder) clear_folder(folder->path(), config, resume && in_blocks, start.has_value());
     ranks.wait_for_all();

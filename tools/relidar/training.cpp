@@ -64,7 +64,7 @@ private:
 
 }  // namespace
 
-void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet) {
+void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet, const Team& team) {
     Progress progress(quiet);
     const auto tell = [&](const std::string& line) {
         if (quiet) return;
@@ -72,7 +72,7 @@ void prepare_log_shown(Sequence& sequence, const Split& split, const Config& con
         print(line + "\n");
         std::fflush(stdout);
     };
-    prepare_log(sequence, split, config, {tell, interrupted, shown_by(progress)});
+    prepare_log(sequence, split, config, {tell, interrupted, shown_by(progress), team});
 }
 
 TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const fs::path& folder,

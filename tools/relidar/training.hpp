@@ -11,7 +11,7 @@
 namespace relidar::cli {
 
 /// prepare_log(), telling what it estimates. @throws Error with exit code 130 after Ctrl-C
-void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet);
+void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet, const Team& team = {});
 
 /// Trains with a progress line on stderr and one JSON line of log.jsonl for each; the log of a run that continues starts with the lines
 /// up to its checkpoint. Ctrl-C stops after the current iteration. A log that cannot be written costs a note, not the training.

@@ -1,0 +1,131 @@
+// SPDX-License-Identifier: Apache-2.0
+// A log that several processes prepare together, here threads: all end with what one process finds, to the bit.
+#include <cmath>
+#include <condition_variable>
+#include <map>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include <relidar/dataset.hpp>
+#include <relidar/team.hpp>
+#include <relidar/train.hpp>
+
+namespace relidar {
+namespace {
+
+/// Threads in the place of processes.
+class TeamOfThreads {
+public:
+    explicit TeamOfThreads(int size) : size_(size), turns_of_(std::size_t(size)) {}
+
+    Team of(int rank) {
+        return {rank, size_, [this, rank](const std::string& own) { return gather(std::size_t(rank), own); }};
+    }
+    /// [size] bytes that each has given, of parts that all of them share
+    std::vector<std::size_t> shared_bytes() const {
+        std::vector<std::size_t> bytes(std::size_t(size_), 0);
+        for (const auto& [turn, part] : parts_)
+            for (std::size_t rank = 0; rank < part.size(); ++rank) bytes[rank] += part.back().empty() ? 0 : part[rank].size();
+        return bytes;
+    }
+
+private:
+    int size_;
+    std::vector<std::size_t> turns_of_;   // ranks: turns that each has had
+    std::mutex mutex_;
+    std::condition_variable all_here_;
+    std::map<std::size_t, std::vector<std::string>> parts_;   // [rank] by turn
+    std::map<std::size_t, int> n_here_;
+
+    std::string gather(std::size_t rank, const std::string& own) {
+        std::unique_lock lock(mutex_);
+        const std::size_t turn = turns_of_[rank]++;
+        std::vector<std::string>& parts = parts_[turn];
+        parts.resize(std::size_t(size_));
+        parts[rank] = own;
+        ++n_here_[turn];
+        all_here_.notify_all();
+        all_here_.wait(lock, [&] { return n_here_[turn] == size_; });
+        std::string all;
+        for (const std::string& part : parts) all += part;
+        return all;
+    }
+};
+
+/// Long enough to be followed in two stretches. Its poses drift, its movers have no label, its beams are off.
+Sequence street() {
+    Sequence street = make_synthetic_street({.n_frames = 410, .rows = 32, .columns = 256, .range_noise_m = 0.01});
+    street.boxes.clear();
+    PoseTrack track = street.world_from_vehicle;
+    for (std::size_t k = 0; k < track.pose.size(); ++k) track.pose[k].translation.y += 0.3 * std::sin(0.02 * double(k));
+    set_vehicle_poses(street, track);
+    for (Frame& frame : street.frames)
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
+            if (frame.scan.range_m[ray] > 0.0f) frame.scan.range_m[ray] += 0.04f * float(frame.scan.rays.channel[ray] % 3);
+    return street;
+}
+
+std::vector<double> numbers(const Pose& pose) {
+    const glm::dquat& q = pose.rotation;
+    const glm::dvec3& t = pose.translation;
+    return {q.w, q.x, q.y, q.z, t.x, t.y, t.z};
+}
+
+void expect_same(const Sequence& a, const Sequence& b) {
+    for (std::size_t k = 0; k < a.world_from_vehicle.pose.size(); ++k)
+        ASSERT_EQ(numbers(a.world_from_vehicle.pose[k]), numbers(b.world_from_vehicle.pose[k])) << "pose " << k;
+    const std::vector<Beam>&beams = a.lidars[0].sensor.beams, &others = b.lidars[0].sensor.beams;
+    for (std::size_t i = 0; i < beams.size(); ++i) {
+        EXPECT_EQ(beams[i].range_offset_m, others[i].range_offset_m) << "beam " << i;
+        EXPECT_EQ(beams[i].intensity_gain, others[i].intensity_gain) << "beam " << i;
+        EXPECT_EQ(beams[i].intensity_offset, others[i].intensity_offset) << "beam " << i;
+    }
+    EXPECT_EQ(a.range_noise.sigma_m, b.range_noise.sigma_m);
+    EXPECT_EQ(a.intensity_response.range_m, b.intensity_response.range_m);
+    EXPECT_EQ(a.intensity_response.factor, b.intensity_response.factor);
+    EXPECT_EQ(a.intensity_response.incidence, b.intensity_response.incidence);
+    ASSERT_EQ(a.boxes.size(), b.boxes.size());
+    for (std::size_t i = 0; i < a.boxes.size(); ++i) {
+        EXPECT_EQ(a.boxes[i].id, b.boxes[i].id);
+        EXPECT_EQ(a.boxes[i].size_m, b.boxes[i].size_m);
+        ASSERT_EQ(a.boxes[i].world_from_box.time_s, b.boxes[i].world_from_box.time_s);
+        for (std::size_t k = 0; k < a.boxes[i].world_from_box.pose.size(); ++k)
+            EXPECT_EQ(numbers(a.boxes[i].world_from_box.pose[k]), numbers(b.boxes[i].world_from_box.pose[k]));
+    }
+}
+
+TEST(PrepareLog, ATeamFindsWhatOneProcessFinds) {
+    const Sequence given = street();
+    const Split split = split_frames(given, 10);
+    Config config;
+    config.train.refine_poses = "sensor";
+    config.init.discover_actors = config.sensor.calibrate_range = config.sensor.calibrate_intensity = true;
+    Sequence alone = given;
+    std::vector<std::string> told_alone;
+    prepare_log(alone, split, config, {[&](const std::string& line) { told_alone.push_back(line); }, {}, {}});
+    ASSERT_FALSE(alone.boxes.empty()) << "no mover is discovered";
+    ASSERT_NE(alone.lidars[0].sensor.beams[0].range_offset_m, 0.0) << "no beam is calibrated";
+    ASSERT_NE(numbers(alone.world_from_vehicle.pose[50]), numbers(given.world_from_vehicle.pose[50])) << "no pose is registered";
+    constexpr int kSize = 3;
+    TeamOfThreads team(kSize);
+    std::vector<Sequence> logs(std::size_t(kSize), given);
+    std::vector<std::vector<std::string>> told(std::size_t(kSize), std::vector<std::string>{});
+    std::vector<std::thread> processes;
+    for (int rank = 0; rank < kSize; ++rank)
+        processes.emplace_back([&, rank] {
+            const auto tell = [&, rank](const std::string& line) { told[std::size_t(rank)].push_back(line); };
+            prepare_log(logs[std::size_t(rank)], split, config, {tell, {}, {}, team.of(rank)});
+        });
+    for (std::thread& process : processes) process.join();
+    for (const Sequence& log : logs) expect_same(log, alone);
+    EXPECT_EQ(told[0], told_alone);
+    for (int rank = 1; rank < kSize; ++rank) EXPECT_TRUE(told[std::size_t(rank)].empty()) << "the first one tells";
+    for (const std::size_t bytes : team.shared_bytes()) EXPECT_GT(bytes, 1000u) << "a process did nothing";
+}
+
+}  // namespace
+}  // namespace relidar
