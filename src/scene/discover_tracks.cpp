@@ -387,6 +387,40 @@ std::optional<BoxTrack> proven_box(const Visibility& visibility, Track& track) {
     return is_plausible(result) ? std::optional(result) : std::nullopt;
 }
 
+/// Those of all tracks, of which each process of a team looks at its share.
+std::vector<BoxTrack> proven_boxes(Visibility& visibility, std::vector<Track>& tracks, const Progress& progress, const Team& team) {
+    const Team::Share share = team.share(tracks.size());
+    for (std::size_t i = share.begin; i < share.end; ++i)
+        for (const Observation& o : tracks[i].seen) visibility.announce(o.cluster.points_m);
+    std::vector<std::optional<BoxTrack>> found(share.end - share.begin);
+    for_each_told(found.size(), progress, "paths of movers",
+                  [&](std::size_t i) { found[i] = proven_box(visibility, tracks[share.begin + i]); });
+    struct Head {
+        glm::dvec3 size_m;
+        std::uint64_t n_poses;
+    };
+    std::vector<Head> heads;
+    std::vector<double> times_s;
+    std::vector<Pose> poses;
+    for (const std::optional<BoxTrack>& box : found) {
+        if (!box) continue;
+        const PoseTrack& track = box->world_from_box;
+        heads.push_back({box->size_m, track.pose.size()});
+        times_s.insert(times_s.end(), track.time_s.begin(), track.time_s.end());
+        poses.insert(poses.end(), track.pose.begin(), track.pose.end());
+    }
+    heads = team.joined(std::move(heads)), times_s = team.joined(std::move(times_s)), poses = team.joined(std::move(poses));
+    std::vector<BoxTrack> boxes;
+    std::ptrdiff_t at = 0;
+    for (const Head& head : heads) {
+        const std::ptrdiff_t end = at + std::ptrdiff_t(head.n_poses);
+        boxes.push_back({"", kDiscoveredCategory, head.size_m,
+                         {{times_s.begin() + at, times_s.begin() + end}, {poses.begin() + at, poses.begin() + end}}});
+        at = end;
+    }
+    return boxes;
+}
+
 /// Whether a track is mostly inside another's box: a part of it that was a group of its own for a while.
 bool is_part_of(const BoxTrack& part, const BoxTrack& whole) {
     const double margin = std::max(whole.size_m.x, whole.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
@@ -415,16 +449,12 @@ std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vecto
     std::erase_if(positions, [&](int position) { return sequence.frames[std::size_t(position)].lidar != 0; });
     std::vector<double> times;
     for (const int position : positions) times.push_back(sequence.frames[std::size_t(position)].time_s);
-    const Visibility visibility(sequence, positions);
+    Visibility visibility(sequence, positions);
     std::vector<Track> tracks =
         link(find_mover_clusters(sequence, positions, visibility, options, progress, team), times, sequence.world_from_vehicle);
     std::erase_if(tracks, [&](const Track& track) { return !moves(track) || rides_along(track, sequence.world_from_vehicle); });
     join_parts(tracks);
-    std::vector<std::optional<BoxTrack>> found(tracks.size());
-    for_each_told(tracks.size(), progress, "paths of movers", [&](std::size_t i) { found[i] = proven_box(visibility, tracks[i]); });
-    std::vector<BoxTrack> boxes;
-    for (std::optional<BoxTrack>& box : found)
-        if (box) boxes.push_back(std::move(*box));
+    std::vector<BoxTrack> boxes = proven_boxes(visibility, tracks, progress, team);
     boxes = without_parts(std::move(boxes));
     for (std::size_t i = 0; i < boxes.size(); ++i) boxes[i].id = fmt::format("mover-{}", i);
     return boxes;

@@ -156,7 +156,10 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
 /// Leaves out samples that other frames see through.
 std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Sequence& sequence, const std::vector<int>& train,
                                    const Progress& progress) {
-    const Visibility visibility(sequence, train);
+    Visibility visibility(sequence, train);
+    std::vector<glm::vec3> points;
+    for (const Sample& sample : samples) points.push_back(sample.position);
+    visibility.announce(points);
     std::vector<char> keep(samples.size());
     for_each_block_told(samples.size(), progress, "what did not stay", [&](std::size_t i) {
         keep[i] = !visibility.votes(samples[i].position).is_seen_through(kGoneShare);

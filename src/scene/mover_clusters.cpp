@@ -4,12 +4,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
+#include <span>
 #include <unordered_map>
 #include <utility>
 
 #include "core/cell_key.hpp"
 #include "core/parallel.hpp"
-#include "core/progress_blocks.hpp"
 
 namespace relidar {
 namespace {
@@ -23,6 +24,7 @@ constexpr double kMaxLength_m = 14.0;
 constexpr double kSeenThroughShare = 0.25;   // of the frames that see a cell: what drives ahead hides where it was
 constexpr int kSeldomSeen = 3;           // frames: what rests is seen by more, unless it is far or hidden
 constexpr double kMovedShare = 0.15;      // of the returns of a group
+constexpr std::size_t kStretch = 300;     // frames at a time, at least: their returns are in memory; cells that two stretches see are asked twice
 
 /// What the frames say of a cell. Where few frames look, as at the end of a log, nothing sees through a part of what moves: that part is
 /// taken in with the rest.
@@ -138,24 +140,26 @@ void MoverCluster::take_in(const MoverCluster& other) {
     points_m.insert(points_m.end(), other.points_m.begin(), other.points_m.end());
 }
 
-std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions,
-                                                           const Visibility& visibility, const InitialiseOptions& options,
-                                                           const Progress& progress, const Team& team) {
+namespace {
+
+using Clusters = std::vector<std::vector<MoverCluster>>;   // [frames]
+
+/// Of some neighbouring frames.
+Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, Visibility& visibility, const InitialiseOptions& options) {
     std::vector<std::vector<Return>> frames(positions.size());
     run_parallel(static_cast<int>(positions.size()), [&](int i) {
         frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])], options);
     });
     const std::vector<glm::vec3> cells = number_cells(frames);
-    const Team::Share share = team.share(cells.size());
-    std::vector<Motion> motion(share.end - share.begin);
-    for_each_block_told(motion.size(), progress, "what moved", [&](std::size_t i) {
-        const Visibility::Votes votes = visibility.votes(cells[share.begin + i]);
+    visibility.announce(cells);
+    std::vector<Motion> motion(cells.size());
+    for_each_block(cells.size(), [&](std::size_t i) {
+        const Visibility::Votes votes = visibility.votes(cells[i]);
         motion[i] = votes.is_seen_through(kSeenThroughShare) ? Motion::moved
                     : votes.seen <= kSeldomSeen              ? Motion::seldom_seen
                                                              : Motion::rests;
     });
-    motion = team.joined(std::move(motion));
-    std::vector<std::vector<MoverCluster>> clusters(frames.size());
+    Clusters clusters(frames.size());
     run_parallel(static_cast<int>(frames.size()), [&](int i) {
         std::vector<Return>& frame = frames[std::size_t(i)];
         for (Return& r : frame) r.motion = motion[r.cell];
@@ -163,6 +167,57 @@ std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& seque
         clusters[std::size_t(i)] = group(frame);
     });
     return clusters;
+}
+
+/// Clusters of all processes' frames.
+Clusters joined(const Team& team, const Clusters& own) {
+    if (team.size == 1) return own;
+    struct Head {
+        double time_s;
+        glm::dvec3 centre_m;
+        std::uint64_t n_points;
+    };
+    std::vector<std::uint64_t> n_clusters;   // [frames]
+    std::vector<Head> heads;
+    std::vector<glm::dvec3> points;
+    for (const std::vector<MoverCluster>& frame : own) {
+        n_clusters.push_back(frame.size());
+        for (const MoverCluster& cluster : frame) {
+            heads.push_back({cluster.time_s, cluster.centre_m, cluster.points_m.size()});
+            points.insert(points.end(), cluster.points_m.begin(), cluster.points_m.end());
+        }
+    }
+    n_clusters = team.joined(std::move(n_clusters)), heads = team.joined(std::move(heads)), points = team.joined(std::move(points));
+    Clusters all;
+    auto head = heads.begin();
+    auto point = points.begin();
+    for (const std::uint64_t n : n_clusters) {
+        std::vector<MoverCluster>& frame = all.emplace_back();
+        for (std::uint64_t i = 0; i < n; ++i, ++head) {
+            const auto end = point + std::ptrdiff_t(head->n_points);
+            frame.push_back({head->time_s, head->centre_m, {point, end}});
+            point = end;
+        }
+    }
+    return all;
+}
+
+}  // namespace
+
+std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions,
+                                                           Visibility& visibility, const InitialiseOptions& options,
+                                                           const Progress& progress, const Team& team) {
+    const std::size_t n_stretches = std::max<std::size_t>(1, positions.size() / kStretch);
+    const auto first_of = [&](std::size_t stretch) { return positions.size() * stretch / n_stretches; };
+    const Team::Share share = team.share(n_stretches);
+    Clusters own;
+    for (std::size_t s = share.begin; s < share.end; ++s) {
+        if (progress) progress("what moved", double(s - share.begin) / double(share.end - share.begin));
+        const std::span<const int> stretch = std::span(positions).subspan(first_of(s), first_of(s + 1) - first_of(s));
+        Clusters found = clusters_of(sequence, stretch, visibility, options);
+        std::move(found.begin(), found.end(), std::back_inserter(own));
+    }
+    return joined(team, own);
 }
 
 }  // namespace relidar

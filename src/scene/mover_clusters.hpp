@@ -20,9 +20,11 @@ struct MoverCluster {
     void take_in(const MoverCluster& other);
 };
 
-/// @param positions  frames that are looked at, ascending @param visibility  of these frames @return [positions] clusters of each
+/// Looks at a long log in stretches, of which each process of a team does its share.
+/// @param positions  frames that are looked at, ascending @param visibility  of these frames
+/// @return [positions] clusters of each, in all processes
 std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions,
-                                                           const Visibility& visibility, const InitialiseOptions& options,
+                                                           Visibility& visibility, const InitialiseOptions& options,
                                                            const Progress& progress, const Team& team);
 
 }  // namespace relidar

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "core/cell_key.hpp"
 #include "core/parallel.hpp"
@@ -51,54 +52,69 @@ void thin_out(std::vector<std::uint32_t>& views) {
 }  // namespace
 
 Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positions)
-    : views_(positions.size()) {
+    : sequence_(sequence), positions_(positions) {
     for (const Lidar& lidar : sequence.lidars) grids_.push_back(grid_over(lidar.sensor));
-    run_parallel(static_cast<int>(positions.size()),
-                 [&](int i) { views_[std::size_t(i)] = make_view(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])]); });
-    sort_by_tile(sequence);
+    for (const int position : positions) {
+        const Frame& frame = sequence.frames[std::size_t(position)];
+        views_.push_back({frame.time_s, frame.lidar, {}, {}});
+    }
+    sort_by_tile();
 }
 
-Visibility::View Visibility::make_view(const Sequence& sequence, const Frame& frame) const {
-    View view;
-    view.time_s = frame.time_s;
-    view.lidar = frame.lidar;
-    const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
-    const int n_sectors = sequence.rolling_shutter ? kSectors : 1;
+void Visibility::want(const glm::dvec3& point_m) {
+    const auto tile = tiles_.find(cell_key(tile_centre(point_m), kTile_m));
+    if (tile == tiles_.end() || std::exchange(tile->second.wanted, true)) return;
+    for (const std::uint32_t view : tile->second.views)
+        if (views_[view].sensor_from_world.empty()) wanted_.push_back(view);
+}
+
+void Visibility::make_wanted() {
+    std::sort(wanted_.begin(), wanted_.end());
+    wanted_.erase(std::unique(wanted_.begin(), wanted_.end()), wanted_.end());
+    run_parallel(static_cast<int>(wanted_.size()), [&](int i) {
+        const std::uint32_t view = wanted_[std::size_t(i)];
+        make(views_[view], sequence_.frames[std::size_t(positions_[view])]);
+    });
+    wanted_.clear();
+}
+
+void Visibility::make(View& view, const Frame& frame) const {
+    const Pose& mounted = sequence_.lidar_of(frame).vehicle_from_sensor;
+    const int n_sectors = sequence_.rolling_shutter ? kSectors : 1;
     for (int sector = 0; sector < n_sectors; ++sector) {
         const double azimuth = 2.0 * kPi * ((sector + 0.5) / n_sectors - 0.5);
-        view.sensor_from_world.push_back(inverse(sequence.world_from_vehicle.at(
-            facing_time(sequence, {std::cos(azimuth), std::sin(azimuth), 0.0}, moment_of(frame)), mounted)));
+        view.sensor_from_world.push_back(inverse(sequence_.world_from_vehicle.at(
+            facing_time(sequence_, {std::cos(azimuth), std::sin(azimuth), 0.0}, moment_of(frame)), mounted)));
     }
     std::vector<glm::vec3> points;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
         if (frame.scan.range_m[ray] > 0.0f) points.push_back(frame.scan.point(ray));
     view.range_m = project_points(grids_[std::size_t(frame.lidar)], points, std::vector<float>(points.size(), 0.0f)).range_m;
-    return view;
 }
 
-void Visibility::sort_by_tile(const Sequence& sequence) {
+void Visibility::sort_by_tile() {
     struct Seen {
         std::uint32_t view;
         double distance_m;
     };
-    std::unordered_map<std::uint64_t, std::vector<Seen>> tiles;
+    std::unordered_map<std::uint64_t, std::vector<Seen>> all;
     for (std::uint32_t v = 0; v < views_.size(); ++v) {
-        const Lidar& lidar = sequence.lidars[std::size_t(views_[v].lidar)];
+        const Lidar& lidar = sequence_.lidars[std::size_t(views_[v].lidar)];
         const double farthest = lidar.sensor.max_range_m + kTile_m;
-        glm::dvec3 sensor = sequence.world_from_vehicle.at(views_[v].time_s, lidar.vehicle_from_sensor).translation;
+        glm::dvec3 sensor = sequence_.world_from_vehicle.at(views_[v].time_s, lidar.vehicle_from_sensor).translation;
         sensor.z = 0.0;
         for (double dx = -farthest; dx <= farthest; dx += kTile_m)
             for (double dy = -farthest; dy <= farthest; dy += kTile_m) {
                 const glm::dvec3 tile = tile_centre(sensor + glm::dvec3(dx, dy, 0.0));
                 if (const double distance = glm::distance(tile, sensor); distance < farthest)
-                    tiles[cell_key(tile, kTile_m)].push_back({v, distance});
+                    all[cell_key(tile, kTile_m)].push_back({v, distance});
             }
     }
-    for (const auto& [key, seen] : tiles) {
+    for (const auto& [key, seen] : all) {
         const double nearest = std::min_element(seen.begin(), seen.end(), [](const Seen& a, const Seen& b) {
                                    return a.distance_m < b.distance_m;
                                })->distance_m;
-        std::vector<std::uint32_t>& views = near_[key];
+        std::vector<std::uint32_t>& views = tiles_[key].views;
         for (const Seen& s : seen)
             if (s.distance_m <= std::max(kNear_m, kHardlyFarther * nearest)) views.push_back(s.view);
         thin_out(views);
@@ -107,8 +123,8 @@ void Visibility::sort_by_tile(const Sequence& sequence) {
 
 const std::vector<std::uint32_t>& Visibility::views_near(const glm::dvec3& point_m) const {
     static const std::vector<std::uint32_t> none;
-    const auto tile = near_.find(cell_key(tile_centre(point_m), kTile_m));
-    return tile == near_.end() ? none : tile->second;
+    const auto tile = tiles_.find(cell_key(tile_centre(point_m), kTile_m));
+    return tile == tiles_.end() ? none : tile->second.views;
 }
 
 Visibility::Surroundings Visibility::around(const View& view, const glm::dvec3& point_m) const {

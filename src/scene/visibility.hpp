@@ -14,10 +14,19 @@ namespace relidar {
 enum class Sight : char { nothing, seen, seen_through };
 
 /// Range images of some frames. A point asks at most 64 of them, so that the cost of many points grows with their number alone: frames
-/// whose sensor was within 40 m, or little farther than the nearest was, evenly spread in time.
+/// whose sensor was within 40 m, or little farther than the nearest was, evenly spread in time. Images are made when points near them are
+/// announced, so that a process that asks for a part of a log makes those of that part.
 class Visibility {
 public:
+    /// Of a log that stays as it is.
     Visibility(const Sequence& sequence, const std::vector<int>& positions);
+
+    /// Makes the images that some points ask; nothing may be asked of other points. @param points_m [points] vectors of 3, world
+    template <class Points>
+    void announce(const Points& points_m) {
+        for (const auto& point_m : points_m) want(glm::dvec3(point_m));
+        make_wanted();
+    }
 
     struct Votes {
         int seen = 0;
@@ -40,7 +49,7 @@ private:
     struct View {
         double time_s;
         int lidar;
-        std::vector<Pose> sensor_from_world;   ///< one a sector of the sweep, when the head faces the middle of it
+        std::vector<Pose> sensor_from_world;   ///< one a sector of the sweep, when the head faces the middle of it; none: not made yet
         std::vector<float> range_m;            ///< [rows*columns] nearest return, 0 where there is none
     };
     /// A point as a view sees it: its range, and the returned ranges of the 3 x 3 pixels around it.
@@ -49,12 +58,22 @@ private:
         float returned_m[9];
         int n = 0;
     };
+    /// Views that a tile of the ground asks.
+    struct Tile {
+        std::vector<std::uint32_t> views;
+        bool wanted = false;
+    };
+    const Sequence& sequence_;
     std::vector<RangeGrid> grids_;   ///< [lidars]
+    std::vector<int> positions_;     ///< [views] in the log
     std::vector<View> views_;
-    std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> near_;   ///< by tile of the ground
+    std::unordered_map<std::uint64_t, Tile> tiles_;
+    std::vector<std::uint32_t> wanted_;   ///< views to be made; some twice
 
-    View make_view(const Sequence& sequence, const Frame& frame) const;
-    void sort_by_tile(const Sequence& sequence);
+    void want(const glm::dvec3& point_m);
+    void make_wanted();
+    void make(View& view, const Frame& frame) const;
+    void sort_by_tile();
     Surroundings around(const View& view, const glm::dvec3& point_m) const;
 };
 
