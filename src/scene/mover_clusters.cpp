@@ -24,7 +24,7 @@ constexpr double kMaxLength_m = 14.0;
 constexpr double kSeenThroughShare = 0.25;   // of the frames that see a cell: what drives ahead hides where it was
 constexpr int kSeldomSeen = 3;           // frames: what rests is seen by more, unless it is far or hidden
 constexpr double kMovedShare = 0.15;      // of the returns of a group
-constexpr std::size_t kStretch = 300;     // frames at a time, at least: their returns are in memory; cells that two stretches see are asked twice
+constexpr std::size_t kStretch = 200;     // frames at a time, at least, whose returns are in memory; cells that two see are asked twice
 
 /// What the frames say of a cell. Where few frames look, as at the end of a log, nothing sees through a part of what moves: that part is
 /// taken in with the rest.
