@@ -2,23 +2,26 @@
 # SPDX-License-Identifier: Apache-2.0
 #
 # relidar train --blocks on a small synthetic street: the run is used as any other; whatever ends its training, --resume goes on, and what
-# comes out is the same to the bit; so it is where mpirun shares the blocks among processes, and where one of them is killed. Processes
-# that share frames render and score as one does.
+# comes out is the same to the bit; so it is where mpirun shares the blocks among processes, where one of them is killed, and where a device
+# is lost. Processes that share frames render and score as one does.
 #
-#   blocks_test.sh RELIDAR [WORK_FOLDER] [MPIRUN]
+#   blocks_test.sh RELIDAR [WORK_FOLDER] [LAYER_FOLDER] [MPIRUN]
+#
+# LAYER_FOLDER: of the manifest of the layer that loses the device (device_loss/).
 #
 # Exits 77 (skipped) where there is no Vulkan device, or fails there with RELIDAR_REQUIRE_GPU=1.
 set -uo pipefail
-relidar=$(realpath "${1:?usage: blocks_test.sh RELIDAR [WORK_FOLDER] [MPIRUN]}")
+relidar=$(realpath "${1:?usage: blocks_test.sh RELIDAR [WORK_FOLDER] [LAYER_FOLDER] [MPIRUN]}")
 tests=$(realpath "$(dirname "${BASH_SOURCE[0]}")")
 work=${2:-$(mktemp -d)}
-mpirun=${3:-}
+layers=${3:+$(realpath "$3")}
+mpirun=${4:-}
 rm -rf "$work" && mkdir -p "$work" && work=$(realpath "$work") && cd "$work" || exit 1
 source "$tests/checks.sh"
 
 # Settings that train on this street within seconds, the same way each time.
-settings=(--preset quick --set train.iterations=6 --set train.log_every=1 --set train.deterministic=true --set train.pose_register=false
-    --set refine.enabled=false --set dataset.test_every=6 --set init.discover_actors=false --set train.checkpoint_every=2)
+settings=(--preset quick --set train.iterations=6 --set train.log_every=1 --set train.deterministic=true
+    --set refine.enabled=false --set dataset.test_every=6 --set train.checkpoint_every=2)
 
 # same RUN: its surfels and poses are those of `one`, to the bit.
 same() {
@@ -93,6 +96,23 @@ stopped() {
     absent stopped/blocks
 }
 
+losing=(env VK_INSTANCE_LAYERS=VK_LAYER_RELIDAR_device_loss "VK_LAYER_PATH=$layers")
+
+# The device is lost when a block begins, and between two of its iterations: one line says so, and what is there stays.
+lost_device() {
+    local after
+    for after in 10 220; do
+        "${losing[@]}" RELIDAR_LOSE_DEVICE_AFTER=$after "$relidar" train street --out gone --force --blocks 30m "${settings[@]}" --quiet >out 2>err
+        check "device lost after $after submissions: exit code $?, expected 4" test $? = 4
+        check "the message lacks the driver's answer" grep -Eq "^relidar: block 1 of 3: .*VK_ERROR_DEVICE_LOST.*; trained blocks are kept, continue with: relidar train --resume gone" err
+        check "more than one line" test "$(wc -l <err)" = 1
+        absent gone/scene.json
+    done
+    exists gone/blocks/000/checkpoints
+    good train --resume gone
+    same gone
+}
+
 # kill_one FOLDER: the last started of the processes that train into it.
 kill_one() {
     local process last=""
@@ -124,6 +144,17 @@ ranks() {
     check "mpirun ended with 0 though one process was killed" test $? != 0
     absent lost/scene.json
     rm -rf lost
+
+    if [[ -n $layers ]]; then
+        mpi 1 "$relidar" train street --out unplugged --blocks 30m "${settings[@]}" : \
+            -n 1 "${losing[@]}" RELIDAR_LOSE_DEVICE_AFTER=150 "$relidar" train street --out unplugged --blocks 30m "${settings[@]}" >out 2>err
+        check "a process whose device is lost: exit code $?, expected 4" test $? = 4
+        check "the message lacks the driver's answer" grep -Eq "^relidar: block . of 3: .*VK_ERROR_DEVICE_LOST" err
+        absent unplugged/scene.json
+        mpi 2 "$relidar" train --resume unplugged >out 2>err
+        check "resumed with two devices again: exit code $?, expected 0" test $? = 0
+        same unplugged
+    fi
 
     mpi 2 "$relidar" train street --out lost --blocks 30m "${settings[@]}" >out 2>err &
     pid=$!
@@ -209,6 +240,7 @@ wrong_lengths
 if "$relidar" devices >/dev/null 2>&1; then
     whole
     stopped
+    if [[ -n $layers ]]; then lost_device; fi
     if [[ -n $mpirun ]]; then ranks; misfits; frames; fi
 elif [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]]; then
     fail "no Vulkan device"
