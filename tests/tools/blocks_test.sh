@@ -96,7 +96,7 @@ stopped() {
     absent stopped/blocks
 }
 
-losing=(env VK_INSTANCE_LAYERS=VK_LAYER_RELIDAR_device_loss "VK_LAYER_PATH=$layers")
+losing=(env VK_INSTANCE_LAYERS=VK_LAYER_RELIDAR_device_loss "VK_ADD_LAYER_PATH=$layers")
 
 # The device is lost when a block begins, and between two of its iterations: one line says so, and what is there stays.
 lost_device() {
