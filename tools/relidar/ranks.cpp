@@ -46,30 +46,21 @@ void check_build(int rank) {
             fmt::format("started by mpirun: process {} is another build of relidar than the first one, expected the same program", rank));
 }
 
-/// Where texts of some processes lie, one after the other.
-struct Places {
-    explicit Places(const std::vector<unsigned long long>& sizes) {
-        total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
-        if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))   // MPI counts in int
-            throw Error(ExitCode::bug, "collecting results of several processes: found more than 2 GiB of them, expected less");
-        counts.assign(sizes.begin(), sizes.end());
-        begins.resize(sizes.size());
-        std::exclusive_scan(counts.begin(), counts.end(), begins.begin(), 0);
-    }
-    unsigned long long total;
-    std::vector<int> counts, begins;
-};
-
+/// Texts of all processes one after the other, in all of them.
 std::string gather_in_all(const std::string& own, int size) {
     const auto n = static_cast<unsigned long long>(own.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(size));
     MPI_Request request;
     MPI_Iallgather(&n, 1, MPI_UNSIGNED_LONG_LONG, sizes.data(), 1, MPI_UNSIGNED_LONG_LONG, MPI_COMM_WORLD, &request);
     sleep_until(request);
-    const Places places(sizes);
-    std::string all(places.total, '\0');
-    MPI_Iallgatherv(own.data(), static_cast<int>(n), MPI_CHAR, all.data(), places.counts.data(), places.begins.data(), MPI_CHAR,
-                    MPI_COMM_WORLD, &request);
+    const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
+    if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))   // MPI counts in int
+        throw Error(ExitCode::bug, "collecting results of several processes: found more than 2 GiB of them, expected less");
+    std::vector<int> counts(sizes.begin(), sizes.end()), places(sizes.size());
+    std::exclusive_scan(counts.begin(), counts.end(), places.begin(), 0);
+    std::string all(total, '\0');
+    MPI_Iallgatherv(own.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(), places.data(), MPI_CHAR, MPI_COMM_WORLD,
+                    &request);
     sleep_until(request);
     return all;
 }
@@ -107,19 +98,15 @@ void Ranks::wait_for_all() const {
 
 std::vector<std::string> Ranks::gather(const std::string& text) const {
     if (size() == 1) return {text};
-    const auto n = static_cast<unsigned long long>(text.size());
-    std::vector<unsigned long long> sizes(is_first() ? std::size_t(size()) : 0);
-    MPI_Request request;
-    MPI_Igather(&n, 1, MPI_UNSIGNED_LONG_LONG, sizes.data(), 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD, &request);
-    sleep_until(request);
-    const Places places(sizes);
-    std::string all(places.total, '\0');
-    MPI_Igatherv(text.data(), static_cast<int>(n), MPI_CHAR, all.data(), places.counts.data(), places.begins.data(), MPI_CHAR, 0,
-                 MPI_COMM_WORLD, &request);
-    sleep_until(request);
+    const std::vector<std::size_t> sizes = team_.joined(std::vector{text.size()});
+    const std::string all = team_.gather(text);
+    if (!is_first()) return {};
     std::vector<std::string> texts;
-    for (std::size_t r = 0; r < sizes.size(); ++r)
-        texts.push_back(all.substr(std::size_t(places.begins[r]), std::size_t(places.counts[r])));
+    std::size_t begin = 0;
+    for (const std::size_t n : sizes) {
+        texts.push_back(all.substr(begin, n));
+        begin += n;
+    }
     return texts;
 }
 
