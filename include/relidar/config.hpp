@@ -72,6 +72,7 @@ struct TrainConfig {
     bool sensor_drop = false;        ///< learn what the sensor itself never sees apart from the scene (stands in for the paper's U-Net)
     std::string refine_poses = "none";   ///< "none", "sensor", "actors", "sensor,actors": poses that are optimised with the scene
     bool pose_register = true;           ///< refined poses start from a registration of the scans, before the scene is initialised
+    bool place_held_out = true;          ///< registered held-out scans are placed once more, on the trained scene
     double pose_largest_m = 1.0;         ///< corrections that differ more from their neighbours' are not believed
     bool allow_lost_scans = false;       ///< train on, however many scans did not find their place
     int pose_from = 0;                   ///< poses stay as they are up to this iteration

@@ -55,4 +55,27 @@ struct Registration {
 /// @throws DataError where no two training scans see a common surface, UsageError for a log of several LiDARs
 Registration register_scans(const Sequence& sequence, const Split& split, const RegisterOptions& options);
 
+/// What a scene shows along a ray: a point of the surface and its normal, in the world. A normal of 0: no surface.
+struct SeenSurface {
+    glm::dvec3 point_m{0.0}, normal{0.0};
+};
+
+/// What a scene shows along rays of a frame. @param rays  indices into its scan @param world_from_vehicle  poses to look from
+/// @return [rays]
+using SceneView = std::function<std::vector<SeenSurface>(const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle)>;
+
+/// Where a scan lies on a scene.
+struct ScanPlacement {
+    Pose world_from_vehicle;    ///< at the frame's time; as it was where the scan was not found
+    double moved_m = 0.0;
+    double on_surfaces = 0.0;   ///< share of its thinned points that lie on surfaces
+    bool found = false;
+};
+
+/// Moves the pose of one frame, while the scene and all other poses stay:
+///   min over the pose of  sum over its points p of rho(n . (p - q)),  rho as above,
+/// q and n the surface that the scene shows along the point's ray, looked at anew after each Gauss-Newton step. As for registration, of a
+/// log with one LiDAR; points of movers take no part. @param position  of the frame in Sequence::frames
+ScanPlacement place_scan(const Sequence& sequence, int position, const SceneView& view, const RegisterOptions& options);
+
 }  // namespace relidar

@@ -84,6 +84,8 @@ struct RayTable {
 
     std::size_t size() const { return direction.size(); }
 };
+/// Some rays of a table, without image order.
+RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& wanted);
 
 /// One beam of a spinning LiDAR. The ray of a head at azimuth `theta` (counter-clockwise) points along elevation_rad,
 /// azimuth theta + azimuth_offset_rad, and starts at

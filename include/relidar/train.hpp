@@ -100,6 +100,24 @@ Sequence load_log(const Config& config, const Progress& progress = {});
 TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config, const ProgressCallback& progress,
                   const TrainSession& session = {});
 
+/// How held-out scans are placed.
+struct PlaceSession {
+    Progress progress = {};
+    std::function<bool()> stop = {};   ///< asked before each scan; true ends it with nothing changed
+};
+
+/// What placing them has changed: scans that found their place, and by how much they moved.
+struct HeldOutPlacement {
+    std::size_t scans = 0, placed = 0;
+    double median_m = 0.0, largest_m = 0.0;
+};
+
+/// Places each held-out scan of a run, whose sequence has its scans, on the trained scene, which stays (place_scan() in registration.hpp):
+/// training has moved the poses around it, and it did not go along. Nothing but the pose of its frame is found from its returns. Nothing
+/// happens where the settings do not register the sensor (train.pose_register) or say so (train.place_held_out), for several LiDARs,
+/// and for 3D Gaussians, which have no normals.
+HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& session = {});
+
 /// How a ray-drop network is trained.
 struct RefineSession {
     Progress progress = {};                                ///< of the rendering of the training frames

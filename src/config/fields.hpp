@@ -187,6 +187,8 @@ void visit_training(C& c, Visitor&& f) {
       "poses that are corrected together with the scene: of the sensor, of the actors' boxes");
     f("train.pose_register", c.train.pose_register, anything(),
       "where the sensor's poses are refined, they start from a registration of the scans, before the scene is initialised");
+    f("train.place_held_out", c.train.place_held_out, anything(),
+      "where scans were registered, held-out ones are placed once more by their own returns, on the trained scene, which stays");
     f("train.pose_largest_m", c.train.pose_largest_m, between(0.05, 100.0),
       "how far, in metres, a scan's correction may be from its neighbours', and the same surface from itself once the scans were followed; "
       "a scan beyond is moved as its neighbours are");

@@ -144,25 +144,21 @@ private:
 
     /// One Gauss-Newton step of a rigid scan. @return its length
     double step(const std::vector<PlacedPoint>& points, Pose& at, int level, double& share) const {
-        Matrix6 stiffness = Matrix6::Zero();
-        Vector6 gradient = Vector6::Zero();
+        RigidEquations equations;
         std::size_t on_planes = 0;
         for (const PlacedPoint& point : points) {
             const glm::dvec3 p = at * point.point_m;
             const Plane* plane = maps_.finest_plane(p, level);
             if (!plane) continue;
             const Row row = row_of({p, at.translation}, *plane, maps_.round(level).scale_m);
-            stiffness += row.weight * row.j * row.j.transpose();
-            gradient += row.weight * row.residual_m * row.j;
+            equations.add(row);
             on_planes += row.weight > 0.25;
         }
         share = double(on_planes) / double(points.size());
-        if (!(stiffness.trace() > 0.0)) return 0.0;
-        stiffness.diagonal().head<3>().array() += kPrior * stiffness.diagonal().head<3>().mean();
-        stiffness.diagonal().tail<3>().array() += kPrior * stiffness.diagonal().tail<3>().mean();
-        const Vector6 x = -stiffness.llt().solve(gradient);
-        at = moved(at, {x[0], x[1], x[2], x[3], x[4], x[5]});
-        return x.head<3>().norm() + 10.0 * x.tail<3>().norm();
+        if (equations.empty()) return 0.0;
+        const Twist x = equations.solve(kPrior);
+        at = moved(at, x);
+        return length_m(x);
     }
 
     double settle(const std::vector<PlacedPoint>& points, Pose& at) const {

@@ -11,8 +11,6 @@
 #include <thread>
 #include <utility>
 
-#include <Eigen/Cholesky>
-
 #include "core/parallel.hpp"
 #include "registration/level_maps.hpp"
 #include "registration/pose_equations.hpp"
@@ -136,8 +134,7 @@ private:
 
     /// @return length of the step
     double step(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan, int level, double scale_m, double& share) {
-        Matrix6 stiffness = Matrix6::Zero();
-        Vector6 gradient = Vector6::Zero();
+        RigidEquations equations;
         std::size_t on_planes = 0;
         for (const ThinPoint& point : scan) {
             const PlacedPoint at = place(track_, point);
@@ -145,21 +142,14 @@ private:
             if (!plane) continue;
             const Row row = row_of(at, *plane, scale_m);
             const double a = point.left + 1 == k ? double(point.s) : 1.0;   // how far the point moves along
-            stiffness += row.weight * a * a * row.j * row.j.transpose();
-            gradient += row.weight * a * row.residual_m * row.j;
+            equations.add(row, a);
             on_planes += row.weight > 0.25;
         }
         share = double(on_planes) / double(scan.size());
-        if (!(stiffness.trace() > 0.0)) return 0.0;
-        const Twist correction = twist_between(start, track_.pose[k]);
-        const double prior[] = {kPrior * stiffness.diagonal().head<3>().mean(), kPrior * stiffness.diagonal().tail<3>().mean()};
-        for (int i = 0; i < 6; ++i) {   // metres and radians have stiffnesses of their own
-            stiffness(i, i) += prior[i / 3];
-            gradient[i] += prior[i / 3] * correction[std::size_t(i)];
-        }
-        const Vector6 x = -stiffness.llt().solve(gradient);
-        set(k, moved(track_.pose[k], {x[0], x[1], x[2], x[3], x[4], x[5]}));
-        return x.head<3>().norm() + 10.0 * x.tail<3>().norm();   // points lie some ten metres away
+        if (equations.empty()) return 0.0;
+        const Twist x = equations.solve(kPrior, twist_between(start, track_.pose[k]));
+        set(k, moved(track_.pose[k], x));
+        return length_m(x);
     }
 };
 

@@ -4,8 +4,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include <Eigen/Cholesky>
-
 #include "core/parallel.hpp"
 #include "registration/pose_equations.hpp"
 
@@ -203,14 +201,12 @@ std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map, cons
 }
 
 void PlaneAdjustment::place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& own, double scale_m) {
-    PoseEquations equations(track_.pose.size());
+    RigidEquations equations;
     for (const ThinPoint& point : own) {
         const PlacedPoint placed = place(track_, point);
-        if (const Plane* plane = map.at(placed.point_m)) equations.add_point(point, row_of(placed, *plane, scale_m));
+        if (const Plane* plane = map.at(placed.point_m)) equations.add(row_of(placed, *plane, scale_m), share_of(point, pose));
     }
-    const Matrix6 stiffness = equations.diagonal(pose) + kPrior * equations.diagonal(pose).trace() * Matrix6::Identity();
-    if (stiffness.trace() > 0.0)
-        track_.pose[pose] = moved(track_.pose[pose], twist_of(-stiffness.llt().solve(equations.gradient(pose)), 0));
+    if (!equations.empty()) track_.pose[pose] = moved(track_.pose[pose], equations.solve(kPrior));
 }
 
 }  // namespace relidar

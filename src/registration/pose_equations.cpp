@@ -40,6 +40,27 @@ Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m) {
     return row;
 }
 
+void RigidEquations::add(const Row& row, double share) {
+    stiffness_ += row.weight * share * share * row.j * row.j.transpose();
+    gradient_ += row.weight * share * row.residual_m * row.j;
+}
+
+Twist RigidEquations::solve(double prior, const Twist& correction) const {
+    Matrix6 stiffness = stiffness_;
+    Vector6 gradient = gradient_;
+    const double pulls[] = {prior * stiffness_.diagonal().head<3>().mean(), prior * stiffness_.diagonal().tail<3>().mean()};
+    for (int i = 0; i < 6; ++i) {   // metres and radians have stiffnesses of their own
+        stiffness(i, i) += pulls[i / 3];
+        gradient[i] += pulls[i / 3] * correction[std::size_t(i)];
+    }
+    const Vector6 x = -stiffness.llt().solve(gradient);
+    return {x[0], x[1], x[2], x[3], x[4], x[5]};
+}
+
+double length_m(const Twist& step) {
+    return glm::length(glm::dvec3(step[0], step[1], step[2])) + 10.0 * glm::length(glm::dvec3(step[3], step[4], step[5]));
+}
+
 Matrix6 carried_by(const glm::dvec3& d) {
     Matrix6 m = Matrix6::Identity();
     m.topRightCorner<3, 3>() << 0.0, d.z, -d.y, -d.z, 0.0, d.x, d.y, -d.x, 0.0;

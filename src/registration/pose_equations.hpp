@@ -12,6 +12,8 @@
 
 #include <Eigen/Core>
 
+#include <relidar/math.hpp>
+
 #include "registration/plane_cells.hpp"
 
 namespace relidar {
@@ -25,6 +27,24 @@ struct Row {
     Vector6 j;
 };
 Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m);
+
+/// Gauss-Newton equations of one pose while all else stays.
+class RigidEquations {
+public:
+    /// @param share  of the pose's motion that the point takes part in
+    void add(const Row& row, double share = 1.0);
+    bool empty() const { return !(stiffness_.trace() > 0.0); }
+    /// @param prior  share of the mean stiffness, of translations and of rotations, that pulls the pose back: decides what no point sees
+    /// @param correction  what it is pulled back by
+    Twist solve(double prior, const Twist& correction = {}) const;
+
+private:
+    Matrix6 stiffness_ = Matrix6::Zero();
+    Vector6 gradient_ = Vector6::Zero();
+};
+
+/// How far a step moves points that lie some ten metres away.
+double length_m(const Twist& step);
 
 /// What a twist about one place is about another, at d from it, that it carries along: v + w x d, w.
 Matrix6 carried_by(const glm::dvec3& d);
@@ -47,8 +67,6 @@ public:
 
     std::size_t n_planes() const { return n_planes_; }
     double residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
-    const Matrix6& diagonal(std::size_t pose) const { return diagonal_[pose]; }
-    Vector6 gradient(std::size_t pose) const { return gradient_.segment<6>(6 * Eigen::Index(pose)); }
 
 private:
     /// C L^-T of one plane and one pose, B = L L^T.

@@ -201,20 +201,6 @@ std::vector<std::size_t> find_edges(const RenderedScan& parts, const RayTable& r
     return edges;
 }
 
-RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& wanted) {
-    RayTable some;
-    some.rows = 1;
-    some.columns = static_cast<int>(wanted.size());
-    some.divergence_rad = rays.divergence_rad;
-    for (const std::size_t ray : wanted) {
-        some.origin.push_back(rays.origin[ray]);
-        some.direction.push_back(rays.direction[ray]);
-        some.time_offset_s.push_back(rays.time_offset_s[ray]);
-        some.channel.push_back(rays.channel[ray]);
-    }
-    return some;
-}
-
 void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& places, const RenderedScan& better) {
     for (std::size_t i = 0; i < places.size(); ++i) {
         const std::size_t ray = places[i];

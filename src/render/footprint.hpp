@@ -27,8 +27,6 @@ inline constexpr int kEdgeParts = 40;
 
 /// Rays of which the parts that return are more than one return.
 std::vector<std::size_t> find_edges(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config);
-/// Some rays of a table, without image order.
-RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& wanted);
 /// Puts the rays of one scan in the place of some of another. @param places [rays of `better`]
 void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& places, const RenderedScan& better);
 

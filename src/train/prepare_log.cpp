@@ -9,12 +9,12 @@
 
 #include <fmt/format.h>
 
-
 #include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
 #include <relidar/registration.hpp>
 
 #include "core/list_text.hpp"
+#include "train/register_options.hpp"
 
 namespace relidar {
 
@@ -58,19 +58,6 @@ std::string loops_text(const Registration& found) {
 
 constexpr double kMostLost = 0.05;   // of the scans, one in any case
 
-RegisterOptions register_options(const Sequence& sequence, const Config& config, const PrepareSession& session) {
-    RegisterOptions options;
-    options.largest_m = config.train.pose_largest_m;
-    options.given_motion = config.dataset.poses != kNoPoses;
-    options.mover_margin_m = config.init.actor_margin_m;
-    options.stop = session.stop;
-    options.progress = session.progress;
-    options.team = session.team;
-    for (const BoxTrack& box : sequence.boxes)   // without poses nobody knows which boxes move
-        if (!options.given_motion || box.mean_step_m() > config.init.actor_min_step_m) options.movers.push_back(box);
-    return options;
-}
-
 /// What is told of scans that did not find their place. @throws DataError where they are too many
 void tell_lost(const Sequence& sequence, const Registration& found, const Config& config, const PrepareSession& session) {
     if (found.lost.empty()) return;
@@ -91,7 +78,11 @@ void tell_lost(const Sequence& sequence, const Registration& found, const Config
 Registration registered(const Sequence& sequence, const Split& split, const Config& config, const PrepareSession& session) {
     Registration found;
     try {
-        found = register_scans(sequence, split, register_options(sequence, config, session));
+        RegisterOptions options = register_options(sequence, config);
+        options.stop = session.stop;
+        options.progress = session.progress;
+        options.team = session.team;
+        found = register_scans(sequence, split, options);
     } catch (const DataError& error) {
         if (!config.train.allow_lost_scans) throw;
         session.tell(fmt::format("{}; the log's own poses are used", error.what()));
@@ -210,9 +201,17 @@ void add_rays_behind(Sequence& sequence, const Split& split, const PrepareSessio
     session.tell(fmt::format("{} second returns are trained on as rays that start behind the first surface", n));
 }
 
-bool registers_sensor(const TrainConfig& config) { return config.pose_register && config.refines("sensor"); }
-
 }  // namespace
+
+RegisterOptions register_options(const Sequence& sequence, const Config& config) {
+    RegisterOptions options;
+    options.largest_m = config.train.pose_largest_m;
+    options.given_motion = config.dataset.poses != kNoPoses;
+    options.mover_margin_m = config.init.actor_margin_m;
+    for (const BoxTrack& box : sequence.boxes)   // without poses nobody knows which boxes move
+        if (!options.given_motion || box.mean_step_m() > config.init.actor_min_step_m) options.movers.push_back(box);
+    return options;
+}
 
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session) {
     if (!session.tell || !session.team.is_first()) session.tell = [](const std::string&) {};

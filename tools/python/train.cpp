@@ -65,6 +65,13 @@ TrainResult trained(OpenDevice& open, Run& run, const Asked& asked, PythonCalls&
                  {asked.checkpoints.value_or(""), start ? &*start : nullptr, stop, note, {}});
 }
 
+/// Held-out scans on the trained scene.
+void placed(OpenDevice& open, Run& run, PythonCalls& python) {
+    const DeviceUse use(open);
+    place_held_out(open.device, run, {{}, [&] { return !python.go_on(); }});
+    python.raise_again();
+}
+
 /// The ray-drop network. A log that has nothing to teach it is no error.
 void refined(OpenDevice& open, Run& run, const Asked& asked, PythonCalls& python) {
     try {
@@ -90,6 +97,7 @@ std::unique_ptr<LoadedRun> train_run(const Log& log, const Asked& asked) {
     }
     python.raise_again();
     take_result(run, result);
+    if (!result.interrupted) placed(*device, run, python);
     if (config.refine.enabled && !result.interrupted) refined(*device, run, asked, python);
     for (Frame& frame : run.sequence.frames) frame.scan = {};
     return std::make_unique<LoadedRun>(std::move(run), device);

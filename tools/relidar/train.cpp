@@ -237,6 +237,7 @@ void run_train(const Options& given, const std::string& command_line) {
     end_progress_line();
     start.reset();
     if (!in_blocks) take_result(run, result);
+    if (!result.interrupted) place_shown(device, run, options.quiet);
     save_run(run);
     if (config.refine.enabled && !result.interrupted) refine_or_tell(device, run, options);
     finish(device, run, result, options, command_line);

@@ -94,6 +94,16 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
     return result;
 }
 
+void place_shown(Device& device, Run& run, bool quiet) {
+    Progress progress(quiet);
+    const HeldOutPlacement placed = place_held_out(device, run, {shown_by(progress), interrupted});
+    end_progress_line();
+    if (quiet || placed.scans == 0) return;
+    print(fmt::format("{} of {} held-out scans placed on the scene: moved by {:.1f} mm (median) to {:.1f} mm\n", placed.placed,
+                      placed.scans, 1e3 * placed.median_m, 1e3 * placed.largest_m));
+    std::fflush(stdout);
+}
+
 bool refine_shown(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
     RefineSession session;

@@ -19,6 +19,9 @@ void prepare_log_shown(Sequence& sequence, const Split& split, const Config& con
 TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config,
                          const std::filesystem::path& folder, bool quiet, TrainSession session = {});
 
+/// place_held_out() with a progress line, telling how far scans moved. Ctrl-C leaves them where they are.
+void place_shown(Device& device, Run& run, bool quiet);
+
 /// Trains the ray-drop network of a run whose sequence has its scans, with a progress line. @return whether it was not interrupted
 bool refine_shown(Device& device, Run& run, bool quiet);
 

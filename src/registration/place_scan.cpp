@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+// One scan onto a scene that stays: each point towards the surface along its own ray, so that nothing has to be searched for.
+#include <relidar/registration.hpp>
+
+#include "registration/plane_adjustment.hpp"
+#include "registration/pose_equations.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kThin_m = 0.1;         // nearly all returns: what is fitted is one pose
+constexpr double kScale_m = 0.05;       // of the kernel: registration has brought scans nearer than that
+constexpr double kPrior = 1e-4;         // of the mean stiffness, towards where the scan was
+constexpr double kConverged_m = 2e-4;   // length of the last step
+constexpr int kMostSteps = 8;
+
+}  // namespace
+
+ScanPlacement place_scan(const Sequence& sequence, int position, const SceneView& view, const RegisterOptions& options) {
+    PoseTrack track = sequence.world_from_vehicle;
+    const auto pose = std::size_t(position);   // of a log with one LiDAR
+    const Pose before = track.pose[pose];
+    ScanPlacement result{before, 0.0, 0.0, false};
+    const std::vector<std::size_t> rays = thin_rays(sequence, position, options, kThin_m);
+    if (rays.empty()) return result;
+    double step_m = 2.0 * kConverged_m;
+    for (int i = 0; i < kMostSteps && step_m > kConverged_m; ++i) {
+        const std::vector<SeenSurface> seen = view(rays, track);
+        RigidEquations equations;
+        std::size_t on_surfaces = 0;
+        for (std::size_t k = 0; k < rays.size(); ++k) {
+            if (seen[k].normal == glm::dvec3(0.0)) continue;
+            const ThinPoint point = point_of(sequence, position, rays[k]);
+            const Row row = row_of(place(track, point), {seen[k].point_m, seen[k].normal}, kScale_m);
+            equations.add(row, share_of(point, pose));
+            on_surfaces += row.weight > 0.25;
+        }
+        result.on_surfaces = double(on_surfaces) / double(rays.size());
+        if (equations.empty()) return result;
+        const Twist step = equations.solve(kPrior, twist_between(before, track.pose[pose]));
+        track.pose[pose] = moved(track.pose[pose], step);
+        step_m = length_m(step);
+    }
+    const double moved_m = glm::distance(before.translation, track.pose[pose].translation);
+    if (!PlaneAdjustment::is_placed(result.on_surfaces, rays.size()) || moved_m > options.largest_m) return result;
+    result.world_from_vehicle = track.pose[pose];
+    result.moved_m = moved_m;
+    result.found = true;
+    return result;
+}
+
+}  // namespace relidar

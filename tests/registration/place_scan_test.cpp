@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+// One scan placed on a scene: a hall whose walls are known exactly, a sensor that drives through it while it turns, and poses that are off.
+#include <cmath>
+#include <limits>
+#include <random>
+
+#include <gtest/gtest.h>
+
+#include <relidar/registration.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr double kSides_m[3][2] = {{-20.0, 25.0}, {-7.0, 9.0}, {-1.7, 6.0}};   // of the hall, along x, y and z
+
+/// The wall that a ray from inside meets.
+SeenSurface wall_of(const glm::dvec3& origin_m, const glm::dvec3& direction) {
+    double nearest = std::numeric_limits<double>::infinity();
+    SeenSurface wall;
+    for (int axis = 0; axis < 3; ++axis) {
+        const double side = kSides_m[axis][direction[axis] > 0.0 ? 1 : 0], t = (side - origin_m[axis]) / direction[axis];
+        if (!(t < nearest)) continue;
+        nearest = t;
+        wall.point_m = origin_m + t * direction;
+        wall.normal = glm::dvec3(0.0);
+        wall.normal[axis] = direction[axis] > 0.0 ? -1.0 : 1.0;
+    }
+    return wall;
+}
+
+/// Three sweeps of 24 x 360 rays through the hall, each ray at its own time; noise-free.
+Sequence drive() {
+    Sequence log;
+    for (int k = 0; k < 3; ++k) {
+        log.world_from_vehicle.time_s.push_back(0.1 * k);
+        log.world_from_vehicle.pose.push_back({rotation_of(0.05 * k, 0.01 * k, -0.01), {1.0 * k, 0.1 * k, 0.0}});
+    }
+    for (int k = 0; k < 3; ++k) {
+        Frame frame{k, 0.1 * k, {}};
+        for (int i = 0; i < 24 * 360; ++i) {
+            const double azimuth = (i / 24) * kPi / 180.0 - kPi, elevation = (i % 24) * 0.02 - 0.3;
+            frame.scan.rays.origin.emplace_back(0.0f);
+            const glm::dvec2 level = std::cos(elevation) * glm::dvec2(std::cos(azimuth), std::sin(azimuth));
+            frame.scan.rays.direction.emplace_back(level.x, level.y, std::sin(elevation));
+            frame.scan.rays.time_offset_s.push_back(static_cast<float>(0.1 * azimuth / (2.0 * kPi)));
+            frame.scan.rays.channel.push_back(0);
+        }
+        frame.scan.rays.rows = 1, frame.scan.rays.columns = 24 * 360;
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            const WorldRay ray = world_ray(log.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
+            frame.scan.range_m.push_back(static_cast<float>(glm::distance(wall_of(ray.origin_m, ray.direction).point_m, ray.origin_m)));
+            frame.scan.intensity.push_back(0.5f);
+        }
+        log.frames.push_back(std::move(frame));
+    }
+    return log;
+}
+
+ScanPlacement placed(const Sequence& log, int position, const RegisterOptions& options = {}) {
+    const Frame& frame = log.frames[std::size_t(position)];
+    return place_scan(
+        log, position,
+        [&](const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle) {
+            std::vector<SeenSurface> seen;
+            for (const std::size_t i : rays) {
+                const WorldRay ray = world_ray(world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
+                seen.push_back(wall_of(ray.origin_m, ray.direction));
+            }
+            return seen;
+        },
+        options);
+}
+
+double angle_between(const Pose& a, const Pose& b) {
+    const Twist twist = twist_between(a, b);
+    return glm::length(glm::dvec3(twist[3], twist[4], twist[5]));
+}
+
+TEST(PlaceScan, FindsThePoseOfOneSweepAmongOthersThatStay) {
+    const Sequence exact = drive();
+    std::mt19937_64 random(3);
+    std::normal_distribution<double> metres(0.0, 0.02), radians(0.0, 2e-3);
+    for (const int position : {0, 1, 2}) {   // the first and the last carry rays beyond the end of the track
+        Sequence log = exact;
+        Pose& pose = log.world_from_vehicle.pose[std::size_t(position)];
+        pose = moved(pose, {metres(random), metres(random), metres(random), radians(random), radians(random), radians(random)});
+        const ScanPlacement found = placed(log, position);
+        const Pose& truth = exact.world_from_vehicle.pose[std::size_t(position)];
+        ASSERT_TRUE(found.found);
+        EXPECT_LT(glm::distance(found.world_from_vehicle.translation, truth.translation), 1e-4) << position;
+        EXPECT_LT(angle_between(found.world_from_vehicle, truth), 1e-5) << position;
+        EXPECT_NEAR(found.moved_m, glm::distance(pose.translation, truth.translation), 1e-4);
+        EXPECT_GT(found.on_surfaces, 0.99);
+    }
+}
+
+TEST(PlaceScan, ReturnsThatAreNoWallsHardlyPull) {
+    const Sequence exact = drive();
+    Sequence log = exact;
+    for (std::size_t i = 0; i < log.frames[1].scan.range_m.size(); i += 4) log.frames[1].scan.range_m[i] *= 0.6f;   // a quarter
+    log.world_from_vehicle.pose[1].translation += glm::dvec3(0.01, -0.02, 0.01);
+    const ScanPlacement found = placed(log, 1);
+    ASSERT_TRUE(found.found);
+    EXPECT_LT(glm::distance(found.world_from_vehicle.translation, exact.world_from_vehicle.pose[1].translation), 1e-3);
+    EXPECT_LT(found.on_surfaces, 0.9);
+}
+
+TEST(PlaceScan, LeavesAScanThatIsNotFoundWhereItWas) {
+    Sequence log = drive();
+    log.world_from_vehicle.pose[1].translation.y += 0.04;
+    RegisterOptions strict;
+    strict.largest_m = 0.01;
+    const ScanPlacement far = placed(log, 1, strict);
+    EXPECT_FALSE(far.found);
+    EXPECT_EQ(far.world_from_vehicle.translation.y, log.world_from_vehicle.pose[1].translation.y);
+    for (float& range_m : log.frames[1].scan.range_m) range_m = 0.5f;   // garbage
+    EXPECT_FALSE(placed(log, 1).found);
+    for (float& range_m : log.frames[1].scan.range_m) range_m = 0.0f;   // no return
+    EXPECT_FALSE(placed(log, 1).found);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: Apache-2.0
+// Held-out scans placed on a trained street, whose exact poses are known.
+#include <gtest/gtest.h>
+
+#include <relidar/dataset.hpp>
+#include <relidar/run.hpp>
+#include <relidar/train.hpp>
+
+#include "../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+class PlaceHeldOut : public test::DeviceTest {};
+
+/// Trained with exact poses; then those of the held-out frames are made wrong.
+Run off_run(Device& device, const Twist& off) {
+    Run run;
+    run.sequence = make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 48, .columns = 512, .range_noise_m = 0.01});
+    run.split = split_frames(run.sequence, 4);
+    run.config = make_preset("quick");
+    run.config.train.iterations = 60;
+    run.config.train.refine_poses = "none";
+    run.scene = train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;
+    run.config.train.refine_poses = "sensor";
+    for (const int k : run.split.test) {
+        Pose& pose = run.sequence.world_from_vehicle.pose[std::size_t(k)];
+        pose = moved(pose, off);
+    }
+    return run;
+}
+
+TEST_F(PlaceHeldOut, FindsWhereTheyWereAndMovesNothingElse) {
+    const PoseTrack exact = make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 2, .columns = 8}).world_from_vehicle;
+    const Twist off{0.03, -0.02, 0.02, 1e-3, -2e-3, 2e-3};
+    relidar::Run run = off_run(device(), off);
+    const relidar::Run before = run;
+    const HeldOutPlacement placed = place_held_out(device(), run);
+    ASSERT_EQ(placed.scans, run.split.test.size());
+    EXPECT_EQ(placed.placed, placed.scans);
+    const double off_m = glm::length(glm::dvec3(off[0], off[1], off[2]));
+    EXPECT_NEAR(placed.median_m, off_m, 0.006);
+    for (const int k : run.split.test) {
+        const auto i = std::size_t(k);
+        const Twist left = twist_between(exact.pose[i], run.sequence.world_from_vehicle.pose[i]);
+        EXPECT_LT(glm::length(glm::dvec3(left[0], left[1], left[2])), 0.006) << "frame " << k;
+        EXPECT_LT(glm::length(glm::dvec3(left[3], left[4], left[5])), 5e-4) << "frame " << k;
+    }
+    for (const int k : run.split.train)
+        EXPECT_EQ(run.sequence.world_from_vehicle.pose[std::size_t(k)].translation,
+                  before.sequence.world_from_vehicle.pose[std::size_t(k)].translation);
+    relidar::Run again = before;
+    place_held_out(device(), again);
+    for (const int k : run.split.test)
+        EXPECT_EQ(again.sequence.world_from_vehicle.pose[std::size_t(k)].translation,
+                  run.sequence.world_from_vehicle.pose[std::size_t(k)].translation);
+}
+
+TEST_F(PlaceHeldOut, DoesNothingWhereItIsNotAskedForOrStopped) {
+    relidar::Run run = off_run(device(), {0.03, 0.0, 0.0, 0.0, 0.0, 0.0});
+    const std::vector<Pose> before = run.sequence.world_from_vehicle.pose;
+    const auto stays = [&] {
+        for (std::size_t k = 0; k < before.size(); ++k)
+            if (run.sequence.world_from_vehicle.pose[k].translation != before[k].translation) return false;
+        return true;
+    };
+    int asked = 0;
+    EXPECT_EQ(place_held_out(device(), run, {{}, [&] { return ++asked > 1; }}).scans, 0u);
+    EXPECT_TRUE(stays()) << "stopped at the second scan";
+    run.config.train.place_held_out = false;
+    EXPECT_EQ(place_held_out(device(), run).scans, 0u);
+    EXPECT_TRUE(stays());
+    run.config.train.place_held_out = true;
+    run.config.train.pose_register = false;
+    EXPECT_EQ(place_held_out(device(), run).scans, 0u);
+    EXPECT_TRUE(stays());
+}
+
+}  // namespace
+}  // namespace relidar
