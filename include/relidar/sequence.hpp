@@ -87,12 +87,22 @@ struct Lidar;
 /// where its pattern is not known.
 std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar);
 
+/// How much the ranges of a sensor scatter, by range and incidence.
+struct RangeNoise {
+    std::vector<double> range_m, cosine;   ///< upper ends of the bins, ascending; none: no noise is known
+    std::vector<double> sigma_m;           ///< [ranges*cosines] standard deviations along the ray, a row a range
+
+    /// Of the bin that holds range and cosine of the angle of incidence, or of the nearest; 0 where no noise is known.
+    double at(double at_m, double at_cosine) const;
+};
+
 /// One LiDAR of a log.
 struct Lidar {
     std::string name;           ///< the dataset's own, unique in the log; empty where there is one LiDAR alone
     SpinningSensor sensor;      ///< nominal: for rays of frames without a scan of their own. No beams, period 0: it does not spin
     Pose vehicle_from_sensor;   ///< where it is mounted; identity where the log has one: the vehicle's frame is then the sensor's
     std::optional<FixedPattern> pattern = {};   ///< nominal, of one that does not spin; not given: it spins, or is known by its scans alone
+    RangeNoise range_noise = {};                ///< none unless measured
 
     /// Time of one sweep; 0 where it is not known.
     double period_s() const { return pattern ? period_of(*pattern) : sensor.period_s; }
@@ -138,15 +148,6 @@ struct IntensityResponse {
     double at_cosine(double cosine) const { return 1.0 - incidence * (1.0 - cosine); }
 };
 
-/// How much the ranges of a sensor scatter, by range and incidence.
-struct RangeNoise {
-    std::vector<double> range_m, cosine;   ///< upper ends of the bins, ascending; none: no noise is known
-    std::vector<double> sigma_m;           ///< [ranges*cosines] standard deviations along the ray, a row a range
-
-    /// Of the bin that holds range and cosine of the angle of incidence, or of the nearest; 0 where no noise is known.
-    double at(double at_m, double at_cosine) const;
-};
-
 /// A LiDAR log, recentred: the world origin is the vehicle's position in the middle frame.
 struct Sequence {
     std::string name;
@@ -157,7 +158,6 @@ struct Sequence {
     std::vector<BoxTrack> boxes;
     glm::dvec3 world_offset_m{0.0};       ///< add to relidar's world to get the dataset's world
     IntensityResponse intensity_response; ///< of all LiDARs on these surfaces; 1 unless estimated
-    RangeNoise range_noise;               ///< of all LiDARs; none unless measured
     std::string conventions;              ///< one line a human reads: frames, units, time reference
     std::vector<std::string> notes;       ///< what the log lacks, as it was read: a line each
     bool rolling_shutter = true;          ///< rays were fired at their own times (scans are not motion-compensated)
@@ -248,8 +248,9 @@ struct IntensityCalibration {
 /// mean beam has gain 1 and offset 0, and so has one that shares no place. (Not in the paper.)
 /// @param positions  of the frames to look at, in Sequence::frames
 IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions);
-/// Measures how ranges scatter (Sequence::range_noise), from second differences between neighbouring firings of a beam, in the given
-/// frames: scans need the order of an image. Where a bin has seen fewer than 200 returns its neighbour's value stands. (Not in the paper.)
+/// Measures how the ranges of each LiDAR scatter (Lidar::range_noise), from second differences between neighbouring firings of a beam, in
+/// the given frames: scans need the order of an image. Where a bin has seen fewer than 200 returns its neighbour's value stands; a LiDAR of
+/// which no bin has seen so many has none. (Not in the paper.)
 /// @param positions  of the frames to look at, in Sequence::frames @return returns that were looked at; 0: nothing was measured
 std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& positions);
 /// Finds what each beam adds to its ranges (Beam) from returns on the same planes, cells of 0.3 m, by alternating least squares from the

@@ -81,7 +81,6 @@ Sequence without_scans(const Sequence& sequence, const Config& config) {
     result.boxes = sequence.boxes;
     result.world_offset_m = sequence.world_offset_m;
     result.intensity_response = sequence.intensity_response;
-    result.range_noise = sequence.range_noise;
     result.rolling_shutter = sequence.rolling_shutter && config.sensor.rolling_shutter;
     return result;
 }
@@ -304,7 +303,7 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
         scan = project_scan(scan, *sensor.grid);
         s.refine(scan);
     }
-    if (sample) sample_returns(scan, s.sweep.range_noise, *sample);
+    if (sample) sample_returns(scan, s.sweep.lidars[std::size_t(sensor.lidar)].range_noise, *sample);
     return sensor.grid && !of_cells ? project_scan(scan, *sensor.grid) : scan;
 }
 

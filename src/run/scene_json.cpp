@@ -71,12 +71,15 @@ Json to_json(const BoxTrack& box) {
     return json;
 }
 
+Json to_json(const RangeNoise& noise) { return {{"range_m", noise.range_m}, {"cosine", noise.cosine}, {"sigma_m", noise.sigma_m}}; }
+
 Json lidars_json(const Sequence& sequence) {
     Json json = Json::array();
     for (const Lidar& lidar : sequence.lidars) {
         json.push_back(
             {{"name", lidar.name}, {"vehicle_from_sensor", to_json(lidar.vehicle_from_sensor)}, {"sensor", to_json(lidar.sensor)}});
         if (lidar.pattern) json.back()["pattern"] = pattern_json(*lidar.pattern);
+        if (!lidar.range_noise.sigma_m.empty()) json.back()["range_noise"] = to_json(lidar.range_noise);
     }
     return json;
 }
@@ -162,6 +165,16 @@ SpinningSensor read_sensor(const JsonField& field) {
     return sensor;
 }
 
+RangeNoise read_range_noise(const JsonField& field) {
+    const RangeNoise n{field.at("range_m").numbers(), field.at("cosine").numbers(), field.at("sigma_m").numbers()};
+    if (n.sigma_m.size() != n.range_m.size() * n.cosine.size() || n.sigma_m.empty())
+        field.at("sigma_m").fail(fmt::format("found {} numbers", n.sigma_m.size()),
+                                 fmt::format("expected {} x {}", n.range_m.size(), n.cosine.size()));
+    if (!std::all_of(n.sigma_m.begin(), n.sigma_m.end(), [](double s) { return s >= 0.0 && s < 1e3; }))
+        field.at("sigma_m").fail("found a value out of 0 ... 1000", "expected metres");
+    return n;
+}
+
 std::vector<Lidar> read_lidars(const JsonField& root) {
     if (root.has("sensor")) return {{"", read_sensor(root.at("sensor")), {}}};   // version 1
     const JsonField field = root.at("lidars");
@@ -170,6 +183,7 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
         lidars.push_back(
             {field.at(i).at("name").text(), read_sensor(field.at(i).at("sensor")), read_pose(field.at(i).at("vehicle_from_sensor"))});
         if (field.at(i).has("pattern")) lidars.back().pattern = read_pattern(field.at(i).at("pattern"));
+        if (field.at(i).has("range_noise")) lidars.back().range_noise = read_range_noise(field.at(i).at("range_noise"));
     }
     if (lidars.empty()) field.fail("found no LiDAR", "expected at least one");
     return lidars;
@@ -184,16 +198,6 @@ IntensityResponse read_intensity_response(const JsonField& field) {
     if (!std::all_of(r.factor.begin(), r.factor.end(), [](double f) { return f > 0.0 && f < kHuge; }))
         field.at("factor").fail("found a factor that is not above 0", "expected all above 0");
     return r;
-}
-
-RangeNoise read_range_noise(const JsonField& field) {
-    const RangeNoise n{field.at("range_m").numbers(), field.at("cosine").numbers(), field.at("sigma_m").numbers()};
-    if (n.sigma_m.size() != n.range_m.size() * n.cosine.size() || n.sigma_m.empty())
-        field.at("sigma_m").fail(fmt::format("found {} numbers", n.sigma_m.size()),
-                                 fmt::format("expected {} x {}", n.range_m.size(), n.cosine.size()));
-    if (!std::all_of(n.sigma_m.begin(), n.sigma_m.end(), [](double s) { return s >= 0.0 && s < 1e3; }))
-        field.at("sigma_m").fail("found a value out of 0 ... 1000", "expected metres");
-    return n;
 }
 
 /// Frames at one time share its pose.
@@ -282,8 +286,6 @@ std::string to_scene_json(const Run& run) {
                  {"boxes", boxes}};
     if (const IntensityResponse& r = s.intensity_response; !r.factor.empty())
         json["intensity_response"] = {{"range_m", r.range_m}, {"factor", r.factor}, {"incidence", r.incidence}};
-    if (const RangeNoise& n = s.range_noise; !n.sigma_m.empty())
-        json["range_noise"] = {{"range_m", n.range_m}, {"cosine", n.cosine}, {"sigma_m", n.sigma_m}};
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
@@ -311,7 +313,8 @@ SceneFile parse_scene_json(const std::string& text, const std::string& file) {
     const JsonField boxes = root.at("boxes");
     for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box(boxes.at(i)));
     if (root.has("intensity_response")) s.intensity_response = read_intensity_response(root.at("intensity_response"));
-    if (root.has("range_noise")) s.range_noise = read_range_noise(root.at("range_noise"));
+    if (root.has("range_noise"))   // of all LiDARs, as earlier versions have it
+        for (Lidar& lidar : s.lidars) lidar.range_noise = read_range_noise(root.at("range_noise"));
     if (root.has("edits")) read_edits(root.at("edits"), scene);
     if (root.has("refined_poses")) scene.refined_poses = root.at("refined_poses").text();
     check_counts(root, scene);

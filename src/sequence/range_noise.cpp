@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <utility>
 
 #include <relidar/sequence.hpp>
 
@@ -62,6 +63,21 @@ void fill_gaps(RangeNoise& noise) {
         if (noise.sigma_m[i] == 0.0) noise.sigma_m[i] = *std::max_element(noise.sigma_m.begin(), noise.sigma_m.end());
 }
 
+/// What the frames of one LiDAR say, and of how many returns; none where no bin has seen enough.
+std::pair<RangeNoise, std::size_t> noise_of(const std::vector<Differences>& frames) {
+    RangeNoise noise{{kRanges_m.begin(), kRanges_m.end()}, {kCosines.begin(), kCosines.end()}, std::vector<double>(kBins, 0.0)};
+    std::size_t n = 0;
+    for (std::size_t b = 0; b < kBins; ++b) {
+        std::vector<float> all;
+        for (const Differences& frame : frames) all.insert(all.end(), frame[b].begin(), frame[b].end());
+        n += all.size();
+        if (all.size() >= kFewestOfBin) noise.sigma_m[b] = sigma_of(all);
+    }
+    if (*std::max_element(noise.sigma_m.begin(), noise.sigma_m.end()) == 0.0) return {};
+    fill_gaps(noise);
+    return {std::move(noise), n};
+}
+
 }  // namespace
 
 double RangeNoise::at(double at_m, double at_cosine) const {
@@ -70,20 +86,15 @@ double RangeNoise::at(double at_m, double at_cosine) const {
 }
 
 std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& positions) {
-    sequence.range_noise = {};
-    std::vector<Differences> frames =
-        read_frames(sequence, positions, kMostReturns, [](const Frame& frame) { return differences_of(frame); });
     std::size_t n = 0;
-    RangeNoise noise{{kRanges_m.begin(), kRanges_m.end()}, {kCosines.begin(), kCosines.end()}, std::vector<double>(kBins, 0.0)};
-    for (std::size_t b = 0; b < kBins; ++b) {
-        std::vector<float> all;
-        for (const Differences& frame : frames) all.insert(all.end(), frame[b].begin(), frame[b].end());
-        n += all.size();
-        if (all.size() >= kFewestOfBin) noise.sigma_m[b] = sigma_of(all);
+    for (std::size_t i = 0; i < sequence.lidars.size(); ++i) {
+        std::vector<int> own;
+        for (const int position : positions)
+            if (sequence.frames[std::size_t(position)].lidar == int(i)) own.push_back(position);
+        const auto [noise, n_returns] = noise_of(read_frames(sequence, own, kMostReturns, differences_of));
+        sequence.lidars[i].range_noise = noise;
+        n += n_returns;
     }
-    if (*std::max_element(noise.sigma_m.begin(), noise.sigma_m.end()) == 0.0) return 0;
-    fill_gaps(noise);
-    sequence.range_noise = std::move(noise);
     return n;
 }
 

@@ -126,7 +126,6 @@ Sequence without_frames(const Sequence& all) {
             all.boxes,
             all.world_offset_m,
             all.intensity_response,
-            all.range_noise,
             all.conventions,
             all.notes,
             all.rolling_shutter};

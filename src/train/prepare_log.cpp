@@ -129,20 +129,29 @@ void calibrate_intensities(Sequence& sequence, const Split& split, const Prepare
                                                          : "what was tried: none is taken"));
 }
 
+void tell_noise(const Sequence& sequence, const PrepareSession& session) {
+    for (const Lidar& lidar : sequence.lidars)
+        if (!lidar.range_noise.sigma_m.empty())
+            session.tell(fmt::format("ranges{} scatter by {:.0f} mm at 10 m and by {:.0f} mm at 40 m where surfaces are met squarely",
+                                     lidar.name.empty() ? "" : " of " + lidar.name, 1e3 * lidar.range_noise.at(10.0, 1.0),
+                                     1e3 * lidar.range_noise.at(40.0, 1.0)));
+}
+
 /// What the beams were found to be.
 void calibrate(Sequence& sequence, const Split& split, const SensorConfig& config, const PrepareSession& session) {
     if (session.team.is_first()) {
         calibrate_beams(sequence, split, config, session);
-        if (measure_range_noise(sequence, split.train) > 0)
-            session.tell(fmt::format("ranges scatter by {:.0f} mm at 10 m and by {:.0f} mm at 40 m where surfaces are met squarely",
-                                     1e3 * sequence.range_noise.at(10.0, 1.0), 1e3 * sequence.range_noise.at(40.0, 1.0)));
+        measure_range_noise(sequence, split.train);
+        tell_noise(sequence, session);
         if (config.calibrate_intensity) calibrate_intensities(sequence, split, session);
     }
     const auto take_of_first = [&](auto& values) { values = session.team.of_first(std::move(values)); };
-    for (Lidar& lidar : sequence.lidars) take_of_first(lidar.sensor.beams);
-    take_of_first(sequence.range_noise.range_m);
-    take_of_first(sequence.range_noise.cosine);
-    take_of_first(sequence.range_noise.sigma_m);
+    for (Lidar& lidar : sequence.lidars) {
+        take_of_first(lidar.sensor.beams);
+        take_of_first(lidar.range_noise.range_m);
+        take_of_first(lidar.range_noise.cosine);
+        take_of_first(lidar.range_noise.sigma_m);
+    }
     take_of_first(sequence.intensity_response.range_m);
     take_of_first(sequence.intensity_response.factor);
     sequence.intensity_response.incidence = session.team.of_first(std::vector{sequence.intensity_response.incidence}).front();

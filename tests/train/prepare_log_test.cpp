@@ -84,7 +84,7 @@ void expect_same(const Sequence& a, const Sequence& b) {
         EXPECT_EQ(beams[i].intensity_gain, others[i].intensity_gain) << "beam " << i;
         EXPECT_EQ(beams[i].intensity_offset, others[i].intensity_offset) << "beam " << i;
     }
-    EXPECT_EQ(a.range_noise.sigma_m, b.range_noise.sigma_m);
+    EXPECT_EQ(a.lidars[0].range_noise.sigma_m, b.lidars[0].range_noise.sigma_m);
     EXPECT_EQ(a.intensity_response.range_m, b.intensity_response.range_m);
     EXPECT_EQ(a.intensity_response.factor, b.intensity_response.factor);
     EXPECT_EQ(a.intensity_response.incidence, b.intensity_response.incidence);

@@ -329,7 +329,7 @@ void run_render(const Options& given) {
     if (!options.only.empty()) renderer.show_only(shown);
     std::vector<ScanFolder> folders = scan_folders(options, run, wanted, offset, ranks);
 
-    if (options.sample && run.sequence.range_noise.sigma_m.empty() && !options.quiet)
+    if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() && !options.quiet)
         note(fmt::format("{} knows no range noise: sampled ranges are exact", run.folder.string()));
     if (!options.quiet) note_unrefined(run, renderer, wanted);
     catch_interrupts();

@@ -121,7 +121,7 @@ void write_scene(const std::string& name, const Run& run, v1::Scene& message) {
     message.set_name(name);
     message.set_begin_s(log.frames.front().time_s);
     message.set_end_s(log.frames.back().time_s);
-    message.set_sampled_noise(!log.range_noise.sigma_m.empty());
+    message.set_sampled_noise(std::ranges::any_of(log.lidars, [](const Lidar& lidar) { return !lidar.range_noise.sigma_m.empty(); }));
     for (std::size_t i = 0; i < log.lidars.size(); ++i) {
         const Lidar& lidar = log.lidars[i];
         v1::Lidar& added = *message.add_lidars();
