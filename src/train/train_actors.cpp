@@ -108,16 +108,12 @@ std::vector<Stretch> stretches_of(const Run& run, const std::vector<PoseTrack>& 
 Scan rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor, const std::vector<Sight>& sights) {
     const Scan& all = frame.scan;
     Scan scan;
-    scan.rays.divergence_rad = all.rays.divergence_rad;
     for (std::size_t i = 0; i < all.range_m.size(); ++i) {
         const WorldRay ray = world_ray(world_from_sensor, frame.time_s, all.rays, i, run.sequence.rolling_shutter);
         if (std::none_of(sights.begin(), sights.end(), [&](const Sight& sight) { return sight.is_met_by(ray); })) continue;
         const auto beam = run.sequence.beam_number(frame.lidar, all.rays.channel[i]);
         if (beam && run.scene.sensor_drop.at(*beam, all.rays.direction[i]) > kBlind) continue;
-        scan.rays.origin.push_back(all.rays.origin[i]);
-        scan.rays.direction.push_back(all.rays.direction[i]);
-        scan.rays.time_offset_s.push_back(all.rays.time_offset_s[i]);
-        scan.rays.channel.push_back(all.rays.channel[i]);
+        scan.rays.append(all.rays, i);
         scan.range_m.push_back(all.range_m[i]);
         scan.intensity.push_back(all.intensity[i]);
     }
