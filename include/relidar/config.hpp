@@ -28,6 +28,7 @@ struct DatasetConfig {
     int frames_begin = 0;
     int frames_end = -1;           ///< -1: to the last
     int test_every = 10;
+    std::string test_frames;       ///< numbers of the frames held out, with ranges: "13,26,40:45"; empty: test_every decides
     std::string poses;             ///< file with 12 numbers a line; empty = the dataset's own; kNoPoses = none at all
     bool allow_missing_scans = true;
     double min_range_m = 0.0;

@@ -88,7 +88,7 @@ Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays
 
 /// The same for beams of a divergence, as a receiver of two returns has them: the strongest, and the last one, or the next strongest where
 /// the strongest is the last. 53 exact rays for each beam; surfaces 0.5 m apart are two returns, a tenth of the strongest's light is enough
-/// for the second. @param rays  of a divergence above 0 @throws UsageError where they have none
+/// for the second. @param rays  some of them of a divergence above 0 @throws UsageError where none is
 Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
 
 /// A car on a street that has been edited: the shapes of one of the street's own cars, along a track of relidar's world.

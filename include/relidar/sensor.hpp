@@ -80,9 +80,14 @@ struct RayTable {
     ScanArray<glm::vec3> direction;    ///< [rows*columns] unit, sensor frame
     ScanArray<float> time_offset_s;    ///< [rows*columns] firing time relative to the frame's reference time
     ScanArray<std::uint16_t> channel;  ///< [rows*columns] beam number, 0 = highest
-    float divergence_rad = 0.0f;       ///< full beam divergence; 0 = ideal ray
+    float divergence_rad = 0.0f;       ///< full beam divergence of all; 0 = ideal ray
+    ScanArray<float> ray_divergence_rad = {};   ///< [rows*columns] of each, in place of the one; empty where all have the same
 
     std::size_t size() const { return direction.size(); }
+    double divergence_of(std::size_t ray) const { return ray_divergence_rad.empty() ? divergence_rad : ray_divergence_rad[ray]; }
+    double largest_divergence() const;   ///< 0 where all are ideal rays
+    /// Adds a ray of another table, from which all of this one's are; rows and columns stay.
+    void append(const RayTable& from, std::size_t ray);
 };
 /// Some rays of a table, without image order.
 RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& wanted);

@@ -15,10 +15,11 @@ namespace relidar {
 ///   NAME          of sensor_names(), in any case
 ///   FILE.csv      a beam table (parse_beam_table()), or a ray table: a line a ray in the order of firing, with the columns azimuth_deg
 /// (left
-///                 positive) and elevation_deg, and where they are not 0 origin_x_m, origin_y_m, origin_z_m, time_s, channel; the same in
-///                 each line: divergence_mrad, min_range_m, max_range_m
-///   FILE.npz      a ray table under the names of a rendered scan: directions [n,3] or [rows,columns,3], origin, time, ring
-///   FILE.json     a ray table, as lists under the same names, with divergence_mrad, min_range_m and max_range_m; or the metadata of an
+///                 positive) and elevation_deg, and where they are not 0 origin_x_m, origin_y_m, origin_z_m, time_s, channel,
+///                 divergence_mrad (full angle of the beam); the same in each line: min_range_m, max_range_m
+///   FILE.npz      a ray table under the names of a rendered scan: directions [n,3] or [rows,columns,3], origin, time, ring; divergence
+///                 (radians, of each ray) or divergence_mrad (of all)
+///   FILE.json     a ray table, as lists under the same names, with min_range_m and max_range_m; or the metadata of an
 ///                 Ouster sensor as its own tools write it, old or new: beam angles, beam origin offset, columns and rate; or
 ///                 {"window": {rows, columns, left_deg, right_deg, top_deg, bottom_deg}} or {"rosette": {rays, deflection_deg, first_hz,
 ///                 second_hz}}, each with period_s (0.1) and divergence_mrad, min_range_m, max_range_m (0, 0, 80)
@@ -52,8 +53,10 @@ inline constexpr const char* kSensorFileHelp =
     "              are 0; any other is an error. beams.csv:1024x10 is 1024 columns a sweep at 10 Hz (default: 1800x10);\n"
     "              so are VLP-16:900x20 and other spinning sensors by name.\n"
     "  rays.csv    any other: a line for each ray with azimuth_deg, elevation_deg, and where they are not 0 origin_x_m, origin_y_m,\n"
-    "              origin_z_m, time_s, channel; the same in each line: divergence_mrad, min_range_m, max_range_m.\n"
-    "  rays.npz    directions [n,3] or [rows,columns,3], origin, time, ring, as a rendered scan holds them.\n"
+    "              origin_z_m, time_s, channel, divergence_mrad (full angle of the beam); the same in each line: min_range_m,\n"
+    "              max_range_m.\n"
+    "  rays.npz    directions [n,3] or [rows,columns,3], origin, time, ring, as a rendered scan holds them; divergence (radians,\n"
+    "              of each ray) or divergence_mrad (of all).\n"
     "  FILE.json   lists by the same names; an Ouster sensor's own metadata; or what sweeps: {\"window\": {rows, columns, left_deg,\n"
     "              right_deg, top_deg, bottom_deg}} or {\"rosette\": {rays, deflection_deg, first_hz, second_hz}}, with period_s,\n"
     "              divergence_mrad, min_range_m, max_range_m.\n"

@@ -258,13 +258,17 @@ std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& posi
 /// centimetres between beams. (Not in the paper.)
 LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions);
 
-/// Frames for training and for testing. Every `test_every`-th sweep is held out, the first one excepted, with the frames of all LiDARs that
-/// share its index (frames 10, 20, ... of 0:50 with test_every = 10).
+/// Frames for training and for testing.
 struct Split {
     std::vector<int> train;   ///< positions in Sequence::frames
     std::vector<int> test;
 };
-/// @param test_every  0 holds out nothing @throws UsageError for 1, which would leave nothing to train on
-Split split_frames(const Sequence& sequence, int test_every);
+/// Holds out sweeps, each with the frames of all LiDARs that share its index: every `test_every`-th but the first (10, 20, ... of 0:50 with
+/// 10), or those that are named.
+/// @param test_every  0 holds out nothing
+/// @param test_frames  instead of every so many: indices and ranges without their ends, "13,26,40:45"; empty: test_every decides
+/// @throws UsageError for a test_every of 1, for a list with something else in it, a frame that is not there or named twice, and where
+/// nothing is left to train on
+Split split_frames(const Sequence& sequence, int test_every, const std::string& test_frames = "");
 
 }  // namespace relidar

@@ -43,6 +43,9 @@ void visit_dataset(C& c, Visitor&& f) {
     f("dataset.frames_begin", c.dataset.frames_begin, between(0, kMaxCount), "first frame, by the dataset's own number");
     f("dataset.frames_end", c.dataset.frames_end, between(-1, kMaxCount), "frame after the last one; -1: to the end of the log");
     f("dataset.test_every", c.dataset.test_every, between(0, kMaxCount), "every so many frames one is held out for testing; 0: none");
+    f("dataset.test_frames", c.dataset.test_frames, anything(),
+      "frames that are held out for testing, by the dataset's own numbers, ends of ranges not included, as in 13,26,40:45; empty: "
+      "dataset.test_every decides");
     f("dataset.poses", c.dataset.poses, anything(),
       "file with 12 numbers a line, world_from_sensor of each frame; empty: the dataset's own poses; none: no poses, they are found from "
       "the scans alone");

@@ -56,7 +56,7 @@ RayTable cone_rays(const RayTable& rays) {
         const glm::dvec3 d(rays.direction[i]),
             side = glm::normalize(glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
         for (int k = 0; k < kConeRays; ++k) {
-            const double angle = 0.5 * double(rays.divergence_rad) * std::sqrt((k + 0.5) / kConeRays);
+            const double angle = 0.5 * rays.divergence_of(i) * std::sqrt((k + 0.5) / kConeRays);
             const glm::dvec3 off = std::cos(1.0 + k * kGolden_rad) * side + std::sin(1.0 + k * kGolden_rad) * glm::cross(d, side);
             cone.direction.emplace_back(std::cos(angle) * d + std::sin(angle) * off);
             cone.origin.push_back(rays.origin[i]);

@@ -8,7 +8,7 @@ namespace relidar::street {
 
 inline constexpr int kConeRays = 53;   ///< exact rays for each beam
 
-/// kConeRays rays for each one, in a spiral that covers its cone evenly. @param rays  of a divergence above 0
+/// kConeRays rays for each one, in a spiral that covers its cone evenly. @param rays  with a divergence
 RayTable cone_rays(const RayTable& rays);
 
 /// Two returns of each ray from what its cone met: parts that are connected by steps in range below 0.5 m are one return, of their mean

@@ -72,7 +72,8 @@ Json pattern_json(const FixedPattern& pattern, const RangeLimits& limits) {
     Json common = {{"min_range_m", limits.min_m}};
     if (std::isfinite(limits.max_m)) common["max_range_m"] = limits.max_m;
     if (const auto* rays = std::get_if<RayTable>(&pattern)) {
-        common["divergence_mrad"] = 1e3 * double(rays->divergence_rad);
+        if (rays->ray_divergence_rad.empty()) common["divergence_mrad"] = 1e3 * double(rays->divergence_rad);
+        else common["divergence"] = rays->ray_divergence_rad;
         common.update(rays_json(*rays));
         return common;
     }

@@ -104,8 +104,8 @@ void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
     }
 }
 
-/// What images say of times and rings, where they do.
-void add_times_and_rings(const Arrays& arrays, const ImageSource& source, RayTable& rays) {
+/// What images say of times, rings and divergence, where they do.
+void add_what_is_said(const Arrays& arrays, const ImageSource& source, RayTable& rays) {
     const PointUnits& units = source.head.units;
     const std::size_t n = rays.size();
     if (arrays.find("time")) {
@@ -116,7 +116,14 @@ void add_times_and_rings(const Arrays& arrays, const ImageSource& source, RayTab
         const std::vector<double> ring = arrays.values("ring", 1);
         for (std::size_t i = 0; i < n; ++i) rays.channel[i] = ring_number(ring[i], arrays.ray("ring", i));
     }
-    if (arrays.find("divergence_rad")) rays.divergence_rad = arrays.at("divergence_rad").as_float().at(0);
+    if (arrays.find("divergence_rad")) {
+        rays.divergence_rad = arrays.at("divergence_rad").as_float().at(0);
+        rays.ray_divergence_rad.clear();
+    }
+    if (arrays.find("divergence")) {
+        const std::vector<double> angles = arrays.values("divergence", 1);
+        rays.ray_divergence_rad.assign(angles.begin(), angles.end());
+    }
 }
 
 RayTable own_rays(const Arrays& arrays) {
@@ -176,7 +183,7 @@ Scan scan_of_images(const std::string& where, std::vector<NamedArray> given, con
     check_frame(arrays, head.motion_compensated);
     Scan scan;
     scan.rays = has_rays ? own_rays(arrays) : sensor_rays(arrays, source);
-    add_times_and_rings(arrays, source, scan.rays);
+    add_what_is_said(arrays, source, scan.rays);
     // of a rendering: the surface that a ray met, where the mean lies between two
     const std::vector<float> range_m = ranges_of(arrays, arrays.find("median_range") ? "median_range" : "range");
     scan.range_m = to_scan_array(range_m);
@@ -209,6 +216,7 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan) {
     add_vectors("origin", rays.origin);
     add("time", rays.time_offset_s);
     add("ring", rays.channel);
+    if (!rays.ray_divergence_rad.empty()) add("divergence", rays.ray_divergence_rad);
     for (std::size_t k = 0; k < scan.further.size(); ++k) {
         add(fmt::format("range_{}", k + 2), scan.further[k].range_m);
         add(fmt::format("intensity_{}", k + 2), scan.further[k].intensity);

@@ -106,7 +106,7 @@ Scan cast_exactly(const street::Street& street, const glm::dvec3& offset_m, cons
 }
 
 Scan cast_beams(const street::Street& street, const glm::dvec3& offset_m, const RayTable& rays, const PoseTrack& track, double time_s) {
-    if (!(rays.divergence_rad > 0.0f))
+    if (!(rays.largest_divergence() > 0.0))
         throw UsageError("synthetic street: found beams without a divergence, expected one: an ideal ray has one return");
     return street::receive(rays, cast_exactly(street, offset_m, street::cone_rays(rays), track, time_s));
 }

@@ -22,6 +22,7 @@ constexpr double kFarthest_m = 1e6;        // of anything from the world's origi
 constexpr double kBoxReach_m =
     1e5;  // of a box from the vehicle: farther than the longest log, nearer than the origin of a map's coordinates
 constexpr double kLargestOrigin_m = 1000.0;  // of a ray from its sensor
+constexpr double kWidestBeam_rad = 6.3;      // full angle
 
 [[noreturn]] void fail(const std::string& where, const std::string& found, const std::string& expected) {
     throw DataError(fmt::format("{}: {}, expected {}", where, found, expected));
@@ -110,6 +111,7 @@ void check_sizes(const Scan& scan, const std::string& where) {
     check("rays.direction", rays.direction.size());
     check("rays.time_offset_s", rays.time_offset_s.size());
     check("rays.channel", rays.channel.size());
+    if (!rays.ray_divergence_rad.empty()) check("rays.ray_divergence_rad", rays.ray_divergence_rad.size());
     check("range_m", scan.range_m.size());
     check("intensity", scan.intensity.size());
     for (const FurtherReturn& f : scan.further) {
@@ -140,6 +142,8 @@ void check_scan(const Scan& scan, std::size_t n_beams, const std::string& where)
                  fmt::format("seconds within {} of the frame's time", kLongestOffset_s));
         if (n_beams > 0 && scan.rays.channel[i] >= n_beams)
             fail(ray("rays.channel"), fmt::format("{}", scan.rays.channel[i]), fmt::format("one of {} beams", n_beams));
+        if (const double angle = scan.rays.divergence_of(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
+            fail(ray("divergence"), fmt::format("{}", angle), fmt::format("radians in [0, {}]", kWidestBeam_rad));
         if (const char* field = wrong_return(scan.range_m[i], scan.intensity[i]))
             fail(ray(field), fmt::format("range {} m, intensity {}", scan.range_m[i], scan.intensity[i]),
                  "metres and 0..1, both 0 where dropped");

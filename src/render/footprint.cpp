@@ -175,8 +175,9 @@ RayTable split_rays(const RayTable& rays, int n, double divergence_rad) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const glm::dvec3 direction(rays.direction[i]);
         const auto [left, up] = across(direction);
+        const double half_rad = 0.5 * (divergence_rad > 0.0 ? divergence_rad : rays.divergence_of(i));
         for (const glm::dvec2& offset : offsets) {
-            const glm::dvec2 angle = 0.5 * divergence_rad * offset;
+            const glm::dvec2 angle = half_rad * offset;
             parts.origin.push_back(rays.origin[i]);
             parts.direction.emplace_back(glm::normalize(direction + std::tan(angle.x) * left + std::tan(angle.y) * up));
             parts.time_offset_s.push_back(rays.time_offset_s[i]);

@@ -85,10 +85,6 @@ Sequence without_scans(const Sequence& sequence, const Config& config) {
     return result;
 }
 
-double divergence_of(const RayTable& rays, const SensorConfig& config) {
-    return config.divergence_mrad > 0.0 ? config.divergence_mrad * 1e-3 : double(rays.divergence_rad);
-}
-
 /// The rays to cast where they are not those of the sensor: parts of their footprints. @throws UsageError for a beam without divergence
 std::optional<RayTable> split_beams(const RayTable& rays, const SensorConfig& config, const std::string& sensor) {
     if (config.sub_rays == 1 && config.returns > 1)
@@ -96,14 +92,13 @@ std::optional<RayTable> split_beams(const RayTable& rays, const SensorConfig& co
     if (config.sub_rays == 1) return {};
     if (config.sub_rays != 5 && config.sub_rays != 9)
         throw UsageError(fmt::format("sensor.sub_rays: found {}, expected 1, 5 or 9", config.sub_rays));
-    const double divergence_rad = divergence_of(rays, config);
-    if (!(divergence_rad > 0.0))
+    if (!(config.divergence_mrad > 0.0 || rays.largest_divergence() > 0.0))
         throw UsageError(
             fmt::format("sensor.sub_rays: nothing is known of the beam divergence of {}, expected sensor.divergence_mrad", sensor));
     if (rays.size() * std::size_t(config.sub_rays) > kMaxRays)
         throw UsageError(
             fmt::format("sensor.sub_rays: found {} for {} rays, expected at most {} in all", config.sub_rays, rays.size(), kMaxRays));
-    return split_rays(rays, config.sub_rays, divergence_rad);
+    return split_rays(rays, config.sub_rays, 1e-3 * config.divergence_mrad);
 }
 
 }  // namespace
@@ -259,7 +254,7 @@ RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const Rendered
     if (edges.empty() || edges.size() * kEdgeParts > kMaxRays) return scan;
     const RayTable rays = some_rays(whole, edges);
     wanted.sub_rays = kEdgeParts;
-    const RenderedScan better = cast(sensor, split_rays(rays, kEdgeParts, divergence_of(whole, wanted)), parts.time_s);
+    const RenderedScan better = cast(sensor, split_rays(rays, kEdgeParts, 1e-3 * wanted.divergence_mrad), parts.time_s);
     replace_rays(scan, edges, join_footprints(better, rays, wanted));
     return scan;
 }

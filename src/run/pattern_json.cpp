@@ -47,14 +47,15 @@ Json json_of(const Rosette& r) {
 }
 
 Json json_of(const RayTable& rays) {
-    return {{"rays",
-             {{"rows", rays.rows},
-              {"columns", rays.columns},
-              {"origin", vectors_json(rays.origin)},
-              {"direction", vectors_json(rays.direction)},
-              {"time_offset_s", rays.time_offset_s},
-              {"channel", rays.channel},
-              {"divergence_rad", rays.divergence_rad}}}};
+    Json json = {{"rows", rays.rows},
+                 {"columns", rays.columns},
+                 {"origin", vectors_json(rays.origin)},
+                 {"direction", vectors_json(rays.direction)},
+                 {"time_offset_s", rays.time_offset_s},
+                 {"channel", rays.channel},
+                 {"divergence_rad", rays.divergence_rad}};
+    if (!rays.ray_divergence_rad.empty()) json["ray_divergence_rad"] = rays.ray_divergence_rad;
+    return {{"rays", json}};
 }
 
 ScanningWindow read_window(const JsonField& field) {
@@ -111,6 +112,12 @@ RayTable read_rays(const JsonField& field) {
         if (!(std::abs(glm::length(d) - 1.0f) < 1e-3f))
             field.at("direction").fail(fmt::format("found length {}", glm::length(d)), "expected 1");
     rays.divergence_rad = static_cast<float>(field.at("divergence_rad").number(0.0, kTurn));
+    if (!field.has("ray_divergence_rad")) return rays;
+    const JsonField of_rays = field.at("ray_divergence_rad");
+    for (const double angle : numbers(of_rays, n, kTurn)) {
+        if (angle < 0.0) of_rays.fail(fmt::format("found {}", angle), "expected none below 0");
+        rays.ray_divergence_rad.push_back(static_cast<float>(angle));
+    }
     return rays;
 }
 

@@ -117,18 +117,4 @@ RayTable make_rays(const RangeGrid& grid) {
     return make_rays(sensor);
 }
 
-RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& wanted) {
-    RayTable some;
-    some.rows = 1;
-    some.columns = static_cast<int>(wanted.size());
-    some.divergence_rad = rays.divergence_rad;
-    for (const std::size_t ray : wanted) {
-        some.origin.push_back(rays.origin[ray]);
-        some.direction.push_back(rays.direction[ray]);
-        some.time_offset_s.push_back(rays.time_offset_s[ray]);
-        some.channel.push_back(rays.channel[ray]);
-    }
-    return some;
-}
-
 }  // namespace relidar

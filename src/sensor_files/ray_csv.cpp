@@ -18,7 +18,7 @@ namespace {
 enum Field { kAzimuth, kElevation, kOriginX, kOriginY, kOriginZ, kTime, kChannel, kDivergence, kMinRange, kMaxRange, kFieldCount };
 const std::vector<std::string> kNames{"azimuth_deg", "elevation_deg", "origin_x_m", "origin_y_m", "origin_z_m", "time_s",
                                       "channel", "divergence_mrad", "min_range_m", "max_range_m"};
-constexpr std::array<Field, 3> kOfSensor{kDivergence, kMinRange, kMaxRange};   // the same in every line
+constexpr std::array<Field, 2> kOfSensor{kMinRange, kMaxRange};   // the same in every line
 
 using Values = std::array<double, kFieldCount>;
 
@@ -45,6 +45,7 @@ void add_ray(RayColumns& rays, const Values& v) {
     rays.origin.insert(rays.origin.end(), {v[kOriginX], v[kOriginY], v[kOriginZ]});
     rays.time_s.push_back(v[kTime]);
     rays.channel.push_back(v[kChannel]);
+    rays.divergence_rad.push_back(v[kDivergence] * 1e-3);
 }
 
 }  // namespace
@@ -70,7 +71,6 @@ SensorModel parse_ray_csv(const std::string& text, const std::string& name, cons
         add_ray(rays, v);
     }
     rays.columns = static_cast<int>(std::min(rays.time_s.size(), kMaxRays + 1));
-    rays.divergence_rad = first[kDivergence] * 1e-3;
     rays.limits = {first[kMinRange], first[kMaxRange]};
     return ray_sensor(rays, name, where);
 }

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 
 #include <fmt/format.h>
 
@@ -16,7 +17,7 @@ namespace relidar::sensor_files {
 namespace {
 
 constexpr double kUnit = 1e-3;              // by which the length of a direction may differ from 1
-constexpr double kFarthestOrigin_m = 100.0, kLongestScan_s = 100.0, kMostRange_m = 10'000.0;
+constexpr double kFarthestOrigin_m = 100.0, kLongestScan_s = 100.0, kMostRange_m = 10'000.0, kWidestBeam_rad = 1.0;
 
 void check_length(const std::vector<double>& values, std::size_t wanted, const char* what, const std::string& where) {
     if (!values.empty() && values.size() != wanted)
@@ -44,17 +45,34 @@ void check(const RayColumns& c, const std::string& where) {
     check_length(c.origin, 3 * n, "origin", where);
     check_length(c.time_s, n, "time", where);
     check_length(c.channel, n, "ring", where);
+    if (c.divergence_rad.size() != 1) check_length(c.divergence_rad, n, "divergence", where);
     check_reach(c.origin, -kFarthestOrigin_m, kFarthestOrigin_m, "origin", where);
     check_reach(c.time_s, -kLongestScan_s, kLongestScan_s, "time", where);
     check_reach(c.channel, 0.0, 65535.0, "ring", where);
-    check_reach({c.divergence_rad}, 0.0, 1.0, "divergence", where);
+    check_reach(c.divergence_rad, 0.0, kWidestBeam_rad, "divergence in radians,", where);
     check_reach({c.limits.min_m, c.limits.max_m}, 0.0, kMostRange_m, "range limits", where);
     if (!(c.limits.min_m < c.limits.max_m))
         throw DataError(fmt::format("{}: found ranges of {} to {} m, expected min_range_m below max_range_m", where, c.limits.min_m,
                                     c.limits.max_m));
 }
 
+/// One number where all rays have the same.
+void set_divergence(RayTable& rays, const std::vector<double>& divergence_rad) {
+    if (divergence_rad.empty()) return;
+    if (std::ranges::adjacent_find(divergence_rad, std::not_equal_to<>()) == divergence_rad.end())
+        rays.divergence_rad = static_cast<float>(divergence_rad[0]);
+    else
+        rays.ray_divergence_rad.assign(divergence_rad.begin(), divergence_rad.end());
+}
+
 }  // namespace
+
+std::vector<double> divergence_of(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad, const std::string& where) {
+    if (!of_rays_rad.empty() && of_all_mrad)
+        throw DataError(fmt::format("{}: found both divergence and divergence_mrad, expected one of them", where));
+    if (of_all_mrad) return {1e-3 * *of_all_mrad};
+    return of_rays_rad;
+}
 
 SensorModel ray_sensor(const RayColumns& c, const std::string& name, const std::string& where) {
     check(c, where);
@@ -62,7 +80,7 @@ SensorModel ray_sensor(const RayColumns& c, const std::string& name, const std::
     RayTable rays;
     rays.rows = c.rows;
     rays.columns = c.columns;
-    rays.divergence_rad = static_cast<float>(c.divergence_rad);
+    set_divergence(rays, c.divergence_rad);
     for (std::size_t i = 0; i < n; ++i) {
         const glm::dvec3 direction = vector_at(c.direction, i);
         const double length = glm::length(direction);
@@ -82,10 +100,10 @@ SensorModel read_ray_npz(const std::string& path, const std::string& name) {
         const NamedArray* array = find_array(arrays, wanted);
         return array ? array->as_double() : std::vector<double>{};
     };
-    const auto number = [&](const std::string& wanted, double missing) {
+    const auto one = [&](const std::string& wanted) -> std::optional<double> {
         const std::vector<double> found = values(wanted);
         if (found.size() > 1) throw DataError(fmt::format("{}: {} has {} numbers, expected one", path, wanted, found.size()));
-        return found.empty() ? missing : found[0];
+        return found.empty() ? std::nullopt : std::optional(found[0]);
     };
     const NamedArray* directions = find_array(arrays, "directions");
     if (!directions) throw DataError(fmt::format("{}: found no array \"directions\", expected rays of a sensor", path));
@@ -96,8 +114,8 @@ SensorModel read_ray_npz(const std::string& path, const std::string& name) {
     RayColumns c{.direction = values("directions"), .origin = values("origin"), .time_s = values("time"), .channel = values("ring")};
     c.rows = shape.size() == 3 ? static_cast<int>(shape[0]) : 1;
     c.columns = static_cast<int>(shape[shape.size() - 2]);
-    c.divergence_rad = number("divergence_mrad", 0.0) * 1e-3;
-    c.limits = {number("min_range_m", c.limits.min_m), number("max_range_m", c.limits.max_m)};
+    c.divergence_rad = divergence_of(values("divergence"), one("divergence_mrad"), path);
+    c.limits = {one("min_range_m").value_or(c.limits.min_m), one("max_range_m").value_or(c.limits.max_m)};
     return ray_sensor(c, name, path);
 }
 

@@ -2,6 +2,7 @@
 // Ray tables as files hold them: columns of numbers under the names of a rendered scan.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -16,13 +17,16 @@ struct RayColumns {
     std::vector<double> origin;      ///< [n,3] metres; or not given: 0
     std::vector<double> time_s;      ///< [n]; or 0
     std::vector<double> channel;     ///< [n]; or 0
-    double divergence_rad = 0.0;
+    std::vector<double> divergence_rad;   ///< [n], or one of all rays; or 0
     RangeLimits limits{0.0, 80.0};
 };
 
 /// The sensor of such rays. @param where  what messages call it
 /// @throws DataError for arrays of other lengths, values that are not finite or beyond all reach, directions that are not of unit length
 SensorModel ray_sensor(const RayColumns& columns, const std::string& name, const std::string& where);
+
+/// What RayColumns holds of divergence. @param of_rays_rad [n] or nothing @throws DataError where both are given
+std::vector<double> divergence_of(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad, const std::string& where);
 
 /// From the text of a CSV ray table. @throws DataError naming the line and the value that is wrong
 SensorModel parse_ray_csv(const std::string& text, const std::string& name, const std::string& where);

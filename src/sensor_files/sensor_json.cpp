@@ -66,7 +66,8 @@ SensorModel rays_of_json(const Json& json, const std::string& name, const std::s
                        directions[0][0].is_array();
     c.rows = image ? static_cast<int>(std::min(directions.size(), kMaxRays)) : 1;
     c.columns = static_cast<int>(std::min(c.direction.size() / 3 / static_cast<std::size_t>(c.rows), kMaxRays));
-    c.divergence_rad = number("divergence_mrad", 0.0) * 1e-3;
+    const Json* of_all = find(json, "divergence_mrad", {});
+    c.divergence_rad = divergence_of(list("divergence"), of_all ? std::optional(number("divergence_mrad", 0.0)) : std::nullopt, where);
     c.limits = {number("min_range_m", c.limits.min_m), number("max_range_m", c.limits.max_m)};
     return ray_sensor(c, name, where);
 }

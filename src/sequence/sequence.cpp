@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <cmath>
 #include <complex>
-#include <map>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -286,20 +285,6 @@ bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m
     return std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& box) {
         return box.present(t_s) && box.holds(point_m, t_s, margin_m) && box.mean_step_m() > min_step_m;
     });
-}
-
-Split split_frames(const Sequence& sequence, int test_every) {
-    if (test_every < 0 || test_every == 1) {
-        throw UsageError(fmt::format("test_every: {}, expected 0 (hold out nothing) or at least 2", test_every));
-    }
-    Split split;
-    std::map<int, int> sweep_of;   // by index: the how many-th sweep it is
-    for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i) {
-        const int sweep = sweep_of.try_emplace(sequence.frames[std::size_t(i)].index, static_cast<int>(sweep_of.size())).first->second;
-        const bool held_out = test_every > 0 && sweep > 0 && sweep % test_every == 0;
-        (held_out ? split.test : split.train).push_back(i);
-    }
-    return split;
 }
 
 }  // namespace relidar

@@ -186,10 +186,8 @@ Scan with_rays_behind(const Scan& scan) {
         for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
             const float start_m = scan.range_m[i] + kBehind_m;
             if (!(scan.range_m[i] > 0.0f && further.range_m[i] > start_m)) continue;
-            all.rays.origin.push_back(scan.rays.origin[i] + start_m * scan.rays.direction[i]);
-            all.rays.direction.push_back(scan.rays.direction[i]);
-            all.rays.time_offset_s.push_back(scan.rays.time_offset_s[i]);
-            all.rays.channel.push_back(scan.rays.channel[i]);
+            all.rays.append(scan.rays, i);
+            all.rays.origin.back() += start_m * scan.rays.direction[i];
             all.range_m.push_back(further.range_m[i] - start_m);
             all.intensity.push_back(further.intensity[i]);
         }

@@ -46,6 +46,23 @@ void tell_masked(const Scene& scene, const Sequence& sequence, const Config& con
                     masked.size(), names_of(masked)));
 }
 
+/// Settings with the poses alone that can be found. Where all training frames are of one sweep nothing tells its pose: it would drift, and
+/// the scene with it, away from the poses of every other sweep.
+Config with_findable_poses(Config config, const Sequence& sequence, const Split& split, const Scene& initial, const TrainSession& session) {
+    const auto frame = [&](int position) -> const Frame& { return sequence.frames[std::size_t(position)]; };
+    const auto of_first_sweep = [&](int position) { return frame(position).index == frame(split.train[0]).index; };
+    const auto tell = [&](const char* note) {
+        if (session.note) session.note(note);
+    };
+    if (config.train.refines("sensor") && std::ranges::all_of(split.train, of_first_sweep)) {
+        config.train.refine_poses = config.train.refines("actors") ? "actors" : "none";
+        tell("train.refine_poses=sensor: one sweep is trained on, its pose stays as it is");
+    }
+    if (config.train.refine_poses == "actors" && initial.instances.size() < 2)
+        tell("train.refine_poses=actors: the scene has no actor, no pose is refined");
+    return config;
+}
+
 bool logs_at(int step, const TrainConfig& config) {
     return step == 1 || step % std::max(1, config.log_every) == 0 || step == config.iterations;
 }
@@ -62,9 +79,8 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     result.initialise_s = seconds_since(begin);
     tell_masked(initial, sequence, config, session);
 
-    if (config.train.refine_poses == "actors" && initial.instances.size() < 2 && session.note)
-        session.note("train.refine_poses=actors: the scene has no actor, no pose is refined");
-    TrainLoop loop(device, sequence, split, initial, config);
+    const Config findable = with_findable_poses(config, sequence, split, initial, session);   // the loop refers to it
+    TrainLoop loop(device, sequence, split, initial, findable);
     const TrainingFrames& frames = loop.frames();
     if (frames.n_staying() < frames.all().size() && session.note)
         session.note(fmt::format("{} of {} training frames stay on the device (train.frame_memory_mib={}), the others are sent in their "

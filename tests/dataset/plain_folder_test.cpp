@@ -95,6 +95,7 @@ void expect_same_scans(const Sequence& found, const Sequence& truth) {
         EXPECT_EQ(std::tuple(a.index, a.time_s, a.lidar), std::tuple(b.index, b.time_s, b.lidar));
         EXPECT_EQ(std::tuple(a.scan.rays.rows, a.scan.rays.columns, a.scan.rays.divergence_rad),
                   std::tuple(b.scan.rays.rows, b.scan.rays.columns, b.scan.rays.divergence_rad));
+        EXPECT_TRUE(a.scan.rays.ray_divergence_rad == b.scan.rays.ray_divergence_rad) << "frame " << i;
         EXPECT_TRUE(a.scan.range_m == b.scan.range_m && a.scan.intensity == b.scan.intensity) << "frame " << i;
         EXPECT_TRUE(a.scan.rays.origin == b.scan.rays.origin && a.scan.rays.direction == b.scan.rays.direction) << "frame " << i;
         EXPECT_TRUE(a.scan.rays.time_offset_s == b.scan.rays.time_offset_s && a.scan.rays.channel == b.scan.rays.channel) << "frame " << i;
@@ -142,7 +143,11 @@ TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
     SyntheticOptions options{.n_frames = 2};
     options.rig = test::write_rig(fs::path(testing::TempDir()) / "relidar_folder_rig");
     Sequence street = make_synthetic_street(options);
-    street.lidars[test::kRosette].pattern = nominal_rays(street.lidars[test::kRosette], 0.4);   // a table of rays
+    RayTable table = nominal_rays(street.lidars[test::kRosette], 0.4);
+    for (std::size_t i = 0; i < table.size(); ++i) table.ray_divergence_rad.push_back(1e-3f * float(i % 7));
+    for (Frame& frame : street.frames)
+        if (frame.lidar == test::kRosette) frame.scan.rays.ray_divergence_rad = table.ray_divergence_rad;
+    street.lidars[test::kRosette].pattern = table;
     const fs::path folder = fresh("rig");
     save_folder(street, folder);
     const Sequence found = load_sequence(folder.string(), {});
@@ -154,6 +159,7 @@ TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
         for (std::size_t i = 0; i < a.size(); ++i) ASSERT_LT(glm::distance(a.direction[i], b.direction[i]), 2e-7f);
         EXPECT_EQ(a.time_offset_s, b.time_offset_s);
         EXPECT_FLOAT_EQ(a.divergence_rad, b.divergence_rad);
+        EXPECT_EQ(a.ray_divergence_rad, b.ray_divergence_rad);
         EXPECT_EQ(found.lidars[std::size_t(l)].sensor.max_range_m, street.lidars[std::size_t(l)].sensor.max_range_m);
     }
     expect_same_scans(found, street);

@@ -290,6 +290,25 @@ TEST(Synthetic, BeamsOfTwoReturnsNeedADivergence) {
     EXPECT_THROW(cast_synthetic_beams(small(), one_ray({1, 0, 0}), {{0.2}, {Pose{}}}, 0.2), UsageError);
 }
 
+TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
+    const SyntheticOptions options = small();
+    const PoseTrack track{{0.2}, {make_synthetic_street(options).world_from_sensor(0).at(0.2)}};
+    RayTable narrow = make_rays(
+        ScanningWindow{.rows = 12, .columns = 30, .left_rad = 1.0, .right_rad = -1.0, .top_rad = 0.05, .bottom_rad = -0.1});
+    RayTable wide = narrow, mixed = narrow;
+    narrow.divergence_rad = 1e-3f, wide.divergence_rad = 0.03f;
+    for (std::size_t i = 0; i < mixed.size(); ++i) mixed.ray_divergence_rad.push_back(i % 2 ? 0.03f : 1e-3f);
+    const auto cast = [&](const RayTable& rays) { return cast_synthetic_beams(options, rays, track, 0.2); };
+    const Scan a = cast(narrow), b = cast(wide), both = cast(mixed);
+    std::size_t differ = 0;
+    for (std::size_t i = 0; i < mixed.size(); ++i) {
+        EXPECT_EQ(both.range_m[i], (i % 2 ? b : a).range_m[i]) << i;
+        EXPECT_EQ(both.further[0].range_m[i], (i % 2 ? b : a).further[0].range_m[i]) << i;
+        differ += a.range_m[i] != b.range_m[i];
+    }
+    EXPECT_GT(differ, mixed.size() / 2);
+}
+
 TEST(Synthetic, WithoutPosesBoxesStandWhereTheSensorSawThem) {
     const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_no_poses";
     save_synthetic(small(), folder);

@@ -45,7 +45,7 @@ std::string npz_seed(const fs::path& folder) {
 std::vector<std::string> sensor_seeds(const fs::path& folder) {
     const auto seed = [](char ending, const std::string& bytes) { return ending + bytes; };
     return {seed(0, "elevation_deg,azimuth_offset_deg,firing_offset_us\n2.0,-1.5,3\n-3,0.5,0\n"),
-            seed(0, "azimuth_deg,elevation_deg,time_s,channel,divergence_mrad\n1,2,0.01,0,3\n2,2,0.02,1,3\n"),
+            seed(0, "azimuth_deg,elevation_deg,time_s,channel,divergence_mrad\n1,2,0.01,0,3\n2,2,0.02,1,4\n"),
             seed(1, R"({"directions": [[[1,0,0],[0,1,0]]], "origin": [0,0,0,0,0,1], "time": [0,1], "ring": [0,1], "max_range_m": 9})"),
             seed(1, R"({"beam_altitude_angles": [3,1], "beam_azimuth_angles": [1,-1], "lidar_origin_to_beam_origin_mm": 15.8,
                         "lidar_mode": "512x10", "prod_line": "OS-1-128"})"),

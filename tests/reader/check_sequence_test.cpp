@@ -74,6 +74,13 @@ TEST(CheckSequence, NamesFrameAndField) {
         {[](Sequence& s) { s.frames[1].scan.rays.time_offset_s[5] = 1e9f; },
          "frame 1, ray 5, rays.time_offset_s: 1000000000, expected seconds within 10"},
         {[](Sequence& s) { s.frames[1].scan.rays.channel[5] = 4; }, "frame 1, ray 5, rays.channel: 4, expected one of 4 beams"},
+        {[](Sequence& s) { s.frames[1].scan.rays.divergence_rad = -1e-3f; }, "frame 1, ray 0, divergence: -0.001"},
+        {[](Sequence& s) { s.frames[1].scan.rays.ray_divergence_rad.assign(127, 1e-3f); }, "frame 1, rays.ray_divergence_rad: 127 entries"},
+        {[](Sequence& s) {
+             s.frames[1].scan.rays.ray_divergence_rad.assign(128, 1e-3f);
+             s.frames[1].scan.rays.ray_divergence_rad[9] = kNan;
+         },
+         "frame 1, ray 9, divergence: nan, expected radians in"},
         {[](Sequence& s) { s.frames[2].scan.range_m[7] = kNan; }, "frame 2, ray 7, range_m: range nan m"},
         {[](Sequence& s) { s.frames[2].scan.range_m[7] = -1.0f; }, "frame 2, ray 7, range_m: range -1 m"},
         {[](Sequence& s) { s.frames[2].scan.intensity[returned(s.frames[2].scan)] = 255.0f; }, "intensity: range"},

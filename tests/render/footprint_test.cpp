@@ -23,6 +23,58 @@ RayTable one_ray(const glm::vec3& direction) {
     return rays;
 }
 
+/// Rays fanned out in a plane, of beams of 0, 1, 2, ... milliradians.
+RayTable fan(int n) {
+    RayTable rays;
+    rays.rows = 1;
+    rays.columns = n;
+    for (int i = 0; i < n; ++i) {
+        rays.origin.emplace_back(0.0f, 0.1f * float(i), 0.0f);
+        rays.direction.push_back(glm::normalize(glm::vec3(1.0f, 0.3f * float(i), -0.2f * float(i))));
+        rays.time_offset_s.push_back(0.01f * float(i));
+        rays.channel.push_back(std::uint16_t(i));
+        rays.ray_divergence_rad.push_back(1e-3f * float(i));
+    }
+    return rays;
+}
+
+/// Mean of the squared angle between ray `i` and its parts, over that of an evenly lit disc of a full angle of 1.
+double spread(const RayTable& rays, const RayTable& parts, std::size_t i, std::size_t n) {
+    double squares = 0.0;
+    for (std::size_t k = 0; k < n; ++k) {
+        const double chord = glm::distance(glm::dvec3(parts.direction[i * n + k]), glm::dvec3(rays.direction[i]));
+        squares += std::pow(2.0 * std::asin(0.5 * chord), 2.0) / double(n);
+    }
+    return squares / 0.125;
+}
+
+TEST(Footprint, EachRayHasItsOwnCone) {
+    const RayTable rays = fan(8);
+    for (const std::size_t n : {std::size_t(5), std::size_t(9), std::size_t(40)}) {
+        const RayTable own = split_rays(rays, int(n), 0.0), same = split_rays(rays, int(n), 4e-3);
+        ASSERT_EQ(own.size(), 8 * n);
+        for (std::size_t i = 0; i < 8; ++i) {
+            EXPECT_NEAR(std::sqrt(spread(rays, own, i, n)), 1e-3 * double(i), 2e-6) << n << " parts of ray " << i;
+            EXPECT_NEAR(std::sqrt(spread(rays, same, i, n)), 4e-3, 2e-6) << "what is asked for stands for all";
+        }
+    }
+    EXPECT_FLOAT_EQ(float(rays.largest_divergence()), 7e-3f);
+    EXPECT_EQ(one_ray({1, 0, 0}).largest_divergence(), 0.0);
+}
+
+TEST(Footprint, SomeRaysKeepTheirOwnCones) {
+    const RayTable rays = fan(6), some = some_rays(rays, {4, 1, 5});
+    EXPECT_EQ(some.columns, 3);
+    EXPECT_EQ(to_vector(some.ray_divergence_rad), (std::vector<float>{4e-3f, 1e-3f, 5e-3f}));
+    EXPECT_EQ(to_vector(some.channel), (std::vector<std::uint16_t>{4, 1, 5}));
+    RayTable one = rays;
+    one.ray_divergence_rad.clear();
+    one.divergence_rad = 3e-3f;
+    const RayTable few = some_rays(one, {4, 1});
+    EXPECT_TRUE(few.ray_divergence_rad.empty());
+    EXPECT_EQ(few.divergence_rad, 3e-3f);
+}
+
 TEST(Footprint, PartsAreSpreadAsAnEvenlyLitDisc) {
     const double divergence = 4e-3;
     for (const int n : {5, 9}) {

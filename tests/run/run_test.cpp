@@ -195,7 +195,10 @@ TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
     const ScanningWindow window{.name = "front", .rows = 4, .columns = 6, .left_rad = 1.0 / 3.0, .right_rad = -0.3, .top_rad = 0.1,
                                 .bottom_rad = -0.2, .period_s = 0.05, .divergence_rad = 1e-3};
     const Rosette rosette{.name = "flower", .deflection_rad = 0.17, .first_hz = 121.57, .second_hz = -77.73, .n_rays = 30};
-    for (const FixedPattern& pattern : {FixedPattern(window), FixedPattern(rosette), FixedPattern(make_rays(rosette, 0.37))}) {
+    RayTable cones = make_rays(rosette, 0.37);
+    for (std::size_t i = 0; i < cones.size(); ++i) cones.ray_divergence_rad.push_back(1e-3f / float(i + 1));
+    for (const FixedPattern& pattern :
+         {FixedPattern(window), FixedPattern(rosette), FixedPattern(cones), FixedPattern(make_rays(rosette, 0.37))}) {
         s.lidars[0].sensor = {.name = "fixed", .beams = {}, .columns = 0, .period_s = 0.0};
         s.lidars[0].pattern = pattern;
         save_run(run);
@@ -206,11 +209,16 @@ TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
         const RayTable a = nominal_rays(read, 1.7), b = nominal_rays(s.lidars[0], 1.7);
         EXPECT_TRUE(a.direction == b.direction && a.origin == b.origin && a.time_offset_s == b.time_offset_s && a.channel == b.channel);
         EXPECT_EQ(a.divergence_rad, b.divergence_rad);
+        EXPECT_EQ(to_vector(a.ray_divergence_rad), to_vector(b.ray_divergence_rad));
     }
     Json broken = Json::parse(contents(run.folder / "scene.json"));
     broken["lidars"][0]["pattern"]["rays"]["direction"].push_back(1.0);
     put(run.folder / "scene.json", broken.dump());
     EXPECT_NE(data_error([&] { load_run(run.folder); }).find("pattern.rays.direction: found 91 numbers, expected 90"), std::string::npos);
+    broken["lidars"][0]["pattern"]["rays"]["direction"].erase(90);
+    broken["lidars"][0]["pattern"]["rays"]["ray_divergence_rad"] = std::vector<double>(30, -1e-3);
+    put(run.folder / "scene.json", broken.dump());
+    EXPECT_NE(data_error([&] { load_run(run.folder); }).find("ray_divergence_rad: found -0.001"), std::string::npos);
 }
 
 TEST_F(RunFolder, TruncatedSceneIsRefused) {

@@ -75,6 +75,37 @@ TEST(SensorFiles, RayTablesSayTheSameInEveryFormat) {
     }
 }
 
+TEST(SensorFiles, BeamsMayDivergeEachByItself) {
+    const std::string csv = write("cones.csv", "azimuth_deg,elevation_deg,divergence_mrad\n0,0,2\n90,0,0\n0,90,0.5\n");
+    const std::string json = write("cones.json", R"({"directions": [[1,0,0],[0,1,0],[0,0,1]], "divergence": [0.002, 0, 0.0005]})");
+    const std::vector<float> d{1, 0, 0, 0, 1, 0, 0, 0, 1}, divergence{2e-3f, 0.0f, 5e-4f}, same{2e-3f, 2e-3f, 2e-3f};
+    const auto npz = [&](const char* name, const std::vector<float>& angles) {
+        write_npz(path_of(name), {make_array("directions", {1, 3, 3}, d.data(), d.size()),
+                                  make_array("divergence", {1, angles.size()}, angles.data(), angles.size())});
+        return path_of(name);
+    };
+    for (const std::string& file : {csv, json, npz("cones.npz", divergence)}) {
+        const RayTable rays = make_rays(find_sensor(file));
+        ASSERT_EQ(rays.ray_divergence_rad.size(), 3u) << file;
+        for (std::size_t i = 0; i < 3; ++i) {
+            EXPECT_FLOAT_EQ(rays.ray_divergence_rad[i], divergence[i]) << file << " " << i;
+            EXPECT_EQ(rays.divergence_of(i), double(rays.ray_divergence_rad[i]));
+        }
+        EXPECT_FLOAT_EQ(float(rays.largest_divergence()), 2e-3f);
+    }
+    const RayTable alike = make_rays(find_sensor(npz("alike.npz", same)));
+    EXPECT_TRUE(alike.ray_divergence_rad.empty()) << "one number where all have the same";
+    EXPECT_EQ(alike.divergence_rad, 2e-3f);
+
+    const auto bad = [](const std::string& file, const std::string& why) { EXPECT_THAT(message(file), HasSubstr(why)); };
+    bad(write("a.csv", "azimuth_deg,elevation_deg,divergence_mrad\n0,0,2\n90,0,-1\n"), "divergence in radians, number 1 is -0.001");
+    bad(write("b.csv", "azimuth_deg,elevation_deg,divergence_mrad\n0,0,2\n90,0,nan\n"), "line 3: divergence_mrad is 'nan'");
+    bad(npz("c.npz", {2e-3f, std::nanf(""), 0.0f}), "divergence in radians, number 1 is nan");
+    bad(npz("d.npz", {2e-3f, -1e-3f, 0.0f}), "divergence in radians, number 1 is -0.001");
+    bad(npz("e.npz", {2e-3f, 1e-3f}), "divergence has 2 numbers, expected 3");
+    bad(write("f.json", R"({"directions": [[1,0,0]], "divergence": [0.002], "divergence_mrad": 2})"), "found both");
+}
+
 /// A point as Ouster's manual computes it, in the sensor's frame but for its height. @param m column of w, range from the axis
 glm::dvec3 ouster_point(double range_m, double offset_m, double altitude_deg, double azimuth_deg, int m, int w) {
     const double encoder = 2.0 * kPi * (1.0 - double(m) / w), azimuth = -azimuth_deg * kPi / 180.0, altitude = altitude_deg * kPi / 180.0;

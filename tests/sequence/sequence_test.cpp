@@ -2,6 +2,7 @@
 // Poses between observations, rays in the world, moving boxes and the split, against hand-computed numbers.
 #include <relidar/sequence.hpp>
 
+#include <algorithm>
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -201,6 +202,66 @@ TEST(Split, EveryTenthOfFiftyButTheFirst) {
     EXPECT_EQ(split.train.size(), 46u);
     EXPECT_EQ(split_frames(sequence, 0).train.size(), 50u);
     EXPECT_THROW(split_frames(sequence, 1), UsageError);
+}
+
+/// Frames 100, 103, 106 ... of two LiDARs, the second of which missed sweep 106.
+Sequence numbered_in_threes() {
+    Sequence sequence;
+    for (int i = 0; i < 8; ++i) {
+        for (int lidar = 0; lidar < 2; ++lidar) {
+            if (i == 2 && lidar == 1) continue;
+            Frame& frame = sequence.frames.emplace_back();
+            frame.index = 100 + 3 * i;
+            frame.lidar = lidar;
+        }
+    }
+    return sequence;
+}
+
+TEST(Split, NamedSweepsAreHeldOutWithAllTheirLidars) {
+    const Sequence sequence = numbered_in_threes();
+    const auto held_out = [&](const std::string& list) {
+        const Split split = split_frames(sequence, 10, list);
+        std::vector<int> all = split.train;
+        all.insert(all.end(), split.test.begin(), split.test.end());
+        std::sort(all.begin(), all.end());
+        for (std::size_t i = 0; i < all.size(); ++i) EXPECT_EQ(all[i], int(i)) << list << ": every frame is in one part";
+        EXPECT_EQ(all.size(), sequence.frames.size());
+        return split.test;
+    };
+    EXPECT_EQ(held_out("100"), (std::vector<int>{0, 1})) << "the first one, too, and test_every has no say";
+    EXPECT_EQ(held_out("121, 103"), (std::vector<int>{2, 3, 13, 14})) << "in any order";
+    EXPECT_EQ(held_out("106"), std::vector<int>{4});
+    EXPECT_EQ(held_out(""), std::vector<int>{}) << "fewer than ten sweeps";
+    EXPECT_EQ(split_frames(sequence, 1, "109").test, (std::vector<int>{5, 6}));
+
+    Sequence ten;
+    for (int i = 0; i < 50; ++i) ten.frames.emplace_back().index = i;
+    EXPECT_EQ(split_frames(ten, 0, "13,26,40:45").test, (std::vector<int>{13, 26, 40, 41, 42, 43, 44}));
+}
+
+TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
+    const Sequence sequence = numbered_in_threes();
+    const auto refused = [&](const std::string& list, const std::string& why) {
+        try {
+            split_frames(sequence, 10, list);
+            ADD_FAILURE() << list << ": accepted";
+        } catch (const UsageError& error) {
+            const std::string message = error.what();
+            EXPECT_NE(message.find("dataset.test_frames: "), std::string::npos) << message;
+            EXPECT_NE(message.find(why), std::string::npos) << list << ": " << message;
+            EXPECT_EQ(message.find('\n'), std::string::npos) << message;
+        }
+    };
+    refused("104", "found 104, expected frames that are read of the log: 100, 103, 106, 109, 112, ... 121 (8 in all)");
+    refused("100:104", "found 101,");
+    refused("100:99999999", "found 101,");
+    refused("103,103", "found 103 twice");
+    refused("100:101,100", "found 100 twice");
+    refused("100,103,106,109,112,115,118,121", "found all frames");
+    for (const char* bad : {"x", "-3", "1e2", "100,", ",", " ", "1 03", "103:100", "100:100", "100:", ":103", "1:2:3", "123456789"})
+        refused(bad, "expected a frame's number");
+    refused("100,ten", "found \"ten\"");
 }
 
 TEST(BoxTrack, GoesOnBesideItsLabelsAtTheMeanVelocityOfASecond) {

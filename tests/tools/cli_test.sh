@@ -513,6 +513,10 @@ baseline() {
     says "drop_prob < 0.4$"
     for key in '"scored": "baseline nearest"' '"lpips": "no weights"' '"strict/cd_mean_m"' '"moving_boxes/depth_medae_m"'; do check "metrics.json lacks $key" grep -q "$key" base/metrics.json; done
     for picture in range intensity drop; do exists base/pictures/${picture}_000010.png; done
+    good eval street --baseline nearest --set dataset.test_frames=3,7:9 --quiet --pictures named
+    for frame in 3 7 8; do exists named/range_00000$frame.png; done
+    absent named/range_000010.png
+    bad 2 "dataset.test_frames: found 99, expected frames that are read of the log: 0, 1," eval street --baseline nearest --set dataset.test_frames=3,99
     good eval street --baseline nearest-actors --set dataset.test_every=5 --quiet
     check "eval --quiet prints" test ! -s out -a ! -s err
     printf 'no weights' >weights.safetensors

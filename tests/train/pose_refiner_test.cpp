@@ -7,6 +7,8 @@
 #include <map>
 #include <random>
 
+#include <gmock/gmock.h>
+
 #include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
 #include <relidar/train.hpp>
@@ -279,6 +281,23 @@ TEST_F(Poses, AreKeptWhereNoneIsRefined) {
     train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; }, session);
     ASSERT_EQ(notes.size(), 1u);
     EXPECT_NE(notes[0].find("no actor"), std::string::npos) << notes[0];
+}
+
+/// Nothing tells where a single sweep was: a pose that follows its own scene takes it away from those of the other sweeps.
+TEST_F(Poses, OfASingleSweepStays) {
+    const Sequence street = street_of(4, 8, 64, true);
+    std::vector<std::string> notes;
+    TrainSession session;
+    session.note = [&](const std::string& note) { notes.push_back(note); };
+    const auto poses = [&](const std::string& held_out) {
+        return train(device(), street, split_frames(street, 0, held_out), refining("sensor", 2), [](const TrainProgress&) { return true; },
+                     session)
+            .poses;
+    };
+    EXPECT_FALSE(poses("0:2,3"));
+    EXPECT_THAT(notes, testing::ElementsAre(testing::HasSubstr("one sweep is trained on")));
+    EXPECT_TRUE(poses("0:2"));
+    EXPECT_EQ(notes.size(), 1u);
 }
 
 }  // namespace

@@ -34,6 +34,7 @@ struct Return {
 /// What one beam meets, nearest first.
 using Returns = std::vector<Return>;
 
+/// @param divergence_rad  of all rays; 0: each ray's own
 RayTable cone_rays(const RayTable& rays, double divergence_rad) {
     RayTable cone;
     cone.rows = rays.rows;
@@ -42,7 +43,8 @@ RayTable cone_rays(const RayTable& rays, double divergence_rad) {
         const glm::dvec3 d(rays.direction[i]),
             side = glm::normalize(glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
         for (int k = 0; k < kCone; ++k) {
-            const double angle = 0.5 * divergence_rad * std::sqrt((k + 0.5) / kCone);
+            const double full_rad = divergence_rad > 0.0 ? divergence_rad : rays.divergence_of(i);
+            const double angle = 0.5 * full_rad * std::sqrt((k + 0.5) / kCone);
             const glm::dvec3 off = std::cos(k * kGolden_rad) * side + std::sin(k * kGolden_rad) * glm::cross(d, side);
             cone.direction.emplace_back(std::cos(angle) * d + std::sin(angle) * off);
             cone.origin.push_back(rays.origin[i]);
@@ -131,7 +133,7 @@ void run(const std::string& folder, const std::string& sensor_name, double diver
     Run run = load_run(folder);
     const SensorModel model = find_sensor(sensor_name);
     const RayTable rays = make_rays(model);
-    const double divergence_rad = divergence_mrad > 0.0 ? divergence_mrad * 1e-3 : double(rays.divergence_rad);
+    const double divergence_rad = 1e-3 * divergence_mrad;
     const SyntheticOptions street = street_of(run);
     Device device(from_environment({.index = device_index}));
     std::vector<Scan> cones;
@@ -140,8 +142,8 @@ void run(const std::string& folder, const std::string& sensor_name, double diver
         cones.push_back(cast_synthetic_street(street, cone_rays(rays, divergence_rad), run.sequence.world_from_sensor(0), time_s));
         drop_outside(cones.back(), overlap(model.limits, run.sequence.lidars[0].sensor.range_limits()));
     }
-    fmt::print("{}: {} rays, divergence {:.2f} mrad, {} held-out frames of {}\n\n", model.name, rays.size(), 1e3 * divergence_rad,
-               cones.size(), folder);
+    fmt::print("{}: {} rays, divergence {:.2f} mrad, {} held-out frames of {}\n\n", model.name, rays.size(),
+               divergence_rad > 0.0 ? divergence_mrad : 1e3 * rays.largest_divergence(), cones.size(), folder);
     fmt::print(
         "| sub-rays | edge beams | RMSE | MAE | in the air | second returns | found | invented, of reported "
         "|\n|--:|--:|--:|--:|--:|--:|--:|--:|\n");

@@ -32,7 +32,10 @@ struct Asked {
 Config config_of(const Log& log, const std::optional<Config>& wanted) {
     Config config = wanted.value_or(log.config);
     config.dataset = log.config.dataset;
-    if (wanted) config.dataset.test_every = wanted->dataset.test_every;
+    if (wanted) {
+        config.dataset.test_every = wanted->dataset.test_every;
+        config.dataset.test_frames = wanted->dataset.test_frames;
+    }
     config.sensor.rolling_shutter = log.config.sensor.rolling_shutter;
     return config;
 }
@@ -85,7 +88,7 @@ void refined(OpenDevice& open, Run& run, const Asked& asked, PythonCalls& python
 
 std::unique_ptr<LoadedRun> train_run(const Log& log, const Asked& asked) {
     const Config config = config_of(log, asked.config);
-    Run run{{}, config, log.sequence, split_frames(log.sequence, config.dataset.test_every), {}};
+    Run run{{}, config, log.sequence, split_frames(log.sequence, config.dataset.test_every, config.dataset.test_frames), {}};
     const SharedDevice device = device_or_default(asked.device);
     PythonCalls python;
     TrainResult result;
@@ -132,7 +135,8 @@ void add_train(py::module_& module) {
         py::arg("sequence"), py::arg("config") = py::none(), py::kw_only(), py::arg("callback") = py::none(), py::arg("note") = py::none(),
         py::arg("checkpoints") = py::none(), py::arg("resume") = false, py::arg("device") = py::none(),
         "Trains a scene on the training frames of a log, and with refine.enabled the network that corrects its ray-drop.\n\n"
-        "config: settings; dataset.* stay as the log was read, test_every excepted. None: those that the log was read with\n"
+        "config: settings; dataset.* stay as the log was read, test_every and test_frames excepted. None: those that the log was read "
+        "with\n"
         "callback: called with a TrainProgress every train.log_every iterations; returning False ends the training with the scene so far. "
         "It may not use the same device\n"
         "note: called with one line about each estimate and whatever goes wrong without ending the training\n"

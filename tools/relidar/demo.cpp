@@ -130,7 +130,7 @@ void run_demo(const Options& options, const std::string& command_line) {
     street.seed = config.train.seed;
     save_synthetic(street, out / "street");
     Sequence sequence = load_dataset(config, options.quiet);
-    const Split split = split_frames(sequence, config.dataset.test_every);
+    const Split split = split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
     if (!options.quiet) {
         print(fmt::format("{}: {} frames of {} x {} rays, {} held out; training {} iterations on {}\n", sequence.name,
                           sequence.frames.size(), street.rows, street.columns, split.test.size(), config.train.iterations,

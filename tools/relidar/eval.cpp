@@ -164,7 +164,7 @@ void score_log(const Options& options, const Ranks& ranks) {
     const Sequence log = load_dataset(config, options.quiet);
     if (!options.quiet)
         for (const std::string& text : log.notes) note(text);
-    Split split = split_frames(log, config.dataset.test_every);
+    Split split = split_frames(log, config.dataset.test_every, config.dataset.test_frames);
     check_held_out(split, options.target);
     keep_share(split.test, ranks);
 

@@ -49,6 +49,12 @@ double period_of(const SensorModel& sensor, const RayTable& rays) {
     return double(last) - double(first);
 }
 
+std::string divergence_text(const RayTable& rays) {
+    const double least = rays.ray_divergence_rad.empty() ? rays.largest_divergence() : double(std::ranges::min(rays.ray_divergence_rad));
+    return least < rays.largest_divergence() ? fmt::format("{:.3g} to {:.3g} mrad", 1e3 * least, 1e3 * rays.largest_divergence())
+                                             : fmt::format("{:.3g} mrad", 1e3 * least);
+}
+
 void list_sensors() {
     std::vector<std::vector<std::string>> rows{{"name", "rays", "azimuth", "elevation", "scan", "range", "divergence", "figures"}};
     for (const std::string& name : sensor_names()) {
@@ -70,10 +76,10 @@ void describe_sensor(const Options& options) {
     const RayTable rays = make_rays(sensor, options.time_s);
     const Extent e = extent_of(rays);
     print(fmt::format("{}{}{}\nrays        {} ({} rows of {})\nazimuth     {:+.2f} to {:+.2f} degrees, left positive\n"
-                      "elevation   {:+.2f} to {:+.2f} degrees\nscan        {:.4g} s\nrange       {:g} to {:g} m\ndivergence  {:.3g} mrad\n",
+                      "elevation   {:+.2f} to {:+.2f} degrees\nscan        {:.4g} s\nrange       {:g} to {:g} m\ndivergence  {}\n",
                       sensor.name, sensor.about.empty() ? "" : ": ", sensor.about, e.rays, rays.rows, rays.columns, e.left_deg, e.right_deg,
                       e.top_deg, e.bottom_deg, period_of(sensor, rays), sensor.limits.min_m, sensor.limits.max_m,
-                      1e3 * double(rays.divergence_rad)));
+                      divergence_text(rays)));
     if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) {
         std::vector<std::vector<std::string>> rows{{"beam", "elevation", "azimuth offset", "origin forward", "up", "left"}};
         for (std::size_t b = 0; b < spinning->beams.size(); ++b) {

@@ -222,7 +222,7 @@ void run_train(const Options& given, const std::string& command_line) {
     std::optional<Checkpoint> start = resume && !in_blocks ? find_start(options) : std::nullopt;
     Device device(device_options(options.device));
     Sequence sequence = load_dataset(config, options.quiet);
-    const Split split = split_frames(sequence, config.dataset.test_every);
+    const Split split = split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
     if (!options.quiet) announce(sequence, split, device, start ? &*start : nullptr);
 
     catch_interrupts();

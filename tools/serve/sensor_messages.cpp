@@ -19,7 +19,8 @@ namespace {
 
 constexpr std::uint64_t kMostRows = 65536;
 constexpr std::size_t kLongestName = 200;
-constexpr double kFarthestOrigin_m = 1000.0, kLongestScan_s = 60.0, kFarthestRange_m = 1e5, kDefaultRange_m = 80.0;
+constexpr double kFarthestOrigin_m = 1000.0, kLongestScan_s = 60.0, kFarthestRange_m = 1e5, kDefaultRange_m = 80.0,
+                 kWidestBeam_rad = 1.0;
 
 void check_count(const std::string& field, std::uint64_t rays) {
     if (rays < 1 || rays > kMostRaysOfScan)
@@ -55,6 +56,8 @@ void check_values(const RayTable& rays, const std::string& field) {
         for (int axis = 0; axis < 3; ++axis)
             if (const float x = rays.origin[i][axis]; !(std::abs(double(x)) <= kFarthestOrigin_m))
                 fail("origin_m", x, fmt::format("metres within {}", kFarthestOrigin_m));
+        if (const double angle = rays.divergence_of(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
+            fail("divergence_rad", float(angle), fmt::format("radians in [0, {}]", kWidestBeam_rad));
         if (!(std::abs(double(time_s)) <= kLongestScan_s)) fail("time_s", time_s, fmt::format("seconds within {}", kLongestScan_s));
     }
 }
@@ -77,6 +80,7 @@ RayTable read_rays(const v1::RayTable& message, const std::string& field) {
     rays.origin = to_scan_array(read_array<glm::vec3>(message.origin_m(), n, field + ".origin_m"));
     rays.time_offset_s = to_scan_array(read_array<float>(message.time_s(), n, field + ".time_s"));
     rays.channel = to_scan_array(read_array<std::uint16_t>(message.ring(), n, field + ".ring"));
+    rays.ray_divergence_rad = to_scan_array(read_array<float>(message.divergence_rad(), n, field + ".divergence_rad"));
     rays.origin.resize(n, glm::vec3(0.0f));
     rays.time_offset_s.resize(n, 0.0f);
     for (std::size_t i = rays.channel.size(); i < n; ++i) rays.channel.push_back(std::uint16_t(i / std::size_t(rays.columns)));
@@ -152,7 +156,7 @@ SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field
         case v1::SensorSpec::kRosette: sensor.pattern = read_rosette(message.rosette(), field + ".rosette"); break;
         case v1::SensorSpec::PATTERN_NOT_SET: refuse(field, "no pattern", "rays, spinning, window or rosette");
     }
-    const double divergence_rad = read_between(field + ".divergence_rad", message.divergence_rad(), 0.0, 1.0);
+    const double divergence_rad = read_between(field + ".divergence_rad", message.divergence_rad(), 0.0, kWidestBeam_rad);
     std::visit(
         [&](auto& pattern) {
             if constexpr (requires { pattern.name; }) pattern.name = sensor.name;
