@@ -219,15 +219,19 @@ foreign_readers() {
         good render run --out deskewed --format npz,ply --deskew
         "$python" "$tests/read_scans.py" scans in_world deskewed >err 2>&1
         check "read_scans.py finds faults" test $? = 0
-        good render run --out with_normals --format npz,ply,pcd,bin --set render.normals=true
+        good render run --out with_normals --format npz,ply,pcd,bin --set render.normals=true --set render.spread=true
         "$python" "$tests/read_scans.py" with_normals >err 2>&1
-        check "read_scans.py finds faults with normals" test $? = 0
+        check "read_scans.py finds faults with normals and spread" test $? = 0
     fi
     if ! command -v exrheader >/dev/null; then
         echo "note: no exrheader, exr is not read by another program"
     else
+        good render run --out spread --frames 5:6 --format exr --set render.spread=true
+        exrheader spread/frame_000005.exr >out 2>err
+        says '^    spread, 32-bit floating-point'
         exrheader scans/frame_000005.exr >out 2>err
         check "exrheader refuses the file" test $? = 0
+        check "an exr has a spread that was not asked for" test "$(grep -c spread out)" = 0
         says '^sensor \(type string\): "synthetic"$'
         says '^time_s \(type string\): "0.5"$'
         says '^    median_range, 32-bit floating-point'
