@@ -104,6 +104,7 @@ struct BlockConfig {
 struct RenderConfig {
     std::string range = "normalised";   ///< "expected" (D, paper), "normalised" (D / W), "median" or "mode": of range images
     bool normals = false;               ///< normals of what rays meet are rendered too
+    bool spread = false;                ///< files tell range_spread() of each ray
     std::string points = "median";      ///< range of the points of point clouds: "median", the dominant surface, or "range", as above
     int memory_mib = 1024;              ///< device memory for blocks of a long scene beyond those that a scan needs
 };

@@ -71,11 +71,38 @@ struct RefineProgress {
     double seconds = 0.0;
 };
 
+/// A training after one of its steps: with the same images, options and seed it goes on from here as if it had never stopped.
+struct RefineState {
+    int step = 0;                           ///< the last one that is done
+    std::vector<float> parameters;          ///< [parameters] as in DropNetwork
+    std::vector<float> moment1, moment2;    ///< [parameters] Adam's
+    std::vector<float> running;             ///< as in DropNetwork
+    double entropy = 0.0, accuracy = 0.0;   ///< sums over the steps of the epoch
+    double seconds = 0.0;                   ///< of training so far
+
+    /// Calls visit(name, value) for all that a checkpoint keeps.
+    template <class Visitor>
+    void visit_state(Visitor&& visit) {
+        visit("step", step);
+        visit("parameters", parameters);
+        visit("moment1", moment1);
+        visit("moment2", moment2);
+        visit("running", running);
+        visit("entropy", entropy);
+        visit("accuracy", accuracy);
+        visit("seconds", seconds);
+    }
+};
+
+/// Called after each step. @param state  copies the state from the device @return false stops, and gives the network as it is
+using RefineCallback = std::function<bool(const RefineProgress& progress, const std::function<RefineState()>& state)>;
+
 /// Trains a network on images of one shape. The same seed gives the same network, to the last bit on one device.
-/// @param progress  called after each step; false stops, and gives the network as it is
-/// @throws DataError for images of different shapes, too small, with values that are not finite, or without dropped pixels
+/// @param start  state to go on from, of a training with the same images, options and seed; null: from the beginning
+/// @throws DataError for images of different shapes, too small, with values that are not finite, or without dropped pixels, and for a start
+/// of another network or with more steps than there are
 DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& images, const RefineOptions& options, std::uint64_t seed,
-                               const std::function<bool(const RefineProgress&)>& progress);
+                               const RefineCallback& progress, const RefineState* start = nullptr);
 
 /// A network ready to be asked, in evaluation mode: the same image gives the same answer.
 class DropRefiner {

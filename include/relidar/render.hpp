@@ -23,6 +23,7 @@ struct Run;
 struct RenderedScan {
     RangeImage image;  ///< range as config.render.range says; drop_prob from the two logits (M6), 1 beyond the sensor's range
     std::vector<float> median_range_m;  ///< [n] of the dominant surface, along the ray: where T crosses 0.5; if it never does, the image's
+    std::vector<float> mean_range_m;    ///< [n] D / W along the ray, whatever render.range says; the median where T never crosses 0.5
     std::vector<float> weight;          ///< [n] accumulated alpha W
     std::vector<std::int32_t> instance; ///< [n] whose surface was met: index into Scene::instances, -1 where none was
     /// [n] unit, of the surface that was met, towards the sensor; 0 where none was; empty without render.normals
@@ -42,6 +43,10 @@ struct RenderedScan {
 
 /// [n] Ranges of the points of a scan, by config.render.points: of the dominant surface, or those of the image.
 const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& config);
+
+/// [n] How far apart along a ray the surfaces are that its range is of, metres: |mean - median| of the range, near 0 on one surface and
+/// large where a ray passes an edge; 0 where T never crosses 0.5.
+std::vector<float> range_spread(const RenderedScan& scan);
 
 /// What a ray-drop network sees of a scan with image order. @param channels  of the network, see drop_channel_names()
 /// @param first_origin_m [3] dataset's world: where origins count from, see first_origin()

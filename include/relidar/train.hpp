@@ -123,12 +123,28 @@ struct RefineSession {
     Progress progress = {};                                ///< of the rendering of the training frames
     std::function<void(const RefineProgress&)> step = {};  ///< called after each step
     std::function<bool()> stop = {};                       ///< asked after each frame and step; true ends it
+    /// folder that checkpoints of the network go to: after each epoch, as train.checkpoint_minutes says and where training stops early;
+    /// empty: none. Whoever has saved the network removes them
+    std::filesystem::path checkpoints = {};
+    const Checkpoint* start = nullptr;                     ///< continue from here; null: from the beginning
+    std::function<void(const std::string&)> note = {};     ///< one line about a checkpoint that could not be written
 };
 
+/// Folder of a network's checkpoints below that of its scene's.
+inline constexpr const char* kRefineCheckpoints = "drop_network";
+
 /// Trains config.refine's network on the training frames of a run whose sequence has its scans, rendered once with the sensor's nominal
-/// rays; those of a scan would tell what returned. @return nothing where stopped
-/// @throws DataError where no training frame has an image, or none has a dropped ray
+/// rays; those of a scan would tell what returned. A training that continues renders them again, and ends with the network it would have
+/// had without the stop, to the last bit on one device. @return nothing where stopped
+/// @throws DataError where no training frame has an image, or none has a dropped ray; as check_refine_resumable() for the session's start
 DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& session = {});
+
+/// Whether the training of a network may continue with this run, whose sequence has the scans of its training frames: scene, log and the
+/// settings that images and network depend on (refine.*, image.*, sensor.*, init.*, render.range, train.seed) must be the checkpoint's.
+/// @throws UsageError naming the setting, DataError naming the part of log or scene that differs
+void check_refine_resumable(const Checkpoint& checkpoint, const Run& run);
+/// Gives a config those settings as a network's checkpoint has them. @throws UsageError for one that this version does not know
+void take_refine_settings(const Checkpoint& checkpoint, Config& config);
 
 /// How actors are trained on.
 struct ActorSession {
@@ -153,9 +169,12 @@ void take_result(Run& run, TrainResult& result);
 void compile_pipelines(Device& device, const std::function<void(const std::string&)>& progress = {});
 
 /// Whether a training may continue with this log and these settings. train.iterations may be raised: the learning rates continue where
-/// the longer schedule stands at that iteration. train.log_every, train.checkpoint_*, render.* and trace.* are free.
+/// the longer schedule stands at that iteration. train.log_every, train.checkpoint_*, refine.*, render.*, eval.*, trace.chunk and
+/// trace.proxy are free.
 /// @throws UsageError naming the setting, DataError naming the part of the log that differs
 void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split, const Config& config);
+/// A setting of two configs that differs and is not free in that sense; empty: none.
+std::string differing_setting(const Config& config, const Config& other);
 /// The log up to a checkpoint. @throws DataError where the checkpoint is not one of training
 std::vector<TrainProgress> resumed_log(const Checkpoint& checkpoint, const Config& config);
 

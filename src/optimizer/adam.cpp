@@ -108,6 +108,8 @@ ArrayAdam::ArrayAdam(Device& device, std::size_t n, const AdamOptions& options) 
     stream.finish();
 }
 ArrayAdam::~ArrayAdam() = default;
+Array<float>& ArrayAdam::moment1() { return impl_->moment1; }
+Array<float>& ArrayAdam::moment2() { return impl_->moment2; }
 
 void ArrayAdam::step(Stream& stream, const Array<float>& values, const Array<float>& gradients, double rate, int step) {
     Impl& a = *impl_;

@@ -110,4 +110,28 @@ DropNetwork DropTraining::download() const {
     return result;
 }
 
+RefineState DropTraining::state() const {
+    RefineState state;
+    state.parameters = impl_->unet.parameters().download();
+    state.moment1 = impl_->adam.moment1().download();
+    state.moment2 = impl_->adam.moment2().download();
+    state.running = impl_->unet.running().download();
+    return state;
+}
+
+void DropTraining::restore(const RefineState& state) {
+    const auto check = [](const char* name, std::size_t found, std::size_t expected) {
+        if (found != expected)
+            throw DataError(fmt::format("resuming the ray-drop network: {}: found {} numbers, expected {}", name, found, expected));
+    };
+    const DropNetwork& n = impl_->network;
+    check("parameters", state.parameters.size(), n.parameters.size());
+    check("moment1", state.moment1.size(), n.parameters.size());
+    check("moment2", state.moment2.size(), n.parameters.size());
+    check("running", state.running.size(), n.running.size());
+    impl_->unet.upload(state.parameters, state.running);
+    impl_->adam.moment1().upload(state.moment1);
+    impl_->adam.moment2().upload(state.moment2);
+}
+
 }  // namespace relidar::refine

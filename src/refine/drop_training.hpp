@@ -27,6 +27,10 @@ public:
     /// One step on a batch. @param step  counts from 1 @return what the network scored before it
     DropScore step(std::span<const DropInputs::Chosen> chosen, int step, int n_steps);
     DropNetwork download() const;
+    /// Parameters and moments; the rest of a state is the caller's.
+    RefineState state() const;
+    /// @throws DataError where they are not as many as this network's
+    void restore(const RefineState& state);
     const KernelTimes& times() const;
 
 private:

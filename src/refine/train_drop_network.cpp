@@ -27,33 +27,71 @@ std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t n, int columns, b
     return chosen;
 }
 
+/// Where a training stands between two steps.
+struct Course {
+    const std::size_t batch, n_steps;        ///< images of a step, steps of an epoch
+    RefineProgress told;
+    double entropy, accuracy;                ///< sums over the steps of the epoch
+    const double before_s;                   ///< that earlier sessions took
+    const std::chrono::steady_clock::time_point begin = std::chrono::steady_clock::now();
+
+    Course(const refine::DropTraining& training, const RefineOptions& options, const RefineState& start)
+        : batch(training.batch()),
+          n_steps(training.steps_of_epoch()),
+          entropy(start.entropy),
+          accuracy(start.accuracy),
+          before_s(start.seconds) {
+        told.step = start.step;
+        told.n_epochs = options.epochs;
+        told.n_steps = options.epochs * int(n_steps);
+        if (told.step < 0 || told.step > told.n_steps)
+            throw DataError(fmt::format("resuming the ray-drop network: found step {}, expected at most {}", told.step, told.n_steps));
+    }
+
+    /// The next step: begins an epoch where one is over. @return its place in the epoch
+    std::size_t advance() {
+        const std::size_t k = std::size_t(told.step++) % n_steps;
+        if (k == 0) entropy = accuracy = 0.0;
+        return k;
+    }
+    int epoch() const { return int(std::size_t(told.step - 1) / n_steps); }
+
+    void add(const refine::DropScore& score, std::size_t k) {
+        entropy += score.entropy;
+        accuracy += score.accuracy;
+        told.epoch = epoch() + 1;
+        told.entropy = entropy / double(k + 1);
+        told.accuracy = accuracy / double(k + 1);
+        told.seconds = before_s + std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+        if (!std::isfinite(score.entropy))
+            throw DataError(fmt::format(
+                "training the ray-drop network: the loss is {} in step {}, expected a number; try a smaller refine.rate", score.entropy,
+                told.step));
+    }
+    RefineState put_into(RefineState state) const {
+        state.step = told.step;
+        state.entropy = entropy;
+        state.accuracy = accuracy;
+        state.seconds = told.seconds;
+        return state;
+    }
+};
+
 }  // namespace
 
 DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& images, const RefineOptions& options, std::uint64_t seed,
-                               const std::function<bool(const RefineProgress&)>& progress) {
+                               const RefineCallback& progress, const RefineState* start) {
     refine::DropTraining training(device, images, options, seed);
-    const auto begin = std::chrono::steady_clock::now();
-    const std::size_t n_steps = training.steps_of_epoch(), batch = training.batch();
-    RefineProgress told;
-    told.n_epochs = options.epochs;
-    told.n_steps = options.epochs * int(n_steps);
-    for (int epoch = 0; epoch < options.epochs; ++epoch) {
-        const auto order = draw_epoch(images.size(), images[0].columns, options.turn, seed, epoch);
-        double entropy = 0.0, accuracy = 0.0;
-        for (std::size_t k = 0; k < n_steps; ++k) {
-            const refine::DropScore score = training.step(std::span(order).subspan(k * batch, batch), ++told.step, told.n_steps);
-            entropy += score.entropy;
-            accuracy += score.accuracy;
-            told.epoch = epoch + 1;
-            told.entropy = entropy / double(k + 1);
-            told.accuracy = accuracy / double(k + 1);
-            told.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-            if (!std::isfinite(score.entropy))
-                throw DataError(fmt::format("training the ray-drop network: the loss is {} in step {}, expected a number; try a smaller "
-                                            "refine.rate",
-                                            score.entropy, told.step));
-            if (progress && !progress(told)) return training.download();
-        }
+    Course course(training, options, start ? *start : RefineState{});
+    if (start) training.restore(*start);
+    const auto state = [&] { return course.put_into(training.state()); };
+    std::vector<refine::DropInputs::Chosen> order;
+    while (course.told.step < course.told.n_steps) {
+        const std::size_t k = course.advance();
+        if (k == 0 || order.empty()) order = draw_epoch(images.size(), images[0].columns, options.turn, seed, course.epoch());
+        const auto chosen = std::span(order).subspan(k * course.batch, course.batch);
+        course.add(training.step(chosen, course.told.step, course.told.n_steps), k);
+        if (progress && !progress(course.told, state)) break;
     }
     return training.download();
 }

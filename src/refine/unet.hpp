@@ -61,6 +61,12 @@ public:
     /// Records dL/d(parameters) of forward(), from dL/d(logit) in d_logit().
     void backward(Stream& stream);
 
+    /// Takes other values, as many as there are. Nothing on the device may still use those it has.
+    void upload(const std::vector<float>& parameters, const std::vector<float>& running) {
+        parameters_.upload(parameters);
+        running_.upload(running);
+    }
+
     const Tensor& inputs() const { return inputs_; }         ///< to be filled
     const Tensor& logit() const { return logit_; }
     const Tensor& d_logit() const { return d_logit_; }       ///< to be filled

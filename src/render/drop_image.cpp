@@ -28,7 +28,7 @@ std::function<float(std::size_t)> channel_of(const RenderedScan& scan, const Ima
     if (name == "intensity") return [&](std::size_t i) { return scan.image.intensity[i]; };
     if (name == "drop_logit") return [&](std::size_t i) { return logit(scan.image.drop_prob[i]); };
     if (name == "weight") return [&](std::size_t i) { return scan.weight[i]; };
-    if (name == "spread") return [&](std::size_t i) { return std::log1p(std::abs(surfaces.range_m[i] - scan.image.range_m[i])); };
+    if (name == "spread") return [&](std::size_t i) { return std::log1p(std::abs(surfaces.range_m[i] - scan.mean_range_m[i])); };
     if (name == "incidence") return [&](std::size_t i) { return float(std::max(incidence_cosine(surfaces, i), 0.0)); };
     for (int axis = 0; axis < 3; ++axis) {
         if (name == std::string("direction_") + "xyz"[axis]) return [&, axis](std::size_t i) { return scan.image.direction[i][axis]; };

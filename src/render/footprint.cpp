@@ -144,6 +144,7 @@ public:
         const Group& strongest = groups.empty() ? middle : *std::ranges::max_element(groups, {}, &Group::light);
         scan_.image.range_m.push_back(mean_of(strongest, parts_.image.range_m, parts_));
         scan_.median_range_m.push_back(mean_of(strongest, parts_.median_range_m, parts_));
+        scan_.mean_range_m.push_back(mean_of(strongest, parts_.mean_range_m, parts_));
         scan_.image.intensity.push_back(groups.empty() ? parts_.image.intensity[first] : intensity_of(strongest, parts_, n));
         const std::size_t nearest = std::ranges::min(strongest.parts);   // parts go outwards from the middle
         scan_.weight.push_back(parts_.weight[nearest]);
@@ -209,6 +210,7 @@ void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& places, co
         scan.image.intensity[ray] = better.image.intensity[i];
         scan.image.drop_prob[ray] = better.image.drop_prob[i];
         scan.median_range_m[ray] = better.median_range_m[i];
+        scan.mean_range_m[ray] = better.mean_range_m[i];
         scan.weight[ray] = better.weight[i];
         scan.instance[ray] = better.instance[i];
         if (!scan.normal.empty()) scan.normal[ray] = better.normal[i];

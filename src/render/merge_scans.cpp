@@ -48,6 +48,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
         append(merged.image.intensity, scan.image.intensity);
         append(merged.image.drop_prob, scan.image.drop_prob);
         append(merged.median_range_m, scan.median_range_m);
+        append(merged.mean_range_m, scan.mean_range_m);
         append(merged.weight, scan.weight);
         append(merged.instance, scan.instance);
         merged.further.resize(std::max(merged.further.size(), scan.further.size()));

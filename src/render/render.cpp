@@ -111,6 +111,12 @@ const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& c
     return config.render.points == "median" ? scan.median_range_m : scan.image.range_m;
 }
 
+std::vector<float> range_spread(const RenderedScan& scan) {
+    std::vector<float> spread_m(scan.mean_range_m.size());
+    for (std::size_t i = 0; i < spread_m.size(); ++i) spread_m[i] = std::abs(scan.median_range_m[i] - scan.mean_range_m[i]);
+    return spread_m;
+}
+
 struct ScanRenderer::Impl {
     const Config config;
     Scene layout;         ///< models, instances and sensor drop; no surfels
@@ -226,11 +232,13 @@ RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable
         const Beam& beam = beam_of(sensor.beams, table.channel[i]);
         const double chosen_m = chosen_range(r, i, config.render.range),
                      surface_m = r.median_depth[i] > 0.0f ? double(r.median_depth[i]) : chosen_m;
+        const double mean_m = r.median_depth[i] > 0.0f ? double(r.depth[i] / r.weight[i]) : surface_m;
         const auto range_m = static_cast<float>(beam.measured_range(chosen_m)),
                    median_m = static_cast<float>(beam.measured_range(surface_m));
         const double fall = sweep.intensity_response.at_range(surface_m);
         scan.image.range_m.push_back(range_m);
         scan.median_range_m.push_back(median_m);
+        scan.mean_range_m.push_back(static_cast<float>(beam.measured_range(mean_m)));
         scan.image.intensity.push_back(static_cast<float>(beam.measured_intensity(r.intensity[i], fall)));
         scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
         const auto own_beam = sensor.is_own ? sweep.beam_number(sensor.lidar, table.channel[i]) : std::nullopt;

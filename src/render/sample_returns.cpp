@@ -29,6 +29,7 @@ void sample_returns(RenderedScan& scan, const RangeNoise& noise, std::uint64_t s
         }
         if (returns) ranges_m[i] = std::max(likely_m[i] + static_cast<float>(sigma_m * random.normal()), 1e-3f);
     }
+    for (std::size_t i = 0; i < ranges_m.size(); ++i) scan.mean_range_m[i] += ranges_m[i] - likely_m[i];   // noise spreads nothing
     scan.image.range_m = ranges_m;
     scan.median_range_m = std::move(ranges_m);
 }

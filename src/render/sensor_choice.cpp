@@ -57,6 +57,7 @@ void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, 
     const glm::vec3 &origin = from.image.origin[source], &direction = from.image.direction[source];
     to.image.range_m[cell] = glm::length(origin + from.image.range_m[source] * direction);
     to.median_range_m[cell] = glm::length(origin + from.median_range_m[source] * direction);
+    to.mean_range_m[cell] = glm::length(origin + from.mean_range_m[source] * direction);
     to.image.intensity[cell] = from.image.intensity[source];
     to.weight[cell] = from.weight[source];
     to.instance[cell] = from.instance[source];
@@ -94,6 +95,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     result.image.intensity.assign(n, 0.0f);
     result.image.drop_prob.assign(n, 1.0f);
     result.median_range_m.assign(n, 0.0f);
+    result.mean_range_m.assign(n, 0.0f);
     result.weight.assign(n, 0.0f);
     result.instance.assign(n, -1);
     if (!scan.normal.empty()) result.normal.assign(n, glm::vec3(0.0f));

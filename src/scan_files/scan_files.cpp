@@ -2,6 +2,8 @@
 #include <relidar/scan_files.hpp>
 
 #include <algorithm>
+#include <optional>
+#include <utility>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -27,17 +29,18 @@ struct PlacedScan {
     const ScanFormat& format;
     int frame;                                  ///< the dataset's number
     std::vector<glm::vec3> origin, direction, normal;   ///< [n], normals where they were rendered
+    std::optional<std::vector<float>> spread_m;         ///< [n] where it was asked for
     FileNotes notes;
 
     const RangeImage& image() const { return scan.image; }
 };
 
-void place_rays(PlacedScan& placed) {
-    placed.origin = placed.image().origin;
-    placed.direction = placed.image().direction;
-    placed.normal = placed.scan.normal;
-    const bool world = placed.format.frame == PointFrame::world;
-    if (!world && !placed.format.deskew) return;
+/// @param notes  of its files
+PlacedScan place(const RenderedScan& scan, const ScanFormat& format, int frame, FileNotes notes = {}) {
+    PlacedScan placed{scan, format, frame, scan.image.origin, scan.image.direction, scan.normal, {}, std::move(notes)};
+    if (format.config.render.spread) placed.spread_m = range_spread(scan);
+    const bool world = format.frame == PointFrame::world;
+    if (!world && !format.deskew) return placed;
     const Pose target_from_world = world ? Pose{} : inverse(placed.scan.world_from_sensor);
     for (std::size_t i = 0; i < placed.origin.size(); ++i) {
         const Pose target_from_firing = target_from_world * placed.scan.world_from_firing(i);
@@ -45,6 +48,7 @@ void place_rays(PlacedScan& placed) {
         placed.direction[i] = glm::vec3(glm::normalize(target_from_firing.rotation * glm::dvec3(placed.direction[i])));
         if (!placed.normal.empty()) placed.normal[i] = glm::vec3(target_from_firing.rotation * glm::dvec3(placed.normal[i]));
     }
+    return placed;
 }
 
 /// Row by row.
@@ -109,6 +113,7 @@ std::vector<NamedArray> arrays_of(const PlacedScan& placed) {
                                    make_text("run", placed.format.run),
                                    make_text("units", kUnits)};
     if (!placed.normal.empty()) arrays.push_back(vector_array("normals", image, placed.normal));
+    if (placed.spread_m) arrays.push_back(image_array("spread", image, *placed.spread_m));
     if (!scan.further.empty()) {
         arrays.push_back(image_array("range_2", image, scan.further[0].range_m));
         arrays.push_back(image_array("intensity_2", image, scan.further[0].intensity));
@@ -124,6 +129,7 @@ void exr(const fs::path& path, const PlacedScan& placed) {
                                                        {"weight", scan.weight},          {"time", scan.time_offset_s},
                                                        {"instance", {scan.instance.begin(), scan.instance.end()}},
                                                        {"ring", {scan.channel.begin(), scan.channel.end()}}};
+    if (placed.spread_m) channels["spread"] = *placed.spread_m;
     if (!scan.further.empty()) channels["range_2"] = scan.further[0].range_m, channels["intensity_2"] = scan.further[0].intensity;
     constexpr const char* kAxes = "xyz";
     for (int axis = 0; axis < 3; ++axis) {
@@ -140,7 +146,7 @@ bool is_point(const RenderedScan& scan, std::size_t ray, float range_m) {
     return returned(scan.image.drop_prob[ray], range_m);
 }
 
-/// @param number  of the return, from 1; normal and instance are known of the first
+/// @param number  of the return, from 1; normal, instance and spread are known of the first
 void add_point(PointCloud& cloud, const PlacedScan& placed, std::size_t ray, float range_m, float intensity, int number) {
     const RenderedScan& scan = placed.scan;
     cloud.position_m.push_back(placed.origin[ray] + range_m * placed.direction[ray]);
@@ -149,6 +155,7 @@ void add_point(PointCloud& cloud, const PlacedScan& placed, std::size_t ray, flo
     cloud.time->push_back(scan.time_offset_s[ray]);
     cloud.instance->push_back(number == 1 ? scan.instance[ray] : -1);
     if (cloud.normal) cloud.normal->push_back(number == 1 ? placed.normal[ray] : glm::vec3(0.0f));
+    if (cloud.spread) cloud.spread->push_back(number == 1 ? (*placed.spread_m)[ray] : 0.0f);
     if (cloud.return_number) cloud.return_number->push_back(static_cast<std::uint8_t>(number));
 }
 
@@ -158,6 +165,7 @@ PointCloud cloud_of(const PlacedScan& placed) {
     PointCloud cloud;
     cloud.ring.emplace(), cloud.time.emplace(), cloud.instance.emplace();
     if (!placed.normal.empty()) cloud.normal.emplace();
+    if (placed.spread_m) cloud.spread.emplace();
     cloud.notes = placed.notes;
     if (!scan.further.empty()) cloud.return_number.emplace();
     if (placed.format.frame == PointFrame::sensor) cloud.world_from_points = scan.world_from_sensor;
@@ -241,9 +249,7 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
 }
 
 std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format) {
-    PlacedScan placed{scan, format, frame, {}, {}, {}, {}};
-    place_rays(placed);
-    return arrays_of(placed);
+    return arrays_of(place(scan, format, frame));
 }
 
 bool ScanFolder::wants(const std::string& format) const {
@@ -251,8 +257,7 @@ bool ScanFolder::wants(const std::string& format) const {
 }
 
 void ScanFolder::write(int frame, const RenderedScan& scan) {
-    PlacedScan placed{scan, format_, frame, {}, {}, {}, notes_of(format_, frame, scan)};
-    place_rays(placed);
+    const PlacedScan placed = place(scan, format_, frame, notes_of(format_, frame, scan));
     std::vector<std::string> files;
     for (const Format& format : kFormats) {
         if (!wants(format.name)) continue;

@@ -3,14 +3,39 @@
 #pragma once
 
 #include <chrono>
+#include <filesystem>
+#include <functional>
 #include <map>
 #include <string>
 
+#include <relidar/stages/checkpoint.hpp>
 #include <relidar/train.hpp>
 
 namespace relidar {
 
 class TrainLoop;
+
+/// Checkpoints of one training, written into a folder without ever stopping it.
+class CheckpointFolder {
+public:
+    /// @param folder  none: nothing is written @param newest  iteration of the newest checkpoint in it; 0: none
+    /// @param count  what iterations are called, for messages: "iteration"
+    CheckpointFolder(std::filesystem::path folder, int keep, int newest, std::string count,
+                     const std::function<void(const std::string&)>& note);
+
+    bool wanted() const { return !folder_.empty(); }
+    int newest() const { return newest_; }
+    /// Writes one. A disk or a memory that cannot take it costs a note, not the training.
+    /// @param fill  puts the state in @throws DataError where the state is not finite: nothing could continue from it
+    void save(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& fill);
+
+private:
+    const std::filesystem::path folder_;
+    const int keep_;
+    int newest_;
+    const std::string count_;
+    const std::function<void(const std::string&)> note_;
+};
 
 class CheckpointKeeper {
 public:
@@ -25,9 +50,8 @@ public:
 private:
     using Clock = std::chrono::steady_clock;
     const TrainConfig& config_;
-    const TrainSession& session_;
+    CheckpointFolder folder_;
     std::map<std::string, std::string> texts_;   ///< of every checkpoint of this training
-    int newest_;                                 ///< iteration of the newest one on the disk; 0 = none
     Clock::time_point last_ = Clock::now();
 };
 

@@ -4,6 +4,7 @@
 // tell the answer.
 #include <algorithm>
 #include <map>
+#include <optional>
 
 #include <fmt/format.h>
 
@@ -13,6 +14,7 @@
 #include <relidar/train.hpp>
 
 #include "train/frame_data.hpp"
+#include "train/refine_keeper.hpp"
 
 namespace relidar {
 namespace {
@@ -90,16 +92,13 @@ std::vector<int> spread(const std::vector<int>& positions, int n) {
     return chosen;
 }
 
-}  // namespace
-
-DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& session) {
+/// What a network sees of the training frames and what came of it. @return nothing where stopped
+std::vector<DropImage> training_images(Device& device, const Run& run, const Config& config, const RefineSession& session) {
     const std::vector<int> positions = spread(images_of(run.config, run.sequence, run.split.train), run.config.refine.frames);
     if (positions.empty())
         throw DataError(
             fmt::format("training the ray-drop network of {}: no training frame has an image of rows and columns, expected one",
                         run.sequence.name));
-    Config config = run.config;
-    config.sensor.sub_rays = config.sensor.returns = 1;
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const Unknown masks = masks_of(config, run.scene);
     const std::vector<std::string> channels = drop_channel_names(config.refine);
@@ -116,12 +115,27 @@ DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& se
         if (session.stop && session.stop()) return {};
     }
     if (session.progress) session.progress("rendering training frames", 1.0);
+    return images;
+}
+
+}  // namespace
+
+DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& session) {
+    if (session.start) check_refine_resumable(*session.start, run);
+    Config config = run.config;
+    config.sensor.sub_rays = config.sensor.returns = 1;
+    const std::vector<DropImage> images = training_images(device, run, config, session);
+    if (images.empty()) return {};
+    RefineKeeper checkpoints(run, session);
+    const std::optional<RefineState> start = session.start ? std::optional(refine_state(*session.start)) : std::nullopt;
     bool stopped = false;
-    DropNetwork network = train_drop_network(device, images, config.refine, config.train.seed, [&](const RefineProgress& progress) {
+    const auto after_step = [&](const RefineProgress& progress, const std::function<RefineState()>& state) {
         if (session.step) session.step(progress);
         stopped = session.stop && session.stop();
+        checkpoints.after_step(progress, stopped, state);
         return !stopped;
-    });
+    };
+    DropNetwork network = train_drop_network(device, images, config.refine, config.train.seed, after_step, start ? &*start : nullptr);
     if (looks_at_grid(config)) network.image = config.sensor.grid;
     return stopped ? DropNetwork{} : network;
 }

@@ -109,6 +109,22 @@ TEST_F(PointCloudFile, LeavesOutFieldsThatAreMissing) {
     expect_records(pcd.body, cloud, 16);
 }
 
+TEST_F(PointCloudFile, WritesTheSpreadBehindTheOtherFields) {
+    PointCloud cloud = some_cloud();
+    cloud.spread = {{0.0f, 0.5f, 12.25f}};
+    write_ply(folder / "a.ply", cloud);
+    write_pcd(folder / "a.pcd", cloud);
+    EXPECT_NE(contents(folder / "a.ply").find("property int instance\nproperty float spread\nend_header"), std::string::npos);
+    EXPECT_NE(contents(folder / "a.pcd").find("\nFIELDS x y z intensity ring time instance spread\n"), std::string::npos);
+    for (const auto& [name, last] : {std::pair("a.ply", "end_header"), {"a.pcd", "DATA binary"}}) {
+        const std::string body = parse(contents(folder / name), last).body;
+        ASSERT_EQ(body.size(), 3u * 30u) << name;
+        for (std::size_t i = 0; i < 3; ++i) EXPECT_EQ(value_at<float>(body, 30 * i + 26), (*cloud.spread)[i]) << name;
+    }
+    cloud.spread->pop_back();
+    EXPECT_THROW(write_ply(folder / "b.ply", cloud), DataError);
+}
+
 TEST_F(PointCloudFile, WritesNormalsByTheNamesOfEachFormat) {
     PointCloud cloud = some_cloud();
     cloud.ring.reset(), cloud.time.reset(), cloud.instance.reset();

@@ -65,6 +65,35 @@ class Train(TestCase):
         other["loss.depth"] = 0.9
         self.assert_fails(relidar.UsageError, "loss.depth", relidar.train, log(), other, checkpoints=checkpoints, resume=True)
 
+    def test_ctrl_c_while_the_network_is_trained(self):
+        checkpoints, settings = FOLDER / "network_checkpoints", config().copy()
+        for key, value in {"train.checkpoint_every": 20, "refine.network": "small", "refine.levels": 1, "refine.epochs": 40}.items():
+            settings[key] = value
+        in_network = threading.Event()
+
+        def interrupt():
+            while not in_network.wait(0.01):
+                if list((checkpoints / "drop_network").glob("iteration_*")):
+                    os.kill(os.getpid(), signal.SIGINT)
+                    return
+
+        watcher = threading.Thread(target=interrupt)
+        watcher.start()
+        try:
+            with self.assertRaises(KeyboardInterrupt):
+                relidar.train(log(), settings, checkpoints=checkpoints)
+        finally:
+            in_network.set()
+            watcher.join()
+        notes = []
+        resumed = relidar.train(log(), settings, note=notes.append, checkpoints=checkpoints, resume=True)
+        self.assertEqual([note for note in notes if "ray-drop network" in note], [])
+        self.assertFalse((checkpoints / "drop_network").exists(), "a finished network has no checkpoint")
+        resumed.save(FOLDER / "resumed")
+        network = (FOLDER / "resumed" / "drop_network.safetensors").read_bytes()
+        tool("refine", FOLDER / "resumed", "--no-eval")
+        self.assertEqual((FOLDER / "resumed" / "drop_network.safetensors").read_bytes(), network, "trained in one go, it has the same bits")
+
     def test_other_threads_run_meanwhile(self):
         done = threading.Event()
         worker = threading.Thread(target=lambda: (relidar.train(log(), config()), done.set()))

@@ -114,13 +114,68 @@ TEST_F(DropNetworkTest, PixelsThatAreNotKnownDoNotCount) {
 TEST_F(DropNetworkTest, StopsWhereProgressSaysSo) {
     const RefineOptions options = short_training();
     int steps = 0;
-    const DropNetwork network = train_drop_network(device(), some_images(options, 4), options, 1, [&](const RefineProgress& p) {
+    const auto three = [&](const RefineProgress& p, const auto&) {
         EXPECT_EQ(p.step, ++steps);
         EXPECT_EQ(p.n_steps, 80);
         return steps < 3;
-    });
+    };
+    const DropNetwork network = train_drop_network(device(), some_images(options, 4), options, 1, three);
     EXPECT_EQ(steps, 3);
     EXPECT_FALSE(network.empty());
+}
+
+/// Stops after a step, and gives the state there.
+RefineState state_after(Device& device, const std::vector<DropImage>& images, const RefineOptions& options, int step,
+                        const RefineState* start = nullptr) {
+    RefineState kept;
+    train_drop_network(
+        device, images, options, 1,
+        [&](const RefineProgress& p, const std::function<RefineState()>& state) {
+            if (p.step == step) kept = state();
+            return p.step < step;
+        },
+        start);
+    return kept;
+}
+
+TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
+    for (const char* name : {"small", "paper"}) {
+        RefineOptions options = short_training();
+        options.network = name;
+        options.width = 8;
+        options.rays = "origin,direction";
+        options.epochs = 4;
+        options.dropout = 0.1;
+        const std::vector<DropImage> images = some_images(options, 6);
+        std::vector<RefineProgress> whole, parts;
+        const auto told_to = [](std::vector<RefineProgress>& lines) {
+            return [&](const RefineProgress& p, const auto&) { return lines.push_back(p), true; };
+        };
+        const DropNetwork expected = train_drop_network(device(), images, options, 1, told_to(whole));
+        ASSERT_EQ(whole.size(), 12u);
+        const RefineState in_an_epoch = state_after(device(), images, options, 4),
+                          at_its_end = state_after(device(), images, options, 6, &in_an_epoch);
+        EXPECT_EQ(at_its_end.step, 6);
+        EXPECT_GE(at_its_end.seconds, in_an_epoch.seconds);
+        const DropNetwork resumed = train_drop_network(device(), images, options, 1, told_to(parts), &at_its_end);
+        EXPECT_EQ(resumed.parameters, expected.parameters) << name;
+        EXPECT_EQ(resumed.running, expected.running) << name;
+        EXPECT_EQ(resumed.normalisation, expected.normalisation) << name;
+        ASSERT_EQ(parts.size(), 6u);
+        for (std::size_t i = 0; i < parts.size(); ++i) {
+            EXPECT_EQ(parts[i].step, whole[i + 6].step);
+            EXPECT_EQ(parts[i].epoch, whole[i + 6].epoch);
+            EXPECT_EQ(parts[i].entropy, whole[i + 6].entropy);
+        }
+        const RefineState all = state_after(device(), images, options, 12, &in_an_epoch);
+        EXPECT_EQ(train_drop_network(device(), images, options, 1, told_to(parts), &all).parameters, expected.parameters);
+        EXPECT_EQ(parts.size(), 6u) << "nothing was left to do";
+        options.epochs = 1;
+        EXPECT_THROW(train_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError) << "4 steps of 3";
+        options.epochs = 4;
+        options.width = 16;
+        EXPECT_THROW(train_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError) << "of another network";
+    }
 }
 
 TEST_F(DropNetworkTest, RefusesWhatItCannotWorkWith) {

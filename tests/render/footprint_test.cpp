@@ -100,9 +100,9 @@ TEST(Footprint, PartsAreSpreadAsAnEvenlyLitDisc) {
     }
 }
 
-/// Parts of one footprint: range, intensity, drop probability.
+/// Parts of one footprint: range, intensity, drop probability, by how much the mean lies behind the range.
 struct Part {
-    float range_m, intensity, drop;
+    float range_m, intensity, drop, spread_m = 0.0f;
 };
 
 RenderedScan scan_of(const std::vector<Part>& parts) {
@@ -110,6 +110,7 @@ RenderedScan scan_of(const std::vector<Part>& parts) {
     for (const Part& part : parts) {
         scan.image.range_m.push_back(part.range_m);
         scan.median_range_m.push_back(part.range_m);
+        scan.mean_range_m.push_back(part.range_m + part.spread_m);
         scan.image.intensity.push_back(part.intensity);
         scan.image.drop_prob.push_back(part.drop);
         scan.weight.push_back(1.0f);
@@ -137,8 +138,12 @@ TEST(Footprint, PartsOnOneSurfaceAreOneReturnOfTheirMeanWeighedByLight) {
 }
 
 TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
-    const RenderedScan scan =
-        joined({{30.0f, 0.3f, 0.0f}, {10.0f, 0.2f, 0.0f}, {30.0f, 0.3f, 0.0f}, {10.0f, 0.2f, 0.0f}, {30.0f, 0.3f, 0.0f}});
+    const RenderedScan scan = joined({{30.0f, 0.3f, 0.0f, 0.5f},
+                                      {10.0f, 0.2f, 0.0f, 4.0f},
+                                      {30.0f, 0.3f, 0.0f, 0.25f},
+                                      {10.0f, 0.2f, 0.0f, 4.0f},
+                                      {30.0f, 0.3f, 0.0f, 0.0f}});
+    EXPECT_NEAR(range_spread(scan)[0], 0.25f, 1e-5f) << "of the return's own parts";
     EXPECT_NEAR(scan.median_range_m[0], 30.0f, 1e-5f);
     EXPECT_NEAR(scan.image.intensity[0], 3 * 0.3f / 5, kNear);
     EXPECT_EQ(scan.instance[0], 0) << "of the part nearest to the middle";

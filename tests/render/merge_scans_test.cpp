@@ -18,6 +18,7 @@ RenderedScan scan_of(const Pose& rig_from_sensor, float range_m) {
     scan.image.origin = {{0.1f, 0.0f, 0.0f}, {0.0f, 0.2f, 0.0f}};
     scan.image.direction = {{1.0f, 0.0f, 0.0f}, glm::normalize(glm::vec3(0.3f, -0.4f, 0.5f))};
     scan.image.range_m = scan.median_range_m = {range_m, 2.0f * range_m};
+    scan.mean_range_m = {range_m + 1.0f, 2.0f * range_m - 2.0f};
     scan.image.intensity = {0.25f, 0.5f};
     scan.image.drop_prob = {0.0f, 0.1f};
     scan.weight = {1.0f, 0.9f};
@@ -50,6 +51,7 @@ TEST(MergeScans, PointsStayWhereTheyAre) {
         EXPECT_EQ(merged.image.intensity[i], own.image.intensity[i % 2]);
         EXPECT_EQ(merged.instance[i], own.instance[i % 2]);
     }
+    EXPECT_EQ(range_spread(merged), (std::vector<float>{1.0f, 2.0f, 1.0f, 2.0f}));
     EXPECT_EQ(merged.channel, (std::vector<std::uint16_t>{3, 1, 7, 5})) << "of the second sensor behind the four of the first";
     EXPECT_THROW(merge_scans({}, {}), UsageError);
     EXPECT_THROW(merge_scans(scans, {Pose{}}), UsageError);

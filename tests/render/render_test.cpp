@@ -25,6 +25,7 @@ RenderedScan scan_of(const std::vector<glm::vec3>& points, const std::vector<flo
         scan.image.intensity.push_back(0.1f * float(i + 1));
         scan.image.drop_prob.push_back(drop[i]);
         scan.median_range_m.push_back(scan.image.range_m.back());
+        scan.mean_range_m.push_back(scan.image.range_m.back());
         scan.weight.push_back(1.0f);
         scan.time_offset_s.push_back(0.0f);
         scan.channel.push_back(0);
@@ -58,10 +59,13 @@ TEST(ProjectScan, WhatHedgesBetweenTwoSurfacesIsBinnedByTheDominantOne) {
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
     RenderedScan scan = scan_of({a, 0.8f * a}, {0.1f, 0.2f});
     scan.image.range_m[0] *= 0.6f;   // the mean of a surface at a and one nearby
+    scan.mean_range_m[0] = scan.image.range_m[0];
+    scan.mean_range_m[1] -= 2.5f;
     const RenderedScan binned = project_scan(scan, grid);
     const std::size_t cell = std::size_t(*project(grid, glm::dvec3(a)));
     EXPECT_EQ(binned.instance[cell], 1) << "0.8 a returns, 0.6 a is thin air";
     EXPECT_NEAR(binned.median_range_m[cell], 0.8f * glm::length(a), 1e-4f);
+    EXPECT_NEAR(range_spread(binned)[cell], 2.5f, 1e-2f) << "the winner's; the sensor is 0.2 m above the grid's origin";
     EXPECT_NEAR(binned.image.drop_prob[cell], 0.1f, 1e-6f);
 }
 
@@ -81,15 +85,18 @@ TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
     const RenderedScan likely = half_dropped_wall();
     const RangeNoise noise{{80.0}, {0.8, 1.0}, {0.2, 0.05}};
     RenderedScan scan = likely, again = likely, other = likely;
+    for (float& mean_m : scan.mean_range_m) mean_m += 0.5f;
     sample_returns(scan, noise, 7);
     sample_returns(again, noise, 7);
     sample_returns(other, noise, 8);
     EXPECT_EQ(scan.image.range_m, again.image.range_m);
     EXPECT_NE(scan.image.drop_prob, other.image.drop_prob);
+    const std::vector<float> spread_m = range_spread(scan);
     double n = 0.0, square[2] = {0.0, 0.0}, count[2] = {0.0, 0.0};
     for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
         ASSERT_TRUE(scan.image.drop_prob[i] == 0.0f || scan.image.drop_prob[i] == 1.0f);
         EXPECT_EQ(scan.image.range_m[i], scan.median_range_m[i]);
+        EXPECT_NEAR(spread_m[i], 0.5f, 1e-5f) << "noise spreads nothing";
         if (scan.image.drop_prob[i] == 1.0f) continue;
         const double error = double(scan.image.range_m[i]) - double(likely.image.range_m[i]), cosine = double(likely.image.direction[i].x);
         if (std::abs(cosine - 0.8) < 0.02 || i % 256 < 4 || i % 256 > 251 || i < 256 || i >= 63 * 256) continue;   // which bin is not sure
@@ -394,6 +401,35 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
     const RenderedScan faint = ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
     EXPECT_NEAR(faint.median_range_m[ahead], (4.0 + 0.818 * 10.0) / 1.818, 1e-2) << "a point without a surface is no point at the sensor";
     EXPECT_EQ(faint.median_range_m[behind], 0.0f);
+}
+
+/// Two surfaces: the mean lies between them, a known way from the farther one, whichever range the image shows; one surface has no spread.
+TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
+    Surfels surfels = wall_ahead();
+    surfels.append(wall_ahead());
+    surfels.mean[0].x = 4.0f;
+    surfels.opacity_logit[0] = std::log(0.3f / 0.7f);
+    const Sequence sequence = cross_sequence();
+    Config config;
+    const SensorChoice sensor = configured_sensor(config, sequence);
+    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}), behind = ray_towards(sensor.rays, {-1, 0, 0});
+    const RenderedScan plane = ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.0);
+    EXPECT_NEAR(range_spread(plane)[ahead], 0.0f, 1e-4f);
+    // shares of the light: 0.3 for the plate, nearly all of the rest for the wall, which is as opaque as a surfel gets
+    const double wall = 0.7 * double(config.image.alpha_max), weight = 0.3 + wall;
+    std::vector<std::string> channels = drop_channel_names(config.refine);
+    std::vector<DropImage> seen;
+    for (const char* range : {"normalised", "expected", "median", "mode"}) {
+        config.render.range = range;
+        const RenderedScan scan = ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
+        EXPECT_NEAR(range_spread(scan)[ahead], 10.0 - (0.3 * 4.0 + wall * 10.0) / weight, 1e-3) << range;
+        EXPECT_EQ(range_spread(scan)[behind], 0.0f) << range;
+        seen.push_back(drop_image(scan, channels, glm::dvec3(0.0)));
+        EXPECT_EQ(seen.back().channels, seen.front().channels) << "a network sees the same with render.range=" << range;
+        if (seen.size() > 1) continue;
+        for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
+            EXPECT_EQ(range_spread(scan)[i], std::abs(scan.median_range_m[i] - scan.image.range_m[i])) << "of the image, as it was trained";
+    }
 }
 
 /// The place of a wall that stands still, from a sensor that moves while it turns: every ray's own pose puts its point on the wall.

@@ -25,6 +25,7 @@ RenderedScan four_rays() {
     scan.image.origin.assign(4, glm::vec3(0.125f, 0.0f, -0.25f));
     scan.image.direction = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {0.6f, 0.8f, 0.0f}};
     scan.median_range_m = {10.5f, 12.0f, 7.0f, 55.25f};
+    scan.mean_range_m = {10.0f, 12.5f, 7.0f, 54.25f};
     scan.weight.assign(4, 1.0f);
     scan.instance = {0, 1, -1, 0};
     scan.time_offset_s = {-0.05f, 0.05f, 0.0f, 0.025f};
@@ -57,6 +58,10 @@ TEST_F(ExrScans, AreReadAsScans) {
     ASSERT_EQ(scan.further.size(), 1u);
     EXPECT_EQ(scan.further[0].range_m, truth.further[0].range_m);
     EXPECT_EQ(scan.further[0].intensity, truth.further[0].intensity);
+    EXPECT_EQ(read_exr(folder / "scans" / "frame_000005.exr").channels.count("spread"), 0u) << "not asked for";
+    format.config.render.spread = true;
+    write();
+    EXPECT_THAT(read_exr(folder / "scans" / "frame_000005.exr").channels.at("spread"), testing::ElementsAre(0.5f, 0.5f, 0.0f, 1.0f));
     format.deskew = true;
     write();
     EXPECT_THROW(load_sequence(folder.string(), {}), DataError) << "its rays are no longer those of the sensor";

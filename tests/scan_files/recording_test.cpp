@@ -25,7 +25,7 @@ constexpr const char* kMagic = "\x89MCAP0\r\n";
 RenderedScan two_rays(double time_s) {
     RenderedScan scan;
     scan.image = {1, 2, {10.0f, 12.0f}, {0.5f, 1.0f}, {0.0f, 0.1f}, {2, glm::vec3(0.0f)}, {2, glm::vec3(1.0f, 0.0f, 0.0f)}};
-    scan.median_range_m = scan.image.range_m;
+    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
     scan.weight = {1.0f, 1.0f};
     scan.instance = {0, 1};
     scan.time_offset_s = {-0.05f, 0.05f};

@@ -219,15 +219,19 @@ foreign_readers() {
         good render run --out deskewed --format npz,ply --deskew
         "$python" "$tests/read_scans.py" scans in_world deskewed >err 2>&1
         check "read_scans.py finds faults" test $? = 0
-        good render run --out with_normals --format npz,ply,pcd,bin --set render.normals=true
+        good render run --out with_normals --format npz,ply,pcd,bin --set render.normals=true --set render.spread=true
         "$python" "$tests/read_scans.py" with_normals >err 2>&1
-        check "read_scans.py finds faults with normals" test $? = 0
+        check "read_scans.py finds faults with normals and spread" test $? = 0
     fi
     if ! command -v exrheader >/dev/null; then
         echo "note: no exrheader, exr is not read by another program"
     else
+        good render run --out spread --frames 5:6 --format exr --set render.spread=true
+        exrheader spread/frame_000005.exr >out 2>err
+        says '^    spread, 32-bit floating-point'
         exrheader scans/frame_000005.exr >out 2>err
         check "exrheader refuses the file" test $? = 0
+        check "an exr has a spread that was not asked for" test "$(grep -c spread out)" = 0
         says '^sensor \(type string\): "synthetic"$'
         says '^time_s \(type string\): "0.5"$'
         says '^    median_range, 32-bit floating-point'
@@ -660,6 +664,53 @@ resuming() {
     bad 3 "the intensity loss is|array parameters/sh: row" train street --out lost --quiet --preset quick --set train.pose_register=false --set train.sh_rate=1e39 --set train.log_every=1 --set train.checkpoint_every=1
 }
 
+# Ctrl-C while the network is trained: a checkpoint stays, and the network ends as it would have without.
+network_resuming() {
+    local few=(--preset quick --set train.pose_register=false --set init.actor_min_points=10 --set train.iterations=4 --set dataset.test_every=5 --set refine.network=small --set refine.levels=1)
+    local checkpoints=half/checkpoints/drop_network
+    stop_in_network train street --out half "${few[@]}" --set refine.epochs=40 --no-eval
+    check "interrupted network: the message does not say how to go on" grep -Eq "^relidar: interrupted while the ray-drop network was trained; half holds the scene; continue with: relidar train --resume half$" err
+    absent half/drop_network.safetensors
+    rm -rf whole other && cp -r half whole && rm -r whole/checkpoints && cp -r half other
+    good train --resume half --no-eval
+    says "^resume  the ray-drop network from step [1-9]"
+    exists half/report.html
+    absent half/checkpoints
+    good refine whole --no-eval
+    check "the resumed network has other bits" cmp half/drop_network.safetensors whole/drop_network.safetensors
+    check "the resumed network lies beside another scene" cmp half/model.safetensors whole/model.safetensors
+    good train --resume half
+    says "nothing to do"
+    good train --resume other --no-eval --set refine.epochs=1
+    check "other settings of the network are taken without a word" grep -Eq "^relidar: note: resuming the ray-drop network from step [0-9]+: setting refine.epochs: found 1, expected 40 as in the checkpoint; the network is trained from the beginning" err
+    exists other/drop_network.safetensors
+    stop_in_network refine other --no-eval --set refine.epochs=40
+    check "interrupted refine: the message does not say how to go on" grep -Eq "^relidar: interrupted: other has the network it had; continue with: relidar refine --resume other$" err
+    bad 2 "resuming the ray-drop network from step [0-9]+: setting refine.width: found 5" refine --resume other --set refine.width=5
+    good refine --resume other --no-eval
+    says "^resume  from step [1-9]"
+    check "refine --resume ends with other bits" cmp other/drop_network.safetensors whole/drop_network.safetensors
+    absent other/checkpoints
+    good refine --resume other --no-eval --set refine.epochs=1
+    check "nobody says that there is nothing to resume" grep -q "^relidar: note: other holds no checkpoint of its network" err
+}
+
+# stop_in_network ARGS...: a command whose network is trained on $checkpoints, ended by SIGTERM once it has written one.
+stop_in_network() {
+    [[ $1 == train ]] || checkpoints=$2/checkpoints/drop_network
+    "$relidar" "$@" >out 2>err &
+    local pid=$!
+    for _ in $(seq 1200); do
+        ! compgen -G "$checkpoints/iteration_*.safetensors" >/dev/null || break
+        sleep 0.05
+    done
+    kill -TERM $pid
+    wait $pid
+    local code=$?
+    check "interrupted $1: exit code $code, expected 130" test "$code" = 130
+    check "interrupted $1 leaves no checkpoint of its network" compgen -G "$checkpoints/iteration_*.safetensors" >/dev/null
+}
+
 bench() {
     good bench --surfels 2000 --rays 16x64 --repeat 2 --json numbers/bench.json
     for kernel in scene/activate accel/build accel/refit forward/trace backward/trace optimizer/adam "whole iteration" "move of one instance"; do says "^$kernel +[0-9.]+ +[0-9.]+ +[0-9.]+ +([0-9.]+ +[0-9.]+|- +-)$"; done
@@ -728,6 +779,7 @@ if "$relidar" devices >out 2>err; then
     viewing
     interruption
     resuming
+    network_resuming
     bench
     demo
 elif [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]]; then

@@ -84,14 +84,17 @@ def check_scan(folder, summary, scan):
     check(f"{stem}: points", len(points) == scan["points"] > 0)
     for name, cloud in (("ply", ply), ("pcd", pcd)):
         of_normals = NORMAL_FIELDS[name] if "normals" in npz else ()
-        check(f"{stem}.{name}: fields", cloud.dtype.names == ("x", "y", "z", "intensity", "ring", "time", "instance") + of_normals)
+        of_spread = ("spread",) if "spread" in npz else ()
+        check(f"{stem}.{name}: fields", cloud.dtype.names == ("x", "y", "z", "intensity", "ring", "time", "instance") + of_spread + of_normals)
         for axis, field in enumerate(of_normals):
             check(f"{stem}.{name}: {field}", np.array_equal(cloud[field], npz["normals"][kept][:, axis]))
         check(f"{stem}.{name}: points", np.allclose(xyz(cloud), points, atol=1e-5))
-        for field in ("intensity", "ring", "time", "instance"):
+        for field in ("intensity", "ring", "time", "instance") + of_spread:
             check(f"{stem}.{name}: {field}", np.array_equal(cloud[field], npz[field][kept]))
     if "normals" in npz:
         check_normals(stem, npz)
+    if "spread" in npz:   # with render.range=normalised, the image has the mean
+        check(f"{stem}: spread", np.allclose(npz["spread"], np.abs(npz["median_range"] - npz["range"]), atol=1e-6) and npz["spread"].max() > 0)
     check(f"{stem}.pcd: VIEWPOINT", np.allclose(matrix_of(viewpoint), npz["pose"], atol=1e-12))
     check(f"{stem}.ply: comments", float(notes["time_s"]) == npz["time_s"] and notes["sensor"] == summary["sensor"]["name"])
     check(f"{stem}.ply: pose", np.array_equal(np.array(notes["world_from_sensor"].split(), float).reshape(4, 4), npz["pose"]))

@@ -2,13 +2,21 @@
 // The last stage of training on a street whose sensor is weak to one side: what no surfel can know, as the vehicle drives past, the network
 // knows on held-out frames.
 #include <cmath>
+#include <filesystem>
+#include <string>
 
+#include <stdlib.h>
+
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 
 #include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
+#include <relidar/evaluation.hpp>
+#include <relidar/export.hpp>
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
+#include <relidar/stages/checkpoint.hpp>
 #include <relidar/train.hpp>
 
 #include "../support/device.hpp"
@@ -70,7 +78,21 @@ std::pair<double, double> accuracies(Device& device, const Run& run) {
     return {right[1] / n[1], right[0] / n[0]};
 }
 
-class RefineDrops : public test::DeviceTest {};
+class RefineDrops : public test::DeviceTest {
+protected:
+    void TearDown() override {
+        if (!folder_.empty()) std::filesystem::remove_all(folder_);
+    }
+    /// Goes away with the test.
+    const std::filesystem::path& folder() {
+        std::string pattern = (std::filesystem::temp_directory_path() / "relidar-refine-XXXXXX").string();
+        if (folder_.empty() && ::mkdtemp(pattern.data())) folder_ = pattern;
+        return folder_;
+    }
+
+private:
+    std::filesystem::path folder_;
+};
 
 TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
     relidar::Run run = weak_run(device());
@@ -125,6 +147,102 @@ TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
     EXPECT_EQ(refined.surfel_drop_prob, plain.image.drop_prob);
     EXPECT_NE(refined.image.drop_prob, plain.image.drop_prob);
     EXPECT_EQ(refined.image.range_m, plain.image.range_m);
+}
+
+/// Trains until so many steps are done, with checkpoints in a folder.
+void train_until(Device& device, const Run& run, int step, const std::filesystem::path& folder, const Checkpoint* start = nullptr) {
+    int done = 0;
+    RefineSession session;
+    session.step = [&](const RefineProgress& p) { done = p.step; };
+    session.stop = [&] { return done >= step; };
+    session.checkpoints = folder;
+    session.start = start;
+    EXPECT_TRUE(refine_drops(device, run, session).empty());
+    EXPECT_EQ(done, step);
+}
+
+Checkpoint newest(const std::filesystem::path& folder) {
+    std::optional<Checkpoint> found = load_newest_checkpoint(folder, [](const std::string& line) { ADD_FAILURE() << line; });
+    if (!found) throw DataError("no checkpoint in " + folder.string());
+    return std::move(*found);
+}
+
+/// Two epochs and one step, the rest of two more, and all four at once; what was saved and read again goes on, too.
+TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
+    relidar::Run run = weak_run(device());
+    run.config.refine.epochs = 4;
+    run.config.refine.frames = 3;
+    run.config.train.checkpoint_keep = 2;
+    const std::filesystem::path checkpoints = folder() / "checkpoints";
+    const DropNetwork expected = refine_drops(device(), run);
+    const int of_epoch = run.config.refine.frames;
+    train_until(device(), run, 2 * of_epoch + 1, checkpoints);
+    EXPECT_EQ(list_checkpoints(checkpoints).size(), 2u) << "of the second epoch's end and of where it stopped";
+    const Checkpoint half = newest(checkpoints);
+    EXPECT_EQ(half.iteration, 2 * of_epoch + 1);
+    EXPECT_EQ(read_checkpoint(list_checkpoints(checkpoints).front()).iteration, 2 * of_epoch);
+
+    run.folder = folder() / "run";
+    save_run(run);
+    relidar::Run loaded = load_run(run.folder);
+    attach_scans(loaded, loaded.split.train, run.sequence);
+    check_refine_resumable(half, loaded);
+    const DropNetwork resumed = refine_drops(device(), loaded, {.start = &half});
+    EXPECT_EQ(resumed.parameters, expected.parameters);
+    EXPECT_EQ(resumed.running, expected.running);
+    EXPECT_EQ(resumed.normalisation, expected.normalisation);
+
+    train_until(device(), run, 3 * of_epoch, checkpoints, &half);
+    const Checkpoint later = newest(checkpoints);
+    EXPECT_EQ(refine_drops(device(), run, {.start = &later}).parameters, expected.parameters) << "stopped twice";
+}
+
+TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
+    relidar::Run run = weak_run(device());
+    run.config.refine.epochs = 1;
+    run.config.refine.frames = 3;
+    train_until(device(), run, 2, folder());
+    const Checkpoint checkpoint = newest(folder());
+    const auto message = [&](const relidar::Run& other) {
+        try {
+            refine_drops(device(), other, {.start = &checkpoint});
+        } catch (const Error& error) {
+            return fmt::format("{} {}", int(error.code()), error.what());
+        }
+        return std::string("nothing thrown");
+    };
+    relidar::Run other = run;
+    other.config.refine.width = 24;
+    EXPECT_EQ(message(other),
+              "2 resuming the ray-drop network from step 2: setting refine.width: found 24, expected 0 as in the checkpoint");
+    take_refine_settings(checkpoint, other.config);
+    EXPECT_EQ(other.config.refine.width, run.config.refine.width);
+    other.config.train.log_every = 7, other.config.train.checkpoint_minutes = 3.0, other.config.refine.enabled = false;
+    check_refine_resumable(checkpoint, other);
+    other = run;
+    other.scene.surfels.sh[5] += 0.001f;
+    EXPECT_THAT(message(other), ::testing::HasSubstr("3 resuming the ray-drop network from step 2: the scene: found"));
+    other = run;
+    other.sequence.frames[std::size_t(run.split.train[3])].scan.range_m[7] += 0.5f;
+    EXPECT_THAT(message(other), ::testing::HasSubstr("the log's scans: found"));
+    Checkpoint of_surfels = checkpoint;
+    std::erase_if(of_surfels.arrays, [](const NamedArray& array) { return array.name == "moment2"; });
+    EXPECT_THROW(refine_drops(device(), run, {.start = &of_surfels}), DataError);
+}
+
+/// A file where the folder should be: training goes on without checkpoints, and says so.
+TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
+    relidar::Run run = weak_run(device());
+    run.config.refine.epochs = 1;
+    run.config.refine.frames = 3;
+    write_text(folder() / "taken", "");
+    std::vector<std::string> notes;
+    RefineSession session;
+    session.checkpoints = folder() / "taken";
+    session.note = [&](const std::string& line) { notes.push_back(line); };
+    EXPECT_FALSE(refine_drops(device(), run, session).empty());
+    ASSERT_EQ(notes.size(), 1u);
+    EXPECT_THAT(notes[0], ::testing::HasSubstr("not written, there is none yet"));
 }
 
 TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {

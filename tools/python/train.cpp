@@ -75,15 +75,32 @@ void placed(OpenDevice& open, Run& run, PythonCalls& python) {
     python.raise_again();
 }
 
-/// The ray-drop network. A log that has nothing to teach it is no error.
+/// The ray-drop network. A log that has nothing to teach it is no error, and a checkpoint of another network none either.
 void refined(OpenDevice& open, Run& run, const Asked& asked, PythonCalls& python) {
+    const auto note = [&](const std::string& line) {
+        if (asked.note) python([&] { (*asked.note)(line); });
+    };
+    const fs::path folder = asked.checkpoints ? *asked.checkpoints / kRefineCheckpoints : fs::path();
+    std::optional<Checkpoint> start;
+    try {
+        if (asked.resume) start = load_newest_checkpoint(folder, note);
+        if (start) check_refine_resumable(*start, run);
+    } catch (const Error& error) {
+        note(error.what());
+        start.reset();
+    }
     try {
         const DeviceUse use(open);
-        run.drop_network = refine_drops(open.device, run, {.stop = [&] { return !python.go_on(); }});
+        run.drop_network = refine_drops(open.device, run,
+                                        {.stop = [&] { return !python.go_on(); },
+                                         .checkpoints = folder,
+                                         .start = start ? &*start : nullptr,
+                                         .note = note});
     } catch (const DataError& error) {
-        if (asked.note) python([&] { (*asked.note)(error.what()); });
+        note(error.what());
     }
     python.raise_again();
+    if (!folder.empty()) remove_checkpoints(folder);
 }
 
 std::unique_ptr<LoadedRun> train_run(const Log& log, const Asked& asked) {
@@ -140,7 +157,8 @@ void add_train(py::module_& module) {
         "callback: called with a TrainProgress every train.log_every iterations; returning False ends the training with the scene so far. "
         "It may not use the same device\n"
         "note: called with one line about each estimate and whatever goes wrong without ending the training\n"
-        "checkpoints: folder for what a training continues from; one is written where it stops early, by Ctrl-C too\n"
+        "checkpoints: folder for what a training continues from; one is written where it stops early, by Ctrl-C too; those of the network "
+        "lie in drop_network below it\n"
         "resume: continue from the newest checkpoint there, where there is one\n\n"
         "Returns a Run that is in memory alone: save() it. Raises KeyboardInterrupt on Ctrl-C, what the callback raises, DataError where "
         "the log cannot be trained on.");

@@ -77,13 +77,6 @@ std::string filled(const std::string& text, const Places& places) {
     return result;
 }
 
-Words device_words(const DeviceChoice& device) {
-    Words words;
-    if (device.index >= 0) words.insert(words.end(), {"--device", fmt::format("{}", device.index)});
-    if (device.traversal != "auto") words.insert(words.end(), {"--traversal", device.traversal});
-    return words;
-}
-
 std::string as_text(const Words& words) {
     std::string text;
     for (const std::string& word : words) text += (text.empty() ? "" : " ") + shell_word(word);

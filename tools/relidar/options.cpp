@@ -47,6 +47,13 @@ DeviceOptions device_options(const DeviceChoice& choice) {
     return from_environment(options);
 }
 
+std::vector<std::string> device_words(const DeviceChoice& choice) {
+    std::vector<std::string> words;
+    if (choice.index >= 0) words.insert(words.end(), {"--device", fmt::format("{}", choice.index)});
+    if (choice.traversal != "auto") words.insert(words.end(), {"--traversal", choice.traversal});
+    return words;
+}
+
 void add_set_option(CLI::App& command, std::vector<std::string>& sets) {
     command.add_option("--set", sets, "change one setting, as in loss.depth=0.2; repeatable; `relidar config` lists all keys")
         ->type_name("KEY=VALUE")

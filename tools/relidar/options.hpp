@@ -24,6 +24,8 @@ struct DeviceChoice {
 };
 void add_device_options(CLI::App& command, DeviceChoice& choice);
 DeviceOptions device_options(const DeviceChoice& choice);
+/// As typed on a command line: nothing where the default was chosen.
+std::vector<std::string> device_words(const DeviceChoice& choice);
 
 /// --preset, --config and --set, in the order in which they take effect.
 struct Settings {

@@ -21,6 +21,7 @@
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
 #include <relidar/run.hpp>
+#include <relidar/train.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -150,5 +151,14 @@ void remove_blocks(const fs::path& folder) {
 fs::path blocks_folder(const fs::path& run) { return run / "blocks"; }
 
 fs::path checkpoint_folder(const fs::path& run) { return run / "checkpoints"; }
+
+fs::path network_checkpoint_folder(const fs::path& run) { return checkpoint_folder(run) / kRefineCheckpoints; }
+
+void remove_network_checkpoints(const fs::path& run) {
+    remove_temporaries(network_checkpoint_folder(run));
+    remove_checkpoints(network_checkpoint_folder(run));
+    std::error_code failed;
+    fs::remove(checkpoint_folder(run), failed);   // refuses where the scene's are in it
+}
 
 }  // namespace relidar::cli

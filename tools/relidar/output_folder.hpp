@@ -79,7 +79,10 @@ void remove_run_files(const std::filesystem::path& folder);
 void remove_blocks(const std::filesystem::path& folder);
 /// Where a run keeps its blocks, each a run of its own.
 std::filesystem::path blocks_folder(const std::filesystem::path& run);
-/// Where a run keeps its checkpoints.
+/// Where a run keeps its checkpoints, and those of its ray-drop network.
 std::filesystem::path checkpoint_folder(const std::filesystem::path& run);
+std::filesystem::path network_checkpoint_folder(const std::filesystem::path& run);
+/// Removes those of the network, and what a killed process left half written.
+void remove_network_checkpoints(const std::filesystem::path& run);
 
 }  // namespace relidar::cli

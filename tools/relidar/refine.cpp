@@ -14,6 +14,7 @@
 #include "output_folder.hpp"
 #include "training.hpp"
 #include <relidar/export.hpp>
+#include <relidar/stages/checkpoint.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -22,9 +23,45 @@ struct Options {
     std::string run;
     std::vector<std::string> sets;
     DeviceChoice device;
+    bool resume = false;
     bool no_eval = false;
     bool quiet = false;
 };
+
+/// The checkpoint to continue from. @return nothing where training starts from the beginning
+std::optional<Checkpoint> find_start(const Options& options) {
+    const std::filesystem::path folder = network_checkpoint_folder(options.run);
+    if (!options.resume) {
+        if (!list_checkpoints(folder).empty())
+            note(fmt::format("{} holds the checkpoint of a network that was not finished: it is given up, --resume would have gone on",
+                             options.run));
+        return std::nullopt;
+    }
+    std::optional<Checkpoint> start = load_newest_checkpoint(folder, note);
+    if (!start) note(fmt::format("{} holds no checkpoint of its network: training starts from the beginning", options.run));
+    return start;
+}
+
+/// What continues this training, as typed on the command line.
+std::string resume_command(const Options& options) {
+    std::string command = "relidar refine --resume " + shell_word(options.run);
+    for (const std::string& word : device_words(options.device)) command += " " + word;
+    return command;
+}
+
+/// Trains the network and saves it; interrupted, it says how to go on.
+void train_network(Device& device, Run& run, const Options& options, const Checkpoint* start) {
+    if (start && !options.quiet) print(fmt::format("resume  from step {}\n", start->iteration));
+    const std::filesystem::path checkpoints = network_checkpoint_folder(run.folder);
+    catch_interrupts();
+    if (!refine_shown(device, run, options.quiet, {.checkpoints = checkpoints, .start = start})) {
+        const bool can_go_on = !list_checkpoints(checkpoints).empty();
+        throw Error(ExitCode::interrupted, fmt::format("interrupted: {} has the network it had{}", run.folder.string(),
+                                                       can_go_on ? "; continue with: " + resume_command(options) : ""));
+    }
+    save_run(run);
+    remove_network_checkpoints(run.folder);
+}
 
 /// Scores the held-out frames with the network or without.
 Evaluation score(Device& device, Run run, bool refined, bool quiet) {
@@ -38,6 +75,8 @@ void run_refine(const Options& options) {
     std::optional<FolderLock> lock;
     if (is_run(options.run)) lock.emplace(options.run);
     Run run = load_run(options.run);
+    const std::optional<Checkpoint> start = find_start(options);
+    if (start) take_refine_settings(*start, run.config);
     apply_sets(run.config, options.sets);
     run.config.refine.enabled = true;
     check_writable(run.folder);
@@ -45,11 +84,10 @@ void run_refine(const Options& options) {
     const Sequence log = load_dataset(run.config, options.quiet);
     attach_scans(run, run.split.train, log);
     if (!options.no_eval) attach_scans(run, run.split.test, log);
+    if (start) check_refine_resumable(*start, run);
+    else remove_network_checkpoints(run.folder);
 
-    catch_interrupts();
-    if (!refine_shown(device, run, options.quiet))
-        throw Error(ExitCode::interrupted, fmt::format("interrupted: {} is as it was", run.folder.string()));
-    save_run(run);
+    train_network(device, run, options, start ? &*start : nullptr);
     if (options.no_eval || run.split.test.empty()) return;
     const Evaluation before = score(device, run, false, options.quiet), after = score(device, run, true, options.quiet);
     end_progress_line();
@@ -64,16 +102,20 @@ void add_refine(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("refine", "train the network that corrects a run's ray-drop");
     const auto options = std::make_shared<Options>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
+    command->add_flag("--resume", options->resume, "continue an interrupted training, with its settings, from its newest checkpoint");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames with and without it");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
         "RUN/ gets drop_network.safetensors, which render and eval use from then on; settings refine.*.\n"
+        "Ctrl-C stops training and leaves a checkpoint (RUN/checkpoints/drop_network), as every epoch does; --resume goes on as if\n"
+        "nothing had happened: training frames are rendered again, the network ends the same to the last bit.\n"
         "The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"
         "Examples:\n"
         "  relidar refine run\n"
-        "  relidar refine run --set refine.network=paper --set refine.epochs=100");
+        "  relidar refine run --set refine.network=paper --set refine.epochs=100\n"
+        "  relidar refine --resume run");
     command->callback([&call, options] { call.run = [options] { run_refine(*options); }; });
 }
 

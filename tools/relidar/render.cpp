@@ -422,7 +422,8 @@ void add_render(CLI::App& app, Call& call) {
             "npz has instance_names.\n"
             "mcap: DIR/scans.mcap, all scans in one file for Foxglove, with poses and the actors' boxes; rosbag: DIR/rosbag.mcap, a bag\n"
             "of ROS 2 with sensor_msgs/PointCloud2, plain and with the point type of Autoware.\n"
-            "--set render.normals=true: unit normals of surfaces, towards the sensor, in every format but bin and png.\n") +
+            "--set render.normals=true: unit normals of surfaces, towards the sensor; --set render.spread=true: spread, |mean - median|\n"
+            "of the range along a ray, metres, large where it passes an edge: in npz, exr, ply and pcd.\n") +
         kSensorFileHelp +
         "\n"
         "Examples:\n"

@@ -3,6 +3,8 @@
 // device, then the log.
 #include <memory>
 #include <optional>
+#include <string_view>
+#include <tuple>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
@@ -92,6 +94,24 @@ bool is_finished(const fs::path& folder, const Config& config) {
     return is_file(folder / "scene.json") && is_file(folder / "report.html") && last_logged_iteration(folder) >= config.train.iterations;
 }
 
+/// Whether settings of a group are the same.
+bool same_group(const Config& a, const Config& b, std::string_view group) {
+    const std::vector<ConfigKey> x = config_keys(a), y = config_keys(b);
+    for (std::size_t i = 0; i < x.size(); ++i)
+        if (x[i].key.starts_with(group) && x[i].value != y[i].value) return false;
+    return true;
+}
+
+/// Whether a run has its scene, of these settings and this log, and lacks what comes after it: the network, scores, the report.
+bool has_scene(const fs::path& folder, const Config& config) {
+    if (!is_file(folder / "scene.json") || is_file(folder / "report.html") || last_logged_iteration(folder) < config.train.iterations)
+        return false;
+    Config trained;
+    load_config(trained, folder / kConfigFile);
+    const auto log_of = [](const DatasetConfig& d) { return std::tie(d.path, d.sequence, d.poses); };
+    return log_of(trained.dataset) == log_of(config.dataset) && differing_setting(trained, config).empty();
+}
+
 /// The checkpoint to continue from. @return nothing where training starts from the beginning
 std::optional<Checkpoint> find_start(const Options& options) {
     const fs::path folder = options.out;
@@ -117,8 +137,7 @@ void announce(const Sequence& sequence, const Split& split, const Device& device
 /// What continues this training, as typed on the command line.
 std::string resume_command(const Options& options) {
     std::string command = "relidar train --resume " + shell_word(options.out);
-    if (options.device.index >= 0) command += fmt::format(" --device {}", options.device.index);
-    if (options.device.traversal != "auto") command += " --traversal " + options.device.traversal;
+    for (const std::string& word : device_words(options.device)) command += " " + word;
     return command;
 }
 
@@ -165,30 +184,79 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Opt
                       byte_size(result.peak_device_bytes), absolute_path((run.folder / "report.html").string())));
 }
 
-/// Trains the ray-drop network of a scene that has been saved. A log that has nothing to teach it is no error, nor is a device that cannot
-/// run its layers.
+/// The checkpoint that the network goes on from. One of another scene or other settings is told, and nothing is lost but its steps.
+std::optional<Checkpoint> find_network_start(const Run& run) {
+    try {
+        std::optional<Checkpoint> start = load_newest_checkpoint(network_checkpoint_folder(run.folder), note);
+        if (start) check_refine_resumable(*start, run);
+        return start;
+    } catch (const Error& error) {
+        note(fmt::format("{}; the network is trained from the beginning", error.what()));
+        return std::nullopt;
+    }
+}
+
+/// Trains the ray-drop network of a scene that has been saved, and saves it. A log that has nothing to teach it is no error, nor is a
+/// device that cannot run its layers.
 void refine_or_tell(Device& device, Run& run, const Options& options) {
+    const std::optional<Checkpoint> start = find_network_start(run);
+    if (!start) remove_network_checkpoints(run.folder);
+    else if (!options.quiet) print(fmt::format("resume  the ray-drop network from step {}\n", start->iteration));
     const auto leave_out = [](const Error& error) {
         end_progress_line();
         note(error.what());
     };
     try {
-        if (!refine_shown(device, run, options.quiet))
+        if (!refine_shown(device, run, options.quiet,
+                          {.checkpoints = network_checkpoint_folder(run.folder), .start = start ? &*start : nullptr}))
             throw Error(ExitCode::interrupted,
-                        fmt::format("interrupted while the ray-drop network was trained; {} holds the scene; continue with: relidar refine "
-                                    "{}",
-                                    run.folder.string(), shell_word(options.out)));
+                        fmt::format("interrupted while the ray-drop network was trained; {} holds the scene; continue with: {}",
+                                    run.folder.string(), resume_command(options)));
     } catch (const DataError& error) {
+        remove_network_checkpoints(run.folder);   // it would end the same
         return leave_out(error);
     } catch (const DeviceError& error) {
         return leave_out(error);
     }
     save_run(run);
+    remove_network_checkpoints(run.folder);
+}
+
+/// What the log of a training says of it.
+TrainResult logged_result(const fs::path& folder) {
+    TrainResult result;
+    result.log = read_log(folder);
+    if (result.log.empty()) return result;
+    result.iterations = result.log.back().iteration;
+    result.train_s = result.log.back().seconds;
+    return result;
+}
+
+/// Goes on where the scene is done: with the network, unless that is done too, scores and report.
+void finish_scene(const Options& options, const Config& config, const std::string& command_line) {
+    const RunFolder folder(options.out, Existing::keep);
+    Run run = load_run(options.out);
+    const bool has_network = !run.drop_network.empty() && same_group(run.config, config, "refine.");
+    run.config = config;
+    Device device(device_options(options.device));
+    const Sequence log = load_dataset(config, options.quiet);
+    attach_scans(run, run.split.train, log);
+    attach_scans(run, run.split.test, log);
+    if (!options.quiet) {
+        announce(run.sequence, run.split, device, nullptr);
+        print("resume  behind the last iteration\n");
+    }
+    catch_interrupts();
+    if (config.refine.enabled && !has_network) refine_or_tell(device, run, options);
+    TrainResult result = logged_result(run.folder);
+    result.peak_device_bytes = device.peak_bytes();
+    finish(device, run, result, options, command_line);
 }
 
 /// Makes the folder of a run ready for a training, anew or where another has stopped.
 void clear_folder(const fs::path& folder, const Config& config, bool keeps_blocks, bool keeps_checkpoints) {
     remove_run_files(folder);
+    remove_network_checkpoints(folder);
     if (!keeps_checkpoints) remove_checkpoints(checkpoint_folder(folder));
     if (!keeps_blocks) remove_blocks(folder);
     write_text(folder / kConfigFile, to_toml(config));   // what a killed run is resumed from
@@ -214,6 +282,10 @@ void run_train(const Options& given, const std::string& command_line) {
     }
     const bool resume = options.resume && !options.force;
     if (!options.no_eval) check_lpips_weights(with_lpips_weights(config));
+    if (resume && has_scene(options.out, config)) {
+        if (ranks.is_first()) finish_scene(options, config, command_line);
+        return;
+    }
     const bool in_blocks = config.blocks.length_m > 0.0;
     check_ranks(ranks, in_blocks);
     std::optional<RunFolder> folder;
@@ -274,7 +346,8 @@ void add_train(CLI::App& app, Call& call) {
     command->footer(
         "RUN/ gets config.toml, scene.json, model.safetensors, log.jsonl, metrics.json, report.html, and checkpoints/ where training takes "
         "long.\n"
-        "Ctrl-C stops training, saves the scene so far and a checkpoint; --resume goes on as if nothing had happened.\n"
+        "Ctrl-C stops training, saves the scene so far and a checkpoint; --resume goes on as if nothing had happened, with the ray-drop\n"
+        "network too. Settings refine.*, render.* and eval.* may be changed then; other refine.* train the network from the beginning.\n"
         "Settings: preset, then --config, then --set, then the flags; the later one wins. `relidar config` lists them.\n"
         "Examples:\n"
         "  relidar train data/street --out run --preset quick\n"

@@ -104,11 +104,11 @@ void place_shown(Device& device, Run& run, bool quiet) {
     std::fflush(stdout);
 }
 
-bool refine_shown(Device& device, Run& run, bool quiet) {
+bool refine_shown(Device& device, Run& run, bool quiet, RefineSession session) {
     Progress progress(quiet);
-    RefineSession session;
     session.progress = shown_by(progress);
     session.stop = interrupted;
+    session.note = note;
     session.step = [&](const RefineProgress& p) {
         const double eta_s = p.seconds / p.step * (p.n_steps - p.step);
         progress.show(fmt::format("ray-drop network, epoch {}/{}  step {}/{}  {:.2f} it/s  eta {}  entropy {}  accuracy {:.4f}", p.epoch,

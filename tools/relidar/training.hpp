@@ -23,7 +23,8 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
 void place_shown(Device& device, Run& run, bool quiet);
 
 /// Trains the ray-drop network of a run whose sequence has its scans, with a progress line. @return whether it was not interrupted
-bool refine_shown(Device& device, Run& run, bool quiet);
+/// @param session  its progress, step, stop and note are filled in here
+bool refine_shown(Device& device, Run& run, bool quiet, RefineSession session = {});
 
 /// "iteration 1200/30000  4.20 it/s  eta 1:54:00  loss 0.0123 (depth 0.01 intensity 0.002 drop 0.0003)"
 std::string progress_text(const TrainProgress& progress);

@@ -49,6 +49,8 @@ public:
     ~ArrayAdam();
     /// Records one step. @param values [n] in place @param gradients [n] @param step counts from 1
     void step(Stream& stream, const Array<float>& values, const Array<float>& gradients, double rate, int step);
+    Array<float>& moment1();
+    Array<float>& moment2();
 
 private:
     struct Impl;
