@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include <gmock/gmock.h>
 #include <relidar/error.hpp>
 #include <relidar/render.hpp>
 
@@ -82,29 +83,16 @@ TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
     EXPECT_LT(scan.image.drop_prob[0], 0.1f);
 }
 
-/// The same post seen by beams of one table that differ: only those wider than it see past it.
+/// The same post seen by beams of one table that differ: only the one that is wider sees past it.
 TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
-    const Sequence sequence = cross_sequence();
     RayTable rays{1, 3, ScanArray<glm::vec3>(3), ScanArray<glm::vec3>(3, {1.0f, 0.0f, 0.0f}), ScanArray<float>(3), {0, 0, 0}};
     rays.ray_divergence_rad = {1e-3f, 0.02f, 0.0f};
-    const SensorChoice sensor = sensor_choice({.name = "mixed", .limits = {0.0, 80.0}, .pattern = rays});
-    const auto render = [&](double divergence_mrad) {
-        Config config;
-        config.sensor.sub_rays = 9;
-        config.sensor.returns = 2;
-        config.sensor.divergence_mrad = divergence_mrad;
-        return ScanRenderer(device(), make_background_scene(post_before_wall()), config, sequence).render(sensor, 0.0);
-    };
-    const RenderedScan own = render(0.0);
-    for (const std::size_t narrow : {std::size_t(0), std::size_t(2)}) {
-        EXPECT_NEAR(own.median_range_m[narrow], 10.0f, 1e-3f) << narrow;
-        EXPECT_EQ(own.further[0].range_m[narrow], 0.0f) << narrow;
-    }
-    EXPECT_NEAR(own.median_range_m[1], 14.0f, 2e-3f);
-    EXPECT_NEAR(own.further[0].range_m[1], 10.0f, 2e-3f);
-    const RenderedScan same = render(20.0);
-    for (std::size_t i = 0; i < 3; ++i) EXPECT_NEAR(same.median_range_m[i], 14.0f, 2e-3f) << "the setting stands for all";
-    EXPECT_EQ(same.further[0].intensity[0], own.further[0].intensity[1]);
+    Config config;
+    config.sensor.sub_rays = 9, config.sensor.returns = 2;
+    ScanRenderer renderer(device(), make_background_scene(post_before_wall()), config, cross_sequence());
+    const RenderedScan scan = renderer.render(sensor_choice({.name = "mixed", .limits = {0.0, 80.0}, .pattern = rays}), 0.0);
+    EXPECT_THAT(scan.median_range_m, testing::Pointwise(testing::FloatNear(2e-3f), {10.0f, 14.0f, 10.0f}));
+    EXPECT_THAT(scan.further[0].range_m, testing::Pointwise(testing::FloatNear(2e-3f), {0.0f, 10.0f, 0.0f}));
 }
 
 TEST_F(Render, SubRaysNeedADivergence) {
