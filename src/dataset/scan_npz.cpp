@@ -34,6 +34,12 @@ public:
         if (const NamedArray* array = find(name)) return *array;
         throw DataError(fmt::format("{}: no array '{}', expected it", where_, name));
     }
+    /// A number of all rays.
+    double number(const std::string& name) const {
+        if (at(name).count() != 1)
+            throw DataError(fmt::format("{}: {} of shape [{}], expected one number", where_, name, fmt::join(at(name).shape, ", ")));
+        return at(name).as_double()[0];
+    }
     /// A number a ray. @param usual  of all, where the array is missing
     std::vector<double> image(const std::string& name, double usual) const {
         return find(name) ? values(name, 1) : std::vector<double>(rows * columns, usual);
@@ -117,7 +123,7 @@ void add_what_is_said(const Arrays& arrays, const ImageSource& source, RayTable&
         for (std::size_t i = 0; i < n; ++i) rays.channel[i] = ring_number(ring[i], arrays.ray("ring", i));
     }
     if (arrays.find("divergence_rad")) {
-        rays.divergence_rad = arrays.at("divergence_rad").as_float().at(0);
+        rays.divergence_rad = static_cast<float>(arrays.number("divergence_rad"));
         rays.ray_divergence_rad.clear();
     }
     if (arrays.find("divergence")) {

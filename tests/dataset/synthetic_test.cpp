@@ -294,7 +294,7 @@ TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
     const SyntheticOptions options = small();
     const PoseTrack track{{0.2}, {make_synthetic_street(options).world_from_sensor(0).at(0.2)}};
     RayTable narrow = make_rays(
-        ScanningWindow{.rows = 12, .columns = 30, .left_rad = 1.0, .right_rad = -1.0, .top_rad = 0.05, .bottom_rad = -0.1});
+        ScanningWindow{.name = "", .rows = 12, .columns = 30, .left_rad = 1.0, .right_rad = -1.0, .top_rad = 0.05, .bottom_rad = -0.1});
     RayTable wide = narrow, mixed = narrow;
     narrow.divergence_rad = 1e-3f, wide.divergence_rad = 0.03f;
     for (std::size_t i = 0; i < mixed.size(); ++i) mixed.ray_divergence_rad.push_back(i % 2 ? 0.03f : 1e-3f);

@@ -96,7 +96,7 @@ const std::vector<Case>& cases_of_sensors() {
         {"NaN origin", [](auto& r) { spec(r) = rays_ahead(1), spec(r).mutable_rays()->set_origin_m(std::string(12, '\xff')); },
          Code::INVALID_ARGUMENT, "origin_m of ray 0"},
         {"NaN divergence", [](auto& r) { spec(r) = rays_ahead(1), spec(r).mutable_rays()->set_divergence_rad(std::string(4, '\xff')); },
-         Code::INVALID_ARGUMENT, "divergence_rad of ray 0: found nan"},
+         Code::INVALID_ARGUMENT, "rays.divergence_rad of ray 0"},
         {"beams without columns", [](auto& r) { spec(r).mutable_spinning()->add_beams(); }, Code::INVALID_ARGUMENT, "0 rays"},
         {"NaN beam",
          [](auto& r) {

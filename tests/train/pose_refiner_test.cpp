@@ -295,9 +295,10 @@ TEST_F(Poses, OfASingleSweepStays) {
             .poses;
     };
     EXPECT_FALSE(poses("0:2,3"));
-    EXPECT_THAT(notes, testing::ElementsAre(testing::HasSubstr("one sweep is trained on")));
+    EXPECT_THAT(notes, testing::Contains(testing::HasSubstr("one sweep is trained on")));
+    notes.clear();
     EXPECT_TRUE(poses("0:2"));
-    EXPECT_EQ(notes.size(), 1u);
+    EXPECT_THAT(notes, testing::Not(testing::Contains(testing::HasSubstr("one sweep is trained on"))));
 }
 
 }  // namespace
