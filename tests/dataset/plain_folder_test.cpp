@@ -422,6 +422,10 @@ TEST(PlainFolder, ReadsRenderedScans) {
     const Scan scan = load_sequence(folder.string(), {}).frames[0].scan;
     EXPECT_EQ(scan.range_m, (ScanArray<float>{5.5f, 0.0f}));
     EXPECT_EQ(scan.intensity, (ScanArray<float>{0.25f, 0.0f}));
+    std::vector<NamedArray> without_number = arrays;
+    without_number.push_back(make_array("divergence_rad", {0}, range.data(), 0));
+    write_npz(folder / "scans/frame_000000.npz", without_number);
+    EXPECT_THROW(load_sequence(folder.string(), {}), DataError) << "no number";
     const std::int32_t deskewed = 1;
     arrays.push_back(make_array("deskewed", {}, &deskewed, 1));
     write_npz(folder / "scans/frame_000000.npz", arrays);
