@@ -28,6 +28,10 @@ Config sparse_config() {
     config.train.mean_rate = 1e-4;   // halves of a split must find their place
     config.train.mean_rate_final = 1e-5;
     config.train.rate_decay = 0.3;
+    config.train.opacity_rate = 0.05;   // at larger ones few surfels stretch over the holes instead, and what is added has to catch up
+    config.train.scale_rate = 1e-2;
+    config.train.rotation_rate = 3e-4;
+    config.train.sh_rate = 3e-2;
     config.densify.from = 20;
     config.densify.every = 20;
     config.densify.until = 81;
