@@ -91,7 +91,7 @@ Config quick() {
     config.image.transmittance_min = 1e-2f;
     config.image.sh_degree = 1;
     config.train.iterations = 600;
-    // few steps: rates that get there. Scales at 0.04 measured better still on one log, and diverged on another that starts with larger discs
+    // few steps: rates that get there. Scales at 0.04 are better still on one log, and diverge on another that starts with larger discs
     config.train.opacity_rate = 0.1;
     config.train.scale_rate = 2e-2;
     config.train.rotation_rate = 3e-3;
