@@ -35,7 +35,7 @@ struct RegisterRound {
 struct Registration {
     PoseTrack world_from_vehicle;       ///< corrected; the log's own where stopped
     std::vector<RegisterRound> rounds;
-    std::vector<std::size_t> lost;      ///< frames that their own scan did not place, by position: moved as their neighbours were
+    std::vector<std::size_t> lost;      ///< poses that their own scans did not place: moved as their neighbours were
     double on_planes = 0.0;             ///< share of a training scan's points that lie on common planes, the median over scans
     std::size_t places_again = 0;       ///< at which a later pass through a road was put on an earlier one
     double loops_off_m = 0.0;           ///< by which one of them was off, the most
@@ -51,8 +51,9 @@ struct Registration {
 /// Held-out scans shape no plane and move no other pose than their own, which is found last, on the planes of the training scans.
 /// Deterministic, whatever the number of threads and processes. One training scan is left where it is.
 /// A team shares the first step; the rest is the first process's alone, and the others return without it.
-/// Of a log with one LiDAR: scans of several would need a pose each at one time.
-/// @throws DataError where no two training scans see a common surface, UsageError for a log of several LiDARs
+/// Of several LiDARs those take part that sweep at the same times as the one with the most returns: what they see at one time is one scan
+/// of the vehicle. Others ride along, as they are mounted.
+/// @throws DataError where no two training scans see a common surface
 Registration register_scans(const Sequence& sequence, const Split& split, const RegisterOptions& options);
 
 /// What a scene shows along a ray: a point of the surface and its normal, in the world. A normal of 0: no surface.
@@ -60,22 +61,23 @@ struct SeenSurface {
     glm::dvec3 point_m{0.0}, normal{0.0};
 };
 
-/// What a scene shows along rays of a frame. @param rays  indices into its scan @param world_from_vehicle  poses to look from
-/// @return [rays]
-using SceneView = std::function<std::vector<SeenSurface>(const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle)>;
+/// What a scene shows along rays of a frame. @param position  of the frame in Sequence::frames @param rays  indices into its scan
+/// @param world_from_vehicle  poses to look from @return [rays]
+using SceneView =
+    std::function<std::vector<SeenSurface>(int position, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle)>;
 
 /// Where a scan lies on a scene.
 struct ScanPlacement {
-    Pose world_from_vehicle;    ///< at the frame's time; as it was where the scan was not found
+    Pose world_from_vehicle;    ///< as it was where the scan was not found
     double moved_m = 0.0;
     double on_surfaces = 0.0;   ///< share of its thinned points that lie on surfaces
     bool found = false;
 };
 
-/// Moves the pose of one frame, while the scene and all other poses stay:
-///   min over the pose of  sum over its points p of rho(n . (p - q)),  rho as above,
-/// q and n the surface that the scene shows along the point's ray, looked at anew after each Gauss-Newton step. As for registration, of a
-/// log with one LiDAR; points of movers take no part. @param position  of the frame in Sequence::frames
-ScanPlacement place_scan(const Sequence& sequence, int position, const SceneView& view, const RegisterOptions& options);
+/// Moves one pose of the vehicle, while the scene and all other poses stay:
+///   min over the pose of  sum over points p of rho(n . (p - q)),  rho as above,
+/// the points of all LiDARs that swept then, none of movers; q and n the surface that the scene shows along the point's ray, looked at anew
+/// after each Gauss-Newton step. @param pose  entry of Sequence::world_from_vehicle
+ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const SceneView& view, const RegisterOptions& options);
 
 }  // namespace relidar

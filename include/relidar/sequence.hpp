@@ -163,6 +163,8 @@ struct Sequence {
     bool rolling_shutter = true;          ///< rays were fired at their own times (scans are not motion-compensated)
 
     const Lidar& lidar_of(const Frame& frame) const { return lidars[std::size_t(frame.lidar)]; }
+    /// Entry of world_from_vehicle at the time of a frame. @throws DataError where there is none
+    std::size_t pose_of(const Frame& frame) const;
     /// Poses of a LiDAR: those of the vehicle, at the same times, with its mounting.
     PoseTrack world_from_sensor(int lidar) const;
     /// Beams of all LiDARs.

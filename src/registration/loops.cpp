@@ -107,7 +107,7 @@ private:
         std::vector<PlacedPoint> points;
         for (const ThinPoint& point : scans_[keys_[key]]) {
             const PlacedPoint at = place(track_, point);
-            points.push_back({pose_from_world * at.point_m, pose_from_world * at.sensor_m});
+            points.push_back({pose_from_world * at.point_m, pose_from_world * at.vehicle_m});
         }
         return points;
     }

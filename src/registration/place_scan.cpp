@@ -14,35 +14,53 @@ constexpr double kPrior = 1e-4;         // of the mean stiffness, towards where 
 constexpr double kConverged_m = 2e-4;   // length of the last step
 constexpr int kMostSteps = 8;
 
+/// Rays of one frame that are looked at.
+struct FrameRays {
+    int position;
+    std::vector<std::size_t> rays;
+};
+
+std::vector<FrameRays> rays_at(const Sequence& sequence, std::size_t pose, const RegisterOptions& options) {
+    std::vector<FrameRays> frames;
+    for (std::size_t i = 0; i < sequence.frames.size(); ++i)
+        if (sequence.frames[i].time_s == sequence.world_from_vehicle.time_s[pose])
+            frames.push_back({static_cast<int>(i), thin_rays(sequence, static_cast<int>(i), options, kThin_m)});
+    std::erase_if(frames, [](const FrameRays& f) { return f.rays.empty(); });
+    return frames;
+}
+
 }  // namespace
 
-ScanPlacement place_scan(const Sequence& sequence, int position, const SceneView& view, const RegisterOptions& options) {
+ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const SceneView& view, const RegisterOptions& options) {
     PoseTrack track = sequence.world_from_vehicle;
-    const auto pose = std::size_t(position);   // of a log with one LiDAR
     const Pose before = track.pose[pose];
     ScanPlacement result{before, 0.0, 0.0, false};
-    const std::vector<std::size_t> rays = thin_rays(sequence, position, options, kThin_m);
-    if (rays.empty()) return result;
+    const std::vector<FrameRays> frames = rays_at(sequence, pose, options);
+    std::size_t n = 0;
+    for (const FrameRays& f : frames) n += f.rays.size();
+    if (n == 0) return result;
     double step_m = 2.0 * kConverged_m;
     for (int i = 0; i < kMostSteps && step_m > kConverged_m; ++i) {
-        const std::vector<SeenSurface> seen = view(rays, track);
         RigidEquations equations;
         std::size_t on_surfaces = 0;
-        for (std::size_t k = 0; k < rays.size(); ++k) {
-            if (seen[k].normal == glm::dvec3(0.0)) continue;
-            const ThinPoint point = point_of(sequence, position, rays[k]);
-            const Row row = row_of(place(track, point), {seen[k].point_m, seen[k].normal}, kScale_m);
-            equations.add(row, share_of(point, pose));
-            on_surfaces += row.weight > 0.25;
+        for (const auto& [position, rays] : frames) {
+            const std::vector<SeenSurface> seen = view(position, rays, track);
+            for (std::size_t k = 0; k < rays.size(); ++k) {
+                if (seen[k].normal == glm::dvec3(0.0)) continue;
+                const ThinPoint point = point_of(sequence, track, pose, position, rays[k]);
+                const Row row = row_of(place(track, point), {seen[k].point_m, seen[k].normal}, kScale_m);
+                equations.add(row, share_of(point, pose));
+                on_surfaces += row.weight > 0.25;
+            }
         }
-        result.on_surfaces = double(on_surfaces) / double(rays.size());
+        result.on_surfaces = double(on_surfaces) / double(n);
         if (equations.empty()) return result;
         const Twist step = equations.solve(kPrior, twist_between(before, track.pose[pose]));
         track.pose[pose] = moved(track.pose[pose], step);
         step_m = length_m(step);
     }
     const double moved_m = glm::distance(before.translation, track.pose[pose].translation);
-    if (!PlaneAdjustment::is_placed(result.on_surfaces, rays.size()) || moved_m > options.largest_m) return result;
+    if (!PlaneAdjustment::is_placed(result.on_surfaces, n) || moved_m > options.largest_m) return result;
     result.world_from_vehicle = track.pose[pose];
     result.moved_m = moved_m;
     result.found = true;

@@ -48,14 +48,14 @@ Eigen::VectorXd corrections(const PoseTrack& from, const PoseTrack& to) {
     return result;
 }
 
-/// The planes of all cells that points of two frames or more lie in.
+/// The planes of all cells that points of two sweeps or more lie in.
 std::vector<std::optional<Plane>> fit_planes(const PlaneCells& cells, const std::vector<ThinPoint>& points,
                                              const std::vector<PlacedPoint>& placed, const RegisterRound& round) {
     std::vector<std::optional<Plane>> planes(cells.size());
     in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
         for (std::size_t c = begin; c < end; ++c) {
             const std::span<const std::uint32_t> members = cells.members(c);
-            if (points[members.front()].frame != points[members.back()].frame)
+            if (points[members.front()].pose != points[members.back()].pose)
                 planes[c] = fit_plane(placed, members, round.cell_m, round.scale_m);
         }
     });
@@ -188,7 +188,7 @@ std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map, cons
     std::size_t begin = 0;
     for (std::size_t k = 0; k < is_known.size(); ++k) {
         std::size_t end = begin;
-        while (end < points_.size() && points_[end].frame == k) ++end;
+        while (end < points_.size() && points_[end].pose == k) ++end;
         const double share = share_on_planes(map, std::span(points_).subspan(begin, end - begin), scale_m);
         if (candidates[k] && !(is_placed(share, end - begin) && stands_out_m(k, candidates) <= largest_m)) {
             lost.push_back(k);

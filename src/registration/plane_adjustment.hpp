@@ -23,7 +23,7 @@ struct PlaneMap {
 class PlaneAdjustment {
 public:
     /// @param given  what corrections are counted from @param start  where the poses are, near enough for the first round's cells
-    /// @param points of all frames, frame by frame @param gauge [poses] those whose mean correction is zero
+    /// @param points of all sweeps, sweep by sweep @param gauge [poses] those whose mean correction is zero
     PlaneAdjustment(const PoseTrack& given, const PoseTrack& start, std::vector<ThinPoint> points, std::vector<bool> gauge);
 
     /// Rounds with cells and kernels that shrink from the first to the last, then two more of the last size.

@@ -36,7 +36,7 @@ Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m) {
     Row row;
     row.residual_m = glm::dot(plane.normal, point.point_m - plane.point_m);
     row.weight = weight_of(row.residual_m, scale_m);
-    row.j << to_eigen(plane.normal), to_eigen(glm::cross(point.point_m - point.sensor_m, plane.normal));
+    row.j << to_eigen(plane.normal), to_eigen(glm::cross(point.point_m - point.vehicle_m, plane.normal));
     return row;
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Gauss-Newton equations of all poses of a track, planes eliminated. A point at fraction s between poses l and l + 1 moves by
-//   dp = sum over k of a_k (v_k + w_k x (p - o)),  a = (1 - s, s),  o where the sensor was,
+//   dp = sum over k of a_k (v_k + w_k x (p - o)),  a = (1 - s, s),  o where the vehicle was,
 // so its residual n . (p - point) - b . (offset, tilts) has the row a_k j, j = (n, (p - o) x n). The Schur complement of the three unknowns
 // of a plane with couplings C, stiffness B and gradient h is
 //   H = sum w J J^T - C B^-1 C^T,  g = sum w r J - C B^-1 h,

@@ -84,16 +84,6 @@ Json lidars_json(const Sequence& sequence) {
     return json;
 }
 
-/// Entry of the vehicle's poses at the time of a frame.
-std::size_t pose_of(const Sequence& sequence, const Frame& frame) {
-    const std::vector<double>& times = sequence.world_from_vehicle.time_s;
-    const auto at = std::find(times.begin(), times.end(), frame.time_s);
-    if (at == times.end() || times.size() != sequence.world_from_vehicle.pose.size())
-        throw DataError(fmt::format("writing scene.json: {} vehicle poses at {} times, none of frame {} at {} s, expected one",
-                                    sequence.world_from_vehicle.pose.size(), times.size(), frame.index, frame.time_s));
-    return std::size_t(at - times.begin());
-}
-
 Json frames_json(const Sequence& sequence, const Split& split) {
     Json frames = Json::array();
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
@@ -102,7 +92,7 @@ Json frames_json(const Sequence& sequence, const Split& split) {
         };
         const char* part = in(split.train) ? "train" : in(split.test) ? "test" : "unused";
         const Frame& frame = sequence.frames[i];
-        const Pose& pose = sequence.world_from_vehicle.pose[pose_of(sequence, frame)];
+        const Pose& pose = sequence.world_from_vehicle.pose[sequence.pose_of(frame)];
         frames.push_back({{"index", frame.index},
                           {"time_s", frame.time_s},
                           {"lidar", frame.lidar},

@@ -89,6 +89,15 @@ void drop_outside(Scan& scan, const RangeLimits& limits) {
     }
 }
 
+std::size_t Sequence::pose_of(const Frame& frame) const {
+    const std::vector<double>& times = world_from_vehicle.time_s;
+    const auto at = std::ranges::lower_bound(times, frame.time_s);
+    if (at == times.end() || *at != frame.time_s || times.size() != world_from_vehicle.pose.size())
+        throw DataError(fmt::format("{}: {} poses of the vehicle at {} times, none of frame {} at {} s, expected one", name,
+                                    world_from_vehicle.pose.size(), times.size(), frame.index, frame.time_s));
+    return std::size_t(at - times.begin());
+}
+
 PoseTrack Sequence::world_from_sensor(int lidar) const {
     return moved_track(world_from_vehicle, lidars[std::size_t(lidar)].vehicle_from_sensor);
 }

@@ -4,6 +4,7 @@
 #include <relidar/train.hpp>
 
 #include <algorithm>
+#include <set>
 
 #include <relidar/registration.hpp>
 #include <relidar/render.hpp>
@@ -21,7 +22,8 @@ class RunView {
 public:
     RunView(Device& device, const Run& run) : run_(run), renderer_(device, run.scene, view_config(run.config), run.sequence) {}
 
-    std::vector<SeenSurface> look(const Frame& frame, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle) {
+    std::vector<SeenSurface> look(int position, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle) {
+        const Frame& frame = run_.sequence.frames[std::size_t(position)];
         SensorChoice sensor;
         sensor.rays = some_rays(frame.scan.rays, rays);
         sensor.lidar = frame.lidar;
@@ -56,23 +58,25 @@ private:
 HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& session) {
     HeldOutPlacement result;
     const Config& config = run.config;
-    if (!config.train.place_held_out || !registers_sensor(config.train) || run.sequence.lidars.size() > 1 ||
+    if (!config.train.place_held_out || !registers_sensor(config.train) ||
         config.image.primitive == Primitive::gaussian)   // which have no normals
         return result;
     const RegisterOptions options = register_options(run.sequence, config);
     RunView view(device, run);
     PoseTrack track = run.sequence.world_from_vehicle;
     std::vector<double> moved_m;
-    for (const int position : run.split.test) {
-        if (session.progress) session.progress("placing held-out scans", double(result.scans) / double(run.split.test.size()));
+    std::set<std::size_t> poses;   // of sweeps: LiDARs that sweep together are placed together
+    for (const int position : run.split.test) poses.insert(run.sequence.pose_of(run.sequence.frames[std::size_t(position)]));
+    for (const std::size_t pose : poses) {
+        if (session.progress) session.progress("placing held-out scans", double(result.scans) / double(poses.size()));
         if (session.stop && session.stop()) return {};
-        const Frame& frame = run.sequence.frames[std::size_t(position)];
         const ScanPlacement placed = place_scan(
-            run.sequence, position,
-            [&](const std::vector<std::size_t>& rays, const PoseTrack& from) { return view.look(frame, rays, from); }, options);
+            run.sequence, pose,
+            [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& from) { return view.look(position, rays, from); },
+            options);
         ++result.scans;
         if (!placed.found) continue;
-        track.pose[std::size_t(position)] = placed.world_from_vehicle;
+        track.pose[pose] = placed.world_from_vehicle;
         moved_m.push_back(placed.moved_m);
     }
     if (session.progress) session.progress("placing held-out scans", 1.0);

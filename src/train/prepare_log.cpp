@@ -62,8 +62,11 @@ constexpr double kMostLost = 0.05;   // of the scans, one in any case
 void tell_lost(const Sequence& sequence, const Registration& found, const Config& config, const PrepareSession& session) {
     if (found.lost.empty()) return;
     std::vector<int> frames;
-    for (const std::size_t k : found.lost) frames.push_back(sequence.frames[k].index);
-    const std::size_t n = sequence.frames.size();
+    for (const Frame& frame : sequence.frames) {
+        const bool is_lost = std::ranges::binary_search(found.lost, sequence.pose_of(frame));
+        if (is_lost && (frames.empty() || frames.back() != frame.index)) frames.push_back(frame.index);
+    }
+    const std::size_t n = sequence.world_from_vehicle.pose.size();
     const std::string text =
         fmt::format("{} of {} scans did not find their place among the others, those of frames {}", frames.size(), n, list_text(frames));
     if (double(frames.size()) > std::max(1.0, kMostLost * double(n)) && !config.train.allow_lost_scans)
@@ -226,10 +229,7 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
         throw UsageError(
             "dataset.poses=none: the poses have to be found from the scans; expected train.refine_poses=sensor and "
             "train.pose_register=true");
-    if (registers_sensor(config.train) && sequence.lidars.size() > 1 && config.dataset.poses != kNoPoses)
-        session.tell(
-            fmt::format("scans of {} LiDARs are not registered: training starts from the log's own poses", sequence.lidars.size()));
-    else if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
+    if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
     calibrate(sequence, split, config.sensor, session);
     if (config.init.discover_actors && config.init.actors != ActorMode::background) add_discovered(sequence, split, config.init, session);
     if (config.train.second_returns) add_rays_behind(sequence, split, session);

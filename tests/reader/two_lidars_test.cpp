@@ -6,9 +6,7 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/error.hpp>
 #include <relidar/metrics.hpp>
-#include <relidar/registration.hpp>
 
 #include "../support/two_lidars.hpp"
 
@@ -84,17 +82,6 @@ TEST(TwoLidars, LasersAreCountedThrough) {
         for (std::size_t b = 4; b < 12; ++b)
             mean[l] += street.lidars[std::size_t(l)].sensor.beams[b].range_offset_m / 8.0;  // the upper ones see no plane
     EXPECT_NEAR(mean[1] - mean[0], 0.06, 0.02);
-}
-
-TEST(TwoLidars, AreNotRegistered) {
-    const Sequence street = test::two_lidar_street(options());
-    try {
-        register_scans(street, split_frames(street, 0), {});
-        FAIL();
-    } catch (const UsageError& error) {
-        EXPECT_NE(std::string(error.what()).find("found 2 LiDARs, expected one; train.pose_register=false"), std::string::npos)
-            << error.what();
-    }
 }
 
 }  // namespace

@@ -18,11 +18,9 @@ LoopOptions options() {
 }
 
 std::vector<std::vector<ThinPoint>> thin(const Sequence& log) {
-    std::vector<int> all;
-    for (std::size_t k = 0; k < log.frames.size(); ++k) all.push_back(static_cast<int>(k));
     RegisterOptions movers;
     movers.movers = log.boxes;
-    return thin_scans(log, all, movers, 0.5);
+    return thin_scans(log, sweeps_of(log), std::vector<bool>(log.frames.size(), true), movers, 0.5);
 }
 
 /// As odometry drifts: every step turned a little more, and down.

@@ -56,14 +56,15 @@ Sequence drive() {
     return log;
 }
 
-ScanPlacement placed(const Sequence& log, int position, const RegisterOptions& options = {}) {
-    const Frame& frame = log.frames[std::size_t(position)];
+ScanPlacement placed(const Sequence& log, std::size_t pose, const RegisterOptions& options = {}) {
     return place_scan(
-        log, position,
-        [&](const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle) {
+        log, pose,
+        [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle) {
+            const Frame& frame = log.frames[std::size_t(position)];
+            const PoseTrack world_from_sensor = moved_track(world_from_vehicle, log.lidar_of(frame).vehicle_from_sensor);
             std::vector<SeenSurface> seen;
             for (const std::size_t i : rays) {
-                const WorldRay ray = world_ray(world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
+                const WorldRay ray = world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
                 seen.push_back(wall_of(ray.origin_m, ray.direction));
             }
             return seen;
@@ -80,12 +81,12 @@ TEST(PlaceScan, FindsThePoseOfOneSweepAmongOthersThatStay) {
     const Sequence exact = drive();
     std::mt19937_64 random(3);
     std::normal_distribution<double> metres(0.0, 0.02), radians(0.0, 2e-3);
-    for (const int position : {0, 1, 2}) {   // the first and the last carry rays beyond the end of the track
+    for (const std::size_t position : {0u, 1u, 2u}) {   // the first and the last carry rays beyond the end of the track
         Sequence log = exact;
-        Pose& pose = log.world_from_vehicle.pose[std::size_t(position)];
+        Pose& pose = log.world_from_vehicle.pose[position];
         pose = moved(pose, {metres(random), metres(random), metres(random), radians(random), radians(random), radians(random)});
         const ScanPlacement found = placed(log, position);
-        const Pose& truth = exact.world_from_vehicle.pose[std::size_t(position)];
+        const Pose& truth = exact.world_from_vehicle.pose[position];
         ASSERT_TRUE(found.found);
         EXPECT_LT(glm::distance(found.world_from_vehicle.translation, truth.translation), 1e-4) << position;
         EXPECT_LT(angle_between(found.world_from_vehicle, truth), 1e-5) << position;
@@ -103,6 +104,46 @@ TEST(PlaceScan, ReturnsThatAreNoWallsHardlyPull) {
     ASSERT_TRUE(found.found);
     EXPECT_LT(glm::distance(found.world_from_vehicle.translation, exact.world_from_vehicle.pose[1].translation), 1e-3);
     EXPECT_LT(found.on_surfaces, 0.9);
+}
+
+/// The same drive by two LiDARs, each of which sees what the other does not: `first` keeps returns of the two side walls alone.
+Sequence drive_of_two() {
+    Sequence log = drive();
+    const Pose mounted{rotation_of(0.4, 0.1, -0.05), {0.8, -0.3, 0.2}};
+    log.lidars = {{"first", {}, {}}, {"second", {}, mounted}};
+    std::vector<Frame> frames;
+    const PoseTrack second = log.world_from_sensor(1);
+    for (const Frame& frame : log.frames) {
+        Frame other = frame;
+        other.lidar = 1;
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            const WorldRay ray = world_ray(second, frame.time_s, frame.scan.rays, i, true);
+            const SeenSurface wall = wall_of(ray.origin_m, ray.direction);
+            other.scan.range_m[i] = wall.normal.y == 0.0 ? static_cast<float>(glm::distance(wall.point_m, ray.origin_m)) : 0.0f;
+        }
+        frames.push_back(frame);
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            const WorldRay ray = world_ray(log.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
+            if (wall_of(ray.origin_m, ray.direction).normal.y == 0.0) frames.back().scan.range_m[i] = 0.0f;
+        }
+        frames.push_back(std::move(other));
+    }
+    log.frames = std::move(frames);
+    return log;
+}
+
+TEST(PlaceScan, LidarsThatSweepTogetherArePlacedTogether) {
+    const Sequence exact = drive_of_two();
+    Sequence log = exact;
+    Pose& pose = log.world_from_vehicle.pose[1];
+    pose = moved(pose, {0.02, -0.03, 0.02, 2e-3, -1e-3, 2e-3});
+    const Pose& truth = exact.world_from_vehicle.pose[1];
+    const ScanPlacement both = placed(log, 1);
+    ASSERT_TRUE(both.found);
+    EXPECT_LT(glm::distance(both.world_from_vehicle.translation, truth.translation), 1e-4);
+    EXPECT_LT(angle_between(both.world_from_vehicle, truth), 1e-5);
+    std::erase_if(log.frames, [](const Frame& frame) { return frame.lidar == 1; });
+    EXPECT_GT(glm::distance(placed(log, 1).world_from_vehicle.translation, truth.translation), 0.01) << "side walls say nothing of the way";
 }
 
 TEST(PlaceScan, LeavesAScanThatIsNotFoundWhereItWas) {

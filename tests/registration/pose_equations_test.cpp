@@ -48,7 +48,7 @@ Problem random_problem(unsigned seed) {
             ThinPoint point;
             point.left = std::uint32_t(k % kPoses);
             point.s = 0.5f * float(uniform(random) + 1.0);
-            point.frame = point.left;
+            point.pose = point.left;
             const glm::dvec3 sensor_m = p.track.at(0.1 * (point.left + double(point.s))).translation;
             members.push_back(std::uint32_t(p.points.size()));
             p.points.push_back(point);

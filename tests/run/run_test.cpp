@@ -325,7 +325,7 @@ TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
     EXPECT_FALSE(is_run(run.folder));
     run = example_run(folder / "second");
     run.sequence.world_from_vehicle.pose.pop_back();
-    EXPECT_NE(data_error([&] { save_run(run); }).find("3 vehicle poses at 4 times"), std::string::npos);
+    EXPECT_NE(data_error([&] { save_run(run); }).find("3 poses of the vehicle at 4 times"), std::string::npos);
 }
 
 TEST_F(RunFolder, UnwritableFoldersFailEarly) {
