@@ -17,10 +17,16 @@
 namespace relidar {
 namespace {
 
-constexpr double kThin_m = 0.5;                 // 12 thousand points of a 64-beam scan
+constexpr double kThin_m = 0.5, kThinnest_m = 0.1;   // 12 thousand points of a 64-beam scan, and nearly all
+constexpr double kScansOnACell = 24.0;          // fewer: more points of each, since a plane takes eight
 constexpr RegisterRound kLast{0.5, 0.05};       // cells and kernel of the last rounds
 constexpr RegisterRound kLastFollowed{0.5, 0.1};   // of a scan that is followed: a map of running sums is coarser
 constexpr int kLevels = 5, kStepsALevel = 3;    // of held-out scans
+
+/// Edge of the cells of which one point is kept.
+double thinning_m(std::size_t n_scans) {
+    return std::clamp(kThin_m * std::sqrt(double(n_scans) / kScansOnACell), kThinnest_m, kThin_m);
+}
 
 std::vector<ThinPoint> joined(const std::vector<std::vector<ThinPoint>>& scans) {
     std::vector<ThinPoint> points;
@@ -90,7 +96,9 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     const Sweeps sweeps = sweeps_of(sequence);
     const std::vector<bool> is_train = marked(sweeps, split.train, sequence.frames.size()),
                             is_test = marked(sweeps, split.test, sequence.frames.size());
-    if (std::ranges::count(is_train, true) < 2) return result;
+    const auto n_train = static_cast<std::size_t>(std::ranges::count(is_train, true));
+    if (n_train < 2) return result;
+    const double thin_m = thinning_m(n_train);
     const auto proceed = [&](const char* what) {
         return [&, what](double done) {
             if (options.progress) options.progress(what, done);
@@ -99,7 +107,7 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     };
     const RegisterRound first{std::max(2.0 * options.largest_m, kLast.cell_m), std::max(0.5 * options.largest_m, kLast.scale_m)};
 
-    const std::vector<std::vector<ThinPoint>> scans = thin_scans(sequence, sweeps, is_train, options, kThin_m);
+    const std::vector<std::vector<ThinPoint>> scans = thin_scans(sequence, sweeps, is_train, options, thin_m);
     const PoseTrack followed =
         follow_scans(sweeps.track, scans, {first, kLastFollowed, options.given_motion, proceed("following the scans"), options.team});
     if (result.stopped || !options.team.is_first()) return result;
@@ -119,7 +127,7 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     const PlaneMap map = adjustment.planes(kLast);
     result.on_planes = median_share(adjustment, map, scans, is_train);
     result.lost = adjustment.replace_lost(map, is_train, kLast.scale_m, options.largest_m);
-    const std::vector<std::vector<ThinPoint>> held_out = thin_scans(sequence, sweeps, is_test, options, kThin_m);
+    const std::vector<std::vector<ThinPoint>> held_out = thin_scans(sequence, sweeps, is_test, options, thin_m);
     const std::vector<std::size_t> lost = place_held_out(adjustment, is_test, is_train, held_out, first, options.largest_m);
     result.lost.insert(result.lost.end(), lost.begin(), lost.end());
     std::sort(result.lost.begin(), result.lost.end());

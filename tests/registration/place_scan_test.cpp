@@ -140,7 +140,8 @@ TEST(PlaceScan, LidarsThatSweepTogetherArePlacedTogether) {
     const Pose& truth = exact.world_from_vehicle.pose[1];
     const ScanPlacement both = placed(log, 1);
     ASSERT_TRUE(both.found);
-    EXPECT_LT(glm::distance(both.world_from_vehicle.translation, truth.translation), 1e-4);
+    EXPECT_LT(glm::distance(both.world_from_vehicle.translation, truth.translation), 5e-4)
+        << "between poses the mounting turns on an arc, its track on a chord";
     EXPECT_LT(angle_between(both.world_from_vehicle, truth), 1e-5);
     std::erase_if(log.frames, [](const Frame& frame) { return frame.lidar == 1; });
     EXPECT_GT(glm::distance(placed(log, 1).world_from_vehicle.translation, truth.translation), 0.01) << "side walls say nothing of the way";

@@ -81,6 +81,19 @@ TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
     expect_found(registered(with_poses(street, test::drifting(exact, 0.2, 0.3 * kDegree)), 10), exact, split, "drift of 20 cm");
 }
 
+/// Three sweeps, one of them held out: planes of two are made of more points of each.
+TEST(RegisterScans, TwoScansAreEnough) {
+    const Sequence street = street_of(3);
+    const PoseTrack& exact = street.world_from_vehicle;
+    PoseTrack wrong = test::perturbed(exact, 0.1, 0.3 * kDegree, 6);
+    const Registration found = register_scans(with_poses(street, wrong), {{0, 2}, {1}}, leaving_out(street.boxes));
+    ASSERT_TRUE(found.done);
+    EXPECT_TRUE(found.lost.empty());
+    const PoseError error = error_of(found.world_from_vehicle, exact, {0, 1, 2});
+    EXPECT_LT(error.worst_m, 0.01);
+    EXPECT_LT(error.worst_deg, 0.05);
+}
+
 TEST(RegisterScans, WithoutARollingShutterToo) {
     SyntheticOptions options;
     options.n_frames = 11, options.rows = 32, options.columns = 256, options.speed_mps = 1.0;

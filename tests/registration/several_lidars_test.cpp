@@ -77,7 +77,10 @@ TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
         const Sequence street = one_after_the_other(off_s);
         const PoseTrack& exact = street.world_from_vehicle;
         ASSERT_EQ(exact.pose.size(), 24u);
-        const PoseTrack wrong = test::drifting(exact, 0.2, 0.3 * kDegree);
+        const PoseTrack sweeps = test::two_lidar_street(options()).world_from_vehicle, drift = test::drifting(sweeps, 0.2, 0.3 * kDegree);
+        PoseTrack wrong = exact;
+        for (std::size_t k = 0; k < wrong.pose.size(); ++k)
+            wrong.pose[k] = drift.at(wrong.time_s[k]) * (inverse(sweeps.at(wrong.time_s[k])) * wrong.pose[k]);
         const Registration found = register_scans(with_poses(street, wrong), split_frames(street, 5), {});
         ASSERT_TRUE(found.done);
         EXPECT_TRUE(found.lost.empty());
