@@ -5,11 +5,11 @@
 #include <algorithm>
 
 namespace relidar {
-
 namespace {
 
 constexpr int kColumnsPerBin = 3;
-constexpr std::uint32_t kPriorRays = 8;   ///< returns assumed before anything was seen
+constexpr int kNeighbours = 2;              // bins to either side that a bin is expected to be like
+constexpr double kPriorRays = 8.0;          // returns assumed before anything was seen, and what the expectation counts in a bin
 
 int bins_of(const Sequence& sequence) {
     int columns = 0;
@@ -41,9 +41,24 @@ DropTable DropCounts::frequency(int min_rays) const {
     return table;
 }
 
+double DropCounts::expected(int channel, int bin) const {
+    double rays = kPriorRays, drops = 0.0;
+    for (int b = bin - kNeighbours; b <= bin + kNeighbours; ++b) {
+        const auto i = std::size_t(channel) * std::size_t(index_.bins) + std::size_t((b + index_.bins) % index_.bins);
+        rays += double(rays_[i]);
+        drops += double(drops_[i]);
+    }
+    return drops / rays;
+}
+
 DropTable DropCounts::shrunk() const {
     DropTable table = index_;
-    for (std::size_t i = 0; i < rays_.size(); ++i) table.probability.push_back(float(drops_[i]) / float(rays_[i] + kPriorRays));
+    for (int channel = 0; channel < index_.channels; ++channel)
+        for (int bin = 0; bin < index_.bins; ++bin) {
+            const auto i = std::size_t(channel) * std::size_t(index_.bins) + std::size_t(bin);
+            const double drops = double(drops_[i]) + kPriorRays * expected(channel, bin);
+            table.probability.push_back(static_cast<float>(drops / (double(rays_[i]) + kPriorRays)));
+        }
     return table;
 }
 

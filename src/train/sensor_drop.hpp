@@ -20,13 +20,18 @@ public:
     void add(const Frame& frame, std::size_t ray);
     /// Share of drops, 0 where fewer than `min_rays` were counted.
     DropTable frequency(int min_rays) const;
-    /// The same, drawn towards 0 as if kPriorRays more rays had returned.
+    /// The same where a log is short, too: a bin is drawn towards the bins beside it, as if it had 8 more rays of their share, and these
+    /// towards 0, as if 8 more of their rays had returned.
     DropTable shrunk() const;
+    std::size_t bins() const { return rays_.size(); }
 
 private:
     const Sequence& sequence_;
     DropTable index_;   ///< for its geometry
     std::vector<std::uint32_t> rays_, drops_;
+
+    /// Share of drops that a bin and those beside it have, drawn towards 0.
+    double expected(int channel, int bin) const;
 };
 
 /// How often each beam and azimuth was dropped in some frames, whatever the reason.

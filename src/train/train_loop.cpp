@@ -14,7 +14,6 @@
 #include <relidar/run.hpp>
 
 #include "train/readback_lag.hpp"
-#include "train/sensor_drop.hpp"
 
 namespace relidar {
 
@@ -259,25 +258,31 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
 }
 
 DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
-    constexpr std::uint32_t kRays = 20000;   // of each frame: hundreds a bin over a log
-    constexpr float kSolid = 0.9f;           // a ray must meet this much of a surface
+    constexpr std::uint32_t kRays = 20000;     // of a frame at once: hundreds a bin over a log
+    constexpr std::size_t kRaysPerBin = 20;    // of a short log all rays, if need be
     DropCounts counts(sequence);
+    const std::size_t wanted = kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());   // of a frame
     for (std::size_t k = 0; k < frames_.all().size(); ++k) {
         const FrameData& frame = place(k, config_.train.iterations);
         if (k + 1 < frames_.all().size()) frames_.expect(k + 1);
-        const Frame& sweep = sequence.frames[std::size_t(frame.position)];
         const std::uint32_t stride = std::max(1u, frame.n_rays / kRays),
-                            first = static_cast<std::uint32_t>(sampler_.random().next() % stride);
-        const RayBatch rays = frame.batch(first, stride);
-        renderer_.record_forward(rays);
-        stream_.finish();
-        const Rendering r = to_rendering(renderer_.rendered().rendered->download(rays.n_rays));
-        for (std::uint32_t j = 0; j < rays.n_rays; ++j) {
-            const std::size_t i = first + std::size_t(j) * stride;
-            if (r.weight[j] > kSolid && r.hit_logit[j] > r.drop_logit[j]) counts.add(sweep, i);
-        }
+                            first = static_cast<std::uint32_t>(sampler_.random().next() % stride),
+                            passes = static_cast<std::uint32_t>(std::clamp<std::size_t>(wanted / kRays, 1, stride));
+        for (std::uint32_t pass = 0; pass < passes; ++pass)
+            count_drops(counts, sequence.frames[std::size_t(frame.position)], frame, (first + pass) % stride, stride);
     }
     return counts.shrunk();
+}
+
+void TrainLoop::count_drops(DropCounts& counts, const Frame& sweep, const FrameData& frame, std::uint32_t first, std::uint32_t stride) {
+    constexpr float kSolid = 0.9f;   // a ray must meet this much of a surface
+    const RayBatch rays = frame.batch(first, stride);
+    renderer_.record_forward(rays);
+    stream_.finish();
+    const Rendering r = to_rendering(renderer_.rendered().rendered->download(rays.n_rays));
+    for (std::uint32_t j = 0; j < rays.n_rays; ++j)
+        if (r.weight[j] > kSolid && r.hit_logit[j] > r.drop_logit[j])
+            counts.add(sweep, first + std::size_t(j) * stride);
 }
 
 }  // namespace relidar

@@ -18,6 +18,7 @@
 #include "train/batch.hpp"
 #include "train/iteration_reports.hpp"
 #include "train/pose_refiner.hpp"
+#include "train/sensor_drop.hpp"
 #include "train/training_frames.hpp"
 
 namespace relidar {
@@ -129,6 +130,8 @@ private:
     /// Hits of a report's iterations against the room for their records; makes more. @throws DeviceError where a deterministic step did not
     /// fit
     void check_room(const IterationReports::Report& report);
+    /// Counts every `stride`-th ray of a frame, from `first` on, for which the scene expects a return.
+    void count_drops(DropCounts& counts, const Frame& sweep, const FrameData& frame, std::uint32_t first, std::uint32_t stride);
     void change_surfels(const std::function<DensifyReport(double others_bytes)>& change);
 };
 

@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a sensor never sees, from few sweeps and from many: a blind sector of its own vehicle, and rays that are dropped now and then.
+#include "train/sensor_drop.hpp"
+
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+namespace relidar {
+namespace {
+
+constexpr int kColumns = 360, kBlindFrom = 100, kBlindTo = 160;   // of beam 1
+
+/// Sweeps of three beams: the second is blind in a sector, the third drops each seventh ray.
+Sequence log_of(int n_frames) {
+    Sequence log;
+    log.lidars[0].sensor.columns = kColumns;
+    log.lidars[0].sensor.beams.resize(3);
+    for (int f = 0; f < n_frames; ++f) {
+        Frame frame{f, 0.1 * f, {}};
+        for (int beam = 0; beam < 3; ++beam)
+            for (int column = 0; column < kColumns; ++column) {
+                const double azimuth = kPi - (column + 0.5) * 2.0 * kPi / kColumns;
+                frame.scan.rays.origin.emplace_back(0.0f);
+                frame.scan.rays.direction.emplace_back(std::cos(azimuth), std::sin(azimuth), 0.0);
+                frame.scan.rays.time_offset_s.push_back(0.0f);
+                frame.scan.rays.channel.push_back(static_cast<std::uint16_t>(beam));
+                const bool is_blind = beam == 1 && column >= kBlindFrom && column < kBlindTo;
+                const bool is_dropped = beam == 2 && (column * 3 + f * 5) % 7 == 0;
+                frame.scan.range_m.push_back(is_blind || is_dropped ? 0.0f : 10.0f);
+                frame.scan.intensity.push_back(0.0f);
+            }
+        log.frames.push_back(std::move(frame));
+    }
+    return log;
+}
+
+DropTable table_of(const Sequence& log) {
+    DropCounts counts(log);
+    for (const Frame& frame : log.frames)
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add(frame, i);
+    return counts.shrunk();
+}
+
+float at(const DropTable& table, int beam, int column) {
+    const double azimuth = kPi - (column + 0.5) * 2.0 * kPi / kColumns;
+    return table.at(static_cast<std::uint16_t>(beam), glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0));
+}
+
+TEST(SensorDrop, ABlindSectorIsFoundToItsBordersInTwoSweeps) {
+    for (const int n_frames : {2, 40}) {
+        const DropTable table = table_of(log_of(n_frames));
+        for (int column = 0; column < kColumns; ++column) {
+            const bool is_blind = column >= kBlindFrom && column < kBlindTo;
+            const bool is_border = std::abs(column - kBlindFrom) < 3 || std::abs(column - kBlindTo) < 3;   // bins are three columns wide
+            EXPECT_TRUE(is_border || (at(table, 1, column) > 0.5f) == is_blind) << n_frames << " sweeps, column " << column;
+            EXPECT_EQ(at(table, 0, column), 0.0f) << "what always returns";
+        }
+    }
+}
+
+TEST(SensorDrop, ManySweepsSayHowOften) {
+    const DropTable few = table_of(log_of(2)), many = table_of(log_of(200));
+    for (int column = 1; column < kColumns; column += 3) {
+        EXPECT_NEAR(at(many, 2, column), 1.0f / 7.0f, 0.01f) << column;
+        EXPECT_LT(at(few, 2, column), 0.3f) << "two of six rays are no blind spot";
+    }
+    EXPECT_GT(at(many, 1, (kBlindFrom + kBlindTo) / 2), 0.98f);
+}
+
+TEST(SensorDrop, NothingIsKnownWhereNoRayWasCounted) {
+    const DropTable table = table_of(log_of(0));
+    for (int column = 0; column < kColumns; ++column) EXPECT_EQ(at(table, 1, column), 0.0f);
+}
+
+}  // namespace
+}  // namespace relidar
