@@ -29,9 +29,25 @@ struct Score {
     std::size_t rays = 0, drops_right = 0, seconds = 0, found = 0, reported = 0, invented = 0;
 };
 
+/// What a scan says of each ray, rendered or cast.
+struct Returns {
+    std::vector<float> range_m, second_m;   ///< [rays] 0: none; `second_m` empty without second returns
+};
+
+Returns returns_of(const RenderedScan& scan) {
+    Returns r{scan.median_range_m, scan.further.empty() ? std::vector<float>{} : scan.further[0].range_m};
+    for (std::size_t i = 0; i < r.range_m.size(); ++i)
+        if (!returned(scan.image.drop_prob[i], r.range_m[i])) r.range_m[i] = 0.0f;
+    return r;
+}
+
+Returns returns_of(const Scan& scan) {
+    return {{scan.range_m.begin(), scan.range_m.end()}, scan.further.empty() ? std::vector<float>{} : scan.further[0].range_m};
+}
+
 /// @param truth  with the second returns there are, those of a tenth of the light
-void add_seconds(Score& score, const RenderedScan& scan, const Scan& truth, std::size_t i) {
-    const float is_m = truth.further[0].range_m[i], found_m = scan.further[0].range_m[i];
+void add_seconds(Score& score, const Returns& scan, const Returns& truth, std::size_t i) {
+    const float is_m = truth.second_m[i], found_m = scan.second_m[i];
     const bool right =
         is_m > 0.0f && found_m > 0.0f && std::min(std::abs(found_m - is_m), std::abs(found_m - truth.range_m[i])) < kOnSurface_m;
     score.seconds += is_m > 0.0f;
@@ -40,17 +56,16 @@ void add_seconds(Score& score, const RenderedScan& scan, const Scan& truth, std:
     score.invented += found_m > 0.0f && !right;
 }
 
-void add(Score& score, const RenderedScan& scan, const Scan& truth) {
-    const std::vector<float>& range_m = scan.median_range_m;
-    for (std::size_t i = 0; i < range_m.size(); ++i) {
-        const bool returns = returned(scan.image.drop_prob[i], range_m[i]);
+void add(Score& score, const Returns& scan, const Returns& truth) {
+    for (std::size_t i = 0; i < truth.range_m.size(); ++i) {
+        const bool returns = scan.range_m[i] > 0.0f, is_there = truth.range_m[i] > 0.0f;
         ++score.rays;
-        score.drops_right += returns == (truth.range_m[i] > 0.0f);
-        if (returns && truth.range_m[i] > 0.0f) {
-            score.errors_m.push_back(std::abs(double(range_m[i]) - double(truth.range_m[i])));
+        score.drops_right += returns == is_there;
+        if (returns && is_there) {
+            score.errors_m.push_back(std::abs(double(scan.range_m[i]) - double(truth.range_m[i])));
             score.squares += score.errors_m.back() * score.errors_m.back();
         }
-        if (!truth.further.empty()) add_seconds(score, scan, truth, i);
+        if (!truth.second_m.empty()) add_seconds(score, scan, truth, i);
     }
 }
 
@@ -65,14 +80,24 @@ std::string row(const std::string& name, Score& s) {
                        std::sqrt(s.squares / double(s.errors_m.size())), share(s.drops_right, s.rays), seconds);
 }
 
-void run(const std::string& folder, int device_index) {
+/// The street as the LiDAR has it, exactly. @param returns  2: beams as cones @param aside_m  how far beside the sensor's place
+Returns cast(const SyntheticOptions& street, RayTable rays, const PoseTrack& track, double time_s, const SensorChoice& sensor,
+             float aside_m = 0.0f) {
+    for (glm::vec3& origin : rays.origin) origin += aside_m * glm::vec3(0.0f, 1.0f, 1.0f);
+    Scan scan = sensor.returns == 2 ? cast_synthetic_beams(street, rays, track, time_s)
+                                    : cast_synthetic_street(street, rays, track, time_s);
+    drop_outside(scan, sensor.limits);
+    return returns_of(scan);
+}
+
+void run(const std::string& folder, int device_index, float aside_m) {
     Run run = load_run(folder);
     const SyntheticOptions street = street_of(run);
     const auto rig = find_rig(street.rig);
     if (!rig) throw UsageError(fmt::format("{}: its street was not logged by a rig, expected one with rig = FILE", folder));
     Device device(from_environment({.index = device_index}));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
-    std::vector<Score> scores(run.sequence.lidars.size());
+    std::vector<Score> scores(run.sequence.lidars.size()), beside(scores.size());
     for (const int position : run.split.test) {
         const Frame& frame = run.sequence.frames[std::size_t(position)];
         const Lidar& lidar = run.sequence.lidar_of(frame);
@@ -81,14 +106,17 @@ void run(const std::string& folder, int device_index) {
         sensor.returns = mounted != rig->end() ? mounted->returns : 1;
         const RayTable rays = nominal_rays(lidar, frame.time_s);
         const PoseTrack track = run.sequence.world_from_sensor(frame.lidar);
-        Scan truth = sensor.returns == 2 ? cast_synthetic_beams(street, rays, track, frame.time_s)
-                                         : cast_synthetic_street(street, rays, track, frame.time_s);
-        drop_outside(truth, sensor.limits);
-        add(scores[std::size_t(frame.lidar)], renderer.render(sensor, frame.time_s), truth);
+        const Returns truth = cast(street, rays, track, frame.time_s, sensor);
+        add(scores[std::size_t(frame.lidar)], returns_of(renderer.render(sensor, frame.time_s)), truth);
+        if (aside_m > 0.0f) add(beside[std::size_t(frame.lidar)], cast(street, rays, track, frame.time_s, sensor, aside_m), truth);
     }
     fmt::print("| LiDAR | rays | median range error | RMSE | drops right | second returns | found | of those reported, not there |\n"
                "|---|--:|--:|--:|--:|--:|--:|--:|\n");
-    for (std::size_t l = 0; l < scores.size(); ++l) fmt::print("{}", row(run.sequence.lidars[l].name, scores[l]));
+    for (std::size_t l = 0; l < scores.size(); ++l) {
+        const std::string& name = run.sequence.lidars[l].name;
+        fmt::print("{}", row(name, scores[l]));
+        if (aside_m > 0.0f) fmt::print("{}", row(fmt::format("{}, the street from {:g} cm aside", name, 100.0f * aside_m), beside[l]));
+    }
 }
 
 }  // namespace
@@ -96,12 +124,14 @@ void run(const std::string& folder, int device_index) {
 int main(int argc, char** argv) {
     std::string folder;
     int device = -1;
+    float aside_m = 0.0f;
     CLI::App app("held-out sweeps of each LiDAR of a rig against the synthetic street itself", "relidar_bench_rig");
     app.add_option("RUN", folder, "run trained on a street.toml with rig = FILE")->required();
     app.add_option("--device", device, "as of `relidar render`");
+    app.add_option("--aside", aside_m, "also score the street itself, cast from this many metres aside: edges off by as much");
     CLI11_PARSE(app, argc, argv);
     try {
-        run(folder, device);
+        run(folder, device, aside_m);
     } catch (const Error& error) {
         fmt::print(stderr, "relidar_bench_rig: {}\n", error.what());
         return static_cast<int>(error.code());
