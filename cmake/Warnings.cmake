@@ -11,6 +11,7 @@ function(relidar_set_warnings target)
         $<$<BOOL:${RELIDAR_WERROR}>:-Werror>)
     if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
         # Suspicions of the optimiser, wrong ones about GLM, std::vector and std::string in g++ 12.
-        target_compile_options(${target} PRIVATE -Wno-maybe-uninitialized -Wno-array-bounds -Wno-stringop-overflow -Wno-restrict)
+        target_compile_options(${target} PRIVATE -Wno-maybe-uninitialized -Wno-array-bounds -Wno-stringop-overflow
+            -Wno-stringop-overread -Wno-restrict)
     endif()
 endfunction()

@@ -1,0 +1,18 @@
+# SPDX-License-Identifier: Apache-2.0
+# relidar_precompile(<target> [<header>...] [REUSE <target>]): with RELIDAR_PRECOMPILED_HEADERS, what nearly every file of a target includes
+# (the standard library, GLM and fmt, and the headers given) is parsed once a target, or once for several that REUSE one's. Files include
+# what they use all the same: preset dev builds without.
+function(relidar_precompile target)
+    # clang refuses headers compiled with other definitions than a file's; GCC takes them
+    if(NOT RELIDAR_PRECOMPILED_HEADERS OR NOT CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
+        return()
+    endif()
+    cmake_parse_arguments(PARSE_ARGV 1 pch "" "REUSE" "")
+    if(pch_REUSE AND NOT pch_REUSE STREQUAL target)
+        target_precompile_headers(${target} REUSE_FROM ${pch_REUSE})
+        return()
+    endif()
+    target_precompile_headers(${target} PRIVATE <algorithm> <array> <chrono> <cmath> <cstdint> <filesystem> <fstream> <functional> <map>
+        <memory> <numeric> <optional> <span> <string> <string_view> <vector> <glm/glm.hpp> <glm/gtc/quaternion.hpp> <fmt/format.h>
+        <fmt/ranges.h> ${pch_UNPARSED_ARGUMENTS})
+endfunction()
