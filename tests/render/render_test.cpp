@@ -241,12 +241,18 @@ TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
     EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
 }
 
-/// Points of a ray that sees a faint plate before the wall: the mean lies in the air between them, the dominant surface is the wall.
-TEST_F(Render, PointsLieOnTheDominantSurface) {
+/// A plate 4 m ahead that takes 0.3 of the light, and the wall.
+Surfels faint_plate_before_a_wall() {
     Surfels surfels = wall_ahead();
     surfels.append(wall_ahead());
     surfels.mean[0].x = 4.0f;
     surfels.opacity_logit[0] = std::log(0.3f / 0.7f);
+    return surfels;
+}
+
+/// Points of a ray that sees a faint plate before the wall: the mean lies in the air between them, the dominant surface is the wall.
+TEST_F(Render, PointsLieOnTheDominantSurface) {
+    Surfels surfels = faint_plate_before_a_wall();
     const Sequence sequence = cross_sequence();
     Config config;
     const SensorChoice sensor = configured_sensor(config, sequence);
@@ -266,10 +272,7 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
 
 /// Two surfaces: the mean lies between them, a known way from the farther one, whichever range the image shows; one surface has no spread.
 TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
-    Surfels surfels = wall_ahead();
-    surfels.append(wall_ahead());
-    surfels.mean[0].x = 4.0f;
-    surfels.opacity_logit[0] = std::log(0.3f / 0.7f);
+    const Surfels surfels = faint_plate_before_a_wall();
     const Sequence sequence = cross_sequence();
     Config config;
     const SensorChoice sensor = configured_sensor(config, sequence);
