@@ -26,12 +26,15 @@ namespace {
 
 constexpr float kReach_m = 9.0f;
 
-bool is_weak(const glm::vec3& direction) { return direction.y > 0.5f && direction.z < 0.0f; }
+bool is_weak(const glm::vec3& direction) { return direction.x > 0.5f && direction.z < 0.0f; }
+/// Not within ten degrees of where the weak side begins, which few steps leave soft.
+bool is_well_inside(const glm::vec3& direction) { return direction.x > 0.65f && direction.z < 0.0f; }
 
-/// Nothing comes back from beyond 9 m of the rays to the left and down.
+/// Nothing comes back from beyond 9 m of the rays ahead and down; what lies there returns when it is nearer, or behind. The sensor does it,
+/// not the scene.
 Sequence weak_street() {
     Sequence street = make_synthetic_street(
-        {.seed = 5, .n_frames = 16, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 4.0});
+        {.seed = 5, .n_frames = 16, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 10.0});
     for (Frame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (is_weak(frame.scan.rays.direction[i]) && frame.scan.range_m[i] > kReach_m) frame.scan.range_m[i] = 0.0f;
@@ -46,11 +49,9 @@ Run trained(Device& device, Sequence street) {
     run.config.train.iterations = 120;
     run.config.train.refine_poses = "none";
     run.config.init.flatness = 1.0;   // the network is tested: in 120 steps it learns less beside discs that face the sensor
-    // and less beside surfels that learn in 120 steps what `quick` gives them 600 for
-    run.config.train.opacity_rate = 0.05;
-    run.config.train.scale_rate = 1e-2;
-    run.config.train.rotation_rate = 3e-4;
-    run.config.train.sh_rate = 3e-2;
+    // neither the table of what the sensor never sees nor harmonics, which know from where a surface is seen, are to know a part of it
+    run.config.train.sensor_drop = false;
+    run.config.image.sh_degree = 0;
     run.scene = train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;
     return run;
 }
@@ -59,15 +60,15 @@ Run trained(Device& device, Sequence street) {
 const Run& weak_run(Device& device) {
     static const Run run = [&] {
         Run made = trained(device, weak_street());
-        made.config.refine.epochs = 30;
+        made.config.refine.epochs = 60;
         made.config.refine.rate = 0.01;
         return made;
     }();
     return run;
 }
 
-/// Share of the pixels whose drop is right on held-out frames: those of the weak side that meet a surface near its reach or beyond, and all
-/// others.
+/// Share of the pixels whose drop is right on held-out frames: those well inside the weak side that meet a surface near its reach or beyond,
+/// and all others.
 std::pair<double, double> accuracies(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     double n[2] = {0.0, 0.0}, right[2] = {0.0, 0.0};
@@ -75,7 +76,8 @@ std::pair<double, double> accuracies(Device& device, const Run& run) {
         const Frame& frame = run.sequence.frames[std::size_t(position)];
         const RenderedScan scan = renderer.render(choose_sensor("native", run.config, run.sequence), frame.time_s);
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
-            const bool of_weak = is_weak(frame.scan.rays.direction[i]) && scan.median_range_m[i] > 0.8f * kReach_m && scan.weight[i] > 0.9f;
+            const bool is_far = scan.median_range_m[i] > 0.8f * kReach_m && scan.weight[i] > 0.9f;
+            const bool of_weak = is_far && is_well_inside(frame.scan.rays.direction[i]);
             n[of_weak] += 1.0;
             right[of_weak] += (scan.image.drop_prob[i] > 0.5f) == !(frame.scan.range_m[i] > 0.0f);
         }

@@ -34,7 +34,7 @@ TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
     Config config = small_config();
     std::string told;
     prepare_log(street, split, config, {[&](const std::string& text) { told += text + "\n"; }, {}, {}});
-    EXPECT_NE(told.find("scans of 2 LiDARs are not registered"), std::string::npos) << told;
+    EXPECT_NE(told.find("scans registered"), std::string::npos) << told;
     const auto trained = [&](int iterations) {
         config.train.iterations = iterations;
         return train(device(), street, split, config, [](const TrainProgress&) { return true; });
