@@ -67,8 +67,8 @@ const Run& weak_run(Device& device) {
     return run;
 }
 
-/// Share of the pixels whose drop is right on held-out frames: those well inside the weak side that meet a surface near its reach or beyond,
-/// and all others.
+/// Share of the pixels whose drop is right on held-out frames: those well inside the weak side that meet a surface near its reach or
+/// beyond, and all others.
 std::pair<double, double> accuracies(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     double n[2] = {0.0, 0.0}, right[2] = {0.0, 0.0};
