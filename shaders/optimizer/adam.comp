@@ -21,7 +21,8 @@ void update(uint row, uint column, bool has_gradient) {
     params.moment1.at[i] = m;
     params.moment2.at[i] = v;
     float rate = params.learning_rate * (within == 0u ? params.first_scale : 1.0);
-    params.values.at[i] -= rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
+    float value = params.values.at[i] - rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
+    params.values.at[i] = value > params.ceiling ? params.ceiling : value;   // not min(), which may lose a NaN that somebody looks for
 }
 
 void main() {

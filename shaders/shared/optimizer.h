@@ -23,6 +23,7 @@ struct AdamParams {
     uint stride;           // floats a row
     uint block;            // columns a block: column 0 of each block has its own rate
     uint n_active;         // columns updated in each block, the first ones
+    float ceiling;         // no value is stepped beyond it; infinite: none
     uint only_touched;     // 1: rows without a gradient stay as they are; 0: theirs is zero
 };
 

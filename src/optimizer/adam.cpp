@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include <relidar/stages/scene.hpp>
 
@@ -20,6 +21,7 @@ double exponential_schedule(double start, double end, int step, int n_steps) {
 
 namespace {
 
+constexpr float kNone = std::numeric_limits<float>::infinity();   // no ceiling
 constexpr std::uint32_t kStreamingThreads = 128;   // of a workgroup: with 32 a GPU could not fill itself
 
 std::vector<Constant> constants(bool per_float) {
@@ -85,6 +87,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
              .stride = stride,
              .block = block,
              .n_active = group.harmonics ? active_harmonics : block,
+             .ceiling = group.rate == &LearningRates::log_scale ? static_cast<float>(rates.max_log_scale) : kNone,
              .only_touched = a.options.only_touched ? 1u : 0u});
     }
 }
@@ -132,6 +135,7 @@ void ArrayAdam::step(Stream& stream, const Array<float>& values, const Array<flo
          .stride = 1,
          .block = 1,
          .n_active = 1,
+         .ceiling = kNone,
          .only_touched = 0});
 }
 

@@ -51,7 +51,8 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
             c.scale_rate * decay,
             c.opacity_rate * decay,
             c.sh_rate * decay,
-            c.sh_rest_factor};
+            c.sh_rest_factor,
+            std::log(c.max_scale_m)};
 }
 
 /// Active degree of the spherical harmonics; the image's own may be lower.

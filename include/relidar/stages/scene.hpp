@@ -4,6 +4,7 @@
 
 #include <array>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <span>
@@ -38,7 +39,7 @@ struct SurfelArrays {
     void fill_zero(Stream& stream);
 };
 
-/// Learning rates of one step.
+/// Learning rates of one step, and how far it may go.
 struct LearningRates {
     double mean = 1.6e-4;          ///< metres; the schedule multiplies by the extent
     double rotation = 1e-3;
@@ -46,6 +47,7 @@ struct LearningRates {
     double opacity_logit = 0.05;
     double sh = 2.5e-3;            ///< DC coefficient of each channel
     double sh_rest_factor = 0.05;  ///< of the other coefficients
+    double max_log_scale = std::numeric_limits<double>::infinity();   ///< scales grow to this at most, log m
 };
 
 /// A group of parameters: what whoever treats all parameters alike (arrays, optimiser, densification, files) has to know of it.
