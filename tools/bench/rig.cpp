@@ -80,7 +80,7 @@ std::string row(const std::string& name, Score& s) {
                        std::sqrt(s.squares / double(s.errors_m.size())), share(s.drops_right, s.rays), seconds);
 }
 
-/// The street as the LiDAR has it, exactly. @param returns  2: beams as cones @param aside_m  how far beside the sensor's place
+/// The street as the sensor has it, exactly: beams of two returns as cones. @param aside_m  how far to the left of its place, and above
 Returns cast(const SyntheticOptions& street, RayTable rays, const PoseTrack& track, double time_s, const SensorChoice& sensor,
              float aside_m = 0.0f) {
     for (glm::vec3& origin : rays.origin) origin += aside_m * glm::vec3(0.0f, 1.0f, 1.0f);
@@ -115,7 +115,7 @@ void run(const std::string& folder, int device_index, float aside_m) {
     for (std::size_t l = 0; l < scores.size(); ++l) {
         const std::string& name = run.sequence.lidars[l].name;
         fmt::print("{}", row(name, scores[l]));
-        if (aside_m > 0.0f) fmt::print("{}", row(fmt::format("{}, the street from {:g} cm aside", name, 100.0f * aside_m), beside[l]));
+        if (aside_m > 0.0f) fmt::print("{}", row(fmt::format("{}, the street from {:g} cm to the left and above", name, 100.0f * aside_m), beside[l]));
     }
 }
 
@@ -128,7 +128,7 @@ int main(int argc, char** argv) {
     CLI::App app("held-out sweeps of each LiDAR of a rig against the synthetic street itself", "relidar_bench_rig");
     app.add_option("RUN", folder, "run trained on a street.toml with rig = FILE")->required();
     app.add_option("--device", device, "as of `relidar render`");
-    app.add_option("--aside", aside_m, "also score the street itself, cast from this many metres aside: edges off by as much");
+    app.add_option("--aside", aside_m, "also score the street itself, cast from this many metres to the left and above");
     CLI11_PARSE(app, argc, argv);
     try {
         run(folder, device, aside_m);
