@@ -35,7 +35,8 @@ struct RegisterRound {
 struct Registration {
     PoseTrack world_from_vehicle;       ///< corrected; the log's own where stopped
     std::vector<RegisterRound> rounds;
-    std::vector<std::size_t> lost;      ///< entries of world_from_vehicle that their own scans did not place: moved as their neighbours were
+    /// entries of world_from_vehicle that their own scans did not place: moved as their neighbours were
+    std::vector<std::size_t> lost;
     double on_planes = 0.0;             ///< share of a training scan's points that lie on common planes, the median over scans
     std::size_t places_again = 0;       ///< at which a later pass through a road was put on an earlier one
     double loops_off_m = 0.0;           ///< by which one of them was off, the most

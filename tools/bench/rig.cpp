@@ -115,7 +115,8 @@ void run(const std::string& folder, int device_index, float aside_m) {
     for (std::size_t l = 0; l < scores.size(); ++l) {
         const std::string& name = run.sequence.lidars[l].name;
         fmt::print("{}", row(name, scores[l]));
-        if (aside_m > 0.0f) fmt::print("{}", row(fmt::format("{}, the street from {:g} cm to the left and above", name, 100.0f * aside_m), beside[l]));
+        const std::string from = fmt::format("{}, the street from {:g} cm to the left and above", name, 100.0f * aside_m);
+        if (aside_m > 0.0f) fmt::print("{}", row(from, beside[l]));
     }
 }
 

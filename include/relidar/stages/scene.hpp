@@ -56,6 +56,7 @@ struct ParameterGroup {
     std::array<std::uint32_t, 2> row;  ///< shape of the floats of one surfel; {3, 1} is a row of 3, {1, 1} a single number
     double LearningRates::*rate;
     bool harmonics;                                      ///< the last dimension is the coefficients of the SH basis
+    double LearningRates::*ceiling;                      ///< that no step takes a value beyond; null: none
     Array<float> SurfelArrays::*device;                  ///< [n, floats()]
     std::span<const float> (*values)(const Surfels&);    ///< [n * floats()] on the host
     std::span<float> (*mutable_values)(Surfels&);        ///< the same, to be written
@@ -68,10 +69,11 @@ struct ParameterGroup {
 /// A group that the host keeps in the member kHost of Surfels.
 template <auto kHost>
 constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row, Array<float> SurfelArrays::*device,
-                                        double LearningRates::*rate, bool harmonics = false) {
+                                        double LearningRates::*rate, bool harmonics = false,
+                                        double LearningRates::*ceiling = nullptr) {
     using Element = typename std::remove_reference_t<decltype(std::declval<Surfels&>().*kHost)>::value_type;
     constexpr std::size_t kFloats = sizeof(Element) / sizeof(float);
-    return {name, row, rate, harmonics, device,
+    return {name, row, rate, harmonics, ceiling, device,
             [](const Surfels& s) { return std::span(reinterpret_cast<const float*>((s.*kHost).data()), kFloats * (s.*kHost).size()); },
             [](Surfels& s) { return std::span(reinterpret_cast<float*>((s.*kHost).data()), kFloats * (s.*kHost).size()); },
             [](Surfels& s, std::size_t n_floats) { (s.*kHost).resize(n_floats / kFloats); }};
@@ -82,10 +84,12 @@ constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32
 inline constexpr std::array<ParameterGroup, 6> kParameterGroups{{
     describe_group<&Surfels::mean>("mean", {3, 1}, &SurfelArrays::mean, &LearningRates::mean),
     describe_group<&Surfels::rotation>("rotation", {4, 1}, &SurfelArrays::rotation, &LearningRates::rotation),
-    describe_group<&Surfels::log_scale>("log_scale", {2, 1}, &SurfelArrays::log_scale, &LearningRates::log_scale),
+    describe_group<&Surfels::log_scale>("log_scale", {2, 1}, &SurfelArrays::log_scale, &LearningRates::log_scale, false,
+                                        &LearningRates::max_log_scale),
     describe_group<&Surfels::opacity_logit>("opacity_logit", {1, 1}, &SurfelArrays::opacity_logit, &LearningRates::opacity_logit),
     describe_group<&Surfels::sh>("sh", {kShChannels, kShCoefficients}, &SurfelArrays::sh, &LearningRates::sh, true),
-    describe_group<&Surfels::log_scale_w>("log_scale_w", {1, 1}, &SurfelArrays::log_scale_w, &LearningRates::log_scale),
+    describe_group<&Surfels::log_scale_w>("log_scale_w", {1, 1}, &SurfelArrays::log_scale_w, &LearningRates::log_scale, false,
+                                          &LearningRates::max_log_scale),
 }};
 
 /// The groups of a primitive.
