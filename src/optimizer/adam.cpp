@@ -87,7 +87,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
              .stride = stride,
              .block = block,
              .n_active = group.harmonics ? active_harmonics : block,
-             .ceiling = group.rate == &LearningRates::log_scale ? static_cast<float>(rates.max_log_scale) : kNone,
+             .ceiling = group.ceiling ? static_cast<float>(rates.*group.ceiling) : kNone,
              .only_touched = a.options.only_touched ? 1u : 0u});
     }
 }
