@@ -64,12 +64,14 @@ struct TrainConfig {
     double opacity_rate = 0.05;
     double sh_rate = 2.5e-3;
     double sh_rest_factor = 0.05;
+    double intensity_factor = 1.0;   ///< rates of the intensity's coefficients over those of the drop logits (1 = paper)
     double rate_decay = 1.0;         ///< all rates but the mean's end at this share of their start, exponentially (1 = paper)
     double extent_m = 0.0;           ///< 0 = from the scene
     bool only_touched = false;       ///< Adam leaves surfels without a gradient in this batch alone
     bool deterministic = false;      ///< bit-equal parameters from run to run on one device
     std::string gradient_sums = "automatic";   ///< "automatic", "atomics", "gather"; gather where deterministic
     int gather_hits = 64;            ///< hit records a ray there is room for where gradients are gathered
+    int sub_rays = 1;                ///< rays cast for each beam, over its footprint: 1, 5 or 9 (method.md M14)
     bool second_returns = false;     ///< farther second returns are rays of their own, which start behind the first surface
     bool sensor_drop = false;        ///< learn what the sensor itself never sees apart from the scene (stands in for the paper's U-Net)
     std::string refine_poses = "none";   ///< "none", "sensor", "actors", "sensor,actors": poses that are optimised with the scene

@@ -89,6 +89,10 @@ struct RayTable {
     /// Adds a ray of another table, from which all of this one's are; rows and columns stay.
     void append(const RayTable& from, std::size_t ray);
 };
+/// Offsets across a beam of the rays that stand for its footprint, [n] in units of half its divergence: its own ray first, the others so
+/// that, all weighted alike, their spread is that of a disc that is lit evenly, mean of offset^2 = 1/2.
+/// @param n  1, 5 or 9; any other number is a spiral, whose first ray lies beside the middle
+std::vector<glm::dvec2> footprint_pattern(int n);
 /// Some rays of a table, without image order.
 RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& wanted);
 

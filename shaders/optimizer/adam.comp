@@ -20,7 +20,7 @@ void update(uint row, uint column, bool has_gradient) {
     float v = mix(g * g, params.moment2.at[i], params.beta2);
     params.moment1.at[i] = m;
     params.moment2.at[i] = v;
-    float rate = params.learning_rate * (within == 0u ? params.first_scale : 1.0);
+    float rate = params.learning_rate * (within == 0u ? params.first_scale : 1.0) * (column < params.block ? params.block_scale : 1.0);
     float value = params.values.at[i] - rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
     params.values.at[i] = value > params.ceiling ? params.ceiling : value;   // not min(), which may lose a NaN that somebody looks for
 }

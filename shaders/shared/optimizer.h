@@ -19,6 +19,7 @@ struct AdamParams {
     float correction1;     // 1 / (1 - beta1^step)
     float correction2;     // 1 / (1 - beta2^step)
     float first_scale;     // learning-rate factor of column 0 of each block (SH: DC against the rest)
+    float block_scale;     // learning-rate factor of the first block (SH: the intensity against the drop logits)
     uint n_rows;
     uint stride;           // floats a row
     uint block;            // columns a block: column 0 of each block has its own rate

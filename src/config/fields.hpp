@@ -172,8 +172,8 @@ void visit_training(C& c, Visitor&& f) {
     f("train.opacity_rate", c.train.opacity_rate, at_least(0), "learning rate of the opacity logits");
     f("train.sh_rate", c.train.sh_rate, at_least(0), "learning rate of the constant coefficient of each channel");
     f("train.sh_rest_factor", c.train.sh_rest_factor, at_least(0), "rate of the other coefficients over train.sh_rate");
-    f("train.rate_decay", c.train.rate_decay, Accepts{0.0, 1.0, true, {}},
-      "every rate but the mean's ends at this share of its start; 1: constant, as in the paper");
+    f("train.intensity_factor", c.train.intensity_factor, at_least(0), "rates of the intensity's harmonics over those of the drop logits");
+    f("train.rate_decay", c.train.rate_decay, Accepts{0.0, 1.0, true, {}}, "every rate but the mean's ends at this share of its start");
     f("train.extent_m", c.train.extent_m, at_least(0), "extent of the scene, metres; 0: measured");
     f("train.only_touched", c.train.only_touched, anything(), "surfels without a gradient in a step keep their values and moments");
     f("train.deterministic", c.train.deterministic, anything(),
@@ -183,6 +183,7 @@ void visit_training(C& c, Visitor&& f) {
       "are evaluated per hit and on devices without float atomics");
     f("train.gather_hits", c.train.gather_hits, between(1, 4096),
       "room for so many hit records a ray where gradients are summed in a fixed order");
+    f("train.sub_rays", c.train.sub_rays, between(1, 9), "rays cast for a beam of a step, over its footprint: 1, 5 or 9");
     f("train.second_returns", c.train.second_returns, anything(),
       "second returns that lie farther are rays of their own, which start behind the first surface; scans with any lose their image order");
     f("train.sensor_drop", c.train.sensor_drop, anything(),

@@ -13,24 +13,6 @@ namespace {
 
 constexpr float kDarkest = 1e-3f;   // weight of a part that returns no light at all: its range still counts
 
-/// Offsets of the parts from their ray, in units of half the divergence.
-std::vector<glm::dvec2> pattern(int n) {
-    std::vector<glm::dvec2> offsets{{0.0, 0.0}};
-    const auto add_ring = [&](double radius, double first) {
-        for (int k = 0; k < 4; ++k)
-            offsets.push_back(radius * glm::dvec2(std::cos(first + k * kPi / 2.0), std::sin(first + k * kPi / 2.0)));
-    };
-    // sum of radius^2 = n / 2
-    if (n == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
-    if (n == 9) add_ring(0.5, kPi / 4.0), add_ring(std::sqrt(7.0 / 8.0), 0.0);
-    if (n == 1 || n == 5 || n == 9) return offsets;
-    constexpr double kGolden_rad = 2.399963229728653;
-    offsets.clear();
-    for (int k = 0; k < n; ++k)
-        offsets.push_back(std::sqrt((k + 0.5) / n) * glm::dvec2(std::cos(k * kGolden_rad), std::sin(k * kGolden_rad)));
-    return offsets;
-}
-
 /// Two directions at right angles to a third and to each other.
 std::pair<glm::dvec3, glm::dvec3> across(const glm::dvec3& direction) {
     const glm::dvec3 helper = std::abs(direction.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0);
@@ -127,7 +109,7 @@ class Joiner {
 public:
     Joiner(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
         : parts_(parts),
-          offsets_(pattern(config.sub_rays)),
+          offsets_(footprint_pattern(config.sub_rays)),
           config_(config),
           scan_(empty_scan(rays, parts)) {
         if (config.returns == 2) scan_.further.resize(1);
@@ -169,7 +151,7 @@ private:
 }  // namespace
 
 RayTable split_rays(const RayTable& rays, int n, double divergence_rad) {
-    const std::vector<glm::dvec2> offsets = pattern(n);
+    const std::vector<glm::dvec2> offsets = footprint_pattern(n);
     RayTable parts;
     parts.rows = rays.rows;
     parts.columns = rays.columns * n;
@@ -195,7 +177,7 @@ RenderedScan join_footprints(const RenderedScan& parts, const RayTable& rays, co
 }
 
 std::vector<std::size_t> find_edges(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config) {
-    const std::vector<glm::dvec2> offsets = pattern(config.sub_rays);
+    const std::vector<glm::dvec2> offsets = footprint_pattern(config.sub_rays);
     std::vector<std::size_t> edges;
     for (std::size_t ray = 0; ray < rays.size(); ++ray)
         if (groups_of(parts, ray * offsets.size(), offsets, static_cast<float>(config.return_separation_m)).size() > 1)

@@ -7,8 +7,8 @@
 
 namespace relidar {
 
-/// Rays of the parts of every footprint, n for a ray, its own first; the others lie in the cone so that, all weighted alike, their spread
-/// is that of a disc that is lit evenly: mean of angle^2 = (divergence / 2)^2 / 2. Parts keep the origin, time and channel of their ray.
+/// Rays of the parts of every footprint, n for a ray, in the order of footprint_pattern(). Parts keep the origin, time and channel of
+/// their ray.
 /// @param n  1, 5 or 9; any other number is a spiral, whose first part lies beside the middle
 /// @param divergence_rad  full divergence of all rays; 0: each ray's own
 RayTable split_rays(const RayTable& rays, int n, double divergence_rad);

@@ -29,6 +29,7 @@ constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
                                  {"train.gradient_sums", "gather"},
                                  {"train.deterministic", "true"},
                                  {"train.refine_poses", "sensor,actors"},
+                                 {"train.sub_rays", "5"},
                                  {"loss.distortion", "0.1"},
                                  {"loss.likelihood", "0.1"},
                                  {"loss.chamfer", "0.01"},
@@ -72,6 +73,7 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
     for (const Setting& setting : kSettings) {
         tell(std::string(setting.key) + "=" + setting.value);
         Config config = make_preset("default");
+        config.sensor.divergence_mrad = 1.0;   // the street's beams are ideal rays
         set_key(config, setting.key, setting.value);
         compile(device, street, config);
     }

@@ -38,6 +38,7 @@ struct FrameData {
     double n_known = 0.0;
     std::vector<InstancePose> placed;    ///< of all instances of the scene
     glm::vec3 sensor_position_m{0.0f};   ///< world, at the reference time
+    double divergence_rad = 0.0;         ///< full divergence of the beams, the largest of them; 0 = ideal rays
 
     const Array<DeviceRay>& rays() const { return moved_rays ? *moved_rays : arrays->rays; }
     const Array<DeviceTarget>& targets() const { return arrays->targets; }

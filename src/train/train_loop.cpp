@@ -52,6 +52,7 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
             c.opacity_rate * decay,
             c.sh_rate * decay,
             c.sh_rest_factor,
+            c.intensity_factor,
             std::log(c.max_scale_m)};
 }
 
@@ -76,6 +77,13 @@ RendererOptions renderer_options(const Config& config, const TrainingFrames& fra
             .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
 }
 
+/// What a part of a footprint counts that does not explain its beam's range. As the likelihood's own floor, it only has to be small.
+constexpr double kUnexplained = 0.01;
+
+double divergence_of(const FrameData& frame, const Config& config) {
+    return config.sensor.divergence_mrad > 0.0 ? 1e-3 * config.sensor.divergence_mrad : frame.divergence_rad;
+}
+
 /// Terms of the surfels themselves reach those that no ray has met.
 bool all_have_gradients(const Config& config) { return config.loss.uses_surfels() && !config.train.only_touched; }
 
@@ -90,6 +98,17 @@ Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene
     for (const Instance& instance : scene.instances)
         if (!instance.track.empty()) masks.actors.push_back(instance.track);
     return masks;
+}
+
+/// @throws UsageError where nothing is known of any beam
+std::optional<Footprints> make_footprints(Device& device, const Config& config, const TrainingFrames& frames) {
+    if (config.train.sub_rays == 1) return std::nullopt;
+    if (config.train.second_returns)
+        throw UsageError("setting train.sub_rays: found train.second_returns too, whose rays begin behind a surface, expected one of them");
+    const auto is_cone = [&](const FrameData& frame) { return divergence_of(frame, config) > 0.0; };
+    if (std::ranges::none_of(frames.all(), is_cone))
+        throw UsageError("setting train.sub_rays: nothing is known of the divergence of the log's beams, expected sensor.divergence_mrad");
+    return std::optional<Footprints>(std::in_place, device, config.train.sub_rays, most_rays(frames.all()), kUnexplained);
 }
 
 FrameUse frame_use(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
@@ -108,6 +127,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       renderer_(device, initial, config.image, renderer_options(config, frames_, n_fixed),
                 {backward_options(config), refiner_ ? refiner_->wanted() : WantedGradients{}, all_have_gradients(config)}),
       stream_(renderer_.stream()),
+      footprints_(make_footprints(device, config, frames_)),
       losses_(make_losses(device, config.loss, most_rays(frames_.all()))),
       adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed}, initial.surfels.primitive()),
       reports_(device),
@@ -145,6 +165,15 @@ void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, con
     renderer_.record_backward();                                                                                           // Eq. 9
 }
 
+void TrainLoop::learn_from_beams(const RayBatch& beams, double divergence_rad, const TargetBatch& targets, const TermRow& terms) {
+    renderer_.record_forward(footprints_->split(stream_, beams, divergence_rad));
+    const RenderedBatch parts = renderer_.batch(), joined = footprints_->join(stream_, beams, parts);
+    for (const std::unique_ptr<Loss>& loss : losses_) loss->compare(stream_, joined, targets, terms);
+    footprints_->spread(stream_, parts);
+    renderer_.record_backward();
+    if (const Array<float>& d_rays = renderer_.gradients().rays; d_rays.size() > 0) footprints_->sum_ray_gradients(stream_, d_rays);
+}
+
 void TrainLoop::iterate(int step, bool ends_line) {
     look_at_reports(step - kReadbackLag);
     if (refiner_) refiner_->take_steps(stream_, step - kReadbackLag);
@@ -155,7 +184,10 @@ void TrainLoop::iterate(int step, bool ends_line) {
     if (const std::optional<std::size_t> coming = sampler_.coming()) frames_.expect(*coming);
     const SampledBatch batch = batches_.sample(stream_, frame, sampler_.random());
     const TermRow terms = reports_.row();
-    learn_from(batch.rays, batch.targets, terms);
+    if (const double divergence_rad = divergence_of(frame, config_); footprints_ && divergence_rad > 0.0)
+        learn_from_beams(batch.rays, divergence_rad, batch.targets, terms);
+    else
+        learn_from(batch.rays, batch.targets, terms);
     Gradients& gradients = renderer_.gradients();
     if (refiner_) refiner_->record(stream_, frame_index, frame, batch, gradients, step);
     for (const std::unique_ptr<Loss>& loss : losses_)

@@ -16,6 +16,7 @@
 
 #include "core/random.hpp"
 #include "train/batch.hpp"
+#include "train/footprints.hpp"
 #include "train/iteration_reports.hpp"
 #include "train/pose_refiner.hpp"
 #include "train/sensor_drop.hpp"
@@ -91,6 +92,7 @@ private:
     std::optional<PoseRefiner> refiner_;   ///< where the config wants one
     DifferentiableRenderer renderer_;
     Stream& stream_;                       ///< the renderer's
+    std::optional<Footprints> footprints_;   ///< where the config wants beams as several rays
     std::vector<std::unique_ptr<Loss>> losses_;
     Adam adam_;
     std::optional<Densifier> densifier_;   ///< where the config wants one
@@ -124,6 +126,8 @@ private:
     const FrameData& place(std::size_t frame_index, int step);
     /// Records the image of a batch, its losses, and the gradients of those.
     void learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
+    /// The same with each ray as the beam that it is.
+    void learn_from_beams(const RayBatch& beams, double divergence_rad, const TargetBatch& targets, const TermRow& terms);
     /// Looks at the reports of the iterations up to `last`.
     void look_at_reports(int last);
     void close_report(int step, bool ends_line);

@@ -48,7 +48,7 @@ struct Scalar {
 /// the latter two the first rows are fixed.
 TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     const std::uint32_t n = 133;
-    const LearningRates rates{1e-3, 2e-3, 3e-3, 4e-2, 5e-3, 0.05, 0.5};   // a third of the scales begin above what they may grow to
+    const LearningRates rates{1e-3, 2e-3, 3e-3, 4e-2, 5e-3, 0.05, 0.4, 0.5};   // a third of the scales begin above what they may grow to
     enum class Untouched { none, decay, stay };
     for (const Untouched untouched : {Untouched::none, Untouched::decay, Untouched::stay}) {
         const bool only_touched = untouched == Untouched::stay;
@@ -94,7 +94,8 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
             for (std::size_t k = 0; k < kShFloats; ++k) {
                 const std::size_t within = k % kShCoefficients, slot = i * kShFloats + k;
                 // degree 2: nine coefficients
-                const double rate = within >= 9 ? 0.0 : rates.sh * (within == 0 ? 1.0 : rates.sh_rest_factor);
+                const double factor = (within == 0 ? 1.0 : rates.sh_rest_factor) * (k < kShCoefficients ? rates.intensity_factor : 1.0);
+                const double rate = within >= 9 ? 0.0 : rates.sh * factor;
                 expect(start.sh[slot], actual.sh[slot], rate, [&](const Surfels& s) { return s.sh[slot]; });
             }
         }
@@ -112,7 +113,7 @@ TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
     run(stream, kernel, n,
         {.values = value.address(), .gradients = gradient.address(), .moment1 = m.address(), .moment2 = v.address(), .touched = {},
          .learning_rate = 1.0f, .beta1 = 0.9f, .beta2 = 0.999f, .epsilon = 1e-15f, .correction1 = 10.0f, .correction2 = 1000.0f,
-         .first_scale = 1.0f, .n_rows = n, .stride = 1, .block = 1, .n_active = 1,
+         .first_scale = 1.0f, .block_scale = 1.0f, .n_rows = n, .stride = 1, .block = 1, .n_active = 1,
          .ceiling = std::numeric_limits<float>::infinity(), .only_touched = 0});
     stream.finish();
     const std::vector<float> values = value.download();

@@ -47,6 +47,7 @@ struct LearningRates {
     double opacity_logit = 0.05;
     double sh = 2.5e-3;            ///< DC coefficient of each channel
     double sh_rest_factor = 0.05;  ///< of the other coefficients
+    double intensity_factor = 1.0; ///< of all coefficients of the intensity, over those of the drop logits
     double max_log_scale = std::numeric_limits<double>::infinity();   ///< scales grow to this at most, log m
 };
 
