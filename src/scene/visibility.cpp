@@ -21,20 +21,16 @@ constexpr double kNear_m = 40.0;       // a sensor farther away sees a person as
 constexpr double kHardlyFarther = 1.25;   // than the nearest sensor, where none is near
 constexpr std::size_t kMostViews = 64;
 
-/// A grid over the sensor's vertical field of view, a beam or so a row.
-RangeGrid grid_over(const SpinningSensor& sensor) {
+/// A grid over a LiDAR's vertical field of view: a beam or so a row, and as fine as any where it has no beams. @param scan  one of its own
+RangeGrid grid_over(const SpinningSensor& sensor, const Scan& scan) {
     double low = 1e9, high = -1e9;
-    for (const Beam& beam : sensor.beams) {
-        low = std::min(low, beam.elevation_rad);
-        high = std::max(high, beam.elevation_rad);
-    }
+    const auto add = [&](double elevation_rad) { low = std::min(low, elevation_rad), high = std::max(high, elevation_rad); };
+    for (const Beam& beam : sensor.beams) add(beam.elevation_rad);
+    if (sensor.beams.empty())
+        for (const glm::vec3& d : scan.rays.direction) add(std::asin(std::clamp(double(d.z), -1.0, 1.0)));
     const double margin = 0.02;
-    return {"visibility",
-            std::min<int>(kRows, std::max<int>(1, static_cast<int>(sensor.beams.size()))),
-            kColumns,
-            high + margin,
-            high - low + 2.0 * margin,
-            1e6};
+    const int rows = sensor.beams.empty() ? kRows : std::min(kRows, static_cast<int>(sensor.beams.size()));
+    return {"visibility", rows, kColumns, high + margin, high - low + 2.0 * margin, 1e6};
 }
 
 glm::dvec3 tile_centre(const glm::dvec3& p) {
@@ -53,9 +49,12 @@ void thin_out(std::vector<std::uint32_t>& views) {
 
 Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positions)
     : sequence_(sequence), positions_(positions) {
-    for (const Lidar& lidar : sequence.lidars) grids_.push_back(grid_over(lidar.sensor));
+    grids_.resize(sequence.lidars.size());   // those of LiDARs without a view are not asked
+    std::vector<char> has_grid(grids_.size());
     for (const int position : positions) {
         const Frame& frame = sequence.frames[std::size_t(position)];
+        const std::size_t lidar = std::size_t(frame.lidar);
+        if (!std::exchange(has_grid[lidar], 1)) grids_[lidar] = grid_over(sequence.lidars[lidar].sensor, frame.scan);
         views_.push_back({frame.time_s, frame.lidar, {}, {}});
     }
     sort_by_tile();

@@ -12,6 +12,8 @@
 #include <relidar/error.hpp>
 #include <relidar/scene.hpp>
 
+#include "../support/rig_street.hpp"
+
 namespace relidar {
 namespace {
 
@@ -111,6 +113,22 @@ std::size_t count_in_moving_boxes(const Sequence& street, const Surfels& surfels
         n += inside && p.z > surfels.mean[0].z - 1e9f;
     }
     return n;
+}
+
+/// Nothing moves, so nothing may be taken for what has moved on: neither by a head that spins nor by LiDARs that have no beams.
+TEST(Initialise, AStreetThatStandsStillStays) {
+    const std::string rig = test::write_rig(std::filesystem::path(testing::TempDir()) / "relidar_initialise_rig");
+    const Sequence street = make_synthetic_street({.n_frames = 6, .moving_cars = false, .rig = rig});
+    const std::size_t n_lidars = street.lidars.size();
+    for (std::size_t lidar = 0; lidar <= n_lidars; ++lidar) {   // each of them alone, then all together
+        std::vector<int> train;
+        for (std::size_t i = 0; i < street.frames.size(); ++i)
+            if (lidar == n_lidars || street.frames[i].lidar == int(lidar)) train.push_back(int(i));
+        InitialiseOptions options;
+        const std::size_t all = initialise_background(street, train, options).size();
+        options.remove_unlabelled_movers = true;
+        EXPECT_GT(double(initialise_background(street, train, options).size()), 0.98 * double(all)) << "LiDAR " << lidar;
+    }
 }
 
 TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
