@@ -24,7 +24,6 @@ using namespace relidar;
 
 constexpr float kOnSurface_m = 0.05f, kFar_m = 0.3f;
 constexpr std::size_t kProbes = 256;         // directions about a point: a surface is within 7 degrees of square to one of them
-constexpr float kBefore_m = 0.2f;            // of a surface: where a point behind it is looked at from
 constexpr std::size_t kTogether = 4096;      // points whose surroundings are cast at once
 
 /// Directions spread evenly over the sphere (Fibonacci's spiral).
@@ -54,25 +53,22 @@ struct Points {
     glm::vec3 at(std::size_t i, float range) const { return rays.origin[i] + range * rays.direction[i]; }
 };
 
-/// Distance of points to the nearest surface at the times of their rays, as far as it is within kOnSurface_m, or about that: infinity where
-/// no probe meets one. Surfaces of the street have one side. So a point is asked from itself, and one that lies behind what its ray meets
-/// also from before that, by rays to all around it.
+/// Distance of points to the nearest surface at the times of their rays: infinity where no probe meets one. Surfaces of the street have one
+/// side, and a point may lie millimetres behind one. So it is asked from itself to all around, and from all around to itself, from as near
+/// as a surface counts as its own, and from as far as one counts at all.
 std::vector<float> distances(const Place& place, const Points& points, const std::vector<std::size_t>& chosen) {
     static const std::array<glm::vec3, kProbes> directions = all_around();
     std::vector<float> nearest(chosen.size(), std::numeric_limits<float>::infinity());
-    const auto is_behind = [&](std::size_t i) { return points.truth.range_m[i] > 0.0f && points.truth.range_m[i] < points.range_m[i]; };
     for (std::size_t first = 0; first < chosen.size(); first += kTogether) {
         RayTable probes;
         std::vector<std::size_t> asked;   // [probes] position in `chosen`
         for (std::size_t k = first; k < std::min(first + kTogether, chosen.size()); ++k) {
             const std::size_t i = chosen[k];
             const glm::vec3 point = points.at(i, points.range_m[i]);
-            const glm::vec3 before = points.at(i, std::max(points.truth.range_m[i] - kBefore_m, 0.0f));
-            for (const bool from_before : {false, true}) {
-                if (from_before && !is_behind(i)) continue;
+            for (const float from_m : {0.0f, kOnSurface_m, kFar_m}) {
                 for (const glm::vec3& direction : directions) {
-                    probes.origin.push_back(from_before ? before : point);
-                    probes.direction.push_back(from_before ? glm::normalize(point + kOnSurface_m * direction - before) : direction);
+                    probes.origin.push_back(point + from_m * direction);
+                    probes.direction.push_back(from_m > 0.0f ? -direction : direction);
                     probes.time_offset_s.push_back(points.rays.time_offset_s[i]);
                     probes.channel.push_back(points.rays.channel[i]);
                     asked.push_back(k);
