@@ -17,11 +17,12 @@ file(WRITE ${probe}.comp [[
 layout(local_size_x = 32) in;
 shared float sums[256];
 void main() {
-    coopmat<float, gl_ScopeSubgroup, 16, 16, gl_MatrixUseAccumulator> sum = coopmat<float, gl_ScopeSubgroup, 16, 16, gl_MatrixUseAccumulator>(0.0);
+    coopmat<float, gl_ScopeSubgroup, 16, 16, gl_MatrixUseAccumulator> sum;
     coopMatStore(sum, sums, 0, 16, gl_CooperativeMatrixLayoutRowMajor);
 }
 ]])
-execute_process(COMMAND ${RELIDAR_GLSLANG} --target-env vulkan1.3 -o ${probe}.spv ${probe}.comp RESULT_VARIABLE result OUTPUT_QUIET ERROR_QUIET)
+execute_process(COMMAND ${RELIDAR_GLSLANG} --target-env vulkan1.3 -o ${probe}.spv ${probe}.comp
+                RESULT_VARIABLE result OUTPUT_QUIET ERROR_QUIET)
 if(result EQUAL 0 AND RELIDAR_SPIRV_VAL)
     execute_process(COMMAND ${RELIDAR_SPIRV_VAL} --target-env vulkan1.3 ${probe}.spv RESULT_VARIABLE result OUTPUT_QUIET ERROR_QUIET)
 endif()

@@ -33,7 +33,7 @@ struct DeviceInfo {
     int subgroup_size = 1;             ///< lanes that run together
     bool known_subgroups = false;      ///< kernels can be made to run in subgroups of that size, all lanes there
     bool timestamps = false;           ///< compute timestamps
-    /// [m, n, k] of what its matrix units do for a subgroup: m x k halves times k x n halves, added to floats; zeros where they cannot be used
+    /// [m, n, k] of what matrix units do for a subgroup: m x k halves times k x n halves, added to floats; zeros where they cannot be used
     std::array<int, 3> matrix_size{};
     std::string why_not_ray_query;     ///< missing extensions and features, empty where ray_query
     bool software = false;             ///< relidar's own tree can be built and walked

@@ -17,7 +17,8 @@ RELIDAR_PARAMS(ConvParams);
 
 const uint kLines = TAPS == 1u ? 1u : 3u, kBefore = kLines / 2u;   // taps of a row, and columns before a value's own
 const uint kTiles = RELIDAR_MATRIX_TILES, kOutTiles = RELIDAR_MATRIX_OUT, kOut = kOutTiles * TILE_M;
-const uint kPixels = RELIDAR_MATRIX_GROUPS * kTiles * TILE_N, kOctets = TILE_K / 8u, kStride = kOctets + 1u;   // one more: no bank conflicts
+const uint kPixels = RELIDAR_MATRIX_GROUPS * kTiles * TILE_N;
+const uint kOctets = TILE_K / 8u, kStride = kOctets + 1u;          // one more: no bank conflicts
 const uint kColumns = kLines * kOut * kStride;                     // where columns begin; [tap, out] before them
 const uint kHalves = kColumns + (kPixels + 2u * kBefore) * kStride;
 #include "conv.glsl"
@@ -62,7 +63,7 @@ void write_tile(TILE_SUM tile, uint first_out, uint first_column, uint to) {
     for (uint k = gl_SubgroupInvocationID; k < TILE_M * TILE_N; k += gl_SubgroupSize) {
         uint o = k / TILE_N, column = first_column + k % TILE_N;
         if (first_out + o < params.n_out && column < params.columns)
-            put(to + o * params.rows * params.columns + column, first_out + o, sums[mine + k] / params.scale);
+            put(to + o * params.rows * params.columns + column, first_out + o, params.inverse_scale * sums[mine + k]);
     }
     barrier();
 }

@@ -116,14 +116,15 @@ void Conv::forward(Stream& stream, const Slice& from, Address<float> weights, Ad
     RELIDAR_ASSERT_EQ(from.grid.all_pixels(), to.grid.all_pixels());
     run_conv(stream, {.from = from.view, .to = to.view, .weights = weights, .bias = bias, .n_images = from.grid.n,
                       .rows = from.grid.rows, .columns = from.grid.columns, .n_in = from.channels, .n_out = to.channels,
-                      .transposed = 0, .accumulate = accumulate ? 1u : 0u, .scale = 1.0f});
+                      .transposed = 0, .accumulate = accumulate ? 1u : 0u, .scale = 1.0f, .inverse_scale = 1.0f});
 }
 
 void Conv::input_vjp(Stream& stream, const Slice& d_to, Address<float> weights, const Slice& d_from, bool accumulate) {
     RELIDAR_ASSERT_EQ(d_from.grid.all_pixels(), d_to.grid.all_pixels());
     run_conv(stream, {.from = d_to.view, .to = d_from.view, .weights = weights, .bias = {}, .n_images = d_to.grid.n,
                       .rows = d_to.grid.rows, .columns = d_to.grid.columns, .n_in = d_to.channels, .n_out = d_from.channels,
-                      .transposed = 1, .accumulate = accumulate ? 1u : 0u, .scale = scale_});
+                      .transposed = 1, .accumulate = accumulate ? 1u : 0u, .scale = scale_,
+                      .inverse_scale = 1.0f / scale_});
 }
 
 std::size_t Conv::partial_floats(const Grid& grid, std::uint32_t n_in, std::uint32_t n_out) const {
@@ -137,7 +138,8 @@ void Conv::weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Add
     RELIDAR_ASSERT_LE(std::size_t(n_parts) * n, partial_.size());
     const shared::ConvWeightsParams params{
         .from = from.view, .d_to = d_to.view, .partial = partial_.address(), .n_images = from.grid.n, .rows = from.grid.rows,
-        .columns = from.grid.columns, .n_in = from.channels, .n_out = d_to.channels, .n_parts = n_parts, .scale = scale_};
+        .columns = from.grid.columns, .n_in = from.channels, .n_out = d_to.channels, .n_parts = n_parts, .scale = scale_,
+        .inverse_scale = 1.0f / scale_};
     run(stream, conv_weights_, weights_threads(params), params);
     run(stream, sum_parts_, n, {.partial = partial_.address(), .sum = d_weights, .n_parts = n_parts, .n = n});
 }

@@ -26,7 +26,7 @@ public:
     /// @param taps  1 (1x1) or 9 (3x3) @throws DeviceError naming what device or build lack
     Conv(Device& device, std::uint32_t taps, Precision precision = Precision::fp32);
 
-    /// From now on gradients are multiplied by it where they are rounded to halves, and what comes of them is divided by it. A power of two.
+    /// From now on gradients are multiplied by it, a power of two, where they are rounded to halves, and what comes of them is divided.
     void scale_gradients(float scale) { scale_ = scale; }
 
     /// to = bias + weights * from. @param weights [to.channels, from.channels, taps] @param bias [to.channels], or nowhere

@@ -47,7 +47,8 @@ void print_table(const std::vector<DeviceInfo>& devices) {
         if (!d.why_not_usable.empty()) notes += fmt::format("\n   not usable: it lacks {}", d.why_not_usable);
         if (!d.why_not_ray_query.empty()) notes += fmt::format("\n   no ray query: it lacks {}", d.why_not_ray_query);
         if (!d.why_not_software.empty()) notes += fmt::format("\n   no software traversal: it lacks {}", d.why_not_software);
-        if (!d.why_not_matrices.empty()) notes += fmt::format("\n   no matrix units (refine.precision=fp16): it lacks {}", d.why_not_matrices);
+        if (!d.why_not_matrices.empty())
+            notes += fmt::format("\n   no matrix units for refine.precision=fp16: it lacks {}", d.why_not_matrices);
         if (d.why_not_usable.empty() && !d.float_atomics) notes += "\n   no float atomics: gradients are added by compare-and-swap, slower";
     }
     print(table(rows) + notes + "\n");
