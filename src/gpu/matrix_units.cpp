@@ -46,18 +46,18 @@ void describe_matrix_units(VkPhysicalDevice physical, DeviceInfo& info) {
     Missing missing;
     missing.need(has_kernels(), "kernels for matrix units: this build's glslang cannot compile them, 14 or newer is needed");
 #ifdef VK_KHR_cooperative_matrix
+    const bool extension = has_extension(physical, VK_KHR_COOPERATIVE_MATRIX_EXTENSION_NAME);
+    missing.need(extension, VK_KHR_COOPERATIVE_MATRIX_EXTENSION_NAME);
     if (missing.text.empty()) {
         VkPhysicalDeviceCooperativeMatrixFeaturesKHR matrices{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_COOPERATIVE_MATRIX_FEATURES_KHR};
         VkPhysicalDeviceVulkan12Features v12{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, &matrices};
         VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
         vkGetPhysicalDeviceFeatures2(physical, &features);
-        const bool extension = has_extension(physical, VK_KHR_COOPERATIVE_MATRIX_EXTENSION_NAME);
-        missing.need(extension, VK_KHR_COOPERATIVE_MATRIX_EXTENSION_NAME);
         missing.need(matrices.cooperativeMatrix, "cooperativeMatrix");
         missing.need(v12.shaderFloat16, "shaderFloat16");
         missing.need(v12.vulkanMemoryModel, "vulkanMemoryModel");
-        if (extension) info.matrix_size = choose_matrix_size(sizes_of(physical));
-        missing.need(info.matrix_size[0] > 0, "products of halves added to floats by a subgroup, in a size that there are kernels for");
+        info.matrix_size = choose_matrix_size(sizes_of(physical));
+        missing.need(info.matrix_size[0] > 0, "products of halves that a subgroup adds to floats, in a size that there are kernels for");
     }
 #else
     missing.need(false, "matrix units in this build's Vulkan headers, 1.3.255 or newer is needed");
