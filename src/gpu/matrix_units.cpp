@@ -42,7 +42,7 @@ std::array<int, 3> choose_matrix_size(const std::vector<std::array<int, 3>>& siz
     return found == sizes.end() ? std::array<int, 3>{} : *found;
 }
 
-void describe_matrix_units(VkPhysicalDevice physical, DeviceInfo& info) {
+void describe_matrix_units([[maybe_unused]] VkPhysicalDevice physical, DeviceInfo& info) {
     Missing missing;
     missing.need(has_kernels(), "kernels for matrix units: this build's glslang cannot compile them, 14 or newer is needed");
 #ifdef VK_KHR_cooperative_matrix
