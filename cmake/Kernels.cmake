@@ -7,6 +7,31 @@ find_program(RELIDAR_GLSLANG glslangValidator REQUIRED)
 find_program(RELIDAR_SPIRV_VAL spirv-val)
 set_property(GLOBAL PROPERTY RELIDAR_KERNELS "")
 
+# RELIDAR_GLSLANG_HAS_MATRICES: whether kernels for matrix units (VK_KHR_cooperative_matrix) can be made; glslang 14 was the first.
+set(probe ${CMAKE_BINARY_DIR}/kernels/matrix_probe)
+file(WRITE ${probe}.comp [[
+#version 460
+#extension GL_KHR_cooperative_matrix : require
+#extension GL_KHR_memory_scope_semantics : require
+#extension GL_EXT_shader_explicit_arithmetic_types_float16 : require
+layout(local_size_x = 32) in;
+shared float sums[256];
+void main() {
+    coopmat<float, gl_ScopeSubgroup, 16, 16, gl_MatrixUseAccumulator> sum;
+    coopMatStore(sum, sums, 0, 16, gl_CooperativeMatrixLayoutRowMajor);
+}
+]])
+execute_process(COMMAND ${RELIDAR_GLSLANG} --target-env vulkan1.3 -o ${probe}.spv ${probe}.comp
+                RESULT_VARIABLE result OUTPUT_QUIET ERROR_QUIET)
+if(result EQUAL 0 AND RELIDAR_SPIRV_VAL)
+    execute_process(COMMAND ${RELIDAR_SPIRV_VAL} --target-env vulkan1.3 ${probe}.spv RESULT_VARIABLE result OUTPUT_QUIET ERROR_QUIET)
+endif()
+if(result EQUAL 0)
+    set(RELIDAR_GLSLANG_HAS_MATRICES ON)
+else()
+    set(RELIDAR_GLSLANG_HAS_MATRICES OFF)
+endif()
+
 function(_relidar_compile name source defines)
     string(REGEX REPLACE "[^a-zA-Z0-9]" "_" symbol ${name})
     set(header ${CMAKE_BINARY_DIR}/kernels/${symbol}.h)

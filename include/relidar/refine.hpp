@@ -29,6 +29,7 @@ struct RefineOptions {
     double rate = 2e-3;              ///< Adam's, at the start; it falls to a hundredth
     double dropout = 0.0;            ///< share of the values that a layer drops in training
     bool turn = false;               ///< images are turned about the sensor by random columns
+    std::string precision = "fp32";  ///< what convolutions multiply in training: "fp32", or "fp16" by matrix units; sums are fp32 in both
 };
 
 /// What the network sees of a scan with image order, and what came of it.
@@ -100,15 +101,16 @@ using RefineCallback = std::function<bool(const RefineProgress& progress, const 
 /// Trains a network on images of one shape. The same seed gives the same network, to the last bit on one device.
 /// @param start  state to go on from, of a training with the same images, options and seed; null: from the beginning
 /// @throws DataError for images of different shapes, too small, with values that are not finite, or without dropped pixels, and for a start
-/// of another network or with more steps than there are
+/// of another network or with more steps than there are; DeviceError where device or build lack what options.precision needs
 DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& images, const RefineOptions& options, std::uint64_t seed,
                                const RefineCallback& progress, const RefineState* start = nullptr);
 
 /// A network ready to be asked, in evaluation mode: the same image gives the same answer.
 class DropRefiner {
 public:
-    /// @throws DataError where the arrays do not fit the network's shape
-    DropRefiner(Device& device, const DropNetwork& network);
+    /// @param precision  as RefineOptions has it, whichever the network was trained with
+    /// @throws DataError where the arrays do not fit the network's shape; DeviceError as train_drop_network
+    DropRefiner(Device& device, const DropNetwork& network, const std::string& precision = "fp32");
     ~DropRefiner();
     DropRefiner(DropRefiner&&) noexcept;
     DropRefiner& operator=(DropRefiner&&) noexcept;

@@ -17,15 +17,12 @@ RELIDAR_CONSTANT(uint, PIXELS, 4u);
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_CONSTANT(bool, STAGED, false);
 RELIDAR_PARAMS(ConvParams);
+#include "conv.glsl"
 #include "lanes.glsl"
 
 const uint kOut = RELIDAR_CONV_OUT, kIn = RELIDAR_CONV_IN, kLines = TAPS == 1u ? 1u : 3u, kHeld = (kOut + LANES - 1u) / LANES;
 const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;   // one more for the neighbours of the last lane
 shared float tile[kIn * 9 * kOut];   // [in, tap, out]
-
-uint weight_index(uint o, uint i, uint tap) {
-    return params.transposed != 0u ? (i * params.n_out + o) * TAPS + (TAPS - 1u - tap) : (o * params.n_in + i) * TAPS + tap;
-}
 
 /// Weights of some input channels for the output channels of this workgroup; those beyond are never used.
 void load_tile(uint first_out, uint first_in) {
@@ -33,12 +30,6 @@ void load_tile(uint first_out, uint first_in) {
         uint o = min(first_out + k % kOut, params.n_out - 1u), i = min(first_in + k / (kOut * TAPS), params.n_in - 1u);
         tile[k] = params.weights.at[weight_index(o, i, k / kOut % TAPS)];
     }
-}
-
-void put(uint at, uint channel, float value) {
-    if (!is_null(params.bias)) value += params.bias.at[channel];
-    if (params.accumulate != 0u) value += params.to.values.at[at];
-    params.to.values.at[at] = value;
 }
 
 void main() {

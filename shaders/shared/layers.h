@@ -7,6 +7,9 @@
 
 #define RELIDAR_CONV_OUT 8     // channels that a subgroup of refine/conv or refine/conv_weights makes
 #define RELIDAR_CONV_IN 8      // channels whose weights a workgroup of refine/conv holds at a time, or of refine/conv_weights makes (1x1)
+#define RELIDAR_MATRIX_GROUPS 4   // subgroups of a workgroup of refine/conv_matrix or refine/conv_weights_matrix, side by side
+#define RELIDAR_MATRIX_TILES 2    // tiles of columns of one of them (refine/conv_matrix), or of output and of input channels of all
+#define RELIDAR_MATRIX_OUT 4      // tiles of output channels that a subgroup of refine/conv_matrix makes
 #define RELIDAR_NORM_PIXELS 8  // of a channel that a thread of refine/norm or refine/norm_vjp makes
 
 RELIDAR_SHARED_BEGIN
@@ -30,6 +33,8 @@ struct ConvParams {
     uint n_out;
     uint transposed;       // 1: the derivative by the input: channels change places, taps are mirrored
     uint accumulate;       // 1: adds to what is there
+    float scale;           // of `from` where refine/conv_matrix rounds it to halves, a power of two
+    float inverse_scale;   // of what comes of it
 };
 
 struct ConvWeightsParams {
@@ -42,6 +47,8 @@ struct ConvWeightsParams {
     uint n_in;
     uint n_out;
     uint n_parts;
+    float scale;           // of d_to where refine/conv_weights_matrix rounds it to halves, a power of two
+    float inverse_scale;   // of what comes of it
 };
 
 struct SumPartsParams {

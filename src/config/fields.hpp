@@ -282,6 +282,8 @@ void visit_refine(C& c, Visitor&& f) {
     f("refine.dropout", c.refine.dropout, between(0, 0.9), "share of the values that the network's layers drop in training");
     f("refine.turn", c.refine.turn, anything(),
       "what the network sees in training is turned about the sensor by random columns, and the rays it is told stay");
+    f("refine.precision", c.refine.precision, one_of({"fp32", "fp16"}),
+      "what the network's convolutions multiply in training; fp16: by matrix units, where `relidar devices` shows them; sums are fp32");
 }
 
 /// Calls f(key, field, accepts, help) for every setting, in the order of the TOML file.

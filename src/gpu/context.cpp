@@ -205,6 +205,42 @@ void Device::Impl::open(const std::filesystem::path& cache_folder) {
     transfers = std::make_unique<gpu::Transfers>(*this);
 }
 
+namespace {
+
+/// Features of extensions, all of them asked for; which of them a device gets is decided where it is made.
+struct ExtensionFeatures {
+    VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
+    VkPhysicalDeviceRayQueryFeaturesKHR query{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_RAY_QUERY_FEATURES_KHR};
+    VkPhysicalDeviceShaderAtomicFloatFeaturesEXT atomics{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_ATOMIC_FLOAT_FEATURES_EXT};
+    VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
+    VkPhysicalDevicePipelineExecutablePropertiesFeaturesKHR executables{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PIPELINE_EXECUTABLE_PROPERTIES_FEATURES_KHR};
+#ifdef VK_KHR_shader_maximal_reconvergence
+    VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
+#endif
+#ifdef VK_KHR_cooperative_matrix
+    VkPhysicalDeviceCooperativeMatrixFeaturesKHR matrices{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_COOPERATIVE_MATRIX_FEATURES_KHR};
+#endif
+
+    ExtensionFeatures() {
+        accel.accelerationStructure = VK_TRUE;
+        query.rayQuery = VK_TRUE;
+        atomics.shaderBufferFloat32AtomicAdd = VK_TRUE;
+        uniform.shaderSubgroupUniformControlFlow = VK_TRUE;
+        executables.pipelineExecutableInfo = VK_TRUE;
+#ifdef VK_KHR_shader_maximal_reconvergence
+        maximal.shaderMaximalReconvergence = VK_TRUE;
+#endif
+#ifdef VK_KHR_cooperative_matrix
+        matrices.cooperativeMatrix = VK_TRUE;
+#endif
+    }
+};
+
+}  // namespace
+
 void Device::Impl::find_compute_queues() {
     std::uint32_t n = 0;
     vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, nullptr);
@@ -220,15 +256,7 @@ void Device::Impl::make_device() {
     queue_info.queueCount = 1;
     queue_info.pQueuePriorities = &priority;
 
-    VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
-    accel.accelerationStructure = VK_TRUE;
-    VkPhysicalDeviceRayQueryFeaturesKHR query{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_RAY_QUERY_FEATURES_KHR};
-    query.rayQuery = VK_TRUE;
-    VkPhysicalDeviceShaderAtomicFloatFeaturesEXT atomics{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_ATOMIC_FLOAT_FEATURES_EXT};
-    atomics.shaderBufferFloat32AtomicAdd = VK_TRUE;
-    VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{
-        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
-    uniform.shaderSubgroupUniformControlFlow = VK_TRUE;
+    ExtensionFeatures wanted;
     VkPhysicalDeviceVulkan13Features v13{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES};
     v13.maintenance4 = VK_TRUE;
     VkPhysicalDeviceVulkan12Features v12{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, &v13};
@@ -236,6 +264,9 @@ void Device::Impl::make_device() {
     v12.scalarBlockLayout = VK_TRUE;
     v12.timelineSemaphore = VK_TRUE;
     v12.hostQueryReset = VK_TRUE;
+    const bool matrices = info.why_not_matrices.empty();
+    v12.shaderFloat16 = matrices;
+    v12.vulkanMemoryModel = matrices;
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
 
     optional = gpu::optional_features(physical);
@@ -249,21 +280,18 @@ void Device::Impl::make_device() {
     };
     if (traversal == Traversal::ray_query) {
         extensions.push_back(VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME);
-        enable(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, accel);
-        enable(VK_KHR_RAY_QUERY_EXTENSION_NAME, query);
+        enable(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, wanted.accel);
+        enable(VK_KHR_RAY_QUERY_EXTENSION_NAME, wanted.query);
     }
-    VkPhysicalDevicePipelineExecutablePropertiesFeaturesKHR executables{
-        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PIPELINE_EXECUTABLE_PROPERTIES_FEATURES_KHR};
-    executables.pipelineExecutableInfo = VK_TRUE;
     pipeline_statistics = compile_only && gpu::has_extension(physical, VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
-    if (pipeline_statistics) enable(VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME, executables);
-    if (info.float_atomics) enable(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME, atomics);
-    if (optional.subgroup_uniform_control_flow) enable(VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME, uniform);
+    if (pipeline_statistics) enable(VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME, wanted.executables);
+    if (info.float_atomics) enable(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME, wanted.atomics);
+    if (optional.subgroup_uniform_control_flow) enable(VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME, wanted.uniform);
 #ifdef VK_KHR_shader_maximal_reconvergence
-    VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{
-        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
-    maximal.shaderMaximalReconvergence = VK_TRUE;
-    if (optional.maximal_reconvergence) enable(VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME, maximal);
+    if (optional.maximal_reconvergence) enable(VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME, wanted.maximal);
+#endif
+#ifdef VK_KHR_cooperative_matrix
+    if (matrices) enable(VK_KHR_COOPERATIVE_MATRIX_EXTENSION_NAME, wanted.matrices);
 #endif
     VkDeviceCreateInfo device_info{VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO, &features};
     device_info.queueCreateInfoCount = 1;

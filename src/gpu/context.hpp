@@ -2,6 +2,7 @@
 // Vulkan objects behind relidar::Device: instance, device, one compute queue, and how failures of calls become DeviceError.
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <memory>
 #include <mutex>
@@ -39,6 +40,19 @@ struct Instance {
 
 /// Whether a device offers an extension.
 bool has_extension(VkPhysicalDevice physical, const char* name);
+
+/// Collects names of what is missing, in words for a message.
+struct Missing {
+    std::string text;
+    void need(bool present, const char* name) {
+        if (!present) text += (text.empty() ? "" : ", ") + std::string(name);
+    }
+};
+
+/// Fills in matrix_size and why_not_matrices.
+void describe_matrix_units(VkPhysicalDevice physical, DeviceInfo& info);
+/// The size that relidar's kernels take: 16 x 16 x 16, else the first that they can be made for; zeros where there is none.
+std::array<int, 3> choose_matrix_size(const std::vector<std::array<int, 3>>& sizes);
 
 /// What makes kernels right or safer on devices where it is not so anyway.
 struct OptionalFeatures {

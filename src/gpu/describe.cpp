@@ -21,14 +21,6 @@ std::vector<VkExtensionProperties> extensions_of(VkPhysicalDevice physical) {
     return extensions;
 }
 
-/// Collects names of what is missing, in words for a message.
-struct Missing {
-    std::string text;
-    void need(bool present, const char* name) {
-        if (!present) text += (text.empty() ? "" : ", ") + std::string(name);
-    }
-};
-
 const char* type_name(VkPhysicalDeviceType type) {
     switch (type) {
         case VK_PHYSICAL_DEVICE_TYPE_DISCRETE_GPU: return "discrete GPU";
@@ -178,6 +170,8 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     info.why_not_ray_query = rays.text;
     info.ray_query = rays.text.empty() && base.text.empty();
 
+    if (is_13) describe_matrix_units(physical, info);
+    else info.why_not_matrices = "Vulkan 1.3";
     info.known_subgroups = known_subgroups(sizes, optional);
     info.why_not_software = missing_for_software(subgroup, sizes, optional);
     info.software = info.why_not_software.empty() && base.text.empty();

@@ -1,8 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of refine/conv, refine/conv_weights and refine/sum_parts.
+// Binding of refine/conv and refine/conv_weights, or in their place refine/conv_matrix and refine/conv_weights_matrix, and of
+// refine/sum_parts.
 #include "refine/conv.hpp"
 
 #include <algorithm>
+#include <cmath>
+#include <optional>
+#include <vector>
 
 #include <fmt/format.h>
 
@@ -26,49 +30,101 @@ std::uint32_t parts_of(const Grid& grid, std::size_t n_weights) {
     return std::uint32_t(std::clamp<std::size_t>(tiles(lines, kLinesOfPart), 1, most));
 }
 
-std::uint32_t checked(const Device& device, std::uint32_t taps) {
+std::uint32_t checked(const Device& device, std::uint32_t taps, Precision precision) {
     RELIDAR_ASSERT_EQ(taps == 1 || taps == 9, true);
+    const DeviceInfo& info = device.info();
     const std::string missing = missing_for_networks(device);
     if (!missing.empty())
-        throw DeviceError(
-            fmt::format("making the ray-drop network on {}: missing {}; set refine.enabled=false", device.info().name, missing));
+        throw DeviceError(fmt::format("making the ray-drop network on {}: missing {}; set refine.enabled=false", info.name, missing));
+    if (precision == Precision::fp16 && !info.why_not_matrices.empty())
+        throw DeviceError(fmt::format("making the ray-drop network with refine.precision=fp16 on {}: missing {}; set refine.precision=fp32",
+                                      info.name, info.why_not_matrices));
     return taps;
+}
+
+std::uint32_t lanes_of(const Device& device) { return std::uint32_t(device.info().subgroup_size); }
+std::uint32_t pixels_of_lane(const Device& device) { return coalesces(device) ? 8 : 4; }
+
+std::vector<Constant> matrix_constants(const Device& device, std::uint32_t taps) {
+    const std::array<int, 3>& tile = device.info().matrix_size;
+    return {{ConstantId::TAPS, taps},
+            {ConstantId::TILE_M, std::uint32_t(tile[0])},
+            {ConstantId::TILE_N, std::uint32_t(tile[1])},
+            {ConstantId::TILE_K, std::uint32_t(tile[2])},
+            {ConstantId::WORKGROUP_SIZE, RELIDAR_MATRIX_GROUPS * lanes_of(device)}};
+}
+
+Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t taps, Precision precision) {
+    if (precision == Precision::fp16) return {device, "refine/conv_matrix", matrix_constants(device, taps), Subgroups::full};
+    return {device, "refine/conv",
+            {{ConstantId::TAPS, taps},
+             {ConstantId::PIXELS, pixels_of_lane(device)},
+             {ConstantId::LANES, lanes_of(device)},
+             {ConstantId::STAGED, coalesces(device) ? 1u : 0u},
+             {ConstantId::WORKGROUP_SIZE, kThreads}},
+            Subgroups::full};
+}
+
+Kernel<shared::ConvWeightsParams> make_conv_weights(Device& device, std::uint32_t taps, Precision precision) {
+    if (precision == Precision::fp16) return {device, "refine/conv_weights_matrix", matrix_constants(device, taps), Subgroups::full};
+    return {device, "refine/conv_weights",
+            {{ConstantId::TAPS, taps}, {ConstantId::LANES, lanes_of(device)}, {ConstantId::WORKGROUP_SIZE, kThreads}}, Subgroups::full};
 }
 
 }  // namespace
 
-Conv::Conv(Device& device, std::uint32_t taps)
-    : taps_(checked(device, taps)),
-      pixels_(coalesces(device) ? 8 : 4),
-      lanes_(std::uint32_t(device.info().subgroup_size)),
-      conv_(device, "refine/conv",
-            {{ConstantId::TAPS, taps},
-             {ConstantId::PIXELS, pixels_},
-             {ConstantId::LANES, lanes_},
-             {ConstantId::STAGED, coalesces(device) ? 1u : 0u},
-             {ConstantId::WORKGROUP_SIZE, kThreads}},
-            Subgroups::full),
-      conv_weights_(device, "refine/conv_weights",
-                    {{ConstantId::TAPS, taps}, {ConstantId::LANES, lanes_}, {ConstantId::WORKGROUP_SIZE, kThreads}}, Subgroups::full),
+Precision find_precision(const std::string& name) {
+    const std::optional<std::string> known = known_name(name, {"fp32", "fp16"});
+    if (!known) throw UsageError(fmt::format("refine.precision: found \"{}\", expected fp32 or fp16", name));
+    return known == "fp16" ? Precision::fp16 : Precision::fp32;
+}
+
+float gradient_scale(std::size_t n) { return std::exp2(std::round(std::log2(float(std::max<std::size_t>(n, 1))))); }
+
+Conv::Conv(Device& device, std::uint32_t taps, Precision precision)
+    : taps_(checked(device, taps, precision)),
+      pixels_(pixels_of_lane(device)),
+      lanes_(lanes_of(device)),
+      precision_(precision),
+      tile_{std::uint32_t(device.info().matrix_size[0]), std::uint32_t(device.info().matrix_size[1]),
+            std::uint32_t(device.info().matrix_size[2])},
+      conv_(make_conv(device, taps, precision)),
+      conv_weights_(make_conv_weights(device, taps, precision)),
       sum_parts_(device, "refine/sum_parts") {}
 
-void Conv::run_conv(Stream& stream, shared::ConvParams params) const {
-    const std::uint32_t segments = params.n_images * params.rows * tiles(params.columns, lanes_ * pixels_);
-    run(stream, conv_, std::size_t(tiles(segments, kThreads / lanes_)) * tiles(params.n_out, RELIDAR_CONV_OUT) * kThreads, params);
+std::size_t Conv::conv_threads(const shared::ConvParams& params) const {
+    const std::size_t lines = std::size_t(params.n_images) * params.rows;
+    if (precision_ == Precision::fp16)
+        return lines * tiles(params.columns, RELIDAR_MATRIX_GROUPS * RELIDAR_MATRIX_TILES * tile_[1]) *
+               tiles(params.n_out, RELIDAR_MATRIX_OUT * tile_[0]) * RELIDAR_MATRIX_GROUPS * lanes_;
+    const std::uint32_t segments = std::uint32_t(lines) * tiles(params.columns, lanes_ * pixels_);
+    return std::size_t(tiles(segments, kThreads / lanes_)) * tiles(params.n_out, RELIDAR_CONV_OUT) * kThreads;
 }
+
+std::size_t Conv::weights_threads(const shared::ConvWeightsParams& params) const {
+    if (precision_ == Precision::fp16)
+        return std::size_t(params.n_parts) * tiles(params.n_in, RELIDAR_MATRIX_TILES * tile_[1]) *
+               tiles(params.n_out, RELIDAR_MATRIX_TILES * tile_[0]) * RELIDAR_MATRIX_GROUPS * lanes_;
+    const std::uint32_t subgroups =
+        params.n_parts * tiles(params.n_in, inputs_of_subgroup(taps_)) * tiles(params.n_out, RELIDAR_CONV_OUT);
+    return std::size_t(tiles(subgroups, kThreads / lanes_)) * kThreads;
+}
+
+void Conv::run_conv(Stream& stream, const shared::ConvParams& params) const { run(stream, conv_, conv_threads(params), params); }
 
 void Conv::forward(Stream& stream, const Slice& from, Address<float> weights, Address<float> bias, const Slice& to, bool accumulate) {
     RELIDAR_ASSERT_EQ(from.grid.all_pixels(), to.grid.all_pixels());
     run_conv(stream, {.from = from.view, .to = to.view, .weights = weights, .bias = bias, .n_images = from.grid.n,
                       .rows = from.grid.rows, .columns = from.grid.columns, .n_in = from.channels, .n_out = to.channels,
-                      .transposed = 0, .accumulate = accumulate ? 1u : 0u});
+                      .transposed = 0, .accumulate = accumulate ? 1u : 0u, .scale = 1.0f, .inverse_scale = 1.0f});
 }
 
 void Conv::input_vjp(Stream& stream, const Slice& d_to, Address<float> weights, const Slice& d_from, bool accumulate) {
     RELIDAR_ASSERT_EQ(d_from.grid.all_pixels(), d_to.grid.all_pixels());
     run_conv(stream, {.from = d_to.view, .to = d_from.view, .weights = weights, .bias = {}, .n_images = d_to.grid.n,
                       .rows = d_to.grid.rows, .columns = d_to.grid.columns, .n_in = d_to.channels, .n_out = d_from.channels,
-                      .transposed = 1, .accumulate = accumulate ? 1u : 0u});
+                      .transposed = 1, .accumulate = accumulate ? 1u : 0u, .scale = scale_,
+                      .inverse_scale = 1.0f / scale_});
 }
 
 std::size_t Conv::partial_floats(const Grid& grid, std::uint32_t n_in, std::uint32_t n_out) const {
@@ -80,10 +136,11 @@ void Conv::weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Add
     RELIDAR_ASSERT_EQ(from.grid.all_pixels(), d_to.grid.all_pixels());
     const std::uint32_t n = from.channels * d_to.channels * taps_, n_parts = parts_of(from.grid, n);
     RELIDAR_ASSERT_LE(std::size_t(n_parts) * n, partial_.size());
-    const std::uint32_t subgroups = n_parts * tiles(from.channels, inputs_of_subgroup(taps_)) * tiles(d_to.channels, RELIDAR_CONV_OUT);
-    run(stream, conv_weights_, std::size_t(tiles(subgroups, kThreads / lanes_)) * kThreads,
-        {.from = from.view, .d_to = d_to.view, .partial = partial_.address(), .n_images = from.grid.n, .rows = from.grid.rows,
-         .columns = from.grid.columns, .n_in = from.channels, .n_out = d_to.channels, .n_parts = n_parts});
+    const shared::ConvWeightsParams params{
+        .from = from.view, .d_to = d_to.view, .partial = partial_.address(), .n_images = from.grid.n, .rows = from.grid.rows,
+        .columns = from.grid.columns, .n_in = from.channels, .n_out = d_to.channels, .n_parts = n_parts, .scale = scale_,
+        .inverse_scale = 1.0f / scale_};
+    run(stream, conv_weights_, weights_threads(params), params);
     run(stream, sum_parts_, n, {.partial = partial_.address(), .sum = d_weights, .n_parts = n_parts, .n = n});
 }
 

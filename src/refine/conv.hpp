@@ -2,16 +2,32 @@
 // Convolutions 1x1 and 3x3: columns are a ring, rows end in zeros.
 #pragma once
 
+#include <array>
+#include <cstdint>
+#include <string>
+
 #include "gpu/stream.hpp"
 #include "refine/tensor.hpp"
 
 namespace relidar::refine {
 
+/// What is multiplied: floats, or by matrix units halves that they are rounded to. Sums are floats in both.
+enum class Precision { fp32, fp16 };
+
+/// By name: "fp32" or "fp16". @throws UsageError for another one
+Precision find_precision(const std::string& name);
+
+/// A power of two that brings gradients of a mean over n values to where halves hold them: near 1 where a value's own derivative is.
+float gradient_scale(std::size_t n);
+
 /// Kernels of all convolutions of one size, and room for their partial sums.
 class Conv {
 public:
-    /// @param taps  1 (1x1) or 9 (3x3)
-    Conv(Device& device, std::uint32_t taps);
+    /// @param taps  1 (1x1) or 9 (3x3) @throws DeviceError naming what device or build lack
+    Conv(Device& device, std::uint32_t taps, Precision precision = Precision::fp32);
+
+    /// From now on gradients are multiplied by it, a power of two, where they are rounded to halves, and what comes of them is divided.
+    void scale_gradients(float scale) { scale_ = scale; }
 
     /// to = bias + weights * from. @param weights [to.channels, from.channels, taps] @param bias [to.channels], or nowhere
     /// @param accumulate adds to what `to` holds
@@ -28,12 +44,17 @@ public:
 
 private:
     std::uint32_t taps_, pixels_, lanes_;
+    Precision precision_;
+    std::array<std::uint32_t, 3> tile_;   ///< [m, n, k] of matrix units
+    float scale_ = 1.0f;
     Kernel<shared::ConvParams> conv_;
     Kernel<shared::ConvWeightsParams> conv_weights_;
     Kernel<shared::SumPartsParams> sum_parts_;
     Array<float> partial_;
 
-    void run_conv(Stream& stream, shared::ConvParams params) const;
+    void run_conv(Stream& stream, const shared::ConvParams& params) const;
+    std::size_t conv_threads(const shared::ConvParams& params) const;
+    std::size_t weights_threads(const shared::ConvWeightsParams& params) const;
 };
 
 }  // namespace relidar::refine

@@ -37,7 +37,7 @@ void compile_drop_network(Device& device, const RefineOptions& options) {
     refine::initialise(network, plan, 0);
     network.normalisation.assign(2 * network.inputs.size(), 0.0f);
     const refine::DropInputs inputs(device, network);
-    const refine::Unet unet(device, network);
+    const refine::Unet unet(device, network, refine::find_precision(options.precision));
     const refine::DropLoss loss(device, 1);
 }
 
@@ -50,10 +50,12 @@ struct DropRefiner::Impl {
     std::optional<refine::DropLoss> loss;
     Array<float> probability;
 
-    Impl(Device& d, const DropNetwork& n) : device(d), network(checked(n)), inputs(d, n), unet(d, n), stream(d, d.info().timestamps) {}
+    Impl(Device& d, const DropNetwork& n, refine::Precision precision)
+        : device(d), network(checked(n)), inputs(d, n), unet(d, n, precision), stream(d, d.info().timestamps) {}
 };
 
-DropRefiner::DropRefiner(Device& device, const DropNetwork& network) : impl_(new Impl(device, network)) {}
+DropRefiner::DropRefiner(Device& device, const DropNetwork& network, const std::string& precision)
+    : impl_(new Impl(device, network, refine::find_precision(precision))) {}
 DropRefiner::~DropRefiner() = default;
 DropRefiner::DropRefiner(DropRefiner&&) noexcept = default;
 DropRefiner& DropRefiner::operator=(DropRefiner&&) noexcept = default;

@@ -64,7 +64,7 @@ struct DropTraining::Impl {
           batch(std::min<std::size_t>(std::size_t(o.batch), images.size())),
           grid{std::uint32_t(batch), std::uint32_t(images[0].rows), std::uint32_t(images[0].columns)},
           inputs(device, network),
-          unet(device, network),
+          unet(device, network, find_precision(o.precision)),
           loss(device, grid.all_pixels()),
           adam(device, network.parameters.size(), {.epsilon = 1e-8}),
           stream(device, timing) {
@@ -96,7 +96,7 @@ DropScore DropTraining::step(std::span<const DropInputs::Chosen> chosen, int ste
                .target = t.inputs.target().address(),
                .d_logit = t.unet.d_logit().values.address()},
               known);
-    t.unet.backward(t.stream);
+    t.unet.backward(t.stream, gradient_scale(known));
     t.adam.step(t.stream, t.unet.parameters(), t.unet.gradients(),
                exponential_schedule(t.options.rate, kLastRate * t.options.rate, step, n_steps), step);
     t.stream.finish();

@@ -32,8 +32,8 @@ struct MeasuredConvolution::Impl {
     Array<float> weights, d_weights;
     Stream stream;
 
-    Impl(Device& device, const ConvolutionSize& size)
-        : conv(device, kTaps),
+    Impl(Device& device, const ConvolutionSize& size, const std::string& precision)
+        : conv(device, kTaps, refine::find_precision(precision)),
           from(images(device, size, size.n_in)),
           to(images(device, size, size.n_out)),
           weights(filled(device, std::size_t(size.n_in) * size.n_out * kTaps, "weights")),
@@ -43,7 +43,8 @@ struct MeasuredConvolution::Impl {
     }
 };
 
-MeasuredConvolution::MeasuredConvolution(Device& device, const ConvolutionSize& size) : impl_(std::make_unique<Impl>(device, size)) {}
+MeasuredConvolution::MeasuredConvolution(Device& device, const ConvolutionSize& size, const std::string& precision)
+    : impl_(std::make_unique<Impl>(device, size, precision)) {}
 MeasuredConvolution::~MeasuredConvolution() = default;
 
 void MeasuredConvolution::forward() {

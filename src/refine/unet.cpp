@@ -7,11 +7,11 @@
 
 namespace relidar::refine {
 
-Unet::Unet(Device& device, const DropNetwork& network)
+Unet::Unet(Device& device, const DropNetwork& network, Precision precision)
     : plan_(network),
       widths_(network.widths),
-      conv1_(device, 1),
-      conv3_(device, 9),
+      conv1_(device, 1, precision),
+      conv3_(device, 9, precision),
       norm_(device),
       resample_(device),
       parameters_(device, std::span<const float>(network.parameters), "network parameters"),
@@ -162,7 +162,9 @@ void Unet::attend_vjp(Stream& stream) {
     block_vjp(stream, *plan_.query, query_state_, smallest.up.all(), d_qkv_.all(), smallest.d_up.all(), true);
 }
 
-void Unet::backward(Stream& stream) {
+void Unet::backward(Stream& stream, float scale) {
+    conv1_.scale_gradients(scale);
+    conv3_.scale_gradients(scale);
     const std::size_t n_levels = widths_.size() - 1;
     conv_vjp(stream, plan_.tail, levels_[0].up.all(), d_logit_.all());
     conv1_.input_vjp(stream, d_logit_.all(), parameters_.address(plan_.tail.weights), levels_[0].d_up.all());

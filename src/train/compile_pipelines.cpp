@@ -82,6 +82,9 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         RefineOptions options;
         options.network = network;
         compile_drop_network(device, options);
+        if (!device.info().why_not_matrices.empty()) continue;
+        options.precision = "fp16";
+        compile_drop_network(device, options);
     }
     tell("sums of hits in a fixed order");
     const RadixSort by_row(device, 1, 1);   // made by BackwardPass at its first batch

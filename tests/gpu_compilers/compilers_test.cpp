@@ -49,6 +49,7 @@ protected:
         pipelines_.insert(pipelines_.end(), device.pipelines().begin(), device.pipelines().end());
         suffixes_.insert(traversal == Traversal::software ? "@software_bvh" : "@ray_query");
         suffixes_.insert(device.info().float_atomics ? "_atomics" : "_swap");
+        if (device.info().why_not_matrices.empty()) suffixes_.insert("_matrix");
     }
 
     static void SetUpTestSuite() {
@@ -87,6 +88,7 @@ TEST_F(GpuCompilers, EveryKernelOfTheBuildIsCompiled) {
         if (text.starts_with("traversal/collect_hits") || text.find("@brute_force") != std::string::npos) continue;   // of the tests
         const bool other = (text.find("@software_bvh") != std::string::npos && !suffixes_.count("@software_bvh")) ||
                            (text.find("@ray_query") != std::string::npos && !suffixes_.count("@ray_query")) ||
+                           (text.ends_with("_matrix") && !suffixes_.count("_matrix")) ||
                            (text.ends_with("_atomics") && !suffixes_.count("_atomics")) ||
                            (text.ends_with("_swap") && !suffixes_.count("_swap"));
         if (other) continue;

@@ -78,6 +78,42 @@ TEST_F(DropNetworkTest, PixelsByThemselvesCannotKnow) {
     EXPECT_LT(accuracy_of(DropRefiner(device(), network).refine(image), image), 0.8);
 }
 
+/// Mean cross-entropy of each epoch, and the network.
+std::pair<DropNetwork, std::vector<double>> trained(Device& device, const std::vector<DropImage>& images, const RefineOptions& options) {
+    std::vector<double> entropies(std::size_t(options.epochs), 0.0);
+    const auto keep = [&](const RefineProgress& p, const auto&) { return entropies[std::size_t(p.epoch - 1)] = p.entropy, true; };
+    DropNetwork network = train_drop_network(device, images, options, 1, keep);
+    return {std::move(network), std::move(entropies)};
+}
+
+/// With matrix units; where there are none, the line that says so.
+TEST_F(DropNetworkTest, HalvesLearnWhatFloatsDo) {
+    RefineOptions options = short_training();
+    options.epochs = 20;
+    const std::vector<DropImage> images = some_images(options, 16);
+    RefineOptions halves = options;
+    halves.precision = "fp16";
+    if (!device().info().why_not_matrices.empty()) {
+        EXPECT_THAT([&] { train_drop_network(device(), images, halves, 1, {}); },
+                    testing::ThrowsMessage<DeviceError>(testing::HasSubstr("set refine.precision=fp32")));
+        GTEST_SKIP() << "no matrix units: missing " << device().info().why_not_matrices;
+    }
+    const auto [by_floats, of_floats] = trained(device(), images, options);
+    const auto [by_halves, of_halves] = trained(device(), images, halves);
+    EXPECT_EQ(by_halves.parameters, trained(device(), images, halves).first.parameters) << "the same bits again";
+    EXPECT_LT(of_floats.back(), 0.2 * of_floats.front());
+    for (std::size_t epoch = 0; epoch < of_floats.size(); ++epoch)
+        EXPECT_NEAR(of_halves[epoch], of_floats[epoch], 0.1 * of_floats[epoch] + 0.02) << "epoch " << epoch;
+    const DropImage image = dark_neighbours(25, 61, options, 98);
+    DropRefiner in_floats(device(), by_halves), in_halves(device(), by_halves, "fp16");
+    const std::vector<float> exact = in_floats.refine(image), rounded = in_halves.refine(image);
+    EXPECT_GT(accuracy_of(exact, image), 0.97);
+    EXPECT_GT(accuracy_of(rounded, image), 0.97);
+    double sum = 0.0;
+    for (std::size_t i = 0; i < exact.size(); ++i) sum += double(std::abs(exact[i] - rounded[i]));
+    EXPECT_LT(sum / double(exact.size()), 2e-3);
+}
+
 TEST_F(DropNetworkTest, SameSeedGivesTheSameBitsAnotherDoesNot) {
     RefineOptions options = short_training();
     options.epochs = 2;

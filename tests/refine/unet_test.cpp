@@ -132,7 +132,7 @@ void expect_near(const std::vector<double>& found, const std::vector<double>& ex
 
 TEST_P(UnetTest, LogitsAreTheReferencesInBothModes) {
     prepare();
-    refine::Unet unet(device(), network_);
+    refine::Unet unet(device(), network_, refine::Precision::fp32);
     unet.reserve(device(), GetParam().grid, true);
     fill_inputs(unet);
     Stream stream(device());
@@ -146,7 +146,7 @@ TEST_P(UnetTest, LogitsAreTheReferencesInBothModes) {
 
 TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
     prepare();
-    refine::Unet unet(device(), network_);
+    refine::Unet unet(device(), network_, refine::Precision::fp32);
     unet.reserve(device(), GetParam().grid, true);
     fill_inputs(unet);
     const std::vector<double> asked = test::random_floats(GetParam().grid.all_pixels(), 9);
@@ -192,6 +192,28 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
         for (std::size_t k = 0; k < found.size(); ++k)
             EXPECT_NEAR(found[k], expected[k], 2e-3 * largest + 1e-3) << "parameter " << k << " of the group at " << first;
     }
+}
+
+/// Of a loss that is a mean over a million values, which halves hold only by their scale.
+TEST_P(UnetTest, GradientByMatrixUnitsIsNearlyThatOfFloats) {
+    if (!device().info().why_not_matrices.empty()) GTEST_SKIP() << "no matrix units: missing " << device().info().why_not_matrices;
+    prepare();
+    const float unit = std::exp2(-20.0f);
+    const std::vector<double> asked = test::random_floats(GetParam().grid.all_pixels(), 9, double(unit));
+    std::vector<std::vector<double>> gradients;
+    for (const refine::Precision precision : {refine::Precision::fp32, refine::Precision::fp16}) {
+        refine::Unet unet(device(), network_, precision);
+        unet.reserve(device(), GetParam().grid, true);
+        fill_inputs(unet);
+        const_cast<Array<float>&>(unet.d_logit().values).upload(std::vector<float>(asked.begin(), asked.end()));
+        Stream stream(device());
+        stream.fill(unet.gradients());
+        unet.forward(stream, 1, 0.0f);
+        unet.backward(stream, 1.0f / unit);
+        stream.finish();
+        gradients.push_back(test::doubles(unet.gradients()));
+    }
+    expect_near(gradients[1], gradients[0], 0.02, "gradient");
 }
 
 }  // namespace

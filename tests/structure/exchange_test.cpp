@@ -25,7 +25,8 @@ struct OwnElements {
 };
 const OwnElements kOwnElements[] = {
     {"accel/bvh_wide_scan", {"tiles"}}, {"loss/geometry_loss", {"upstream"}}, {"loss/log_range", {"upstream"}},
-    {"loss/surfel_loss", {"d_surfels.mean", "d_surfels.opacity_logit"}}, {"refine/conv", {"to.values"}}};
+    {"loss/surfel_loss", {"d_surfels.mean", "d_surfels.opacity_logit"}}, {"refine/conv", {"to.values"}},
+    {"refine/conv_matrix", {"to.values"}}};
 
 TEST(Exchange, NoKernelDoesSo) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {

@@ -40,8 +40,8 @@ void measure(Device& device, const RefineOptions& options, int rows, int columns
     MeasuredDropNetwork network(device, options, rows, columns);
     const double step = median_ms(repeat, [&] { network.step(); }), infer = median_ms(repeat, [&] { network.infer(); }),
                  giga = 1e-6 * network.operations();
-    fmt::print("{:>8} x {:<6} {:10.2f} {:14.1f} {:10.2f} {:14.1f}\n", rows, columns, step, 3.0 * options.batch * giga / step, infer,
-               giga / infer);
+    fmt::print("{:>8} x {:<6} {:>9} {:10.2f} {:14.1f} {:10.2f} {:14.1f}\n", rows, columns, options.precision, step,
+               3.0 * options.batch * giga / step, infer, giga / infer);
     print_kernels(network.times(), repeat + 1);
 }
 
@@ -51,9 +51,11 @@ int main(int argc, char** argv) {
     CLI::App app("the ray-drop network: milliseconds of a training step and of an inference, medians of wall times");
     int repeat = 5, index = -1, rows = 0, columns = 0;
     RefineOptions options;
+    std::vector<std::string> precisions{options.precision};
     app.add_option("--network", options.network, "small, paper or pixel");
     app.add_option("--width", options.width, "channels at full size; 0: the network's own");
     app.add_option("--batch", options.batch, "images a step")->check(CLI::Range(1, 1024));
+    app.add_option("--precision", precisions, "fp32, fp16 or both: fp32,fp16")->delimiter(',');
     app.add_option("--rows", rows, "of the image; not given: 66 x 1030 and 64 x 2650");
     app.add_option("--columns", columns)->needs("--rows");
     app.add_option("--repeat", repeat, "runs of each")->check(CLI::Range(1, 10000));
@@ -65,10 +67,14 @@ int main(int argc, char** argv) {
         Device device(from_environment(chosen));
         fmt::print("{}; network {}, {} parameters, batch {}, medians of {} runs\n", device.info().name, options.network,
                    count_parameters(options), options.batch, repeat);
-        fmt::print("{:<17} {:>10} {:>14} {:>10} {:>14}\n", "image", "step ms", "GFLOP/s", "infer ms", "GFLOP/s");
-        if (rows > 0) return measure(device, options, rows, columns, repeat), 0;
-        measure(device, options, 66, 1030, repeat);
-        measure(device, options, 64, 2650, repeat);
+        fmt::print("{:<17} {:>9} {:>10} {:>14} {:>10} {:>14}\n", "image", "precision", "step ms", "GFLOP/s", "infer ms", "GFLOP/s");
+        std::vector<std::pair<int, int>> sizes{{66, 1030}, {64, 2650}};
+        if (rows > 0) sizes = {{rows, columns}};
+        for (const auto& [of_rows, of_columns] : sizes)
+            for (const std::string& precision : precisions) {
+                options.precision = precision;
+                measure(device, options, of_rows, of_columns, repeat);
+            }
     } catch (const std::exception& error) {
         fmt::print(stderr, "relidar_bench_drop_network: {}\n", error.what());
         return 1;

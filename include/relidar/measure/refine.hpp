@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <string>
 
 #include <relidar/gpu.hpp>
 #include <relidar/refine.hpp>
@@ -24,7 +25,8 @@ struct ConvolutionSize {
 /// One on a device, of values that are not zero, run pass by pass. Each call blocks until its pass is done.
 class MeasuredConvolution {
 public:
-    MeasuredConvolution(Device& device, const ConvolutionSize& size);
+    /// @param precision  as RefineOptions has it
+    MeasuredConvolution(Device& device, const ConvolutionSize& size, const std::string& precision = "fp32");
     ~MeasuredConvolution();
 
     void forward();
