@@ -239,6 +239,7 @@ void finish_scene(const Options& options, const Config& config, const std::strin
     const bool has_network = !run.drop_network.empty() && same_group(run.config, config, "refine.");
     run.config = config;
     Device device(device_options(options.device));
+    check_network(device, config);
     const Sequence log = load_dataset(config, options.quiet);
     attach_scans(run, run.split.train, log);
     attach_scans(run, run.split.test, log);
@@ -293,6 +294,7 @@ void run_train(const Options& given, const std::string& command_line) {
     if (resume && in_blocks) check_trained_blocks(options.out, config);
     std::optional<Checkpoint> start = resume && !in_blocks ? find_start(options) : std::nullopt;
     Device device(device_options(options.device));
+    check_network(device, config);
     Sequence sequence = load_dataset(config, options.quiet);
     const Split split = split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
     if (!options.quiet) announce(sequence, split, device, start ? &*start : nullptr);

@@ -104,6 +104,13 @@ void place_shown(Device& device, Run& run, bool quiet) {
     std::fflush(stdout);
 }
 
+void check_network(const Device& device, const Config& config) {
+    const DeviceInfo& info = device.info();
+    if (!config.refine.enabled || config.refine.precision == "fp32" || info.why_not_matrices.empty()) return;
+    throw DeviceError(fmt::format("training with refine.precision={} on {}: missing {}; set refine.precision=fp32", config.refine.precision,
+                                  info.name, info.why_not_matrices));
+}
+
 bool refine_shown(Device& device, Run& run, bool quiet, RefineSession session) {
     Progress progress(quiet);
     session.progress = shown_by(progress);

@@ -22,6 +22,9 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
 /// place_held_out() with a progress line, telling how far scans moved. Ctrl-C leaves them where they are.
 void place_shown(Device& device, Run& run, bool quiet);
 
+/// @throws DeviceError where this device or build cannot train the network that a training ends with: before that training
+void check_network(const Device& device, const Config& config);
+
 /// Trains the ray-drop network of a run whose sequence has its scans, with a progress line. @return whether it was not interrupted
 /// @param session  its progress, step, stop and note are filled in here
 bool refine_shown(Device& device, Run& run, bool quiet, RefineSession session = {});
