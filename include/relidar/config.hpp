@@ -60,7 +60,7 @@ struct TrainConfig {
     double mean_rate_final = 1.6e-6;
     double rotation_rate = 1e-3;
     double scale_rate = 5e-3;
-    double max_scale_m = 1000.0;     ///< scales grow to this standard deviation at most (the paper: without end)
+    double max_growth = 1000.0;      ///< surfels grow to so many times the standard deviation that they began with (paper: without end)
     double opacity_rate = 0.05;
     double sh_rate = 2.5e-3;
     double sh_rest_factor = 0.05;

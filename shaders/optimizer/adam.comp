@@ -2,7 +2,7 @@
 // Adam (Kingma and Ba) over one parameter group, one thread a row, or a float (PER_FLOAT): neighbouring threads then read neighbouring
 // addresses, which a GPU loads together; a CPU gains nothing by it. Gradients of rows not touched do not count: they are zero, or the row
 // is left as it is.
-// Input: gradients, touched. In place: values, moment1, moment2.
+// Input: gradients, touched, bounds. In place: values, moment1, moment2.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
@@ -22,7 +22,8 @@ void update(uint row, uint column, bool has_gradient) {
     params.moment2.at[i] = v;
     float rate = params.learning_rate * (within == 0u ? params.first_scale : 1.0) * (column < params.block ? params.block_scale : 1.0);
     float value = params.values.at[i] - rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
-    params.values.at[i] = value > params.ceiling ? params.ceiling : value;   // not min(), which may lose a NaN that somebody looks for
+    if (!is_null(params.bounds) && value > params.bounds.at[row]) value = params.bounds.at[row];   // a NaN stays, for somebody looks for it
+    params.values.at[i] = value;
 }
 
 void main() {

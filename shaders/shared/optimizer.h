@@ -12,6 +12,7 @@ struct AdamParams {
     Floats moment1;        // in place
     Floats moment2;        // in place
     Uints touched;         // input [n_rows] rows with a gradient, or address 0 = all
+    Floats bounds;         // input [n_rows] no value of a row is stepped beyond it, or address 0 = none
     float learning_rate;
     float beta1;
     float beta2;
@@ -24,7 +25,6 @@ struct AdamParams {
     uint stride;           // floats a row
     uint block;            // columns a block: column 0 of each block has its own rate
     uint n_active;         // columns updated in each block, the first ones
-    float ceiling;         // no value is stepped beyond it; infinite: none
     uint only_touched;     // 1: rows without a gradient stay as they are; 0: theirs is zero
 };
 

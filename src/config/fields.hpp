@@ -168,7 +168,7 @@ void visit_training(C& c, Visitor&& f) {
     f("train.mean_rate_final", c.train.mean_rate_final, at_least(0), "learning rate of the means at the end, times the extent");
     f("train.rotation_rate", c.train.rotation_rate, at_least(0), "learning rate of the rotations");
     f("train.scale_rate", c.train.scale_rate, at_least(0), "learning rate of the log scales");
-    f("train.max_scale_m", c.train.max_scale_m, above(0), "surfels grow to this standard deviation at most, metres");
+    f("train.max_growth", c.train.max_growth, at_least(1), "surfels grow to so many times their first standard deviation at most");
     f("train.opacity_rate", c.train.opacity_rate, at_least(0), "learning rate of the opacity logits");
     f("train.sh_rate", c.train.sh_rate, at_least(0), "learning rate of the constant coefficient of each channel");
     f("train.sh_rest_factor", c.train.sh_rest_factor, at_least(0), "rate of the other coefficients over train.sh_rate");

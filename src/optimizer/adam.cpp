@@ -4,7 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
+#include <span>
 
 #include <relidar/stages/scene.hpp>
 
@@ -21,7 +21,6 @@ double exponential_schedule(double start, double end, int step, int n_steps) {
 
 namespace {
 
-constexpr float kNone = std::numeric_limits<float>::infinity();   // no ceiling
 constexpr std::uint32_t kStreamingThreads = 128;   // of a workgroup: with 32 a GPU could not fill itself
 
 std::vector<Constant> constants(bool per_float) {
@@ -36,6 +35,7 @@ struct Adam::Impl {
     AdamOptions options;
     bool per_float;
     SurfelArrays moment1, moment2;
+    Array<float> max_log_scale;
     Kernel<shared::AdamParams> kernel;
 
     Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, Primitive primitive)
@@ -43,6 +43,7 @@ struct Adam::Impl {
           per_float(o.thread_per_float.value_or(coalesces(device))),
           moment1(device, n_surfels - std::min(o.n_fixed, n_surfels), "first moment", primitive),
           moment2(device, moment1.n, "second moment", primitive),
+          max_log_scale(device, 0, "bounds of scales"),
           kernel(device, "optimizer/adam", constants(per_float)) {}
 };
 
@@ -56,6 +57,11 @@ Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, 
 Adam::~Adam() = default;
 SurfelArrays& Adam::moment1() { return impl_->moment1; }
 SurfelArrays& Adam::moment2() { return impl_->moment2; }
+Array<float>& Adam::max_log_scale() { return impl_->max_log_scale; }
+
+void Adam::bound_scales(Device& device, const std::vector<float>& max_log_scale) {
+    impl_->max_log_scale = Array<float>(device, std::span<const float>(max_log_scale), "bounds of scales");
+}
 
 void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t>* touched, const LearningRates& rates,
                 int step, int sh_degree) {
@@ -63,6 +69,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
     const std::uint32_t first = std::min(a.options.n_fixed, p.n), n_rows = p.n - first;
     RELIDAR_ASSERT_LE(n_rows, a.moment1.n);
     RELIDAR_ASSERT_LE(p.n, g.n);
+    RELIDAR_ASSERT_EQ(a.max_log_scale.size() == 0 || a.max_log_scale.size() == p.n, true);
     const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step)));
     const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step)));
     const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
@@ -76,6 +83,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
              .moment1 = (a.moment1.*group.device).address(),
              .moment2 = (a.moment2.*group.device).address(),
              .touched = touched ? touched->address(first) : Address<std::uint32_t>{},
+             .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first) : Address<float>{},
              .learning_rate = static_cast<float>(rates.*group.rate * rest_factor),
              .beta1 = static_cast<float>(a.options.beta1),
              .beta2 = static_cast<float>(a.options.beta2),
@@ -88,7 +96,6 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
              .stride = stride,
              .block = block,
              .n_active = group.harmonics ? active_harmonics : block,
-             .ceiling = group.ceiling ? static_cast<float>(rates.*group.ceiling) : kNone,
              .only_touched = a.options.only_touched ? 1u : 0u});
     }
 }
@@ -125,6 +132,7 @@ void ArrayAdam::step(Stream& stream, const Array<float>& values, const Array<flo
          .moment1 = a.moment1.address(),
          .moment2 = a.moment2.address(),
          .touched = {},
+         .bounds = {},
          .learning_rate = static_cast<float>(rate),
          .beta1 = static_cast<float>(a.options.beta1),
          .beta2 = static_cast<float>(a.options.beta2),
@@ -137,7 +145,6 @@ void ArrayAdam::step(Stream& stream, const Array<float>& values, const Array<flo
          .stride = 1,
          .block = 1,
          .n_active = 1,
-         .ceiling = kNone,
          .only_touched = 0});
 }
 

@@ -52,8 +52,7 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
             c.opacity_rate * decay,
             c.sh_rate * decay,
             c.sh_rest_factor,
-            c.intensity_factor,
-            std::log(c.max_scale_m)};
+            c.intensity_factor};
 }
 
 /// Active degree of the spherical harmonics; the image's own may be lower.
@@ -75,6 +74,17 @@ RendererOptions renderer_options(const Config& config, const TrainingFrames& fra
             .trace = training_trace_options(config),
             .n_rays = most_rays(frames.all()),
             .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
+}
+
+/// How far each surfel may grow: what lies close together began small and has no need to be large, what lies far apart must close holes.
+std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
+    std::vector<float> bounds;
+    for (std::size_t i = 0; i < surfels.size(); ++i) {
+        float largest = std::max(surfels.log_scale[i].x, surfels.log_scale[i].y);
+        if (!surfels.log_scale_w.empty()) largest = std::max(largest, surfels.log_scale_w[i]);
+        bounds.push_back(largest + static_cast<float>(std::log(max_growth)));
+    }
+    return bounds;
 }
 
 /// What a part of a footprint counts that does not explain its beam's range. As the likelihood's own floor, it only has to be small.
@@ -135,6 +145,8 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       sampler_(frames_.all().size(), config.train.seed) {
     for (std::size_t i = 0; i < frames_.all().size(); ++i)
         frames_[i].placed = place_instances(initial, sequence, moment_of(sequence.frames[std::size_t(frames_[i].position)]));
+    if (config.densify.strategy == DensifyStrategy::none)   // else there are others soon, and large ones are split
+        adam_.bound_scales(device, scale_bounds(initial.surfels, config.train.max_growth));
     if (config.densify.strategy != DensifyStrategy::none || config.densify.prune_unseen)
         densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.all().size()),
                            config.train.seed);

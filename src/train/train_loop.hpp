@@ -109,6 +109,7 @@ private:
         visit("parameters", renderer_.scene().parameters());
         visit("moment1", adam_.moment1());
         visit("moment2", adam_.moment2());
+        if (adam_.max_log_scale().size() > 0) visit("max_log_scale", adam_.max_log_scale());
         visit("extent_m", extent_m_);
         reports_.visit_state(visit);
         sampler_.visit_state(visit);

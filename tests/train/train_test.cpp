@@ -57,6 +57,30 @@ TEST_P(TrainEither, LearnsTheStreet) {
               0.9 * held_out_error(device(), untrained.scene, config, street, split));
 }
 
+TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
+    const Sequence street = make_synthetic_street(small_street());
+    const Split split = split_frames(street, 10);
+    Config config = small_config();
+    config.image.primitive = GetParam();
+    config.train.scale_rate = 0.1;
+    config.train.max_growth = 1.3;
+    const auto trained = [&](int iterations) {
+        config.train.iterations = iterations;
+        return train(device(), street, split, config, [](const TrainProgress&) { return true; }).scene.surfels;
+    };
+    const Surfels first = trained(0), last = trained(20);
+    ASSERT_EQ(first.size(), last.size());
+    std::size_t at_the_bound = 0;
+    for (std::size_t i = 0; i < last.size(); ++i) {
+        const bool has_three = !first.log_scale_w.empty();
+        const float began = std::max({first.log_scale[i].x, first.log_scale[i].y, has_three ? first.log_scale_w[i] : -100.0f});
+        const float ended = std::max({last.log_scale[i].x, last.log_scale[i].y, has_three ? last.log_scale_w[i] : -100.0f});
+        EXPECT_LE(ended - began, std::log(1.3f) + 1e-5f);
+        at_the_bound += ended - began > std::log(1.29f);
+    }
+    EXPECT_GT(at_the_bound, last.size() / 100);
+}
+
 /// One drop logit starts at the same ray-drop probability as two and learns; hit logits stay 0, through training and in the saved scene.
 TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
     const Sequence street = make_synthetic_street(small_street());

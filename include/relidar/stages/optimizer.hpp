@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <vector>
 
 #include <relidar/stages/gpu.hpp>
 #include <relidar/stages/scene.hpp>
@@ -35,6 +36,10 @@ public:
               const LearningRates& rates, int step, int sh_degree);
     SurfelArrays& moment1();
     SurfelArrays& moment2();
+    /// From now on no standard deviation is stepped beyond these. Their number must stay what it is.
+    /// @param max_log_scale [n] log m, for every surfel
+    void bound_scales(Device& device, const std::vector<float>& max_log_scale);
+    Array<float>& max_log_scale();   ///< [n], or nothing where there are no bounds
 
 private:
     struct Impl;

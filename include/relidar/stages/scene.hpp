@@ -4,7 +4,6 @@
 
 #include <array>
 #include <cstdint>
-#include <limits>
 #include <memory>
 #include <optional>
 #include <span>
@@ -39,7 +38,7 @@ struct SurfelArrays {
     void fill_zero(Stream& stream);
 };
 
-/// Learning rates of one step, and how far it may go.
+/// Learning rates of one step.
 struct LearningRates {
     double mean = 1.6e-4;          ///< metres; the schedule multiplies by the extent
     double rotation = 1e-3;
@@ -48,7 +47,6 @@ struct LearningRates {
     double sh = 2.5e-3;            ///< DC coefficient of each channel
     double sh_rest_factor = 0.05;  ///< of the other coefficients
     double intensity_factor = 1.0; ///< of all coefficients of the intensity, over those of the drop logits
-    double max_log_scale = std::numeric_limits<double>::infinity();   ///< scales grow to this at most, log m
 };
 
 /// A group of parameters: what whoever treats all parameters alike (arrays, optimiser, densification, files) has to know of it.
@@ -57,7 +55,7 @@ struct ParameterGroup {
     std::array<std::uint32_t, 2> row;  ///< shape of the floats of one surfel; {3, 1} is a row of 3, {1, 1} a single number
     double LearningRates::*rate;
     bool harmonics;                                      ///< the last dimension is the coefficients of the SH basis
-    double LearningRates::*ceiling;                      ///< that no step takes a value beyond; null: none
+    bool scales;                                         ///< standard deviations, which may be bounded
     Array<float> SurfelArrays::*device;                  ///< [n, floats()]
     std::span<const float> (*values)(const Surfels&);    ///< [n * floats()] on the host
     std::span<float> (*mutable_values)(Surfels&);        ///< the same, to be written
@@ -70,11 +68,10 @@ struct ParameterGroup {
 /// A group that the host keeps in the member kHost of Surfels.
 template <auto kHost>
 constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row, Array<float> SurfelArrays::*device,
-                                        double LearningRates::*rate, bool harmonics = false,
-                                        double LearningRates::*ceiling = nullptr) {
+                                        double LearningRates::*rate, bool harmonics = false, bool scales = false) {
     using Element = typename std::remove_reference_t<decltype(std::declval<Surfels&>().*kHost)>::value_type;
     constexpr std::size_t kFloats = sizeof(Element) / sizeof(float);
-    return {name, row, rate, harmonics, ceiling, device,
+    return {name, row, rate, harmonics, scales, device,
             [](const Surfels& s) { return std::span(reinterpret_cast<const float*>((s.*kHost).data()), kFloats * (s.*kHost).size()); },
             [](Surfels& s) { return std::span(reinterpret_cast<float*>((s.*kHost).data()), kFloats * (s.*kHost).size()); },
             [](Surfels& s, std::size_t n_floats) { (s.*kHost).resize(n_floats / kFloats); }};
@@ -85,12 +82,10 @@ constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32
 inline constexpr std::array<ParameterGroup, 6> kParameterGroups{{
     describe_group<&Surfels::mean>("mean", {3, 1}, &SurfelArrays::mean, &LearningRates::mean),
     describe_group<&Surfels::rotation>("rotation", {4, 1}, &SurfelArrays::rotation, &LearningRates::rotation),
-    describe_group<&Surfels::log_scale>("log_scale", {2, 1}, &SurfelArrays::log_scale, &LearningRates::log_scale, false,
-                                        &LearningRates::max_log_scale),
+    describe_group<&Surfels::log_scale>("log_scale", {2, 1}, &SurfelArrays::log_scale, &LearningRates::log_scale, false, true),
     describe_group<&Surfels::opacity_logit>("opacity_logit", {1, 1}, &SurfelArrays::opacity_logit, &LearningRates::opacity_logit),
     describe_group<&Surfels::sh>("sh", {kShChannels, kShCoefficients}, &SurfelArrays::sh, &LearningRates::sh, true),
-    describe_group<&Surfels::log_scale_w>("log_scale_w", {1, 1}, &SurfelArrays::log_scale_w, &LearningRates::log_scale, false,
-                                          &LearningRates::max_log_scale),
+    describe_group<&Surfels::log_scale_w>("log_scale_w", {1, 1}, &SurfelArrays::log_scale_w, &LearningRates::log_scale, false, true),
 }};
 
 /// The groups of a primitive.
