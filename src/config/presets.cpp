@@ -72,7 +72,7 @@ Config standard() {
     config.train.mean_rate_final = 1e-6;
     config.train.rotation_rate = 3e-4;
     config.train.scale_rate = 1e-2;
-    config.train.max_growth = 4.0;                     // without end a tenth grew beyond 0.5 m in 1900 steps of `quick`, some to 8 m
+    config.train.max_growth = 8.0;                     // without end a tenth grew beyond 0.5 m in 1900 steps of `quick`, some to 8 m
     config.train.sh_rate = 3e-2;
     config.train.intensity_factor = 0.25;              // else intensities know the few views that they have seen too well
     config.train.rate_decay = 0.05;
