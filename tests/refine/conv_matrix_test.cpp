@@ -10,6 +10,7 @@
 
 #include "../support/device.hpp"
 #include "gpu/stream.hpp"
+#include "conv_case.hpp"
 #include "images.hpp"
 #include "refine/conv.hpp"
 
@@ -19,15 +20,7 @@ namespace {
 using refine::Conv, refine::Grid, refine::Precision;
 using test::OnDevice, test::worst_error;
 
-struct Case {
-    std::uint32_t taps;
-    Grid grid;
-    int n_in, n_out;
-};
-
-void PrintTo(const Case& c, std::ostream* out) {
-    *out << c.taps << " taps, " << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.n_in << " -> " << c.n_out;
-}
+using Case = test::ConvCase;
 
 /// Tests of what needs matrix units.
 class MatrixTest : public test::DeviceTest {
