@@ -93,9 +93,9 @@ Config quick() {
     config.image.transmittance_min = 1e-2f;
     config.image.sh_degree = 1;
     config.train.iterations = 600;
-    // few steps: rates that get there. Scales at 0.04 are better still on one log, and diverge on another that starts with larger discs
+    // few steps: rates that get there (docs/results.md). Discs that grow this fast need train.max_growth
     config.train.opacity_rate = 0.1;
-    config.train.scale_rate = 2e-2;
+    config.train.scale_rate = 4e-2;
     config.train.rotation_rate = 3e-3;
     config.train.sh_rate = 6e-2;
     config.train.rays_per_iteration = 16384;

@@ -23,6 +23,8 @@ constexpr double kMinPoints = 12;        // that moved
 constexpr double kMaxLength_m = 14.0;
 constexpr double kSeenThroughShare = 0.25;   // of the frames that see a cell: what drives ahead hides where it was
 constexpr int kSeldomSeen = 3;           // frames: what rests is seen by more, unless it is far or hidden
+constexpr double kGroundBelow_m = 0.05;  // what moved: what is lower and seldom seen is the ground around it
+constexpr double kGapAbove_m = 1.0;       // with nothing in it: what is higher is another thing. Beams two degrees apart have it at 29 m
 constexpr double kMovedShare = 0.15;      // of the returns of a group
 constexpr std::size_t kStretch = 200;     // frames at a time, at least, whose returns are in memory; cells that two see are asked twice
 
@@ -88,6 +90,18 @@ std::vector<glm::vec3> number_cells(std::vector<std::vector<Return>>& frames) {
     return points;
 }
 
+/// What stands is in one piece from top to bottom, a tree above it is another: heights between which most of what moved in a group lies,
+/// without what is lower than all of that, which is ground. @param heights_m  of what moved; not none
+std::pair<double, double> heights_of_one(std::vector<double> heights_m) {
+    std::sort(heights_m.begin(), heights_m.end());
+    std::size_t best = 0, n_best = 0;
+    for (std::size_t first = 0, end; first < heights_m.size(); first = end) {
+        for (end = first + 1; end < heights_m.size() && heights_m[end] - heights_m[end - 1] < kGapAbove_m;) ++end;
+        if (end - first > n_best) best = first, n_best = end - first;
+    }
+    return {heights_m[best] - kGroundBelow_m, heights_m[best + n_best - 1] + kGapAbove_m};
+}
+
 /// Groups of returns whose squares of the ground are near each other; those seldom seen only beside one that moved.
 std::vector<MoverCluster> group(const std::vector<Return>& returns) {
     std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;
@@ -98,21 +112,16 @@ std::vector<MoverCluster> group(const std::vector<Return>& returns) {
     for (std::uint32_t start = 0; start < returns.size(); ++start) {
         if (taken[start] || returns[start].motion != Motion::moved) continue;
         MoverCluster cluster;
-        glm::dvec3 low(1e30), high(-1e30);
-        double n_moved = 0.0;
-        std::vector<std::uint32_t> open{start};
+        std::vector<std::uint32_t> open{start}, members;
+        std::vector<double> moved_at_m;
         taken[start] = 1;
         while (!open.empty()) {
+            members.push_back(open.back());
             const Return& here = returns[open.back()];
             const glm::dvec3 p(here.point_m);
-            const bool moved = here.motion == Motion::moved;
-            cluster.time_s += here.time_s;
-            n_moved += moved;
             open.pop_back();
-            cluster.points_m.push_back(p);
-            cluster.centre_m += p;
-            low = glm::min(low, p), high = glm::max(high, p);
-            if (!moved) continue;   // a group grows from what moved alone, by what is near that
+            if (here.motion != Motion::moved) continue;   // a group grows from what moved alone, by what is near that
+            moved_at_m.push_back(p.z);
             for (int dx = -kReach; dx <= kReach; ++dx)
                 for (int dy = -kReach; dy <= kReach; ++dy) {
                     const auto near = squares.find(square_of(p + kSquare_m * glm::dvec3(dx, dy, 0.0)));
@@ -121,6 +130,18 @@ std::vector<MoverCluster> group(const std::vector<Return>& returns) {
                         if (!std::exchange(taken[j], 1)) open.push_back(j);
                     near->second.clear();   // all of them are taken
                 }
+        }
+        const auto [bottom_m, top_m] = heights_of_one(std::move(moved_at_m));
+        glm::dvec3 low(1e30), high(-1e30);
+        double n_moved = 0.0;
+        for (const std::uint32_t member : members) {
+            const glm::dvec3 p(returns[member].point_m);
+            if (p.z < bottom_m || p.z > top_m) continue;
+            n_moved += returns[member].motion == Motion::moved;
+            cluster.time_s += returns[member].time_s;
+            cluster.points_m.push_back(p);
+            cluster.centre_m += p;
+            low = glm::min(low, p), high = glm::max(high, p);
         }
         const double n = double(cluster.points_m.size());
         cluster.time_s /= n;

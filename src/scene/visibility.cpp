@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
+#include <numeric>
 #include <utility>
 
 #include "core/cell_key.hpp"
@@ -13,24 +15,46 @@ namespace relidar {
 
 namespace {
 
-constexpr int kRows = 64, kColumns = 1024;
-constexpr int kMinReturns = 3;         // of the 3 x 3 pixels around a point
+constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns = 1024;
+constexpr double kCellsPerRay = 4.0 / 3.0;   // six cells around a point hold four or five returns
+constexpr double kBeyond_rad = 0.002;  // the outermost beams: about a beam's own width
+constexpr int kMinReturns = 3;         // of the 2 x 3 cells around a point
 constexpr int kSectors = 64;           // of a sweep: in one the sensor moves by millimetres to centimetres
+constexpr double kBehind = 1.5;        // margins, that what is seen through a point lies behind it
 constexpr double kTile_m = 8.0;        // of the ground, whose points ask the same frames
 constexpr double kNear_m = 40.0;       // a sensor farther away sees a person as a return or two, and most places not at all
 constexpr double kHardlyFarther = 1.25;   // than the nearest sensor, where none is near
 constexpr std::size_t kMostViews = 64;
 
-/// A grid over a LiDAR's vertical field of view: a beam or so a row, and as fine as any where it has no beams. @param scan  one of its own
-RangeGrid grid_over(const SpinningSensor& sensor, const Scan& scan) {
-    double low = 1e9, high = -1e9;
-    const auto add = [&](double elevation_rad) { low = std::min(low, elevation_rad), high = std::max(high, elevation_rad); };
-    for (const Beam& beam : sensor.beams) add(beam.elevation_rad);
-    if (sensor.beams.empty())
-        for (const glm::vec3& d : scan.rays.direction) add(std::asin(std::clamp(double(d.z), -1.0, 1.0)));
-    const double margin = 0.02;
-    const int rows = sensor.beams.empty() ? kRows : std::min(kRows, static_cast<int>(sensor.beams.size()));
-    return {"visibility", rows, kColumns, high + margin, high - low + 2.0 * margin, 1e6};
+double elevation_rad(const glm::vec3& direction) { return std::asin(std::clamp(double(direction.z), -1.0, 1.0)); }
+
+/// Elevations of the rows of a scan, falling; of rays that are in no rows, even steps over what they see.
+std::vector<double> row_elevations(const RayTable& rays) {
+    std::vector<double> rows;
+    if (rays.rows > 1) {
+        rows.resize(std::size_t(rays.rows));
+        for (std::size_t ray = 0; ray < rays.size(); ++ray)
+            rows[ray / std::size_t(rays.columns)] += elevation_rad(rays.direction[ray]) / rays.columns;
+    } else {
+        double low = 1e9, high = -1e9;
+        for (const glm::vec3& d : rays.direction) low = std::min(low, elevation_rad(d)), high = std::max(high, elevation_rad(d));
+        for (int k = 0; k < kEvenRows; ++k) rows.push_back(high + (low - high) * k / (kEvenRows - 1));
+    }
+    std::sort(rows.begin(), rows.end(), std::greater<>());
+    return rows;
+}
+
+/// Columns of a turn, a little narrower than the rays of a row are apart.
+int columns_of(const RayTable& rays) {
+    if (rays.rows <= 1 || rays.columns <= 1) return kMostColumns;
+    const auto azimuth = [&](int column) {
+        const glm::vec3 d = rays.direction[std::size_t(rays.rows / 2) * std::size_t(rays.columns) + std::size_t(column)];
+        return std::atan2(double(d.y), double(d.x));
+    };
+    double turned = 0.0;
+    for (int c = 1; c < rays.columns; ++c) turned += std::abs(std::remainder(azimuth(c) - azimuth(c - 1), 2.0 * kPi));
+    const double columns = kCellsPerRay * 2.0 * kPi * (rays.columns - 1) / std::max(turned, 1e-9);
+    return static_cast<int>(std::clamp(std::round(columns), double(kFewestColumns), double(kMostColumns)));
 }
 
 glm::dvec3 tile_centre(const glm::dvec3& p) {
@@ -47,6 +71,45 @@ void thin_out(std::vector<std::uint32_t>& views) {
 
 }  // namespace
 
+BeamGrid::BeamGrid(const Scan& scan) {
+    if (scan.rays.direction.empty()) return;
+    columns_ = columns_of(scan.rays);
+    const std::vector<double> elevations = row_elevations(scan.rays);
+    const double least_height = (elevations.front() - elevations.back()) / kMostRows;
+    for (auto first = elevations.begin(); first != elevations.end();) {
+        const auto end = std::find_if(first, elevations.end(), [&](double e) { return *first - e >= least_height && e < *first; });
+        row_rad_.push_back(std::accumulate(first, end, 0.0) / double(end - first));
+        first = end;
+    }
+}
+
+std::optional<BeamGrid::Place> BeamGrid::place(const glm::dvec3& point_m) const {
+    const double range = glm::length(point_m);
+    if (!(range > 0.0) || row_rad_.empty()) return std::nullopt;
+    const double elevation = std::asin(std::clamp(point_m.z / range, -1.0, 1.0));
+    Place place;
+    place.is_beyond = elevation > row_rad_.front() + kBeyond_rad || elevation < row_rad_.back() - kBeyond_rad;
+    place.row_below = static_cast<int>(std::upper_bound(row_rad_.begin(), row_rad_.end(), elevation, std::greater<>()) - row_rad_.begin());
+    const auto off = [&](int row) { return row < 0 || row >= rows() ? 1e9 : std::abs(row_rad_[std::size_t(row)] - elevation); };
+    place.row = off(place.row_below) < off(place.row_below - 1) ? place.row_below : place.row_below - 1;
+    place.column = static_cast<int>(std::lround((1.0 - std::atan2(point_m.y, point_m.x) / kPi) / 2.0 * columns_) % columns_);
+    return place;
+}
+
+std::vector<float> BeamGrid::nearest_m(const Scan& scan) const {
+    std::vector<float> nearest(std::size_t(rows()) * std::size_t(columns_));
+    for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
+        if (!(scan.range_m[ray] > 0.0f)) continue;
+        const glm::vec3 point = scan.point(ray);
+        const std::optional<Place> at = place(glm::dvec3(point));
+        if (!at) continue;
+        float& here = nearest[std::size_t(at->row * columns_ + at->column)];
+        const float range = glm::length(point);
+        here = here > 0.0f ? std::min(here, range) : range;
+    }
+    return nearest;
+}
+
 Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positions)
     : sequence_(sequence), positions_(positions) {
     grids_.resize(sequence.lidars.size());   // those of LiDARs without a view are not asked
@@ -54,7 +117,7 @@ Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positio
     for (const int position : positions) {
         const Frame& frame = sequence.frames[std::size_t(position)];
         const std::size_t lidar = std::size_t(frame.lidar);
-        if (!std::exchange(has_grid[lidar], 1)) grids_[lidar] = grid_over(sequence.lidars[lidar].sensor, frame.scan);
+        if (!std::exchange(has_grid[lidar], 1)) grids_[lidar] = BeamGrid(frame.scan);
         views_.push_back({frame.time_s, frame.lidar, {}, {}});
     }
     sort_by_tile();
@@ -85,10 +148,7 @@ void Visibility::make(View& view, const Frame& frame) const {
         view.sensor_from_world.push_back(inverse(sequence_.world_from_vehicle.at(
             facing_time(sequence_, {std::cos(azimuth), std::sin(azimuth), 0.0}, moment_of(frame)), mounted)));
     }
-    std::vector<glm::vec3> points;
-    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
-        if (frame.scan.range_m[ray] > 0.0f) points.push_back(frame.scan.point(ray));
-    view.range_m = project_points(grids_[std::size_t(frame.lidar)], points, std::vector<float>(points.size(), 0.0f)).range_m;
+    view.range_m = grids_[std::size_t(frame.lidar)].nearest_m(frame.scan);
 }
 
 void Visibility::sort_by_tile() {
@@ -132,14 +192,13 @@ Visibility::Surroundings Visibility::around(const View& view, const glm::dvec3& 
     const int sector = static_cast<int>((0.5 + std::atan2(roughly.y, roughly.x) / (2.0 * kPi)) * n_sectors);
     const glm::dvec3 p = view.sensor_from_world[std::size_t(std::clamp(sector, 0, n_sectors - 1))] * point_m;
     Surroundings result;
-    const RangeGrid& grid = grids_[std::size_t(view.lidar)];
-    const std::optional<int> pixel = project(grid, p);
-    if (!pixel) return result;
+    const BeamGrid& grid = grids_[std::size_t(view.lidar)];
+    const std::optional<BeamGrid::Place> at = grid.place(p);
+    if (!at || at->is_beyond) return result;
     result.range_m = glm::length(p);
-    const int row = *pixel / grid.columns, column = *pixel % grid.columns;
-    for (int r = std::max(row - 1, 0); r <= std::min(row + 1, grid.rows - 1); ++r)
-        for (int c = column - 1; c <= column + 1; ++c)
-            if (const float value = view.range_m[std::size_t(r * grid.columns + (c + grid.columns) % grid.columns)]; value > 0.0f)
+    for (int r = std::max(at->row_below - 1, 0); r <= std::min(at->row_below, grid.rows() - 1); ++r)
+        for (int c = at->column - 1; c <= at->column + 1; ++c)
+            if (const float value = view.range_m[std::size_t(r * grid.columns() + (c + grid.columns()) % grid.columns())]; value > 0.0f)
                 result.returned_m[result.n++] = value;
     return result;
 }
@@ -149,7 +208,7 @@ Sight Visibility::look(std::uint32_t view, const glm::dvec3& point_m) const {
     if (here.n < kMinReturns) return Sight::nothing;
     const auto [nearest, farthest] = std::minmax_element(here.returned_m, here.returned_m + here.n);
     const double range = here.range_m, margin = 0.3 + 0.02 * range;
-    if (*nearest > range + 2.0 * margin) return Sight::seen_through;
+    if (*nearest > range + kBehind * margin) return Sight::seen_through;
     return range > *nearest - margin && range < *farthest + margin ? Sight::seen : Sight::nothing;
 }
 

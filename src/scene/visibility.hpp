@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// What each frame says about a point: seen (a return lies there), seen through (returns all around it lie well behind it), or
+// What each frame says about a point: seen (a return lies there), seen through (the returns above and below it lie well behind it), or
 // nothing. Points that frames see through belong to something that moved without a label (docs/method.md section 6: better).
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <unordered_map>
 #include <vector>
 
@@ -12,6 +13,31 @@
 namespace relidar {
 
 enum class Sight : char { nothing, seen, seen_through };
+
+/// Directions of a LiDAR in rows and columns. Rows are as its beams are, close or far apart: on the ground a place between two beams is
+/// farther than what the lower one meets, and a row without a beam would leave that unsaid.
+class BeamGrid {
+public:
+    BeamGrid() = default;   ///< no rows: holds no direction
+    explicit BeamGrid(const Scan& scan);   ///< of any of its scans
+
+    /// Where a point is seen.
+    struct Place {
+        int row = 0, column = 0;   ///< the nearest
+        int row_below = 0;         ///< it lies between this row and the one above
+        bool is_beyond = false;    ///< above or below all rows: no beam was meant for it
+    };
+    int rows() const { return static_cast<int>(row_rad_.size()); }
+    int columns() const { return columns_; }   ///< of a turn
+    /// @param point_m [3] sensor frame @return nothing at the sensor itself
+    std::optional<Place> place(const glm::dvec3& point_m) const;
+    /// Nearest returns. @param scan  in the sensor's frame @return [rows * columns] m, 0 where there is none
+    std::vector<float> nearest_m(const Scan& scan) const;
+
+private:
+    std::vector<double> row_rad_;   ///< [rows] elevations, falling
+    int columns_ = 1;
+};
 
 /// Range images of some frames. A point asks at most 64 of them, so that the cost of many points grows with their number alone: frames
 /// whose sensor was within 40 m, or little farther than the nearest was, evenly spread in time. Images are made when points near them are
@@ -52,10 +78,10 @@ private:
         std::vector<Pose> sensor_from_world;   ///< one a sector of the sweep, when the head faces the middle of it; none: not made yet
         std::vector<float> range_m;            ///< [rows*columns] nearest return, 0 where there is none
     };
-    /// A point as a view sees it: its range, and the returned ranges of the 3 x 3 pixels around it.
+    /// A point as a view sees it: its range, and the returns of the 2 x 3 cells around it, of the rows between which it lies.
     struct Surroundings {
         double range_m = 0.0;
-        float returned_m[9];
+        float returned_m[6];
         int n = 0;
     };
     /// Views that a tile of the ground asks.
@@ -64,7 +90,7 @@ private:
         bool wanted = false;
     };
     const Sequence& sequence_;
-    std::vector<RangeGrid> grids_;   ///< [lidars]
+    std::vector<BeamGrid> grids_;    ///< [lidars]
     std::vector<int> positions_;     ///< [views] in the log
     std::vector<View> views_;
     std::unordered_map<std::uint64_t, Tile> tiles_;

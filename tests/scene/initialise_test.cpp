@@ -5,7 +5,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
+#include <fstream>
 #include <functional>
+#include <numeric>
 #include <random>
 
 #include <relidar/dataset.hpp>
@@ -129,6 +132,20 @@ TEST(Initialise, AStreetThatStandsStillStays) {
         options.remove_unlabelled_movers = true;
         EXPECT_GT(double(initialise_background(street, train, options).size()), 0.98 * double(all)) << "LiDAR " << lidar;
     }
+}
+
+/// The lower beams of a VLP-32C lie up to 9 degrees apart. The ground between two of them is nearer than where the upper one meets it.
+TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
+    const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_uneven_beams.json";
+    std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
+    const Sequence street = make_synthetic_street({.n_frames = 12, .moving_cars = false, .rig = rig.string()});
+    std::vector<int> train(street.frames.size());
+    std::iota(train.begin(), train.end(), 0);
+    InitialiseOptions options;
+    const std::size_t all = initialise_background(street, train, options).size();
+    options.remove_unlabelled_movers = true;
+    EXPECT_GT(double(initialise_background(street, train, options).size()), 0.99 * double(all));
+    EXPECT_TRUE(discover_tracks(street, train, options).empty());
 }
 
 TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
