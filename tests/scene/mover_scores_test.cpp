@@ -48,8 +48,22 @@ bool is_of(const BoxTrack& found, const BoxTrack& truth) {
            found.size_m.y < truth.size_m.y + kLarger_m;
 }
 
+/// How far a thing strays from its mean place in the frame of what was discovered of it: 0 where both move alike.
+double strays_m(const BoxTrack& found, const BoxTrack& thing) {
+    std::vector<glm::dvec3> places;
+    for (std::size_t i = 0; i < found.world_from_box.time_s.size(); ++i)
+        if (const double t_s = found.world_from_box.time_s[i]; thing.present(t_s))
+            places.push_back(inverse(found.world_from_box.pose[i]) * thing.world_from_box.at(t_s).translation);
+    glm::dvec3 mean(0.0);
+    for (const glm::dvec3& p : places) mean += p / double(places.size());
+    double farthest = 0.0;
+    for (const glm::dvec3& p : places) farthest = std::max(farthest, glm::distance(p, mean));
+    return farthest;
+}
+
 struct Score {
     std::size_t found = 0, right = 0, present = 0, recalled = 0;
+    std::vector<double> strayed_m;   // of those that are right
     double precision() const { return double(right) / double(std::max<std::size_t>(found, 1)); }
     double recall() const { return double(recalled) / double(std::max<std::size_t>(present, 1)); }
     void expect_good() const {
@@ -57,6 +71,10 @@ struct Score {
                     "(recall %.3f)\n", right, found, precision(), recalled, present, kSeenFrames, recall());
         EXPECT_GE(precision(), 0.95);
         EXPECT_GE(recall(), 0.95);
+        std::vector<double> sorted = strayed_m;
+        std::sort(sorted.begin(), sorted.end());
+        ASSERT_FALSE(sorted.empty());
+        EXPECT_LT(sorted[sorted.size() * 4 / 5], 0.3) << "four of five keep to their thing all the way, ends of the log included";
     }
 };
 
@@ -77,6 +95,7 @@ void add_street(const SyntheticOptions& options, Score& score) {
                 std::ptrdiff_t(times.size()))
                 continue;
             taken[i] = 1;
+            score.strayed_m.push_back(strays_m(found[i], thing));
             ++score.right;
             covered.insert(covered.end(), times.begin(), times.end());
         }
