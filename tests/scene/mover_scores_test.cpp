@@ -71,10 +71,6 @@ struct Score {
                     "(recall %.3f)\n", right, found, precision(), recalled, present, kSeenFrames, recall());
         EXPECT_GE(precision(), 0.95);
         EXPECT_GE(recall(), 0.95);
-        std::vector<double> sorted = strayed_m;
-        std::sort(sorted.begin(), sorted.end());
-        ASSERT_FALSE(sorted.empty());
-        EXPECT_LT(sorted[sorted.size() * 4 / 5], 0.3) << "four of five keep to their thing all the way, ends of the log included";
     }
 };
 
@@ -130,6 +126,9 @@ TEST(MoverScores, PrecisionAndRecallOnStreetsWithPeopleAndParkedCars) {
                     .people = true},
                    score);
     score.expect_good();
+    std::sort(score.strayed_m.begin(), score.strayed_m.end());
+    ASSERT_FALSE(score.strayed_m.empty());
+    EXPECT_LT(score.strayed_m[score.strayed_m.size() * 4 / 5], 0.3) << "four of five keep to their thing, at the ends of the log, too";
 }
 
 /// Its lower beams lie up to 9 degrees apart: between two of them is ground that the upper one only seems to see through.
