@@ -90,8 +90,8 @@ std::vector<glm::vec3> number_cells(std::vector<std::vector<Return>>& frames) {
     return points;
 }
 
-/// What stands is in one piece from top to bottom, a tree above it is another: heights between which most of what moved in a group lies,
-/// without what is lower than all of that, which is ground. @param heights_m  of what moved; not none
+/// A thing is in one piece from bottom to top; a tree above it is another, and so is the ground below. The piece with most of what moved.
+/// @param heights_m  of the returns of a group that moved, one or more @return lowest and highest place of what belongs to it, metres
 std::pair<double, double> heights_of_one(std::vector<double> heights_m) {
     std::sort(heights_m.begin(), heights_m.end());
     std::size_t best = 0, n_best = 0;
