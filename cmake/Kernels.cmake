@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-# add_kernel(stage/stem [TRACES] [ACCUMULATES]): compiles shaders/<stage>/<stem>.comp to SPIR-V and embeds it in the library.
+# add_kernel(stage/stem [TRACES] [ACCUMULATES] [IMAGES]): compiles shaders/<stage>/<stem>.comp to SPIR-V and embeds it in the library.
 #   TRACES       built once per traversal backend: @ray_query, @software_bvh, @brute_force
 #   ACCUMULATES  built once with the device's float atomics and once with compare-and-swap: suffix _atomics, _swap
+#   IMAGES       built once for images of floats and once for images of halves: @halves
 # embed_kernels(<target>): generates the table that relidar::embedded_kernels() returns. Nothing to find at run time.
 find_program(RELIDAR_GLSLANG glslangValidator REQUIRED)
 find_program(RELIDAR_SPIRV_VAL spirv-val)
@@ -53,11 +54,14 @@ function(_relidar_compile name source defines)
 endfunction()
 
 function(add_kernel path)
-    cmake_parse_arguments(KERNEL "TRACES;ACCUMULATES" "" "" ${ARGN})
+    cmake_parse_arguments(KERNEL "TRACES;ACCUMULATES;IMAGES" "" "" ${ARGN})
     set(source ${PROJECT_SOURCE_DIR}/shaders/${path}.comp)
     set(variants "@|")  # no backend: "stem", or "stem@_atomics" and "stem@_swap"
     if(KERNEL_TRACES)
         set(variants "@ray_query|-DRELIDAR_TRAVERSAL_RAY_QUERY" "@software_bvh|-DRELIDAR_TRAVERSAL_SOFTWARE_BVH" "@brute_force|")
+    endif()
+    if(KERNEL_IMAGES)
+        _relidar_compile(${path}@halves ${source} "-DRELIDAR_HALVES")
     endif()
     foreach(variant IN LISTS variants)
         string(REGEX REPLACE "\\|.*" "" suffix "${variant}")

@@ -39,6 +39,7 @@ struct DeviceInfo {
     bool software = false;             ///< relidar's own tree can be built and walked
     std::string why_not_software;      ///< missing subgroup operations, empty where software
     std::string why_not_matrices;      ///< what the build or the device lacks for matrix units, empty where matrix_size is not zero
+    std::string why_not_halves;        ///< what the device lacks for arrays of halves, empty where nothing
     std::string why_not_usable;        ///< missing base features, empty where relidar runs at all
 };
 

@@ -30,6 +30,7 @@ struct RefineOptions {
     double dropout = 0.0;            ///< share of the values that a layer drops in training
     bool turn = false;               ///< images are turned about the sensor by random columns
     std::string precision = "fp32";  ///< what convolutions multiply in training: "fp32", or "fp16" by matrix units; sums are fp32 in both
+    std::string storage = "fp32";    ///< what images between the layers are kept as in training: "fp32", or "fp16" for half of the memory
 };
 
 /// What the network sees of a scan with image order, and what came of it.

@@ -63,7 +63,7 @@ void write_tile(TILE_SUM tile, uint first_out, uint first_column, uint to) {
     for (uint k = gl_SubgroupInvocationID; k < TILE_M * TILE_N; k += gl_SubgroupSize) {
         uint o = k / TILE_N, column = first_column + k % TILE_N;
         if (first_out + o < params.n_out && column < params.columns)
-            put(to + o * params.rows * params.columns + column, first_out + o, params.inverse_scale * sums[mine + k]);
+            put(to + o * params.rows * params.columns + column, first_out + o, sums[mine + k]);
     }
     barrier();
 }
@@ -83,7 +83,7 @@ void main() {
             uint at = (image * params.from.channels + params.from.first + i) * n_pixels + row * params.columns;
             barrier();
             stage_weights(first_out, i, ky);
-            stage(Row(params.from.values, at, params.n_in - i, first_column + params.columns - kBefore, kRing, params.scale),
+            stage(Row(params.from.values, at, params.n_in - i, first_column + params.columns - kBefore, kRing),
                   kPixels + 2u * kBefore, kOctets, kColumns, kStride);
             barrier();
             if (first_column + pixel < params.columns) multiply(pixel, params.n_out - first_out);

@@ -45,7 +45,7 @@ void write_tile(TILE_SUM tile, uint part, uint first_out, uint first_in, uint ta
     for (uint k = gl_SubgroupInvocationID; k < TILE_M * TILE_N; k += gl_SubgroupSize) {
         uint o = first_out + k / TILE_N, i = first_in + k % TILE_N;
         if (o < params.n_out && i < params.n_in)
-            params.partial.at[((part * params.n_out + o) * params.n_in + i) * TAPS + tap] = params.inverse_scale * sums[mine + k];
+            params.partial.at[((part * params.n_out + o) * params.n_in + i) * TAPS + tap] = sums[mine + k];
     }
     barrier();
 }
@@ -66,14 +66,13 @@ void main() {
         uint from_at = (image * params.from.channels + params.from.first + first_in) * n_pixels;
         for (uint x = 0u; x < params.columns; x += kPixels) {
             barrier();
-            stage(Row(params.d_to.values, d_at, params.n_out - first_out, x, params.columns, params.scale), kPixels, kOut / 8u, 0u,
-                  kOutStride);
+            stage(Row(params.d_to.values, d_at, params.n_out - first_out, x, params.columns), kPixels, kOut / 8u, 0u, kOutStride);
             [[unroll]] for (uint ky = 0u; ky < kLines; ++ky) {
                 uint row = y + ky - kBefore;   // -1 is beyond all rows
                 if (row < params.rows) {
                     barrier();
                     stage(Row(params.from.values, from_at + row * params.columns, params.n_in - first_in, x + params.columns - kBefore,
-                              kRing, 1.0),
+                              kRing),
                           kPixels + 2u * kBefore, kIn / 8u, kColumns, kInStride);
                     barrier();
                     if (there) multiply(ky, out_tile, in_tile);

@@ -12,13 +12,11 @@
 #define TILE_SUM coopmat<float, gl_ScopeSubgroup, TILE_M, TILE_N, gl_MatrixUseAccumulator>
 
 const uint kRing = 0xffffffffu;
-const float kLargestHalf = 65504.0;
 
 shared uvec4 halves[kHalves];
 shared float sums[RELIDAR_MATRIX_GROUPS * TILE_M * TILE_N];   // a tile of each subgroup, on its way to memory
 
-/// Rounded, and no larger than a half can be; what is no number stays none, for the loss to show it.
-uint two_halves(vec2 v) { return packHalf2x16(mix(clamp(v, -kLargestHalf, kLargestHalf), v, isnan(v))); }
+uint two_halves(vec2 v) { return packHalf2x16(vec2(in_half(v.x), in_half(v.y))); }
 
 uvec4 eight_halves(float v[8]) {
     return uvec4(two_halves(vec2(v[0], v[1])), two_halves(vec2(v[2], v[3])), two_halves(vec2(v[4], v[5])), two_halves(vec2(v[6], v[7])));
@@ -26,12 +24,11 @@ uvec4 eight_halves(float v[8]) {
 
 /// Columns of a row of images that become halves.
 struct Row {
-    Floats values;
+    Values values;
     uint at;               // of the first channel's column 0
     uint n_channels;       // that there are; those beyond are zeros
     uint first;            // column
     uint end;              // columns from here on are zeros; kRing: the ring goes on
-    float scale;
 };
 
 /// Puts 8 * `octets` channels of `pixels` columns at halves[at + pixel * stride + octet].
@@ -42,8 +39,8 @@ void stage(Row row, uint pixels, uint octets, uint at, uint stride) {
         float v[8];
         [[unroll]] for (uint j = 0u; j < 8u; ++j) {
             uint channel = octet * 8u + j;
-            float x = row.values.at[row.at + min(channel, row.n_channels - 1u) * n_pixels + column % params.columns];
-            v[j] = channel < row.n_channels && column < row.end ? row.scale * x : 0.0;
+            float x = float(row.values.at[row.at + min(channel, row.n_channels - 1u) * n_pixels + column % params.columns]);
+            v[j] = channel < row.n_channels && column < row.end ? x : 0.0;
         }
         halves[at + pixel * stride + octet] = eight_halves(v);
     }

@@ -46,9 +46,10 @@ void main() {
         for (int k = 0; k < n_x; ++k) {
             int x = (first_x + k + 2 * int(params.columns)) % int(params.columns);
             float weight = weight_y * column_weight(x, column);
-            if (weight != 0.0)
-                sum += weight * params.from.values.at[large_at(params.from.channels, params.from.first, image, channel, uint(y), uint(x))];
+            if (weight == 0.0) continue;
+            uint at = large_at(params.from.channels, params.from.first, image, channel, uint(y), uint(x));
+            sum += weight * float(params.from.values.at[at]);
         }
     }
-    params.to.values.at[small_at(params.to.channels, params.to.first, image, channel, row, column)] = sum;
+    params.to.values.at[small_at(params.to.channels, params.to.first, image, channel, row, column)] = AS_KEPT(sum);
 }

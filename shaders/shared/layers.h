@@ -3,7 +3,7 @@
 // fastest; columns are a ring (azimuth), rows end at the field of view.
 #ifndef RELIDAR_INCLUDED_SHARED_LAYERS_H
 #define RELIDAR_INCLUDED_SHARED_LAYERS_H
-#include "relidar/shared/lang.h"
+#include "images.h"
 
 #define RELIDAR_CONV_OUT 8     // channels that a subgroup of refine/conv or refine/conv_weights makes
 #define RELIDAR_CONV_IN 8      // channels whose weights a workgroup of refine/conv holds at a time, or of refine/conv_weights makes (1x1)
@@ -13,13 +13,6 @@
 #define RELIDAR_NORM_PIXELS 8  // of a channel that a thread of refine/norm or refine/norm_vjp makes
 
 RELIDAR_SHARED_BEGIN
-
-// Some consecutive channels of images.
-struct ImageSlice {
-    Floats values;
-    uint channels;         // of the images
-    uint first;            // that belongs to the slice
-};
 
 struct ConvParams {
     ImageSlice from;       // input [n_images, n_in, rows, columns]
@@ -33,8 +26,6 @@ struct ConvParams {
     uint n_out;
     uint transposed;       // 1: the derivative by the input: channels change places, taps are mirrored
     uint accumulate;       // 1: adds to what is there
-    float scale;           // of `from` where refine/conv_matrix rounds it to halves, a power of two
-    float inverse_scale;   // of what comes of it
 };
 
 struct ConvWeightsParams {
@@ -47,15 +38,14 @@ struct ConvWeightsParams {
     uint n_in;
     uint n_out;
     uint n_parts;
-    float scale;           // of d_to where refine/conv_weights_matrix rounds it to halves, a power of two
-    float inverse_scale;   // of what comes of it
 };
 
 struct SumPartsParams {
     Floats partial;        // input [n_parts, n]
-    Floats sum;            // output [n]
+    Floats sum;            // output [n] scale times the sum of the parts
     uint n_parts;
     uint n;
+    float scale;
 };
 
 // Sums over the pixels of channels, in parts of the pixels.
@@ -120,6 +110,7 @@ struct NormVjpParams {
     uint dropout_key;
     float dropout;
     uint accumulate;       // 1: adds to what is there
+    float scale;           // of d_to over that of d_beta_gamma
 };
 
 struct ResampleParams {

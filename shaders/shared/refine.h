@@ -10,7 +10,7 @@ RELIDAR_SHARED_BEGIN
 
 // C[b,h][i,j] = scale sum_k A[b,h][i,k] B[b,h][k,j], every matrix by its strides
 struct MatrixView {
-    Floats values;
+    Values values;
     uint first;
     uint batch;            // stride from one b to the next
     uint head;             // stride from one h to the next
@@ -31,22 +31,22 @@ struct MatmulParams {
 };
 
 struct SoftmaxParams {
-    Floats values;         // in place [n_rows, n]: softmax of each row; vjp: input, the softmax
-    Floats d_values;       // in place [n_rows, n]: d_softmax becomes the derivative by what it was taken of; else address 0
+    Values values;         // in place [n_rows, n]: softmax of each row; vjp: input, the softmax
+    Values d_values;       // in place [n_rows, n]: d_softmax becomes the derivative by what it was taken of; else address 0
     uint n_rows;
     uint n;
 };
 
 struct DropLossParams {
-    Floats logit;          // input [n]
+    Values logit;          // input [n]
     Floats start;          // input [n], or address 0: added to logit
     Floats target;         // input [n] 1 dropped, 0 returned, negative: not known; address 0: none is
-    Floats d_logit;        // output [n] derivative of the mean over known pixels
+    Values d_logit;        // output [n] derivative of `weight` times the sum over known pixels
     Floats probability;    // output [n], or address 0
     Floats partial;        // output [n_parts, 2] sum of the cross-entropies of a part, and pixels that are right
     uint n;
     uint n_parts;
-    float weight;          // of a pixel in the mean
+    float weight;          // of a pixel
 };
 
 // A batch of images from the samples that are kept on the device.
@@ -56,7 +56,7 @@ struct DropInputsParams {
     Uints chosen;          // input [n_images] sample
     Uints turn;            // input [n_images] columns by which what is seen moves
     Vec2s scale_shift;     // input [channels] of the normalisation
-    Floats images;         // output [n_images, channels, n_pixels]
+    Values images;         // output [n_images, channels, n_pixels]
     Floats start;          // output [n_images, n_pixels] the rendered logit, as it is
     Floats target;         // output [n_images, n_pixels]
     uint n_images;

@@ -284,6 +284,8 @@ void visit_refine(C& c, Visitor&& f) {
       "what the network sees in training is turned about the sensor by random columns, and the rays it is told stay");
     f("refine.precision", c.refine.precision, one_of({"fp32", "fp16"}),
       "what the network's convolutions multiply in training; fp16: by matrix units, where `relidar devices` shows them; sums are fp32");
+    f("refine.storage", c.refine.storage, one_of({"fp32", "fp16"}),
+      "what images between the network's layers are kept as in training; fp16: half of the memory, where the device has arrays of halves");
 }
 
 /// Calls f(key, field, accepts, help) for every setting, in the order of the TOML file.

@@ -267,9 +267,11 @@ void Device::Impl::make_device() {
     const bool matrices = info.why_not_matrices.empty();
     v12.shaderFloat16 = matrices;
     v12.vulkanMemoryModel = matrices;
-    VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
+    VkPhysicalDeviceVulkan11Features v11{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_1_FEATURES, &v12};
+    VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v11};
 
     optional = gpu::optional_features(physical);
+    v11.storageBuffer16BitAccess = optional.halves;
     v13.subgroupSizeControl = optional.subgroup_size;
     v13.computeFullSubgroups = optional.full_subgroups;
     void** tail = &v13.pNext;

@@ -49,8 +49,8 @@ struct Missing {
     }
 };
 
-/// Fills in matrix_size and why_not_matrices.
-void describe_matrix_units(VkPhysicalDevice physical, DeviceInfo& info);
+/// Fills in matrix_size and why_not_matrices. @param is_13  the device knows Vulkan 1.3
+void describe_matrix_units(VkPhysicalDevice physical, bool is_13, DeviceInfo& info);
 /// The size that relidar's kernels take: 16 x 16 x 16, else the first that they can be made for; zeros where there is none.
 std::array<int, 3> choose_matrix_size(const std::vector<std::array<int, 3>>& sizes);
 
@@ -60,6 +60,7 @@ struct OptionalFeatures {
     bool full_subgroups = false;   ///< and that no lane is missing
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;
+    bool halves = false;           ///< arrays of them
 };
 OptionalFeatures optional_features(VkPhysicalDevice physical);
 

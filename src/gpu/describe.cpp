@@ -61,7 +61,8 @@ OptionalFeatures optional_features(VkPhysicalDevice physical) {
     vkGetPhysicalDeviceProperties2(physical, &properties);
     VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
-    VkPhysicalDeviceSubgroupSizeControlFeatures control{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &uniform};
+    VkPhysicalDevice16BitStorageFeatures halves{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_16BIT_STORAGE_FEATURES, &uniform};
+    VkPhysicalDeviceSubgroupSizeControlFeatures control{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &halves};
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &control};
     OptionalFeatures optional;
     const std::vector<VkExtensionProperties> extensions = extensions_of(physical);
@@ -73,6 +74,7 @@ OptionalFeatures optional_features(VkPhysicalDevice physical) {
     vkGetPhysicalDeviceFeatures2(physical, &features);
     optional.subgroup_size = control.subgroupSizeControl && (sizes.requiredSubgroupSizeStages & VK_SHADER_STAGE_COMPUTE_BIT);
     optional.full_subgroups = control.computeFullSubgroups;
+    optional.halves = halves.storageBuffer16BitAccess;
     optional.subgroup_uniform_control_flow =
         has_extension(extensions, VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME) && uniform.shaderSubgroupUniformControlFlow;
 #ifdef VK_KHR_shader_maximal_reconvergence
@@ -170,8 +172,8 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     info.why_not_ray_query = rays.text;
     info.ray_query = rays.text.empty() && base.text.empty();
 
-    if (is_13) describe_matrix_units(physical, info);
-    else info.why_not_matrices = "Vulkan 1.3";
+    if (!optional.halves) info.why_not_halves = "storageBuffer16BitAccess";
+    describe_matrix_units(physical, is_13, info);
     info.known_subgroups = known_subgroups(sizes, optional);
     info.why_not_software = missing_for_software(subgroup, sizes, optional);
     info.software = info.why_not_software.empty() && base.text.empty();

@@ -42,8 +42,9 @@ std::array<int, 3> choose_matrix_size(const std::vector<std::array<int, 3>>& siz
     return found == sizes.end() ? std::array<int, 3>{} : *found;
 }
 
-void describe_matrix_units([[maybe_unused]] VkPhysicalDevice physical, DeviceInfo& info) {
+void describe_matrix_units([[maybe_unused]] VkPhysicalDevice physical, bool is_13, DeviceInfo& info) {
     Missing missing;
+    missing.need(is_13, "Vulkan 1.3");
     missing.need(has_kernels(), "kernels for matrix units: this build's glslang cannot compile them, 14 or newer is needed");
 #ifdef VK_KHR_cooperative_matrix
     const bool extension = has_extension(physical, VK_KHR_COOPERATIVE_MATRIX_EXTENSION_NAME);

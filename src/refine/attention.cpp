@@ -22,7 +22,7 @@ shared::MatrixView of_heads(const Slice& slice, std::uint32_t heads, bool transp
             .head = slice.channels / heads * pixels, .row = transposed ? 1 : pixels, .column = transposed ? pixels : 1, .unused = 0};
 }
 
-shared::MatrixView of_shares(const Array<float>& shares, const Grid& grid, std::uint32_t heads, bool transposed) {
+shared::MatrixView of_shares(const Tensor& shares, const Grid& grid, std::uint32_t heads, bool transposed) {
     const auto pixels = std::uint32_t(grid.pixels());
     return {.values = shares.address(), .first = 0, .batch = heads * pixels * pixels, .head = pixels * pixels,
             .row = transposed ? 1 : pixels, .column = transposed ? pixels : 1, .unused = 0};
@@ -30,16 +30,17 @@ shared::MatrixView of_shares(const Array<float>& shares, const Grid& grid, std::
 
 }  // namespace
 
-Attention::Attention(Device& device, std::uint32_t heads)
+Attention::Attention(Device& device, std::uint32_t heads, Storage storage)
     : heads_(heads),
       lanes_(std::uint32_t(device.info().subgroup_size)),
-      matmul_(device, "refine/matmul", in_subgroups(lanes_), Subgroups::full),
-      softmax_(device, "refine/softmax", in_subgroups(lanes_), Subgroups::full) {}
+      storage_(checked(device, storage)),
+      matmul_(device, image_kernel("refine/matmul", storage), in_subgroups(lanes_), Subgroups::full),
+      softmax_(device, image_kernel("refine/softmax", storage), in_subgroups(lanes_), Subgroups::full) {}
 
 AttentionState Attention::make_state(Device& device, const Grid& grid, bool with_gradients) const {
-    const std::size_t n = grid.n * heads_ * grid.pixels() * grid.pixels();
-    AttentionState state{Array<float>(device, n, "attention"), {}};
-    if (with_gradients) state.d_share = Array<float>(device, n, "gradient of attention");
+    const auto channels = std::uint32_t(heads_ * grid.pixels());
+    AttentionState state{Tensor(device, channels, grid, storage_, "attention"), {}};
+    if (with_gradients) state.d_share = Tensor(device, channels, grid, storage_, "gradient of attention");
     return state;
 }
 
@@ -53,7 +54,8 @@ void Attention::multiply(Stream& stream, shared::MatmulParams params, const Grid
 void Attention::run_softmax(Stream& stream, AttentionState& state, const Grid& grid, bool derive) const {
     const auto pixels = std::uint32_t(grid.pixels()), rows = grid.n * heads_ * pixels;
     run(stream, softmax_, std::size_t(tiles(rows, kThreads / lanes_)) * kThreads,
-        {.values = state.share.address(), .d_values = derive ? state.d_share.address() : Address<float>(), .n_rows = rows, .n = pixels});
+        {.values = state.share.address(), .d_values = derive ? state.d_share.address() : Address<shared::ImageValue>(), .n_rows = rows,
+         .n = pixels});
 }
 
 void Attention::forward(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& to) {

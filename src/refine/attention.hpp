@@ -9,14 +9,14 @@ namespace relidar::refine {
 
 /// What a pass keeps for the way back.
 struct AttentionState {
-    Array<float> share;     ///< [n, heads, pixels, pixels] softmax of the scores: what a pixel (row) takes from each
-    Array<float> d_share;   ///< the same shape, scratch of the way back
+    Tensor share;     ///< [n, heads, pixels, pixels] softmax of the scores: what a pixel (row) takes from each
+    Tensor d_share;   ///< the same shape, scratch of the way back
 };
 
 class Attention {
 public:
     /// @param heads  between which the channels are divided
-    Attention(Device& device, std::uint32_t heads);
+    Attention(Device& device, std::uint32_t heads, Storage storage = Storage::fp32);
 
     AttentionState make_state(Device& device, const Grid& grid, bool with_gradients) const;
     /// to[h] = V softmax(K^T Q / sqrt(channels of a head))  for each head h.
@@ -26,6 +26,7 @@ public:
 
 private:
     std::uint32_t heads_, lanes_;
+    Storage storage_;
     Kernel<shared::MatmulParams> matmul_;
     Kernel<shared::SoftmaxParams> softmax_;
 

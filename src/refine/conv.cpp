@@ -30,7 +30,7 @@ std::uint32_t parts_of(const Grid& grid, std::size_t n_weights) {
     return std::uint32_t(std::clamp<std::size_t>(tiles(lines, kLinesOfPart), 1, most));
 }
 
-std::uint32_t checked(const Device& device, std::uint32_t taps, Precision precision) {
+std::uint32_t checked_taps(const Device& device, std::uint32_t taps, Precision precision) {
     RELIDAR_ASSERT_EQ(taps == 1 || taps == 9, true);
     const DeviceInfo& info = device.info();
     const std::string missing = missing_for_networks(device);
@@ -54,9 +54,10 @@ std::vector<Constant> matrix_constants(const Device& device, std::uint32_t taps)
             {ConstantId::WORKGROUP_SIZE, RELIDAR_MATRIX_GROUPS * lanes_of(device)}};
 }
 
-Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t taps, Precision precision) {
-    if (precision == Precision::fp16) return {device, "refine/conv_matrix", matrix_constants(device, taps), Subgroups::full};
-    return {device, "refine/conv",
+Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t taps, Precision precision, Storage storage) {
+    if (precision == Precision::fp16)
+        return {device, image_kernel("refine/conv_matrix", storage), matrix_constants(device, taps), Subgroups::full};
+    return {device, image_kernel("refine/conv", storage),
             {{ConstantId::TAPS, taps},
              {ConstantId::PIXELS, pixels_of_lane(device)},
              {ConstantId::LANES, lanes_of(device)},
@@ -65,9 +66,10 @@ Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t taps, Precisi
             Subgroups::full};
 }
 
-Kernel<shared::ConvWeightsParams> make_conv_weights(Device& device, std::uint32_t taps, Precision precision) {
-    if (precision == Precision::fp16) return {device, "refine/conv_weights_matrix", matrix_constants(device, taps), Subgroups::full};
-    return {device, "refine/conv_weights",
+Kernel<shared::ConvWeightsParams> make_conv_weights(Device& device, std::uint32_t taps, Precision precision, Storage storage) {
+    if (precision == Precision::fp16)
+        return {device, image_kernel("refine/conv_weights_matrix", storage), matrix_constants(device, taps), Subgroups::full};
+    return {device, image_kernel("refine/conv_weights", storage),
             {{ConstantId::TAPS, taps}, {ConstantId::LANES, lanes_of(device)}, {ConstantId::WORKGROUP_SIZE, kThreads}}, Subgroups::full};
 }
 
@@ -81,15 +83,15 @@ Precision find_precision(const std::string& name) {
 
 float gradient_scale(std::size_t n) { return std::exp2(std::round(std::log2(float(std::max<std::size_t>(n, 1))))); }
 
-Conv::Conv(Device& device, std::uint32_t taps, Precision precision)
-    : taps_(checked(device, taps, precision)),
+Conv::Conv(Device& device, std::uint32_t taps, Precision precision, Storage storage)
+    : taps_(checked_taps(device, taps, precision)),
       pixels_(pixels_of_lane(device)),
       lanes_(lanes_of(device)),
       precision_(precision),
       tile_{std::uint32_t(device.info().matrix_size[0]), std::uint32_t(device.info().matrix_size[1]),
             std::uint32_t(device.info().matrix_size[2])},
-      conv_(make_conv(device, taps, precision)),
-      conv_weights_(make_conv_weights(device, taps, precision)),
+      conv_(make_conv(device, taps, precision, checked(device, storage))),
+      conv_weights_(make_conv_weights(device, taps, precision, storage)),
       sum_parts_(device, "refine/sum_parts") {}
 
 std::size_t Conv::conv_threads(const shared::ConvParams& params) const {
@@ -116,15 +118,14 @@ void Conv::forward(Stream& stream, const Slice& from, Address<float> weights, Ad
     RELIDAR_ASSERT_EQ(from.grid.all_pixels(), to.grid.all_pixels());
     run_conv(stream, {.from = from.view, .to = to.view, .weights = weights, .bias = bias, .n_images = from.grid.n,
                       .rows = from.grid.rows, .columns = from.grid.columns, .n_in = from.channels, .n_out = to.channels,
-                      .transposed = 0, .accumulate = accumulate ? 1u : 0u, .scale = 1.0f, .inverse_scale = 1.0f});
+                      .transposed = 0, .accumulate = accumulate ? 1u : 0u});
 }
 
 void Conv::input_vjp(Stream& stream, const Slice& d_to, Address<float> weights, const Slice& d_from, bool accumulate) {
     RELIDAR_ASSERT_EQ(d_from.grid.all_pixels(), d_to.grid.all_pixels());
     run_conv(stream, {.from = d_to.view, .to = d_from.view, .weights = weights, .bias = {}, .n_images = d_to.grid.n,
                       .rows = d_to.grid.rows, .columns = d_to.grid.columns, .n_in = d_to.channels, .n_out = d_from.channels,
-                      .transposed = 1, .accumulate = accumulate ? 1u : 0u, .scale = scale_,
-                      .inverse_scale = 1.0f / scale_});
+                      .transposed = 1, .accumulate = accumulate ? 1u : 0u});
 }
 
 std::size_t Conv::partial_floats(const Grid& grid, std::uint32_t n_in, std::uint32_t n_out) const {
@@ -138,10 +139,9 @@ void Conv::weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Add
     RELIDAR_ASSERT_LE(std::size_t(n_parts) * n, partial_.size());
     const shared::ConvWeightsParams params{
         .from = from.view, .d_to = d_to.view, .partial = partial_.address(), .n_images = from.grid.n, .rows = from.grid.rows,
-        .columns = from.grid.columns, .n_in = from.channels, .n_out = d_to.channels, .n_parts = n_parts, .scale = scale_,
-        .inverse_scale = 1.0f / scale_};
+        .columns = from.grid.columns, .n_in = from.channels, .n_out = d_to.channels, .n_parts = n_parts};
     run(stream, conv_weights_, weights_threads(params), params);
-    run(stream, sum_parts_, n, {.partial = partial_.address(), .sum = d_weights, .n_parts = n_parts, .n = n});
+    run(stream, sum_parts_, n, {.partial = partial_.address(), .sum = d_weights, .n_parts = n_parts, .n = n, .scale = 1.0f / scale_});
 }
 
 }  // namespace relidar::refine

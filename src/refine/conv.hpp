@@ -24,9 +24,9 @@ float gradient_scale(std::size_t n);
 class Conv {
 public:
     /// @param taps  1 (1x1) or 9 (3x3) @throws DeviceError naming what device or build lack
-    Conv(Device& device, std::uint32_t taps, Precision precision = Precision::fp32);
+    Conv(Device& device, std::uint32_t taps, Precision precision = Precision::fp32, Storage storage = Storage::fp32);
 
-    /// From now on gradients are multiplied by it, a power of two, where they are rounded to halves, and what comes of them is divided.
+    /// From now on gradients of images are so many times as large as what they are gradients of says; those of weights are not.
     void scale_gradients(float scale) { scale_ = scale; }
 
     /// to = bias + weights * from. @param weights [to.channels, from.channels, taps] @param bias [to.channels], or nowhere

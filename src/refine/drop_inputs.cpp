@@ -51,11 +51,11 @@ std::vector<float> normalisation_of(const std::vector<DropImage>& images, std::s
     return scale_shift;
 }
 
-DropInputs::DropInputs(Device& device, const DropNetwork& network)
+DropInputs::DropInputs(Device& device, const DropNetwork& network, Storage storage)
     : n_channels_(std::uint32_t(network.inputs.size())),
       n_fixed_(fixed_channels(network)),
       logit_channel_(logit_channel(network)),
-      kernel_(device, "refine/drop_inputs"),
+      kernel_(device, image_kernel("refine/drop_inputs", checked(device, storage))),
       scale_shift_(pairs(device, network.normalisation)) {}
 
 void DropInputs::keep(Device& device, std::span<const DropImage> images) {
@@ -80,7 +80,7 @@ void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, const Tens
     run(stream, kernel_, images.grid.all_pixels(),
         {.samples = samples_.address(), .targets = has_targets() ? targets_.address() : Address<float>(),
          .chosen = impl_of(stream).values(samples), .turn = impl_of(stream).values(turns), .scale_shift = scale_shift_.address(),
-         .images = images.values.address(), .start = start_.address(),
+         .images = images.address(), .start = start_.address(),
          .target = has_targets() ? target_.address() : Address<float>(), .n_images = images.grid.n, .n_channels = n_channels_,
          .n_fixed = n_fixed_, .logit_channel = logit_channel_, .rows = images.grid.rows, .columns = images.grid.columns});
 }

@@ -15,19 +15,20 @@ struct DropScore {
 
 /// What DropLoss reads and writes, [n]; all but the logits may be nowhere.
 struct DropLossArrays {
-    Address<float> logit;
+    Address<shared::ImageValue> logit;
     Address<float> start = {};         ///< added to the logits
     Address<float> target = {};        ///< 1 dropped, 0 returned, negative: not known
-    Address<float> d_logit = {};       ///< output
+    Address<shared::ImageValue> d_logit = {};   ///< output
     Address<float> probability = {};   ///< output
 };
 
 class DropLoss {
 public:
-    DropLoss(Device& device, std::size_t n_pixels);
+    /// @param storage  of logits and their gradients
+    DropLoss(Device& device, std::size_t n_pixels, Storage storage = Storage::fp32);
 
-    /// Records it for n pixels. @param known  pixels, over which the derivative's mean is taken
-    void run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known);
+    /// Records it for n pixels. @param known  pixels, over which the derivative's mean is taken @param scale  of the derivative
+    void run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known, float scale = 1.0f);
     /// Of the last run that is done. @param known  pixels
     DropScore score(std::size_t known) const;
 

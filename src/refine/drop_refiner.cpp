@@ -36,9 +36,10 @@ void compile_drop_network(Device& device, const RefineOptions& options) {
     const refine::UnetPlan plan(network);
     refine::initialise(network, plan, 0);
     network.normalisation.assign(2 * network.inputs.size(), 0.0f);
-    const refine::DropInputs inputs(device, network);
-    const refine::Unet unet(device, network, refine::find_precision(options.precision));
-    const refine::DropLoss loss(device, 1);
+    const refine::Storage storage = refine::find_storage(options.storage);
+    const refine::DropInputs inputs(device, network, storage);
+    const refine::Unet unet(device, network, refine::find_precision(options.precision), storage);
+    const refine::DropLoss loss(device, 1, storage);
 }
 
 struct DropRefiner::Impl {
@@ -77,7 +78,7 @@ std::vector<float> DropRefiner::refine(const DropImage& image) {
     r.inputs.make(r.stream, {&whole, 1}, r.unet.inputs());
     r.unet.evaluate(r.stream);
     r.loss->run(r.stream, grid.pixels(),
-                {.logit = r.unet.logit().values.address(),
+                {.logit = r.unet.logit().address(),
                  .start = r.network.residual ? r.inputs.start().address() : Address<float>(),
                  .probability = r.probability.address()},
                 0);

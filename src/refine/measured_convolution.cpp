@@ -10,17 +10,19 @@ namespace {
 
 constexpr std::uint32_t kTaps = 9;
 
-Array<float> filled(Device& device, std::size_t n, const char* what) {
+std::vector<float> numbers(std::size_t n) {
     std::vector<float> values(n);
     for (std::size_t i = 0; i < n; ++i) values[i] = float(i % 257) / 128.0f - 1.0f;
-    return Array<float>(device, std::span<const float>(values), what);
+    return values;
+}
+
+Array<float> filled(Device& device, std::size_t n, const char* what) {
+    return Array<float>(device, std::span<const float>(numbers(n)), what);
 }
 
 refine::Tensor images(Device& device, const ConvolutionSize& size, std::uint32_t channels) {
-    refine::Tensor result;
-    result.channels = channels;
-    result.grid = {1, size.rows, size.columns};
-    result.values = filled(device, channels * result.grid.all_pixels(), "images");
+    refine::Tensor result(device, channels, {1, size.rows, size.columns}, refine::Storage::fp32, "images");
+    result.values.upload(numbers(result.values.size()));
     return result;
 }
 

@@ -24,12 +24,12 @@ std::vector<Constant> in_subgroups(std::uint32_t lanes) { return {{ConstantId::L
 
 }  // namespace
 
-Norm::Norm(Device& device)
+Norm::Norm(Device& device, Storage storage)
     : lanes_(std::uint32_t(device.info().subgroup_size)),
-      sums_(device, "refine/channel_sums", in_subgroups(lanes_), Subgroups::full),
+      sums_(device, image_kernel("refine/channel_sums", checked(device, storage)), in_subgroups(lanes_), Subgroups::full),
       finish_(device, "refine/norm_finish"),
-      norm_(device, "refine/norm", {{ConstantId::WORKGROUP_SIZE, kThreads}}),
-      norm_vjp_(device, "refine/norm_vjp", {{ConstantId::WORKGROUP_SIZE, kThreads}}),
+      norm_(device, image_kernel("refine/norm", storage), {{ConstantId::WORKGROUP_SIZE, kThreads}}),
+      norm_vjp_(device, image_kernel("refine/norm_vjp", storage), {{ConstantId::WORKGROUP_SIZE, kThreads}}),
       sum_parts_(device, "refine/sum_parts") {}
 
 void Norm::reserve(Device& device, std::uint32_t channels, const Grid& grid) {
@@ -86,12 +86,13 @@ void Norm::vjp(Stream& stream, const Slice& from, const NormState& state, const 
                       .moments = state.moments.address(), .kind = shared::kSums_norm_vjp, .n_images = from.grid.n, .n_pixels = n_pixels,
                       .n_channels = from.channels, .n_parts = n_parts, .dropout_key = state.dropout_key, .dropout = state.dropout});
     run(stream, sum_parts_, 2 * from.channels,
-        {.partial = partial_.address(), .sum = gradient.all.address(gradient.first), .n_parts = n_parts, .n = 2 * from.channels});
+        {.partial = partial_.address(), .sum = gradient.all.address(gradient.first), .n_parts = n_parts, .n = 2 * from.channels,
+         .scale = 1.0f / scale_});
     run(stream, norm_vjp_, threads_of(from),
         {.from = from.view, .d_to = d_to.view, .d_from = d_from.view, .d_beta_gamma = gradient.all.address_as<glm::vec2>(gradient.first),
          .scale_shift = state.scale_shift.address(), .moments = state.moments.address(), .n_images = from.grid.n, .n_pixels = n_pixels,
          .n_channels = from.channels, .dropout_key = state.dropout_key, .dropout = state.dropout,
-         .accumulate = accumulate ? 1u : 0u});
+         .accumulate = accumulate ? 1u : 0u, .scale = scale_});
 }
 
 void Norm::bias_vjp(Stream& stream, const Slice& d_to, Address<float> d_bias) {
@@ -99,7 +100,8 @@ void Norm::bias_vjp(Stream& stream, const Slice& d_to, Address<float> d_bias) {
     run_sums(stream, {.from = d_to.view, .d_to = d_to.view, .partial = partial_.address(), .scale_shift = {}, .moments = {},
                       .kind = shared::kSums_plain, .n_images = d_to.grid.n, .n_pixels = std::uint32_t(d_to.grid.pixels()),
                       .n_channels = d_to.channels, .n_parts = n_parts, .dropout_key = 0, .dropout = 0.0f});
-    run(stream, sum_parts_, d_to.channels, {.partial = partial_.address(), .sum = d_bias, .n_parts = n_parts, .n = d_to.channels});
+    run(stream, sum_parts_, d_to.channels,
+        {.partial = partial_.address(), .sum = d_bias, .n_parts = n_parts, .n = d_to.channels, .scale = 1.0f / scale_});
 }
 
 }  // namespace relidar::refine

@@ -33,7 +33,10 @@ struct NormState {
 /// Kernels of all normalisations.
 class Norm {
 public:
-    explicit Norm(Device& device);
+    explicit Norm(Device& device, Storage storage = Storage::fp32);
+
+    /// As Conv has it.
+    void scale_gradients(float scale) { scale_ = scale; }
 
     /// to = dropout(relu(gamma x^ + beta)), x^ normalised by the moments of the batch, which join the running ones.
     void forward(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, const Slice& to);
@@ -50,6 +53,7 @@ public:
 
 private:
     std::uint32_t lanes_;
+    float scale_ = 1.0f;
     Kernel<shared::ChannelSumsParams> sums_;
     Kernel<shared::NormFinishParams> finish_;
     Kernel<shared::NormParams> norm_;

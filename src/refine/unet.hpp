@@ -50,7 +50,7 @@ void initialise(DropNetwork& network, const UnetPlan& plan, std::uint64_t seed);
 /// A network on a device.
 class Unet {
 public:
-    Unet(Device& device, const DropNetwork& network, Precision precision);
+    Unet(Device& device, const DropNetwork& network, Precision precision, Storage storage = Storage::fp32);
 
     /// Makes room for passes over images of a grid. @param with_gradients  for backward()
     void reserve(Device& device, const Grid& grid, bool with_gradients);
@@ -58,7 +58,8 @@ public:
     void forward(Stream& stream, std::uint32_t dropout_key, float dropout);
     /// The same in evaluation mode: by running moments, nothing dropped.
     void evaluate(Stream& stream);
-    /// Records dL/d(parameters) of forward(), from dL/d(logit) in d_logit(). @param scale  of gradients where they become halves, see Conv
+    /// Records dL/d(parameters) of forward(), from dL/d(logit) in d_logit(). @param scale  by which d_logit() was multiplied, a power of
+    /// two, so that halves can hold what comes of it
     void backward(Stream& stream, float scale = 1.0f);
 
     /// Takes other values, as many as there are. Nothing on the device may still use those it has.
@@ -89,6 +90,7 @@ private:
     UnetPlan plan_;
     std::vector<std::uint32_t> widths_;
     bool with_gradients_ = false;
+    Storage storage_;
     Conv conv1_, conv3_;
     Norm norm_;
     Resample resample_;
@@ -100,12 +102,14 @@ private:
     BlockState query_state_;
     std::vector<Level> levels_;
     std::vector<BlockState> down_states_, up_states_;
-    Array<float> scratch_;   ///< gradients behind a norm, of the largest block
+    std::size_t most_active_ = 0;   ///< values behind a norm, of the largest block
+    Tensor scratch_;                ///< their gradients
 
     Conv& conv_of(const ConvLayer& layer) { return layer.taps == 1 ? conv1_ : conv3_; }
     Slice skip(std::size_t level) const;
     Slice d_skip(std::size_t level) const;
     void reserve_level(Device& device, std::size_t level, const Grid& grid);
+    void reserve_attention(Device& device);
     void reserve_block(Device& device, const Block& block, const Grid& grid, BlockState& state);
     void run_block(Stream& stream, const Block& block, BlockState& state, const Slice& from, const Slice& to, Mode mode);
     void block_vjp(Stream& stream, const Block& block, BlockState& state, const Slice& from, const Slice& d_to, const Slice& d_from,

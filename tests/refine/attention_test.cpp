@@ -40,7 +40,7 @@ TEST_P(AttentionSizes, ForwardAndBackward) {
     stream.finish();
     EXPECT_LT(worst_error(to.read(), reference::attend(values, c.heads)), test::kLayer);
     EXPECT_LT(worst_error(d_qkv.read(), reference::attend_vjp(values, c.heads, asked)), test::kLayer);
-    const std::vector<double> shares = test::doubles(state.share);
+    const std::vector<double> shares = test::doubles(state.share.values);
     const std::size_t pixels = c.grid.pixels();
     ASSERT_EQ(shares.size(), c.grid.n * std::size_t(c.heads) * pixels * pixels);
     for (std::size_t row = 0; row < shares.size() / pixels; ++row) {

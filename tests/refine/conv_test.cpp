@@ -159,7 +159,7 @@ TEST_P(ConvVariants, Agree) {
         run(stream, kernel, std::size_t(tiles(segments, 64 / lanes)) * tiles(std::uint32_t(c.n_out), RELIDAR_CONV_OUT) * 64,
             {.from = from.slice().view, .to = to.slice().view, .weights = weights.address(), .bias = bias.address(), .n_images = c.grid.n,
              .rows = c.grid.rows, .columns = c.grid.columns, .n_in = std::uint32_t(c.n_in), .n_out = std::uint32_t(c.n_out),
-             .transposed = 0, .accumulate = 0, .scale = 1.0f, .inverse_scale = 1.0f});
+             .transposed = 0, .accumulate = 0});
         stream.finish();
         EXPECT_LT(worst_error(to.read(), reference::convolve(layer.from, layer.weights, layer.bias, c.n_out, int(c.taps))), test::kLayer);
     }

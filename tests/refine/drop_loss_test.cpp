@@ -48,7 +48,7 @@ TEST_F(DropLossTest, AgreesWithReference) {
             stream.fill(d_logit, 0x7fc00000u);
             stream.fill(probability, 0x7fc00000u);
             loss.run(stream, n,
-                     {logit.address(), with_start ? start.address() : Address<float>(), target.address(), d_logit.address(),
+                     {test::as_image(logit), with_start ? start.address() : Address<float>(), target.address(), test::as_image(d_logit),
                       probability.address()},
                      d.known);
             stream.finish();
@@ -74,7 +74,7 @@ TEST_F(DropLossTest, DerivativeIsThatOfTheScore) {
     const Array<float> target = test::to_device(device(), d.target), d_logit(device(), n, "gradient");
     const auto entropy = [&](const std::vector<double>& logits) {
         const Array<float> logit = test::to_device(device(), logits);
-        loss.run(stream, n, {logit.address(), {}, target.address(), d_logit.address(), {}}, d.known);
+        loss.run(stream, n, {test::as_image(logit), {}, target.address(), test::as_image(d_logit), {}}, d.known);
         stream.finish();
         return loss.score(d.known).entropy;
     };
@@ -97,14 +97,14 @@ TEST_F(DropLossTest, NothingKnown) {
     for (const bool no_target : {true, false}) {
         stream.fill(d_logit, 0x7fc00000u);
         const Address<float> target = no_target ? Address<float>() : none.address();
-        loss.run(stream, n, {logit.address(), {}, target, d_logit.address(), probability.address()}, 0);
+        loss.run(stream, n, {test::as_image(logit), {}, target, test::as_image(d_logit), probability.address()}, 0);
         stream.finish();
         for (const double x : test::doubles(d_logit)) EXPECT_EQ(x, 0.0);
         EXPECT_EQ(loss.score(0).entropy, 0.0);
         EXPECT_EQ(loss.score(0).accuracy, 0.0);
     }
     // no derivative is asked for: probabilities alone
-    loss.run(stream, n, {.logit = logit.address(), .probability = probability.address()}, 0);
+    loss.run(stream, n, {.logit = test::as_image(logit), .probability = probability.address()}, 0);
     stream.finish();
     const std::vector<double> p = test::doubles(probability);
     const reference::DropEntropy expected = reference::drop_entropy(d.logit, std::vector<double>(n, -1.0));

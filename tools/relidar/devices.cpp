@@ -29,7 +29,8 @@ void print_json(const std::vector<DeviceInfo>& devices) {
                         {"memory_bytes", d.memory_bytes}, {"ray_query", d.ray_query}, {"why_not_ray_query", d.why_not_ray_query},
                         {"software", d.software}, {"why_not_software", d.why_not_software},
                         {"float_atomics", d.float_atomics}, {"matrix_size", d.matrix_size},
-                        {"why_not_matrices", d.why_not_matrices}, {"timestamps", d.timestamps}, {"usable", d.why_not_usable.empty()},
+                        {"why_not_matrices", d.why_not_matrices}, {"why_not_halves", d.why_not_halves},
+                        {"timestamps", d.timestamps}, {"usable", d.why_not_usable.empty()},
                         {"why_not_usable", d.why_not_usable}, {"traversal", traversal_of(d)}});
     }
     print(json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n");
@@ -49,6 +50,8 @@ void print_table(const std::vector<DeviceInfo>& devices) {
         if (!d.why_not_software.empty()) notes += fmt::format("\n   no software traversal: it lacks {}", d.why_not_software);
         if (!d.why_not_matrices.empty())
             notes += fmt::format("\n   no matrix units for refine.precision=fp16: it lacks {}", d.why_not_matrices);
+        if (!d.why_not_halves.empty())
+            notes += fmt::format("\n   no arrays of halves for refine.storage=fp16: it lacks {}", d.why_not_halves);
         if (d.why_not_usable.empty() && !d.float_atomics) notes += "\n   no float atomics: gradients are added by compare-and-swap, slower";
     }
     print(table(rows) + notes + "\n");

@@ -106,9 +106,12 @@ void place_shown(Device& device, Run& run, bool quiet) {
 
 void check_network(const Device& device, const Config& config) {
     const DeviceInfo& info = device.info();
-    if (!config.refine.enabled || config.refine.precision == "fp32" || info.why_not_matrices.empty()) return;
-    throw DeviceError(fmt::format("training with refine.precision={} on {}: missing {}; set refine.precision=fp32", config.refine.precision,
-                                  info.name, info.why_not_matrices));
+    const auto check = [&](const char* key, const std::string& value, const std::string& missing) {
+        if (config.refine.enabled && value != "fp32" && !missing.empty())
+            throw DeviceError(fmt::format("training with {}={} on {}: missing {}; set {}=fp32", key, value, info.name, missing, key));
+    };
+    check("refine.precision", config.refine.precision, info.why_not_matrices);
+    check("refine.storage", config.refine.storage, info.why_not_halves);
 }
 
 bool refine_shown(Device& device, Run& run, bool quiet, RefineSession session) {
