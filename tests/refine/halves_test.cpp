@@ -22,7 +22,7 @@
 namespace relidar {
 namespace {
 
-using refine::Grid, refine::Storage;
+using refine::Grid, refine::Precision, refine::Storage;
 using test::ImageBatch, test::OnDevice;
 
 ImageBatch half_images(const Grid& grid, int channels, std::uint64_t seed) {
@@ -71,11 +71,13 @@ INSTANTIATE_TEST_SUITE_P(Sizes, HalvesTest, testing::Values(Grid{1, 66, 1030}, G
 TEST_P(HalvesTest, Convolutions) {
     const Grid grid = GetParam();
     const int n_in = 9, n_out = 11;
-    for (const std::uint32_t taps : {1u, 9u}) {
+    std::vector<std::pair<std::uint32_t, Precision>> layers{{1u, Precision::fp32}, {9u, Precision::fp32}};
+    if (device().info().why_not_matrices.empty()) layers.insert(layers.end(), {{1u, Precision::fp16}, {9u, Precision::fp16}});
+    for (const auto& [taps, precision] : layers) {
         const Array<float> weights = test::to_device(device(), test::random_floats(std::size_t(n_in * n_out) * taps, 3));
         const Array<float> bias = test::to_device(device(), test::random_floats(std::size_t(n_out), 4));
         expect_rounded([&](Storage storage, Stream& stream) -> Made {
-            refine::Conv conv(device(), taps, refine::Precision::fp32, storage);
+            refine::Conv conv(device(), taps, precision, storage);
             conv.reserve(device(), conv.partial_floats(grid, n_in, n_out));
             const OnDevice from(device(), half_images(grid, n_in, 1), storage), d_to(device(), half_images(grid, n_out, 2), storage);
             const OnDevice to = OnDevice::unwritten(device(), grid, n_out, 1, 2, storage);
@@ -212,7 +214,7 @@ TEST_P(HalvesTest, LargeNumbersSaturateAndWhatIsNoNumberStaysNone) {
     ImageBatch images(1, 1, 1, 3);
     images.values = {60000.0, -60000.0, std::nan("")};
     Stream stream(device());
-    refine::Conv conv(device(), 1, refine::Precision::fp32, Storage::fp16);
+    refine::Conv conv(device(), 1, Precision::fp32, Storage::fp16);
     const OnDevice from(device(), images, Storage::fp16), to = OnDevice::unwritten(device(), test::grid_of(images), 1, 1, 2, Storage::fp16);
     const Array<float> weights = test::to_device(device(), {2.0});
     conv.forward(stream, from.slice(), weights.address(), {}, to.slice());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // relidar_bench_drop_network: milliseconds of a training step and of an inference of the ray-drop network, and of a step's
-// kernels, and the device memory of both.
+// kernels, and the device memory that training takes.
 #include <algorithm>
 #include <string>
 #include <vector>
@@ -40,10 +40,10 @@ void print_kernels(const KernelTimes& times, int steps) {
 void measure(const DeviceOptions& chosen, const RefineOptions& options, int rows, int columns, int repeat) {
     Device device(from_environment(chosen));   // its own, so that the peak is of these images
     MeasuredDropNetwork network(device, options, rows, columns);
-    const double step = median_ms(repeat, [&] { network.step(); }), infer = median_ms(repeat, [&] { network.infer(); }),
-                 giga = 1e-6 * network.operations();
+    const double step = median_ms(repeat, [&] { network.step(); }), peak_mib = double(device.peak_bytes()) / 0x1p20;   // of training
+    const double infer = median_ms(repeat, [&] { network.infer(); }), giga = 1e-6 * network.operations();
     fmt::print("{:>8} x {:<6} {:>9} {:>7} {:10.2f} {:14.1f} {:10.2f} {:14.1f} {:10.1f}\n", rows, columns, options.precision,
-               options.storage, step, 3.0 * options.batch * giga / step, infer, giga / infer, double(device.peak_bytes()) / 0x1p20);
+               options.storage, step, 3.0 * options.batch * giga / step, infer, giga / infer, peak_mib);
     print_kernels(network.times(), repeat + 1);
 }
 
