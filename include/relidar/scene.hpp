@@ -136,8 +136,11 @@ struct InitialiseOptions {
     double opacity = 0.1;
     double hit_logit = 1.0;            ///< of new surfels; with drop_logit the ray-drop probability a surface starts from (M6)
     double drop_logit = 0.0;
-    double max_scale_m = 0.5;          ///< initial standard deviations are clamped to this
+    double max_scale_m = 0.5;          ///< initial standard deviations are clamped to this, but across gaps
     double scale_factor = 1.0;         ///< times the mean distance to the 3 nearest neighbours
+    /// a disc on a surface reaches across the gap to the next scan lines, up to so wide a one, where that is far wider than the distance to
+    /// its neighbours on its own line; 0 = discs are round (paper)
+    double max_gap_m = 0.0;
     double thickness = 1.0;            ///< 3D Gaussians: along the normal over in the plane; 1 = spheres, as 3D Gaussian splatting starts
     bool further_returns = true;       ///< second returns are points too, where the log has them
     bool remove_unlabelled_movers = false;   ///< leave out points that other training frames see through (not in the paper)

@@ -100,9 +100,12 @@ void visit_scene(C& c, Visitor&& f) {
     f("init.opacity", c.init.opacity, Accepts{0.0, 0.99, true, {}}, "opacity of new surfels");
     f("init.hit_logit", c.init.hit_logit, between(-20, 20), "hit logit of new surfels");
     f("init.drop_logit", c.init.drop_logit, between(-20, 20), "drop logit of new surfels");
-    f("init.max_scale_m", c.init.max_scale_m, above(0), "largest standard deviation of a new surfel, metres");
+    f("init.max_scale_m", c.init.max_scale_m, above(0),
+      "largest standard deviation of a new surfel, but across gaps between scan lines, metres");
     f("init.scale_factor", c.init.scale_factor, above(0),
       "standard deviation of a new surfel over the mean distance to its 3 nearest neighbours");
+    f("init.max_gap_m", c.init.max_gap_m, at_least(0),
+      "new surfels on surfaces reach across gaps between scan lines of up to so many metres; 0: all are round (paper)");
     f("init.thickness", c.init.thickness, between(1e-3, 10),
       "image.primitive=gaussian: standard deviation of a new Gaussian along its normal over that in the plane; 1: spheres");
     f("init.discover_actors", c.init.discover_actors, anything(),

@@ -18,6 +18,7 @@ namespace {
 constexpr float kSh0 = 0.28209479177387814f;   ///< constant of SH degree 0
 constexpr double kSh1 = 0.4886025119029199;    ///< of degree 1: -y, z, -x
 constexpr int kScaleNeighbours = 3;
+constexpr double kGap = 2.5;   ///< a gap is wider than this times the distance of neighbours on a line: points at random have narrower ones
 
 /// nanoflann's view of the samples.
 struct Cloud {
@@ -33,6 +34,7 @@ using Tree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<fl
 struct Plane {
     glm::dvec3 point{0.0};
     glm::dvec3 normal{0.0};
+    bool is_line = false;      ///< the points spread along one axis
     bool is_surface = false;   ///< the points spread along two axes, and less along the third than options.flatness says
 };
 
@@ -60,16 +62,53 @@ Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_
     const bool is_surface = !is_line && values[0] < flatness * values[1];
     if (!is_line && !is_surface) normal = -view;
     const double length = glm::length(normal);
-    return {{mean.x(), mean.y(), mean.z()}, length > 1e-9 ? normal / length : -view, is_surface};
+    return {{mean.x(), mean.y(), mean.z()}, length > 1e-9 ? normal / length : -view, is_line, is_surface};
 }
 
-/// Rotation whose third column is the normal, turned about it by an angle.
-glm::vec4 rotation_to(const glm::dvec3& normal, double angle) {
+/// At right angles to a normal, turned about it by an angle.
+glm::dvec3 direction_within(const glm::dvec3& normal, double angle) {
     const glm::dvec3 helper = std::abs(normal.x) < 0.9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0);
-    const glm::dvec3 x0 = glm::normalize(glm::cross(helper, normal)), y0 = glm::cross(normal, x0);
-    const glm::dvec3 x = std::cos(angle) * x0 + std::sin(angle) * y0;
+    const glm::dvec3 x = glm::normalize(glm::cross(helper, normal));
+    return std::cos(angle) * x + std::sin(angle) * glm::cross(normal, x);
+}
+
+/// Rotation whose first and third columns are these.
+glm::vec4 rotation_of(const glm::dvec3& x, const glm::dvec3& normal) {
     const glm::dquat q = glm::quat_cast(glm::dmat3(x, glm::cross(normal, x), normal));
     return {float(q.w), float(q.x), float(q.y), float(q.z)};
+}
+
+/// How a surface was met by scan lines: the direction within it across them, and how far it is to the next points on either side of the
+/// line; 0 where there are none.
+struct Gap {
+    glm::dvec3 across{0.0};
+    double left_m = 0.0, right_m = 0.0;
+
+    bool is_open() const { return left_m == 0.0 || right_m == 0.0; }
+    double width_m() const { return std::max(left_m, right_m); }
+};
+
+/// @param neighbours of a point on the surface, itself first, the nearest first
+Gap gap_between_lines(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours, const glm::dvec3& normal) {
+    constexpr std::size_t kOnLine = 4;                     // the nearest are on the point's own line
+    constexpr double kAcross = 0.7071;                     // cosine of how far aside
+    constexpr double kSlope = 0.1, kNoise_m = 0.05;        // how far off the plane
+    const glm::dvec3 point(samples[neighbours[0]].position), x = direction_within(normal, 0.0), y = glm::cross(normal, x);
+    double even = 0.0, odd = 0.0;   // of twice the angle, so that either way along a line counts as the same
+    for (std::size_t j = 1; j < std::min(neighbours.size(), kOnLine + 1); ++j) {
+        const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
+        const double u = glm::dot(d, x), v = glm::dot(d, y), length2 = std::max(u * u + v * v, 1e-12);
+        even += (u * u - v * v) / length2, odd += 2.0 * u * v / length2;
+    }
+    Gap gap{direction_within(normal, 0.5 * std::atan2(odd, even) + 0.5 * kPi)};
+    for (std::size_t j = 1; j < neighbours.size() && gap.is_open(); ++j) {
+        const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
+        const double length = glm::length(d), across = glm::dot(d, gap.across);
+        double& on_side = across > 0.0 ? gap.right_m : gap.left_m;
+        if (on_side == 0.0 && std::abs(across) > kAcross * length && std::abs(glm::dot(d, normal)) < kSlope * length + kNoise_m)
+            on_side = length;
+    }
+    return gap;
 }
 
 glm::dvec3 random_direction(Random& random) {
@@ -92,26 +131,72 @@ void fill_intensity(float* sh, const Sample& sample, const glm::dvec3& normal, d
     sh[3] = static_cast<float>(-slope.x);
 }
 
+/// Numbers of up to n samples, the nearest first, and how far they are.
+struct Neighbours {
+    std::vector<std::size_t> samples;
+    std::vector<float> distance2;
+
+    Neighbours(const Tree& tree, const Sample& sample, std::size_t n) : samples(n), distance2(n) {
+        samples.resize(tree.knnSearch(&sample.position.x, n, samples.data(), distance2.data()));
+    }
+    /// Mean distance to the nearest but the sample itself; 0 where there are none.
+    double spacing_m() const {
+        double sum = 0.0;
+        std::size_t n = 0;
+        for (std::size_t j = 1; j < samples.size() && n < kScaleNeighbours; ++j, ++n) sum += std::sqrt(distance2[j]);
+        return n ? sum / double(n) : 0.0;
+    }
+};
+
+/// What a disc lies in, and how far apart the scan lines are that met it.
+struct Place {
+    Plane plane;
+    Gap gap;
+};
+
+/// Nearest points of one scan line leave their plane free to turn about it, and those at one side of a gap do not see the other: then more
+/// are asked.
+Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t i, std::vector<std::size_t> nearest,
+               const InitialiseOptions& options) {
+    constexpr int kWider = 2;   // times
+    Place place{fit_plane(samples, nearest, samples[i].view, options.flatness), {}};
+    if (options.max_gap_m <= 0.0) return place;
+    const auto widen = [&] { nearest = Neighbours(tree, samples[i], std::min(4 * nearest.size(), samples.size())).samples; };
+    const bool is_line = place.plane.is_line;
+    for (int k = 0; is_line && !place.plane.is_surface && k < kWider; ++k) {
+        widen();
+        const Plane wider = fit_plane(samples, nearest, samples[i].view, options.flatness);
+        if (wider.is_surface) place.plane = {samples[i].position, wider.normal, true, true};   // too wide to move the point onto it
+    }
+    if (!place.plane.is_surface) return place;
+    place.gap = gap_between_lines(samples, nearest, place.plane.normal);
+    if (is_line || !place.gap.is_open()) return place;
+    widen();
+    place.gap = gap_between_lines(samples, nearest, place.plane.normal);
+    return place;
+}
+
 /// Fills surfel i from its sample and neighbours.
 void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& samples, const Tree& tree, const InitialiseOptions& options,
                  double incidence) {
     const std::size_t k = std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
-    std::vector<std::size_t> found(k);
-    std::vector<float> distance2(k);
-    const std::size_t n_found = tree.knnSearch(&samples[i].position.x, k, found.data(), distance2.data());   // the point itself comes first
-    double distance = 0.0;
-    std::size_t n_near = 0;
-    for (std::size_t j = 1; j < n_found && n_near < kScaleNeighbours; ++j, ++n_near) distance += std::sqrt(distance2[j]);
-    const double scale = n_near ? distance / double(n_near) : options.voxel_m;
+    Neighbours nearest(tree, samples[i], k);
+    const double spacing = nearest.samples.size() > 1 ? nearest.spacing_m() : options.voxel_m;
     Random random(hash64(options.seed, i));
-    found.resize(std::min<std::size_t>(n_found, std::size_t(options.normal_neighbours) + 1));
-    Plane plane{{}, random_direction(random)};
-    if (options.normals && found.size() >= 3) plane = fit_plane(samples, found, samples[i].view, options.flatness);
+    nearest.samples.resize(std::min(nearest.samples.size(), std::size_t(options.normal_neighbours) + 1));
+    Place place{{{}, random_direction(random)}, {}};
+    if (options.normals && nearest.samples.size() >= 3) place = place_of(tree, samples, i, std::move(nearest.samples), options);
+    const Plane& plane = place.plane;
     surfels.mean[i] = samples[i].position;
     if (options.smooth && plane.is_surface)
         surfels.mean[i] -= glm::vec3(glm::dot(glm::dvec3(samples[i].position) - plane.point, plane.normal) * plane.normal);
-    surfels.rotation[i] = rotation_to(plane.normal, random.uniform(0.0, 2.0 * kPi));
-    surfels.log_scale[i] = glm::vec2(static_cast<float>(std::log(std::clamp(scale * options.scale_factor, 1e-3, options.max_scale_m))));
+    glm::dvec3 x = direction_within(plane.normal, random.uniform(0.0, 2.0 * kPi));
+    const double width = place.gap.width_m(), round = std::min(spacing * options.scale_factor, options.max_scale_m);
+    const bool reaches = width > kGap * spacing && width < options.max_gap_m;
+    if (reaches) x = place.gap.across;
+    surfels.rotation[i] = rotation_of(x, plane.normal);
+    const auto log_scale = [](double m) { return static_cast<float>(std::log(std::max(m, 1e-3))); };
+    surfels.log_scale[i] = {log_scale(reaches ? width * options.scale_factor : round), log_scale(round)};
     surfels.opacity_logit[i] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
     float* sh = surfels.sh.data() + i * kShFloats;
     fill_intensity(sh, samples[i], plane.is_surface ? plane.normal : glm::dvec3(0.0), incidence);

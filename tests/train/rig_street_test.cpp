@@ -93,6 +93,42 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     }
 }
 
+/// Share of the rays of a sensor that the street returns from the ground, 5 to 25 m away, and an untrained scene does not.
+double missed_ground(Device& device, const Sequence& log, const SyntheticOptions& options, double max_gap_m) {
+    Sequence street = log;
+    const int middle = int(street.frames.size()) / 2;
+    const Split split = split_frames(street, middle);   // the middle and the last
+    Config config = rig_config(0);
+    config.init.max_gap_m = max_gap_m;
+    prepare_log(street, split, config, {});
+    const TrainResult result = train(device, street, split, config, {});
+    ScanRenderer renderer(device, result.scene, config, street);
+    const double time_s = street.frames[std::size_t(middle)].time_s;
+    const SensorChoice sensor = sensor_choice(find_sensor("OS1-64"));
+    const RenderedScan scan = renderer.render(sensor, time_s);
+    const Scan truth = cast_synthetic_street(options, sensor.rays, street.world_from_sensor(0), time_s);
+    double missed = 0.0, ground = 0.0;
+    for (std::size_t i = 0; i < truth.range_m.size(); ++i) {
+        if (truth.range_m[i] < 5.0f || truth.range_m[i] > 25.0f || truth.range_m[i] * sensor.rays.direction[i].z > -1.7f) continue;
+        ground += 1.0;
+        missed += !returned(scan.image.drop_prob[i], scan.median_range_m[i]);
+    }
+    EXPECT_GT(ground, 5000.0);
+    return missed / ground;
+}
+
+/// A log of 32 uneven beams for a sensor of 64: the road between their rings is road, too.
+TEST_F(RigStreet, ADenserSensorSeesNoHolesBetweenTheRingsOfTheLog) {
+    const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_sparse_street.json";
+    std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
+    const SyntheticOptions options{.n_frames = 11, .rig = rig.string()};
+    const Sequence log = make_synthetic_street(options);
+    const double with = missed_ground(device(), log, options, 2.0), without = missed_ground(device(), log, options, 0.0);
+    std::cout << "ground missed: " << with << ", by round discs " << without << "\n";
+    EXPECT_LT(with, 0.1);
+    EXPECT_GT(without, 3.0 * with);
+}
+
 TEST(SecondReturns, AreRaysThatStartBehindTheFirstSurface) {
     const std::string rig = test::write_rig(std::filesystem::path(testing::TempDir()) / "relidar_rig_behind");
     Sequence street = make_synthetic_street({.n_frames = 3, .rig = rig});
