@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // relidar_bench_rig: a run trained on a synthetic street that a rig has logged: each LiDAR's held-out sweeps against the street itself,
-// cast along the same rays, by exact ones or by cones where the LiDAR has two returns.
+// cast along the same rays, by exact ones or by cones where the LiDAR has two returns; and another sensor in the place of the first LiDAR.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -26,8 +26,10 @@ constexpr float kOnSurface_m = 0.3f;
 struct Score {
     std::vector<double> errors_m;   ///< of rays that return in truth and rendering
     double squares = 0.0;
-    std::size_t rays = 0, drops_right = 0, seconds = 0, found = 0, reported = 0, invented = 0;
+    std::size_t rays = 0, returns = 0, missed = 0, behind = 0, drops_right = 0, seconds = 0, found = 0, reported = 0, invented = 0;
 };
+
+double percent(std::size_t part, std::size_t whole) { return whole ? 100.0 * double(part) / double(whole) : 0.0; }
 
 /// What a scan says of each ray, rendered or cast.
 struct Returns {
@@ -61,6 +63,9 @@ void add(Score& score, const Returns& scan, const Returns& truth) {
         const bool returns = scan.range_m[i] > 0.0f, is_there = truth.range_m[i] > 0.0f;
         ++score.rays;
         score.drops_right += returns == is_there;
+        score.returns += is_there;
+        score.missed += is_there && !returns;
+        score.behind += is_there && returns && scan.range_m[i] > truth.range_m[i] + kOnSurface_m;
         if (returns && is_there) {
             score.errors_m.push_back(std::abs(double(scan.range_m[i]) - double(truth.range_m[i])));
             score.squares += score.errors_m.back() * score.errors_m.back();
@@ -71,13 +76,12 @@ void add(Score& score, const Returns& scan, const Returns& truth) {
 
 std::string row(const std::string& name, Score& s) {
     std::sort(s.errors_m.begin(), s.errors_m.end());
-    const auto share = [](std::size_t part, std::size_t whole) { return whole ? 100.0 * double(part) / double(whole) : 0.0; };
     if (s.errors_m.empty()) return fmt::format("| {} | {} | nothing returned |\n", name, s.rays);
     const std::string seconds = s.seconds == 0 ? std::string("– | – | –")
-                                               : fmt::format("{} | {:.1f} % | {:.1f} %", s.seconds, share(s.found, s.seconds),
-                                                             share(s.invented, s.reported));
+                                               : fmt::format("{} | {:.1f} % | {:.1f} %", s.seconds, percent(s.found, s.seconds),
+                                                             percent(s.invented, s.reported));
     return fmt::format("| {} | {} | {:.4f} m | {:.2f} m | {:.1f} % | {} |\n", name, s.rays, s.errors_m[s.errors_m.size() / 2],
-                       std::sqrt(s.squares / double(s.errors_m.size())), share(s.drops_right, s.rays), seconds);
+                       std::sqrt(s.squares / double(s.errors_m.size())), percent(s.drops_right, s.rays), seconds);
 }
 
 /// The street as the sensor has it, exactly: beams of two returns as cones. @param aside_m  how far to the left of its place, and above
@@ -90,7 +94,26 @@ Returns cast(const SyntheticOptions& street, RayTable rays, const PoseTrack& tra
     return returns_of(scan);
 }
 
-void run(const std::string& folder, int device_index, float aside_m) {
+/// A sensor that the log does not have, in the place of its first LiDAR on the held-out sweeps.
+void run_other(ScanRenderer& renderer, const Run& run, const SyntheticOptions& street, const std::string& name) {
+    const SensorChoice sensor = choose_sensor(name, run.config, run.sequence);
+    if (sensor.rays.direction.empty())
+        throw UsageError(fmt::format("{}: has other rays in every scan, expected a sensor whose rays stay", name));
+    const PoseTrack track = run.sequence.world_from_sensor(0);
+    Score score;
+    for (const int position : run.split.test) {
+        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        if (frame.lidar != 0) continue;
+        add(score, returns_of(renderer.render(sensor, frame.time_s)), cast(street, sensor.rays, track, frame.time_s, sensor));
+    }
+    std::sort(score.errors_m.begin(), score.errors_m.end());
+    if (score.errors_m.empty()) throw DataError(fmt::format("{}: nothing returned, expected some returns", name));
+    fmt::print("| {} | {} | {} | {:.1f} % | {:.1f} % | {:.4f} m | {:.2f} m | {:.1f} % |\n", name, score.rays, score.returns,
+               percent(score.missed, score.returns), percent(score.behind, score.returns), score.errors_m[score.errors_m.size() / 2],
+               std::sqrt(score.squares / double(score.errors_m.size())), percent(score.drops_right, score.rays));
+}
+
+void run(const std::string& folder, int device_index, float aside_m, const std::vector<std::string>& others) {
     Run run = load_run(folder);
     const SyntheticOptions street = street_of(run);
     const auto rig = find_rig(street.rig);
@@ -118,6 +141,11 @@ void run(const std::string& folder, int device_index, float aside_m) {
         const std::string from = fmt::format("{}, the street from {:g} cm to the left and above", name, 100.0f * aside_m);
         if (aside_m > 0.0f) fmt::print("{}", row(from, beside[l]));
     }
+    if (!others.empty())
+        fmt::print("\n| instead of {} | rays | returns | missed | {} m behind and more | median range error | RMSE | drops right |\n"
+                   "|---|--:|--:|--:|--:|--:|--:|--:|\n",
+                   run.sequence.lidars[0].name, kOnSurface_m);
+    for (const std::string& other : others) run_other(renderer, run, street, other);
 }
 
 }  // namespace
@@ -126,13 +154,15 @@ int main(int argc, char** argv) {
     std::string folder;
     int device = -1;
     float aside_m = 0.0f;
+    std::vector<std::string> others;
     CLI::App app("held-out sweeps of each LiDAR of a rig against the synthetic street itself", "relidar_bench_rig");
     app.add_option("RUN", folder, "run trained on a street.toml with rig = FILE")->required();
     app.add_option("--device", device, "as of `relidar render`");
     app.add_option("--aside", aside_m, "also score the street itself, cast from this many metres to the left and above");
+    app.add_option("--sensor", others, "also score these in the place of the first LiDAR: names of `relidar sensors`, or files");
     CLI11_PARSE(app, argc, argv);
     try {
-        run(folder, device, aside_m);
+        run(folder, device, aside_m, others);
     } catch (const Error& error) {
         fmt::print(stderr, "relidar_bench_rig: {}\n", error.what());
         return static_cast<int>(error.code());
