@@ -192,7 +192,7 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
         surfels.mean[i] -= glm::vec3(glm::dot(glm::dvec3(samples[i].position) - plane.point, plane.normal) * plane.normal);
     glm::dvec3 x = direction_within(plane.normal, random.uniform(0.0, 2.0 * kPi));
     const double width = place.gap.width_m(), round = std::min(spacing * options.scale_factor, options.max_scale_m);
-    const bool reaches = width > kGap * spacing && width < options.max_gap_m;
+    const bool reaches = !place.gap.is_open() && width > kGap * spacing && width < options.max_gap_m;
     if (reaches) x = place.gap.across;
     surfels.rotation[i] = rotation_of(x, plane.normal);
     const auto log_scale = [](double m) { return static_cast<float>(std::log(std::max(m, 1e-3))); };

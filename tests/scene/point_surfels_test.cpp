@@ -112,6 +112,14 @@ TEST(PointSurfels, DoNotReachToAnotherSurface) {
     EXPECT_LT(disc.along_x, 1.6);
 }
 
+/// Above the uppermost line no ray has looked: nothing would cut back what reaches there.
+TEST(PointSurfels, DoNotReachBeyondTheLastLine) {
+    const std::vector<Sample> samples = lines_at({-1.5, -1.0, -0.5, 0.0}, [](double) { return 0.0; });
+    const Surfels surfels = surfels_from_points(samples, standard_options(), 0.0);
+    EXPECT_LT(disc_at(surfels, {}).along_x, 1.6);
+    EXPECT_NEAR(disc_at(surfels, {-0.5f, 0.0f, 0.0f}).along_x, 5.0, 0.5);
+}
+
 TEST(PointSurfels, DoNotReachFartherThanTheyMay) {
     std::vector<double> x;
     for (int k = 0; k < 8; ++k) x.push_back(-kSpacing * k), x.push_back(0.6 + kSpacing * k);   // a gap of six spacings
