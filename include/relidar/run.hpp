@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run folder is self-describing: config.toml, model.safetensors, drop_network.safetensors (where one was trained), scene.json (sensor,
-// frames, poses, boxes, split, units, conventions), log.jsonl, report.html. It renders without the dataset.
+// A run folder is self-describing: config.toml, model.safetensors, drop_network.safetensors (where one was trained), sweeps.safetensors
+// (where heads did not turn evenly), scene.json (sensor, frames, poses, boxes, split, units, conventions), log.jsonl, report.html. It
+// renders without the dataset.
 #pragma once
 
 #include <filesystem>
@@ -43,7 +44,8 @@ struct Run {
     }
 };
 
-/// Writes config.toml, scene.json, model.safetensors and drop_network.safetensors, each atomically. The folder is made where missing.
+/// Writes config.toml, scene.json, model.safetensors, drop_network.safetensors and sweeps.safetensors, each atomically. The folder is made
+/// where missing.
 /// Blocks of the scene that lie elsewhere are linked into it (copied where the file system has no links), as blocks/NNN/model.safetensors.
 /// @throws DataError where the folder cannot be made or written
 void save_run(const Run& run);

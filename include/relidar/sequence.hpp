@@ -71,7 +71,13 @@ struct Frame {
     Scan scan;
     int lidar = 0;          ///< in Sequence::lidars
     std::optional<SweepStart> start = {};   ///< see find_start(); load_sequence() looks for it
+    std::vector<float> azimuth_shift_rad = {};   ///< [columns] see find_azimuth_shift(), likewise; empty: nominal
 };
+
+/// All of a frame but its scan.
+inline Frame without_scan(const Frame& frame) {
+    return {frame.index, frame.time_s, {}, frame.lidar, frame.start, frame.azimuth_shift_rad};
+}
 
 /// Which LiDAR of a log sweeps, when, and where its sweep begins.
 struct SweepMoment {
@@ -110,6 +116,16 @@ struct Lidar {
 
 /// Rays of a LiDAR's scan at a time, for frames without one of their own: none for one that is known by its scans alone.
 RayTable nominal_rays(const Lidar& lidar, double time_s);
+
+/// How far to the left of its nominal azimuth the head of a spinning LiDAR pointed at each firing of one sweep: the median over the
+/// returned rays of the firing, all beams together, so that it does not say which of them were dropped. Firings that return less than
+/// three rays lie between their neighbours. The rays of KITTI's HDL-64E are off by up to three columns, with it by 0.01 of one.
+/// @param nominal  nominal_rays() of the LiDAR @return [columns] radians, by firing (column_shift()); empty where the scan is not in the
+/// order of the nominal rays, its beams do not turn together, or it is where it nominally is
+std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& sensor, const RayTable& nominal);
+/// Rays of a sensor's sweep where its head pointed: turned about the z axis, firing by firing.
+/// @param shift_rad  see find_azimuth_shift(); empty: nothing is turned
+RayTable shifted_azimuths(RayTable rays, const SpinningSensor& sensor, const std::vector<float>& shift_rad);
 
 /// Category of boxes that no dataset labelled (discover_tracks() in scene.hpp).
 inline constexpr const char* kDiscoveredCategory = "Discovered";

@@ -308,6 +308,8 @@ void visit(C& c, Visitor&& f) {
     f("render.range", c.render.range, one_of({"expected", "normalised", "median", "mode"}),
       "range of a ray in range images: D (paper), D / W, where the transmittance crosses 0.5, or the mean of the heaviest surface (hits "
       "nearer to each other than sensor.return_separation_m are one)");
+    f("render.follow_sweeps", c.render.follow_sweeps, anything(),
+      "the log's own sensor, rendered at one of its sweeps, has the azimuths of that sweep; false: nominal ones, evenly spaced (paper)");
     f("render.normals", c.render.normals, anything(),
       "unit normals of the surfaces that rays meet: normals of npz, normal of exr, nx ny nz of ply, normal_x ... of pcd");
     f("render.spread", c.render.spread, anything(),

@@ -132,6 +132,16 @@ void check_range(const FrameRange& range) {
     }
 }
 
+/// Where and when each sweep began, and where its head pointed.
+void find_sweeps(Sequence& sequence) {
+    std::vector<RayTable> nominal;
+    for (const Lidar& lidar : sequence.lidars) nominal.push_back(lidar.pattern ? RayTable{} : nominal_rays(lidar, 0.0));
+    for (Frame& frame : sequence.frames) {
+        frame.start = find_start(frame.scan.rays, sequence.lidar_of(frame));
+        frame.azimuth_shift_rad = find_azimuth_shift(frame.scan, sequence.lidar_of(frame).sensor, nominal[std::size_t(frame.lidar)]);
+    }
+}
+
 }  // namespace
 
 bool is_dataset(const fs::path& path) {
@@ -180,7 +190,7 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
     check_sequence(sequence);
     if (!options.lidars.empty()) keep_lidars(sequence, options.lidars);
-    for (Frame& frame : sequence.frames) frame.start = find_start(frame.scan.rays, sequence.lidar_of(frame));
+    find_sweeps(sequence);
     apply_limits(sequence, {options.min_range_m, options.max_range_m});
     return sequence;
 }

@@ -21,7 +21,7 @@ constexpr std::size_t kScoredAtOnce = 16;   // on all cores, and so many frames 
 
 SensorChoice sensor_of(const Config& config, const Sequence& sequence, const Frame& frame) {
     SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
-    if (config.sensor.grid == "native") sensor.rays = frame.scan.rays;
+    if (config.sensor.grid == "native") sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
     return sensor;
 }
 

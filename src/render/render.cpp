@@ -22,6 +22,7 @@ namespace relidar {
 namespace {
 
 constexpr double kFarthest = 1e10;    // metres of any world, seconds since 1970
+constexpr double kSameTime_s = 1e-3;  // as a sweep of the log
 constexpr const char* kNative = "native";   ///< image of a network: the rays of a sensor
 constexpr float kMinWeight = 1e-3f;   ///< below this a ray met nothing that has a range
 
@@ -85,6 +86,15 @@ Sequence without_scans(const Sequence& sequence, const Config& config) {
     return result;
 }
 
+std::vector<Frame> shifted_sweeps(const Sequence& sequence) {
+    std::vector<Frame> sweeps;
+    for (const Frame& frame : sequence.frames) {
+        if (frame.azimuth_shift_rad.empty()) continue;
+        sweeps.push_back(without_scan(frame));
+    }
+    return sweeps;
+}
+
 /// The rays to cast where they are not those of the sensor: parts of their footprints. @throws UsageError for a beam without divergence
 std::optional<RayTable> split_beams(const RayTable& rays, const SensorConfig& config, const std::string& sensor) {
     if (config.sub_rays == 1 && config.returns > 1)
@@ -123,6 +133,7 @@ struct ScanRenderer::Impl {
     Sequence sweep;        ///< LiDARs and boxes, no scans; where the vehicle is in the scan that is taken
     const PoseTrack log_world_from_vehicle;   ///< where it was in the log
     const glm::dvec3 first_origin_m;          ///< see first_origin()
+    const std::vector<Frame> sweeps;          ///< of the log that have an azimuth shift; no scans
     ResidentScene scene;
     std::vector<bool> shown;   ///< [instances]
     Device& device;
@@ -133,6 +144,16 @@ struct ScanRenderer::Impl {
         Lidar& lidar = sweep.lidars[std::size_t(sensor.lidar)];
         lidar.pattern = sensor.pattern;
         return {time_s, sensor.lidar, find_start(sensor.rays, lidar)};
+    }
+    /// A sensor that follows the log's sweeps, as its head pointed in the one at this time. Nothing where there is none.
+    std::optional<SensorChoice> followed(const SensorChoice& sensor, double time_s) const {
+        const auto is_now = [&](const Frame& f) { return f.lidar == sensor.lidar && std::abs(f.time_s - time_s) < kSameTime_s; };
+        const auto found = sensor.follows_sweeps ? std::ranges::find_if(sweeps, is_now) : sweeps.end();
+        if (found == sweeps.end()) return {};
+        SensorChoice result = sensor;
+        result.rays = shifted_azimuths(std::move(result.rays), sweep.lidars[std::size_t(sensor.lidar)].sensor, found->azimuth_shift_rad);
+        result.follows_sweeps = false;
+        return result;
     }
     /// Sub-rays and returns of a sensor.
     SensorConfig config_of(const SensorChoice& sensor) const {
@@ -158,6 +179,7 @@ struct ScanRenderer::Impl {
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
     : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_vehicle, first_origin(sequence),
+                     shifted_sweeps(sequence),
                      ResidentScene(device, scene, config, {.accel = accel_options(config), .trace = traced_with(config)}),
                      std::vector<bool>(scene.instances.size(), true), device}) {}
 ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {
@@ -189,6 +211,7 @@ const KernelTimes& ScanRenderer::times() const { return impl_->scene.times(); }
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset,
                                   std::optional<std::uint64_t> sample) {
     Impl& s = *impl_;
+    if (const auto followed = s.followed(sensor, time_s)) return render(*followed, time_s, sensor_offset, sample);
     s.sweep.world_from_vehicle = s.log_world_from_vehicle;
     s.drive(moved_track(s.sweep.world_from_sensor(sensor.lidar), sensor_offset), sensor.lidar);
     return take(sensor, time_s, place_instances(s.layout, s.sweep, s.moment(sensor, time_s)), sample);

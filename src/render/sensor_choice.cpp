@@ -32,6 +32,7 @@ SensorChoice own_sensor(const Config& config, const Sequence& sequence, int lida
     const RangeLimits limits = overlap(sensor.range_limits(), configured_limits(config));
     return {.rays = rays_of(own.pattern, [&] { return nominal_rays(own, 0.0); }),
             .is_own = true,
+            .follows_sweeps = config.render.follow_sweeps && !own.pattern,
             .beams = sensor.beams,
             .pattern = own.pattern,
             .limits = limits,

@@ -25,7 +25,7 @@ public:
     std::vector<SeenSurface> look(int position, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle) {
         const Frame& frame = run_.sequence.frames[std::size_t(position)];
         SensorChoice sensor;
-        sensor.rays = some_rays(frame.scan.rays, rays);
+        sensor.rays = some_rays(frame.scan.rays, rays), sensor.follows_sweeps = false;
         sensor.lidar = frame.lidar;
         const Pose& mounted = run_.sequence.lidar_of(frame).vehicle_from_sensor;
         const glm::dvec3& offset_m = run_.sequence.world_offset_m;

@@ -24,7 +24,7 @@ Sequence without_scans(const Sequence& sequence) {
     result.world_from_vehicle = sequence.world_from_vehicle;
     result.boxes = sequence.boxes;
     result.rolling_shutter = sequence.rolling_shutter;
-    for (const Frame& frame : sequence.frames) result.frames.push_back({frame.index, frame.time_s, {}, frame.lidar, frame.start});
+    for (const Frame& frame : sequence.frames) result.frames.push_back(without_scan(frame));
     return result;
 }
 

@@ -25,7 +25,8 @@ bool looks_at_grid(const Config& config) { return config.refine.image == "grid" 
 SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
     if (looks_at_grid(config)) return configured_sensor(config, sequence, frame.lidar);
     SensorChoice sensor = choose_sensor("native", config, sequence, frame.lidar);
-    if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns) sensor.rays = frame.scan.rays;
+    if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns)
+        sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
     return sensor;
 }
 

@@ -135,6 +135,36 @@ TEST_F(Render, WallIsWhereItStands) {
     EXPECT_NEAR(renderer.render(sensor, 0.5, back).image.range_m[ahead], 13.0 - 2.0 * fired_at, 1e-4);
 }
 
+/// A post that only one column of the head meets stands in another column of the image in a sweep in which the head was a column behind.
+TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
+    constexpr int kColumns = 64;
+    constexpr double kColumn_rad = 2.0 * kPi / kColumns;
+    Surfels post = wall_ahead();
+    post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};   // 0.1 m of 1 m between columns
+    Sequence sequence = cross_sequence();
+    SpinningSensor& sensor = sequence.lidars[0].sensor;
+    sensor.beams = {{0.0}}, sensor.columns = kColumns, sensor.max_range_m = 80.0;
+    sequence.frames = {{0, 0.0, {}}, {1, 1.0, {}}};
+    sequence.frames[1].azimuth_shift_rad.assign(kColumns, float(kColumn_rad));
+    sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{}}};
+    Config config;
+    config.render.follow_sweeps = true;
+    ScanRenderer renderer(device(), make_background_scene(post), config, sequence);
+    const auto column_of_post = [&](const RenderedScan& scan) {
+        return int(std::min_element(scan.image.drop_prob.begin(), scan.image.drop_prob.end()) - scan.image.drop_prob.begin());
+    };
+    const SensorChoice own = configured_sensor(config, sequence);
+    EXPECT_TRUE(own.follows_sweeps);
+    const int nominal = kColumns / 2;   // azimuth pi falls by a column each
+    EXPECT_EQ(column_of_post(renderer.render(own, 0.0)), nominal) << "a sweep without a shift";
+    EXPECT_EQ(column_of_post(renderer.render(own, 1.0)), nominal + 1) << "the head points one column to the left of where it should";
+    EXPECT_EQ(column_of_post(renderer.render(own, 0.5)), nominal) << "no sweep of the log";
+    EXPECT_EQ(column_of_post(renderer.render(own, ScanRequest{1.0, {{1.0}, {Pose{}}}})), nominal) << "driven by somebody else";
+    config.render.follow_sweeps = false;
+    EXPECT_EQ(column_of_post(renderer.render(configured_sensor(config, sequence), 1.0)), nominal);
+    EXPECT_FALSE(choose_sensor("HDL-32E", config, sequence).follows_sweeps);
+}
+
 /// Two veils before a wall: half of the light is gone at the second, most of it comes back from the wall. A dropped ray has no range.
 TEST_F(Render, ModeIsTheHeaviestSurface) {
     Surfels scene;

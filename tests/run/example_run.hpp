@@ -48,6 +48,7 @@ inline Run example_run(const std::filesystem::path& folder) {
         s.world_from_vehicle.time_s.push_back(s.frames.back().time_s);
         s.world_from_vehicle.pose.push_back(example_pose(i));
     }
+    for (int k = 0; k < s.lidars[0].sensor.columns; ++k) s.frames[1].azimuth_shift_rad.push_back(1e-3f / 3.0f * float(k) - 2e-3f);
     s.boxes.push_back({"7", "Car", {4.2, 1.8, 1.5}, {{1.3e9, 1.3e9 + 0.1}, {example_pose(0.5), example_pose(0.6)}}});
     s.boxes.push_back({"8", "Van", {5.2, 2.0, 2.5}, {}});
     run.split = {{0, 1}, {2}};   // frame 3 is unused

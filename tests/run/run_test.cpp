@@ -2,6 +2,8 @@
 // Run folders: what was saved comes back bit by bit; anything cut, missing or changed is refused by file and field.
 #include <relidar/run.hpp>
 
+#include <relidar/export.hpp>
+
 #include <algorithm>
 #include <limits>
 
@@ -122,6 +124,7 @@ TEST_F(RunFolder, RoundTripsExactly) {
         EXPECT_EQ(a.frames[i].time_s, b.frames[i].time_s);
         EXPECT_EQ(a.world_from_vehicle.time_s[i], b.world_from_vehicle.time_s[i]);
         expect_equal(a.world_from_vehicle.pose[i], b.world_from_vehicle.pose[i]);
+        EXPECT_EQ(a.frames[i].azimuth_shift_rad, b.frames[i].azimuth_shift_rad);
     }
     ASSERT_EQ(a.boxes.size(), 2u);
     EXPECT_EQ(a.boxes[0].size_m, b.boxes[0].size_m);
@@ -133,6 +136,26 @@ TEST_F(RunFolder, RoundTripsExactly) {
     EXPECT_EQ(read.edits[0].edit, "--move 7:0,3.5,0");
     EXPECT_EQ(read.split.train, run.split.train);
     EXPECT_EQ(read.split.test, run.split.test);
+}
+
+TEST_F(RunFolder, SweepsAreThoseOfItsFrames) {
+    const std::filesystem::path file = run.folder / "sweeps.safetensors";
+    const auto error_with_array = [&](const std::string& name, const std::vector<float>& values) {
+        write_safetensors(file, {make_array(name, {values.size()}, values.data(), values.size())},
+                          {{"format", "relidar sweeps"}, {"version", "1"}});
+        return load_error();
+    };
+    EXPECT_NE(error_with_array("000004", std::vector<float>(1030)).find("sweeps.safetensors: array 000004: no such frame"),
+              std::string::npos);
+    EXPECT_NE(error_with_array("one", std::vector<float>(1030)).find("array one: no such frame"), std::string::npos);
+    EXPECT_NE(error_with_array("000001", std::vector<float>(16)).find("array 000001: found f4 [16], expected f4 [1030]"),
+              std::string::npos);
+    EXPECT_NE(error_with_array("000001", std::vector<float>(1030, 9.0f)).find("found 9, expected radians"), std::string::npos);
+    EXPECT_NE(error_with_array("000001", std::vector<float>(1030, NAN)).find("found nan, expected radians"), std::string::npos);
+    run.sequence.frames[1].azimuth_shift_rad.clear();
+    save_run(run);
+    EXPECT_FALSE(std::filesystem::exists(file)) << "no sweep has any";
+    EXPECT_TRUE(load_run(run.folder).sequence.frames[1].azimuth_shift_rad.empty());
 }
 
 TEST_F(RunFolder, SensorRoundTripsExactly) {
@@ -201,6 +224,7 @@ TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
          {FixedPattern(window), FixedPattern(rosette), FixedPattern(cones), FixedPattern(make_rays(rosette, 0.37))}) {
         s.lidars[0].sensor = {.name = "fixed", .beams = {}, .columns = 0, .period_s = 0.0};
         s.lidars[0].pattern = pattern;
+        s.frames[1].azimuth_shift_rad.clear();
         save_run(run);
         const Lidar read = load_run(run.folder).sequence.lidars[0];
         ASSERT_TRUE(read.pattern);

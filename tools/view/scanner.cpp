@@ -219,7 +219,7 @@ std::string Scanner::scan(TabCache& tab, const ScanWish& wish) {
         measured = measured_columns(*real_.sequence(), *real);
     }
     if (wish.simulate) {
-        if (is_matched) sensor.rays = real->scan.rays;
+        if (is_matched) sensor.rays = real->scan.rays, sensor.follows_sweeps = false;
         const RenderedScan scan = render(*tab.traffic, wish, sensor);
         header["trace_ms"] = scan.trace_ms;
         header["kernels"] = kernel_times();
