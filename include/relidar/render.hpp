@@ -65,8 +65,8 @@ struct SensorChoice {
     RayTable rays;                   ///< none of a Rosette, which has others in every scan
     std::optional<RangeGrid> grid = {};   ///< bin the simulated points into this grid afterwards
     bool is_own = false;             ///< a LiDAR of the log: its sensor-level ray-drop applies
-    /// the rays are the nominal ones of that LiDAR: at the time of one of its sweeps, rendered where the log has it, they point where its
-    /// head did (find_azimuth_shift())
+    /// the rays are the nominal ones of that LiDAR: at the time of one of its sweeps they point where its head did (find_azimuth_shift()),
+    /// unless it is driven (ScanRequest)
     bool follows_sweeps = false;
     /// of the rays' channels, what these add to ranges and make of intensities; none: they measure what is there
     std::vector<Beam> beams = {};

@@ -131,7 +131,7 @@ void visit_scene(C& c, Visitor&& f) {
     f("image.alpha_min", c.image.alpha_min, between(1e-6, 0.5), "a surfel that contributes less alpha is skipped");
     f("image.alpha_max", c.image.alpha_max, between(0.5, 0.9999), "alpha is clamped to this");
     f("image.transmittance_min", c.image.transmittance_min, between(0, 0.5),
-      "a surfel that would bring the transmittance below this ends the ray");
+      "a surfel that would bring the transmittance below this ends the ray unseen; less than 1 - image.alpha_max, or opaque surfels do");
     f("image.sh_degree", c.image.sh_degree, between(0, 3), "degree of the spherical harmonics");
     f("image.sh_direction", c.image.sh_direction, one_of({"ray", "surfel"}),
       "spherical harmonics are evaluated per hit along the ray, or once a surfel along sensor to mean");
