@@ -312,5 +312,34 @@ TEST(KittiRaw, RealScansKeepTheirPointsOnTheNativeGrid) {
     EXPECT_GT(lost_grid, lost_native);
 }
 
+/// What render.follow_sweeps rests on: nominal rays, each firing turned as one, are the rays of the scan, of dropped ones as well.
+TEST(KittiRaw, RealScansHaveOneAzimuthAFiring) {
+    const char* folder = std::getenv("RELIDAR_KITTI_DRIVE");
+    if (!folder) GTEST_SKIP() << "RELIDAR_KITTI_DRIVE names no KITTI raw drive";
+    DatasetOptions options;
+    options.frames = {40, 44};
+    const Sequence log = load_sequence(folder, options);
+    for (const Frame& frame : log.frames) {
+        const SpinningSensor& sensor = log.lidar_of(frame).sensor;
+        const RayTable nominal = make_rays(sensor), turned = shifted_azimuths(nominal, sensor, frame.azimuth_shift_rad);
+        std::vector<float> evenly, followed;
+        for (std::size_t i = 0; i < nominal.size(); ++i) {
+            evenly.push_back(glm::length(nominal.direction[i] - frame.scan.rays.direction[i]));
+            followed.push_back(glm::length(turned.direction[i] - frame.scan.rays.direction[i]));
+        }
+        const auto share = [](std::vector<float>& values, double at) {
+            std::ranges::sort(values);
+            return double(values[std::size_t(at * double(values.size() - 1))]);
+        };
+        const double column_rad = 2.0 * kPi / sensor.columns;
+        std::cout << fmt::format("[ azimuths   ] frame {}: median {:.3f} of a column beside nominal rays, ", frame.index,
+                                 share(evenly, 0.5) / column_rad)
+                  << fmt::format("{:.3f} and at 99 % {:.3f} with its own\n", share(followed, 0.5) / column_rad,
+                                 share(followed, 0.99) / column_rad);
+        EXPECT_LT(share(followed, 0.5), 0.05 * column_rad);
+        EXPECT_LT(share(followed, 0.99), 0.2 * column_rad);
+    }
+}
+
 }  // namespace
 }  // namespace relidar
