@@ -82,7 +82,7 @@ Config standard() {
     config.refine.enabled = true;                      // drop accuracy 0.963 -> 0.973 of a scene trained by `quick`
     config.refine.frames = 200;                        // their images are held at once, and a long log has thousands
     config.render.range = "normalised";
-    config.render.follow_sweeps = true;                // heads turn unevenly: HDL-64E up to 3 columns; drops 0.978 -> 0.980
+    config.render.follow_sweeps = true;                // heads turn unevenly: RMSE of held-out scans 1.89 -> 1.76 m
     config.trace.chunk = 64;                           // with the cut by transmittance one pass is nearly always enough
     return config;
 }
