@@ -11,6 +11,7 @@
 
 #include "core/files.hpp"
 #include "core/json_field.hpp"
+#include "run/file_format.hpp"
 
 namespace relidar {
 namespace {
@@ -64,9 +65,7 @@ DropNetwork load_drop_network(const std::filesystem::path& path) {
     const std::string file = path.string();
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    if (metadata["format"] != kFormat || metadata["version"] != kVersion)
-        throw DataError(fmt::format("{}: metadata: found \"{}\" version \"{}\", expected \"{}\" version {}", file, metadata["format"],
-                                    metadata["version"], kFormat, kVersion));
+    run_detail::check_format(metadata, file, kFormat, kVersion);
     DropNetwork network;
     const std::string where = file + ": metadata shape";
     const nlohmann::json shape = parse_json(metadata["shape"], where);

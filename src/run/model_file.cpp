@@ -19,6 +19,8 @@
 #include <relidar/export.hpp>
 #include <relidar/stages/scene.hpp>
 
+#include "run/file_format.hpp"
+
 namespace relidar {
 namespace {
 
@@ -82,15 +84,7 @@ void read_layout(const JsonField& layout, Scene& scene) {
 }
 
 void check_metadata(const std::map<std::string, std::string>& metadata, const std::string& file) {
-    const auto value = [&](const char* key) {
-        const auto it = metadata.find(key);
-        return it == metadata.end() ? std::string() : it->second;
-    };
-    if (value("format") != kFormat)
-        throw DataError(fmt::format("{}: metadata format: found \"{}\", expected \"{}\"", file, value("format"), kFormat));
-    if (value("version") != kVersion)
-        throw DataError(fmt::format("{}: metadata version: found \"{}\", this relidar ({}) reads version {}", file, value("version"),
-                                    RELIDAR_VERSION, kVersion));
+    run_detail::check_format(metadata, file, kFormat, kVersion);
     if (!metadata.contains("layout")) throw DataError(fmt::format("{}: metadata layout: missing, expected it", file));
 }
 

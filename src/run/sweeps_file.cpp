@@ -9,6 +9,8 @@
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
 
+#include "run/file_format.hpp"
+
 namespace relidar::run_detail {
 namespace {
 
@@ -40,9 +42,7 @@ void load_sweeps(const std::filesystem::path& path, Sequence& sequence) {
     const std::string file = path.string();
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    if (metadata["format"] != kFormat || metadata["version"] != kVersion)
-        throw DataError(fmt::format("{}: metadata: found \"{}\" version \"{}\", expected \"{}\" version {}", file, metadata["format"],
-                                    metadata["version"], kFormat, kVersion));
+    check_format(metadata, file, kFormat, kVersion);
     for (const NamedArray& array : arrays) {
         Frame& frame = frame_of(array.name, sequence, file);
         const auto columns = std::size_t(sequence.lidar_of(frame).sensor.columns);

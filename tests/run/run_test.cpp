@@ -89,7 +89,7 @@ TEST_F(RunFolder, RefusesADamagedRayDropNetwork) {
         return load_error();
     };
     EXPECT_THAT(replaced("drop network", "lost network"),
-                ::testing::HasSubstr("drop_network.safetensors: metadata: found \"relidar lost network\""));
+                ::testing::HasSubstr("drop_network.safetensors: metadata format: found \"relidar lost network\""));
     EXPECT_THAT(replaced("heads\\\":2", "heads\\\":3"), ::testing::HasSubstr("heads: found 3, expected a divisor of 8"));
     EXPECT_THAT(replaced("\"running\"", "\"walking\""), ::testing::HasSubstr("array running: missing or not f4, expected it"));
     put(file, whole.substr(0, whole.size() - 5));
