@@ -39,9 +39,7 @@ void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& m
     const PoseTrack track = sequence.world_from_sensor(frame.lidar);
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         const WorldRay w = world_ray(track, frame.time_s, scan.rays, i, sequence.rolling_shutter);
-        const auto beam = sequence.beam_number(frame.lidar, scan.rays.channel[i]);
-        const bool blind = beam && masks.blind.at(*beam, scan.rays.direction[i]) >= kBlindFrequency;
-        const bool unknown = blind || is_unknown(boxes, w, scan.range_m[i]);
+        const bool unknown = is_blind(masks.observed_drops, sequence, frame, i) || is_unknown(boxes, w, scan.range_m[i]);
         rays.push_back({glm::vec3(w.origin_m), glm::vec3(w.direction)});
         const SurfaceReturn surface = surface_return(sequence, frame, i);
         targets.push_back({surface.range_m, surface.intensity, unknown ? 0.0f : 1.0f});

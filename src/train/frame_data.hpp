@@ -53,7 +53,7 @@ std::uint32_t most_rays(std::span<const FrameData> frames);
 struct Unknown {
     InitialiseOptions moving;   ///< which boxes move, and their margin
     std::vector<std::string> actors;   ///< boxes that have a model of their own: these are known
-    DropTable blind;            ///< rays dropped at least kBlindFrequency of the time; empty = none
+    DropTable observed_drops;   ///< rays that these call blind (is_blind); empty = none
 };
 
 /// Rays and targets of one frame on the host. Rays that meet a moving box about where they returned, or that were dropped and may

@@ -9,6 +9,7 @@ namespace {
 
 constexpr int kColumnsPerBin = 3;
 constexpr int kNeighbours = 2;              // bins to either side that a bin is expected to be like
+constexpr std::uint32_t kCertainRays = 60;
 constexpr double kPriorRays = 8.0;          // returns assumed before anything was seen, and what the expectation counts in a bin
 
 int bins_of(const Sequence& sequence) {
@@ -33,11 +34,24 @@ void DropCounts::add(const Frame& frame, std::size_t ray) {
     drops_[slot] += !(frame.scan.range_m[ray] > 0.0f);
 }
 
-DropTable DropCounts::frequency(int min_rays) const {
+DropTable DropCounts::persistent() const {
     DropTable table = index_;
-    for (std::size_t i = 0; i < rays_.size(); ++i)
-        table.probability.push_back(rays_[i] >= static_cast<std::uint32_t>(min_rays) ? float(drops_[i]) / float(std::max(rays_[i], 1u))
-                                                                                     : 0.0f);
+    table.probability.assign(rays_.size(), 0.0f);
+    const auto share = [](std::uint32_t drops, std::uint32_t rays) { return float(drops) / float(rays); };
+    for (int channel = 0; channel < index_.channels; ++channel) {
+        const auto slot = [&](int bin) { return std::size_t(channel) * std::size_t(index_.bins) + std::size_t(bin % index_.bins); };
+        for (int first = 0; first < index_.bins; ++first) {
+            std::uint32_t rays = 0, drops = 0;
+            int end = first;
+            for (; end < first + index_.bins && rays < kCertainRays; ++end) rays += rays_[slot(end)], drops += drops_[slot(end)];
+            if (rays < kCertainRays) continue;
+            for (int bin = first; bin < end; ++bin) {
+                const std::size_t i = slot(bin);
+                const float own = rays_[i] > 0 ? share(drops_[i], rays_[i]) : 1.0f;
+                table.probability[i] = std::max(table.probability[i], std::min(own, share(drops, rays)));
+            }
+        }
+    }
     return table;
 }
 
@@ -68,7 +82,13 @@ DropTable observed_drops(const Sequence& sequence, const std::vector<int>& posit
         const Frame& frame = sequence.frames[std::size_t(position)];
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add(frame, i);
     }
-    return counts.frequency(static_cast<int>(positions.size()));
+    return counts.persistent();
+}
+
+bool is_blind(const DropTable& observed, const Sequence& sequence, const Frame& frame, std::size_t ray) {
+    constexpr float kBlindFrequency = 0.95f;
+    const auto beam = sequence.beam_number(frame.lidar, frame.scan.rays.channel[ray]);
+    return beam && observed.at(*beam, frame.scan.rays.direction[ray]) >= kBlindFrequency;
 }
 
 }  // namespace relidar

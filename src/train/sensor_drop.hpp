@@ -18,9 +18,10 @@ public:
     explicit DropCounts(const Sequence& sequence);
     /// A ray of a frame of the log.
     void add(const Frame& frame, std::size_t ray);
-    /// Share of drops, 0 where fewer than `min_rays` were counted.
-    DropTable frequency(int min_rays) const;
-    /// The same where a log is short, too: a bin is drawn towards the bins beside it, as if it had 8 more rays of their share, and these
+    /// Share of drops among as many bins side by side as it takes to be certain (60 rays: 20 sweeps of one bin, or 20 bins of one sweep): of
+    /// those that hold a bin, the ones that dropped most, and never more than the bin's own. 0 where a whole turn has fewer rays.
+    DropTable persistent() const;
+    /// Share of drops of each bin, where a log is short, too: a bin is drawn towards the bins beside it, as if it had 8 more rays of their share, and these
     /// towards 0, as if 8 more of their rays had returned.
     DropTable shrunk() const;
     std::size_t bins() const { return rays_.size(); }
@@ -34,9 +35,10 @@ private:
     double expected(int channel, int bin) const;
 };
 
-/// How often each beam and azimuth was dropped in some frames, whatever the reason.
+/// How often each beam and azimuth was dropped in some frames, whatever the reason (DropCounts::persistent).
 DropTable observed_drops(const Sequence& sequence, const std::vector<int>& positions);
 
-inline constexpr float kBlindFrequency = 0.95f;   ///< rays dropped at least this often are blind: not used in training
+/// Whether a ray hardly ever returns by `observed` drops, 0.95 of the time: it is not used in training.
+bool is_blind(const DropTable& observed, const Sequence& sequence, const Frame& frame, std::size_t ray);
 
 }  // namespace relidar

@@ -3,30 +3,32 @@
 #include "train/sensor_drop.hpp"
 
 #include <cmath>
+#include <numeric>
 
 #include <gtest/gtest.h>
 
 namespace relidar {
 namespace {
 
-constexpr int kColumns = 360, kBlindFrom = 100, kBlindTo = 160;   // of beam 1
+constexpr int kColumns = 360, kBlindFrom = 99, kBlindTo = 189;   // of beam 1
 
-/// Sweeps of three beams: the second is blind in a sector, the third drops each seventh ray.
-Sequence log_of(int n_frames) {
+/// Sweeps of four beams, every `step`-th column: the second is blind in a sector, the third drops each seventh ray, and the fourth six of
+/// each 24, as windows do.
+Sequence log_of(int n_frames, int step = 1) {
     Sequence log;
     log.lidars[0].sensor.columns = kColumns;
-    log.lidars[0].sensor.beams.resize(3);
+    log.lidars[0].sensor.beams.resize(4);
     for (int f = 0; f < n_frames; ++f) {
         Frame frame{f, 0.1 * f, {}};
-        for (int beam = 0; beam < 3; ++beam)
-            for (int column = 0; column < kColumns; ++column) {
+        for (int beam = 0; beam < 4; ++beam)
+            for (int column = 0; column < kColumns; column += step) {
                 const double azimuth = kPi - (column + 0.5) * 2.0 * kPi / kColumns;
                 frame.scan.rays.origin.emplace_back(0.0f);
                 frame.scan.rays.direction.emplace_back(std::cos(azimuth), std::sin(azimuth), 0.0);
                 frame.scan.rays.time_offset_s.push_back(0.0f);
                 frame.scan.rays.channel.push_back(static_cast<std::uint16_t>(beam));
                 const bool is_blind = beam == 1 && column >= kBlindFrom && column < kBlindTo;
-                const bool is_dropped = beam == 2 && (column * 3 + f * 5) % 7 == 0;
+                const bool is_dropped = (beam == 2 && (column * 3 + f * 5) % 7 == 0) || (beam == 3 && column % 24 < 6);
                 frame.scan.range_m.push_back(is_blind || is_dropped ? 0.0f : 10.0f);
                 frame.scan.intensity.push_back(0.0f);
             }
@@ -71,6 +73,26 @@ TEST(SensorDrop, ManySweepsSayHowOften) {
 TEST(SensorDrop, NothingIsKnownWhereNoRayWasCounted) {
     const DropTable table = table_of(log_of(0));
     for (int column = 0; column < kColumns; ++column) EXPECT_EQ(at(table, 1, column), 0.0f);
+}
+
+TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
+    struct Log {
+        int n_frames, step;
+    };
+    for (const auto& [n_frames, step] : {Log{1, 1}, Log{2, 1}, Log{40, 1}, Log{3, 4}}) {   // the last as a coarse LiDAR beside a fine one
+        const Sequence log = log_of(n_frames, step);
+        std::vector<int> positions(std::size_t(n_frames), 0);
+        std::iota(positions.begin(), positions.end(), 0);
+        const DropTable observed = observed_drops(log, positions);
+        const Frame& frame = log.frames[0];
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+            const int beam = frame.scan.rays.channel[ray], column = int(ray % std::size_t(kColumns / step)) * step;
+            const bool is_window = beam == 3 && column % 24 < 6 && n_frames == 40;   // what was never seen in 40 sweeps is blind
+            const bool in_sector = beam == 1 && column >= kBlindFrom && column < kBlindTo;
+            if (step > 1 && beam == 1 && kBlindTo - column < 3 * step && column < kBlindTo) continue;   // too few rays to end with a bin
+            EXPECT_EQ(is_blind(observed, log, frame, ray), in_sector || is_window) << n_frames << " sweeps, beam " << beam << ", " << column;
+        }
+    }
 }
 
 }  // namespace

@@ -274,6 +274,30 @@ TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
     EXPECT_GT(double(seen_by_other), 0.8 * double(hidden)) << "another sensor has no such blind spot";
 }
 
+TEST_F(Train, ABlindSectorOfOneSweepIsRenderedBlind) {
+    SyntheticOptions options = small_street();
+    options.n_frames = 2;
+    options.columns = 1024;
+    Sequence street = make_synthetic_street(options);
+    for (Frame& frame : street.frames)
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
+            if (is_hidden(frame.scan.rays, i)) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;
+    Config config = small_config();
+    config.train.sensor_drop = true;
+    const TrainResult result = train(device(), street, {{0}, {1}}, config, [](const TrainProgress&) { return true; });
+    ScanRenderer renderer(device(), result.scene, config, street);
+    const Frame& frame = street.frames[0];
+    const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt, true}, frame.time_s);
+    std::size_t hidden = 0, dropped = 0, ground = 0, returned = 0;
+    for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
+        if (is_hidden(frame.scan.rays, i)) ++hidden, dropped += scan.image.drop_prob[i] >= 0.5f;
+        if (frame.scan.range_m[i] > 0.0f && frame.scan.rays.direction[i].z < -0.1f) ++ground, returned += scan.image.drop_prob[i] < 0.5f;
+    }
+    std::printf("%zu of %zu hidden rays dropped, %zu of %zu that see the ground returned\n", dropped, hidden, returned, ground);
+    EXPECT_GT(double(dropped), 0.97 * double(hidden)) << "discs around the sector reach into it";
+    EXPECT_GT(double(returned), 0.95 * double(ground));
+}
+
 TEST_F(Train, NothingToTrainOnIsAnError) {
     const Sequence street = make_synthetic_street(small_street());
     EXPECT_THROW(train(device(), street, Split{}, small_config(), [](const TrainProgress&) { return true; }), DataError);
