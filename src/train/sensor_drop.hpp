@@ -18,11 +18,11 @@ public:
     explicit DropCounts(const Sequence& sequence);
     /// A ray of a frame of the log.
     void add(const Frame& frame, std::size_t ray);
-    /// Share of drops among as many bins side by side as it takes to be certain (60 rays: 20 sweeps of one bin, or 20 bins of one sweep): of
-    /// those that hold a bin, the ones that dropped most, and never more than the bin's own. 0 where a whole turn has fewer rays.
+    /// Share of drops among as many bins side by side as it takes to be certain (60 rays: of 20 sweeps in one bin, or of 20 bins in one
+    /// sweep): of those that hold a bin, the ones that dropped most, and never more than the bin's own. 0 where a whole turn has fewer.
     DropTable persistent() const;
-    /// Share of drops of each bin, where a log is short, too: a bin is drawn towards the bins beside it, as if it had 8 more rays of their share, and these
-    /// towards 0, as if 8 more of their rays had returned.
+    /// Share of drops of each bin, where a log is short, too: a bin is drawn towards the bins beside it, as if it had 8 more rays of
+    /// their share, and these towards 0, as if 8 more of their rays had returned.
     DropTable shrunk() const;
     std::size_t bins() const { return rays_.size(); }
 

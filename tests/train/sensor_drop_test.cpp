@@ -90,7 +90,8 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
             const bool is_window = beam == 3 && column % 24 < 6 && n_frames == 40;   // what was never seen in 40 sweeps is blind
             const bool in_sector = beam == 1 && column >= kBlindFrom && column < kBlindTo;
             if (step > 1 && beam == 1 && kBlindTo - column < 3 * step && column < kBlindTo) continue;   // too few rays to end with a bin
-            EXPECT_EQ(is_blind(observed, log, frame, ray), in_sector || is_window) << n_frames << " sweeps, beam " << beam << ", " << column;
+            EXPECT_EQ(is_blind(observed, log, frame, ray), in_sector || is_window)
+                << n_frames << " sweeps, beam " << beam << ", column " << column;
         }
     }
 }
