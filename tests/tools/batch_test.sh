@@ -251,6 +251,24 @@ interrupted() {
     went_on told
 }
 
+# A step that trains the network goes on, too.
+network() {
+    manifest network.toml '[[job]]
+log = "logs/a_sync"
+steps = ["refine {run} --no-eval --set refine.epochs=500"]'
+    setsid "$relidar" batch network.toml --out network >batch.out 2>batch.err &
+    batch=$!
+    wait_for network/a_sync/batch.log "epoch [0-9]*[2-9]/500"
+    kill -TERM -- -$batch
+    wait $batch
+    local code=$?
+    check "batch interrupted while it trains a network: exit code $code, expected 130" test $code = 130
+    good batch network.toml --out network
+    is network/a_sync state done
+    check "the network was not resumed" test "$(grep -c '^resume  from step [1-9]' network/a_sync/batch.log)" = 1
+    check "the training before it was done again" test "$(trainings network/a_sync)" = 1
+}
+
 # Killed at once, the training that it leaves behind is told by the system, saves itself and ends; the next batch waits for that, however
 # long it takes.
 killed() {
@@ -332,6 +350,7 @@ engine_files
 if "$relidar" devices >out 2>err; then
     broken_log
     interrupted
+    network
     killed
     shared
 elif [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]]; then

@@ -20,11 +20,11 @@ using Places = std::vector<std::pair<std::string, std::string>>;   ///< what sta
 /// A command that may be a step, and what it is always given: a step that was stopped half-way replaces what it left.
 struct StepCommand {
     const char* name;
-    const char* replaces;   ///< empty: nothing need be said
+    const char* again;   ///< by which a second call replaces what the first has left, or goes on with it; empty: nothing need be said
     bool takes_device;
 };
-constexpr StepCommand kSteps[] = {{"refine", "", true},      {"render", "--overwrite", true}, {"eval", "", true},
-                                  {"edit", "--force", false}, {"export", "", false},           {"import", "--force", false},
+constexpr StepCommand kSteps[] = {{"refine", "--resume", true}, {"render", "--overwrite", true}, {"eval", "", true},
+                                  {"edit", "--force", false},    {"export", "", false},           {"import", "--force", false},
                                   {"info", "", false}};
 
 const StepCommand& find_step(const std::string& name) {
@@ -104,7 +104,7 @@ JobCommand step(const std::string& text, const Places& places, const DeviceChoic
     Words words = words_of(text);
     const StepCommand& command = find_step(words.empty() ? "" : words.front());
     for (std::string& word : words) word = filled(word, places);
-    if (*command.replaces) words.emplace_back(command.replaces);
+    if (*command.again) words.emplace_back(command.again);
     if (command.takes_device) append(words, device_words(device));
     return {text, words};
 }
