@@ -170,7 +170,8 @@ struct InstancePose {
 /// Tracks of what moves without a label: returns of training frames, within 40 m and outside labelled boxes, that other training frames see
 /// through are grouped, linked from frame to frame and placed as rigid upright boxes, of which the end near the sensor is sure and the size
 /// what they showed when they showed most. Only what is seen in at least 6 frames and comes 0.6 m far becomes a track, parts of the
-/// sensor's own vehicle excepted. x is the direction of motion; ids are mover-0, mover-1, ... The same in all processes of a team.
+/// sensor's own vehicle excepted. x is the direction of motion; ids are mover-0, mover-1, ... The same in all processes of a team. Each
+/// LiDAR is asked by itself: of a mover that several have seen the first one's track, unless another saw it half as long again.
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
                                       const Progress& progress = {}, const Team& team = {});
 

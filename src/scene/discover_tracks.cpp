@@ -441,12 +441,10 @@ std::vector<BoxTrack> without_parts(std::vector<BoxTrack> boxes) {
     return kept;
 }
 
-}  // namespace
-
-std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
-                                      const Progress& progress, const Team& team) {
-    std::vector<int> positions = train_positions;   // of the first LiDAR: two at one time would see a mover twice
-    std::erase_if(positions, [&](int position) { return sequence.frames[std::size_t(position)].lidar != 0; });
+/// What one LiDAR has seen move.
+std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::vector<int> positions, const InitialiseOptions& options,
+                                    const Progress& progress, const Team& team) {
+    std::erase_if(positions, [&](int position) { return sequence.frames[std::size_t(position)].lidar != lidar; });
     std::vector<double> times;
     for (const int position : positions) times.push_back(sequence.frames[std::size_t(position)].time_s);
     Visibility visibility(sequence, positions);
@@ -454,8 +452,26 @@ std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vecto
         link(find_mover_clusters(sequence, positions, visibility, options, progress, team), times, sequence.world_from_vehicle);
     std::erase_if(tracks, [&](const Track& track) { return !moves(track) || rides_along(track, sequence.world_from_vehicle); });
     join_parts(tracks);
-    std::vector<BoxTrack> boxes = proven_boxes(visibility, tracks, progress, team);
-    boxes = without_parts(std::move(boxes));
+    return without_parts(proven_boxes(visibility, tracks, progress, team));
+}
+
+/// Adds what another LiDAR has seen move. Of a mover that is there already the box stays, unless the other saw it half as long again: the
+/// longer of two paths of about the same length need not be the better one, but the end of a shorter one is where it is lost.
+void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
+    for (BoxTrack& other : others) {
+        const auto same = std::ranges::find_if(boxes, [&](const BoxTrack& b) { return is_part_of(other, b) || is_part_of(b, other); });
+        if (same == boxes.end()) boxes.push_back(std::move(other));
+        else if (2 * other.world_from_box.time_s.size() > 3 * same->world_from_box.time_s.size()) *same = std::move(other);
+    }
+}
+
+}  // namespace
+
+std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
+                                      const Progress& progress, const Team& team) {
+    std::vector<BoxTrack> boxes;
+    for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)   // two sweeps at one time would see a mover twice in a track
+        add_movers(boxes, discovered_by(lidar, sequence, train_positions, options, progress, team));
     for (std::size_t i = 0; i < boxes.size(); ++i) boxes[i].id = fmt::format("mover-{}", i);
     return boxes;
 }

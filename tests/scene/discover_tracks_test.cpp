@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <relidar/dataset.hpp>
+#include <relidar/reader.hpp>
 #include <relidar/scene.hpp>
 
 namespace relidar {
@@ -62,6 +63,29 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
         EXPECT_LT(off.back(), 0.4) << "box " << truth.id << ": at the ends of the log few frames tell what moved";
         EXPECT_LT(track->size_m.x, truth.size_m.x + 0.8);
         EXPECT_LT(track->size_m.y, truth.size_m.y + 0.8);
+    }
+}
+
+/// Beside a LiDAR that sees little, and beside one that sees the same.
+TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
+    for (const bool first_sees_all : {false, true}) {
+        Street street = street_without_labels();
+        std::vector<Frame> frames;
+        for (const Frame& frame : street.log.frames)
+            for (const int lidar : {0, 1}) {
+                frames.push_back(frame);
+                frames.back().lidar = lidar;
+                if (lidar == 1 || first_sees_all) continue;
+                for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
+                    if (frame.scan.rays.direction[i].x < 0.98f) frames.back().scan.range_m[i] = frames.back().scan.intensity[i] = 0.0f;
+            }
+        street.log.lidars.push_back(street.log.lidars[0]);
+        street.log.lidars[0].name = "first", street.log.lidars[1].name = "second";
+        street.log.frames = std::move(frames);
+        check_sequence(street.log);
+        const std::vector<BoxTrack> found = discover_tracks(street.log, split_frames(street.log, 10).train, {});
+        EXPECT_EQ(found.size(), street.truth.size()) << first_sees_all;
+        for (const BoxTrack& truth : street.truth) EXPECT_NE(found_in(found, truth), nullptr) << "box " << truth.id;
     }
 }
 
