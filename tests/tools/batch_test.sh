@@ -258,7 +258,7 @@ log = "logs/a_sync"
 steps = ["refine {run} --no-eval --set refine.epochs=1000"]'
     setsid "$relidar" batch network.toml --out network >batch.out 2>batch.err &
     batch=$!
-    wait_for network/a_sync/batch.log "epoch [0-9]*[2-9]/1000"
+    wait_for network/a_sync/batch.log "epoch [0-9]+/1000 "
     kill -TERM -- -$batch
     wait $batch
     local code=$?
