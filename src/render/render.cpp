@@ -149,8 +149,9 @@ struct ScanRenderer::Impl {
     std::optional<SensorChoice> followed(const SensorChoice& sensor, double time_s) const {
         const auto is_now = [&](const Frame& f) { return f.lidar == sensor.lidar && std::abs(f.time_s - time_s) < kSameTime_s; };
         const auto found = sensor.follows_sweeps ? std::ranges::find_if(sweeps, is_now) : sweeps.end();
+        if (found == sweeps.end()) return {};
         const SpinningSensor& head = sweep.lidars[std::size_t(sensor.lidar)].sensor;
-        if (found == sweeps.end() || sensor.rays.size() != head.beams.size() * found->azimuth_shift_rad.size()) return {};
+        if (sensor.rays.size() != head.beams.size() * found->azimuth_shift_rad.size()) return {};
         SensorChoice result = sensor;
         result.rays = shifted_azimuths(std::move(result.rays), head, found->azimuth_shift_rad);
         result.follows_sweeps = false;

@@ -459,9 +459,11 @@ std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::ve
 /// longer of two paths of about the same length need not be the better one, but the end of a shorter one is where it is lost.
 void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
     for (BoxTrack& other : others) {
-        const auto same = std::ranges::find_if(boxes, [&](const BoxTrack& b) { return is_part_of(other, b) || is_part_of(b, other); });
-        if (same == boxes.end()) boxes.push_back(std::move(other));
-        else if (2 * other.world_from_box.time_s.size() > 3 * same->world_from_box.time_s.size()) *same = std::move(other);
+        const auto is_same = [&](const BoxTrack& b) { return is_part_of(other, b) || is_part_of(b, other); };
+        const auto stays = [&](const BoxTrack& b) { return 2 * other.world_from_box.time_s.size() <= 3 * b.world_from_box.time_s.size(); };
+        if (std::ranges::any_of(boxes, [&](const BoxTrack& b) { return is_same(b) && stays(b); })) continue;
+        std::erase_if(boxes, is_same);
+        boxes.push_back(std::move(other));
     }
 }
 

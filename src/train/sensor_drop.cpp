@@ -9,7 +9,7 @@ namespace {
 
 constexpr int kColumnsPerBin = 3;
 constexpr int kNeighbours = 2;              // bins to either side that a bin is expected to be like
-constexpr std::uint32_t kCertainRays = 60;
+constexpr std::uint32_t kCertainRays = 60;  // fewer do not tell a blind spot from a hole that a few sweeps have seen
 constexpr double kPriorRays = 8.0;          // returns assumed before anything was seen, and what the expectation counts in a bin
 
 int bins_of(const Sequence& sequence) {
@@ -38,27 +38,26 @@ DropTable DropCounts::persistent() const {
     DropTable table = index_;
     table.probability.assign(rays_.size(), 0.0f);
     const auto share = [](std::uint32_t drops, std::uint32_t rays) { return float(drops) / float(rays); };
-    for (int channel = 0; channel < index_.channels; ++channel) {
-        const auto slot = [&](int bin) { return std::size_t(channel) * std::size_t(index_.bins) + std::size_t(bin % index_.bins); };
+    for (int channel = 0; channel < index_.channels; ++channel)
         for (int first = 0; first < index_.bins; ++first) {
             std::uint32_t rays = 0, drops = 0;
             int end = first;
-            for (; end < first + index_.bins && rays < kCertainRays; ++end) rays += rays_[slot(end)], drops += drops_[slot(end)];
+            for (; end < first + index_.bins && rays < kCertainRays; ++end)
+                rays += rays_[slot(channel, end)], drops += drops_[slot(channel, end)];
             if (rays < kCertainRays) continue;
             for (int bin = first; bin < end; ++bin) {
-                const std::size_t i = slot(bin);
+                const std::size_t i = slot(channel, bin);
                 const float own = rays_[i] > 0 ? share(drops_[i], rays_[i]) : 1.0f;
                 table.probability[i] = std::max(table.probability[i], std::min(own, share(drops, rays)));
             }
         }
-    }
     return table;
 }
 
 double DropCounts::expected(int channel, int bin) const {
     double rays = kPriorRays, drops = 0.0;
     for (int b = bin - kNeighbours; b <= bin + kNeighbours; ++b) {
-        const auto i = std::size_t(channel) * std::size_t(index_.bins) + std::size_t((b + index_.bins) % index_.bins);
+        const std::size_t i = slot(channel, b);
         rays += double(rays_[i]);
         drops += double(drops_[i]);
     }
@@ -69,7 +68,7 @@ DropTable DropCounts::shrunk() const {
     DropTable table = index_;
     for (int channel = 0; channel < index_.channels; ++channel)
         for (int bin = 0; bin < index_.bins; ++bin) {
-            const auto i = std::size_t(channel) * std::size_t(index_.bins) + std::size_t(bin);
+            const std::size_t i = slot(channel, bin);
             const double drops = double(drops_[i]) + kPriorRays * expected(channel, bin);
             table.probability.push_back(static_cast<float>(drops / (double(rays_[i]) + kPriorRays)));
         }

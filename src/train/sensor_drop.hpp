@@ -31,6 +31,10 @@ private:
     DropTable index_;   ///< for its geometry
     std::vector<std::uint32_t> rays_, drops_;
 
+    /// Where a bin is counted; bins go round.
+    std::size_t slot(int channel, int bin) const {
+        return std::size_t(channel) * std::size_t(index_.bins) + std::size_t((bin + index_.bins) % index_.bins);
+    }
     /// Share of drops that a bin and those beside it have, drawn towards 0.
     double expected(int channel, int bin) const;
 };

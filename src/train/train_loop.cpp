@@ -305,10 +305,7 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
 DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
     constexpr std::uint32_t kRays = 20000;     // of a frame at once: hundreds a bin over a log
     constexpr std::size_t kRaysPerBin = 20;    // of a short log all rays, if need be
-    std::vector<int> positions;
-    for (const FrameData& frame : frames_.all()) positions.push_back(frame.position);
     DropCounts counts(sequence);
-    const DropTable observed = observed_drops(sequence, positions);
     const std::size_t wanted = kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());   // of a frame
     for (std::size_t k = 0; k < frames_.all().size(); ++k) {
         const FrameData& frame = place(k, config_.train.iterations);
@@ -317,15 +314,16 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
                             first = static_cast<std::uint32_t>(sampler_.random().next() % stride),
                             passes = static_cast<std::uint32_t>(std::clamp<std::size_t>(wanted / kRays, 1, stride));
         for (std::uint32_t pass = 0; pass < passes; ++pass)
-            count_drops(counts, sequence, observed, frame, (first + pass) % stride, stride);
+            count_drops(counts, sequence, frame, (first + pass) % stride, stride);
     }
     return counts.shrunk();
 }
 
-void TrainLoop::count_drops(DropCounts& counts, const Sequence& sequence, const DropTable& observed, const FrameData& frame,
-                            std::uint32_t first, std::uint32_t stride) {
+void TrainLoop::count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame, std::uint32_t first,
+                            std::uint32_t stride) {
     constexpr float kSolid = 0.9f;   // a ray must meet this much of a surface; a blind one, for which none was trained, any of one
     const Frame& sweep = sequence.frames[std::size_t(frame.position)];
+    const DropTable& observed = frames_.unknown().observed_drops;
     const RayBatch rays = frame.batch(first, stride);
     renderer_.record_forward(rays);
     stream_.finish();

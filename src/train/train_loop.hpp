@@ -136,8 +136,7 @@ private:
     /// fit
     void check_room(const IterationReports::Report& report);
     /// Counts every `stride`-th ray of a frame, from `first` on, for which the scene expects a return.
-    void count_drops(DropCounts& counts, const Sequence& sequence, const DropTable& observed, const FrameData& frame, std::uint32_t first,
-                     std::uint32_t stride);
+    void count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame, std::uint32_t first, std::uint32_t stride);
     void change_surfels(const std::function<DensifyReport(double others_bytes)>& change);
 };
 

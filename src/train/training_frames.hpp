@@ -30,6 +30,8 @@ public:
 
     const std::vector<FrameData>& all() const { return frames_; }
     FrameData& operator[](std::size_t i) { return frames_[i]; }
+    /// What the frames' targets leave out.
+    const Unknown& unknown() const { return use_.unknown; }
     /// How many stay on the device.
     std::size_t n_staying() const { return n_staying_; }
 

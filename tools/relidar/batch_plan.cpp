@@ -17,10 +17,10 @@ namespace fs = std::filesystem;
 using Words = std::vector<std::string>;
 using Places = std::vector<std::pair<std::string, std::string>>;   ///< what stands in braces, and what for
 
-/// A command that may be a step, and what it is always given: a step that was stopped half-way replaces what it left.
+/// A command that may be a step, and what it is always given, so that it may be called again where it was stopped half-way.
 struct StepCommand {
     const char* name;
-    const char* again;   ///< by which a second call replaces what the first has left, or goes on with it; empty: nothing need be said
+    const char* again;   ///< replaces what the first call has left, or goes on with it; empty: nothing need be said
     bool takes_device;
 };
 constexpr StepCommand kSteps[] = {{"refine", "--resume", true}, {"render", "--overwrite", true}, {"eval", "", true},
