@@ -44,6 +44,20 @@ DrivingScene insert_track(DrivingScene driving, const DrivingScene& other, const
 DrivingScene keep_background(DrivingScene driving);
 DrivingScene keep_actors(DrivingScene driving);
 
+/// How finely an actor is modelled for where it comes nearest to a LiDAR of the log.
+struct ActorDetail {
+    double nearest_m = 0.0;      ///< from the LiDAR to the box's centre, of all frames in which both are there
+    double time_s = 0.0;         ///< of that frame
+    std::size_t rays = 0;        ///< of that sweep whose line meets the box
+    std::size_t surfels = 0;
+
+    /// Whether there are so few surfels for so many rays that it shows as blobs with holes between: it was learnt from farther away.
+    /// The actors of a log have more surfels than rays meet them at once.
+    bool is_sparse() const { return rays > 8 * surfels; }
+};
+/// @param lidar  in Sequence::lidars @return no rays where actor and LiDAR never meet, or where nothing is known of the LiDAR's rays
+ActorDetail actor_detail(const DrivingScene& driving, const std::string& track, int lidar = 0);
+
 /// A trajectory as CSV: time_s, x, y, z, yaw_deg[, pitch_deg, roll_deg] a line, R = Rz(yaw) Ry(pitch) Rx(roll); the first line may be
 /// a header (write_trajectory() in export.hpp writes one). @throws DataError naming line and column, and for fewer than two poses
 PoseTrack read_trajectory(const std::filesystem::path& path);

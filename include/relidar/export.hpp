@@ -89,11 +89,12 @@ struct PointCloud {
     std::optional<std::vector<glm::vec3>> normal = {};        ///< [n] unit
     std::optional<std::vector<std::uint8_t>> return_number = {};   ///< [n] of its ray, from 1
     std::optional<std::vector<float>> spread = {};            ///< [n] metres, range_spread() of its ray
+    std::optional<std::vector<float>> seen = {};              ///< [n] 0..1, RenderedScan::seen of its ray
     Pose world_from_points = {};                              ///< takes the points to the world: VIEWPOINT of a PCD
     FileNotes notes = {};                                     ///< comments of PLY and PCD
 };
 /// Point cloud files: x y z intensity (float32), ring (uint16), time (float32), instance (int32), return (uint8),
-/// spread (float32), normals (float32; nx ny nz of PLY, normal_x normal_y normal_z of PCD).
+/// spread (float32), seen (float32), normals (float32; nx ny nz of PLY, normal_x normal_y normal_z of PCD).
 /// @throws DataError where lengths differ, as for write_atomically
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud);         ///< binary little-endian
 void write_pcd(const std::filesystem::path& path, const PointCloud& cloud);         ///< PCD 0.7, binary

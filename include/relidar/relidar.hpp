@@ -7,6 +7,7 @@
 
 #include <relidar/blocks.hpp>
 #include <relidar/config.hpp>
+#include <relidar/coverage.hpp>
 #include <relidar/dataset.hpp>
 #include <relidar/edit.hpp>
 #include <relidar/error.hpp>

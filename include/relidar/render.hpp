@@ -9,6 +9,7 @@
 #include <vector>
 
 #include <relidar/config.hpp>
+#include <relidar/coverage.hpp>
 #include <relidar/gpu.hpp>
 #include <relidar/metrics.hpp>
 #include <relidar/refine.hpp>
@@ -31,6 +32,11 @@ struct RenderedScan {
     std::vector<float> time_offset_s;   ///< [n] firing time of each ray
     std::vector<std::uint16_t> channel; ///< [n]
     std::vector<FurtherReturn> further = {};   ///< second returns with sensor.returns = 2; of the dominant surfaces
+    /// [n] share of each ray's way, to what it meets or to the end of its range, that rays of training scans have looked along (Coverage):
+    /// what lies beside it is extrapolated; empty without render.seen, and where the run does not know
+    std::vector<float> seen = {};
+    /// share of the rays of which less than half of the way is seen, of all or of some thousand; nothing where the run does not know
+    std::optional<double> unseen_share = {};
     std::vector<float> surfel_drop_prob = {};  ///< [n] drop probability of the surfels alone, where a network has corrected the image's
     Pose world_from_sensor;             ///< at the reference time, in the dataset's world
     PoseTrack track;                    ///< of the sensor, in the dataset's world; a single pose where all rays were fired from it
@@ -40,6 +46,10 @@ struct RenderedScan {
     /// Where the sensor was when a ray was fired, in the dataset's world.
     Pose world_from_firing(std::size_t ray) const;
 };
+
+/// Above this share of rays that look where no ray of the log did (RenderedScan::unseen_share), a user is warned. The log's own sensor on
+/// its way has less than a hundredth of them, in the next lane some hundredths.
+inline constexpr double kMuchUnseen = 0.2;
 
 /// [n] Ranges of the points of a scan, by config.render.points: of the dominant surface, or those of the image.
 const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& config);
@@ -108,7 +118,7 @@ class ScanRenderer {
 public:
     /// @throws UsageError for normals of 3D Gaussians, which have none
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
-    /// Uses the run's ray-drop network where it has one and config.refine.enabled says so.
+    /// Uses the run's coverage, and its ray-drop network where it has one and config.refine.enabled says so.
     ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();
     /// Leaves out every instance that is not shown, from the next scan on. @param shown [instances]
@@ -117,6 +127,8 @@ public:
     /// with image order, rows and columns enough, before it is binned into a grid; one of a grid's cells on images of that grid alone.
     /// @throws DataError where its arrays do not fit its shape
     void refine_drops(const DropNetwork& network);
+    /// Says of every scan from now on what of it the log has seen (RenderedScan::unseen_share); an empty one: no longer.
+    void compare_with(const Coverage& coverage);
     /// Whether scans of a sensor are refined.
     bool refines(const SensorChoice& sensor) const;
     /// @param sensor_offset  of the simulated sensor in the frame of the log's LiDAR (identity = where the real one was)

@@ -56,14 +56,15 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor);
 
 /// Scans written one by one into a folder, and scans.json, which says what they are. Files of one scan are FOLDER/frame_000123.<format>:
 ///   npz  range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin, and with render.normals
-///        normals [rows,columns,3], with render.spread spread [rows,columns], metres, see range_spread(), with sensor.returns = 2 range_2,
-///        intensity_2 [rows,columns], 0 where there is no second return;
+///        normals [rows,columns,3], with render.spread spread [rows,columns], metres, see range_spread(), with render.seen seen
+///        [rows,columns], see RenderedScan, with sensor.returns = 2 range_2, intensity_2 [rows,columns], 0 where there is no second return;
+///        unseen, RenderedScan::unseen_share where it is known;
 ///        instance [rows,columns] int32, -1 where nothing was met, and instance_names [instances] its meaning, bytes;
 ///        pose [4,4] world_from_sensor at time_s; time_s, frame_number, frame, deskewed, sensor, run, units
 ///   exr  the images as float channels, notes as string attributes
 ///   png  range, intensity, drop probability as one picture, notes as text
 ///   ply, pcd, bin  points of returned rays (drop_prob < 0.5); ply and pcd with ring, time and instance,
-///        with second returns return, 1 or 2, with render.spread spread, 0 of second returns; notes as comments
+///        with second returns return, 1 or 2, with render.spread spread, 0 of second returns, with render.seen seen; notes as comments
 /// and of all scans together, when the last one is written:
 ///   mcap    scans.mcap for Foxglove: /lidar/points foxglove.PointCloud (x y z intensity time instance ring return),
 ///           /tf foxglove.FrameTransform of the sensor in the world at time_s, /actors foxglove.SceneUpdate with a box each
@@ -81,6 +82,7 @@ public:
     void write(int frame, const RenderedScan& scan);
     /// Writes scans.json and gives recordings their names: to be called after the last scan.
     void finish();
+    const std::filesystem::path& path() const { return folder_; }
     /// What scans.json says of the scans written so far, JSON without a line break each; and takes what other processes have written.
     const std::vector<std::string>& entries() const { return entries_; }
     void set_entries(std::vector<std::string> entries) { entries_ = std::move(entries); }

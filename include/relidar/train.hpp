@@ -11,6 +11,7 @@
 #include <vector>
 
 #include <relidar/config.hpp>
+#include <relidar/coverage.hpp>
 #include <relidar/gpu.hpp>
 #include <relidar/stages/loss.hpp>
 #include <relidar/progress.hpp>
@@ -50,6 +51,7 @@ struct RefinedPoses {
 struct TrainResult {
     Scene scene;
     std::optional<RefinedPoses> poses;   ///< to render the scene with; nothing where the log's own were kept
+    Coverage coverage;                   ///< of its training frames
     std::vector<TrainProgress> log;
     KernelTimes times;                 ///< of this session
     double initialise_s = 0.0;
@@ -159,8 +161,8 @@ struct ActorSession {
 /// @return whether it came to its end @throws DataError as read_blocks(), and where a loss is not finite
 bool train_actors(Device& device, Run& run, const ActorSession& session = {});
 
-/// Gives a run what training has made of its log: the scene, and the poses where training has corrected them. Both are moved out of the
-/// result.
+/// Gives a run what training has made of its log: the scene, where the log has looked, and the poses where training has corrected them.
+/// They are moved out of the result.
 void take_result(Run& run, TrainResult& result);
 
 /// Makes every pipeline that training and rendering use on a device: those of each preset, and of each setting that changes a kernel, one

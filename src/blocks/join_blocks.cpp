@@ -105,6 +105,7 @@ void join_blocks(Run& run, const std::vector<Block>& blocks, const std::vector<f
         drop.add(part.scene.sensor_drop, blocks[k].train.size());
         take_actors(part, run.sequence, blocks[k], actors);
         take_poses(part, run.sequence, blocks[k], poses);
+        run.coverage.add(part.coverage);
         if (!part.refined_poses.empty()) run.refined_poses = part.refined_poses;
     }
     scene.sensor_drop = drop.mean();

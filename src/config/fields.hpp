@@ -314,6 +314,8 @@ void visit(C& c, Visitor&& f) {
       "unit normals of the surfaces that rays meet: normals of npz, normal of exr, nx ny nz of ply, normal_x ... of pcd");
     f("render.spread", c.render.spread, anything(),
       "how far apart the surfaces are that the range of a ray is of, |mean - median| along it, metres: spread of npz, exr, ply and pcd");
+    f("render.seen", c.render.seen, anything(),
+      "how much of a ray's way, up to what it meets, rays of the log have looked along, 0 to 1: seen of npz, exr, ply and pcd");
     f("render.points", c.render.points, one_of({"median", "range"}),
       "points of point clouds lie where the transmittance crosses 0.5, on the dominant surface, or at render.range, which has points "
       "between two surfaces");

@@ -36,6 +36,7 @@ std::vector<Field> fields_of(const PointCloud& cloud) {
     if (cloud.instance) fields.push_back({"instance", "int", 4, 'I'});
     if (cloud.return_number) fields.push_back({"return", "uint8", 1, 'U'});
     if (cloud.spread) fields.push_back({"spread", "float", 4, 'F'});
+    if (cloud.seen) fields.push_back({"seen", "float", 4, 'F'});
     if (!cloud.normal) return fields;
     fields.insert(fields.end(),
                   {{"nx", "float", 4, 'F', "normal_x"}, {"ny", "float", 4, 'F', "normal_y"}, {"nz", "float", 4, 'F', "normal_z"}});
@@ -54,6 +55,7 @@ void check_cloud(const PointCloud& cloud) {
     if (cloud.instance) check("instance", cloud.instance->size());
     if (cloud.return_number) check("return", cloud.return_number->size());
     if (cloud.spread) check("spread", cloud.spread->size());
+    if (cloud.seen) check("seen", cloud.seen->size());
     if (cloud.normal) check("normal", cloud.normal->size());
 }
 
@@ -69,6 +71,7 @@ std::string packed_records(const PointCloud& cloud) {
         if (cloud.instance) append(bytes, (*cloud.instance)[i]);
         if (cloud.return_number) append(bytes, (*cloud.return_number)[i]);
         if (cloud.spread) append(bytes, (*cloud.spread)[i]);
+        if (cloud.seen) append(bytes, (*cloud.seen)[i]);
         for (int axis = 0; cloud.normal && axis < 3; ++axis) append(bytes, (*cloud.normal)[i][axis]);
     }
     return bytes;

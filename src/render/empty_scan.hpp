@@ -20,6 +20,7 @@ inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& taken =
     scan.track = taken.track;
     scan.time_s = taken.time_s;
     scan.trace_ms = taken.trace_ms;
+    scan.unseen_share = taken.unseen_share;
     return scan;
 }
 

@@ -40,6 +40,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
     merged.track = moved_track(scans[0].track, sensor_from_rig);
     merged.time_s = scans[0].time_s;
     std::size_t channels = 0;
+    double unseen_rays = 0.0;
     for (const RenderedScan& scan : scans) {
         append_rays(merged, scan, channels);
         if (!scan.channel.empty()) channels += std::size_t(*std::ranges::max_element(scan.channel)) + 1;
@@ -51,6 +52,11 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
         append(merged.mean_range_m, scan.mean_range_m);
         append(merged.weight, scan.weight);
         append(merged.instance, scan.instance);
+        append(merged.seen, scan.seen);
+        if (scan.unseen_share) {
+            unseen_rays += *scan.unseen_share * double(scan.instance.size());
+            merged.unseen_share = unseen_rays / double(merged.instance.size());
+        }
         merged.further.resize(std::max(merged.further.size(), scan.further.size()));
         for (std::size_t k = 0; k < scan.further.size(); ++k) {
             append(merged.further[k].range_m, scan.further[k].range_m);

@@ -16,6 +16,7 @@
 #include "render/empty_scan.hpp"
 #include "render/footprint.hpp"
 #include "render/resident_scene.hpp"
+#include "render/seen.hpp"
 
 namespace relidar {
 
@@ -138,6 +139,7 @@ struct ScanRenderer::Impl {
     std::vector<bool> shown;   ///< [instances]
     Device& device;
     std::optional<DropRefiner> refiner = {};
+    Coverage coverage = {};
 
     /// Where the sweep of a sensor's rays begins. It faces things as its pattern says, or as the LiDAR in whose place it stands.
     SweepMoment moment(const SensorChoice& sensor, double time_s) {
@@ -186,6 +188,7 @@ ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& con
                      std::vector<bool>(scene.instances.size(), true), device}) {}
 ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {
     if (run.config.refine.enabled && !run.drop_network.empty()) refine_drops(run.drop_network);
+    compare_with(run.coverage);
 }
 ScanRenderer::~ScanRenderer() = default;
 
@@ -200,6 +203,8 @@ void ScanRenderer::refine_drops(const DropNetwork& network) {
     impl_->refiner.reset();
     if (!network.empty()) impl_->refiner.emplace(impl_->device, network);
 }
+
+void ScanRenderer::compare_with(const Coverage& coverage) { impl_->coverage = coverage; }
 
 bool ScanRenderer::refines(const SensorChoice& sensor) const {
     const RangeGrid* grid = sensor.grid ? &*sensor.grid : nullptr;
@@ -324,6 +329,8 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     s.scene.renderer().move(placed, sensor_m);
     RenderedScan scan = s.cast(sensor, table, time_s);
     if (parts) scan = s.join(sensor, scan, whole, config);
+    tell_seen(scan, s.coverage, s.sweep.world_offset_m, std::min(sensor.limits.max_m, double(s.config.dataset.max_range_m)),
+              s.config.render.seen);
     if (s.refines({whole.rows, whole.columns, kNative}) || (!sensor.grid && s.refines({whole.rows, whole.columns, sensor.name})))
         s.refine(scan);
     const bool of_cells = sensor.grid && s.refines({sensor.grid->rows, sensor.grid->columns, sensor.grid->name});

@@ -63,6 +63,7 @@ void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, 
     to.weight[cell] = from.weight[source];
     to.instance[cell] = from.instance[source];
     if (!from.normal.empty()) to.normal[cell] = from.normal[source];
+    if (!from.seen.empty()) to.seen[cell] = from.seen[source];
     to.time_offset_s[cell] = from.time_offset_s[source];
 }
 
@@ -100,6 +101,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     result.weight.assign(n, 0.0f);
     result.instance.assign(n, -1);
     if (!scan.normal.empty()) result.normal.assign(n, glm::vec3(0.0f));
+    if (!scan.seen.empty()) result.seen.assign(n, 0.0f);
     if (!scan.surfel_drop_prob.empty()) result.surfel_drop_prob.assign(n, 1.0f);
     result.time_offset_s.assign(n, 0.0f);
     std::vector<float> winner_drop(n, 2.0f);   // of the ray that owns a cell so far; 2 = none

@@ -114,6 +114,8 @@ std::vector<NamedArray> arrays_of(const PlacedScan& placed) {
                                    make_text("units", kUnits)};
     if (!placed.normal.empty()) arrays.push_back(vector_array("normals", image, placed.normal));
     if (placed.spread_m) arrays.push_back(image_array("spread", image, *placed.spread_m));
+    if (!scan.seen.empty()) arrays.push_back(image_array("seen", image, scan.seen));
+    if (scan.unseen_share) arrays.push_back(make_array("unseen", {}, &*scan.unseen_share, 1));
     if (!scan.further.empty()) {
         arrays.push_back(image_array("range_2", image, scan.further[0].range_m));
         arrays.push_back(image_array("intensity_2", image, scan.further[0].intensity));
@@ -130,6 +132,7 @@ void exr(const fs::path& path, const PlacedScan& placed) {
                                                        {"instance", {scan.instance.begin(), scan.instance.end()}},
                                                        {"ring", {scan.channel.begin(), scan.channel.end()}}};
     if (placed.spread_m) channels["spread"] = *placed.spread_m;
+    if (!scan.seen.empty()) channels["seen"] = scan.seen;
     if (!scan.further.empty()) channels["range_2"] = scan.further[0].range_m, channels["intensity_2"] = scan.further[0].intensity;
     constexpr const char* kAxes = "xyz";
     for (int axis = 0; axis < 3; ++axis) {
@@ -156,6 +159,7 @@ void add_point(PointCloud& cloud, const PlacedScan& placed, std::size_t ray, flo
     cloud.instance->push_back(number == 1 ? scan.instance[ray] : -1);
     if (cloud.normal) cloud.normal->push_back(number == 1 ? placed.normal[ray] : glm::vec3(0.0f));
     if (cloud.spread) cloud.spread->push_back(number == 1 ? (*placed.spread_m)[ray] : 0.0f);
+    if (cloud.seen) cloud.seen->push_back(scan.seen[ray]);
     if (cloud.return_number) cloud.return_number->push_back(static_cast<std::uint8_t>(number));
 }
 
@@ -166,6 +170,7 @@ PointCloud cloud_of(const PlacedScan& placed) {
     cloud.ring.emplace(), cloud.time.emplace(), cloud.instance.emplace();
     if (!placed.normal.empty()) cloud.normal.emplace();
     if (placed.spread_m) cloud.spread.emplace();
+    if (!scan.seen.empty()) cloud.seen.emplace();
     cloud.notes = placed.notes;
     if (!scan.further.empty()) cloud.return_number.emplace();
     if (placed.format.frame == PointFrame::sensor) cloud.world_from_points = scan.world_from_sensor;

@@ -143,6 +143,8 @@ std::string scan_files::entry_json(int frame, const RenderedScan& scan, std::siz
                         {"world_from_sensor", matrix_json(scan.world_from_sensor)},
                         {"rays", scan.image.range_m.size()},
                         {"points", n_points},
+                        {"dropped", scan.image.range_m.size() - n_points},
+                        {"unseen", scan.unseen_share ? Json(*scan.unseen_share) : Json()},
                         {"files", files}};
     return entry.dump(-1, ' ', false, Json::error_handler_t::replace);
 }

@@ -119,6 +119,8 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     result.scene = loop.download();
     result.poses = loop.refined_poses();
     if (config.train.sensor_drop && !result.interrupted) result.scene.sensor_drop = loop.estimate_sensor_drop(sequence);
+    result.coverage = find_coverage(sequence, result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle, split.train,
+                                    config.dataset.max_range_m);
     result.train_s = trained_s();
     result.times = loop.times();
     result.peak_device_bytes = device.peak_bytes();
@@ -127,6 +129,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
 
 void take_result(Run& run, TrainResult& result) {
     run.scene = std::move(result.scene);
+    run.coverage = std::move(result.coverage);
     if (!result.poses) return;
     run.sequence.world_from_vehicle = std::move(result.poses->world_from_vehicle);
     run.sequence.boxes = std::move(result.poses->boxes);

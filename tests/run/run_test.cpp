@@ -158,6 +158,31 @@ TEST_F(RunFolder, SweepsAreThoseOfItsFrames) {
     EXPECT_TRUE(load_run(run.folder).sequence.frames[1].azimuth_shift_rad.empty());
 }
 
+TEST_F(RunFolder, CoverageRoundTripsExactly) {
+    const std::filesystem::path file = run.folder / "coverage.safetensors";
+    EXPECT_FALSE(std::filesystem::exists(file)) << "nothing is known";
+    run.coverage.add({0.5, 0.5, 0.5}, {-70.0, 33.0, 9.0});
+    save_run(run);
+    const auto expected = run.coverage.blocks(), found = load_run(run.folder).coverage.blocks();
+    ASSERT_EQ(found.size(), expected.size());
+    for (std::size_t i = 0; i < found.size(); ++i) {
+        EXPECT_EQ(found[i].place, expected[i].place);
+        EXPECT_EQ(found[i].cells, expected[i].cells);
+    }
+    const std::vector<std::int32_t> places(6);
+    const std::vector<std::uint16_t> cells(32);
+    const auto error_with_arrays = [&](std::size_t width, const std::string& cell_m) {
+        write_safetensors(file,
+                          {make_array("place", {6 / width, width}, places.data(), 6), make_array("cells", {1, 32}, cells.data(), 32)},
+                          {{"format", "relidar coverage"}, {"version", "1"}, {"cell_m", cell_m}});
+        return load_error();
+    };
+    EXPECT_NE(error_with_arrays(2, "1").find("coverage.safetensors: array place: found i4 [3, 2], expected i4 [blocks, 3]"),
+              std::string::npos);
+    EXPECT_NE(error_with_arrays(3, "1").find("found 2 places and 1 rows of cells"), std::string::npos);
+    EXPECT_NE(error_with_arrays(3, "2").find("cell_m: found 2, expected 1"), std::string::npos);
+}
+
 TEST_F(RunFolder, SensorRoundTripsExactly) {
     const SpinningSensor a = load_run(run.folder).sequence.lidars[0].sensor, &b = run.sequence.lidars[0].sensor;
     EXPECT_EQ(a.name, b.name);

@@ -28,6 +28,12 @@ protected:
         EXPECT_EQ(values<float>(scan.image().drop_probability()), truth.image.drop_prob);
         EXPECT_EQ(int(scan.image().rows()), truth.image.rows);
         EXPECT_EQ(int(scan.image().columns()), truth.image.columns);
+        EXPECT_EQ(scan.rays(), truth.image.range_m.size());
+        EXPECT_EQ(scan.unseen(), truth.unseen_share.value());
+        std::uint32_t returned = 0;
+        for (std::size_t i = 0; i < truth.image.range_m.size(); ++i)
+            returned += truth.image.drop_prob[i] < 0.5f && truth.image.range_m[i] > 0.0f;
+        EXPECT_EQ(scan.returned(), returned);
     }
 };
 
@@ -51,6 +57,18 @@ TEST_F(Service, RendersToTheBitAsTheLibrary) {
     request.mutable_actors()->clear_actors();
     request.set_sample_seed(7);
     expect_same(scan_of(request), rendered({0.45, way, ActorPoses{}}, "VLP-16:90x10", 7));
+}
+
+TEST_F(Service, SaysHowMuchOfAScanTheLogHasSeen) {
+    start();
+    v1::RenderLidarRequest request = standing();
+    request.mutable_actors();
+    const double here = scan_of(request).unseen();
+    EXPECT_GT(here, 0.5) << "three quarters of a turn";
+    EXPECT_LT(here, 0.95);
+    request.clear_path();
+    add_pose(*request.mutable_path(), 0.45, at_x(500.0)), add_pose(*request.mutable_path(), 0.55, at_x(500.0));
+    EXPECT_EQ(scan_of(request).unseen(), 1.0);
 }
 
 TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {

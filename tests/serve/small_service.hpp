@@ -50,6 +50,8 @@ inline Run small_run(const std::filesystem::path& folder) {
     log.world_offset_m = kDatasetOrigin_m;
     log.boxes = {{"car", "Car", {1, 1, 1}, {{0.0, 1.0}, {car, car}}}};
     run.split = {{0, 1, 2}, {}};
+    for (double y_m = -20.0; y_m <= 20.0; y_m += 0.5)   // a quarter of a turn ahead, to the wall and around it
+        for (double z_m = -2.0; z_m <= 2.0; z_m += 0.5) run.coverage.add(glm::dvec3(0.0), glm::dvec3(20.0, y_m, z_m));
     return run;
 }
 

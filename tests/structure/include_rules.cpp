@@ -16,6 +16,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"gpu", {}},
         {"sensor", {}},
         {"sequence", {"sensor"}},
+        {"coverage", {"sequence", "sensor"}},
         {"reader", {"sequence", "sensor"}},                                       // what all readers of datasets share
         {"dataset", {"reader", "sensor_files", "export", "sequence", "sensor"}},  // export: npz
         {"registration", {"sequence", "sensor"}},
@@ -36,18 +37,19 @@ const std::map<std::string, Stages>& layer_table() {
         // options of all of them
         {"config",
          {"traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "refine", "scene", "sequence", "sensor", "gpu"}},
-        {"run", {"config", "export", "refine", "scene", "sequence", "sensor"}},  // a run's folder; export: safetensors
+        {"run", {"config", "coverage", "export", "refine", "scene", "sequence", "sensor"}},  // a run's folder; export: safetensors
         {"sensor_files", {"sensor", "export"}},                                  // export: npz
         {"render",
-         {"sensor_files", "config", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor", "gpu"}},
+         {"sensor_files", "config", "coverage", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor",
+          "gpu"}},
         {"scan_files", {"render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
         {"evaluation", {"render", "run", "config", "export", "metrics", "scene", "sequence", "sensor", "gpu"}},  // export: weights of LPIPS
-        {"blocks", {"run", "config", "scene", "sequence", "sensor"}},
+        {"blocks", {"run", "config", "coverage", "scene", "sequence", "sensor"}},
         {"train", {"config",     "run",      "render",    "differentiable_renderer",
                    "backward",   "forward",  "traversal", "densify",
                    "checkpoint", "accel",    "optimizer", "loss",
                    "metrics",    "refine",   "dataset",   "registration",
-                   "scene",      "sequence", "sensor",    "gpu"}},
+                   "scene",      "sequence", "sensor",    "gpu",       "coverage"}},
     };
     return table;
 }

@@ -35,6 +35,7 @@ Run small_run() {
     InitialiseOptions options;
     options.actor_min_points = 10;
     run.scene = initialise_scene(run.sequence, run.split.train, options);
+    run.coverage = find_coverage(run.sequence, run.sequence.world_from_vehicle, run.split.train, 80.0);
     for (Frame& frame : run.sequence.frames) frame.scan = {};   // as a run that was loaded
     return run;
 }
@@ -134,6 +135,17 @@ TEST_F(LiveScan, HidesWithoutAnEdit) {
     EXPECT_TRUE(edited_run(run(), wish.edits).edits.empty());
     const std::vector<std::uint16_t> instance = Read(scanner().scan(tab, wish)).array<std::uint16_t>("instance");
     EXPECT_THAT(instance, testing::Each(testing::AnyOf(0, 65535)));
+}
+
+TEST_F(LiveScan, SaysHowMuchTheLogHasSeen) {
+    ScanWish wish;
+    const Json here = Read(scanner().scan(tab, wish)).header;
+    EXPECT_LT(here["unseen"].get<double>(), 0.1);
+    EXPECT_FALSE(here["much_unseen"].get<bool>());
+    wish.sensor_offset.translation = {0.0, 0.0, -5.0};
+    const Json below = Read(scanner().scan(tab, wish)).header;
+    EXPECT_GT(below["unseen"].get<double>(), 0.9);
+    EXPECT_TRUE(below["much_unseen"].get<bool>());
 }
 
 TEST_F(LiveScan, RefusesWhatIsNotThere) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // relidar edit: a run with its actors removed, moved, retimed, copied, or joined by those of other runs, as a run of its own.
+#include <algorithm>
 #include <filesystem>
 #include <memory>
 
@@ -30,6 +31,36 @@ void check_other_folder(const Options& options) {
         throw UsageError(fmt::format("--out {}: found the run that is edited, expected another folder", options.out));
 }
 
+bool is_same(const PoseTrack& a, const PoseTrack& b) {
+    const auto same = [](const Pose& p, const Pose& q) { return p.translation == q.translation && p.rotation == q.rotation; };
+    return a.time_s == b.time_s && std::ranges::equal(a.pose, b.pose, same);
+}
+
+/// Tracks of actors that were not there before, or elsewhere.
+std::vector<std::string> placed_tracks(const DrivingScene& driving, const std::vector<BoxTrack>& before) {
+    std::vector<std::string> placed;
+    for (const Instance& instance : driving.scene.instances) {
+        const auto is_it = [&](const BoxTrack& box) { return box.id == instance.track; };
+        const auto now = std::ranges::find_if(driving.sequence.boxes, is_it), then = std::ranges::find_if(before, is_it);
+        if (now == driving.sequence.boxes.end()) continue;
+        if (then == before.end() || !is_same(now->world_from_box, then->world_from_box)) placed.push_back(instance.track);
+    }
+    return placed;
+}
+
+/// Which of the actors that were placed are too coarse for where they stand, a line each.
+std::string sparse_actors(const DrivingScene& driving, const std::vector<BoxTrack>& before) {
+    std::string text;
+    for (const std::string& track : placed_tracks(driving, before)) {
+        const ActorDetail detail = actor_detail(driving, track);
+        if (!detail.is_sparse()) continue;
+        text += fmt::format("note: actor {} comes within {:.1f} m of the sensor at {:.2f} s, where {} rays meet its box, but it has {} "
+                            "surfels: it was learnt from farther away and will show holes\n",
+                            track, detail.nearest_m, detail.time_s, detail.rays, detail.surfels);
+    }
+    return text;
+}
+
 void run_edit(const Options& options) {
     if (options.edits.empty())
         throw UsageError(
@@ -39,6 +70,7 @@ void run_edit(const Options& options) {
     Run run = load_run(options.run);
     const std::string origin = absolute_path(options.run);
     DrivingScene driving{std::move(run.scene), std::move(run.sequence)};
+    const std::vector<BoxTrack> before = driving.sequence.boxes;
     std::string text;
     for (const TypedEdit& edit : options.edits) {
         AppliedEdit applied = apply(std::move(driving), edit);
@@ -46,6 +78,7 @@ void run_edit(const Options& options) {
         run.edits.push_back({origin, fmt::format("{} {}", edit.option, edit.value)});
         text += applied.said + "\n" + (applied.note.empty() ? "" : "note: " + applied.note + "\n");
     }
+    text += sparse_actors(driving, before);
     run.replace(std::move(driving));
     remove_run_files(folder.path());
     remove_blocks(folder.path());

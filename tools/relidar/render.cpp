@@ -9,6 +9,7 @@
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <nlohmann/json.hpp>
 
 #include "command.hpp"
 #include "console.hpp"
@@ -241,8 +242,27 @@ std::vector<ScanFolder> scan_folders(const Options& options, const Run& run, con
     return folders;
 }
 
+/// Says which scans look where the log has not looked. @param entries  of scans.json
+void note_unseen(const std::vector<std::string>& entries, const std::string& folder) {
+    std::size_t n_unseen = 0, n_known = 0;
+    double worst = 0.0;
+    int worst_number = 0;
+    for (const std::string& entry : entries) {
+        const nlohmann::json scan = nlohmann::json::parse(entry);
+        if (!scan["unseen"].is_number()) continue;
+        ++n_known;
+        const double unseen = scan["unseen"];
+        n_unseen += unseen > kMuchUnseen;
+        if (unseen > worst) worst = unseen, worst_number = scan["frame_number"];
+    }
+    if (n_unseen == 0) return;
+    note(fmt::format("{}: in {} of {} scans more than {:.0f} % of the rays look where no ray of the log did, in number {} {:.1f} %: what they "
+                     "meet there is extrapolated (scans.json: unseen; --set render.seen=true: by ray)",
+                     folder, n_unseen, n_known, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
+}
+
 /// Writes what says which scans there are, of all processes.
-void finish(std::vector<ScanFolder>& folders, const Ranks& ranks) {
+void finish(std::vector<ScanFolder>& folders, const Ranks& ranks, bool quiet) {
     for (ScanFolder& folder : folders) {
         std::vector<std::string> entries;
         for (const std::string& of_one : ranks.gather(fmt::format("{}", fmt::join(folder.entries(), "\n"))))
@@ -250,6 +270,7 @@ void finish(std::vector<ScanFolder>& folders, const Ranks& ranks) {
                 for (const std::string& entry : split(of_one, '\n')) entries.push_back(entry);
         folder.set_entries(std::move(entries));
         if (ranks.is_first()) folder.finish();
+        if (!quiet) note_unseen(folder.entries(), folder.path().string());
     }
 }
 
@@ -281,6 +302,7 @@ public:
                                      : renderer_.render(w.sensor, sweep.time_s, offset_ * w.mounting, options_.sample));
             trace_ms_ += scans.back().trace_ms;
             n_rays_ += double(scans.back().image.range_m.size());
+            count(scans.back());
         }
         if (options_.merge) scans = {merge_scans(scans, mountings_)};
         for (std::size_t s = 0; s < scans.size(); ++s) folders[s].write(sweep.number, scans[s]);
@@ -289,9 +311,10 @@ public:
     /// What was rendered, in a line. @param n_sweeps  by this process @param n_all  by all
     std::string summary(std::size_t n_sweeps, std::size_t n_all, int n_processes) const {
         const double n = double(n_sweeps);
-        return fmt::format("{} scans of {} rays in {} ({}); tracing {:.1f} ms a scan, {:.3f} Mrays/s{}\n", n_all, n_rays_ / n, options_.out,
-                           fmt::join(parse_formats(options_.formats), ", "), trace_ms_ / n,
-                           trace_ms_ > 0.0 ? 1e-3 * n_rays_ / trace_ms_ : 0.0,
+        return fmt::format("{} scans of {:.0f} rays in {} ({}): {:.1f} % return{}; tracing {:.1f} ms a scan, {:.3f} Mrays/s{}\n", n_all,
+                           n_rays_ / n, options_.out, fmt::join(parse_formats(options_.formats), ", "), 100.0 * n_returns_ / n_rays_,
+                           knows_seen_ ? fmt::format(", {:.1f} % look where the log did not", 100.0 * n_unseen_ / n_rays_) : "",
+                           trace_ms_ / n, trace_ms_ > 0.0 ? 1e-3 * n_rays_ / trace_ms_ : 0.0,
                            n_processes > 1 ? fmt::format(" in the first of {} processes", n_processes) : "");
     }
 
@@ -302,7 +325,15 @@ private:
     const Pose offset_;
     const PoseTrack& track_;
     std::vector<Pose> mountings_;
-    double trace_ms_ = 0.0, n_rays_ = 0.0;
+    double trace_ms_ = 0.0, n_rays_ = 0.0, n_returns_ = 0.0, n_unseen_ = 0.0;
+    bool knows_seen_ = false;
+
+    void count(const RenderedScan& scan) {
+        for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) n_returns_ += returned(scan.image.drop_prob[i], scan.image.range_m[i]);
+        if (!scan.unseen_share) return;
+        knows_seen_ = true;
+        n_unseen_ += *scan.unseen_share * double(scan.image.range_m.size());
+    }
 };
 
 void run_render(const Options& given) {
@@ -341,8 +372,8 @@ void run_render(const Options& given) {
         progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", sweeps[i].number), i + 1 - share.begin,
                        share.end - share.begin);
     }
-    finish(folders, ranks);
     end_progress_line();
+    finish(folders, ranks, options.quiet);
     if (!options.quiet) print(sweep_renderer.summary(share.end - share.begin, sweeps.size(), ranks.size()));
 }
 
@@ -423,7 +454,9 @@ void add_render(CLI::App& app, Call& call) {
             "mcap: DIR/scans.mcap, all scans in one file for Foxglove, with poses and the actors' boxes; rosbag: DIR/rosbag.mcap, a bag\n"
             "of ROS 2 with sensor_msgs/PointCloud2, plain and with the point type of Autoware.\n"
             "--set render.normals=true: unit normals of surfaces, towards the sensor; --set render.spread=true: spread, |mean - median|\n"
-            "of the range along a ray, metres, large where it passes an edge: in npz, exr, ply and pcd.\n") +
+            "of the range along a ray, metres, large where it passes an edge: in npz, exr, ply and pcd.\n"
+            "--set render.seen=true: seen, share of a ray's way, up to what it meets, that rays of the log have looked along: what lies\n"
+            "beside it is extrapolated. scans.json has the share of rays of which less than half is seen: unseen.\n") +
         kSensorFileHelp +
         "\n"
         "Examples:\n"

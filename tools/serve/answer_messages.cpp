@@ -68,6 +68,12 @@ void write_points(const RenderedScan& scan, const Pose& dataset_from_points, con
     points.set_count(n);
 }
 
+std::uint32_t count_returned(const RenderedScan& scan) {
+    std::uint32_t n = 0;
+    for (std::size_t ray = 0; ray < scan.image.range_m.size(); ++ray) n += returned(scan.image.drop_prob[ray], scan.image.range_m[ray]);
+    return n;
+}
+
 double length_m(const PoseTrack& track) {
     double length = 0.0;
     for (std::size_t i = 1; i < track.pose.size(); ++i)
@@ -105,6 +111,9 @@ void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config
     message.set_time_s(scan.time_s);
     message.set_points_at_s(wanted.points_at_s);
     write_pose(dataset_from_points, *message.mutable_dataset_from_points());
+    message.set_rays(std::uint32_t(scan.image.range_m.size()));
+    message.set_returned(count_returned(scan));
+    if (scan.unseen_share) message.set_unseen(*scan.unseen_share);
     if (wanted.points) write_points(scan, dataset_from_points, config, *message.mutable_points());
     if (!wanted.range_image && !wanted.drop_probability) return;
     v1::RangeImage& image = *message.mutable_image();

@@ -222,6 +222,7 @@ std::string Scanner::scan(TabCache& tab, const ScanWish& wish) {
         if (is_matched) sensor.rays = real->scan.rays, sensor.follows_sweeps = false;
         const RenderedScan scan = render(*tab.traffic, wish, sensor);
         header["trace_ms"] = scan.trace_ms;
+        if (scan.unseen_share) header["unseen"] = *scan.unseen_share, header["much_unseen"] = *scan.unseen_share > kMuchUnseen;
         header["kernels"] = kernel_times();
         simulated = simulated_columns(scan, run_.config, log.world_offset_m);
     }

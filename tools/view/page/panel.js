@@ -68,6 +68,8 @@ export class Panel {
     if (scan) for (let i = 0; i < scan.range.length; ++i) n += scan.drop[i] < 128 && scan.range[i] > 0 ? 1 : 0;
     put('n-points', n.toLocaleString('en'));
     put('image-size', !scan ? '–' : scan.rows > 1 ? `${scan.rows} × ${scan.columns}` : `${scan.range.length} rays`);
+    put('unseen', header.unseen === undefined ? '–' : `${(100 * header.unseen).toFixed(1)} %`);
+    document.getElementById('unseen').classList.toggle('alarm', header.much_unseen === true);
     put('scan-ms', header.total_ms.toFixed(0));
     this.arrivals.push(performance.now());
     while (this.arrivals[0] < performance.now() - RATE_WINDOW_MS) this.arrivals.shift();
