@@ -253,6 +253,7 @@ rendering() {
     check "--overwrite left frames of the rendering before" test "$(ls scans | tr '\n' ' ')" = "frame_000002.npz scans.json "
     good render run --out recorded --frames 2:4 --format mcap,rosbag
     check "recordings are other than one file each" test "$(ls -A recorded | tr '\n' ' ')" = "rosbag.mcap scans.json scans.mcap "
+    bad 2 "out run: found a run, expected another folder" render run --out run
     bad 2 "recorded: the folder holds another rendering \(3 files" render run --out recorded --format mcap
     good render run --out drawn --frames 2:4 --sample 7
     good render run --out drawn_again --frames 2:4 --sample 7
@@ -633,6 +634,8 @@ interruption() {
     bad 3 "stopped: another relidar is writing this run" train street --out stopped --force
     bad 3 "stopped: another relidar is writing this run" train --resume stopped
     bad 3 "stopped: another relidar is writing this run" edit run --out stopped --remove 0 --force
+    good info stopped
+    says "^stopped: a run in training at iteration [0-9]* of 1000000, no scene yet; log .*street$"
     mv first_err err
     kill -TERM $pid
     wait $pid

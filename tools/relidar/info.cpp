@@ -4,11 +4,14 @@
 #include <memory>
 
 #include <CLI/CLI.hpp>
+#include <fmt/format.h>
 
 #include "command.hpp"
 #include "console.hpp"
 #include "info_text.hpp"
 #include "options.hpp"
+#include "output_folder.hpp"
+#include "training.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -23,6 +26,16 @@ struct Options {
 void show_run(const Options& options) {
     const RunSummary summary = summarise(load_run(options.path));
     print(options.json ? to_json(summary) : to_text(summary));
+}
+
+/// Of a run that has no scene yet: how far its training has come.
+void show_unfinished(const std::filesystem::path& folder) {
+    Config config;
+    load_config(config, folder / "config.toml");
+    print(fmt::format("{}: {} at iteration {} of {}, no scene yet; log {}\n", folder.string(),
+                      FolderLock::is_held(folder) ? "a run in training" : "a run that was interrupted", last_logged_iteration(folder),
+                      config.train.iterations, config.dataset.path));
+    if (!FolderLock::is_held(folder)) print(fmt::format("continue with: relidar train --resume {}\n", shell_word(folder.string())));
 }
 
 void show_log(const Options& options) {
@@ -46,7 +59,11 @@ void add_info(CLI::App& app, Call& call) {
                     "  relidar info data/kitti/2011_09_26/2011_09_26_drive_0005_sync --frames 0:50\n"
                     "  relidar info run --json");
     command->callback([&call, options] {
-        call.run = [options] { is_run(options->path) ? show_run(*options) : show_log(*options); };
+        call.run = [options] {
+            if (is_run(options->path)) show_run(*options);
+            else if (holds_run(options->path)) show_unfinished(options->path);
+            else show_log(*options);
+        };
     });
 }
 

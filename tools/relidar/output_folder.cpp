@@ -39,15 +39,6 @@ bool holds_nothing(const fs::path& folder) {
     return true;
 }
 
-/// A run, or what one leaves that was killed before it had a scene.
-bool holds_run(const fs::path& folder) {
-    if (is_run(folder) || !list_checkpoints(checkpoint_folder(folder)).empty()) return true;
-    const std::string ours = to_toml({}).substr(0, to_toml({}).find('\n'));
-    std::string line;
-    std::ifstream config(folder / "config.toml");
-    return std::getline(config, line) && line == ours;
-}
-
 void check_content(const fs::path& folder, Existing existing) {
     if (holds_nothing(folder)) return;
     if (is_dataset(folder))
@@ -133,6 +124,14 @@ RunFolder::RunFolder(const fs::path& path, Existing existing) {
     folder_.emplace(path);
     lock_.emplace(path);
     check_content(path, existing);
+}
+
+bool holds_run(const fs::path& folder) {
+    if (is_run(folder) || !list_checkpoints(checkpoint_folder(folder)).empty()) return true;
+    const std::string ours = to_toml({}).substr(0, to_toml({}).find('\n'));
+    std::string line;
+    std::ifstream config(folder / "config.toml");
+    return std::getline(config, line) && line == ours;
 }
 
 void remove_run_files(const fs::path& folder) {

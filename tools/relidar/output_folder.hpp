@@ -52,6 +52,9 @@ private:
     bool exclusive_;
 };
 
+/// Whether a folder holds a run, or what one leaves that was killed before it had a scene.
+bool holds_run(const std::filesystem::path& folder);
+
 /// What may be in the folder of a run that is about to be written.
 enum class Existing {
     refuse,   ///< nothing

@@ -139,8 +139,9 @@ ScanFormat wanted_format(const Options& options, const Run& run, const SensorCho
     return format;
 }
 
-/// @throws UsageError where an earlier rendering would be overwritten unasked
+/// @throws UsageError where an earlier rendering would be overwritten unasked, or a run would get files that are not its own
 void check_empty(const std::filesystem::path& folder, const Options& options) {
+    if (holds_run(folder)) throw UsageError(fmt::format("--out {}: found a run, expected another folder for its scans", folder.string()));
     const std::vector<std::filesystem::path> files = options.overwrite ? std::vector<std::filesystem::path>{} : scans_in(folder);
     if (!files.empty()) {
         throw UsageError(

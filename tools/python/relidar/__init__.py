@@ -4,5 +4,15 @@
 Metres, seconds, radians. Sensor frame: x forward, y left, z up. Poses are [4,4] float64 matrices a_from_b. Arrays are numpy's;
 float32 where rays and surfels are meant, in C order. docs/python.md is the guide.
 """
-from relidar._relidar import *  # noqa: F401,F403
-from relidar._relidar import __version__  # noqa: F401
+try:
+    from relidar._relidar import *  # noqa: F401,F403
+    from relidar._relidar import __version__  # noqa: F401
+except ModuleNotFoundError as error:
+    if error.name != "relidar._relidar":
+        raise
+    import sys as _sys
+    raise ModuleNotFoundError(
+        f"relidar: found no compiled part for Python {_sys.version_info.major}.{_sys.version_info.minor} in {__path__[0]}, expected "
+        "_relidar*.so of that version; install the Debian package of relidar, or build with -DRELIDAR_PYTHON=ON and put "
+        "BUILD/tools/python on PYTHONPATH (docs/python.md)",
+        name=error.name) from None
