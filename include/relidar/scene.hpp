@@ -148,7 +148,7 @@ struct InitialiseOptions {
     double actor_min_step_m = 0.01;    ///< boxes moving more than this a frame hold actors: their points are left out
     double actor_margin_m = 0.2;       ///< boxes are grown by this when points are left out
     ActorMode actors = ActorMode::models;
-    /// comma-separated classes of moving boxes that become actors of their own; all = every class, empty = none
+    /// comma-separated kinds (object_kind()) or classes of moving boxes that become actors of their own; all = every class, empty = none
     std::string actor_classes = "all";
     std::string actor_tracks;          ///< comma-separated tracks that do, whatever their class and motion; empty = by class
     int actor_points = 8000;           ///< an actor has at most so many surfels
@@ -214,9 +214,11 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
 /// @return [n] permutation: position i of the sorted array holds point order[i]
 std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points);
 
-/// Where training's extent-relative settings come from: 3 x the 90th percentile of 2 |p - centre| over a model's surfels; 1 where it has
-/// none.
+/// Where training's extent-relative settings come from, metres: of an actor 4 x the diagonal of its box, else 3 x the 90th percentile of
+/// 2 |p - centre| over the model's surfels; 1 where it has none.
 double model_extent(const Scene& scene, std::size_t model);
+/// The same of a box. @param half_size_m [3]
+double box_extent(const glm::vec3& half_size_m);
 /// The same of the background.
 double background_extent(const Scene& scene);
 

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include <relidar/math.hpp>
@@ -130,6 +131,18 @@ RayTable shifted_azimuths(RayTable rays, const SpinningSensor& sensor, const std
 /// Category of boxes that no dataset labelled (discover_tracks() in scene.hpp).
 inline constexpr const char* kDiscoveredCategory = "Discovered";
 
+/// What a labelled thing is, whatever its dataset calls it.
+enum class ObjectKind {
+    vehicle,   ///< on more than two wheels, or on rails; trailers too
+    cyclist,   ///< two-wheelers, with a rider or without, and riders
+    person,
+    other
+};
+/// Of a class of KITTI, KITTI-360, Waymo, Argoverse 2 or nuScenes; `other` for a word that none of them has.
+ObjectKind object_kind(std::string_view category);
+/// "vehicle", "cyclist", "person", "other": what settings name them by.
+const char* name_of(ObjectKind kind);
+
 /// One tracked box. The box frame has x along the length, y along the width, z up, origin at the centre.
 struct BoxTrack {
     std::string id;              ///< unique in the sequence
@@ -176,6 +189,7 @@ struct Sequence {
     IntensityResponse intensity_response; ///< of all LiDARs on these surfaces; 1 unless estimated
     std::string conventions;              ///< one line a human reads: frames, units, time reference
     std::vector<std::string> notes;       ///< what the log lacks, as it was read: a line each
+    std::vector<int> test_frames = {};    ///< indices of the frames that published results on this part hold out, see split_frames()
     bool rolling_shutter = true;          ///< rays were fired at their own times (scans are not motion-compensated)
 
     const Lidar& lidar_of(const Frame& frame) const { return lidars[std::size_t(frame.lidar)]; }
@@ -282,7 +296,8 @@ struct Split {
     std::vector<int> test;
 };
 /// Holds out sweeps, each with the frames of all LiDARs that share its index: every `test_every`-th but the first (10, 20, ... of 0:50 with
-/// 10), or those that are named.
+/// 10), or those that are named. Of a part that others have published results of, every tenth is what they hold out
+/// (Sequence::test_frames), as far as it is there.
 /// @param test_every  0 holds out nothing
 /// @param test_frames  instead of every so many: indices and ranges without their ends, "13,26,40:45"; empty: test_every decides
 /// @throws UsageError for a test_every of 1, for a list with something else in it, a frame that is not there or named twice, and where

@@ -2,7 +2,7 @@
 // Adam over one parameter group.
 #ifndef RELIDAR_INCLUDED_SHARED_OPTIMIZER_H
 #define RELIDAR_INCLUDED_SHARED_OPTIMIZER_H
-#include "relidar/shared/lang.h"
+#include "relidar/shared/surfels.h"
 
 RELIDAR_SHARED_BEGIN
 
@@ -13,6 +13,8 @@ struct AdamParams {
     Floats moment2;        // in place
     Uints touched;         // input [n_rows] rows with a gradient, or address 0 = all
     Floats bounds;         // input [n_rows] no value of a row is stepped beyond it, or address 0 = none
+    Floats model_scale;    // input [n_models] learning-rate factor of the rows of each model, or address 0 = 1
+    Models models;         // input [n_models] where there are factors
     float learning_rate;
     float beta1;
     float beta2;
@@ -21,6 +23,8 @@ struct AdamParams {
     float correction2;     // 1 / (1 - beta2^step)
     float first_scale;     // learning-rate factor of column 0 of each block (SH: DC against the rest)
     float block_scale;     // learning-rate factor of the first block (SH: the intensity against the drop logits)
+    uint n_models;
+    uint first_row;        // surfel of row 0
     uint n_rows;
     uint stride;           // floats a row
     uint block;            // columns a block: column 0 of each block has its own rate

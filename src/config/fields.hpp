@@ -116,7 +116,8 @@ void visit_scene(C& c, Visitor&& f) {
     f("init.actors", c.init.actors, one_of({"models", "masked", "background"}),
       "moving boxes become models of their own, are masked out, or belong to the background (see init.remove_unlabelled_movers)");
     f("init.actor_classes", c.init.actor_classes, anything(),
-      "classes of moving boxes that become actors of their own, separated by commas; all: every class; empty: moving boxes are masked out");
+      "moving boxes that become actors of their own, separated by commas: vehicle, cyclist, person, other, or a dataset's own class; all: "
+      "every class; empty: moving boxes are masked out");
     f("init.actor_points", c.init.actor_points, between(1, 1e6), "most surfels of an actor");
     f("init.actor_tracks", c.init.actor_tracks, anything(),
       "tracks that become actors, whatever their class and motion, separated by commas; empty: by class");

@@ -15,7 +15,7 @@ Config paper() {
     config.preset = "paper";
     config.init.further_returns = false;
     config.init.max_scale_m = 1000.0;   // the paper does not clamp
-    config.init.actor_classes = "Car,Van,Truck";   // vehicles, as it says; people are masked out
+    config.init.actor_classes = "vehicle";   // as it says; people and cyclists are masked out
     config.init.actor_min_points = 100;
     config.init.actor_pad_to = 8000;
     config.render.range = "expected";

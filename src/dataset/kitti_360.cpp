@@ -29,6 +29,7 @@ using namespace kitti;
 struct Drive {
     std::string name;  ///< of its folders
     FrameRange frames;
+    std::vector<int> test_frames = {};   ///< see ChosenPart
     std::vector<std::string> notes = {};
 };
 
@@ -49,7 +50,7 @@ Drive choose_drive(const fs::path& folder, const DatasetOptions& options) {
         return drive;
     }
     for (const std::string& drive : drives)
-        if (drive == part.drive || drive.find("_drive_" + part.drive + "_") != std::string::npos) return {drive, part.frames};
+        if (drive == part.drive || drive.find("_drive_" + part.drive + "_") != std::string::npos) return {drive, part.frames, part.test_frames};
     throw UsageError(
         fmt::format("dataset.sequence: found '{}', expected a drive of {} ({}), its number, or ks1 to ks4 or kd1 to kd6 of 0000",
                     excerpt(options.sequence), folder.string(), excerpt(fmt::format("{}", fmt::join(drives, ", ")))));
@@ -141,6 +142,7 @@ Sequence load_kitti_360(const fs::path& given, const DatasetOptions& options) {
         "sensor x forward, y left, z up; metres; time = head faces forward, seconds after the drive's first sweep; world: x east, y north, "
         "z up (Mercator); scans not motion-compensated";
     sequence.notes = drive.notes;
+    sequence.test_frames = drive.test_frames;
     const std::string gaps = note_gaps(points / "data", frames, options.allow_missing_scans);
     if (!gaps.empty()) sequence.notes.push_back(gaps);
     SpinningSensor& sensor = sequence.lidars[0].sensor;

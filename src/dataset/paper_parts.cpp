@@ -18,7 +18,10 @@ ChosenPart choose_part(const DatasetOptions& options, std::span<const PaperPart>
     if (begin >= end)
         throw UsageError(fmt::format("frames {}:{}: none of {}, which has {} to {}", options.frames.begin, options.frames.end, part->name,
                                      part->first, part->last));
-    return {part->drive, {begin, end}, true};
+    std::vector<int> test_frames;
+    for (int k = 0, frame = part->test_first; k < kPaperTestFrames; ++k, frame += part->test_every)
+        if (frame >= begin && frame < end) test_frames.push_back(frame);
+    return {part->drive, {begin, end}, true, test_frames};
 }
 
 }  // namespace relidar

@@ -37,6 +37,7 @@ struct Segment {
     fs::path file;
     FrameRange frames;
     bool top_alone = false;
+    std::vector<int> test_frames = {};   ///< see ChosenPart
     std::vector<std::string> notes = {};
 };
 
@@ -60,7 +61,7 @@ Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
     }
     for (const fs::path& file : files) {
         const std::string name = file.filename().string();
-        if (name.starts_with(part.drive) || name.starts_with("segment-" + part.drive)) return {file, part.frames, part.of_paper};
+        if (name.starts_with(part.drive) || name.starts_with("segment-" + part.drive)) return {file, part.frames, part.of_paper, part.test_frames};
     }
     throw UsageError(
         fmt::format("dataset.sequence: found '{}', expected how one of the {} segments of {} begins, or ws1 to ws4 or wd1 to wd4",
@@ -292,6 +293,7 @@ Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
         "vehicle x forward, y left, z up; metres; time = head of TOP faces forward, seconds after the segment's first firing; "
         "intensity is the tanh of Waymo's; rays of TOP in time, the other LiDARs at one moment";
     sequence.notes = segment.notes;
+    sequence.test_frames = segment.test_frames;
     add_frames(sequence, records, heads, begin, segment.top_alone);
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     read_scans(sequence, records, options.progress);

@@ -24,11 +24,6 @@ constexpr float kUnbounded = std::numeric_limits<float>::infinity();
 
 double logit(double p) { return std::log(p / (1.0 - p)); }
 
-double extent_of(const Scene& scene, std::size_t model) {
-    const glm::vec3 half_size = scene.models[model].half_size_m;
-    return half_size.x > 0.0f ? 8.0 * double(glm::length(half_size)) : model_extent(scene, model);
-}
-
 /// What is asked of classification.
 struct Rules {
     std::uint32_t growth = RELIDAR_DENSIFY_BY_NOTHING;
@@ -64,7 +59,7 @@ struct Densifier::Impl {
           counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
           observe(d, "densify/observe"), classify(d, "densify/classify"), spawn(d, "densify/spawn"),
           reset_opacity(d, "densify/reset_opacity"), jitter(d, "densify/jitter") {
-        for (std::size_t model = 0; model < scene.models.size(); ++model) extents_m.push_back(extent_of(scene, model));
+        for (std::size_t model = 0; model < scene.models.size(); ++model) extents_m.push_back(model_extent(scene, model));
     }
 
     std::uint64_t random(Draw draw, int step) const { return hash64(hash64(seed, std::uint64_t(draw)), std::uint64_t(step)); }

@@ -88,8 +88,9 @@ bool lists(const std::string& list, const std::string& word) {
 bool is_wanted(const BoxTrack& box, const InitialiseOptions& options) {
     if (options.actors != ActorMode::models) return false;
     if (options.discover_actors && box.category == kDiscoveredCategory) return true;
-    return options.actor_tracks.empty() ? options.actor_classes == kEveryClass || lists(options.actor_classes, box.category)
-                                        : lists(options.actor_tracks, box.id);
+    if (!options.actor_tracks.empty()) return lists(options.actor_tracks, box.id);
+    return options.actor_classes == kEveryClass || lists(options.actor_classes, box.category) ||
+           lists(options.actor_classes, name_of(object_kind(box.category)));
 }
 
 /// @throws DataError for a box that cannot hold anything

@@ -117,9 +117,12 @@ std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points) {
     return order;
 }
 
+double box_extent(const glm::vec3& half_size_m) { return 8.0 * double(glm::length(half_size_m)); }
+
 double model_extent(const Scene& scene, std::size_t model) {
     if (model >= scene.models.size() || scene.models[model].count == 0) return 1.0;
     const Model& range = scene.models[model];
+    if (range.half_size_m.x > 0.0f) return box_extent(range.half_size_m);
     const auto first = scene.surfels.mean.begin() + range.first, last = first + range.count;
     glm::dvec3 centre(0.0);
     for (auto p = first; p != last; ++p) centre += glm::dvec3(*p);

@@ -136,6 +136,7 @@ Sequence without_frames(const Sequence& all) {
             all.intensity_response,
             all.conventions,
             all.notes,
+            all.test_frames,
             all.rolling_shutter};
 }
 

@@ -2,6 +2,7 @@
 // Which frames of a log are held out of training: every so many, or those that a list names.
 #include <relidar/sequence.hpp>
 
+#include <algorithm>
 #include <optional>
 #include <set>
 #include <string_view>
@@ -16,6 +17,7 @@
 namespace relidar {
 namespace {
 
+constexpr int kPublishedEvery = 10;   // what papers say of their splits, whatever the first frame
 constexpr const char* kSetting = "dataset.test_frames";
 
 /// Indices from first to before end.
@@ -53,6 +55,14 @@ std::set<int> every(int test_every, const std::vector<int>& sweeps) {
     return held_out;
 }
 
+/// Those of a published part that the log has.
+std::set<int> published(const std::vector<int>& test_frames, const std::vector<int>& sweeps) {
+    std::set<int> held_out;
+    for (const int index : sweeps)
+        if (std::ranges::find(test_frames, index) != test_frames.end()) held_out.insert(index);
+    return held_out;
+}
+
 /// Those that a list names. @throws UsageError
 std::set<int> named(const std::string& list, const std::vector<int>& sweeps) {
     const std::set<int> known(sweeps.begin(), sweeps.end());
@@ -76,7 +86,10 @@ std::set<int> named(const std::string& list, const std::vector<int>& sweeps) {
 
 Split split_frames(const Sequence& sequence, int test_every, const std::string& test_frames) {
     const std::vector<int> sweeps = sweeps_of(sequence);
-    const std::set<int> held_out = test_frames.empty() ? every(test_every, sweeps) : named(test_frames, sweeps);
+    const bool as_published = test_frames.empty() && test_every == kPublishedEvery && !sequence.test_frames.empty();
+    const std::set<int> held_out = as_published          ? published(sequence.test_frames, sweeps)
+                                   : test_frames.empty() ? every(test_every, sweeps)
+                                                         : named(test_frames, sweeps);
     Split split;
     for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i)
         (held_out.contains(sequence.frames[std::size_t(i)].index) ? split.test : split.train).push_back(i);

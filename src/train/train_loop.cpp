@@ -55,6 +55,15 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
             c.intensity_factor};
 }
 
+/// Means learn at a rate in proportion to the extent of their own model: an actor's are not to be thrown out of its box by steps that suit a
+/// street. @return [models] over the background's
+std::vector<float> mean_factors(const Scene& layout, double background_extent_m) {
+    std::vector<float> factors;
+    for (const Model& model : layout.models)
+        factors.push_back(model.half_size_m.x > 0.0f ? static_cast<float>(box_extent(model.half_size_m) / background_extent_m) : 1.0f);
+    return factors;
+}
+
 /// Active degree of the spherical harmonics; the image's own may be lower.
 int sh_degree_at(const TrainConfig& c, int step) { return c.sh_degree_start + std::max(step - 1, 0) / std::max(1, c.sh_degree_interval); }
 
@@ -209,7 +218,8 @@ void TrainLoop::iterate(int step, bool ends_line) {
         densifier_->observe(stream_, scene, {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), whole_frame});
     const LearningRates rates = rates_at(config_.train, extent_m_, step);
     const Array<std::uint32_t>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
-    adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree);
+    adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree,
+               {&scene.models(), mean_factors(scene.layout(), extent_m_)});
     reports_.add(step, frame.index);
     if (densifier_ && densifier_->due(step))
         change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene, adam_, step, others_bytes); });

@@ -102,6 +102,7 @@ TEST(Kitti360, DrivesAndPartsHaveNames) {
     Sequence log = read(kitti, options);
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[0].index, 2351);
+    EXPECT_EQ(log.test_frames, (std::vector<int>{2360, 2370, 2380, 2390}));
     options.frames = {2352, -1};
     EXPECT_EQ(read(kitti, options).frames.size(), 1u);
     options.frames = {0, 2351};
@@ -110,6 +111,7 @@ TEST(Kitti360, DrivesAndPartsHaveNames) {
     for (const char* name : {"0000", "2013_05_28_drive_0000_sync"}) {
         options.sequence = name;
         EXPECT_EQ(read(kitti, options).frames.size(), 3u);
+        EXPECT_TRUE(read(kitti, options).test_frames.empty()) << "nobody has published a split of the drive";
     }
     options.sequence = "ks2";
     EXPECT_THROW(read(kitti, options), UsageError) << "frames that are not there";

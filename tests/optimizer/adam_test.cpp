@@ -44,6 +44,36 @@ struct Scalar {
     }
 };
 
+/// Three models, the second without surfels: each has a rate of its own for its means, and the others' for all else.
+TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
+    const std::uint32_t n = 90, n_fixed = 11;
+    const std::vector<shared::ModelEntry> entries{{.first_surfel = 0}, {.first_surfel = 40}, {.first_surfel = 40}};
+    const Array<shared::ModelEntry> models(device(), std::span<const shared::ModelEntry>(entries), "models");
+    const LearningRates rates{1e-2, 2e-3, 3e-3, 4e-2, 5e-3, 0.05, 1.0};
+    Adam adam(device(), n, {.n_fixed = n_fixed, .thread_per_float = GetParam()});
+    Stream stream(device());
+    SurfelArrays parameters(device(), n, "parameters"), gradients(device(), n, "gradients");
+    const Surfels start = random_surfels(n, 1, Primitive::surfel);
+    parameters.upload(start);
+    std::vector<Surfels> g;
+    for (int t = 1; t <= 2; ++t) {
+        g.push_back(random_surfels(n, 20 + std::uint64_t(t), Primitive::surfel));
+        gradients.upload(g.back());
+        adam.step(stream, parameters, gradients, nullptr, rates, t, 2, {&models, {1.0f, 7.0f, 0.25f}});
+        stream.finish();
+    }
+    const Surfels actual = parameters.download();
+    for (std::uint32_t i = n_fixed; i < n; ++i) {
+        Scalar mean{start.mean[i].y}, scale{start.log_scale[i].x};
+        for (int t = 1; t <= 2; ++t) {
+            mean.step(g[std::size_t(t - 1)].mean[i].y, 1e-2 * (i < 40 ? 1.0 : 0.25), t);
+            scale.step(g[std::size_t(t - 1)].log_scale[i].x, 3e-3, t);
+        }
+        EXPECT_NEAR(actual.mean[i].y, mean.value, 1e-6) << i;
+        EXPECT_NEAR(actual.log_scale[i].x, scale.value, 1e-6) << i;
+    }
+}
+
 /// With one thread a row and one a float; where all rows have gradients, where those that are not touched decay, and where these stay; in
 /// the latter two the first rows are fixed.
 TEST_P(AdamThreads, AgreeWithAdamInDouble) {

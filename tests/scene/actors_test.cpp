@@ -43,6 +43,9 @@ TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
             EXPECT_LE(p.z, 0.5 * box->size_m.z + 0.11);
         }
     }
+    InitialiseOptions by_kind = with_actors();
+    by_kind.actor_classes = "cyclist, vehicle";
+    EXPECT_EQ(initialise_scene(street, split_frames(street, 10).train, by_kind).models.size(), 3u) << "whatever a dataset calls them";
     InitialiseOptions nothing;
     nothing.actor_classes = "";
     EXPECT_EQ(initialise_scene(street, split_frames(street, 10).train, nothing).models.size(), 1u) << "no class is wanted: masked instead";

@@ -204,6 +204,22 @@ TEST(Split, EveryTenthOfFiftyButTheFirst) {
     EXPECT_THROW(split_frames(sequence, 1), UsageError);
 }
 
+TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
+    Sequence sequence;
+    for (int i = 2351; i <= 2400; ++i)
+        if (i != 2355) sequence.frames.emplace_back().index = i;   // one without a pose shifts nothing
+    sequence.test_frames = {2360, 2370, 2380, 2390};
+    const auto indices = [&](const Split& split) {
+        std::vector<int> all;
+        for (const int position : split.test) all.push_back(sequence.frames[std::size_t(position)].index);
+        return all;
+    };
+    EXPECT_EQ(indices(split_frames(sequence, 10)), sequence.test_frames);
+    EXPECT_EQ(indices(split_frames(sequence, 10, "2353,2400")), (std::vector<int>{2353, 2400})) << "named ones go first";
+    EXPECT_TRUE(split_frames(sequence, 0).test.empty());
+    EXPECT_EQ(split_frames(sequence, 25).test.size(), 1u) << "another number is another split";
+}
+
 /// Frames 100, 103, 106 ... of two LiDARs, the second of which missed sweep 106.
 Sequence numbered_in_threes() {
     Sequence sequence;

@@ -57,6 +57,28 @@ TEST_P(TrainEither, LearnsTheStreet) {
               0.9 * held_out_error(device(), untrained.scene, config, street, split));
 }
 
+/// The first step of Adam is the rate itself, whatever the gradient: 4 x the diagonal of a car's box, not the extent of the street.
+TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
+    const Sequence street = make_synthetic_street(small_street());
+    const Split split = split_frames(street, 10);
+    Config config = small_config();
+    config.train.iterations = 1;
+    config.init.actor_min_points = 10;
+    const Scene before = initialise_scene(street, split.train, config.init);
+    const Scene after = train(device(), street, split, config, [](const TrainProgress&) { return true; }).scene;
+    ASSERT_EQ(after.surfels.size(), before.surfels.size());
+    ASSERT_GE(before.models.size(), 3u) << "the background and two cars";
+    for (const Model& model : before.models) {
+        const double extent_m = model.half_size_m.x > 0.0f ? 8.0 * double(glm::length(model.half_size_m)) : background_extent(before);
+        double farthest_m = 0.0;
+        for (std::uint32_t i = model.first; i < model.first + model.count; ++i)
+            for (int axis = 0; axis < 3; ++axis)
+                farthest_m = std::max(farthest_m, std::abs(double(after.surfels.mean[i][axis]) - double(before.surfels.mean[i][axis])));
+        const double rate_m = config.train.mean_rate_final * extent_m;   // the last of one step
+        EXPECT_NEAR(farthest_m, rate_m, 0.02 * rate_m + 4e-6) << model.name;
+    }
+}
+
 TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
     const Sequence street = make_synthetic_street(small_street());
     const Split split = split_frames(street, 10);

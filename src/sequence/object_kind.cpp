@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+// Classes of datasets as a few kinds. The words of KITTI, KITTI-360, Waymo, Argoverse 2 and nuScenes mean the same wherever two of them have
+// one, so a table of words does without the dataset's name.
+#include <relidar/sequence.hpp>
+
+#include <algorithm>
+#include <cctype>
+#include <span>
+
+namespace relidar {
+namespace {
+
+constexpr std::string_view kVehicles[] = {
+    "car", "van", "truck", "tram", "bus", "trailer", "caravan", "train", "vehicle",                            // KITTI, KITTI-360, Waymo
+    "regular_vehicle", "large_vehicle", "box_truck", "truck_cab", "vehicular_trailer", "school_bus",           // Argoverse 2
+    "articulated_bus", "message_board_trailer", "railed_vehicle", "traffic_light_trailer",
+    "vehicle.car", "vehicle.truck", "vehicle.trailer", "vehicle.construction", "vehicle.bus.bendy",            // nuScenes
+    "vehicle.bus.rigid", "vehicle.emergency.ambulance", "vehicle.emergency.police"};
+constexpr std::string_view kCyclists[] = {"cyclist", "bicycle", "motorcycle", "rider", "bicyclist", "motorcyclist", "wheeled_rider",
+                                          "vehicle.bicycle", "vehicle.motorcycle"};
+constexpr std::string_view kPersons[] = {"pedestrian", "person", "person (sitting)", "person_sitting", "official_signaler",
+                                         "human.pedestrian.adult", "human.pedestrian.child", "human.pedestrian.construction_worker",
+                                         "human.pedestrian.police_officer", "human.pedestrian.personal_mobility",
+                                         "human.pedestrian.stroller", "human.pedestrian.wheelchair"};
+
+bool has(std::span<const std::string_view> words, std::string_view word) { return std::ranges::find(words, word) != words.end(); }
+
+}  // namespace
+
+ObjectKind object_kind(std::string_view category) {
+    std::string word(category);
+    std::ranges::transform(word, word.begin(), [](unsigned char c) { return char(std::tolower(c)); });
+    return has(kVehicles, word)   ? ObjectKind::vehicle
+           : has(kCyclists, word) ? ObjectKind::cyclist
+           : has(kPersons, word)  ? ObjectKind::person
+                                  : ObjectKind::other;
+}
+
+const char* name_of(ObjectKind kind) {
+    constexpr const char* kNames[] = {"vehicle", "cyclist", "person", "other"};
+    return kNames[static_cast<int>(kind)];
+}
+
+}  // namespace relidar
