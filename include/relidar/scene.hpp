@@ -167,11 +167,11 @@ struct InstancePose {
     double time_s = 0.0;   ///< place_instances: the moment at which its track was asked
 };
 
-/// Tracks of what moves without a label: returns of training frames, within 40 m and outside labelled boxes, that other training frames see
-/// through are grouped, linked from frame to frame and placed as rigid upright boxes, of which the end near the sensor is sure and the size
-/// what they showed when they showed most. Only what is seen in at least 6 frames and comes 0.6 m far becomes a track, parts of the
-/// sensor's own vehicle excepted. x is the direction of motion; ids are mover-0, mover-1, ... The same in all processes of a team. Each
-/// LiDAR is asked by itself: of a mover that several have seen the first one's track, unless another saw it half as long again.
+/// What moves without a label: returns of training frames, within 40 m, that others see through, linked and placed as upright boxes of one
+/// size, x along a smooth path; seen in 6 frames, 0.6 m and 0.6 of its size far, no part of the sensor's vehicle. A size is a guess
+/// (size_guess) where one side was seen. What a label follows for a while is that box, its id, class and size, with more poses (n_before,
+/// n_after), to stand in its place; others are mover-0, mover-1, ... The same in all processes of a team. Each LiDAR is asked by itself:
+/// of a mover that several have seen the first one's track, unless another saw it half as long again.
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
                                       const Progress& progress = {}, const Team& team = {});
 

@@ -148,7 +148,9 @@ struct BoxTrack {
     std::string id;              ///< unique in the sequence
     std::string category;        ///< the dataset's own class name, or kDiscoveredCategory
     glm::dvec3 size_m{0.0};      ///< length, width, height
-    PoseTrack world_from_box;    ///< at the times of the frames in which the box was labelled
+    PoseTrack world_from_box;    ///< at the times of the frames in which the box was labelled or discovered
+    std::string size_guess = {}; ///< of a discovered box: what kind of thing its size was filled up for, as one side alone was seen
+    std::size_t n_before = 0, n_after = 0;   ///< poses of a labelled box before its first and after its last label: discover_tracks()
 
     /// Mean motion of the box's centre from one observation to the next, metres: from the mean position in the first half of the track
     /// to that in the second, so that the jitter of labels on a parked car (9 cm a frame on KITTI) is no motion. 0 for one observation.
@@ -161,6 +163,8 @@ struct BoxTrack {
     /// Where the box is while it is present, and for beyond_s before its first and after its last observation where the mean velocity of
     /// its first or last second would take it. Nothing farther out.
     std::optional<Pose> pose_near(double t_s, double beyond_s) const;
+    /// The same box as the dataset labelled it, without n_before and n_after poses at its ends.
+    BoxTrack labelled_part() const;
     /// Whether a world point lies in the box, grown by margin_m, at a time.
     bool holds(const glm::dvec3& point_m, double t_s, double margin_m) const;
 };

@@ -137,6 +137,7 @@ PoseTrack refined(const PoseTrack& track, double step_s) {
 /// Adds an instance of a model with a track of its own.
 void add_instance(DrivingScene& driving, std::uint32_t model, BoxTrack box, const Start& start) {
     box.world_from_box = straight_track(driving.sequence, start);
+    box.n_before = box.n_after = 0;
     driving.scene.instances.push_back({model, box.id});
     driving.sequence.boxes.push_back(std::move(box));
 }
@@ -162,6 +163,7 @@ DrivingScene retime_track(DrivingScene driving, const std::string& track, double
 DrivingScene replace_trajectory(DrivingScene driving, const std::string& track, const PoseTrack& dataset_from_box) {
     BoxTrack& box = box_of(driving, track);
     check_trajectory(dataset_from_box, track);
+    box.n_before = box.n_after = 0;
     box.world_from_box = refined(shifted_track(dataset_from_box, -driving.sequence.world_offset_m),
                                  std::max(driving.sequence.lidars[0].period_s(), 1e-3));
     return driving;

@@ -67,6 +67,7 @@ std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame, d
     const PoseTrack track = moved_track(sequence.world_from_sensor(frame.lidar), sensor_offset);
     std::vector<BoxTrack> labelled = sequence.boxes;
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
+    for (BoxTrack& box : labelled) box = box.labelled_part();   // whatever was discovered, the same returns are compared
     Mask moving(frame.scan.range_m.size());
     for (std::size_t ray = 0; ray < moving.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f)) continue;

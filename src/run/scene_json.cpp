@@ -68,6 +68,8 @@ Json to_json(const BoxTrack& box) {
                  {"time_s", box.world_from_box.time_s},
                  {"world_from_box", Json::array()}};
     for (const Pose& pose : box.world_from_box.pose) json["world_from_box"].push_back(to_json(pose));
+    if (!box.size_guess.empty()) json["size_guess"] = box.size_guess;
+    if (box.n_before + box.n_after > 0) json["beside_labels"] = {box.n_before, box.n_after};
     return json;
 }
 
@@ -235,6 +237,13 @@ BoxTrack read_box(const JsonField& field) {
     if (poses.size() != n) poses.fail(fmt::format("found {} poses", poses.size()), fmt::format("expected {}, one a time", n));
     if (!std::is_sorted(box.world_from_box.time_s.begin(), box.world_from_box.time_s.end()))
         field.at("time_s").fail("found falling times", "expected times that rise");
+    if (field.has("size_guess")) box.size_guess = field.at("size_guess").text();
+    if (field.has("beside_labels")) {
+        const JsonField beside = field.at("beside_labels");
+        const auto most = static_cast<std::int64_t>(n);
+        box.n_before = static_cast<std::size_t>(beside.at(0).integer(0, most));
+        box.n_after = static_cast<std::size_t>(beside.at(1).integer(0, most - static_cast<std::int64_t>(box.n_before)));
+    }
     return box;
 }
 

@@ -40,46 +40,77 @@ struct Return {
     Motion motion = Motion::rests;
 };
 
-/// Boxes of which a frame may see something. What is labelled needs no discovery: where it moves, at its time; and what stands as long as
-/// it is labelled stands before and after as well.
-std::vector<BoxTrack> labelled_at(const Sequence& sequence, double time_s, const InitialiseOptions& options) {
-    std::vector<BoxTrack> boxes;
-    for (const BoxTrack& box : sequence.boxes) {
+/// A box of which a frame may see something.
+struct LabelledBox {
+    BoxTrack box;
+    int label;   ///< kNoLabel where it stands
+};
+
+/// What is labelled needs no discovery: where it moves, at its time; and what stands as long as it is labelled, or is parked as far as its
+/// labels tell, stands before and after as well.
+std::vector<LabelledBox> labelled_at(const Sequence& sequence, double time_s, const InitialiseOptions& options) {
+    std::vector<LabelledBox> boxes;
+    for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {
+        const BoxTrack& box = sequence.boxes[i];
         const PoseTrack& track = box.world_from_box;
         if (track.pose.empty()) continue;
-        if (box.mean_step_m() > options.actor_min_step_m) {
-            if (box.present(time_s)) boxes.push_back(box);
+        if (box.mean_step_m() > options.actor_min_step_m && !box.is_parked()) {
+            if (box.present(time_s)) boxes.push_back({box, static_cast<int>(i)});
             continue;
         }
-        BoxTrack& still = boxes.emplace_back(box);
+        BoxTrack& still = boxes.emplace_back(LabelledBox{box, kNoLabel}).box;
         still.world_from_box = {{time_s}, {track.at(std::clamp(time_s, track.time_s.front(), track.time_s.back()))}};
     }
     return boxes;
 }
 
-std::vector<Return> returns_of(const Sequence& sequence, const Frame& frame, const InitialiseOptions& options) {
-    const std::vector<BoxTrack> labelled = labelled_at(sequence, frame.time_s, options);
-    std::vector<Return> result;
+/// What a frame sees of boxes that move, and all that lies in no box.
+struct Returns {
+    std::vector<Return> others;
+    std::vector<MoverCluster> of_labels;
+};
+
+/// Makes means of sums. @param sum  time and centre are those of all points together
+MoverCluster averaged(MoverCluster sum) {
+    sum.time_s /= double(sum.points_m.size());
+    sum.centre_m /= double(sum.points_m.size());
+    return sum;
+}
+
+Returns returns_of(const Sequence& sequence, const Frame& frame, const InitialiseOptions& options) {
+    const std::vector<LabelledBox> labelled = labelled_at(sequence, frame.time_s, options);
+    std::vector<MoverCluster> of_boxes(labelled.size());
+    Returns result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kMaxRange_m)) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
-        if (std::none_of(labelled.begin(), labelled.end(),
-                         [&](const BoxTrack& box) { return box.holds(w.point_m, w.time_s, options.actor_margin_m); }))
-            result.push_back({glm::vec3(w.point_m), w.time_s, 0, Motion::rests});
+        const auto in = std::ranges::find_if(
+            labelled, [&](const LabelledBox& l) { return l.box.holds(w.point_m, w.time_s, options.actor_margin_m); });
+        if (in == labelled.end()) {
+            result.others.push_back({glm::vec3(w.point_m), w.time_s, 0, Motion::rests});
+        } else if (in->label != kNoLabel && in->box.holds(w.point_m, w.time_s, 0.0)) {   // the margin has ground
+            MoverCluster& cluster = of_boxes[std::size_t(in - labelled.begin())];
+            cluster.label = in->label;
+            cluster.time_s += w.time_s;
+            cluster.centre_m += w.point_m;
+            cluster.points_m.push_back(w.point_m);
+        }
     }
+    for (MoverCluster& cluster : of_boxes)
+        if (!cluster.points_m.empty()) result.of_labels.push_back(averaged(std::move(cluster)));
     return result;
 }
 
 /// Cells of the world that the returns lie in, numbered, and the mean of the returns of each.
-std::vector<glm::vec3> number_cells(std::vector<std::vector<Return>>& frames) {
+std::vector<glm::vec3> number_cells(std::vector<Returns>& frames) {
     struct Mean {
         glm::dvec3 sum{0.0};
         int n = 0;
     };
     std::unordered_map<std::uint64_t, std::uint32_t> number;
     std::vector<Mean> means;
-    for (std::vector<Return>& frame : frames)
-        for (Return& r : frame) {
+    for (Returns& frame : frames)
+        for (Return& r : frame.others) {
             r.cell = number.try_emplace(cell_key(glm::dvec3(r.point_m), kCell_m), static_cast<std::uint32_t>(number.size())).first->second;
             if (r.cell == means.size()) means.emplace_back();
             means[r.cell].sum += glm::dvec3(r.point_m);
@@ -143,11 +174,9 @@ std::vector<MoverCluster> group(const std::vector<Return>& returns) {
             cluster.centre_m += p;
             low = glm::min(low, p), high = glm::max(high, p);
         }
-        const double n = double(cluster.points_m.size());
-        cluster.time_s /= n;
-        cluster.centre_m /= n;
-        if (n_moved >= kMinPoints && n_moved >= kMovedShare * n && glm::length(glm::dvec2(high - low)) < kMaxLength_m)
-            clusters.push_back(std::move(cluster));
+        if (n_moved >= kMinPoints && n_moved >= kMovedShare * double(cluster.points_m.size()) &&
+            glm::length(glm::dvec2(high - low)) < kMaxLength_m)
+            clusters.push_back(averaged(std::move(cluster)));
     }
     return clusters;
 }
@@ -167,7 +196,7 @@ using Clusters = std::vector<std::vector<MoverCluster>>;   // [frames]
 
 /// Of some neighbouring frames.
 Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, Visibility& visibility, const InitialiseOptions& options) {
-    std::vector<std::vector<Return>> frames(positions.size());
+    std::vector<Returns> frames(positions.size());
     run_parallel(static_cast<int>(positions.size()), [&](int i) {
         frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])], options);
     });
@@ -182,10 +211,11 @@ Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, V
     });
     Clusters clusters(frames.size());
     run_parallel(static_cast<int>(frames.size()), [&](int i) {
-        std::vector<Return>& frame = frames[std::size_t(i)];
-        for (Return& r : frame) r.motion = motion[r.cell];
-        std::erase_if(frame, [](const Return& r) { return r.motion == Motion::rests; });
-        clusters[std::size_t(i)] = group(frame);
+        Returns& frame = frames[std::size_t(i)];
+        for (Return& r : frame.others) r.motion = motion[r.cell];
+        std::erase_if(frame.others, [](const Return& r) { return r.motion == Motion::rests; });
+        clusters[std::size_t(i)] = group(frame.others);
+        std::ranges::move(frame.of_labels, std::back_inserter(clusters[std::size_t(i)]));
     });
     return clusters;
 }
@@ -197,6 +227,7 @@ Clusters joined(const Team& team, const Clusters& own) {
         double time_s;
         glm::dvec3 centre_m;
         std::uint64_t n_points;
+        std::int64_t label;
     };
     std::vector<std::uint64_t> n_clusters;   // [frames]
     std::vector<Head> heads;
@@ -204,7 +235,7 @@ Clusters joined(const Team& team, const Clusters& own) {
     for (const std::vector<MoverCluster>& frame : own) {
         n_clusters.push_back(frame.size());
         for (const MoverCluster& cluster : frame) {
-            heads.push_back({cluster.time_s, cluster.centre_m, cluster.points_m.size()});
+            heads.push_back({cluster.time_s, cluster.centre_m, cluster.points_m.size(), cluster.label});
             points.insert(points.end(), cluster.points_m.begin(), cluster.points_m.end());
         }
     }
@@ -216,7 +247,7 @@ Clusters joined(const Team& team, const Clusters& own) {
         std::vector<MoverCluster>& frame = all.emplace_back();
         for (std::uint64_t i = 0; i < n; ++i, ++head) {
             const auto end = point + std::ptrdiff_t(head->n_points);
-            frame.push_back({head->time_s, head->centre_m, {point, end}});
+            frame.push_back({head->time_s, head->centre_m, {point, end}, static_cast<int>(head->label)});
             point = end;
         }
     }

@@ -10,11 +10,15 @@
 
 namespace relidar {
 
-/// One group in one frame.
+inline constexpr int kNoLabel = -1;
+
+/// One group in one frame: of what moved without a label, or all that lies in a labelled box that moves, so that both are seen as one thing
+/// where the label ends.
 struct MoverCluster {
     double time_s = 0.0;                 ///< mean time at which its returns were seen
     glm::dvec3 centre_m{0.0};            ///< world, mean of its returns
     std::vector<glm::dvec3> points_m;    ///< world
+    int label = kNoLabel;                ///< position in Sequence::boxes of the box it lies in
 
     /// Adds the returns of a group of the same frame.
     void take_in(const MoverCluster& other);

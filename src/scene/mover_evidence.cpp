@@ -11,6 +11,9 @@ namespace {
 
 constexpr double kSamePlace_m = 0.2;      // returns of one thing that stands, poses and noise included
 constexpr double kClear_m = 0.4;          // of the box, before its place may be expected to be free
+constexpr double kToldShare = 0.25;       // of the returns of a track, of which others say that they moved
+constexpr double kMovedShare = 0.85;      // of those of which they say anything
+constexpr double kProvenShare = 0.5;      // of the frames of a track
 
 }  // namespace
 
@@ -25,14 +28,29 @@ Evidence look_back(const Visibility& visibility, const glm::dvec3& point_m, cons
     return evidence;
 }
 
-Evidence sift(const Visibility& visibility, MoverCluster& cluster, const BoxTrack& box) {
-    Evidence sum;
+void Testimony::operator+=(const Testimony& other) {
+    looks += other.looks;
+    returns += other.returns, told += other.told, moved += other.moved;
+    frames += other.frames, frames_moved += other.frames_moved;
+}
+
+bool Testimony::says_moved() const {
+    return looks.says_moved() && double(moved) >= kToldShare * double(returns) && double(moved) >= kMovedShare * double(told) &&
+           double(frames_moved) >= kProvenShare * double(frames);
+}
+
+Testimony sift(const Visibility& visibility, MoverCluster& cluster, const BoxTrack& box) {
+    Testimony sum;
     std::vector<glm::dvec3> kept;
     for (const glm::dvec3& p : cluster.points_m) {
         const Evidence evidence = look_back(visibility, p, box);
-        sum += evidence;
+        sum.looks += evidence;
+        sum.told += evidence.is_any();
+        sum.moved += evidence.says_moved();
         if (!evidence.says_stayed()) kept.push_back(p);
     }
+    sum.returns = cluster.points_m.size();
+    sum.frames = 1, sum.frames_moved = sum.looks.says_moved();
     cluster.points_m = std::move(kept);
     cluster.centre_m = glm::dvec3(0.0);
     for (const glm::dvec3& p : cluster.points_m) cluster.centre_m += p / double(cluster.points_m.size());

@@ -47,6 +47,15 @@ std::optional<Pose> BoxTrack::pose_near(double t_s, double beyond_s) const {
     return pose;
 }
 
+BoxTrack BoxTrack::labelled_part() const {
+    BoxTrack part = *this;
+    part.n_before = part.n_after = 0;
+    const auto first = std::ptrdiff_t(n_before), last = std::ptrdiff_t(world_from_box.pose.size() - n_after);
+    part.world_from_box.time_s = {world_from_box.time_s.begin() + first, world_from_box.time_s.begin() + last};
+    part.world_from_box.pose = {world_from_box.pose.begin() + first, world_from_box.pose.begin() + last};
+    return part;
+}
+
 bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) const {
     const glm::dvec3 half = 0.5 * size_m + glm::dvec3(margin_m);
     const PoseTrack& track = world_from_box;

@@ -160,22 +160,37 @@ void calibrate(Sequence& sequence, const Split& split, const SensorConfig& confi
     sequence.intensity_response.incidence = session.team.of_first(std::vector{sequence.intensity_response.incidence}).front();
 }
 
-/// Ids with their sizes and speeds.
-std::string described(const std::vector<BoxTrack>& boxes) {
-    std::vector<std::string> words;
-    for (const BoxTrack& box : boxes) {
-        const PoseTrack& track = box.world_from_box;
-        const double seconds = track.time_s.back() - track.time_s.front();
-        words.push_back(fmt::format("{} {:.1f} x {:.1f} m at {:.1f} m/s for {:.1f} s", box.id, box.size_m.x, box.size_m.y,
-                                    glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds));
-    }
-    return fmt::format("{}", fmt::join(words, ", "));
+/// Its id, size and speed.
+std::string described(const BoxTrack& box) {
+    const PoseTrack& track = box.world_from_box;
+    const double seconds = track.time_s.back() - track.time_s.front();
+    return fmt::format("{} {:.1f} x {:.1f} m{} at {:.1f} m/s for {:.1f} s", box.id, box.size_m.x, box.size_m.y,
+                       box.size_guess.empty() ? "" : fmt::format(" (a guess: a {} of which one side was seen)", box.size_guess),
+                       glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds);
+}
+
+/// A label's id and how much longer its thing was seen.
+std::string continued(const BoxTrack& box) {
+    std::vector<std::string> sides;
+    if (box.n_before > 0) sides.push_back(fmt::format("{} frames before its labels", box.n_before));
+    if (box.n_after > 0) sides.push_back(fmt::format("{} frames after them", box.n_after));
+    return fmt::format("{} ({}) {}", box.id, box.category, fmt::join(sides, " and "));
 }
 
 void add_discovered(Sequence& sequence, const Split& split, const InitialiseOptions& options, const PrepareSession& session) {
-    std::vector<BoxTrack> found = discover_tracks(sequence, split.train, options, session.progress, session.team);
-    session.tell(fmt::format("{} movers discovered without a label{}", found.size(), found.empty() ? "" : ": " + described(found)));
-    std::move(found.begin(), found.end(), std::back_inserter(sequence.boxes));
+    std::vector<std::string> movers, beside;
+    for (BoxTrack& box : discover_tracks(sequence, split.train, options, session.progress, session.team)) {
+        if (box.n_before + box.n_after > 0) {
+            beside.push_back(continued(box));
+            *std::ranges::find(sequence.boxes, box.id, &BoxTrack::id) = std::move(box);
+        } else {
+            movers.push_back(described(box));
+            sequence.boxes.push_back(std::move(box));
+        }
+    }
+    session.tell(fmt::format("{} movers discovered without a label{}{}", movers.size(), movers.empty() ? "" : ": ",
+                             fmt::join(movers, ", ")));
+    if (!beside.empty()) session.tell(fmt::format("labelled actors found beside their labels too: {}", fmt::join(beside, ", ")));
 }
 
 constexpr float kBehind_m = 0.25f;   // half of what two returns are apart: the first surface and its noise lie before it

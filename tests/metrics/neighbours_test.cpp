@@ -186,6 +186,8 @@ TEST(Regions, KnowWhatMoves) {
     EXPECT_EQ(moving_returns(s, s.frames[2], 3.0), std::vector<bool>{false});
     EXPECT_EQ(moving_returns(s, s.frames[2], 0.01, {{1.0, 0.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}), std::vector<bool>{false});
     EXPECT_EQ(moving_returns(s, s.frames[4], 0.01), std::vector<bool>{false});
+    s.boxes[0].n_after = 3;   // the labels end before frame 2: what discovery adds changes no score
+    EXPECT_EQ(moving_returns(s, s.frames[2], 0.01), std::vector<bool>{false});
 }
 
 }  // namespace

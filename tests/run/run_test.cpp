@@ -109,6 +109,16 @@ TEST_F(RunFolder, IsTheSameInEveryLocale) {
     EXPECT_EQ(files(), before);
 }
 
+TEST_F(RunFolder, KeepsWhatWasGuessedAndFoundOfBoxes) {
+    BoxTrack& box = run.sequence.boxes[0];
+    box.size_guess = "car", box.n_before = 1;
+    save_run(run);
+    const BoxTrack read = load_run(run.folder).sequence.boxes[0];
+    EXPECT_EQ(read.size_guess, "car");
+    EXPECT_EQ(read.n_before, 1u);
+    EXPECT_EQ(read.n_after, 0u);
+}
+
 TEST_F(RunFolder, RoundTripsExactly) {
     const relidar::Run read = load_run(run.folder);
     EXPECT_EQ(to_toml(read.config), to_toml(run.config));
@@ -131,6 +141,8 @@ TEST_F(RunFolder, RoundTripsExactly) {
     EXPECT_EQ(a.boxes[0].world_from_box.time_s, b.boxes[0].world_from_box.time_s);
     expect_equal(a.boxes[0].world_from_box.pose[1], b.boxes[0].world_from_box.pose[1]);
     EXPECT_EQ(a.boxes[1].category, "Van");
+    EXPECT_EQ(a.boxes[0].size_guess, "");
+    EXPECT_EQ(a.boxes[0].n_before + a.boxes[0].n_after, 0u);
     ASSERT_EQ(read.edits.size(), 2u);
     EXPECT_EQ(read.edits[1].run, "/runs/second");
     EXPECT_EQ(read.edits[0].edit, "--move 7:0,3.5,0");
@@ -331,6 +343,7 @@ TEST_F(RunFolder, WrongKindsAreRefused) {
     EXPECT_NE(replaced("/format", "other").find("format: found \"other\""), std::string::npos);
     EXPECT_NE(replaced("/counts/boxes", 3).find("counts.boxes: found 3, expected 2"), std::string::npos);
     EXPECT_NE(replaced("/counts/surfels", 3).find("counts.surfels: found 3, but model.safetensors holds 5"), std::string::npos);
+    EXPECT_NE(replaced("/boxes/0/beside_labels", {1, 2}).find("boxes[0].beside_labels[1]: found 2"), std::string::npos);
     EXPECT_NE(replaced("/boxes/0/time_s", {1.0}).find("boxes[0].world_from_box: found 2 poses, expected 1"), std::string::npos);
     EXPECT_NE(replaced("/lidars/0/sensor/columns", -1).find("lidars[0].sensor.columns: found -1, expected an integer in 0.."),
               std::string::npos);

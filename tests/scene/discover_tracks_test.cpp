@@ -66,6 +66,86 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
     }
 }
 
+/// Keeps the labels of a box in some frames. @return the times at which it has none any more
+std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, std::size_t first, std::size_t end) {
+    const BoxTrack whole = box;
+    std::vector<double> cut_s;
+    box.world_from_box = {};
+    for (std::size_t f = 0; f < frames.size(); ++f) {
+        const double t_s = frames[f].time_s;
+        if (f < first || f >= end) {
+            cut_s.push_back(t_s);
+            continue;
+        }
+        box.world_from_box.time_s.push_back(t_s);
+        box.world_from_box.pose.push_back(whole.world_from_box.at(t_s));
+    }
+    return cut_s;
+}
+
+/// Labels of a camera's view end where the thing leaves it, and begin where it comes into it.
+TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
+    for (const auto& [first, end] : {std::pair<std::size_t, std::size_t>{0, 10}, {14, 24}, {8, 16}}) {
+        Street street = street_without_labels();
+        street.log.boxes = street.truth;
+        const BoxTrack& truth = street.truth[1];   // oncoming: the car ahead is hidden behind itself
+        const std::vector<double> cut_s = cut_labels(street.log.boxes[1], street.log.frames, first, end);
+        const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train, {});
+        ASSERT_EQ(found.size(), 1u) << "no second actor; labels " << first << " to " << end;
+        const BoxTrack& box = found[0];
+        EXPECT_EQ(box.id, truth.id);
+        EXPECT_EQ(box.category, truth.category);
+        EXPECT_EQ(box.size_m, truth.size_m);
+        EXPECT_EQ(box.n_before > 0, first > 0);
+        EXPECT_EQ(box.n_after > 0, end < 24);
+        EXPECT_EQ(box.labelled_part().world_from_box.time_s, street.log.boxes[1].world_from_box.time_s);
+        const std::ptrdiff_t seen = std::ranges::count_if(cut_s, [&](double t_s) { return t_s >= 0.9 && t_s < 2.4; });
+        EXPECT_GE(box.n_before + box.n_after, std::size_t(seen) - 2) << "two frames are held out; before it is out of sight";
+        EXPECT_TRUE(std::ranges::is_sorted(box.world_from_box.time_s));
+        for (std::size_t k = 0; k < box.world_from_box.time_s.size(); ++k) {
+            const Pose at = truth.world_from_box.at(box.world_from_box.time_s[k]), off = inverse(at) * box.world_from_box.pose[k];
+            EXPECT_LT(glm::length(off.translation), 0.3) << box.world_from_box.time_s[k];
+            EXPECT_LT(glm::angle(off.rotation), 4.0 * kPi / 180.0) << box.world_from_box.time_s[k];
+        }
+    }
+}
+
+/// Between two of its parts nothing was seen of it for 0.8 s.
+TEST(DiscoverTracks, JoinsPartsAroundAGap) {
+    Street street = street_without_labels();
+    const BoxTrack& truth = street.truth[0];
+    for (std::size_t f = 8; f < 15; ++f) {
+        Frame& frame = street.log.frames[f];
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
+            if (frame.scan.range_m[ray] > 0.0f)
+                if (const WorldReturn w = world_return(street.log, frame, ray); truth.holds(w.point_m, w.time_s, 0.1))
+                    frame.scan.range_m[ray] = frame.scan.intensity[ray] = 0.0f;
+    }
+    const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train, {});
+    EXPECT_EQ(found.size(), street.truth.size());
+    const BoxTrack* track = found_in(found, truth);
+    ASSERT_NE(track, nullptr);
+    EXPECT_LT(track->world_from_box.time_s.front(), street.log.frames[4].time_s);
+    EXPECT_GT(track->world_from_box.time_s.back(), street.log.frames[18].time_s);
+}
+
+/// Of the car ahead the rear alone is seen.
+TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
+    const Street street = street_without_labels();
+    const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train, {});
+    const BoxTrack *ahead = found_in(found, street.truth[0]), *oncoming = found_in(found, street.truth[1]);
+    ASSERT_TRUE(ahead && oncoming);
+    EXPECT_EQ(ahead->size_guess, "car");
+    EXPECT_NEAR(ahead->size_m.x, street.truth[0].size_m.x, 0.5);
+    EXPECT_TRUE(oncoming->size_guess.empty()) << "it has passed: its side was seen";
+    for (std::size_t k = 0; k < ahead->world_from_box.time_s.size(); ++k) {
+        const double t_s = ahead->world_from_box.time_s[k];
+        EXPECT_LT(glm::distance(glm::dvec2(ahead->world_from_box.pose[k].translation),
+                                glm::dvec2(street.truth[0].world_from_box.at(t_s).translation)), 0.5)
+            << "filled up ahead, " << t_s;
+    }
+}
+
 /// Beside a LiDAR that sees little, and beside one that sees the same.
 TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
     for (const bool first_sees_all : {false, true}) {

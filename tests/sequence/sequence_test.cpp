@@ -299,5 +299,19 @@ TEST(BoxTrack, GoesOnBesideItsLabelsAtTheMeanVelocityOfASecond) {
     EXPECT_FALSE((BoxTrack{"3", "Car", {4, 2, 1.5}, {}}.pose_near(0.0, 1e9)));
 }
 
+TEST(BoxTrack, KnowsWhatOfItWasLabelled) {
+    BoxTrack car{"1", "Car", {4, 2, 1.5}, {}};
+    for (int i = 0; i < 6; ++i) {
+        car.world_from_box.time_s.push_back(0.1 * i);
+        car.world_from_box.pose.push_back({{}, {double(i), 0.0, 0.0}});
+    }
+    EXPECT_EQ(car.labelled_part().world_from_box.time_s, car.world_from_box.time_s);
+    car.n_before = 2, car.n_after = 1;
+    const PoseTrack labelled = car.labelled_part().world_from_box;
+    EXPECT_EQ(labelled.time_s, (std::vector<double>{0.1 * 2, 0.1 * 3, 0.1 * 4}));
+    EXPECT_EQ(labelled.pose.front().translation.x, 2.0);
+    EXPECT_EQ(car.labelled_part().n_before + car.labelled_part().n_after, 0u);
+}
+
 }  // namespace
 }  // namespace relidar

@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
 #include "console.hpp"
@@ -32,13 +33,29 @@ std::optional<double> returns_share(const Sequence& sequence) {
 
 std::string line(const std::string& name, const std::string& value) { return value.empty() ? "" : fmt::format("{:<12}{}\n", name, value); }
 
+/// Class, and what its size is a guess for.
+std::string class_text(const BoxSummary& b) { return b.size_guess.empty() ? b.category : fmt::format("{}, {}?", b.category, b.size_guess); }
+
+/// Which actors go on without their labels, and which sizes are guesses; a line each, where there are any.
+std::string box_notes(const std::vector<BoxSummary>& boxes) {
+    std::vector<std::string> guesses, continued;
+    for (const BoxSummary& b : boxes) {
+        if (!b.size_guess.empty()) guesses.push_back(b.id);
+        if (b.n_beside > 0) continued.push_back(fmt::format("{} ({} frames)", b.id, b.n_beside));
+    }
+    std::string text;
+    if (!guesses.empty()) text += fmt::format("size is a guess, only a side was seen: {}\n", fmt::join(guesses, ", "));
+    if (!continued.empty()) text += fmt::format("found beside their labels too: {}\n", fmt::join(continued, ", "));
+    return text;
+}
+
 std::string box_table(const std::vector<BoxSummary>& boxes, bool of_run) {
     if (boxes.empty()) return "";
     std::vector<std::vector<std::string>> rows{
         {"track", "class", "length", "width", "height", "frames", "path", "speed", "start x,y,z,yaw_deg"}};
     if (of_run) rows[0].insert(rows[0].end(), {"instance", "surfels"});
     for (const BoxSummary& b : boxes) {
-        rows.push_back({b.id, b.category, fmt::format("{:.2f} m", b.size_m.x), fmt::format("{:.2f} m", b.size_m.y),
+        rows.push_back({b.id, class_text(b), fmt::format("{:.2f} m", b.size_m.x), fmt::format("{:.2f} m", b.size_m.y),
                         fmt::format("{:.2f} m", b.size_m.z), b.n_frames ? fmt::format("{}-{}", b.first_frame, b.last_frame) : "none",
                         fmt::format("{:.1f} m", b.path_m), b.parked ? "parked" : fmt::format("{:.1f} m/s", b.mean_speed_mps),
                         fmt::format("{:.2f},{:.2f},{:.2f},{:.1f}", b.start_m.x, b.start_m.y, b.start_m.z, b.start_yaw_deg)});
@@ -46,7 +63,7 @@ std::string box_table(const std::vector<BoxSummary>& boxes, bool of_run) {
             rows.back().insert(rows.back().end(),
                                {b.instance ? fmt::format("{}", *b.instance) : "-", b.instance ? fmt::format("{}", b.n_surfels) : "-"});
     }
-    return "\n" + table(rows);
+    return "\n" + table(rows) + box_notes(boxes);
 }
 
 Json json_of(const BoxSummary& b) {
@@ -65,6 +82,8 @@ Json json_of(const BoxSummary& b) {
                  {"instance", nullptr},
                  {"surfels", b.n_surfels}};
     if (b.instance) json["instance"] = *b.instance;
+    if (!b.size_guess.empty()) json["size_guess"] = b.size_guess;
+    if (b.n_beside > 0) json["beside_labels"] = b.n_beside;
     return json;
 }
 
@@ -106,6 +125,8 @@ BoxSummary summarise(const Sequence& sequence, const BoxTrack& box, double min_s
     summary.id = box.id;
     summary.category = box.category;
     summary.size_m = box.size_m;
+    summary.size_guess = box.size_guess;
+    summary.n_beside = box.n_before + box.n_after;
     for (const Frame& frame : sequence.frames) {
         if (!box.present(frame.time_s)) continue;
         if (summary.n_frames++ == 0) summary.first_frame = frame.index;

@@ -24,6 +24,8 @@ struct BoxSummary {
     double start_yaw_deg = 0.0;
     std::optional<std::size_t> instance;    ///< of a run: its number in rendered labels; none where it has no surfels of its own
     std::size_t n_surfels = 0;
+    std::string size_guess;                 ///< of a discovered one: for what kind of thing its size was filled up; empty: as it was seen
+    std::size_t n_beside = 0;               ///< poses of a labelled one that were discovered before or after its labels
 };
 
 struct LidarSummary {

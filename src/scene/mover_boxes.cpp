@@ -1,0 +1,298 @@
+// SPDX-License-Identifier: Apache-2.0
+// Places what was seen of a thing by its near ends along its motion.
+#include "scene/mover_boxes.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <utility>
+
+#include "scene/mover_path.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kRounds = 3;               // the first path is that of what was seen, which turns as other sides appear
+constexpr double kTop_s = 1.0;           // the road rises little while this passes
+constexpr double kMargin_m = 0.1;        // of the box around its points
+constexpr double kGround_m = 0.15;       // the lowest part of a box counts as ground (actors.cpp)
+constexpr double kSpeedOver_s = 0.5;
+constexpr std::size_t kNearLabels = 10;  // that tell where a labelled box lies about what is seen of it
+constexpr double kBeside_m = 0.5;        // of a box: a sensor farther out sees one of its ends
+
+/// A frame of the ground: position and heading.
+struct Placement {
+    glm::dvec3 position_m{0.0};
+    double yaw = 0.0;
+    glm::dvec3 along() const { return {std::cos(yaw), std::sin(yaw), 0.0}; }
+    glm::dvec3 across() const { return {-std::sin(yaw), std::cos(yaw), 0.0}; }
+    glm::dquat rotation() const { return {std::cos(0.5 * yaw), 0.0, 0.0, std::sin(0.5 * yaw)}; }
+    /// x along the heading, y to its left.
+    glm::dvec3 to_local(const glm::dvec3& world) const {
+        const glm::dvec3 d = world - position_m;
+        return {glm::dot(along(), d), glm::dot(across(), d), d.z};
+    }
+    glm::dvec3 to_world(const glm::dvec3& local) const {
+        return position_m + local.x * along() + local.y * across() + glm::dvec3(0.0, 0.0, local.z);
+    }
+};
+
+double yaw_of(const Pose& pose) {
+    const glm::dvec3 forward = pose.rotation * glm::dvec3(1.0, 0.0, 0.0);
+    return std::atan2(forward.y, forward.x);
+}
+
+std::vector<glm::dvec3> positions_of(const std::vector<PathState>& path) {
+    std::vector<glm::dvec3> positions;
+    for (const PathState& state : path) positions.push_back(state.position_m);
+    return positions;
+}
+
+std::vector<Placement> placed_along(const std::vector<glm::dvec3>& path) {
+    const std::vector<double> yaw = headings_along(path);
+    std::vector<Placement> placed;
+    for (std::size_t k = 0; k < path.size(); ++k) placed.push_back({path[k], yaw[k]});
+    return placed;
+}
+
+/// The same path at the reference times of its frames.
+std::vector<Placement> placed_at_frames(const MoverTrack& track, const std::vector<PathState>& path) {
+    std::vector<glm::dvec3> positions;
+    for (std::size_t k = 0; k < path.size(); ++k)
+        positions.push_back(path[k].after(track.seen[k].frame_time_s - track.seen[k].cluster.time_s));
+    return placed_along(positions);
+}
+
+/// What of an observation lies between two ends along an axis, without the few points that are farthest out.
+struct Extent {
+    double low, high;
+};
+Extent extent_along(const MoverCluster& cluster, const glm::dvec3& axis) {
+    std::vector<double> values;
+    for (const glm::dvec3& p : cluster.points_m) values.push_back(glm::dot(axis, p));
+    std::sort(values.begin(), values.end());
+    const std::size_t cut = values.size() / 200;
+    return {values[cut], values[values.size() - 1 - cut]};
+}
+
+/// Lengths of what observations show along axes, most of them, halved.
+double half_shown(const MoverTrack& track, const std::vector<glm::dvec3>& axes) {
+    std::vector<double> lengths;
+    for (std::size_t k = 0; k < axes.size(); ++k) {
+        const auto [low, high] = extent_along(track.seen[k].cluster, axes[k]);
+        lengths.push_back(high - low);
+    }
+    std::sort(lengths.begin(), lengths.end());
+    return 0.5 * lengths[lengths.size() * 9 / 10];
+}
+
+/// Centres along axes of something of a known size, by the end near the sensor.
+std::vector<double> centres_along(const MoverTrack& track, const std::vector<glm::dvec3>& axes, double half) {
+    std::vector<double> centres;
+    for (std::size_t k = 0; k < axes.size(); ++k) {
+        const auto [low, high] = extent_along(track.seen[k].cluster, axes[k]);
+        const double sensor = glm::dot(axes[k], track.seen[k].sensor_m);
+        centres.push_back(sensor > high ? high - half : sensor < low ? low + half : 0.5 * (low + high));
+    }
+    return centres;
+}
+
+/// Heights of the top: of a thing far away the beams miss some, so an observation takes the highest of those within a second.
+std::vector<double> tops(const MoverTrack& track) {
+    std::vector<double> own, result;
+    for (const Observation& o : track.seen) own.push_back(extent_along(o.cluster, {0.0, 0.0, 1.0}).high);
+    for (const Observation& o : track.seen) {
+        double top = -1e30;
+        for (std::size_t j = 0; j < own.size(); ++j)
+            if (std::abs(track.seen[j].cluster.time_s - o.cluster.time_s) < kTop_s) top = std::max(top, own[j]);
+        result.push_back(top);
+    }
+    return result;
+}
+
+/// Where observations lie if the thing heads along its placements: centres by near ends, at the height of the top.
+/// @param size_m  length and width; none: what was shown
+std::vector<glm::dvec3> near_end_places(const MoverTrack& track, const std::vector<Placement>& placed, const glm::dvec3* size_m) {
+    std::vector<glm::dvec3> along, across, places;
+    for (const Placement& p : placed) along.push_back(p.along()), across.push_back(p.across());
+    const std::vector<double> x = centres_along(track, along, size_m ? 0.5 * size_m->x : half_shown(track, along));
+    const std::vector<double> y = centres_along(track, across, size_m ? 0.5 * size_m->y : half_shown(track, across));
+    const std::vector<double> top = tops(track);
+    for (std::size_t k = 0; k < placed.size(); ++k) places.push_back(x[k] * along[k] + y[k] * across[k] + glm::dvec3(0.0, 0.0, top[k]));
+    return places;
+}
+
+/// Ends of a track's returns in its own frame, without the few that are farthest out, and a margin.
+struct Corners {
+    glm::dvec3 low, high;
+};
+Corners corners_of(const MoverTrack& track, const std::vector<Placement>& placed) {
+    std::vector<double> along[3];
+    for (std::size_t k = 0; k < track.seen.size(); ++k)
+        for (const glm::dvec3& p : track.seen[k].cluster.points_m) {
+            const glm::dvec3 local = placed[k].to_local(p);
+            for (int axis = 0; axis < 3; ++axis) along[axis].push_back(local[axis]);
+        }
+    Corners corners;
+    for (int axis = 0; axis < 3; ++axis) {
+        std::sort(along[axis].begin(), along[axis].end());
+        const std::size_t cut = along[axis].size() / 100;
+        corners.low[axis] = along[axis][cut] - kMargin_m;
+        corners.high[axis] = along[axis][along[axis].size() - 1 - cut] + kMargin_m;
+    }
+    corners.low.z -= kGround_m;
+    return corners;
+}
+
+/// Sizes of things that are seen from one side: about the middle of what is on the road. Passenger cars are 3.6 to 5 m long and 1.6 to
+/// 1.9 m wide, a bicycle is 1.8 m long and its rider 0.6 m wide; of lorries and buses a length is not to be had from their rear, so that of
+/// a light one is taken: a longer one shows its side.
+struct Kind {
+    const char* name;
+    double length_m, width_m;
+    double least_length_m, least_width_m;   ///< less of one, and all of the other, is a side
+};
+constexpr Kind kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist", 1.8, 0.6, 1.4, 0.0}, kTruck{"truck", 7.0, 2.4, 3.4, 1.5};
+constexpr double kDrives_mps = 2.5;                        // people on foot are slower, and may walk side by side
+constexpr double kTruck_m = 2.5;                           // of what is taller
+constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;   // of what is narrower, and as tall
+
+/// What shows its rear, its front or its side alone; nothing for what is too small to tell.
+const Kind* kind_of(const glm::dvec3& size_m, double speed_mps) {
+    if (speed_mps < kDrives_mps) return nullptr;
+    const bool cyclist = size_m.y < kCyclistWidth_m && size_m.z > kCyclistTop_m && size_m.x < kCar.least_length_m;
+    const Kind* kind = cyclist ? &kCyclist : size_m.z > kTruck_m ? &kTruck : &kCar;
+    return size_m.x < kind->least_length_m && size_m.y < kind->least_width_m ? nullptr : kind;
+}
+
+/// On which side of a box the sensor was along an axis, most of the time: -1, 1, or 0 where it was beside or on both.
+double side_of_sensor(const BoxTrack& box, const MoverTrack& track, int axis) {
+    std::ptrdiff_t low = 0, high = 0;
+    for (std::size_t k = 0; k < track.seen.size(); ++k) {
+        const double at = (inverse(box.world_from_box.pose[k]) * track.seen[k].sensor_m)[axis];
+        low += at < -0.5 * box.size_m[axis] - kBeside_m, high += at > 0.5 * box.size_m[axis] + kBeside_m;
+    }
+    const auto most = std::ptrdiff_t(track.seen.size() * 3 / 4);
+    return low > most ? -1.0 : high > most ? 1.0 : 0.0;
+}
+
+bool is_labelled(const Observation& o) { return o.cluster.label != kNoLabel; }
+
+double median(std::vector<double> values) {
+    std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());
+    return values[values.size() / 2];
+}
+
+/// How labels lie about what is seen of their thing: where the box is in the frame of a placement, and how far it is turned.
+struct Offset {
+    glm::dvec3 local_m{0.0};
+    double yaw = 0.0;
+};
+/// @param members  labelled observations
+Offset offset_of(const MoverTrack& track, const std::vector<std::size_t>& members, const std::vector<Placement>& placed,
+                 const std::vector<glm::dvec3>& places, const BoxTrack& label) {
+    std::vector<double> values[4];
+    for (const std::size_t k : members) {
+        const Pose pose = label.world_from_box.at(track.seen[k].cluster.time_s);
+        const glm::dvec3 local = Placement{places[k], placed[k].yaw}.to_local(pose.translation);
+        for (int axis = 0; axis < 3; ++axis) values[axis].push_back(local[axis]);
+        values[3].push_back(std::remainder(yaw_of(pose) - placed[k].yaw, 2.0 * kPi));
+    }
+    return {{median(values[0]), median(values[1]), median(values[2])}, median(values[3])};
+}
+
+/// The labelled observations nearest to either end of the labels.
+struct NearLabels {
+    std::vector<std::size_t> first, last;
+};
+NearLabels near_labels(const MoverTrack& track) {
+    std::vector<std::size_t> all;
+    for (std::size_t k = 0; k < track.seen.size(); ++k)
+        if (is_labelled(track.seen[k])) all.push_back(k);
+    const auto n = std::ptrdiff_t(std::min(kNearLabels, all.size()));
+    return {{all.begin(), all.begin() + n}, {all.end() - n, all.end()}};
+}
+
+}  // namespace
+
+BoxTrack box_of(const MoverTrack& track) {
+    const std::vector<double> times = track.times();
+    std::vector<glm::dvec3> places;
+    for (const Observation& o : track.seen) places.push_back(o.cluster.centre_m);
+    std::vector<PathState> path = smooth_path(times, places);
+    for (int round = 0; round < kRounds; ++round)
+        path = smooth_path(times, near_end_places(track, placed_along(positions_of(path)), nullptr));
+    const auto [low, high] = corners_of(track, placed_along(positions_of(path)));
+    const std::vector<Placement> at_frames = placed_at_frames(track, path);
+    BoxTrack box;
+    box.category = kDiscoveredCategory;
+    box.size_m = high - low;
+    for (std::size_t k = 0; k < at_frames.size(); ++k) {
+        box.world_from_box.time_s.push_back(track.seen[k].frame_time_s);
+        box.world_from_box.pose.push_back({at_frames[k].rotation(), at_frames[k].to_world(0.5 * (low + high))});
+    }
+    return box;
+}
+
+void complete_size(BoxTrack& box, const MoverTrack& track) {
+    const std::vector<double> speeds = speeds_mps(box);
+    const Kind* kind = speeds.empty() ? nullptr : kind_of(box.size_m, median(speeds));
+    if (!kind) return;
+    glm::dvec3 grown = box.size_m, shift(0.0);
+    if (box.size_m.x < kind->least_length_m) grown.x = kind->length_m;
+    if (box.size_m.y < kind->least_width_m) grown.y = kind->width_m;
+    if (grown == box.size_m) return;
+    for (int axis = 0; axis < 2; ++axis) shift[axis] = -0.5 * side_of_sensor(box, track, axis) * (grown[axis] - box.size_m[axis]);
+    box.size_m = grown;
+    box.size_guess = kind->name;
+    for (Pose& pose : box.world_from_box.pose) pose.translation += pose.rotation * shift;
+}
+
+BoxTrack continued_box(const MoverTrack& track, const BoxTrack& label) {
+    const std::vector<double> times = track.times();
+    const NearLabels near = near_labels(track);
+    const auto is_before = [&](std::size_t k) { return k < near.first.front(); };
+    std::vector<glm::dvec3> places;
+    for (const Observation& o : track.seen) places.push_back(o.cluster.centre_m);
+    std::vector<PathState> path = smooth_path(times, places);
+    Offset before, after;
+    for (int round = 0; round < kRounds; ++round) {
+        const std::vector<Placement> placed = placed_along(positions_of(path));
+        places = near_end_places(track, placed, &label.size_m);
+        before = offset_of(track, near.first, placed, places, label), after = offset_of(track, near.last, placed, places, label);
+        for (std::size_t k = 0; k < places.size(); ++k)
+            places[k] = is_labelled(track.seen[k]) ? label.world_from_box.at(times[k]).translation
+                                                   : Placement{places[k], placed[k].yaw}.to_world((is_before(k) ? before : after).local_m);
+        path = smooth_path(times, places);
+    }
+    const std::vector<Placement> at_frames = placed_at_frames(track, path);
+    BoxTrack box = label;
+    PoseTrack poses[2];   // before and after the labels
+    for (std::size_t k = 0; k < at_frames.size(); ++k) {
+        if (is_labelled(track.seen[k])) continue;
+        PoseTrack& side = poses[is_before(k) ? 0 : 1];
+        side.time_s.push_back(track.seen[k].frame_time_s);
+        side.pose.push_back({Placement{{}, at_frames[k].yaw + (is_before(k) ? before : after).yaw}.rotation(), at_frames[k].position_m});
+    }
+    box.n_before = poses[0].pose.size(), box.n_after = poses[1].pose.size();
+    PoseTrack& all = box.world_from_box;
+    all.time_s.insert(all.time_s.begin(), poses[0].time_s.begin(), poses[0].time_s.end());
+    all.pose.insert(all.pose.begin(), poses[0].pose.begin(), poses[0].pose.end());
+    all.time_s.insert(all.time_s.end(), poses[1].time_s.begin(), poses[1].time_s.end());
+    all.pose.insert(all.pose.end(), poses[1].pose.begin(), poses[1].pose.end());
+    return box;
+}
+
+std::vector<double> speeds_mps(const BoxTrack& box) {
+    const PoseTrack& track = box.world_from_box;
+    std::vector<double> speeds;
+    for (std::size_t i = 0, j = 0; j < track.pose.size(); ++j) {
+        while (track.time_s[j] - track.time_s[i + 1 < j ? i + 1 : i] >= kSpeedOver_s) ++i;
+        const double seconds = track.time_s[j] - track.time_s[i];
+        if (seconds >= kSpeedOver_s)
+            speeds.push_back(glm::distance(track.pose[j].translation, track.pose[i].translation) / seconds);
+    }
+    return speeds;
+}
+
+}  // namespace relidar
