@@ -73,6 +73,7 @@ struct TrainSession {
     /// one line about what the log does not say: a full disk under a checkpoint, boxes that become no actor
     std::function<void(const std::string&)> note;
     Progress progress = {};                          ///< of the initialisation, before the first line of the log
+    StageTimes* stages = nullptr;                    ///< "initialise", "train", "drops" (the sensor's own), "coverage"
 };
 
 /// How a log is prepared.
@@ -80,6 +81,7 @@ struct PrepareSession {
     std::function<void(const std::string&)> tell;   ///< one line about each estimate, as soon as it is made
     std::function<bool()> stop;                     ///< asked now and then; true ends it
     Progress progress = {};                         ///< of what takes longer than a moment
+    StageTimes* stages = nullptr;                   ///< "register", "calibrate", "movers"
     Team team = {};                                 ///< processes that prepare the same log
 };
 
@@ -130,6 +132,7 @@ struct RefineSession {
     std::filesystem::path checkpoints = {};
     const Checkpoint* start = nullptr;                     ///< continue from here; null: from the beginning
     std::function<void(const std::string&)> note = {};     ///< one line about a checkpoint that could not be written
+    StageTimes* stages = nullptr;                          ///< "network's images", "network"
 };
 
 /// Folder of a network's checkpoints below that of its scene's.

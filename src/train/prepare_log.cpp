@@ -244,8 +244,11 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
         throw UsageError(
             "dataset.poses=none: the poses have to be found from the scans; expected train.refine_poses=sensor and "
             "train.pose_register=true");
+    begin_stage(session.stages, "register");
     if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
+    begin_stage(session.stages, "calibrate");
     calibrate(sequence, split, config.sensor, session);
+    begin_stage(session.stages, "movers");
     if (config.init.discover_actors && config.init.actors != ActorMode::background) add_discovered(sequence, split, config.init, session);
     if (config.train.second_returns) add_rays_behind(sequence, split, session);
 }

@@ -125,7 +125,9 @@ DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& se
     if (session.start) check_refine_resumable(*session.start, run);
     Config config = run.config;
     config.sensor.sub_rays = config.sensor.returns = 1;
+    begin_stage(session.stages, "network's images");
     const std::vector<DropImage> images = training_images(device, run, config, session);
+    begin_stage(session.stages, "network");
     if (images.empty()) return {};
     RefineKeeper checkpoints(run, session);
     const std::optional<RefineState> start = session.start ? std::optional(refine_state(*session.start)) : std::nullopt;

@@ -75,10 +75,12 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     if (session.start) check_resumable(*session.start, sequence, split, config);
     TrainResult result;
     const Clock::time_point begin = Clock::now();
+    begin_stage(session.stages, "initialise");
     const Scene initial = session.start ? scene_of(*session.start) : start_scene(sequence, split, config, session.progress);
     result.initialise_s = seconds_since(begin);
     tell_masked(initial, sequence, config, session);
 
+    begin_stage(session.stages, "train");
     const Config findable = with_findable_poses(config, sequence, split, initial, session);   // the loop refers to it
     TrainLoop loop(device, sequence, split, initial, findable);
     const TrainingFrames& frames = loop.frames();
@@ -118,7 +120,9 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     if (config.densify.prune_unseen && !result.interrupted) loop.prune_unseen();
     result.scene = loop.download();
     result.poses = loop.refined_poses();
+    begin_stage(session.stages, "drops");
     if (config.train.sensor_drop && !result.interrupted) result.scene.sensor_drop = loop.estimate_sensor_drop(sequence);
+    begin_stage(session.stages, "coverage");
     result.coverage = find_coverage(sequence, result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle, split.train,
                                     config.dataset.max_range_m);
     result.train_s = trained_s();

@@ -192,8 +192,11 @@ converting() {
 
 training() {
     good train street --out run --preset quick --set train.pose_register=false --set init.actor_min_points=10 --set train.iterations=6 --set train.log_every=2 --set dataset.test_every=5 --seed 3
+    says "^stages  .*train [0-9.]* s"
+    check "log.jsonl does not end with the stages" grep -Eq '^\{"stages_s":\{"read":[0-9.e-]+,.*"train":' <(tail -n 1 run/log.jsonl)
+    check "the report lacks the stages" grep -q "train [0-9.]* s" run/report.html
     for file in config.toml scene.json model.safetensors log.jsonl metrics.json report.html; do exists run/$file; done
-    check "log.jsonl has other than 4 lines" test "$(wc -l <run/log.jsonl)" = 4
+    check "log.jsonl has other than 4 lines and the stages" test "$(wc -l <run/log.jsonl)" = 5
     check "config.toml lacks the seed" grep -qx "seed = 3" run/config.toml
     check "config.toml lacks the iterations" grep -qx "iterations = 6" run/config.toml
     check "progress lacks rate and eta" grep -Eq "^iteration 6/6  [0-9.]+ it/s  eta 0:00  loss [0-9.e-]+ \(depth" err

@@ -142,10 +142,11 @@ std::string resume_command(const Options& options) {
 }
 
 /// Training; whatever ends it early, the message says what is left and how to go on.
-TrainResult train_or_tell(Device& device, const Run& run, const Options& options, const Checkpoint* start) {
+TrainResult train_or_tell(Device& device, const Run& run, const Options& options, const Checkpoint* start, StageTimes& stages) {
     const fs::path checkpoints = checkpoint_folder(run.folder);
     try {
-        return train_logged(device, run.sequence, run.split, run.config, run.folder, options.quiet, {checkpoints, start, {}, {}});
+        return train_logged(device, run.sequence, run.split, run.config, run.folder, options.quiet,
+                            {.checkpoints = checkpoints, .start = start, .stages = &stages});
     } catch (const Error& error) {
         if (list_checkpoints(checkpoints).empty()) throw;
         throw Error(error.code(), fmt::format("{}; the last checkpoint is kept, continue with: {}", error.what(), resume_command(options)));
@@ -167,7 +168,9 @@ Evaluation score(Device& device, const Run& run, const Options& options) {
 }
 
 /// Report and, unless training was interrupted, scores.
-void finish(Device& device, const Run& run, const TrainResult& result, const Options& options, const std::string& command_line) {
+void finish(Device& device, const Run& run, const TrainResult& result, const Options& options, const std::string& command_line,
+            StageTimes& stages) {
+    stages.begin("report");
     Report report = make_report(run, result, device, command_line);
     if (result.interrupted) {
         write_report(run.folder / "report.html", report);
@@ -175,13 +178,19 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Opt
                     fmt::format("interrupted after iteration {} of {}; {} holds the scene so far; continue with: {}", result.iterations,
                                 run.config.train.iterations, run.folder.string(), resume_command(options)));
     }
+    stages.begin("evaluate");
     const Evaluation evaluation = score(device, run, options);
+    stages.begin("report");
     add_evaluation(report, evaluation, run, {"held out", "real"});
+    report.facts.emplace_back("Stages", stages_text(stages));
     write_report(run.folder / "report.html", report);
+    stages.end();
+    log_stages(run.folder, stages);
     if (options.quiet) return;
     if (!evaluation.frames.empty()) print("\n" + metric_table(evaluation) + "\n");
-    print(fmt::format("{} surfels in {} of training, {} of device memory\nreport  {}\n", count_surfels(run.scene), duration(result.train_s),
-                      byte_size(result.peak_device_bytes), absolute_path((run.folder / "report.html").string())));
+    print(fmt::format("{} surfels in {} of training, {} of device memory\nstages  {}\nreport  {}\n", count_surfels(run.scene),
+                      duration(result.train_s), byte_size(result.peak_device_bytes), stages_text(stages),
+                      absolute_path((run.folder / "report.html").string())));
 }
 
 /// The checkpoint that the network goes on from. One of another scene or other settings is told, and nothing is lost but its steps.
@@ -198,7 +207,7 @@ std::optional<Checkpoint> find_network_start(const Run& run) {
 
 /// Trains the ray-drop network of a scene that has been saved, and saves it. A log that has nothing to teach it is no error, nor is a
 /// device that cannot run its layers.
-void refine_or_tell(Device& device, Run& run, const Options& options) {
+void refine_or_tell(Device& device, Run& run, const Options& options, StageTimes& stages) {
     const std::optional<Checkpoint> start = find_network_start(run);
     if (!start) remove_network_checkpoints(run.folder);
     else if (!options.quiet) print(fmt::format("resume  the ray-drop network from step {}\n", start->iteration));
@@ -208,7 +217,9 @@ void refine_or_tell(Device& device, Run& run, const Options& options) {
     };
     try {
         if (!refine_shown(device, run, options.quiet,
-                          {.checkpoints = network_checkpoint_folder(run.folder), .start = start ? &*start : nullptr}))
+                          {.checkpoints = network_checkpoint_folder(run.folder),
+                           .start = start ? &*start : nullptr,
+                           .stages = &stages}))
             throw Error(ExitCode::interrupted,
                         fmt::format("interrupted while the ray-drop network was trained; {} holds the scene; continue with: {}",
                                     run.folder.string(), resume_command(options)));
@@ -240,6 +251,8 @@ void finish_scene(const Options& options, const Config& config, const std::strin
     run.config = config;
     Device device(device_options(options.device));
     check_network(device, config);
+    StageTimes stages;
+    stages.begin("read");
     const Sequence log = load_dataset(config, options.quiet);
     attach_scans(run, run.split.train, log);
     attach_scans(run, run.split.test, log);
@@ -248,10 +261,10 @@ void finish_scene(const Options& options, const Config& config, const std::strin
         print("resume  behind the last iteration\n");
     }
     catch_interrupts();
-    if (config.refine.enabled && !has_network) refine_or_tell(device, run, options);
+    if (config.refine.enabled && !has_network) refine_or_tell(device, run, options, stages);
     TrainResult result = logged_result(run.folder);
     result.peak_device_bytes = device.peak_bytes();
-    finish(device, run, result, options, command_line);
+    finish(device, run, result, options, command_line, stages);
 }
 
 /// Makes the folder of a run ready for a training, anew or where another has stopped.
@@ -295,26 +308,31 @@ void run_train(const Options& given, const std::string& command_line) {
     std::optional<Checkpoint> start = resume && !in_blocks ? find_start(options) : std::nullopt;
     Device device(device_options(options.device));
     check_network(device, config);
+    StageTimes stages;
+    stages.begin("read");
     Sequence sequence = load_dataset(config, options.quiet);
     const Split split = split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
     if (!options.quiet) announce(sequence, split, device, start ? &*start : nullptr);
 
     catch_interrupts();
-    prepare_log_shown(sequence, split, config, options.quiet, ranks.team());
+    prepare_log_shown(sequence, split, config, options.quiet, ranks.team(), &stages);
     if (start) check_resumable(*start, sequence, split, config);
     if (folder) clear_folder(folder->path(), config, resume && in_blocks, start.has_value());
     ranks.wait_for_all();
     Run run{options.out, config, std::move(sequence), split, {}, {}};
+    stages.begin("train");
     TrainResult result = in_blocks ? train_blocks(device, run, {ranks, options.quiet, resume_command(options)})
-                                   : train_or_tell(device, run, options, start ? &*start : nullptr);
+                                   : train_or_tell(device, run, options, start ? &*start : nullptr, stages);
     if (!ranks.is_first()) return;
     end_progress_line();
     start.reset();
     if (!in_blocks) take_result(run, result);
+    stages.begin("place");
     if (!result.interrupted) place_shown(device, run, options.quiet);
+    stages.begin("save");
     save_run(run);
-    if (config.refine.enabled && !result.interrupted) refine_or_tell(device, run, options);
-    finish(device, run, result, options, command_line);
+    if (config.refine.enabled && !result.interrupted) refine_or_tell(device, run, options, stages);
+    finish(device, run, result, options, command_line, stages);
 }
 
 void add_resume_option(CLI::App& command, const std::shared_ptr<Options>& options) {

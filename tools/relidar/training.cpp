@@ -5,6 +5,7 @@
 #include <fstream>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
 #include "console.hpp"
@@ -64,7 +65,7 @@ private:
 
 }  // namespace
 
-void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet, const Team& team) {
+void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet, const Team& team, StageTimes* stages) {
     Progress progress(quiet);
     const auto tell = [&](const std::string& line) {
         if (quiet) return;
@@ -72,7 +73,7 @@ void prepare_log_shown(Sequence& sequence, const Split& split, const Config& con
         print(line + "\n");
         std::fflush(stdout);
     };
-    prepare_log(sequence, split, config, {tell, interrupted, shown_by(progress), team});
+    prepare_log(sequence, split, config, {tell, interrupted, shown_by(progress), stages, team});
 }
 
 TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const fs::path& folder,
@@ -139,6 +140,21 @@ std::string progress_text(const TrainProgress& p) {
     }
     return fmt::format("iteration {}/{}  {:.2f} it/s  eta {}  loss {} ({})", p.iteration, p.n_iterations, p.iterations_per_second,
                        duration(p.eta_s), number(p.loss), terms);
+}
+
+std::string stages_text(const StageTimes& times) {
+    std::vector<std::string> words;
+    for (const StageTimes::Stage& stage : times.stages())
+        if (stage.seconds >= 0.1) words.push_back(fmt::format("{} {:.1f} s", stage.name, stage.seconds));
+    return fmt::format("{}", fmt::join(words, ", "));
+}
+
+void log_stages(const fs::path& folder, const StageTimes& times) {
+    nlohmann::ordered_json seconds = nlohmann::ordered_json::object();
+    for (const StageTimes::Stage& stage : times.stages()) seconds[stage.name] = stage.seconds;
+    std::ofstream file(folder / "log.jsonl", std::ios::binary | std::ios::app);
+    if (!(file << nlohmann::ordered_json{{"stages_s", seconds}}.dump() << "\n"))
+        note(fmt::format("writing {}: the stages are not in it", (folder / "log.jsonl").string()));
 }
 
 void write_log(const fs::path& folder, const std::vector<TrainProgress>& lines) { write_text(folder / "log.jsonl", log_text(lines)); }

@@ -11,7 +11,8 @@
 namespace relidar::cli {
 
 /// prepare_log(), telling what it estimates. @throws Error with exit code 130 after Ctrl-C
-void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet, const Team& team = {});
+void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet, const Team& team = {},
+                       StageTimes* stages = nullptr);
 
 /// Trains with a progress line on stderr and one JSON line of log.jsonl for each; the log of a run that continues starts with the lines
 /// up to its checkpoint. Ctrl-C stops after the current iteration. A log that cannot be written costs a note, not the training.
@@ -31,6 +32,11 @@ bool refine_shown(Device& device, Run& run, bool quiet, RefineSession session = 
 
 /// "iteration 1200/30000  4.20 it/s  eta 1:54:00  loss 0.0123 (depth 0.01 intensity 0.002 drop 0.0003)"
 std::string progress_text(const TrainProgress& progress);
+
+/// "read 3.1 s, register 10.2 s, ...": what a command has spent its time on, stages of less than a tenth of a second left out.
+std::string stages_text(const StageTimes& times);
+/// Adds them to log.jsonl of a run, as its last line.
+void log_stages(const std::filesystem::path& folder, const StageTimes& times);
 
 /// Writes and reads log.jsonl of a run. Lines that are none, as the last one of a killed process may be, are left out.
 void write_log(const std::filesystem::path& folder, const std::vector<TrainProgress>& lines);
