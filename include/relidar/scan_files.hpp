@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -22,9 +23,6 @@ struct RangeImage;
 struct RenderedScan;
 struct Run;
 struct SensorChoice;
-namespace scan_files {
-class ScanRecording;
-}
 
 /// Names of the formats: extensions of a scan's files, and recordings of all scans, mcap and rosbag.
 std::vector<std::string> scan_formats();
@@ -45,7 +43,11 @@ struct ScanFormat {
     std::string run;                           ///< its folder
     std::string sensor;
     RangeLimits limits;
-    Pose offset;                               ///< of the simulated sensor in the log's sensor frame, where it went along with that
+    Pose offset;                               ///< of the simulated sensor in the log's sensor frame, or in that of its trajectory
+    Pose vehicle_from_lidar;                   ///< where the log's sensor is mounted: recordings have the vehicle, too
+    bool rolling_shutter = true;               ///< rays are fired at their own times; false: all at time_s
+    std::string topic = "/lidar/points";       ///< of the sensor's clouds in recordings; names of others of its topics begin with it
+    std::string frame_id = "lidar";            ///< of the sensor in recordings
     std::vector<BoxTrack> actors;              ///< where they are: boxes of recordings; relidar's world
     glm::dvec3 world_offset_m{0.0};            ///< Sequence::world_offset_m
     std::string trajectory;                    ///< file it was driven by; empty: it went along with the log's sensor
@@ -53,8 +55,42 @@ struct ScanFormat {
 };
 /// Of a run by a sensor where the log's own one was: npz, in the sensor's frame.
 ScanFormat scan_format(const Run& run, const SensorChoice& sensor);
+/// Gives a sensor the names that recordings have it by: topic /lidar/NAME/points, of topic_word(NAME), and the frame NAME; of an empty name
+/// /lidar/points and lidar. @param name  of the log's LiDAR or of a rig's sensor
+void name_in_recordings(ScanFormat& format, const std::string& name);
+/// A name as a word of a topic: what topics cannot have is _.
+std::string topic_word(const std::string& name);
 
-/// Scans written one by one into a folder, and scans.json, which says what they are. Files of one scan are FOLDER/frame_000123.<format>:
+/// Scans of one sensor, or of those of a rig that scan together, in one file for each kind that formats name, which appears when it is
+/// finished:
+///   mcap    scans.mcap for Foxglove: foxglove.PointCloud (x y z intensity time instance ring return) on each sensor's topic, /tf and
+///           /tf_static foxglove.FrameTransforms, /actors foxglove.SceneUpdate with a box each
+///   rosbag  rosbag.mcap, a bag of ROS 2: on each sensor's topic sensor_msgs/PointCloud2 (x y z intensity time ring), on TOPIC_xyzircaedt
+///           the same with Autoware's point type, in the sensor's frame alone; /tf, /tf_static, /odom nav_msgs/Odometry, /clock; /actors
+///           vision_msgs/Detection3DArray, /actors_autoware autoware_perception_msgs/TrackedObjects
+/// Frames are world -> base_link, the log's vehicle, on /tf, every 10 ms of a sweep and wherever its path has a pose; and base_link -> each
+/// sensor on /tf_static. A cloud's stamp is that of its first ray, times of points count from there. A point in the sensor's frame at its
+/// own time comes to the world by the transforms of that time; with ScanFormat::deskew by those of the stamp. Actors are where they are at
+/// the stamps. A scan is logged when its last ray is fired, behind the transforms that it needs.
+class ScanRecordings {
+public:
+    /// Removes an earlier rendering from the folder, which is there.
+    /// @param sensors  one at least; what all of them share is that of the first
+    /// @throws UsageError for names that two topics or frames share, or that ROS does not take; DataError as write_atomically()
+    ScanRecordings(std::filesystem::path folder, std::vector<ScanFormat> sensors);
+    /// @param scans  one of each sensor, taken together @throws DataError for times that fall or that a file cannot have
+    void write(std::span<const RenderedScan> scans);
+    void finish();
+    /// Of the files.
+    std::vector<std::string> names() const;
+
+private:
+    struct Impl;
+    std::shared_ptr<Impl> impl_;
+};
+
+/// Scans of one sensor written one by one into a folder, and scans.json, which says what they are. Files of one scan are
+/// FOLDER/frame_000123.<format>:
 ///   npz  range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin, and with render.normals
 ///        normals [rows,columns,3], with render.spread spread [rows,columns], metres, see range_spread(), with render.seen seen
 ///        [rows,columns], see RenderedScan, with sensor.returns = 2 range_2, intensity_2 [rows,columns], 0 where there is no second return;
@@ -65,11 +101,7 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor);
 ///   png  range, intensity, drop probability as one picture, notes as text
 ///   ply, pcd, bin  points of returned rays (drop_prob < 0.5); ply and pcd with ring, time and instance,
 ///        with second returns return, 1 or 2, with render.spread spread, 0 of second returns, with render.seen seen; notes as comments
-/// and of all scans together, when the last one is written:
-///   mcap    scans.mcap for Foxglove: /lidar/points foxglove.PointCloud (x y z intensity time instance ring return),
-///           /tf foxglove.FrameTransform of the sensor in the world at time_s, /actors foxglove.SceneUpdate with a box each
-///   rosbag  rosbag.mcap, a bag of ROS 2: /lidar/points sensor_msgs/PointCloud2 (x y z intensity), /lidar/points_xyzircaedt the same with
-///           Autoware's point type, in the sensor's frame alone, /tf; stamps are those of first rays
+/// and of all scans together, when the last one is written, the recordings: see ScanRecordings.
 class ScanFolder {
 public:
     /// Makes the folder where it is missing, and removes an earlier rendering from it.
@@ -94,11 +126,7 @@ private:
     std::filesystem::path folder_;
     ScanFormat format_;
     std::vector<std::string> entries_;
-    struct Recording {
-        std::string name;
-        std::shared_ptr<scan_files::ScanRecording> file;   ///< shared so that a folder can be moved
-    };
-    std::vector<Recording> recordings_;
+    std::shared_ptr<ScanRecordings> recordings_;   ///< shared so that a folder can be moved; none of a process that joins
 
     bool wants(const std::string& format) const;   ///< one of ScanFormat::formats
     void summarise() const;

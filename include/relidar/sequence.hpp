@@ -215,6 +215,8 @@ int find_lidar(const Sequence& sequence, const std::string& name);
 
 /// Poses of something that rides along. @param sensor_from_moved in the frame of what `track` has the poses of
 PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved);
+/// The same motion with more poses where it turns: what moved_track() mounts on it goes round bends with it, not along chords.
+PoseTrack with_fine_turns(const PoseTrack& track);
 /// The same poses in a world whose origin lies elsewhere. @param by_m  what is added to every place: Sequence::world_offset_m from
 /// relidar's world to the dataset's, minus it back
 PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m);

@@ -220,7 +220,9 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     Impl& s = *impl_;
     if (const auto followed = s.followed(sensor, time_s)) return render(*followed, time_s, sensor_offset, sample);
     s.sweep.world_from_vehicle = s.log_world_from_vehicle;
-    s.drive(moved_track(s.sweep.world_from_sensor(sensor.lidar), sensor_offset), sensor.lidar);
+    const bool is_elsewhere = sensor_offset.translation != glm::dvec3(0.0) || sensor_offset.rotation != Pose{}.rotation;
+    const PoseTrack log = s.sweep.world_from_sensor(sensor.lidar);
+    s.drive(is_elsewhere ? moved_track(with_fine_turns(log), sensor_offset) : log, sensor.lidar);
     return take(sensor, time_s, place_instances(s.layout, s.sweep, s.moment(sensor, time_s)), sample);
 }
 

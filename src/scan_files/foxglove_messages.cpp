@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "foxglove_messages.hpp"
+// Moments as messages of Foxglove's schemas in protobuf, with the descriptors that a reader decodes them by.
+#include "recording_format.hpp"
 
 #include <initializer_list>
 #include <string_view>
@@ -55,6 +56,7 @@ const std::initializer_list<MessageType> kMessages = {
       {3, "child_frame_id", kString},
       {4, "translation", kMessage, kVector},
       {5, "rotation", kMessage, kQuaternion}}},
+    {"FrameTransforms", {{1, "transforms", kMessage, ".foxglove.FrameTransform", true}}},
     {"KeyValuePair", {{1, "key", kString}, {2, "value", kString}}},
     {"CubePrimitive", {{1, "pose", kMessage, kPose}, {2, "size", kMessage, kVector}, {3, "color", kMessage, ".foxglove.Color"}}},
     {"ArrowPrimitive", {}},
@@ -197,31 +199,11 @@ std::string point_bytes(const PointCloud& cloud) {
     return bytes;
 }
 
-std::string box(const RecordedActor& actor) {
+std::string points(const RecordedCloud& cloud, const std::string& frame) {
     std::string bytes;
     pbf_writer writer(bytes);
-    writer.add_message(1, pose_message(actor.world_from_box));
-    writer.add_message(2, vector(actor.size_m));
-    writer.add_message(3, numbers({1.0, 0.6, 0.1, 0.3}));   // a translucent orange, so that points inside are seen
-    return bytes;
-}
-
-}  // namespace
-
-std::string foxglove_descriptors() {
-    constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
-    std::string bytes;
-    pbf_writer writer(bytes);
-    writer.add_message(1, file_descriptor(kTimesFile, "google.protobuf", "", kTimes, {}));
-    writer.add_message(1, file_descriptor(kFile, "foxglove", kTimesFile, kMessages, kEnums));
-    return bytes;
-}
-
-std::string foxglove_points(const RecordedScan& scan) {
-    std::string bytes;
-    pbf_writer writer(bytes);
-    writer.add_message(1, timestamp(scan.time_ns));
-    writer.add_string(2, scan.world ? kWorldFrame : kSensorFrame);
+    writer.add_message(1, timestamp(cloud.stamp_ns));
+    writer.add_string(2, frame);
     writer.add_message(3, pose_message({}));
     writer.add_fixed32(4, kStride);
     for (const PointField& field : kPointFields) {
@@ -232,37 +214,106 @@ std::string foxglove_points(const RecordedScan& scan) {
         element.add_enum(3, field.type);
         writer.add_message(5, of_field);
     }
-    writer.add_bytes(6, point_bytes(scan.cloud));
+    writer.add_bytes(6, point_bytes(cloud.cloud));
     return bytes;
 }
 
-std::string foxglove_transform(const RecordedScan& scan) {
+/// A foxglove.FrameTransforms of one.
+std::string transform(std::uint64_t time_ns, const std::string& parent, const std::string& child, const Pose& parent_from_child) {
+    std::string all, bytes;
+    pbf_writer transforms(all), writer(bytes);
+    writer.add_message(1, timestamp(time_ns));
+    writer.add_string(2, parent);
+    writer.add_string(3, child);
+    writer.add_message(4, vector(parent_from_child.translation));
+    writer.add_message(5, quaternion(parent_from_child.rotation));
+    transforms.add_message(1, bytes);
+    return all;
+}
+
+std::string box(const RecordedActor& actor) {
     std::string bytes;
     pbf_writer writer(bytes);
-    writer.add_message(1, timestamp(scan.time_ns));
-    writer.add_string(2, kWorldFrame);
-    writer.add_string(3, kSensorFrame);
-    writer.add_message(4, vector(scan.world_from_sensor.translation));
-    writer.add_message(5, quaternion(scan.world_from_sensor.rotation));
+    writer.add_message(1, pose_message(actor.world_from_box));
+    writer.add_message(2, vector(actor.size_m));
+    writer.add_message(3, numbers({1.0, 0.6, 0.1, 0.3}));   // a translucent orange, so that points inside are seen
     return bytes;
 }
 
-std::string foxglove_boxes(const RecordedScan& scan) {
+std::string category(const RecordedActor& actor) {
+    std::string bytes;
+    pbf_writer writer(bytes);
+    writer.add_string(1, "category");
+    writer.add_string(2, actor.category);
+    return bytes;
+}
+
+/// Boxes of the actors, which replace all there were.
+std::string boxes(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
+    constexpr int kAll = 1;   // of SceneEntityDeletionType: who has left since the last scan goes
     std::string bytes, all;
     pbf_writer writer(bytes), deletion(all);
-    deletion.add_message(1, timestamp(scan.time_ns));
-    deletion.add_enum(2, 1);   // ALL: who has left since the last scan goes
+    deletion.add_message(1, timestamp(stamp_ns));
+    deletion.add_enum(2, kAll);
     writer.add_message(1, all);
-    for (const RecordedActor& actor : scan.actors) {
+    for (const RecordedActor& actor : actors) {
         std::string of_actor;
         pbf_writer entity(of_actor);
-        entity.add_message(1, timestamp(scan.time_ns));
+        entity.add_message(1, timestamp(stamp_ns));
         entity.add_string(2, kWorldFrame);
         entity.add_string(3, actor.name);
+        entity.add_message(6, category(actor));
         entity.add_message(8, box(actor));
         writer.add_message(2, of_actor);
     }
     return bytes;
+}
+
+std::string descriptors() {
+    constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
+    std::string bytes;
+    pbf_writer writer(bytes);
+    writer.add_message(1, file_descriptor(kTimesFile, "google.protobuf", "", kTimes, {}));
+    writer.add_message(1, file_descriptor(kFile, "foxglove", kTimesFile, kMessages, kEnums));
+    return bytes;
+}
+
+std::vector<RecordedMessage> moving_transforms(const RecordedMoment& moment) {
+    std::vector<RecordedMessage> messages;
+    for (const RecordedPose& pose : moment.poses)
+        messages.push_back({pose.time_ns, transform(pose.time_ns, kWorldFrame, kVehicleFrame, pose.world_from_vehicle)});
+    return messages;
+}
+
+/// Once a moment, so that who begins in the middle has them. Lists of messages follow each other as one list.
+std::vector<RecordedMessage> mountings(const RecordedRig& rig, const RecordedMoment& moment) {
+    std::string bytes;
+    for (const RecordedSensor& sensor : rig.sensors)
+        bytes += transform(moment.first_ns, kVehicleFrame, sensor.frame_id, sensor.vehicle_from_sensor);
+    return {{moment.first_ns, bytes}};
+}
+
+std::vector<RecordedMessage> scene_updates(const RecordedMoment& moment) {
+    std::vector<RecordedMessage> messages;
+    for (const auto& [stamp_ns, actors] : moment.actors) messages.push_back({moment.last_ns, boxes(stamp_ns, actors)});
+    return messages;
+}
+
+}  // namespace
+
+std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig) {
+    const std::string definition = descriptors(), transforms = "foxglove.FrameTransforms";
+    std::vector<RecordedTopic> topics{
+        {"/tf_static", transforms, definition, {}, [rig](const RecordedMoment& moment) { return mountings(rig, moment); }},
+        {"/tf", transforms, definition, {}, moving_transforms},
+        {"/actors", "foxglove.SceneUpdate", definition, {}, scene_updates}};
+    for (std::size_t s = 0; s < rig.sensors.size(); ++s) {
+        const std::string frame = rig.world ? kWorldFrame : rig.sensors[s].frame_id;
+        topics.push_back({rig.sensors[s].topic, "foxglove.PointCloud", definition, {}, [=](const RecordedMoment& moment) {
+                              return std::vector<RecordedMessage>{{moment.last_ns, points(moment.clouds[s], frame)}};
+                          }});
+    }
+    return topics;
 }
 
 }  // namespace relidar::scan_files

@@ -41,6 +41,12 @@ void append_text(std::string& bytes, std::string_view text) {
     bytes += text;
 }
 
+std::string pairs_of(const McapWriter::Values& values) {
+    std::string pairs;
+    for (const auto& [key, value] : values) append_text(pairs, key), append_text(pairs, value);
+    return pairs;
+}
+
 std::string record(Code code, std::string_view body) {
     std::string bytes;
     append(bytes, std::uint8_t(code));
@@ -75,22 +81,20 @@ std::uint16_t McapWriter::add_schema(std::string_view name, std::string_view enc
     return n_schemas_;
 }
 
-std::uint16_t McapWriter::add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding) {
+std::uint16_t McapWriter::add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding, const Values& metadata) {
     const auto id = std::uint16_t(n_messages_.size() + 1);
     n_messages_[id] = 0;
     std::string body;
     append(body, id), append(body, schema);
-    append_text(body, topic), append_text(body, encoding), append_text(body, "");   // no metadata
+    append_text(body, topic), append_text(body, encoding), append_text(body, pairs_of(metadata));
     channels_ += record(kChannel, body);
     put(record(kChannel, body));
     return id;
 }
 
-void McapWriter::add_metadata(std::string_view name, const std::map<std::string, std::string>& values) {
-    std::string body, pairs, index;
-    append_text(body, name);
-    for (const auto& [key, value] : values) append_text(pairs, key), append_text(pairs, value);
-    append_text(body, pairs);
+void McapWriter::add_metadata(std::string_view name, const Values& values) {
+    std::string body, index;
+    append_text(body, name), append_text(body, pairs_of(values));
     const std::string metadata = record(kMetadata, body);
     append(index, written_), append(index, std::uint64_t(metadata.size())), append_text(index, name);
     metadata_indices_ += record(kMetadataIndex, index);

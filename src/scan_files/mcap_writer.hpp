@@ -16,13 +16,15 @@ namespace relidar::scan_files {
 /// Writes one file, piece by piece.
 class McapWriter {
 public:
+    using Values = std::map<std::string, std::string>;   ///< by name
+
     /// @param profile  "ros2" where messages are ROS 2's, else empty @throws DataError as all that write
     McapWriter(std::filesystem::path path, std::string_view profile);
 
     /// Schemas and channels come before all messages. @return the id
     std::uint16_t add_schema(std::string_view name, std::string_view encoding, std::string_view definition);
-    std::uint16_t add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding);
-    void add_metadata(std::string_view name, const std::map<std::string, std::string>& values);
+    std::uint16_t add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding, const Values& metadata = {});
+    void add_metadata(std::string_view name, const Values& values);
     void add_message(std::uint16_t channel, std::uint64_t time_ns, std::string_view message);
     /// Ends the chunk of the messages since the last one: a reader loads it as a whole.
     void end_chunk();

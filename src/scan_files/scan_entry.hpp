@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// What scans.json says of one scan.
+// What scans.json says of one scan, and what is in the way of a new rendering.
 #pragma once
 
 #include <cstddef>
+#include <filesystem>
 #include <string>
 #include <vector>
 
@@ -12,5 +13,8 @@ namespace relidar::scan_files {
 
 /// @param frame  its number @param files  names in the folder @return a JSON object
 std::string entry_json(int frame, const RenderedScan& scan, std::size_t n_points, const std::vector<std::string>& files);
+
+/// Removes an earlier rendering from a folder, and what a killed one left half written. @throws DataError for a file that cannot be removed
+void remove_scans(const std::filesystem::path& folder);
 
 }  // namespace relidar::scan_files

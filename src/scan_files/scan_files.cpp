@@ -11,45 +11,19 @@
 #include <relidar/export.hpp>
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
+#include "scan_files/placed_scan.hpp"
+#include "scan_files/recording_format.hpp"
 #include "scan_files/scan_entry.hpp"
-#include "scan_files/scan_recording.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-using scan_files::RecordedActor;
-using scan_files::RecordedScan;
+using scan_files::cloud_of;
+using scan_files::place;
+using scan_files::PlacedScan;
 
 constexpr const char* kUnits = "metres, seconds; intensity and drop_prob 0 to 1";
-
-/// A scan with its rays in the frame that was asked for.
-struct PlacedScan {
-    const RenderedScan& scan;
-    const ScanFormat& format;
-    int frame;                                  ///< the dataset's number
-    std::vector<glm::vec3> origin, direction, normal;   ///< [n], normals where they were rendered
-    std::optional<std::vector<float>> spread_m;         ///< [n] where it was asked for
-    FileNotes notes;
-
-    const RangeImage& image() const { return scan.image; }
-};
-
-/// @param notes  of its files
-PlacedScan place(const RenderedScan& scan, const ScanFormat& format, int frame, FileNotes notes = {}) {
-    PlacedScan placed{scan, format, frame, scan.image.origin, scan.image.direction, scan.normal, {}, std::move(notes)};
-    if (format.config.render.spread) placed.spread_m = range_spread(scan);
-    const bool world = format.frame == PointFrame::world;
-    if (!world && !format.deskew) return placed;
-    const Pose target_from_world = world ? Pose{} : inverse(placed.scan.world_from_sensor);
-    for (std::size_t i = 0; i < placed.origin.size(); ++i) {
-        const Pose target_from_firing = target_from_world * placed.scan.world_from_firing(i);
-        placed.origin[i] = glm::vec3(target_from_firing * glm::dvec3(placed.origin[i]));
-        placed.direction[i] = glm::vec3(glm::normalize(target_from_firing.rotation * glm::dvec3(placed.direction[i])));
-        if (!placed.normal.empty()) placed.normal[i] = glm::vec3(target_from_firing.rotation * glm::dvec3(placed.normal[i]));
-    }
-    return placed;
-}
 
 /// Row by row.
 std::vector<double> matrix_of(const Pose& pose) {
@@ -144,77 +118,6 @@ void exr(const fs::path& path, const PlacedScan& placed) {
     write_exr(path, image.rows, image.columns, channels, placed.notes);
 }
 
-/// Whether a ray gives a point at this range.
-bool is_point(const RenderedScan& scan, std::size_t ray, float range_m) {
-    return returned(scan.image.drop_prob[ray], range_m);
-}
-
-/// @param number  of the return, from 1; normal, instance and spread are known of the first
-void add_point(PointCloud& cloud, const PlacedScan& placed, std::size_t ray, float range_m, float intensity, int number) {
-    const RenderedScan& scan = placed.scan;
-    cloud.position_m.push_back(placed.origin[ray] + range_m * placed.direction[ray]);
-    cloud.intensity.push_back(intensity);
-    cloud.ring->push_back(scan.channel[ray]);
-    cloud.time->push_back(scan.time_offset_s[ray]);
-    cloud.instance->push_back(number == 1 ? scan.instance[ray] : -1);
-    if (cloud.normal) cloud.normal->push_back(number == 1 ? placed.normal[ray] : glm::vec3(0.0f));
-    if (cloud.spread) cloud.spread->push_back(number == 1 ? (*placed.spread_m)[ray] : 0.0f);
-    if (cloud.seen) cloud.seen->push_back(scan.seen[ray]);
-    if (cloud.return_number) cloud.return_number->push_back(static_cast<std::uint8_t>(number));
-}
-
-PointCloud cloud_of(const PlacedScan& placed) {
-    const RenderedScan& scan = placed.scan;
-    const std::vector<float>& range_m = point_ranges(scan, placed.format.config);
-    PointCloud cloud;
-    cloud.ring.emplace(), cloud.time.emplace(), cloud.instance.emplace();
-    if (!placed.normal.empty()) cloud.normal.emplace();
-    if (placed.spread_m) cloud.spread.emplace();
-    if (!scan.seen.empty()) cloud.seen.emplace();
-    cloud.notes = placed.notes;
-    if (!scan.further.empty()) cloud.return_number.emplace();
-    if (placed.format.frame == PointFrame::sensor) cloud.world_from_points = scan.world_from_sensor;
-    for (std::size_t i = 0; i < range_m.size(); ++i) {
-        if (!is_point(scan, i, range_m[i])) continue;
-        add_point(cloud, placed, i, range_m[i], scan.image.intensity[i], 1);
-        if (!scan.further.empty() && scan.further[0].range_m[i] > 0.0f)
-            add_point(cloud, placed, i, scan.further[0].range_m[i], scan.further[0].intensity[i], 2);
-    }
-    return cloud;
-}
-
-std::size_t count_points(const RenderedScan& scan, const Config& config) {
-    const std::vector<float>& range_m = point_ranges(scan, config);
-    std::size_t n = 0;
-    for (std::size_t i = 0; i < range_m.size(); ++i) n += is_point(scan, i, range_m[i]);
-    return n;
-}
-
-/// Boxes of those who are there at a time, in the dataset's world.
-std::vector<RecordedActor> actors_at(const ScanFormat& format, double time_s) {
-    std::vector<RecordedActor> actors;
-    for (const BoxTrack& box : format.actors) {
-        if (!box.present(time_s)) continue;
-        Pose pose = box.world_from_box.at(time_s);
-        pose.translation += format.world_offset_m;
-        actors.push_back({box.id, pose, box.size_m});
-    }
-    return actors;
-}
-
-RecordedScan recorded(const PlacedScan& placed) {
-    const RenderedScan& scan = placed.scan;
-    const std::vector<float>& times = scan.time_offset_s;
-    RecordedScan result;
-    result.cloud = cloud_of(placed);
-    result.world = placed.format.frame == PointFrame::world;
-    result.first_time_s = times.empty() ? 0.0 : double(*std::min_element(times.begin(), times.end()));
-    result.world_from_sensor = scan.world_from_sensor;
-    result.world_from_sensor_at_first = scan.track.pose.empty() ? scan.world_from_sensor : scan.track.at(scan.time_s + result.first_time_s);
-    result.actors = actors_at(placed.format, scan.time_s);
-    return result;
-}
-
 void npz(const fs::path& path, const PlacedScan& placed) { write_npz(path, arrays_of(placed)); }
 void ply(const fs::path& path, const PlacedScan& placed) { write_ply(path, cloud_of(placed)); }
 void pcd(const fs::path& path, const PlacedScan& placed) { write_pcd(path, cloud_of(placed)); }
@@ -232,7 +135,7 @@ constexpr Format kFormats[] = {{"npz", npz}, {"exr", exr}, {"ply", ply}, {"pcd",
 std::vector<std::string> scan_formats() {
     std::vector<std::string> names;
     for (const Format& format : kFormats) names.emplace_back(format.name);
-    names.insert(names.end(), std::begin(scan_files::kRecordingKinds), std::end(scan_files::kRecordingKinds));
+    for (const scan_files::RecordingFormat& format : scan_files::recording_formats()) names.emplace_back(format.name);
     return names;
 }
 
@@ -245,6 +148,10 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
         if (std::find(format.instance_names.begin(), format.instance_names.end(), box.id) != format.instance_names.end())
             format.actors.push_back(box);
     format.world_offset_m = run.sequence.world_offset_m;
+    const Lidar& lidar = run.sequence.lidars[std::size_t(sensor.lidar)];
+    format.vehicle_from_lidar = lidar.vehicle_from_sensor;
+    format.rolling_shutter = run.sequence.rolling_shutter && run.config.sensor.rolling_shutter;
+    name_in_recordings(format, lidar.name);
     if (!run.folder.empty()) format.run = fs::absolute(run.folder).lexically_normal().string();
     format.sensor = sensor.name;
     format.limits = sensor.limits;
@@ -254,7 +161,7 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
 }
 
 std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format) {
-    return arrays_of(place(scan, format, frame));
+    return arrays_of(place(scan, format, scan.world_from_sensor, frame));
 }
 
 bool ScanFolder::wants(const std::string& format) const {
@@ -262,15 +169,15 @@ bool ScanFolder::wants(const std::string& format) const {
 }
 
 void ScanFolder::write(int frame, const RenderedScan& scan) {
-    const PlacedScan placed = place(scan, format_, frame, notes_of(format_, frame, scan));
+    const PlacedScan placed = place(scan, format_, scan.world_from_sensor, frame, notes_of(format_, frame, scan));
     std::vector<std::string> files;
     for (const Format& format : kFormats) {
         if (!wants(format.name)) continue;
         files.push_back(fmt::format("frame_{:06}.{}", frame, format.name));
         format.write(folder_ / files.back(), placed);
     }
-    for (const Recording& recording : recordings_) recording.file->add(recorded(placed), scan.time_s);
-    entries_.push_back(scan_files::entry_json(frame, scan, count_points(scan, format_.config), files));
+    if (recordings_) recordings_->write({&scan, 1});
+    entries_.push_back(scan_files::entry_json(frame, scan, scan_files::count_points(scan, format_.config), files));
 }
 
 }  // namespace relidar

@@ -12,8 +12,8 @@
 #include <relidar/export.hpp>
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
+#include "scan_files/recording_format.hpp"
 #include "scan_files/scan_entry.hpp"
-#include "scan_files/scan_recording.hpp"
 
 namespace relidar {
 namespace {
@@ -25,8 +25,8 @@ constexpr const char* kSummary = "scans.json";
 
 /// Whether a name is scans.json or frame_<number>.<format>: nobody else's files are taken for a rendering.
 bool is_of_rendering(const fs::path& name) {
-    const auto is_named = [&](const char* kind) { return name == scan_files::recording_name(kind); };
-    if (name == kSummary || std::ranges::any_of(scan_files::kRecordingKinds, is_named)) return true;
+    const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
+    if (name == kSummary || std::ranges::any_of(scan_files::recording_formats(), is_named)) return true;
     const std::string stem = name.stem().string(), prefix = "frame_", extension = name.extension().string();
     const std::vector<std::string> formats = scan_formats();
     return stem.starts_with(prefix) && stem.size() > prefix.size() &&
@@ -53,19 +53,6 @@ Json settings_json(const Config& config) {
     return json;
 }
 
-/// What a recording says of itself.
-FileNotes recording_notes(const ScanFormat& format) {
-    return {{"relidar", RELIDAR_VERSION},
-            {"run", format.run},
-            {"dataset", format.config.dataset.path},
-            {"sensor", format.sensor},
-            {"trajectory", format.trajectory},
-            {"points_in", format.frame == PointFrame::world ? "world"
-                          : format.deskew                  ? "sensor at the scan's time"
-                                                           : "sensor at each ray's firing time"},
-            {"units", "metres, seconds; intensity 0 to 1"}};
-}
-
 }  // namespace
 
 ScanFolder::ScanFolder(fs::path folder, ScanFormat format, Joining) : folder_(std::move(folder)), format_(std::move(format)) {
@@ -87,21 +74,11 @@ ScanFolder ScanFolder::joining(fs::path folder, ScanFormat format) {
 }
 
 ScanFolder::ScanFolder(fs::path folder, ScanFormat format) : ScanFolder(std::move(folder), std::move(format), Joining{}) {
-    for (const fs::path& file : scans_in(folder_)) {
-        std::error_code failed;
-        fs::remove(file, failed);
-        if (failed) throw DataError(fmt::format("removing {} of an earlier rendering: {}", file.string(), failed.message()));
-    }
-    remove_temporaries(folder_);
-    for (const char* kind : scan_files::kRecordingKinds) {
-        if (!wants(kind)) continue;
-        const std::string name = scan_files::recording_name(kind);
-        recordings_.push_back({name, std::make_shared<scan_files::ScanRecording>(folder_ / name, kind, recording_notes(format_))});
-    }
+    recordings_ = std::make_shared<ScanRecordings>(folder_, std::vector{format_});
 }
 
 void ScanFolder::finish() {
-    for (const Recording& recording : recordings_) recording.file->finish();
+    if (recordings_) recordings_->finish();
     summarise();
 }
 
@@ -132,7 +109,7 @@ void ScanFolder::summarise() const {
                  {"recordings", Json::array()},
                  {"scans", Json::array()},
                  {"settings", settings_json(config)}};
-    for (const Recording& recording : recordings_) json["recordings"].push_back(recording.name);
+    if (recordings_) json["recordings"] = recordings_->names();
     for (const std::string& entry : entries_) json["scans"].push_back(Json::parse(entry));
     write_text(folder_ / kSummary, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
@@ -149,10 +126,6 @@ std::string scan_files::entry_json(int frame, const RenderedScan& scan, std::siz
     return entry.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
-bool is_recording(const std::string& format) {
-    return std::ranges::any_of(scan_files::kRecordingKinds, [&](const char* kind) { return format == kind; });
-}
-
 std::vector<fs::path> scans_in(const fs::path& folder) {
     std::vector<fs::path> files;
     std::error_code failed;
@@ -160,6 +133,15 @@ std::vector<fs::path> scans_in(const fs::path& folder) {
         if (is_of_rendering(entry.path().filename())) files.push_back(entry.path());
     std::sort(files.begin(), files.end());
     return files;
+}
+
+void scan_files::remove_scans(const fs::path& folder) {
+    for (const fs::path& file : scans_in(folder)) {
+        std::error_code failed;
+        fs::remove(file, failed);
+        if (failed) throw DataError(fmt::format("removing {} of an earlier rendering: {}", file.string(), failed.message()));
+    }
+    remove_temporaries(folder);
 }
 
 }  // namespace relidar

@@ -3,23 +3,20 @@
 
 #include <algorithm>
 #include <atomic>
-#include <cmath>
+#include <map>
 #include <system_error>
+#include <utility>
 
 #include <unistd.h>
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include "foxglove_messages.hpp"
-#include "ros_messages.hpp"
+#include <relidar/export.hpp>
 
 namespace relidar::scan_files {
 namespace {
 
 namespace fs = std::filesystem;
-
-constexpr double kLatest_s = 2147483647.0;   // seconds of a stamp of ROS have 31 bits
 
 /// As write_atomically() names its own, so that remove_temporaries() finds what a killed process leaves.
 fs::path temporary_name(const fs::path& path) {
@@ -29,12 +26,16 @@ fs::path temporary_name(const fs::path& path) {
 
 }  // namespace
 
-std::string recording_name(const std::string& kind) { return kind == "rosbag" ? "rosbag.mcap" : "scans.mcap"; }
-
-ScanRecording::ScanRecording(fs::path path, const std::string& kind, const FileNotes& notes)
-    : path_(std::move(path)), temporary_(temporary_name(path_)), ros_(kind == "rosbag"), notes_(notes),
-      writer_(temporary_, ros_ ? "ros2" : "") {
-    ros_ ? add_ros_topics() : add_foxglove_topics();
+ScanRecording::ScanRecording(fs::path path, const RecordingFormat& format, const RecordedRig& rig, const FileNotes& notes)
+    : path_(std::move(path)), temporary_(temporary_name(path_)), notes_(notes), writer_(temporary_, format.profile) {
+    std::map<std::string, std::uint16_t> schemas;
+    for (RecordedTopic& topic : format.topics(rig)) {
+        if (!schemas.contains(topic.type))
+            schemas[topic.type] = writer_.add_schema(topic.type, format.definition_encoding, topic.definition);
+        const std::uint16_t id = writer_.add_channel(schemas[topic.type], topic.name, format.message_encoding, topic.metadata);
+        channels_.push_back({id, std::move(topic)});
+    }
+    for (const auto& [name, values] : format.metadata) writer_.add_metadata(name, values);
 }
 
 ScanRecording::~ScanRecording() {
@@ -42,49 +43,26 @@ ScanRecording::~ScanRecording() {
     fs::remove(temporary_, failed);
 }
 
-void ScanRecording::add_foxglove_topics() {
-    const std::string descriptors = foxglove_descriptors();
-    const auto add = [&](const char* topic, const char* schema, std::string (*message)(const RecordedScan&)) {
-        topics_.push_back({writer_.add_channel(writer_.add_schema(schema, "protobuf", descriptors), topic, "protobuf"), message});
-    };
-    add("/tf", "foxglove.FrameTransform", foxglove_transform);
-    add("/lidar/points", "foxglove.PointCloud", foxglove_points);
-    add("/actors", "foxglove.SceneUpdate", foxglove_boxes);
-}
-
-void ScanRecording::add_ros_topics() {
-    const std::uint16_t transforms = writer_.add_schema("tf2_msgs/msg/TFMessage", "ros2msg", ros_transform_definition()),
-                        clouds = writer_.add_schema("sensor_msgs/msg/PointCloud2", "ros2msg", ros_points_definition());
-    topics_.push_back({writer_.add_channel(transforms, "/tf", "cdr"), ros_transform});
-    topics_.push_back({writer_.add_channel(clouds, "/lidar/points", "cdr"), [](const auto& s) { return ros_points(s, RosPoints::plain); }});
-    topics_.push_back({writer_.add_channel(clouds, "/lidar/points_xyzircaedt", "cdr"),
-                       [](const auto& s) { return ros_points(s, RosPoints::autoware); }, true});
-}
-
-/// Times of files begin at 0: a log that begins before that is moved by whole seconds.
-void ScanRecording::begin(double first_s) {
-    shift_s_ = first_s < 0.0 ? std::ceil(-first_s) : 0.0;
-    std::map<std::string, std::string> values(notes_.begin(), notes_.end());
-    values["time_shift_s"] = fmt::format("{}", *shift_s_);    // added to times of the log
-    writer_.add_metadata("relidar", values);
-}
-
-void ScanRecording::add(RecordedScan scan, double time_s) {
-    const double first_s = time_s + std::min(scan.first_time_s, 0.0);
-    if (!shift_s_) begin(first_s);
-    if (!(first_s + *shift_s_ >= 0.0 && time_s + *shift_s_ < kLatest_s))
-        throw DataError(fmt::format("writing '{}': found a scan at {} s, expected times that do not fall, and lie before 2038",
-                                    path_.string(), time_s));
-    scan.time_ns = std::uint64_t(std::llround(1e9 * (time_s + *shift_s_)));
-    const std::uint64_t logged_ns = ros_ ? ros_stamp_ns(scan) : scan.time_ns;
-    for (const Topic& topic : topics_)
-        if (!topic.of_sensor_frame || !scan.world) writer_.add_message(topic.channel, logged_ns, topic.message(scan));
-    writer_.end_chunk();   // one a scan: what a player shows at a time
+void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
+    if (!std::exchange(has_notes_, true)) {
+        McapWriter::Values values(notes_.begin(), notes_.end());
+        values["time_shift_s"] = fmt::format("{}", shift_s);  // added to times of the log
+        writer_.add_metadata("relidar", values);
+    }
+    std::vector<std::pair<std::uint16_t, RecordedMessage>> messages;
+    for (const Channel& channel : channels_)
+        for (RecordedMessage& message : channel.topic.messages(moment)) messages.emplace_back(channel.id, std::move(message));
+    std::ranges::stable_sort(messages, {}, [](const auto& message) { return message.second.logged_ns; });
+    for (const auto& [channel, message] : messages) {
+        last_logged_ns_ = std::max(last_logged_ns_, message.logged_ns);  // sweeps may overlap: what is late is logged when it comes
+        writer_.add_message(channel, last_logged_ns_, message.bytes);
+    }
+    writer_.end_chunk();  // one a moment: what a player shows at a time
 }
 
 void ScanRecording::finish() {
     writer_.close();
-    write_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });   // flushes it, and gives it its name
+    write_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });  // flushes it, and gives it its name
 }
 
 }  // namespace relidar::scan_files

@@ -154,6 +154,26 @@ PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved) {
     return track;
 }
 
+PoseTrack with_fine_turns(const PoseTrack& track) {
+    constexpr double kTurn_rad = 5e-3;   // between two poses: the chord of a thing 10 m away is 0.03 mm off its arc
+    PoseTrack fine;
+    for (std::size_t i = 0; i < track.pose.size(); ++i) {
+        if (i > 0) {
+            const Twist twist = twist_between(track.pose[i - 1], track.pose[i]);
+            const double turn_rad = glm::length(glm::dvec3(twist[3], twist[4], twist[5]));
+            const int n = 1 + static_cast<int>(turn_rad / kTurn_rad);
+            for (int k = 1; k < n; ++k) {
+                const double s = double(k) / n;
+                fine.time_s.push_back(track.time_s[i - 1] + s * (track.time_s[i] - track.time_s[i - 1]));
+                fine.pose.push_back(interpolate(track.pose[i - 1], track.pose[i], s));
+            }
+        }
+        fine.time_s.push_back(track.time_s[i]);
+        fine.pose.push_back(track.pose[i]);
+    }
+    return fine;
+}
+
 PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m) {
     for (Pose& pose : track.pose) pose.translation += by_m;
     return track;

@@ -106,13 +106,16 @@ TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
             const std::uint64_t size = number<std::uint64_t>(bytes, chunk + 9 + 16);
             const std::size_t inside = chunk + number<std::uint64_t>(bytes, at + 24) - size;
             EXPECT_EQ(number<std::uint32_t>(bytes, chunk + 9 + 24), crc32(0, reinterpret_cast<const Bytef*>(&bytes[inside]), uInt(size)));
-            EXPECT_EQ(records(bytes, inside, inside + size).count(5), 3u) << "a message of each topic";
+            std::size_t n_indexed = 0;
             for (std::uint32_t place = 0; place < number<std::uint32_t>(bytes, at + 32); place += 10) {   // of 2 + 8 bytes
                 const std::size_t entry = number<std::uint64_t>(bytes, at + 36 + place + 2);
                 EXPECT_EQ(bytes[entry], 7) << "a message index";
                 EXPECT_EQ(number<std::uint16_t>(bytes, entry + 9), number<std::uint16_t>(bytes, at + 36 + place)) << "of that channel";
                 EXPECT_EQ(bytes[inside + number<std::uint64_t>(bytes, entry + 9 + 2 + 4 + 8)], 5) << "that leads to a message";
+                n_indexed += number<std::uint32_t>(bytes, entry + 9 + 2) / 16;
             }
+            EXPECT_EQ(records(bytes, inside, inside + size).count(5), n_indexed) << "every message is in an index";
+            EXPECT_EQ(number<std::uint32_t>(bytes, at + 32) / 10, all.count(4) / 2) << "a topic each; channels lie in the summary, too";
         }
     }
 }
@@ -132,7 +135,38 @@ TEST_F(Recordings, TimesThatNoFileHasAreRefused) {
     ScanFolder scans(folder, format);
     scans.write(0, two_rays(100.0));
     EXPECT_THAT(data_error([&] { scans.write(1, two_rays(-5.0)); }), HasSubstr("found a scan at -5 s"));
+    EXPECT_THAT(data_error([&] { scans.write(1, two_rays(99.0)); }), HasSubstr("expected times that do not fall"));
     EXPECT_THAT(data_error([&] { scans.write(1, two_rays(3e9)); }), HasSubstr("lie before 2038"));
+}
+
+TEST_F(Recordings, OfARigAreOne) {
+    ScanFormat left = format, right = format;
+    name_in_recordings(left, "left"), name_in_recordings(right, "2nd-right");
+    ScanRecordings recordings(folder, {left, right});
+    const std::vector<RenderedScan> scans{two_rays(1.0), two_rays(1.0)};
+    recordings.write(scans);
+    EXPECT_THAT(error_message<UsageError>([&] { recordings.write(std::span(scans).first(1)); }), HasSubstr("found 1 scans, expected 2"));
+    recordings.finish();
+    EXPECT_THAT(recordings.names(), ElementsAre("scans.mcap", "rosbag.mcap"));
+    EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap"));
+    for (const char* name : {"scans.mcap", "rosbag.mcap"})
+        for (const char* topic : {"/lidar/left/points", "/lidar/_2nd_right/points"})
+            EXPECT_THAT(contents(folder / name), HasSubstr(topic)) << name;
+}
+
+TEST_F(Recordings, RefuseNamesThatRosDoesNotTakeOrThatAreTaken) {
+    const auto error = [&](const char* topic, const char* frame_id) {
+        ScanFormat other = format;
+        other.topic = topic, other.frame_id = frame_id;
+        return error_message<UsageError>([&] { ScanRecordings(folder, {format, other}); });
+    };
+    for (const char* topic : {"", "/", "points", "/lidar//points", "/lidar/points/", "/2nd/points", "/lidar/top-left", "/lidar points"})
+        EXPECT_THAT(error(topic, "other"), HasSubstr("expected one as /lidar/points")) << topic;
+    for (const char* frame : {"", "/other", "lidar", "world", "base_link"})
+        EXPECT_THAT(error("/other", frame), HasSubstr("other than base_link, lidar, world")) << frame;
+    for (const char* topic : {"/lidar/points", "/tf", "/tf_static", "/actors"})
+        EXPECT_THAT(error(topic, "other"), HasSubstr(std::string("found topic ") + topic + " twice")) << topic;
+    EXPECT_THAT(files(), ElementsAre()) << "nothing is left of those that were refused";
 }
 
 TEST_F(Recordings, AFolderThatCannotBeWrittenIsNamed) {

@@ -34,6 +34,27 @@ TEST(PoseTrack, InterpolatesAndContinuesAtTheEnds) {
     EXPECT_NEAR(one.at(7.0).translation.z, 3.0, 1e-12);
 }
 
+TEST(PoseTrack, WhatIsMountedGoesRoundBendsOfFineTurns) {
+    const PoseTrack track{{0.0, 1.0, 1.5, 3.0},
+                          {turned(0.0, {0, 0, 0}), turned(0.8, {1, 0, 0}), turned(0.8, {2, 0, 1}), turned(-0.4, {1, 4, 0})}};
+    const PoseTrack fine = with_fine_turns(track);
+    const Pose mounted = turned(0.3, {2, 1, 0.5});
+    const PoseTrack coarse_ride = moved_track(track, mounted), ride = moved_track(fine, mounted);
+    double largest_m = 0.0, coarse_m = 0.0;
+    for (double t = 0.0; t <= 3.0; t += 0.01) {
+        EXPECT_LT(glm::distance(fine.at(t).translation, track.at(t).translation), 1e-12) << "the same path at " << t;
+        EXPECT_NEAR(yaw_of(fine.at(t)), yaw_of(track.at(t)), 1e-9);
+        const glm::dvec3 truth = (track.at(t) * mounted).translation;
+        largest_m = std::max(largest_m, glm::distance(ride.at(t).translation, truth));
+        coarse_m = std::max(coarse_m, glm::distance(coarse_ride.at(t).translation, truth));
+    }
+    EXPECT_LT(largest_m, 1e-5);
+    EXPECT_GT(coarse_m, 0.1) << "along chords";
+    EXPECT_EQ(fine.time_s.size(), fine.pose.size());
+    EXPECT_TRUE(with_fine_turns({}).pose.empty());
+    EXPECT_EQ(with_fine_turns({{0.0, 1.0}, {turned(0.2, {0, 0, 0}), turned(0.2, {9, 0, 0})}}).pose.size(), 2u) << "straight on needs none";
+}
+
 TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
     const auto turned = [](double angle, const glm::dvec3& t) {
         return Pose{glm::angleAxis(angle, glm::normalize(glm::dvec3(1, 2, 3))), t};

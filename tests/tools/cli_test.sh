@@ -317,6 +317,10 @@ rendering() {
     check "a merged rig has not the points of its sensors" test "$(points_of merged/frame_000005.pcd)" -eq \
         "$(($(points_of rig/top/frame_000005.pcd) + $(points_of rig/left/frame_000005.pcd)))"
     bad 2 "--merge: found no rig" render run --out x --sensor VLP-16 --merge
+    bad 2 "--topic: found no recording in --format, expected mcap or rosbag" render run --out x --topic /points
+    bad 2 '--frame-id: found "a" for all sensors of a rig, expected \{name\}' render run --out x --sensor rig.json --format mcap --frame-id a
+    bad 2 'found topic "points", expected one as /lidar/points' render run --out x --frames 2:3 --format rosbag --topic points
+    absent x
     bad 2 "rig/top: the folder holds another rendering" render run --out rig --frames 5:6 --sensor rig.json
     good render run --out wide --frames 5:6 --sensor VLP-16 --format npz,pcd --set sensor.sub_rays=5 --set sensor.returns=2
     check "a second return is missing from the pcd" grep -aq "^FIELDS x y z intensity ring time instance return$" wide/frame_000005.pcd

@@ -1,185 +1,203 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads scans.mcap and rosbag.mcap of a rendering with the readers of others (npm: @mcap/core, protobufjs, @foxglove/rosmsg,
-// @foxglove/rosmsg2-serialization), decoding messages by the schemas in the files, and compares them with the ply files and scans.json
-// beside them.
+// Reads scans.mcap and rosbag.mcap of a rendering as a player does, message by message in the order of the file: each cloud's points are
+// taken to the world by the transforms that have been heard by then, and compared with the ply files of the same scans rendered with
+// --frame world; boxes with the run's scene.json; everything else with the ply files and scans.json beside the recording.
 //
-//   node read_recordings.cjs NODE_MODULES FOLDER
+//   node read_recordings.cjs NODE_MODULES RUN FOLDER WORLD SUBFOLDER=TOPIC=FRAME ...     one a sensor; SUBFOLDER . of one that stands alone
 //
-// Prints what is wrong; exit code 1 where anything is, 77 where a package is missing.
+// Prints what is wrong (with SHOW in the environment how far off each cloud is, too); exit code 1 where anything is, 77 where a package is missing.
 "use strict";
 const fs = require("fs");
 const path = require("path");
-const { createRequire } = require("module");
+const { packages, read, nanoseconds, Frames, readPly, points, rotate, conjugate, xyz } = require("./recordings.cjs");
 
-const [modules, folder] = process.argv.slice(2);
-const from = createRequire(path.resolve(modules, "reader.cjs"));
-let core, protobuf, descriptor, rosmsg, serialization;
-try {
-    core = from("@mcap/core");
-    protobuf = from("protobufjs");
-    descriptor = from("protobufjs/ext/descriptor");
-    rosmsg = from("@foxglove/rosmsg");
-    serialization = from("@foxglove/rosmsg2-serialization");
-} catch (error) {
-    console.log(`no reader: ${error.message.split("\n")[0]}`);
-    process.exit(77);
-}
+const kTolerance_m = 1e-4;   // floats 100 m away have 8e-6; between two poses a reader is off by less than 3e-5
+const [modules, run, folder, world, ...words] = process.argv.slice(2);
+const npm = packages(modules);
+const scene = JSON.parse(fs.readFileSync(path.join(run, "scene.json")));
+const sensors = words.map((word) => {
+    const [subfolder, topic, frame] = word.split("=");
+    const of = (where) => ({ ...JSON.parse(fs.readFileSync(path.join(where, subfolder, "scans.json"))), folder: path.join(where, subfolder) });
+    return { topic, frame, own: of(folder), world: of(world) };
+});
 
 const failures = [];
 function check(what, good) {
     if (!good) failures.push(what);
 }
+const difference = (a, b) => Math.hypot(...a.map((x, i) => x - b[i]));
 
-/** A file that the reader asks for pieces of. */
-class File {
-    constructor(name) {
-        this.bytes = fs.readFileSync(name);
-    }
-    async size() {
-        return BigInt(this.bytes.length);
-    }
-    async read(offset, length) {
-        return new Uint8Array(this.bytes.subarray(Number(offset), Number(offset + length)));
-    }
+function plyOf(summary, i) {
+    return readPly(path.join(summary.folder, summary.scans[i].files.find((f) => f.endsWith(".ply"))));
 }
 
-/** Messages by topic, decoded; the index is what finds them. */
-async function read(name, decoder) {
-    const reader = await core.McapIndexedReader.Initialize({ readable: new File(path.join(folder, name)) });
-    const topics = {};
-    const decoders = new Map();
-    for await (const message of reader.readMessages()) {
-        const channel = reader.channelsById.get(message.channelId);
-        if (!decoders.has(channel.id)) decoders.set(channel.id, decoder(reader.schemasById.get(channel.schemaId)));
-        (topics[channel.topic] ??= []).push({ time: message.logTime, value: decoders.get(channel.id)(message.data) });
-    }
-    const total = Object.values(topics).reduce((sum, messages) => sum + messages.length, 0);
-    check(`${name}: statistics count ${reader.statistics.messageCount} messages, found ${total}`,
-          Number(reader.statistics.messageCount) === total);
-    let metadata;
-    for await (const record of reader.readMetadata({ name: "relidar" })) metadata = record.metadata;
-    check(`${name}: no metadata of relidar`, metadata !== undefined);
-    // everything once more, without the index: the stream reader checks checksums of chunks too
-    const stream = new core.McapStreamReader({ validateCrcs: true });
-    stream.append(fs.readFileSync(path.join(folder, name)));
-    let streamed = 0;
-    for (let record; (record = stream.nextRecord());) streamed += record.type === "Message";
-    check(`${name}: the stream has ${streamed} messages, the index ${total}`, streamed === total && stream.done());
-    return { topics, shift: Number(metadata.get("time_shift_s")) };
+/** A cloud of any kind as points with `seconds` from the stamp. */
+function unpack(message) {
+    const rows = points(message.value), stamp = nanoseconds(message.value.header?.stamp ?? message.value.timestamp);
+    for (const row of rows) row.seconds = row.time ?? 1e-9 * row.time_stamp;
+    return { rows, stamp, frame: message.value.header?.frame_id ?? message.value.frame_id };
 }
 
-function protobufDecoder(schema) {
-    const root = protobuf.Root.fromDescriptor(descriptor.FileDescriptorSet.decode(schema.data));
-    const type = root.lookupType(schema.name);
-    return (data) => type.toObject(type.decode(data), { longs: Number, defaults: true });
+/** Without a rolling shutter all rays of a scan are fired at its time, whatever ply says of the sensor's. */
+function firedAt(summary, row) {
+    return summary.settings["sensor.rolling_shutter"] ? row.time : 0;
 }
 
-function rosDecoder(schema) {
-    const reader = new serialization.MessageReader(rosmsg.parse(Buffer.from(schema.data).toString(), { ros2: true }));
-    return (data) => reader.readMessage(data);
+/** @param frames  heard so far */
+function checkCloud(what, sensor, i, message, frames, shift) {
+    const { rows, stamp, frame } = unpack(message);
+    const { points: said, scans } = sensor.own, inWorld = said.frame === "world";
+    const own = plyOf(sensor.own, i), there = plyOf(sensor.world, i);
+    check(`${what}: ${rows.length} points, expected ${own.length}, more than 10`, rows.length === own.length && own.length > 10);
+    check(`${what}: frame ${frame}`, frame === (inWorld ? "world" : sensor.frame));
+    const start = 1e-9 * Number(stamp) - shift - scans[i].time_s;
+    check(`${what}: a point fired ${1e-9 * Number(stamp - message.time)} s after it was logged`,
+          rows.every((row) => Number(message.time - stamp) * 1e-9 >= row.seconds - 1e-8 && row.seconds >= 0));
+    const wrong = rows.filter((row, k) => (row.ring ?? row.channel) !== own[k].ring || Math.abs(start + row.seconds - firedAt(sensor.own, own[k])) > 1e-6 ||
+                                          ("instance" in row && row.instance !== own[k].instance) ||
+                                          Math.abs(row.intensity - (row.channel === undefined ? 1 : 255) * own[k].intensity) > 0.51 * (row.channel !== undefined));
+    check(`${what}: ${wrong.length} points have another ring, time, instance or intensity`, wrong.length === 0);
+    let largest = 0, sum = 0;
+    rows.forEach((row, k) => {
+        const time = said.deskewed ? stamp : stamp + BigInt(Math.round(1e9 * row.seconds));
+        const off = difference(inWorld ? xyz(row) : frames.toWorld(frame, time, xyz(row)), xyz(there[k]));
+        largest = Math.max(largest, off), sum += off;
+    });
+    if (process.env.SHOW) console.log(what, largest);
+    check(`${what}: composed with /tf ${sum / rows.length} m off the world's points in the mean, ${largest} m at most`, largest <= kTolerance_m);
+    if (rows[0].channel !== undefined) checkAngles(what, rows);
 }
 
-/** Columns of a ply: x y z intensity ring time instance. */
-function readPly(name) {
-    const bytes = fs.readFileSync(path.join(folder, name));
-    const end = bytes.indexOf("end_header\n") + 11;
-    const header = bytes.subarray(0, end).toString("latin1").split("\n");
-    const sizes = { float: 4, int: 4, ushort: 2, uint16: 2, uchar: 1, uint8: 1 };
-    const properties = header.filter((l) => l.startsWith("property ")).map((l) => l.split(" ").slice(1));
-    const count = Number(header.find((l) => l.startsWith("element vertex")).split(" ")[2]);
-    const rows = [];
-    for (let i = 0, at = end; i < count; ++i) {
-        const row = {};
-        for (const [type, field] of properties) {
-            row[field] = type === "float" ? bytes.readFloatLE(at) : type === "int" ? bytes.readInt32LE(at)
-                       : sizes[type] === 2 ? bytes.readUInt16LE(at) : bytes.readUInt8(at);
-            at += sizes[type];
+function checkAngles(what, rows) {
+    const wrong = rows.filter((r) => {
+        const range = Math.hypot(r.x, r.y, r.z);
+        return r.return_type !== 3 || Math.abs(r.distance - range) > 1e-4 || Math.abs(r.azimuth - Math.atan2(r.y, r.x)) > 1e-5 ||
+               Math.abs(r.elevation - Math.asin(r.z / range)) > 1e-5;
+    });
+    check(`${what}: ${wrong.length} points have another return, angle or distance`, wrong.length === 0);
+}
+
+/** Boxes of an actors' message of any kind: by id, with pose and size. */
+function boxesOf({ value }) {
+    const pose = (p) => ({ t: xyz(p.position), q: [...xyz(p.orientation), p.orientation.w] });
+    if (value.entities)
+        return { stamp: nanoseconds(value.deletions[0].timestamp),
+                 boxes: value.entities.map((e) => ({ id: e.id, pose: pose(e.cubes[0].pose), size: xyz(e.cubes[0].size), category: e.metadata[0].value })) };
+    const stamp = nanoseconds(value.header.stamp);
+    if (value.detections)
+        return { stamp, boxes: value.detections.map((d) => ({ id: d.id, pose: pose(d.bbox.center), size: xyz(d.bbox.size), category: d.results[0].hypothesis.class_id })) };
+    return { stamp, boxes: value.objects.map((o) => ({
+        id: Buffer.from(o.object_id.uuid).toString("hex"), label: o.classification[0].label, size: xyz(o.shape.dimensions),
+        pose: pose(o.kinematics.pose_with_covariance.pose), velocity: xyz(o.kinematics.twist_with_covariance.twist.linear) })) };
+}
+
+/** Where the run's scene.json has a box at a time of the log, and how fast it is in its own axes. */
+function boxAt(box, seconds) {
+    const last = box.time_s.length - 2;
+    const i = Math.min(last, Math.max(0, box.time_s.findLastIndex((t) => t <= seconds)));
+    const [a, b] = [box.world_from_box[i], box.world_from_box[i + 1]], dt = box.time_s[i + 1] - box.time_s[i];
+    const q = [a[4], a[5], a[6], a[3]], way = [0, 1, 2].map((k) => (b[k] - a[k]) / dt);
+    return { q, t: way.map((v, k) => a[k] + v * (seconds - box.time_s[i]) + scene.world_offset_m[k]), velocity: rotate(conjugate(q), way) };
+}
+
+/** @param tracked  Autoware's message of the same stamp, in the same order */
+function checkBoxes(what, message, tracked, shift) {
+    const { stamp, boxes } = boxesOf(message), moving = boxesOf(tracked), seconds = 1e-9 * Number(stamp) - shift;
+    check(`${what}: stamps differ`, moving.stamp === stamp);
+    check(`${what}: ${boxes.length} boxes, expected ${scene.boxes.length}`, boxes.length === scene.boxes.length && moving.boxes.length === boxes.length);
+    boxes.forEach((box, i) => {
+        const truth = scene.boxes.find((known) => known.id === box.id), there = boxAt(truth, seconds), { label, velocity } = moving.boxes[i];
+        for (const { pose, size } of [box, moving.boxes[i]]) {
+            const off = difference(pose.t, there.t), cosine = Math.abs(pose.q.reduce((sum, x, k) => sum + x * there.q[k], 0));
+            check(`${what}: box ${box.id} is ${off} m and ${Math.acos(Math.min(1, cosine))} rad off`, off < 1e-5 && cosine > 1 - 1e-9);
+            check(`${what}: box ${box.id} has size ${size}`, difference(size, truth.size_m) < 1e-9);
         }
-        rows.push(row);
-    }
-    return rows;
-}
-
-/** Points as ply has them, from the fields that a message describes. @param widths by the number of a type */
-function unpack(data, stride, fields, readers) {
-    const bytes = Buffer.from(data);
-    const rows = [];
-    for (let at = 0; at + stride <= bytes.length; at += stride) {
-        const row = {};
-        for (const field of fields) row[field.name] = readers[field.type](bytes, at + field.offset);
-        rows.push(row);
-    }
-    return rows;
-}
-
-const kFoxglove = { 1: (b, i) => b.readUInt8(i), 3: (b, i) => b.readUInt16LE(i), 6: (b, i) => b.readInt32LE(i), 7: (b, i) => b.readFloatLE(i) };
-const kRos = { 2: (b, i) => b.readUInt8(i), 4: (b, i) => b.readUInt16LE(i), 6: (b, i) => b.readUInt32LE(i), 7: (b, i) => b.readFloatLE(i) };
-
-function same(what, found, expected, names) {
-    check(`${what}: ${found.length} points, expected ${expected.length}, more than 10`,
-          found.length === expected.length && expected.length > 10);
-    const wrong = found.filter((row, i) => names.some((name) => row[name] !== expected[i]?.[name]));
-    check(`${what}: ${wrong.length} points differ`, wrong.length === 0);
-}
-
-function near(what, found, expected, tolerance) {
-    check(`${what}: ${found}, expected ${expected}`, found.every((x, i) => Math.abs(x - expected[i]) <= tolerance));
-}
-
-const xyz = (v) => [v.x, v.y, v.z];
-const place = (scan) => scan.world_from_sensor.slice(0, 3).map((row) => row[3]);
-
-function checkFoxglove({ topics, shift }, scans) {
-    check(`scans.mcap: topics ${Object.keys(topics)}`, ["/tf", "/lidar/points", "/actors"].every((t) => topics[t]?.length === scans.length));
-    scans.forEach((scan, i) => {
-        const cloud = topics["/lidar/points"][i].value;
-        const ply = readPly(scan.files.find((f) => f.endsWith(".ply")));
-        near("time of a cloud", [cloud.timestamp.seconds + 1e-9 * cloud.timestamp.nanos], [scan.time_s + shift], 1e-6);
-        const fields = cloud.fields.map((f) => ({ ...f, offset: Number(f.offset) }));
-        same("foxglove.PointCloud", unpack(cloud.data, cloud.point_stride, fields, kFoxglove), ply,
-             ["x", "y", "z", "intensity", "ring", "time", "instance"]);
-        near("foxglove.FrameTransform", xyz(topics["/tf"][i].value.translation), place(scan), 1e-9);
-        const boxes = topics["/actors"][i].value;
-        check("foxglove.SceneUpdate: no deletion of all", boxes.deletions[0]?.type === 1);
-        check(`foxglove.SceneUpdate: ${boxes.entities.length} boxes, expected one at least`, boxes.entities.length >= 1);
-        for (const box of boxes.entities) check("a box without a size", box.cubes[0].size.x > 0.5 && box.arrows.length === 0);
+        check(`${what}: ${box.category} has label ${label}`, box.category === truth.category && label === { Car: 1 }[truth.category]);
+        check(`${what}: box ${box.id} at ${velocity} m/s, expected ${there.velocity}`, difference(velocity, there.velocity) < 1e-3);
     });
 }
 
-function checkRos({ topics, shift }, scans) {
-    const plain = topics["/lidar/points"], autoware = topics["/lidar/points_xyzircaedt"];
-    check(`rosbag.mcap: topics ${Object.keys(topics)}`, [plain, autoware, topics["/tf"]].every((t) => t?.length === scans.length));
-    scans.forEach((scan, i) => {
-        const ply = readPly(scan.files.find((f) => f.endsWith(".ply")));
-        const points = (message) => unpack(message.data, message.point_step, message.fields.map((f) => ({ ...f, type: f.datatype })), kRos);
-        const cloud = plain[i].value, stamp = cloud.header.stamp;
-        same("PointCloud2", points(cloud), ply, ["x", "y", "z", "intensity"]);
-        check("PointCloud2: width, row_step, is_dense",
-              cloud.width === ply.length && cloud.row_step === ply.length * cloud.point_step && cloud.is_dense === true);
-        const rows = points(autoware[i].value);
-        same("XYZIRCAEDT", rows, ply, ["x", "y", "z"]);
-        const start = stamp.sec + 1e-9 * (stamp.nsec ?? stamp.nanosec) - shift;
-        const off = rows.filter((row, k) => {
-            const p = ply[k];
-            const range = Math.hypot(p.x, p.y, p.z);
-            const good = row.channel === p.ring && row.return_type === 3 && Math.abs(row.intensity - 255 * p.intensity) <= 0.51 &&
-                         Math.abs(row.distance - range) <= 1e-4 && Math.abs(row.azimuth - Math.atan2(p.y, p.x)) <= 1e-5 &&
-                         Math.abs(row.elevation - Math.asin(p.z / range)) <= 1e-5 &&
-                         Math.abs(start + 1e-9 * row.time_stamp - (scan.time_s + p.time)) <= 1e-6;
-            return !good;
-        });
-        check(`XYZIRCAEDT: ${off.length} points have another ring, return, angle, distance or time`, off.length === 0);
-        const transform = topics["/tf"][i].value.transforms[0];
-        check(`TFMessage: ${transform.header.frame_id} ${transform.child_frame_id}`,
-              transform.header.frame_id === "world" && transform.child_frame_id === cloud.header.frame_id);
-        near("TFMessage, within a sweep's way", xyz(transform.transform.translation), place(scan), 2.0);
+/** Velocity between two transforms of one sweep; nothing where they are too near for a difference. */
+function wayBetween(a, b) {
+    const [from, to] = [a, b].map((message) => message?.value.transforms[0]);
+    const seconds = from && to ? 1e-9 * Number(nanoseconds(to.header.stamp) - nanoseconds(from.header.stamp)) : 0;
+    if (seconds < 0.009 || seconds > 0.011) return undefined;
+    return xyz(to.transform.translation).map((x, k) => (x - xyz(from.transform.translation)[k]) / seconds);
+}
+
+function checkMotion(file) {
+    const poses = file.messages.filter((m) => m.topic === "/tf"), odometry = file.messages.filter((m) => m.topic === "/odom");
+    check(`/odom: ${odometry.length} messages for ${poses.length} of /tf`, odometry.length === poses.length);
+    odometry.forEach(({ value: o }, i) => {
+        const tf = poses[i].value.transforms[0];
+        check("/odom: frames", o.header.frame_id === "world" && o.child_frame_id === "base_link" && tf.child_frame_id === "base_link");
+        check("/odom: not the pose of /tf", nanoseconds(o.header.stamp) === nanoseconds(tf.header.stamp) &&
+              difference(xyz(o.pose.pose.position), xyz(tf.transform.translation)) === 0);
+        const [before, after] = [wayBetween(poses[i - 1], poses[i]), wayBetween(poses[i], poses[i + 1])];
+        if (!before || !after) return;
+        const q = o.pose.pose.orientation, mean = before.map((v, k) => 0.5 * (v + after[k]));
+        const off = difference(xyz(o.twist.twist.linear), rotate(conjugate([...xyz(q), q.w]), mean));
+        check(`/odom: a velocity ${off} m/s off the way to its neighbours`, off < 0.05);
     });
+    const clock = file.messages.filter((m) => m.topic === "/clock");
+    check("/clock: not the time of the log", clock.length > 0 && clock.every((m) => nanoseconds(m.value.clock) === m.time));
+}
+
+function checkServiceQuality(file) {
+    for (const [topic, channel] of Object.entries(file.channels)) {
+        const profile = channel.metadata.get("offered_qos_profiles") ?? "";
+        check(`${topic}: quality of service "${profile}"`, /^- history: 1\n  depth: \d+\n  reliability: 1\n/.test(profile) &&
+              profile.includes(`\n  durability: ${topic === "/tf_static" ? 1 : 2}\n`));
+    }
+    check("no record of rosbag2, by which it takes numbers for policies", file.records.rosbag2?.get("serialized_metadata") === "");
+}
+
+/** Where the log's LiDAR is mounted, and on it by scans.json the sensor. */
+function checkMounting(what, frame, offset, found) {
+    const [x, y, z, ...wxyz] = (scene.lidars.find((lidar) => lidar.name === frame) ?? scene.lidars[0]).vehicle_from_sensor;
+    const q = [...wxyz.slice(1), wxyz[0]];
+    for (const point of [[0, 0, 0], [1, 0, 0], [0, 1, 0]]) {
+        const onLidar = [0, 1, 2].map((row) => offset[row][3] + point.reduce((sum, v, k) => sum + offset[row][k] * v, 0));
+        const expected = rotate(q, onLidar).map((v, k) => v + [x, y, z][k]), there = rotate(found.q, point).map((v, k) => v + found.t[k]);
+        check(`${what} is mounted ${difference(there, expected)} m off`, difference(there, expected) < 1e-6);
+    }
+}
+
+function checkFile(file) {
+    const frames = new Frames(), heard = {};
+    let last = 0n;
+    for (const message of file.messages) {
+        check(`${file.name}: ${message.topic} logged at ${message.time} after ${last}`, message.time >= last);
+        last = message.time;
+        const i = heard[message.topic] = (heard[message.topic] ?? -1) + 1;
+        if (message.topic.startsWith("/tf")) frames.hear(message);
+        const sensor = sensors.find((s) => message.topic === s.topic || message.topic === s.topic + "_xyzircaedt");
+        if (sensor) checkCloud(`${file.name} ${message.topic} ${i}`, sensor, i, message, frames, file.shift);
+    }
+    for (const { topic, own, frame } of sensors) {
+        const inWorld = own.points.frame === "world", isRos = file.name === "rosbag.mcap";
+        for (const [name, n] of [[topic, own.scans.length], [topic + "_xyzircaedt", isRos && !inWorld ? own.scans.length : 0]])
+            check(`${file.name}: ${(heard[name] ?? -1) + 1} messages on ${name}, expected ${n}`, (heard[name] ?? -1) + 1 === n);
+        const mounted = frames.of.get(frame);
+        check(`${file.name}: base_link -> ${frame} is not on /tf_static`, mounted?.parent === "base_link" && mounted.isStatic);
+        if (mounted) checkMounting(`${file.name}: ${frame}`, frame, own.sensor_offset, mounted.poses[0]);
+    }
 }
 
 (async () => {
-    const { scans } = JSON.parse(fs.readFileSync(path.join(folder, "scans.json")));
-    checkFoxglove(await read("scans.mcap", protobufDecoder), scans);
-    checkRos(await read("rosbag.mcap", rosDecoder), scans);
-    if (failures.length) console.log(failures.join("\n"));
+    const players = await read(npm, path.join(folder, "scans.mcap"), check), bag = await read(npm, path.join(folder, "rosbag.mcap"), check);
+    for (const file of [players, bag]) checkFile(file);
+    checkMotion(bag);
+    checkServiceQuality(bag);
+    const of = (file, topic) => file.messages.filter((m) => m.topic === topic);
+    const tracked = of(bag, "/actors_autoware");
+    for (const file of [players, bag]) {
+        check(`${file.name}: ${of(file, "/actors").length} messages of actors`, of(file, "/actors").length === tracked.length && tracked.length > 0);
+        of(file, "/actors").forEach((m, i) => checkBoxes(`${file.name} /actors ${i}`, m, tracked[i], file.shift));
+    }
+    if (failures.length) console.log([...failures.slice(0, 20), ...(failures.length > 20 ? [`and ${failures.length - 20} more`] : [])].join("\n"));
     process.exit(failures.length ? 1 : 0);
-})();
+})().catch((error) => {
+    console.log([...failures.slice(0, 20), error.message].join("\n"));
+    process.exit(1);
+});

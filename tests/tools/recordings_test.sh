@@ -3,6 +3,7 @@
 #
 # Recordings of `relidar render` read by others' readers: @mcap/core with protobufjs and @foxglove/rosmsg2-serialization, of npm:
 #   npm install --prefix FOLDER @mcap/core protobufjs @foxglove/rosmsg @foxglove/rosmsg2-serialization
+# Every cloud, taken to the world by the recording's own transforms, must lie where `--frame world` has it (read_recordings.cjs).
 #
 #   recordings_test.sh RELIDAR WORK_FOLDER READERS       READERS: that FOLDER; $RELIDAR_READERS instead where it is set
 #
@@ -21,24 +22,80 @@ if ! "$relidar" devices >/dev/null 2>&1; then
     exit 77
 fi
 rm -rf "$work" && mkdir -p "$work/street" && cd "$work" || exit 1
-fail() { printf 'FAILED: %s\n' "$*"; exit 1; }
+failures=0
+fail() { printf 'FAILED: %s\n' "$*"; failures=$((failures + 1)); }
 
+# check NAME "SUBFOLDER=TOPIC=FRAME ..." FLAGS... -- ONLY_FLAGS...: renders NAME in the sensor's frame, deskewed and in the world, all with
+# FLAGS, those that have recordings with ONLY_FLAGS too, and reads them.
+check() {
+    local name=$1 sensors=$2 flags=() recording=() frame code
+    shift 2
+    while (($#)) && [[ $1 != -- ]]; do flags+=("$1"); shift; done
+    recording=("${@:2}")
+    "$relidar" render "$run" --out "$name/truth" --format ply --frame world --quiet "${flags[@]}" || { fail "$name: render"; return; }
+    for frame in "sensor" "deskewed --deskew" "world --frame world"; do
+        local folder=$name/${frame%% *} how=()
+        [[ $frame == sensor ]] || read -ra how <<<"${frame#* }"
+        "$relidar" render "$run" --out "$folder" --format mcap,rosbag,ply --quiet "${flags[@]}" "${recording[@]}" "${how[@]}" || fail "$folder: render"
+        # shellcheck disable=SC2086
+        node "$tests/read_recordings.cjs" "$readers" "$run" "$folder" "$name/truth" $sensors
+        code=$?
+        [[ $code != 77 ]] || exit 77
+        [[ $code == 0 ]] || fail "$folder: recordings"
+    done
+}
+
+# train STREET RUN: of a street.toml
+train() {
+    "$relidar" train "$1" --out "$2" --preset quick --set train.pose_register=false --set init.actor_min_points=10 \
+        --set train.iterations=6 --no-eval --quiet || { fail "no run"; exit 1; }
+}
+
+run=run
 printf 'seed = 5\nn_frames = 12\nrows = 8\ncolumns = 96\n' >street/street.toml
-"$relidar" train street --out run --preset quick --set train.pose_register=false --set init.actor_min_points=10 \
-    --set train.iterations=6 --no-eval --quiet || fail "no run"
-for frame in sensor deskewed; do   # frame 0 begins before second 0
-    flags=()
-    [[ $frame == sensor ]] || flags=(--deskew)
-    "$relidar" render run --frames 0:4 --out "$frame" --format mcap,rosbag,ply --quiet "${flags[@]}" || fail "render"
-    node "$tests/read_recordings.cjs" "$readers" "$frame"
-    code=$?
-    [[ $code != 77 ]] || exit 77
-    [[ $code == 0 ]] || fail "recordings in the frame '$frame'"
-done
+train street run
+# 16 m/s through a lane change of 3.5 m in 1.2 s; and a bend of 60 degrees a second, its poses 15 degrees apart.
+awk 'BEGIN { pi = 3.14159265358979; print "time_s,x,y,z,yaw_deg"; for (i = 0; i <= 24; ++i) { t = 0.05 * i; u = pi * t / 1.2
+    printf "%.4f,%.6f,%.6f,1.73,%.6f\n", t, -8 + 16 * t, -1.75 * cos(u), atan2(1.75 * sin(u) * pi / 1.2, 16) * 180 / pi } }' >lane.csv
+awk 'BEGIN { pi = 3.14159265358979; print "time_s,x,y,z,yaw_deg"; for (i = 0; i <= 6; ++i) { t = 0.25 * i; a = pi / 3 * t
+    printf "%.4f,%.6f,%.6f,1.73,%.6f\n", t, -8 + 7 * sin(a), -2 + 7 * (1 - cos(a)), a * 180 / pi } }' >bend.csv
+printf '%s\n' '{"sensors": [{"name": "front", "sensor": "VLP-16:300x10", "translation_m": [2, 0, 0.3], "yaw_pitch_roll_deg": [20, 5, 0]},' \
+    ' {"name": "2nd-rear", "sensor": "VLP-16:200x20", "translation_m": [-2, 0.6, 0.5], "yaw_pitch_roll_deg": [180, -10, 3]}]}' >rig.json
+alone=".=/lidar/points=lidar"
+rig="front=/lidar/front/points=front 2nd-rear=/lidar/_2nd_rear/points=2nd-rear"
+
+check own "$alone" --frames 0:4   # frame 0 begins before second 0
+check beside "$alone" --frames 2:5 --offset -1,2.5,1,90 --sensor VLP-16:300x10
+check lane "$alone" --trajectory lane.csv --times 0.2:0.5:0.1 --sensor VLP-16:450x10
+check named ".=/sensing/front/pointcloud=front_lidar" --trajectory lane.csv --times 0.2:0.3:0.1 --sensor VLP-16:300x10 \
+    -- --topic /sensing/front/pointcloud --frame-id front_lidar
+check overlapping "$alone" --trajectory lane.csv --times 0.2:0.3:0.02 --sensor VLP-16:300x10
+check at_once "$alone" --trajectory lane.csv --times 0.2:0.4:0.1 --sensor VLP-16:300x10 --set sensor.rolling_shutter=false
+check rig "$rig" --trajectory lane.csv --times 0.2:0.5:0.1 --sensor rig.json
+check bend "$rig" --trajectory bend.csv --times 0.2:1:0.1 --sensor rig.json --offset 0,1,0,10
+check rig_of_log "$rig" --frames 3:6 --sensor rig.json
+check rig_named "front=/sensing/front/points=front_link 2nd-rear=/sensing/_2nd_rear/points=2nd-rear_link" --frames 3:5 --sensor rig.json \
+    -- --topic "/sensing/{name}/points" --frame-id "{name}_link"
+check merged "$alone" --trajectory bend.csv --times 0.2:0.4:0.1 --sensor rig.json --merge
+
+# A log of several LiDARs: base_link is the frame that they are mounted in, and names are theirs.
+mkdir two && printf 'seed = 5\nn_frames = 6\nrig = "../rig.json"\n' >two/street.toml
+train two run_of_two
+run=run_of_two
+check first .=/lidar/front/points=front --frames 1:4
+check second .=/lidar/_2nd_rear/points=2nd-rear --frames 1:4 --lidar 2nd-rear --sensor VLP-16:300x10
+
+# A rig's recordings are one for all its sensors, and a new rendering replaces them.
+[[ "$(ls rig/sensor | tr '\n' ' ')" == "2nd-rear front rosbag.mcap scans.mcap " ]] || fail "a rig's folder holds $(ls rig/sensor | tr '\n' ' ')"
+"$relidar" render run --frames 3:4 --sensor rig.json --out rig/sensor --quiet 2>err && fail "a rig's recordings were overwritten unasked"
+grep -q "rig/sensor: the folder holds another rendering" err || fail "another message than that of a folder that is taken: $(cat err)"
+"$relidar" render run --frames 3:4 --sensor rig.json --out rig/sensor --quiet --overwrite || fail "a rig rendered over another"
+[[ "$(ls rig/sensor | tr '\n' ' ')" == "2nd-rear front " ]] || fail "a new rendering left the old one's recordings"
 
 # The readers notice damage: a flipped bit in a chunk.
-cp -r sensor damaged
+cp -r own/sensor damaged
 size=$(stat -c %s damaged/scans.mcap)
 printf '\x5a' | dd of=damaged/scans.mcap bs=1 seek=$((size / 2)) conv=notrunc status=none
-! node "$tests/read_recordings.cjs" "$readers" damaged >/dev/null 2>&1 || fail "damage is not noticed"
+! node "$tests/read_recordings.cjs" "$readers" run damaged own/truth $alone >/dev/null 2>&1 || fail "damage is not noticed"
+((failures == 0)) || exit 1
 echo "recordings: read by @mcap/core, protobufjs and @foxglove/rosmsg2-serialization"

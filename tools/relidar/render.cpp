@@ -9,7 +9,6 @@
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
 #include "command.hpp"
 #include "console.hpp"
@@ -17,6 +16,8 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include "ranks.hpp"
+#include "render_notes.hpp"
+#include "recording_names.hpp"
 #include "trajectory.hpp"
 #include <relidar/edit.hpp>
 #include <relidar/render.hpp>
@@ -36,6 +37,7 @@ struct Options {
     std::string lidar;
     std::string sensor;
     std::string formats = "npz";
+    RecordingNames names;
     std::vector<std::string> sets;
     std::vector<std::string> only;
     DeviceChoice device;
@@ -126,15 +128,28 @@ PointFrame parse_point_frame(const std::string& name) {
     throw UsageError(fmt::format("--frame: found \"{}\", expected sensor or world (which scans are rendered is --frames)", name));
 }
 
-/// What the files hold.
-ScanFormat wanted_format(const Options& options, const Run& run, const SensorChoice& sensor, const Pose& offset) {
+/// Actors that are not rendered have no boxes in recordings.
+void leave_out_hidden(ScanFormat& format, const Run& run, const std::vector<std::string>& only) {
+    if (only.empty()) return;
+    const std::vector<bool> shown = select_instances(run.scene, only);
+    std::erase_if(format.actors, [&](const BoxTrack& box) {
+        for (std::size_t i = 0; i < shown.size(); ++i)
+            if (run.scene.instances[i].track == box.id) return !shown[i];
+        return true;
+    });
+}
+
+/// What the files hold. @param name  of the sensor in a rig; empty: it stands alone
+ScanFormat wanted_format(const Options& options, const Run& run, const SensorChoice& sensor, const Pose& offset, const std::string& name) {
     ScanFormat format = scan_format(run, sensor);
     format.offset = offset;
+    name_in_recordings(format, name.empty() ? run.sequence.lidars[std::size_t(sensor.lidar)].name : name, options.names);
     if (!options.trajectory.file.empty()) format.trajectory = absolute_path(options.trajectory.file);
     format.formats = parse_formats(options.formats);
     format.frame = parse_point_frame(options.point_frame);
     format.deskew = options.deskew;
     format.only = options.only;
+    leave_out_hidden(format, run, options.only);
     format.sample = options.sample;
     return format;
 }
@@ -156,6 +171,7 @@ void check_options(const Options& options, bool is_rig, const Ranks& ranks) {
         if (ranks.size() > 1 && is_recording(format))
             throw UsageError(
                 fmt::format("--format {}: found {} processes, expected one: it is one file of all scans", format, ranks.size()));
+    check_recording_names(options.names, parse_formats(options.formats), is_rig && !options.merge);
     parse_point_frame(options.point_frame);
     if (ranks.is_first()) check_empty(options.out, options);
     if (options.merge && !is_rig)
@@ -221,50 +237,43 @@ ScanFormat merged_format(const Options& options, const Run& run, const std::vect
     for (const Wanted& w : wanted) rig.returns = std::max(rig.returns, w.sensor.returns);
     for (const Wanted& w : wanted)
         rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m), std::max(rig.limits.max_m, w.sensor.limits.max_m)};
-    return wanted_format(options, run, rig, offset);
+    return wanted_format(options, run, rig, offset, "");
 }
 
-/// Folders that scans go to: one for each sensor, or one for all that are merged. The first process makes them before the others join.
-std::vector<ScanFolder> scan_folders(const Options& options, const Run& run, const std::vector<Wanted>& wanted, const Pose& offset,
-                                     const Ranks& ranks) {
+/// Where scans go: a folder for each sensor, or one for all that are merged; and of a rig, whose sensors go to folders of their own, the
+/// recordings of all of them.
+struct Output {
     std::vector<ScanFolder> folders;
+    std::optional<ScanRecordings> recordings;
+};
+
+/// The first process makes the folders before the others join.
+Output make_output(const Options& options, const Run& run, const std::vector<Wanted>& wanted, const Pose& offset, const Ranks& ranks) {
+    Output output;
+    std::vector<ScanFormat> sensors;
     if (!ranks.is_first()) ranks.wait_for_all();
     const auto add = [&](const std::filesystem::path& folder, const ScanFormat& format) {
-        if (!ranks.is_first()) return folders.push_back(ScanFolder::joining(folder, format));
+        if (!ranks.is_first()) return output.folders.push_back(ScanFolder::joining(folder, format));
         if (folder != options.out) check_empty(folder, options), std::filesystem::create_directories(folder);
-        folders.emplace_back(folder, format);
+        output.folders.emplace_back(folder, format);
     };
-    if (options.merge) add(options.out, merged_format(options, run, wanted, offset));
+    if (options.merge) sensors = {merged_format(options, run, wanted, offset)};
     else
-        for (const Wanted& w : wanted)
-            add(w.folder.empty() ? std::filesystem::path(options.out) : std::filesystem::path(options.out) / w.folder,
-                wanted_format(options, run, w.sensor, offset * w.mounting));
-    if (ranks.is_first()) ranks.wait_for_all();
-    return folders;
-}
-
-/// Says which scans look where the log has not looked. @param entries  of scans.json
-void note_unseen(const std::vector<std::string>& entries, const std::string& folder) {
-    std::size_t n_unseen = 0, n_known = 0;
-    double worst = 0.0;
-    int worst_number = 0;
-    for (const std::string& entry : entries) {
-        const nlohmann::json scan = nlohmann::json::parse(entry);
-        if (!scan["unseen"].is_number()) continue;
-        ++n_known;
-        const double unseen = scan["unseen"];
-        n_unseen += unseen > kMuchUnseen;
-        if (unseen > worst) worst = unseen, worst_number = scan["frame_number"];
+        for (const Wanted& w : wanted) sensors.push_back(wanted_format(options, run, w.sensor, offset * w.mounting, w.folder));
+    const bool is_rig = !options.merge && !wanted.front().folder.empty();
+    if (is_rig && ranks.is_first()) output.recordings.emplace(options.out, sensors);
+    for (std::size_t s = 0; s < sensors.size(); ++s) {
+        if (is_rig) std::erase_if(sensors[s].formats, is_recording);
+        add(is_rig ? std::filesystem::path(options.out) / wanted[s].folder : std::filesystem::path(options.out), sensors[s]);
     }
-    if (n_unseen == 0) return;
-    note(fmt::format("{}: in {} of {} scans more than {:.0f} % of the rays look where no ray of the log did, in number {} {:.1f} %: what they "
-                     "meet there is extrapolated (scans.json: unseen; --set render.seen=true: by ray)",
-                     folder, n_unseen, n_known, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
+    if (ranks.is_first()) ranks.wait_for_all();
+    return output;
 }
 
 /// Writes what says which scans there are, of all processes.
-void finish(std::vector<ScanFolder>& folders, const Ranks& ranks, bool quiet) {
-    for (ScanFolder& folder : folders) {
+void finish(Output& output, const Ranks& ranks, bool quiet) {
+    if (output.recordings) output.recordings->finish();
+    for (ScanFolder& folder : output.folders) {
         std::vector<std::string> entries;
         for (const std::string& of_one : ranks.gather(fmt::format("{}", fmt::join(folder.entries(), "\n"))))
             if (!of_one.empty())
@@ -273,16 +282,6 @@ void finish(std::vector<ScanFolder>& folders, const Ranks& ranks, bool quiet) {
         if (ranks.is_first()) folder.finish();
         if (!quiet) note_unseen(folder.entries(), folder.path().string());
     }
-}
-
-/// Says whose scans the run's network does not fit.
-void note_unrefined(const Run& run, const ScanRenderer& renderer, const std::vector<Wanted>& wanted) {
-    if (!run.config.refine.enabled || run.drop_network.empty()) return;
-    for (const Wanted& w : wanted)
-        if (!renderer.refines(w.sensor))
-            note(fmt::format("{}: its ray-drop network looks at {} images of at least {} x {}; scans of {} stay as the surfels have them",
-                             run.folder.string(), run.drop_network.image, run.drop_network.smallest_side(),
-                             run.drop_network.smallest_side(), w.sensor.name));
 }
 
 /// Renders and writes scans, one sweep after the other.
@@ -294,8 +293,7 @@ public:
         for (const Wanted& w : wanted) mountings_.push_back(w.mounting);
     }
 
-    /// @param folders  one for each wanted sensor, or one for all that are merged
-    void render(const Sweep& sweep, std::vector<ScanFolder>& folders) {
+    void render(const Sweep& sweep, Output& output) {
         std::vector<RenderedScan> scans;
         for (const Wanted& w : wanted_) {
             stop_if_interrupted();
@@ -306,7 +304,8 @@ public:
             count(scans.back());
         }
         if (options_.merge) scans = {merge_scans(scans, mountings_)};
-        for (std::size_t s = 0; s < scans.size(); ++s) folders[s].write(sweep.number, scans[s]);
+        for (std::size_t s = 0; s < scans.size(); ++s) output.folders[s].write(sweep.number, scans[s]);
+        if (output.recordings) output.recordings->write(scans);
     }
     bool drives() const { return !options_.trajectory.file.empty(); }
     /// What was rendered, in a line. @param n_sweeps  by this process @param n_all  by all
@@ -324,7 +323,7 @@ private:
     const Options& options_;
     const std::vector<Wanted>& wanted_;
     const Pose offset_;
-    const PoseTrack& track_;
+    const PoseTrack track_;
     std::vector<Pose> mountings_;
     double trace_ms_ = 0.0, n_rays_ = 0.0, n_returns_ = 0.0, n_unseen_ = 0.0;
     bool knows_seen_ = false;
@@ -359,22 +358,23 @@ void run_render(const Options& given) {
     Device device(device_options(options.device));
     ScanRenderer renderer(device, run);
     if (!options.only.empty()) renderer.show_only(shown);
-    std::vector<ScanFolder> folders = scan_folders(options, run, wanted, offset, ranks);
+    Output output = make_output(options, run, wanted, offset, ranks);
 
     if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() && !options.quiet)
         note(fmt::format("{} knows no range noise: sampled ranges are exact", run.folder.string()));
-    if (!options.quiet) note_unrefined(run, renderer, wanted);
+    for (const Wanted& w : wanted)
+        if (!options.quiet) note_unrefined(run, renderer, w.sensor);
     catch_interrupts();
     Progress progress(options.quiet);
-    SweepRenderer sweep_renderer(renderer, options, wanted, offset, track);
+    SweepRenderer sweep_renderer(renderer, options, wanted, offset, with_fine_turns(track));
     const Team::Share share = ranks.team().share(sweeps.size());
     for (std::size_t i = share.begin; i < share.end; ++i) {
-        sweep_renderer.render(sweeps[i], folders);
+        sweep_renderer.render(sweeps[i], output);
         progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", sweeps[i].number), i + 1 - share.begin,
                        share.end - share.begin);
     }
     end_progress_line();
-    finish(folders, ranks, options.quiet);
+    finish(output, ranks, options.quiet);
     if (!options.quiet) print(sweep_renderer.summary(share.end - share.begin, sweeps.size(), ranks.size()));
 }
 
@@ -401,7 +401,9 @@ void add_file_options(CLI::App& command, Options& options) {
                      "frame of reference of points: sensor, each point at its own firing time; or world, the dataset's (default: sensor)")
         ->type_name("WHAT");
     command.add_flag("--deskew", options.deskew,
-                      "bring all points of a scan to the sensor's frame at the scan's time, as a motion-compensated log has them");
+                      "bring all points of a scan to the sensor's frame at the scan's time, as a motion-compensated log has them; in mcap "
+                      "and rosbag to that at the stamp");
+    add_recording_options(command, options.names);
     command.add_flag("--merge", options.merge, "the scans of a rig's sensors as one, in the frame of the rig (default: a folder for each)");
     command.add_flag("--overwrite", options.overwrite, "replace the rendering in DIR");
 }
@@ -452,8 +454,8 @@ void add_render(CLI::App& app, Call& call) {
             "time: of the ray, seconds from time_s. VIEWPOINT of a pcd takes its points to the dataset's world.\n"
             "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; "
             "npz has instance_names.\n"
-            "mcap: DIR/scans.mcap, all scans in one file for Foxglove, with poses and the actors' boxes; rosbag: DIR/rosbag.mcap, a bag\n"
-            "of ROS 2 with sensor_msgs/PointCloud2, plain and with the point type of Autoware.\n"
+            "mcap: DIR/scans.mcap, all scans of all sensors in one file for Foxglove; rosbag: DIR/rosbag.mcap, a bag of ROS 2. Both have\n"
+            "transforms world, base_link (the log's vehicle), sensors, and actors' boxes; --deskew moves points to the first ray's time.\n"
             "--set render.normals=true: unit normals of surfaces, towards the sensor; --set render.spread=true: spread, |mean - median|\n"
             "of the range along a ray, metres, large where it passes an edge: in npz, exr, ply and pcd.\n"
             "--set render.seen=true: seen, share of a ray's way, up to what it meets, that rays of the log have looked along: what lies\n"

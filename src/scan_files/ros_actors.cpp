@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: Apache-2.0
+// Actors' boxes as vision_msgs/Detection3DArray and as Autoware's tracked objects.
+#include "ros_parts.hpp"
+
+#include <algorithm>
+#include <cctype>
+
+namespace relidar::scan_files {
+namespace {
+
+using Actors = std::vector<RecordedActor>;
+
+std::string detections(std::uint64_t stamp_ns, const Actors& actors) {
+    Cdr cdr;
+    add_header(cdr, stamp_ns, kWorldFrame);
+    cdr.add(std::uint32_t(actors.size()));
+    for (const RecordedActor& actor : actors) {
+        add_header(cdr, stamp_ns, kWorldFrame);
+        cdr.add(std::uint32_t(1)).add_text(actor.category).add(1.0);  // one hypothesis, certain
+        add_pose(cdr, actor.world_from_box), add_covariance(cdr);
+        add_pose(cdr, actor.world_from_box), add_vector(cdr, actor.size_m);
+        cdr.add_text(actor.name);
+    }
+    return cdr.take();
+}
+
+/// Numbers of autoware_perception_msgs/ObjectClassification by what names of categories have in them, those that others contain first.
+struct Label {
+    const char* word;
+    std::uint8_t number;
+};
+constexpr Label kLabels[] = {{"caravan", 4}, {"trailer", 4}, {"truck", 2}, {"large_vehicle", 2}, {"bus", 3},    {"motorcycl", 5},
+                             {"bicycl", 6},  {"cyclist", 6}, {"rider", 6}, {"pedestrian", 7},    {"person", 7}, {"people", 7},
+                             {"animal", 8},  {"dog", 8},     {"car", 1},   {"van", 1},           {"vehicle", 1}};
+constexpr std::uint8_t kUnknown = 0;
+
+std::uint8_t label_of(std::string category) {
+    std::ranges::transform(category, category.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+    const auto found = std::ranges::find_if(kLabels, [&](const Label& label) { return category.find(label.word) != std::string::npos; });
+    return found == std::end(kLabels) ? kUnknown : found->number;
+}
+
+/// 16 bytes that are the same for a name in every file: two FNV-1a hashes, marked as a UUID of one's own making (version 8).
+void add_uuid(Cdr& cdr, const std::string& name) {
+    constexpr int kVersionByte = 6, kVariantByte = 8;
+    std::string bytes;
+    for (std::uint64_t hash : {0xcbf29ce484222325u, 0x84222325cbf29ce4u}) {
+        for (const char c : name) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3u;
+        append(bytes, hash);
+    }
+    for (int i = 0; i < 16; ++i) {
+        auto byte = static_cast<std::uint8_t>(bytes[std::size_t(i)]);
+        if (i == kVersionByte) byte = 0x80 | (byte & 0x0f);
+        if (i == kVariantByte) byte = 0x80 | (byte & 0x3f);
+        cdr.add(byte);
+    }
+}
+
+std::string tracked_objects(std::uint64_t stamp_ns, const Actors& actors) {
+    constexpr std::uint8_t kOrientationAvailable = 2, kBoundingBox = 0;
+    Cdr cdr;
+    add_header(cdr, stamp_ns, kWorldFrame);
+    cdr.add(std::uint32_t(actors.size()));
+    for (const RecordedActor& actor : actors) {
+        add_uuid(cdr, actor.name);
+        cdr.add(1.0f).add(std::uint32_t(1)).add(label_of(actor.category)).add(1.0f);  // it exists, and is that
+        add_pose(cdr, actor.world_from_box), add_covariance(cdr);
+        add_velocity(cdr, actor.velocity);
+        add_velocity(cdr, {});  // its acceleration, which is not known
+        cdr.add(kOrientationAvailable).add(std::uint8_t(actor.is_parked));
+        cdr.add(kBoundingBox).add(std::uint32_t(0));  // no footprint of its own
+        add_vector(cdr, actor.size_m);
+    }
+    return cdr.take();
+}
+
+}  // namespace
+
+std::vector<RecordedTopic> ros_actor_topics() {
+    const auto topic = [](const char* name, const char* type, std::string (*message)(std::uint64_t, const Actors&)) {
+        return ros_topic(name, type, [message](const RecordedMoment& moment) {
+            std::vector<RecordedMessage> messages;
+            for (const auto& [stamp_ns, actors] : moment.actors) messages.push_back({moment.last_ns, message(stamp_ns, actors)});
+            return messages;
+        });
+    };
+    return {topic("/actors", "vision_msgs/msg/Detection3DArray", detections),
+            topic("/actors_autoware", "autoware_perception_msgs/msg/TrackedObjects", tracked_objects)};
+}
+
+}  // namespace relidar::scan_files

@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: Apache-2.0
+// Clouds as sensor_msgs/PointCloud2.
+#include "ros_parts.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <span>
+
+namespace relidar::scan_files {
+namespace {
+
+struct PointField {
+    const char* name;
+    std::uint32_t offset;
+    std::uint8_t type;  ///< a constant of sensor_msgs/PointField
+};
+constexpr std::uint8_t kUint8 = 2, kUint16 = 4, kUint32 = 6, kFloat32 = 7;
+/// By the names of Velodyne's drivers.
+constexpr PointField kPlain[] = {{"x", 0, kFloat32},          {"y", 4, kFloat32},     {"z", 8, kFloat32},
+                                 {"intensity", 12, kFloat32}, {"time", 16, kFloat32}, {"ring", 20, kUint16}};
+/// PointXYZIRCAEDT of Autoware and Nebula.
+constexpr PointField kAutoware[] = {{"x", 0, kFloat32},         {"y", 4, kFloat32},          {"z", 8, kFloat32},
+                                    {"intensity", 12, kUint8},  {"return_type", 13, kUint8}, {"channel", 14, kUint16},
+                                    {"azimuth", 16, kFloat32},  {"elevation", 20, kFloat32}, {"distance", 24, kFloat32},
+                                    {"time_stamp", 28, kUint32}};
+
+/// Nebula's numbers of returns.
+enum ReturnType : std::uint8_t { kLast = 1, kStrongest = 3, kSecondStrongest = 8 };
+
+/// A second return lies behind its first: it is the last; or before it: then the first was the last, and this the next strongest.
+ReturnType return_type(const PointCloud& cloud, std::size_t point) {
+    const bool second = cloud.return_number && (*cloud.return_number)[point] == 2;
+    if (!second || point == 0) return kStrongest;
+    return glm::length(cloud.position_m[point]) > glm::length(cloud.position_m[point - 1]) ? kLast : kSecondStrongest;
+}
+
+/// Angles are those of x y z: azimuth from x to the left, elevation up, radians.
+std::string autoware_points(const PointCloud& cloud) {
+    std::string bytes;
+    for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
+        const glm::vec3& p = cloud.position_m[i];
+        append(bytes, p);
+        append(bytes, std::uint8_t(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
+        append(bytes, std::uint8_t(return_type(cloud, i)));
+        append(bytes, (*cloud.ring)[i]);
+        append(bytes, std::atan2(p.y, p.x)), append(bytes, std::atan2(p.z, std::hypot(p.x, p.y))), append(bytes, glm::length(p));
+        append(bytes, std::uint32_t(std::llround(1e9 * std::max(0.0, double((*cloud.time)[i])))));
+    }
+    return bytes;
+}
+
+std::string plain_points(const PointCloud& cloud) {
+    std::string bytes;
+    for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
+        append(bytes, cloud.position_m[i]), append(bytes, cloud.intensity[i]);
+        append(bytes, (*cloud.time)[i]), append(bytes, (*cloud.ring)[i]);
+        append(bytes, std::uint16_t(0));  // to the step
+    }
+    return bytes;
+}
+
+/// What points of a cloud look like.
+struct PointType {
+    std::span<const PointField> fields;
+    std::uint32_t step;
+    std::string (*points)(const PointCloud&);
+};
+constexpr PointType kPlainType{kPlain, 24, plain_points}, kAutowareType{kAutoware, 32, autoware_points};
+
+std::string cloud_message(const RecordedCloud& cloud, const std::string& frame, const PointType& type) {
+    const std::string points = type.points(cloud.cloud);
+    Cdr cdr;
+    add_header(cdr, cloud.stamp_ns, frame);
+    cdr.add(std::uint32_t(1)).add(std::uint32_t(cloud.cloud.position_m.size())).add(std::uint32_t(type.fields.size()));
+    for (const PointField& field : type.fields) cdr.add_text(field.name).add(field.offset).add(field.type).add(std::uint32_t(1));
+    cdr.add(std::uint8_t(0)).add(type.step).add(std::uint32_t(points.size())).add_bytes(points).add(std::uint8_t(1));
+    return cdr.take();
+}
+
+}  // namespace
+
+std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor) {
+    const std::string& topic = rig.sensors[sensor].topic;
+    const std::string frame = rig.world ? kWorldFrame : rig.sensors[sensor].frame_id;
+    const auto of_type = [&](const std::string& name, const PointType& type) {
+        return ros_topic(name, "sensor_msgs/msg/PointCloud2", [=, &type](const RecordedMoment& moment) {
+            return std::vector<RecordedMessage>{{moment.last_ns, cloud_message(moment.clouds[sensor], frame, type)}};
+        });
+    };
+    std::vector<RecordedTopic> topics{of_type(topic, kPlainType)};
+    if (!rig.world) topics.push_back(of_type(topic + "_xyzircaedt", kAutowareType));  // its angles are the sensor's
+    return topics;
+}
+
+}  // namespace relidar::scan_files

@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+// A bag of ROS 2: the tree of frames, the vehicle's motion, the clock, and the topics of sensors and actors.
+#include "ros_parts.hpp"
+
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "ros_definitions.hpp"
+
+namespace relidar::scan_files {
+namespace {
+
+/// Quality of service as rosbag2 writes it: policies by their numbers in rmw, times without an end.
+std::string service_quality(bool is_latched) {
+    constexpr int kKeepLast = 1, kReliable = 1, kTransientLocal = 1, kVolatile = 2, kAutomatic = 1;
+    constexpr const char* kEndless = "\n    sec: 9223372036\n    nsec: 854775807\n";
+    return fmt::format(
+        "- history: {}\n  depth: {}\n  reliability: {}\n  durability: {}\n  deadline:{}  lifespan:{}  liveliness: {}\n"
+        "  liveliness_lease_duration:{}  avoid_ros_namespace_conventions: false",
+        kKeepLast, is_latched ? 1 : 10, kReliable, is_latched ? kTransientLocal : kVolatile, kEndless, kEndless, kAutomatic, kEndless);
+}
+
+void add_transform(Cdr& cdr, std::uint64_t stamp_ns, const std::string& parent, const std::string& child, const Pose& pose) {
+    add_header(cdr, stamp_ns, parent);
+    cdr.add_text(child);
+    add_pose(cdr, pose);
+}
+
+std::string transform(const RecordedPose& pose) {
+    Cdr cdr;
+    cdr.add(std::uint32_t(1));
+    add_transform(cdr, pose.time_ns, kWorldFrame, kVehicleFrame, pose.world_from_vehicle);
+    return cdr.take();
+}
+
+std::string odometry(const RecordedPose& pose) {
+    Cdr cdr;
+    add_header(cdr, pose.time_ns, kWorldFrame);
+    cdr.add_text(kVehicleFrame);
+    add_pose(cdr, pose.world_from_vehicle), add_covariance(cdr);
+    add_velocity(cdr, pose.velocity);
+    return cdr.take();
+}
+
+std::string clock(const RecordedPose& pose) {
+    Cdr cdr;
+    add_time(cdr, pose.time_ns);
+    return cdr.take();
+}
+
+RecordedTopic pose_topic(const char* name, const char* type, std::string (*message)(const RecordedPose&)) {
+    return ros_topic(name, type, [message](const RecordedMoment& moment) {
+        std::vector<RecordedMessage> messages;
+        for (const RecordedPose& pose : moment.poses) messages.push_back({pose.time_ns, message(pose)});
+        return messages;
+    });
+}
+
+/// Once a moment, so that who begins in the middle has them.
+RecordedTopic mounting_topic(const RecordedRig& rig) {
+    const auto message = [rig](const RecordedMoment& moment) {
+        Cdr cdr;
+        cdr.add(std::uint32_t(rig.sensors.size()));
+        for (const RecordedSensor& sensor : rig.sensors)
+            add_transform(cdr, moment.first_ns, kVehicleFrame, sensor.frame_id, sensor.vehicle_from_sensor);
+        return std::vector<RecordedMessage>{{moment.first_ns, cdr.take()}};
+    };
+    return ros_topic("/tf_static", "tf2_msgs/msg/TFMessage", message, true);
+}
+
+}  // namespace
+
+RecordedTopic ros_topic(const std::string& name, const std::string& type,
+                        std::function<std::vector<RecordedMessage>(const RecordedMoment&)> messages, bool is_latched) {
+    return {name, type, ros_definition(type), {{"offered_qos_profiles", service_quality(is_latched)}}, std::move(messages)};
+}
+
+std::vector<RecordedTopic> ros_topics(const RecordedRig& rig) {
+    std::vector<RecordedTopic> topics{pose_topic("/clock", "rosgraph_msgs/msg/Clock", clock), mounting_topic(rig),
+                                      pose_topic("/tf", "tf2_msgs/msg/TFMessage", transform),
+                                      pose_topic("/odom", "nav_msgs/msg/Odometry", odometry)};
+    for (RecordedTopic& topic : ros_actor_topics()) topics.push_back(std::move(topic));
+    for (std::size_t sensor = 0; sensor < rig.sensors.size(); ++sensor)
+        for (RecordedTopic& topic : ros_cloud_topics(rig, sensor)) topics.push_back(std::move(topic));
+    return topics;
+}
+
+}  // namespace relidar::scan_files

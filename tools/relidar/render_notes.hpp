@@ -1,0 +1,19 @@
+// SPDX-License-Identifier: Apache-2.0
+// What `relidar render` has to say of its scans beside the scans themselves.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include <relidar/render.hpp>
+#include <relidar/run.hpp>
+
+namespace relidar::cli {
+
+/// Says that the run's network does not fit the scans of a sensor, where it does not.
+void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor);
+
+/// Says which scans look where the log has not looked. @param entries  of scans.json
+void note_unseen(const std::vector<std::string>& entries, const std::string& folder);
+
+}  // namespace relidar::cli
