@@ -70,7 +70,7 @@ uint take_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedH
     return recorded ? kNoRow : row;
 }
 
-/// Fills the hit buffer from what the forward pass kept, where that was all of the ray.
+/// Fills the hit buffer from what the forward pass kept.
 void load_kept_hits(TraceScene scene, Ray ray, uint first, uint n) {
     reset_hits(0.0);
     hits_closed = true;
@@ -140,7 +140,9 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
         uint n = 0u, slot = start + blended;
         float behind = 0.0;
         if (going) {
-            if (final.n_hits <= params.n_kept) load_kept_hits(scene, ray, ray_index * params.n_kept + blended, final.n_hits - blended);
+            // whole chunks alone, so that sums are the same however many hits are kept
+            bool kept = min(blended + CHUNK, final.n_hits) <= params.n_kept;
+            if (kept) load_kept_hits(scene, ray, ray_index * params.n_kept + blended, final.n_hits - blended);
             else next_hits(scene, ray, after, remaining_budget(scene, state.transmittance));
             n = min(n_hits, final.n_hits - blended);
             if (pass == 0u) start_shift(scene, ray, final, g, state);
