@@ -8,53 +8,34 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
+#extension GL_KHR_shader_subgroup_vote : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
-#extension GL_KHR_shader_subgroup_ballot : require
 #include "../traversal/includes.glsl"
 #include "../common/atomic_add.glsl"
 #include "../common/compensated.glsl"
 #include "../shared/backward.h"
 #include "hit_gradient.glsl"
 #include "blend.glsl"
+#include "add_row.glsl"
 RELIDAR_PARAMS(BackwardParams);
 
 RELIDAR_CONSTANT(uint, GATHER, 0u);
 
-RELIDAR_CONSTANT(uint, SUBGROUP_SUMS, 0u);
-
 vec3 d_ray_origin;      // world
 vec3 d_ray_direction;
 
-/// Adds `amount` of every lane that is here to one place of an array.
-void add(Floats array, uint index, float amount) {
-    if (SUBGROUP_SUMS == 0u) {
-        atomic_add(array, index, amount);
-        return;
-    }
-    float sum = subgroupAdd(amount);
-    if (subgroupElect()) atomic_add(array, index, sum);
-}
-
-void add_to_surfel(TraceScene scene, uint row, uint surfel, HitGradient d) {
+/// Adds the gradient of a hit to that of its surfel. @param row  kNoRow, where rows are exchanged: of no surfel
+void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient d) {
     bool others = SH_PER_SURFEL != 0u || params.with_turn != 0u;   // lanes 7, 11, 15
     for (uint k = 0u; k < 16u; ++k)
-        if (others || k % 4u != 3u || k == 3u) add(params.d_records, 16u * row + k, d.lanes[k]);
+        if (others || k % 4u != 3u || k == 3u) add_float(params.d_records, row, k, d.lanes[k]);
+    add_row(params.d_records, row, others ? 0xffffu : 0x777fu);
     if (SH_PER_SURFEL != 0u) return;
-    for (uint c = 0u; c < 3u; ++c)
-        for (uint k = 0u; k < sh_count(scene.sh_degree); ++k)
-            add(params.d_sh, surfel * RELIDAR_SH_FLOATS + c * RELIDAR_SH_COEFFICIENTS + k, d.d_channel[c] * ray_basis[k]);
-}
-
-/// The same, one surfel after the other where lanes of the subgroup hit several.
-void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient d) {
-    if (SUBGROUP_SUMS == 0u) {
-        add_to_surfel(scene, row, surfel, d);
-        return;
-    }
-    for (bool pending = true; pending;) {
-        if (subgroupBroadcastFirst(row) != row) continue;
-        add_to_surfel(scene, row, surfel, d);
-        pending = false;
+    uint n = sh_count(scene.sh_degree);
+    for (uint c = 0u; c < 3u; ++c) {
+        uint sh_row = row == kNoRow ? kNoRow : 3u * surfel + c;
+        for (uint k = 0u; k < n; ++k) add_float(params.d_sh, sh_row, k, d.d_channel[c] * ray_basis[k]);
+        add_row(params.d_sh, sh_row, (1u << n) - 1u);
     }
 }
 
@@ -70,8 +51,9 @@ struct BlendedHit {
     float behind;          // sum of w shade over the hits behind it, background included
 };
 
-/// Gradient of one hit: a record of it, or atomics; and the ray's own.
-void add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b) {
+/// Gradient of one hit: a record of it, or atomics, which wait for add_gradient() where rows are exchanged; and the ray's own.
+/// @param d  output, for add_gradient() @return its row, kNoRow for none
+uint take_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b, out HitGradient d) {
     InstanceEntry m = scene.instances.at[b.instance];
     uint row = b.surfel - m.first_surfel + m.first_row;
     float d_alpha = b.alpha > scene.alpha_max ? 0.0 : b.transmittance * b.shade - b.behind / (1.0 - b.alpha);   // Eq. 9
@@ -79,15 +61,16 @@ void add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHi
     if (recorded) {
         params.hits.at[b.slot] = HitRecord(ray_index, b.instance, b.w, d_alpha);
         params.rows.at[b.slot] = row;
-        if (is_null(params.d_rays)) return;
+        if (is_null(params.d_rays)) return kNoRow;
     }
-    HitGradient d = hit_gradient(scene, ray, g, b.instance, b.surfel, b.w, d_alpha);
-    if (!recorded) add_gradient(scene, row, b.surfel, d);
+    d = hit_gradient(scene, ray, g, b.instance, b.surfel, b.w, d_alpha);
+    if (!recorded && !rows_are_exchanged()) add_gradient(scene, row, b.surfel, d);
     d_ray_origin += world_vector(m, d.d_origin);
     d_ray_direction += world_vector(m, d.d_direction);
+    return recorded ? kNoRow : row;
 }
 
-/// Fills the hit buffer from what the forward pass kept, where that was all of the ray.
+/// Fills the hit buffer from what the forward pass kept.
 void load_kept_hits(TraceScene scene, Ray ray, uint first, uint n) {
     reset_hits(0.0);
     hits_closed = true;
@@ -109,40 +92,67 @@ void start_geometry(uint ray_index, inout BlendState state) {
     state.remaining += 2.0 * ray_geometry.distortion * q.distortion + dot(ray_geometry.normal, q.normal);
 }
 
-/// @return hits blended: final.n_hits, or fewer where the search does not find them again
-uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient g) {
-    precise float remaining = g.depth * final.depth;
-    remaining += g.weight * final.weight + g.intensity * final.intensity + g.hit_logit * final.hit_logit + g.drop_logit * final.drop_logit;
-    // Eq. 9 does not change when the same number is taken from every value and from the background's, for all weights sum to 1.
-    // With the nearest surface's worth as that number, small differences are no longer differences of large numbers.
-    BlendState state = BlendState(0.0, 1.0, remaining, 0.0, 0.0, 0.0, 0.0);
-    if (WITH_GEOMETRY) start_geometry(ray_index, state);
-    uint blended = 0u;
-    Key after = first_key(scene);
-    for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && blended < final.n_hits; ++pass) {
-        if (final.n_hits <= params.n_kept) load_kept_hits(scene, ray, ray_index * params.n_kept + blended, final.n_hits - blended);
-        else next_hits(scene, ray, after, remaining_budget(scene, state.transmittance));
-        uint n = min(n_hits, final.n_hits - blended);
-        if (pass == 0u) {
-            state.first_t = hit_t[0];
-            state.shift = shade_of(scene, ray, g, hit_at(0u), state);
-            add_compensated(state.remaining, state.lost, -state.shift * final.weight);
-            add_compensated(state.remaining, state.lost, -state.shift * final.transmittance);
-        }
-        uint slot = GATHER != 0u ? params.first_hit.at[ray_index] + blended : 0u;
-        blended += n;
-        blend_chunk(scene, ray, g, n, state);
-        bool ends = blended == final.n_hits || !hits_closed;
-        float behind = ends ? state.transmittance * (g.drop_logit - state.shift) : state.remaining;   // background: drop logit 1
-        for (uint k = n; k > 0u; --k) {
-            uint i = k - 1u;
+/// Adds the gradients of the first n hits of the buffer, last first. Where rows are exchanged all lanes of a subgroup come here.
+/// @param slot    of the first one's record
+/// @param behind  sum of w shade over the hits behind them, background included
+void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint slot, uint n, float behind) {
+    for (uint k = rows_are_exchanged() ? subgroupMax(n) : n; k > 0u; --k) {
+        uint i = k - 1u, row = kNoRow, surfel = 0u;
+        HitGradient d;
+        if (k <= n) {
             Hit hit = hit_at(i);
-            add_hit(scene, ray, ray_index, g,
-                    BlendedHit(slot + i, hit.instance, hit.surfel, hit.alpha, chunk_transmittance[i], chunk_w[i], chunk_shade[i], behind));
+            surfel = hit.surfel;
+            row = take_hit(scene, ray, ray_index, g,
+                           BlendedHit(slot + i, hit.instance, hit.surfel, hit.alpha, chunk_transmittance[i], chunk_w[i], chunk_shade[i],
+                                      behind), d);
             behind += chunk_w[i] * chunk_shade[i];
         }
-        if (ends) break;
-        after = hit_key(n_hits - 1u);
+        if (rows_are_exchanged()) add_gradient(scene, row, surfel, d);
+    }
+}
+
+/// What a ray starts with.
+BlendState start_blending(uint ray_index, RenderedRay final, RayGradient g) {
+    precise float remaining = g.depth * final.depth;
+    remaining += g.weight * final.weight + g.intensity * final.intensity + g.hit_logit * final.hit_logit + g.drop_logit * final.drop_logit;
+    BlendState state = BlendState(0.0, 1.0, remaining, 0.0, 0.0, 0.0, 0.0);
+    if (WITH_GEOMETRY) start_geometry(ray_index, state);
+    return state;
+}
+
+/// Eq. 9 does not change when the same number is taken from every value and from the background's, for all weights sum to 1. With the
+/// worth of the nearest surface, the first hit in the buffer, as that number, small differences are no longer differences of large numbers.
+void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, inout BlendState state) {
+    state.first_t = hit_t[0];
+    state.shift = shade_of(scene, ray, g, hit_at(0u), state);
+    add_compensated(state.remaining, state.lost, -state.shift * final.weight);
+    add_compensated(state.remaining, state.lost, -state.shift * final.transmittance);
+}
+
+/// @param going  whether this lane has a ray with a gradient; where rows are exchanged the others of its subgroup come along
+/// @return hits blended: final.n_hits, or fewer where the search does not find them again
+uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient g, bool going) {
+    BlendState state = start_blending(ray_index, final, g);
+    uint blended = 0u, start = GATHER != 0u ? params.first_hit.at[ray_index] : 0u;
+    Key after = first_key(scene);
+    going = going && final.n_hits > 0u;
+    for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && (rows_are_exchanged() ? subgroupAny(going) : going); ++pass) {
+        uint n = 0u, slot = start + blended;
+        float behind = 0.0;
+        if (going) {
+            // whole chunks alone, so that sums are the same however many hits are kept
+            bool kept = min(blended + CHUNK, final.n_hits) <= params.n_kept;
+            if (kept) load_kept_hits(scene, ray, ray_index * params.n_kept + blended, final.n_hits - blended);
+            else next_hits(scene, ray, after, remaining_budget(scene, state.transmittance));
+            n = min(n_hits, final.n_hits - blended);
+            if (pass == 0u) start_shift(scene, ray, final, g, state);
+            blended += n;
+            blend_chunk(scene, ray, g, n, state);
+            going = blended < final.n_hits && hits_closed;
+            behind = going ? state.remaining : state.transmittance * (g.drop_logit - state.shift);   // background: drop logit 1
+            if (going) after = hit_key(n_hits - 1u);
+        }
+        add_chunk(scene, ray, ray_index, g, slot, n, behind);
     }
     return blended;
 }
@@ -165,7 +175,11 @@ bool take_geometry(uint ray_index, RenderedRay final) {
 
 void main() {
     uint i = traced_ray(params.scene);
-    if (i >= params.scene.n_rays) return;
+    bool inside = i < params.scene.n_rays;
+    if (!inside) {
+        if (!rows_are_exchanged()) return;
+        i = 0u;   // some ray: this lane has none, and stays for the rows of others
+    }
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
     d_ray_origin = vec3(0.0);
     d_ray_direction = vec3(0.0);
@@ -174,7 +188,8 @@ void main() {
     bool any_gradient = g.depth != 0.0 || g.weight != 0.0 || g.intensity != 0.0 || g.hit_logit != 0.0 || g.drop_logit != 0.0;
     RenderedRay final = params.rendered.at[i];
     if (WITH_GEOMETRY) any_gradient = take_geometry(i, final) || any_gradient;
-    uint blended = any_gradient ? backward(params.scene, Ray(entry.origin, entry.direction), i, final, g) : 0u;
+    uint blended = backward(params.scene, Ray(entry.origin, entry.direction), i, final, g, inside && any_gradient);
+    if (!inside) return;
     if (GATHER != 0u) empty_slots(i, blended, final.n_hits);
     if (is_null(params.d_rays)) return;
     for (uint c = 0u; c < 3u; ++c) {

@@ -3,7 +3,7 @@
 // Where the geometric losses want them, also the blended normal and the distortion (M10, M11), and the likelihood (M12); where a
 // range image wants it the heaviest surface (M13).
 // Input: scene (rays, records, instances, sh, acceleration structure, targets). Output: rendered, kept, geometry. Accumulated:
-// scene.pass_cap_count.
+// scene.pass_cap_count, n_overfull.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../traversal/includes.glsl"
@@ -63,6 +63,7 @@ RenderedRay render(TraceScene scene, Ray ray, uint ray_index) {
         else after = hit_key(n_hits - 1u);
     }
     if (!ended) atomicAdd(scene.pass_cap_count.at[0], 1u);
+    if (params.n_kept > 0u && r.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
     add_compensated(r.drop_logit, lost[4], r.transmittance);   // background: intensity 0, hit 0, drop 1
     weigh_surface(surfaces);
     geometry.mode = surfaces.heaviest_t;

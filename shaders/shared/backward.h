@@ -31,7 +31,7 @@ struct BackwardParams {
     KeptHits kept;             // input [n_rays,n_kept] of the forward pass
     RenderedGeometries geometry;     // input [n_rays], where the kernel is built for it
     GeometryGradients d_geometry;    // input [n_rays], likewise
-    uint n_kept;               // rays with more hits are cast again
+    uint n_kept;               // what a ray has behind them is searched again
     uint capacity;             // hits in slots beyond it are added with atomics
     uint n_rows;
     uint with_turn;            // 1: d_records gets the turn of SH directions too, where SH are evaluated a hit

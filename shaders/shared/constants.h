@@ -12,7 +12,7 @@
     X(TOGETHER, 4u)            /* 1: rays of a subgroup walk the tree together */                                            \
     X(COUNT_VISITS, 5u)        /* 1: nodes opened and surfels tested are counted */                                          \
     X(GATHER, 6u)              /* 1: write a record of each hit, for backward/gather; 0: add its gradient with atomics */    \
-    X(SUBGROUP_SUMS, 7u)       /* 1: lanes that hit the same surfel are summed before the atomics */                         \
+    X(COALESCED_ATOMICS, 7u)   /* 1: neighbouring lanes add the floats of one hit; 0: each lane those of its own */          \
     X(SINGLE_DROP_LOGIT, 8u)   /* 1: hit logits are 0, whatever the scene holds */                                           \
     X(GAUSSIANS, 9u)           /* 0: surfels; 1: 3D Gaussians */                                                             \
     X(GEOMETRY, 10u)           /* 1: blended normal and distortion too */                                                    \

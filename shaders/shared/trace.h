@@ -40,6 +40,7 @@ struct ForwardParams {
     TraceScene scene;
     RenderedRays rendered;   // output [n_rays]
     KeptHits kept;           // output [n_rays,n_kept] the first hits of each ray
+    Uints n_overfull;        // accumulated [1] rays with more hits than are kept; not touched where n_kept is 0
     RenderedGeometries geometry;   // output [n_rays], where the kernel is built for it
     uint n_kept;
     float surface_gap_m;     // between the hits of two surfaces, where the kernel is built for modes

@@ -25,8 +25,11 @@ bool gathers(const Device& device, Reduction reduction, ShDirection direction) {
     return direction == ShDirection::ray || !device.info().float_atomics;
 }
 
-/// Pays where neighbouring rays fill a subgroup, not on the 8 lanes of a CPU: docs/platform.md.
-bool sums_in_subgroups(const Device& device) { return device.info().subgroup_size >= 16; }
+/// An atomic instruction of a GPU costs by the cache sectors it touches, one of a CPU by the lane: docs/performance.md. Lanes exchange
+/// their hits in loops that they leave at different times, which is right by the specification only where they are said to reconverge.
+bool exchanges_rows(const Device& device, const BackwardOptions& backward, bool gathered) {
+    return !gathered && backward.coalesced_atomics.value_or(coalesces(device) && reconverges(device));
+}
 
 }  // namespace
 
@@ -41,8 +44,12 @@ struct BackwardPass::Impl {
     static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options,
                                            const BackwardOptions& backward) {
         std::vector<Constant> all = trace_constants(device, proxy, options, m);
-        all.push_back({ConstantId::GATHER, gathers(device, backward.reduction, m.sh_direction) ? 1u : 0u});
-        all.push_back({ConstantId::SUBGROUP_SUMS, backward.subgroup_sums.value_or(sums_in_subgroups(device)) ? 1u : 0u});
+        const bool gathered = gathers(device, backward.reduction, m.sh_direction);
+        all.push_back({ConstantId::GATHER, gathered ? 1u : 0u});
+        const bool exchanged = exchanges_rows(device, backward, gathered);
+        all.push_back({ConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
+        // a subgroup each: lavapipe takes a barrier of a subgroup for one of the workgroup
+        if (exchanged) all.push_back({ConstantId::WORKGROUP_SIZE, static_cast<std::uint32_t>(device.info().subgroup_size)});
         return all;
     }
 

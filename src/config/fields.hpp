@@ -334,8 +334,8 @@ void visit(C& c, Visitor&& f) {
     f("trace.rebuild_growth", c.trace.rebuild_growth, between(1.0, 1000.0),
       "cost of the tree over its cost when built that has it built anew; looked at with each log line (software traversal)");
     f("trace.keep_hits", c.trace.keep_hits, between(0, 4096),
-      "training: hits kept a ray, 8 bytes each, so that rays with no more are not cast a second time; 0: cast all again, as the paper "
-      "does");
+      "training: hits kept a ray, 8 bytes each, which need no second search; doubled up to 256 while more than one ray in a hundred has "
+      "more; 0: cast all again, as the paper does");
 }
 
 }  // namespace relidar::config_detail

@@ -19,8 +19,8 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
     shared::TraceScene traced = trace_scene(scene, accel, batch, model, options, pass_cap.address());
     traced.visits = visits.address();
     Stream stream(device);
-    run(stream, trace, trace_threads(batch), {.scene = traced, .rendered = rendered.address(), .kept = {}, .geometry = {}, .n_kept = 0,
-         .surface_gap_m = options.mode_gap_m.value_or(0.0f)});
+    run(stream, trace, trace_threads(batch), {.scene = traced, .rendered = rendered.address(), .kept = {}, .n_overfull = {}, .geometry = {},
+         .n_kept = 0, .surface_gap_m = options.mode_gap_m.value_or(0.0f)});
     stream.finish();
     const std::vector<std::uint32_t> sums = visits.download();
     return VisitCounts{double(sums[0]) / batch.n_rays, double(sums[1]) / batch.n_rays};

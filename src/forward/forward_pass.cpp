@@ -16,13 +16,14 @@ struct ForwardPass::Impl {
     ImageModel model;
     TraceOptions options;
     Kernel<shared::ForwardParams> trace;
-    Array<std::uint32_t> pass_cap;
+    Array<std::uint32_t> pass_cap, n_overfull;
 
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o)
         : model(m),
           options(o),
           trace(device, "forward/trace" + traversal_variant(device, o), trace_constants(device, proxy, o, m)),
-          pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count") {}
+          pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"),
+          n_overfull(device, std::vector<std::uint32_t>{0u}, "rays with more hits than are kept") {}
 };
 
 ForwardPass::ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options) {
@@ -47,12 +48,14 @@ void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& acc
                  {.scene = trace_scene(scene, accel, batch, impl_->model, impl_->options, impl_->pass_cap.address()),
                   .rendered = rendered.address(),
                   .kept = address_of(kept ? &kept->hits : nullptr),
+                  .n_overfull = impl_->n_overfull.address(),
                   .geometry = address_of(geometry ? &geometry->rendered : nullptr),
                   .n_kept = kept ? kept->per_ray : 0,
                   .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)});
 }
 
 const Array<std::uint32_t>& ForwardPass::pass_cap_count() const { return impl_->pass_cap; }
+const Array<std::uint32_t>& ForwardPass::overfull_count() const { return impl_->n_overfull; }
 
 std::uint32_t ForwardPass::take_pass_cap_count() {
     const std::uint32_t count = impl_->pass_cap.download()[0];

@@ -3,6 +3,7 @@
 #include <relidar/stages/forward.hpp>
 
 #include <algorithm>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -37,11 +38,15 @@ struct Renderer::Impl {
 
     void make_room(std::size_t n_rays) {
         rendered = Array<shared::RenderedRay>(device, n_rays, "rendered rays");
-        if (options.keep_hits > 0) kept.emplace(device, n_rays, options.keep_hits);
+        make_kept_hits(n_rays);
         if (options.trace.wants_geometry()) geometry.emplace(device, n_rays);
         batch = {{}, &rendered, nullptr, kept ? &*kept : nullptr, geometry ? &*geometry : nullptr};
     }
 
+    void make_kept_hits(std::size_t n_rays) {
+        kept.reset();   // before others are there: nobody reads them any more
+        if (options.keep_hits > 0) kept.emplace(device, n_rays, options.keep_hits);
+    }
 };
 
 Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& options)
@@ -93,6 +98,26 @@ Rendering Renderer::forward(const WorldRays& rays) {
     if (!r.options.trace.geometry) rendering.normal.clear();
     if (!r.options.trace.mode_gap_m) rendering.mode_depth.clear();
     return rendering;
+}
+
+std::uint32_t Renderer::kept_hits() const { return impl_->options.keep_hits; }
+
+bool Renderer::keep_hits(std::uint32_t per_ray) {
+    Impl& r = *impl_;
+    r.stream.finish();
+    const std::uint32_t before = std::exchange(r.options.keep_hits, per_ray);
+    const auto make = [&] {
+        r.make_kept_hits(r.rendered.size());
+        r.batch.kept = r.kept ? &*r.kept : nullptr;
+    };
+    try {
+        make();
+        return true;
+    } catch (const DeviceError&) {
+        r.options.keep_hits = before;
+        make();
+        return false;
+    }
 }
 
 void Renderer::set_sh_degree(int degree) {

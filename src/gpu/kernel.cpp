@@ -138,6 +138,11 @@ KernelBase::~KernelBase() = default;
 
 bool coalesces(const Device& device) { return device.info().type != "CPU"; }
 
+bool reconverges(const Device& device) {
+    const gpu::OptionalFeatures& optional = impl_of(device).optional;
+    return optional.maximal_reconvergence || optional.subgroup_uniform_control_flow;
+}
+
 std::string missing_for_networks(const Device& device) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &sizes};

@@ -69,6 +69,9 @@ public:
 /// lines for a subgroup, a CPU for each core, where one thread a row is 1.7 times as fast for Adam.
 bool coalesces(const Device& device);
 
+/// Whether lanes of a subgroup that have parted are together again where the branch or loop ends, by an extension that promises it.
+bool reconverges(const Device& device);
+
 /// What layers of networks need and the device lacks, in words; empty where nothing.
 std::string missing_for_networks(const Device& device);
 

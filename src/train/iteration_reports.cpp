@@ -15,7 +15,8 @@ namespace relidar {
 IterationReports::Slot::Slot(Device& device)
     : terms(device, kRows * kLossTerms * sizeof(float), "loss terms"),
       pass_cap(device, sizeof(std::uint32_t), "pass cap count"),
-      most_hits(device, sizeof(std::uint32_t), "most hits") {}
+      most_hits(device, sizeof(std::uint32_t), "most hits"),
+      overfull(device, sizeof(std::uint32_t), "rays with more hits than are kept") {}
 
 IterationReports::IterationReports(Device& device)
     : terms_(device, std::vector<float>(kRows * kLossTerms, 0.0f), "loss terms"), sums_(kLossTerms, 0.0) {
@@ -32,7 +33,8 @@ void IterationReports::close(Stream& stream, const DeviceCounts& counts, const s
     take(slot.terms, terms_.buffer(), iterations_.size() * kLossTerms * sizeof(float));
     take(slot.pass_cap, counts.pass_cap->buffer(), sizeof(std::uint32_t));
     if (counts.most_hits) take(slot.most_hits, counts.most_hits->buffer(), sizeof(std::uint32_t));
-    closed_.push_back({std::exchange(iterations_, {}), counts.most_hits != nullptr, counts.hit_capacity, line});
+    take(slot.overfull, counts.overfull->buffer(), sizeof(std::uint32_t));
+    closed_.push_back({std::exchange(iterations_, {}), counts.most_hits != nullptr, counts.hit_capacity, counts.kept_hits, line});
 }
 
 std::optional<IterationReports::Report> IterationReports::take(Stream& stream, int last) {
@@ -44,11 +46,20 @@ std::optional<IterationReports::Report> IterationReports::take(Stream& stream, i
     const auto count = [&](Readback& readback) { return *static_cast<const std::uint32_t*>(readback.wait(stream)); };
     add_up(report, static_cast<const float*>(slot.terms.wait(stream)));
     if (report.line) end_line(*report.line);
-    return Report{first_step, last_step, count(slot.pass_cap), report.counts_hits ? count(slot.most_hits) : 0u, report.hit_capacity};
+    std::uint64_t n_rays = 0;
+    for (const Iteration& iteration : report.iterations) n_rays += iteration.n_rays;
+    return Report{.first_step = first_step,
+                  .last_step = last_step,
+                  .pass_cap = count(slot.pass_cap),
+                  .most_hits = report.counts_hits ? count(slot.most_hits) : 0u,
+                  .overfull = count(slot.overfull),
+                  .n_rays = n_rays,
+                  .hit_capacity = report.hit_capacity,
+                  .kept_hits = report.kept_hits};
 }
 
 void IterationReports::add_up(const Closed& report, const float* terms) {
-    for (const auto& [step, frame] : report.iterations) {
+    for (const auto& [step, frame, n_rays] : report.iterations) {
         for (std::size_t k = 0; k < kLossTerms; ++k) {
             const float term = *terms++;
             if (!std::isfinite(term))

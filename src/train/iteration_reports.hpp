@@ -28,6 +28,8 @@ struct DeviceCounts {
     const Array<std::uint32_t>* pass_cap = nullptr;    ///< [1] ForwardPass::pass_cap_count
     const Array<std::uint32_t>* most_hits = nullptr;   ///< [1] BackwardPass::most_hits; null where nobody asks
     std::uint64_t hit_capacity = 0;
+    const Array<std::uint32_t>* overfull = nullptr;    ///< [1] ForwardPass::overfull_count
+    std::uint32_t kept_hits = 0;                       ///< of a ray
 };
 
 class IterationReports {
@@ -36,8 +38,8 @@ public:
 
     /// Where the iteration being recorded adds its losses.
     TermRow row() const { return {terms_, static_cast<std::uint32_t>(iterations_.size())}; }
-    /// That iteration is recorded. @param frame  the dataset's own number
-    void add(int step, int frame) { iterations_.push_back({step, frame}); }
+    /// That iteration is recorded. @param frame  the dataset's own number @param n_rays  that were traced
+    void add(int step, int frame, std::uint32_t n_rays) { iterations_.push_back({step, frame, n_rays}); }
     bool is_full() const { return iterations_.size() == kRows; }
     /// Records a report of the iterations since the last one: at most one an iteration, after add(). @param line  that ends with them
     void close(Stream& stream, const DeviceCounts& counts, const std::optional<LogLine>& line);
@@ -45,8 +47,10 @@ public:
     /// A report as the device left it.
     struct Report {
         int first_step, last_step;
-        std::uint32_t pass_cap, most_hits;
-        std::uint64_t hit_capacity;   ///< when it was recorded
+        std::uint32_t pass_cap, most_hits, overfull;
+        std::uint64_t n_rays;         ///< traced
+        std::uint64_t hit_capacity;   ///< when it was recorded, as the next
+        std::uint32_t kept_hits;
     };
     /// The oldest report not looked at, where it ends at iteration `last` or before. Waits where it is not done.
     /// @throws DataError naming iteration, frame and term where a loss is not finite
@@ -68,15 +72,17 @@ private:
     struct Iteration {
         int step;
         int frame;
+        std::uint32_t n_rays;
     };
     struct Closed {
         std::vector<Iteration> iterations;
         bool counts_hits;
         std::uint64_t hit_capacity;
+        std::uint32_t kept_hits;
         std::optional<LogLine> line;
     };
     struct Slot {
-        Readback terms, pass_cap, most_hits;
+        Readback terms, pass_cap, most_hits, overfull;
         explicit Slot(Device& device);
     };
 

@@ -220,7 +220,7 @@ void TrainLoop::iterate(int step, bool ends_line) {
     const Array<std::uint32_t>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
     adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree,
                {&scene.models(), mean_factors(scene.layout(), extent_m_)});
-    reports_.add(step, frame.index);
+    reports_.add(step, frame.index, renderer_.rendered().rays.n_rays);
     if (densifier_ && densifier_->due(step))
         change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene, adam_, step, others_bytes); });
     if (densifier_) densifier_->after_step(stream_, scene, adam_, step, rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
@@ -250,7 +250,7 @@ void TrainLoop::prune_unseen() {
 void TrainLoop::close_report(int step, bool ends_line) {
     const BackwardPass& backward = renderer_.backward_pass();
     const DeviceCounts counts{&renderer_.forward_pass().pass_cap_count(), config_.train.deterministic ? backward.most_hits() : nullptr,
-                              backward.hit_capacity()};
+                              backward.hit_capacity(), &renderer_.forward_pass().overfull_count(), renderer_.kept_hits()};
     reports_.close(stream_, counts,
                    ends_line ? std::optional(LogLine{step, {}, n_surfels(), std::exchange(densified_, {})}) : std::nullopt);
 }
@@ -262,6 +262,7 @@ void TrainLoop::look_at_reports(int last) {
                 "training, iterations {} to {}: {} rays reached the cap of passes or filled the traversal stack, expected every ray to end",
                 report->first_step, report->last_step, report->pass_cap));
         check_room(*report);
+        keep_more_hits(*report);
     }
 }
 
@@ -278,6 +279,14 @@ void TrainLoop::check_room(const IterationReports::Report& report) {
     if (report.most_hits <= renderer_.backward_pass().hit_capacity() / 2) return;
     close_report(last_step_, false);   // of iterations that had the room there is now
     renderer_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));   // before it is needed
+}
+
+void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
+    if (report.kept_hits != renderer_.kept_hits() || no_room_to_keep_more_) return;   // a report of before there were more
+    const std::uint32_t wanted = kept_hits_wanted(report.kept_hits, report.overfull, report.n_rays);
+    if (wanted == report.kept_hits) return;
+    close_report(last_step_, false);   // of iterations that kept as many as now
+    no_room_to_keep_more_ = !renderer_.keep_hits(wanted);
 }
 
 void TrainLoop::settle() {

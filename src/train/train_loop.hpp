@@ -58,7 +58,7 @@ public:
     TrainLoop& operator=(const TrainLoop&) = delete;
 
     /// Records and submits one iteration. Waits for room in the stream alone, except where densification is due or a
-    /// batch has more rays or hits than any before.
+    /// batch has more rays or hits than any before, or too many rays with more hits than are kept.
     /// @param step counts from 1 @param ends_line  a line of the log ends with it
     /// @throws DataError naming iteration, frame and term where a loss was not finite: at most 64 + kReadbackLag iterations ago
     void iterate(int step, bool ends_line = false);
@@ -82,6 +82,7 @@ public:
     Scene download() { return renderer_.download(); }
     const KernelTimes& times() { return renderer_.stream().times(); }
     std::uint32_t n_surfels() const { return renderer_.scene().size(); }
+    std::uint32_t kept_hits() const { return renderer_.kept_hits(); }   ///< of a ray, now
     const TrainingFrames& frames() const { return frames_; }
 
 private:
@@ -102,6 +103,7 @@ private:
     FrameSampler sampler_;
     std::uint64_t submitted_ = 0;     ///< ticket of the last iteration
     int last_step_ = 0;
+    bool no_room_to_keep_more_ = false;   ///< the device had no memory for more kept hits
 
     /// All state of the loop: what is not listed here is lost where training stops. A new kind of state is a line.
     template <class Visitor>
@@ -135,6 +137,8 @@ private:
     /// Hits of a report's iterations against the room for their records; makes more. @throws DeviceError where a deterministic step did not
     /// fit
     void check_room(const IterationReports::Report& report);
+    /// Has the forward pass keep more hits of a ray where too many rays of a report had more, so that almost none is searched twice.
+    void keep_more_hits(const IterationReports::Report& report);
     /// Counts every `stride`-th ray of a frame, from `first` on, for which the scene expects a return.
     void count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame, std::uint32_t first, std::uint32_t stride);
     void change_surfels(const std::function<DensifyReport(double others_bytes)>& change);

@@ -2,6 +2,8 @@
 // Binding of traversal/collect_hits: all hits of each ray in order.
 #include <relidar/measure/traversal.hpp>
 
+#include <algorithm>
+
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
@@ -15,6 +17,11 @@ std::vector<DeviceRay> to_device_rays(const WorldRays& rays) {
     std::vector<DeviceRay> result;
     for (std::size_t i = 0; i < rays.size(); ++i) result.push_back({rays.origin[i], rays.direction[i]});
     return result;
+}
+
+std::uint32_t kept_hits_wanted(std::uint32_t per_ray, std::uint64_t n_overfull, std::uint64_t n_rays) {
+    constexpr std::uint32_t kMost = 256;
+    return 100 * n_overfull > n_rays ? std::max(per_ray, std::min(2 * per_ray, kMost)) : per_ray;
 }
 
 CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays, std::uint32_t max_hits) {

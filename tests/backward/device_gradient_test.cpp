@@ -23,13 +23,14 @@ struct Way {
     BackwardOptions options;
     std::uint32_t kept = 0;   ///< hits a ray kept by the forward pass
 };
-constexpr Way kWays[] = {{"atomics", {.reduction = Reduction::atomics, .subgroup_sums = false}},
+constexpr Way kWays[] = {{"atomics", {.reduction = Reduction::atomics, .coalesced_atomics = false}},
                           {"gather", {.reduction = Reduction::gather}},
-                          {"atomics, subgroup sums", {.reduction = Reduction::atomics, .subgroup_sums = true}},
-                          {"atomics, kept hits", {.reduction = Reduction::atomics}, 64},
-                          {"atomics, some kept hits", {.reduction = Reduction::atomics}, 5},
+                          {"coalesced atomics", {.reduction = Reduction::atomics, .coalesced_atomics = true}},
+                          {"atomics, kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = false}, 64},
+                          {"atomics, some kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = false}, 5},
+                          {"coalesced atomics, some kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = true}, 5},
                           {"gather, some kept hits", {.reduction = Reduction::gather}, 5},
-                          {"gather without room for all", {.reduction = Reduction::gather, .subgroup_sums = true, .hits_per_ray = 2}}};
+                          {"gather without room for all", {.reduction = Reduction::gather, .coalesced_atomics = true, .hits_per_ray = 2}}};
 
 constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f, 0.02f};
 

@@ -87,7 +87,8 @@ void add_training_options(CLI::App& command, BenchChoice& choice) {
     command
         .add_option(
             "--keep-hits", choice.keep_hits,
-            "hits a ray that the backward pass need not search again; 0: it casts every ray again (default: 64, or as the run says)")
+            "hits a ray that the backward pass need not search again; 0: it casts every ray again (default: 64, or as the run says, and "
+            "more where training would keep more)")
         ->type_name("N");
     command.add_option("--distortion", choice.distortion, "weight of loss.distortion (default: 0, or as the run says)")
         ->type_name("WEIGHT");

@@ -112,6 +112,7 @@ void check(const BenchChoice& choice) {
 BenchCase make_case(const BenchChoice& choice) {
     BenchCase bench = choice.run.empty() ? street_case(choice) : run_case(choice);
     apply(choice, bench.config);
+    bench.keeps_more_hits = choice.keep_hits.empty();
     return bench;
 }
 

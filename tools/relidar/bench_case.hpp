@@ -25,6 +25,7 @@ struct BenchCase {
     std::string name;                 ///< "street A", or the folder of the run and the frame
     Scene scene;
     Config config;
+    bool keeps_more_hits = true;      ///< than config.trace.keep_hits, as a training comes to
     WorldRays rays;
     int rows = 0;
     int columns = 0;

@@ -23,7 +23,7 @@ struct FloorSizes {
     double n_rays = 0.0;
     double n_hits = 0.0;                ///< blended, of all rays
     double n_hits_written = 0.0;        ///< those that the forward pass keeps
-    double n_hits_kept = 0.0;           ///< those of rays of which all are kept: what the backward pass reads instead of a second cast
+    double n_hits_kept = 0.0;           ///< those that the backward pass reads instead of searching them again
     double n_sh = 16.0;                 ///< active harmonics a channel
     bool sh_per_surfel = true;
     bool training = true;

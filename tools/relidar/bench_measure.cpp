@@ -65,11 +65,23 @@ RendererOptions renderer_options(const BenchCase& bench) {
             .n_rays = static_cast<std::uint32_t>(bench.rays.size())};
 }
 
-RendererOptions training_options(const BenchCase& bench) {
+RendererOptions training_options(const BenchCase& bench, std::uint32_t keep_hits) {
     RendererOptions options = renderer_options(bench);
     options.trace = training_trace_options(bench.config);
-    options.keep_hits = static_cast<std::uint32_t>(bench.config.trace.keep_hits);
+    options.keep_hits = keep_hits;
     return options;
+}
+
+/// Hits of a ray that a training keeps in the end.
+std::uint32_t hits_to_keep(const BenchCase& bench, const std::vector<std::uint32_t>& hits) {
+    auto keep = static_cast<std::uint32_t>(bench.config.trace.keep_hits);
+    while (bench.keeps_more_hits) {
+        const auto n_overfull = std::count_if(hits.begin(), hits.end(), [&](std::uint32_t n) { return n > keep; });
+        const std::uint32_t more = kept_hits_wanted(keep, static_cast<std::uint64_t>(n_overfull), hits.size());
+        if (more == keep) break;
+        keep = more;
+    }
+    return keep;
 }
 
 /// What one step of training runs.
@@ -83,8 +95,8 @@ struct TrainingStep {
     double n_returned = 0.0;
     int step = 0;
 
-    TrainingStep(Device& device, const BenchCase& bench, const std::vector<DeviceTarget>& wanted)
-        : renderer(device, bench.scene, bench.config.image, training_options(bench),
+    TrainingStep(Device& device, const BenchCase& bench, std::uint32_t keep_hits, const std::vector<DeviceTarget>& wanted)
+        : renderer(device, bench.scene, bench.config.image, training_options(bench, keep_hits),
                    {.sums = backward_options(bench.config), .zero_untouched = false}),   // Adam takes the others for zero
           loss(device, bench.config.loss),
           adam(device, renderer.scene().size(), {.only_touched = bench.config.train.only_touched}, renderer.scene().primitive()),
@@ -142,15 +154,16 @@ public:
         image_->record_forward(batch());
         image_->stream().finish();
         const Rendering rendering = to_rendering(image_->rendered().rendered->download());
-        const double keep = training ? case_.config.trace.keep_hits : 0;
+        const std::uint32_t keep = training ? hits_to_keep(case_, rendering.hits) : 0,
+                            chunk = static_cast<std::uint32_t>(case_.config.trace.chunk);
         for (const std::uint32_t hits : rendering.hits) {
             sizes_.n_hits += hits;
-            sizes_.n_hits_written += std::min<double>(hits, keep);
-            sizes_.n_hits_kept += hits <= keep ? hits : 0.0;
+            sizes_.n_hits_written += std::min(hits, keep);
+            sizes_.n_hits_kept += hits <= keep ? hits : keep / chunk * chunk;
         }
         if (!training) return;
         image_.reset();
-        training_ = std::make_unique<TrainingStep>(device_, case_, noisy_targets(rendering, case_.config.loss.normalised_depth));
+        training_ = std::make_unique<TrainingStep>(device_, case_, keep, noisy_targets(rendering, case_.config.loss.normalised_depth));
     }
 
     /// One repetition: rebuild, a whole iteration, an instance moved and put back.
@@ -257,6 +270,7 @@ BenchResult Bench::result() {
         if (row.name == "backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
     }
     result.hits_per_ray = sizes_.n_hits / static_cast<double>(rays_.size());
+    result.kept_hits = r.kept_hits();
     if (const auto visits = count_visits(device_, r.scene(), r.accel(), batch(), case_.config.image, trace_options(case_.config)))
         result.visits = BenchVisits{visits->nodes, visits->surfels};
     result.memory = memory_;

@@ -55,6 +55,7 @@ struct BenchResult {
     double forward_mrays_per_s = 0.0;                ///< median of forward/trace
     std::optional<double> backward_mrays_per_s;      ///< median of backward/trace
     double hits_per_ray = 0.0;           ///< blended
+    std::uint32_t kept_hits = 0;         ///< of a ray, for the backward pass
     std::optional<BenchVisits> visits;   ///< software traversal alone
     BenchMemory memory;
     FloorSizes sizes;

@@ -114,7 +114,7 @@ std::string bench_text(const BenchCase& bench, const BenchResult& result, const 
     text += fmt::format("device    {}\nsettings  traversal {}, {}, chunk {}, harmonics along the {}", device.info().name,
                         traversal_of(device), search_of(device, bench, result), bench.config.trace.chunk, sh_of(bench));
     text += result.sizes.training
-                ? fmt::format(", {} hits kept a ray, gradients by {}\n", bench.config.trace.keep_hits, reduction_of(result))
+                ? fmt::format(", {} hits kept a ray, gradients by {}\n", result.kept_hits, reduction_of(result))
                 : "\n";
     if (!result.device_clock) text += "note      the device has no timestamps: wall time of the forward pass alone, waits included\n";
     std::vector<std::vector<std::string>> rows{{"kernel", "p10 ms", "median ms", "p90 ms", "floor ms", "median / floor"}};
@@ -160,7 +160,7 @@ std::string bench_json(const BenchCase& bench, const BenchSettings& settings, co
                    {"walk", bench.config.trace.walk},
                    {"sh", sh_of(bench)},
                    {"sh_degree", bench.config.image.sh_degree},
-                   {"keep_hits", bench.config.trace.keep_hits},
+                   {"keep_hits", result.kept_hits},
                    {"reduction", reduction_of(result)}}},
                  {"repetitions", settings.repeat},
                  {"clock", result.device_clock ? "device timestamps, all launches of a kernel in a repetition"

@@ -56,8 +56,8 @@ enum class Reduction { automatic, atomics, gather };
 
 struct BackwardOptions {
     Reduction reduction = Reduction::automatic;
-    /// atomics: hits of neighbouring rays on the same surfel are summed first; not given: where subgroups have 16 lanes or more
-    std::optional<bool> subgroup_sums = std::nullopt;
+    /// atomics: threads exchange their hits, so that neighbours add the floats of one hit; not given: on a GPU
+    std::optional<bool> coalesced_atomics = std::nullopt;
     /// gather: room for so many records a ray of the largest batch, 36 bytes each (42 with ShDirection::ray)
     std::uint32_t hits_per_ray = 64;
 };

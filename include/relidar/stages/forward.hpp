@@ -48,6 +48,8 @@ public:
     std::uint32_t take_pass_cap_count();
     /// [1] The same on the device, counting until it is set to 0: to be read back without a wait.
     const Array<std::uint32_t>& pass_cap_count() const;
+    /// [1] Rays with more hits than were kept of them, on the device, counting until it is set to 0.
+    const Array<std::uint32_t>& overfull_count() const;
     void set_sh_degree(int degree);
 
 private:
@@ -95,6 +97,12 @@ public:
     void record_forward(const RayBatch& rays);
     /// The last batch; its upstream is null, and before the first one so are its rays.
     const RenderedBatch& rendered() const;
+
+    /// First hits of a ray that are kept.
+    std::uint32_t kept_hits() const;
+    /// Keeps so many from the next record_forward() on. Waits for the stream. @return false where the device has no memory for them: then
+    /// as many as before
+    bool keep_hits(std::uint32_t per_ray);
 
     /// Active degree of the spherical harmonics, at most the image model's. To be followed by place().
     void set_sh_degree(int degree);

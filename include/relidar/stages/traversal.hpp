@@ -63,12 +63,16 @@ struct TraceOptions {
 /// The first hits of each ray of a batch, as the forward pass blended them, so that the backward pass need not search them again.
 struct KeptHits {
     Array<shared::KeptHit> hits;   ///< [n_rays, per_ray]
-    std::uint32_t per_ray = 0;     ///< a ray with more hits is cast again
+    std::uint32_t per_ray = 0;     ///< what a ray has behind them is searched again
 
     /// @param n_rays  of the largest batch
     KeptHits(Device& device, std::size_t n_rays, std::uint32_t hits_per_ray)
         : hits(device, n_rays * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
 };
+
+/// How many hits of a ray should be kept where `n_overfull` of `n_rays` had more than the `per_ray` that are: twice as many while those are
+/// more than one in a hundred, but at most 256 (2 kB a ray), or as many as now.
+std::uint32_t kept_hits_wanted(std::uint32_t per_ray, std::uint64_t n_overfull, std::uint64_t n_rays);
 
 /// What the geometric losses want of each ray of a batch beside its image, and what they give back.
 struct RayGeometry {

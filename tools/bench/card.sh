@@ -5,7 +5,7 @@
 # there, how fast is every kernel beside the paper's own tracer and beside its floor, do the other suites pass, and does a training end well.
 # Runs from a source tree or from inside the bundle (tools/dev/bundle --tests), and needs nothing but bash and awk.
 #
-#   tools/bench/h200.sh [--out DIR] [--minutes N] [--repeat N] [--surfels-max N] [relidar options, such as --device 0]
+#   tools/bench/card.sh [--out DIR] [--minutes N] [--repeat N] [--surfels-max N] [relidar options, such as --device 0]
 #
 # A step that fails or takes too long is named and the next one begins; a summary comes last, and the exit code is 1 where a step failed.
 # RELIDAR=FILE chooses the program, RELIDAR_TESTS=DIR the folder of the suites. DIR keeps the logs and the JSON of every case. The peer's
@@ -22,7 +22,7 @@ while [[ $# -gt 0 ]]; do
         *) options+=("$1"); shift ;;
     esac
 done
-fail() { printf 'h200: %s\n' "$*" >&2; exit 1; }
+fail() { printf 'card: %s\n' "$*" >&2; exit 1; }
 deadline=$(awk -v minutes="$minutes" 'BEGIN {printf "%d", minutes * 60}')
 
 # First of some paths that there is; nothing where there is none.

@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+// Training keeps as many hits of a ray as almost all rays have, and what is kept changes nothing of what is learnt.
+#include <algorithm>
+
+#include <relidar/dataset.hpp>
+#include <relidar/train.hpp>
+
+#include "../support/device.hpp"
+#include "train/train_loop.hpp"
+
+namespace relidar {
+namespace {
+
+class KeptHits : public test::DeviceTest {
+protected:
+    Sequence street = make_synthetic_street({.n_frames = 4, .rows = 16, .columns = 128});
+    Split split = split_frames(street, 0);
+    Config config = make_preset("quick");
+
+    void SetUp() override {
+        test::DeviceTest::SetUp();
+        config.init.voxel_m = 0.6;
+        config.init.actor_min_points = 5;
+        config.train.iterations = 60;
+        config.train.rays_per_iteration = 0;
+        config.train.refine_poses = "none";
+    }
+
+    struct Trained {
+        Scene scene;
+        std::uint32_t kept_hits;
+    };
+    Trained train(int keep_hits) {
+        config.trace.keep_hits = keep_hits;
+        TrainLoop loop(device(), street, split, initialise_scene(street, split.train, config.init), config);
+        for (int step = 1; step <= config.train.iterations; ++step) loop.iterate(step, step % 4 == 0);
+        loop.finish();
+        return {loop.download(), loop.kept_hits()};
+    }
+
+    /// Share of all rays that have more than n hits in a scene, rendered on its own.
+    std::vector<double> share_beyond(const Scene& scene, const std::vector<std::uint32_t>& counts) {
+        Renderer renderer(device(), scene, config.image, {.accel = accel_options(config), .trace = trace_options(config)});
+        std::vector<double> shares(counts.size(), 0.0);
+        std::size_t n_rays = 0;
+        for (const int position : split.train) {
+            const Frame& frame = street.frames[std::size_t(position)];
+            const PoseTrack track = street.world_from_sensor(frame.lidar);
+            renderer.place(place_instances(scene, street, moment_of(frame)), glm::vec3(track.at(frame.time_s).translation));
+            const RayTable table = nominal_rays(street.lidar_of(frame), frame.time_s);
+            WorldRays rays;
+            for (std::size_t i = 0; i < table.size(); ++i) {
+                const WorldRay ray = world_ray(track, frame.time_s, table, i, true);
+                rays.origin.emplace_back(ray.origin_m);
+                rays.direction.emplace_back(ray.direction);
+            }
+            const std::vector<std::uint32_t> hits = renderer.forward(rays).hits;
+            for (std::size_t k = 0; k < counts.size(); ++k)
+                shares[k] += double(std::count_if(hits.begin(), hits.end(), [&](std::uint32_t n) { return n > counts[k]; }));
+            n_rays += hits.size();
+        }
+        for (double& share : shares) share /= double(n_rays);
+        return shares;
+    }
+};
+
+TEST_F(KeptHits, GrowUntilAlmostNoRayHasMore) {
+    const Trained trained = train(1);
+    ASSERT_GT(trained.kept_hits, 2u);
+    const std::vector<double> shares = share_beyond(trained.scene, {trained.kept_hits, trained.kept_hits / 2});
+    EXPECT_LE(shares[0], 0.02) << trained.kept_hits << " are kept";   // one in a hundred of what was seen while it trained
+    EXPECT_GT(shares[1], 0.005) << "half of " << trained.kept_hits << " would have done";
+}
+
+TEST_F(KeptHits, ChangeNothingOfWhatIsLearnt) {
+    config.train.deterministic = true;
+    const Trained searched = train(0), grown = train(1), kept = train(64);
+    EXPECT_EQ(searched.kept_hits, 0u);
+    EXPECT_GT(grown.kept_hits, 2u);
+    for (const Trained* other : {&grown, &kept}) {
+        EXPECT_EQ(other->scene.surfels.mean, searched.scene.surfels.mean);
+        EXPECT_EQ(other->scene.surfels.opacity_logit, searched.scene.surfels.opacity_logit);
+        EXPECT_EQ(other->scene.surfels.sh, searched.scene.surfels.sh);
+    }
+}
+
+TEST(KeptHitsWanted, TwiceAsManyWhileMoreThanOneRayInAHundredHasMore) {
+    EXPECT_EQ(kept_hits_wanted(64, 10, 1000), 64u);
+    EXPECT_EQ(kept_hits_wanted(64, 11, 1000), 128u);
+    EXPECT_EQ(kept_hits_wanted(128, 1000, 1000), 256u);
+    EXPECT_EQ(kept_hits_wanted(256, 1000, 1000), 256u) << "bounded";
+    EXPECT_EQ(kept_hits_wanted(1000, 1000, 1000), 1000u) << "as asked for";
+    EXPECT_EQ(kept_hits_wanted(0, 1000, 1000), 0u) << "the paper's way";
+}
+
+}  // namespace
+}  // namespace relidar
