@@ -66,7 +66,8 @@ struct TrainConfig {
     double sh_rest_factor = 0.05;
     double intensity_factor = 1.0;   ///< rates of the intensity's coefficients over those of the drop logits (1 = paper)
     double rate_decay = 1.0;         ///< all rates but the mean's end at this share of their start, exponentially (1 = paper)
-    double extent_m = 0.0;           ///< 0 = from the scene
+    double extent_m = 0.0;           ///< of the background; 0 = from the scene
+    bool own_extents = false;        ///< means of actors learn at the extent of their own box (paper), else at the background's
     bool only_touched = false;       ///< Adam leaves surfels without a gradient in this batch alone
     bool deterministic = false;      ///< bit-equal parameters from run to run on one device
     std::string gradient_sums = "automatic";   ///< "automatic", "atomics", "gather"; gather where deterministic

@@ -168,6 +168,8 @@ void visit_training(C& c, Visitor&& f) {
     f("train.sh_degree_start", c.train.sh_degree_start, between(0, 3), "degree of the spherical harmonics that is active from the start");
     f("train.sh_degree_interval", c.train.sh_degree_interval, between(1, kMaxCount),
       "the active degree of the spherical harmonics rises by one after so many steps");
+    f("train.own_extents", c.train.own_extents, anything(),
+      "means of an actor learn at a rate in proportion to its own box; false: to the background's extent, as those of the background do");
     f("train.mean_rate", c.train.mean_rate, at_least(0), "learning rate of the means at the start, times the extent");
     f("train.mean_rate_final", c.train.mean_rate_final, at_least(0), "learning rate of the means at the end, times the extent");
     f("train.rotation_rate", c.train.rotation_rate, at_least(0), "learning rate of the rotations");

@@ -19,6 +19,7 @@ Config paper() {
     config.init.actor_min_points = 100;
     config.init.actor_pad_to = 8000;
     config.render.range = "expected";
+    config.train.own_extents = true;
     config.densify.strategy = DensifyStrategy::adaptive;
     config.refine = {.enabled = true, .network = "paper", .image = "grid", .rays = "origin,direction", .frames = 0, .epochs = 500,
                      .batch = 16, .rate = 1e-3, .dropout = 0.1, .turn = true};

@@ -188,8 +188,8 @@ void add_discovered(Sequence& sequence, const Split& split, const InitialiseOpti
             sequence.boxes.push_back(std::move(box));
         }
     }
-    session.tell(fmt::format("{} movers discovered without a label{}{}", movers.size(), movers.empty() ? "" : ": ",
-                             fmt::join(movers, ", ")));
+    session.tell(fmt::format("{} mover{} discovered without a label{}{}", movers.size(), movers.size() == 1 ? "" : "s",
+                             movers.empty() ? "" : ": ", fmt::join(movers, ", ")));
     if (!beside.empty()) session.tell(fmt::format("labelled actors found beside their labels too: {}", fmt::join(beside, ", ")));
 }
 

@@ -219,7 +219,7 @@ void TrainLoop::iterate(int step, bool ends_line) {
     const LearningRates rates = rates_at(config_.train, extent_m_, step);
     const Array<std::uint32_t>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
     adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree,
-               {&scene.models(), mean_factors(scene.layout(), extent_m_)});
+               {&scene.models(), config_.train.own_extents ? mean_factors(scene.layout(), extent_m_) : std::vector<float>{}});
     reports_.add(step, frame.index, renderer_.rendered().rays.n_rays);
     if (densifier_ && densifier_->due(step))
         change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene, adam_, step, others_bytes); });

@@ -63,6 +63,7 @@ TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
     const Split split = split_frames(street, 10);
     Config config = small_config();
     config.train.iterations = 1;
+    config.train.own_extents = true;
     config.init.actor_min_points = 10;
     const Scene before = initialise_scene(street, split.train, config.init);
     const Scene after = train(device(), street, split, config, [](const TrainProgress&) { return true; }).scene;
