@@ -9,7 +9,7 @@
 "use strict";
 const fs = require("fs");
 const path = require("path");
-const { packages, read, nanoseconds, Frames, readPly, points, rotate, conjugate, xyz } = require("./recordings.cjs");
+const { packages, read, nanoseconds, Frames, readPly, points, interpolate, rotate, conjugate, xyz } = require("./recordings.cjs");
 
 const kTolerance_m = 1e-4;   // floats 100 m away have 8e-6; between two poses a reader is off by less than 3e-5
 const [modules, run, folder, world, ...words] = process.argv.slice(2);
@@ -95,9 +95,9 @@ function boxesOf({ value }) {
 function boxAt(box, seconds) {
     const last = box.time_s.length - 2;
     const i = Math.min(last, Math.max(0, box.time_s.findLastIndex((t) => t <= seconds)));
-    const [a, b] = [box.world_from_box[i], box.world_from_box[i + 1]], dt = box.time_s[i + 1] - box.time_s[i];
-    const q = [a[4], a[5], a[6], a[3]], way = [0, 1, 2].map((k) => (b[k] - a[k]) / dt);
-    return { q, t: way.map((v, k) => a[k] + v * (seconds - box.time_s[i]) + scene.world_offset_m[k]), velocity: rotate(conjugate(q), way) };
+    const [a, b] = [i, i + 1].map((k) => box.world_from_box[k]).map(([x, y, z, qw, qx, qy, qz]) => ({ t: [x, y, z], q: [qx, qy, qz, qw] }));
+    const dt = box.time_s[i + 1] - box.time_s[i], { t, q } = interpolate(a, b, (seconds - box.time_s[i]) / dt);
+    return { q, t: t.map((x, k) => x + scene.world_offset_m[k]), velocity: rotate(conjugate(q), b.t.map((x, k) => (x - a.t[k]) / dt)) };
 }
 
 /** @param tracked  Autoware's message of the same stamp, in the same order */
@@ -112,7 +112,7 @@ function checkBoxes(what, message, tracked, shift) {
             check(`${what}: box ${box.id} is ${off} m and ${Math.acos(Math.min(1, cosine))} rad off`, off < 1e-5 && cosine > 1 - 1e-9);
             check(`${what}: box ${box.id} has size ${size}`, difference(size, truth.size_m) < 1e-9);
         }
-        check(`${what}: ${box.category} has label ${label}`, box.category === truth.category && label === { Car: 1 }[truth.category]);
+        check(`${what}: ${box.category} has label ${label}`, box.category === truth.category && label === ({ Car: 1, Van: 1, Cyclist: 6, Pedestrian: 7 }[truth.category] ?? 0));
         check(`${what}: box ${box.id} at ${velocity} m/s, expected ${there.velocity}`, difference(velocity, there.velocity) < 1e-3);
     });
 }

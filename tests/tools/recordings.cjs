@@ -182,4 +182,4 @@ function points(cloud) {
     return rows;
 }
 
-module.exports = { packages, read, nanoseconds, Frames, readPly, points, rotate, conjugate, xyz };
+module.exports = { packages, read, nanoseconds, Frames, readPly, points, interpolate, rotate, conjugate, xyz };
