@@ -26,7 +26,7 @@ constexpr std::size_t kFewestPoints = 5;    // of a frame, once those that staye
 constexpr double kLongest_m = 20.0, kWidest_m = 3.2, kTallest_m = 4.5;
 constexpr double kSlowest_mps = 0.4, kFastest_mps = 50.0;
 constexpr double kVehicle_m = 1.2;          // what is as large is no person
-constexpr double kWayOfSize = 0.6;          // of its longer side: so far what is seen of a thing that stands wanders, as sides are hidden
+constexpr double kWayOfSize = 0.9;          // of its longer side: what is seen of a thing that stands wanders within it
 constexpr double kStraightness = 0.5;       // of its path
 constexpr double kTurnPer_m = 0.4, kTurn_rad = 0.5;   // a vehicle does not turn on the spot
 
