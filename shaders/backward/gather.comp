@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sums the gradients of hits surfel by surfel, in the order of rays, without atomics: the same in every run. Hits come sorted by row; a
-// thread takes a block of 32 and adds the sum of each row that begins there; what belongs to a row begun earlier is left in `heads`.
-// Input: scene, upstream, rendered, d_geometry, hits, rows, slots, n_hits. Accumulated: d_records, d_sh. Output: heads. Maximum: most_hits.
+// thread takes a block of 32 and adds the sum of each row that lies in it. What it has of a row that began earlier or goes on is left in
+// `parts`, for backward/gather_heads.
+// Input: scene, upstream, rendered, d_geometry, hits, rows, slots, n_hits. Accumulated: d_records, d_sh. Output: parts. Maximum: most_hits.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -29,15 +30,16 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
     return h.instance;
 }
 
-/// Adds what a block has of a row, or leaves it to the block in which the row begins.
-void finish_row(uint block, uint row, uint instance, bool begins_here) {
-    if (begins_here) {
+/// Adds what a block has of a row, or leaves it to backward/gather_heads, which adds the whole row at once: rows of two placements of a
+/// model add to the same coefficients, and two sums added to 0 are the same bits in either order, four are not.
+void finish_row(uint block, uint row, uint instance, bool begins_here, bool goes_on) {
+    if (begins_here && !goes_on) {
         add_to_row(row, instance);
         return;
     }
-    uint head = block * head_width();
-    for (uint k = 0u; k < 16u; ++k) params.heads.at[head + k] = sums[k];
-    for (uint k = 16u; k < head_width(); ++k) params.heads.at[head + k] = sh_sums[k - 16u];
+    uint part = begins_here ? tail_of(block) : head_of(block);
+    for (uint k = 0u; k < 16u; ++k) params.parts.at[part + k] = sums[k];
+    for (uint k = 16u; k < part_width(); ++k) params.parts.at[part + k] = sh_sums[k - 16u];
 }
 
 void main() {
@@ -52,12 +54,12 @@ void main() {
         uint next = params.rows.at[i];
         if (next >= params.n_rows) break;   // empty slots, behind all others
         if (next != row) {
-            finish_row(block, row, instance, begins_here);
+            finish_row(block, row, instance, begins_here, false);
             clear_sums();
             row = next;
             begins_here = true;
         }
         instance = sum_hit(params.scene, i, row);
     }
-    if (row < params.n_rows) finish_row(block, row, instance, begins_here);
+    if (row < params.n_rows) finish_row(block, row, instance, begins_here, end < n_sorted() && params.rows.at[end] == row);
 }

@@ -6,7 +6,9 @@
 float sums[16];
 float sh_sums[RELIDAR_SH_FLOATS];
 
-uint head_width() { return SH_PER_SURFEL != 0u ? 16u : 16u + RELIDAR_SH_FLOATS; }
+uint part_width() { return SH_PER_SURFEL != 0u ? 16u : 16u + RELIDAR_SH_FLOATS; }
+uint head_of(uint block) { return 2u * block * part_width(); }         // of the row that began before the block
+uint tail_of(uint block) { return head_of(block) + part_width(); }     // of the row that goes on behind it
 uint n_sorted() { return min(params.n_hits.at[0], params.capacity); }
 uint block_end(uint block) { return min((block + 1u) * RELIDAR_GATHER_BLOCK, n_sorted()); }
 

@@ -29,7 +29,8 @@ bool intersect_gaussian(SurfelRecord s, vec3 origin, vec3 direction, out SurfelH
     hit.u = at_rest.x;
     hit.v = at_rest.y;
     hit.w = at_rest.z;
-    hit.alpha = s.opacity * exp(-0.5 * exact_dot(at_rest, at_rest));
+    precise float alpha = s.opacity * exp(-0.5 * exact_dot(at_rest, at_rest));
+    hit.alpha = alpha;
     return length2 > 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
 

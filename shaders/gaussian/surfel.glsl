@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where a ray meets a surfel (M1, M2), and the derivative of that (M8). `precise` keeps t the same number in every kernel. Kernels call
-// intersect() of primitive.glsl.
+// Where a ray meets a surfel (M1, M2), and the derivative of that (M8). `precise` keeps t and alpha the same numbers in every kernel.
+// Kernels call intersect() of primitive.glsl.
 #ifndef RELIDAR_INCLUDED_GAUSSIAN_SURFEL_GLSL
 #define RELIDAR_INCLUDED_GAUSSIAN_SURFEL_GLSL
 
@@ -27,7 +27,9 @@ bool intersect_surfel(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit
     hit.u = exact_dot(s.axis_u, p);
     hit.v = exact_dot(s.axis_v, p);
     hit.w = 0.0;
-    hit.alpha = s.opacity * exp(-0.5 * (hit.u * hit.u + hit.v * hit.v));
+    precise float exponent = -0.5 * (hit.u * hit.u + hit.v * hit.v);
+    precise float alpha = s.opacity * exp(exponent);
+    hit.alpha = alpha;
     return facing != 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
 

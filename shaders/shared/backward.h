@@ -45,7 +45,7 @@ struct GatherParams {
     Uints rows;                // input [capacity] ascending
     Uints slots;               // input [capacity] of `hits`, in the order of rows
     Uints n_hits;              // input [1], may exceed capacity
-    Floats heads;              // [blocks,16 or 64] sum of what a block's first row has in it, where the row began in an earlier block
+    Floats parts;              // [blocks,2,16 or 64] sums of what a block has of a row that began earlier, and of one that goes on
     Floats d_records;          // accumulated [n_rows,16]
     Floats d_sh;               // accumulated [n,3,16], where SH are evaluated a hit
     Uints most_hits;           // maximum [1] of n_hits

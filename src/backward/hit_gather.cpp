@@ -24,7 +24,7 @@ std::vector<Constant> constants(const ImageModel& model, const TraceOptions& opt
 HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray, const TraceOptions& options)
     : device_(device),
       hits_per_ray_(hits_per_ray),
-      head_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
+      part_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
       gather_(device, accumulating_variant(device, "backward/gather@"), constants(model, options)),
       heads_kernel_(device, accumulating_variant(device, "backward/gather_heads@"), constants(model, options)),
       most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch"),
@@ -42,7 +42,7 @@ void HitGather::reserve(std::uint64_t n_hits) {
         slots_[set] = Array<std::uint32_t>(device_, capacity, "sorted hits");
     }
     hits_ = Array<shared::HitRecord>(device_, capacity, "hit records");
-    heads_ = Array<float>(device_, std::size_t(head_floats_) * (capacity / RELIDAR_GATHER_BLOCK + 1), "sums of hit records");
+    parts_ = Array<float>(device_, 2 * std::size_t(part_floats_) * (capacity / RELIDAR_GATHER_BLOCK + 1), "sums of hit records");
 }
 
 void HitGather::assign_slots(Stream& stream, const RenderedBatch& batch) {
@@ -75,7 +75,7 @@ void HitGather::run(Stream& stream, const shared::BackwardParams& params) {
                                       .rows = sorted.keys,
                                       .slots = sorted.order,
                                       .n_hits = n_hits_.address(),
-                                      .heads = heads_.address(),
+                                      .parts = parts_.address(),
                                       .d_records = params.d_records,
                                       .d_sh = params.d_sh,
                                       .most_hits = most_hits_.address(),

@@ -31,11 +31,11 @@ public:
 
 private:
     Device& device_;
-    std::uint32_t hits_per_ray_, head_floats_;
+    std::uint32_t hits_per_ray_, part_floats_;
     Kernel<shared::GatherParams> gather_, heads_kernel_;
     Array<std::uint32_t> most_hits_, n_hits_, first_hit_;
     Array<shared::HitRecord> hits_;
-    Array<float> heads_;
+    Array<float> parts_;
     Array<std::uint32_t> rows_[2], slots_[2];   ///< sort keys, and where the hits lie
     PrefixSum prefix_sum_;                      ///< over rays
     std::unique_ptr<RadixSort> sort_;           ///< by row

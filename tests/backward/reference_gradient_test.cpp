@@ -4,6 +4,8 @@
 // Also its own consistency: radial part of the rotation, chunking, clamps.
 #include <gtest/gtest.h>
 
+#include "core/parallel.hpp"
+
 #include "../support/gradient_check.hpp"
 #include "../support/pixel_gradients.hpp"
 #include "../support/random_scene.hpp"
@@ -57,23 +59,36 @@ struct Problem {
 std::vector<double> row(const double* values, int n) { return {values, values + n}; }
 std::vector<double> row(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
 
-void check_surfels(Problem& p, const Gradients& gradients, GradientTable& table) {
+struct Row {
+    const char* group;
+    std::vector<double> expected, actual;
+};
+
+/// All parameters of one surfel. @param p  a copy, whose parameters are moved
+std::vector<Row> surfel_rows(Problem p, const Gradients& gradients, std::size_t i) {
+    std::vector<Row> rows;
     const auto terms = [&] { return p.terms(); };
     const auto add = [&](const char* group, double* parameter, const double* d_parameter, int n, double step = test::kDifferenceStep) {
-        table.add_row(group, test::central_differences(parameter, n, terms, step), row(d_parameter, n));
+        rows.push_back({group, test::central_differences(parameter, n, terms, step), row(d_parameter, n)});
     };
-    for (std::size_t i = 0; i < p.scene.world.surfels.size(); ++i) {
-        Surfel& s = p.scene.world.surfels[i];
-        const Surfel& d = gradients.surfels[i];
-        add("mean", &s.mean.x, &d.mean.x, 3);
-        add("rotation", &s.rotation.x, &d.rotation.x, 4);
-        add("log_scale", &s.log_scale.x, &d.log_scale.x, 2);
-        if (s.log_scale_w) add("log_scale_w", &*s.log_scale_w, &*d.log_scale_w, 1);
-        add("opacity_logit", &s.opacity_logit, &d.opacity_logit, 1, test::kLogitStep);
-        const char* channels[] = {"sh intensity", "sh hit", "sh drop"};
-        for (int c = 0; c < kShChannels; ++c)
-            add(channels[c], s.sh.data() + c * kShCoefficients, d.sh.data() + c * kShCoefficients, kShCoefficients, test::kLogitStep);
-    }
+    Surfel& s = p.scene.world.surfels[i];
+    const Surfel& d = gradients.surfels[i];
+    add("mean", &s.mean.x, &d.mean.x, 3);
+    add("rotation", &s.rotation.x, &d.rotation.x, 4);
+    add("log_scale", &s.log_scale.x, &d.log_scale.x, 2);
+    if (s.log_scale_w) add("log_scale_w", &*s.log_scale_w, &*d.log_scale_w, 1);
+    add("opacity_logit", &s.opacity_logit, &d.opacity_logit, 1, test::kLogitStep);
+    const char* channels[] = {"sh intensity", "sh hit", "sh drop"};
+    for (int c = 0; c < kShChannels; ++c)
+        add(channels[c], s.sh.data() + c * kShCoefficients, d.sh.data() + c * kShCoefficients, kShCoefficients, test::kLogitStep);
+    return rows;
+}
+
+void check_surfels(const Problem& p, const Gradients& gradients, GradientTable& table) {
+    std::vector<std::vector<Row>> surfels(p.scene.world.surfels.size());
+    run_parallel(int(surfels.size()), [&](int i) { surfels[std::size_t(i)] = surfel_rows(p, gradients, std::size_t(i)); });
+    for (const std::vector<Row>& rows : surfels)
+        for (const Row& r : rows) table.add_row(r.group, r.expected, r.actual);
 }
 
 void check_rays_and_poses(Problem& p, const Gradients& gradients, const std::vector<RayGradient>& d_rays, GradientTable& table) {

@@ -52,6 +52,21 @@ std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view
             r.axis_v.x, r.axis_v.y, r.axis_v.z, c.y, r.normal.x, r.normal.y, r.normal.z, c.z};
 }
 
+/// How far a record may be off: Vulkan's limits of exp and division, the rounding of a rotation's elements, and 2e-6 of what is summed up.
+std::vector<double> record_tolerance(const reference::Surfel& s, const std::vector<double>& expected) {
+    // an element of the matrix: q / |q| by an inverse square root of 2 units and 6 roundings, twice in each of two products, whose sum is
+    // at most 1; twice that and 1 are added
+    constexpr double kElement = 2.0 * 2.0 * (2.0 * test::kUnit + 6.0 * test::kRounding) + 4.0 * test::kRounding;
+    const double log_scale[] = {s.log_scale.x, s.log_scale.y, s.log_scale_w.value_or(0.0)};
+    std::vector<double> tolerance;
+    for (const double value : expected) tolerance.push_back(2e-6 * (1.0 + std::abs(value)));
+    for (std::size_t axis = 0; axis < 3; ++axis)
+        for (std::size_t k = 4 * axis + 4; k < 4 * axis + 7; ++k)
+            tolerance[k] = kElement * std::exp(-log_scale[axis]) + std::abs(expected[k]) * (test::exp_error(log_scale[axis]) + test::kUnit);
+    tolerance[3] = test::sigmoid_error(expected[3], s.opacity_logit) + test::kUnit;
+    return tolerance;
+}
+
 /// More than two workgroups of 64.
 std::vector<reference::Surfel> some_surfels(Primitive primitive) {
     test::RandomSceneOptions options;
@@ -72,8 +87,9 @@ TEST_P(Activate, RecordsAgreeWithReference) {
         const std::vector<float> actual = test::floats_of(scene.records().download());
         for (std::size_t i = 0; i < surfels.size(); ++i) {
             const std::vector<double> expected = record_of(surfels[i], glm::dvec3(view), degree);
+            const std::vector<double> tolerance = record_tolerance(surfels[i], expected);
             for (std::size_t k = 0; k < 16; ++k)
-                EXPECT_NEAR(actual[16 * i + k], expected[k], 2e-6 * (1.0 + std::abs(expected[k]))) << "surfel " << i << " lane " << k;
+                EXPECT_NEAR(actual[16 * i + k], expected[k], tolerance[k]) << "surfel " << i << " lane " << k;
         }
     }
 }

@@ -1,28 +1,32 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# Everything that a first card has to answer, in one call of under 9 minutes: do the suites of traversal, accel, forward and backward pass
-# there, how fast is every kernel beside the paper's own tracer and beside its floor, do the other suites pass, and does a training end well.
-# Runs from a source tree or from inside the bundle (tools/dev/bundle --tests), and needs nothing but bash and awk.
+# Everything that a card has to answer: do the suites pass there, how fast is every kernel beside the paper's own tracer and beside its
+# floor, and does a training end well. Runs from a source tree or from inside the bundle (tools/dev/bundle --tests), and needs nothing but
+# bash and awk.
 #
-#   tools/bench/card.sh [--out DIR] [--minutes N] [--repeat N] [--surfels-max N] [relidar options, such as --device 0]
+#   tools/bench/card.sh [--out DIR] [--minutes N] [--only PART] [--repeat N] [--surfels-max N] [relidar options, such as --device 0]
 #
-# A step that fails or takes too long is named and the next one begins; a summary comes last, and the exit code is 1 where a step failed.
+# PART is suites, bench or demo, for machines that are lent for some minutes at a time. A step that fails or takes too long is named, with
+# what it found and expected, and the next one begins; a summary comes last, and the exit code is 1 where a step failed.
 # RELIDAR=FILE chooses the program, RELIDAR_TESTS=DIR the folder of the suites. DIR keeps the logs and the JSON of every case. The peer's
 # numbers are its own, from an NVIDIA H200: on another device the columns of ratios say nothing.
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
-out="" minutes=8.8 repeat=15 surfels_max=1000000 options=()
+out="" minutes=25 only="" repeat=15 surfels_max=1000000 options=()
 while [[ $# -gt 0 ]]; do
     case $1 in
         --out) out=$2; shift 2 ;;
         --minutes) minutes=$2; shift 2 ;;
+        --only) only=$2; shift 2 ;;
         --repeat) repeat=$2; shift 2 ;;
         --surfels-max) surfels_max=$2; shift 2 ;;
         *) options+=("$1"); shift ;;
     esac
 done
 fail() { printf 'card: %s\n' "$*" >&2; exit 1; }
+[[ -z $only || $only =~ ^(suites|bench|demo)$ ]] || fail "--only: found \"$only\", expected suites, bench or demo"
+wants() { [[ -z $only || $only == "$1" ]]; }
 deadline=$(awk -v minutes="$minutes" 'BEGIN {printf "%d", minutes * 60}')
 
 # First of some paths that there is; nothing where there is none.
@@ -40,6 +44,13 @@ trap 'rm -rf "$scratch"' EXIT
 [[ -n $out ]] || out=$scratch/out
 mkdir -p "$out"
 
+# What a log says of failures, with the numbers: of a suite each assertion's lines, of the program its message.
+findings() {
+    printf '\n'
+    grep -E 'Failure|FAILED|^Expected|actual:|^The difference|evaluates to|^Which is|relidar:|terminate|validation:' "$1" |
+        cut -c 1-200 | head -n 40 | sed 's/^/    /' || true
+}
+
 summary=() failed=0
 # step <name> <most seconds> <command...>: its output goes to a log, its end to the summary. Returns the command's exit code.
 step() {
@@ -52,19 +63,19 @@ step() {
     fi
     timeout "$limit" "$@" >"$out/$name.log" 2>&1 || rc=$?
     if [[ $rc -eq 124 ]]; then result="stopped after its $limit s"
-    elif [[ $rc -ne 0 ]]; then result="FAILED, exit code $rc: $(grep -E 'FAILED|Failure|error|relidar:|expected' "$out/$name.log" | head -n 1 | cut -c 1-160)"; fi
+    elif [[ $rc -ne 0 ]]; then result="FAILED, exit code $rc"; fi
     [[ $rc -eq 0 ]] || failed=1
-    summary+=("$(printf '%-24s %4d s  %s' "$name" $((SECONDS - start)) "$result")")
+    summary+=("$(printf '%-24s %4d s  %s' "$name" $((SECONDS - start)) "$result"; [[ $rc -eq 0 ]] || findings "$out/$name.log")")
     printf '%s\n' "${summary[-1]}" >&2
     return "$rc"
 }
 
-# Suites that use the device, with each traversal that it has. Arguments: most seconds of one, names.
+# Suites that use the device, with each traversal that it has. Arguments: NAME:SECONDS, what each may take at most.
 suites() {
-    local limit=$1 suite traversal
-    shift
+    local suite limit traversal
     [[ -n $tests ]] || { summary+=("suites: not run, no tests beside the program (tools/dev/bundle --tests, or build preset ci)"); return 0; }
     for suite; do
+        limit=${suite#*:} suite=${suite%:*}
         for traversal in "${traversals[@]}"; do
             [[ -x $tests/${suite}_test ]] || continue
             RELIDAR_REQUIRE_GPU=1 RELIDAR_TEST_TRAVERSAL=$traversal step "${suite}_$traversal" "$limit" "$tests/${suite}_test" --gtest_brief=1 || true
@@ -106,51 +117,57 @@ kernels() {
 "$relidar" devices | tee "$out/devices.txt"
 traversals=(software)
 if "$relidar" devices --json | grep -q '"ray_query": true'; then traversals+=(ray_query); fi
-suites 40 traversal accel forward backward
+if wants suites; then suites traversal:60 accel:60 forward:60 backward:200; fi
 
-if command -v nvidia-smi >/dev/null; then nvidia-smi -L; fi
-printf '\nmilliseconds, median of %s; peer / ours; iteration = one training step on all rays\n' "$repeat"
-printf '%-5s %9s %-6s | %14s %9s | %15s | %15s | %15s | %13s | %6s\n' scene surfels rays build refit forward backward iteration "memory MiB" hits
-largest_A="" largest_B=""
-while read -r scene surfels rays build forward backward iteration memory; do
-    [[ -n $scene && $surfels -le $surfels_max ]] || continue
-    file=$out/${scene}_${surfels}_${rays}.json
-    step "bench_${scene}_${surfels}_$rays" 60 "$relidar" bench --scene "$scene" --surfels "$surfels" --rays "$rays" --chunk "${CHUNK:-64}" --sh surfel --repeat "$repeat" --json "$file" --quiet "${options[@]}" \
-        || { printf '%-5s %9s %-6s | failed\n' "$scene" "$surfels" "$rays"; continue; }
-    if [[ $rays == waymo && $scene == A ]]; then largest_A=$file; fi
-    if [[ $rays == waymo && $scene == B ]]; then largest_B=$file; fi
-    peak=$(awk -v bytes="$(number "$file" peak_bytes)" 'BEGIN {printf "%.0f", bytes / 1048576}')
-    printf '%-5s %9s %-6s | %6s %7s %9s | %6s %8s | %6s %8s | %6s %8s | %5s %7s | %6.1f\n' "$scene" "$surfels" "$rays" "$build" "$(median "$file" rebuild)" \
-        "$(median "$file" 'accel/.*refit.*|accel/proxies')" "$forward" "$(median "$file" forward/trace)" "$backward" "$(median "$file" backward/trace)" \
-        "$iteration" "$(median "$file" iteration)" "$memory" "$peak" "$(number "$file" hits_per_ray)"
-done <<<"$kPeer"
+# How fast every kernel is.
+bench() {
+    local scene surfels rays build forward backward iteration memory file peak largest_A="" largest_B="" chunk walk
+    if command -v nvidia-smi >/dev/null; then nvidia-smi -L; fi
+    printf '\nmilliseconds, median of %s; peer / ours; iteration = one training step on all rays\n' "$repeat"
+    printf '%-5s %9s %-6s | %14s %9s | %15s | %15s | %15s | %13s | %6s\n' scene surfels rays build refit forward backward iteration "memory MiB" hits
+    while read -r scene surfels rays build forward backward iteration memory; do
+        [[ -n $scene && $surfels -le $surfels_max ]] || continue
+        file=$out/${scene}_${surfels}_${rays}.json
+        step "bench_${scene}_${surfels}_$rays" 60 "$relidar" bench --scene "$scene" --surfels "$surfels" --rays "$rays" --chunk "${CHUNK:-64}" --sh surfel --repeat "$repeat" --json "$file" --quiet "${options[@]}" \
+            || { printf '%-5s %9s %-6s | failed\n' "$scene" "$surfels" "$rays"; continue; }
+        if [[ $rays == waymo && $scene == A ]]; then largest_A=$file; fi
+        if [[ $rays == waymo && $scene == B ]]; then largest_B=$file; fi
+        peak=$(awk -v bytes="$(number "$file" peak_bytes)" 'BEGIN {printf "%.0f", bytes / 1048576}')
+        printf '%-5s %9s %-6s | %6s %7s %9s | %6s %8s | %6s %8s | %6s %8s | %5s %7s | %6.1f\n' "$scene" "$surfels" "$rays" "$build" "$(median "$file" rebuild)" \
+            "$(median "$file" 'accel/.*refit.*|accel/proxies')" "$forward" "$(median "$file" forward/trace)" "$backward" "$(median "$file" backward/trace)" \
+            "$iteration" "$(median "$file" iteration)" "$memory" "$peak" "$(number "$file" hits_per_ray)"
+    done <<<"$kPeer"
 
-for file in "$largest_B" "$largest_A"; do
-    [[ -n $file ]] || continue
-    printf '\n%-22s %10s %10s %8s   (%s; a copy moves %s GB/s)\n' kernel 'median ms' 'floor ms' ratio "$(basename "$file" .json)" "$(awk -v rate="$(number "$file" copy_bytes_per_s)" 'BEGIN {printf "%.1f", rate / 1e9}')"
-    kernels "$file"
-done
+    for file in "$largest_B" "$largest_A"; do
+        [[ -n $file ]] || continue
+        printf '\n%-22s %10s %10s %8s   (%s; a copy moves %s GB/s)\n' kernel 'median ms' 'floor ms' ratio "$(basename "$file" .json)" "$(awk -v rate="$(number "$file" copy_bytes_per_s)" 'BEGIN {printf "%.1f", rate / 1e9}')"
+        kernels "$file"
+    done
 
-# The whole training program at KITTI size: wall clock of real steps, scaled to the paper's 30 000.
-file=$out/B_400000_kitti.json
-[[ ! -e $file ]] || awk -v wall="$(median "$file" iteration_wall)" 'BEGIN {printf "\n30 000 iterations at KITTI size (B 400k, 66 x 1030, wall clock of an iteration %.2f ms): %.1f minutes; the peer 30 to 50; aim 3\n", wall, wall * 30000 / 60000}'
+    # The whole training program at KITTI size: wall clock of real steps, scaled to the paper's 30 000.
+    file=$out/B_400000_kitti.json
+    [[ ! -e $file ]] || awk -v wall="$(median "$file" iteration_wall)" 'BEGIN {printf "\n30 000 iterations at KITTI size (B 400k, 66 x 1030, wall clock of an iteration %.2f ms): %.1f minutes; the peer 30 to 50; aim 3\n", wall, wall * 30000 / 60000}'
 
-# What chunk and walk are best here: forward and backward of the two largest cases.
-printf '\n%-30s %12s %12s   (ms)\n' 'chunk, walk' 'forward' 'backward'
-for scene in B A; do
-    for chunk in 16 32 64; do
-        for walk in lane subgroup; do
-            file=$out/${scene}_chunk${chunk}_$walk.json
-            step "bench_${scene}_chunk${chunk}_$walk" 40 "$relidar" bench --scene "$scene" --surfels "$surfels_max" --rays waymo --chunk "$chunk" --walk "$walk" --traversal software --sh surfel \
-                --repeat 7 --json "$file" --quiet "${options[@]}" || continue
-            printf '%-30s %12s %12s\n' "$scene $surfels_max, $chunk, $walk" "$(median "$file" forward/trace)" "$(median "$file" backward/trace)"
+    # What chunk and walk are best here: forward and backward of the two largest cases.
+    printf '\n%-30s %12s %12s   (ms)\n' 'chunk, walk' 'forward' 'backward'
+    for scene in B A; do
+        for chunk in 16 32 64; do
+            for walk in lane subgroup; do
+                file=$out/${scene}_chunk${chunk}_$walk.json
+                step "bench_${scene}_chunk${chunk}_$walk" 40 "$relidar" bench --scene "$scene" --surfels "$surfels_max" --rays waymo --chunk "$chunk" --walk "$walk" --traversal software --sh surfel \
+                    --repeat 7 --json "$file" --quiet "${options[@]}" || continue
+                printf '%-30s %12s %12s\n' "$scene $surfels_max, $chunk, $walk" "$(median "$file" forward/trace)" "$(median "$file" backward/trace)"
+            done
         done
     done
-done
+}
+if wants bench; then bench; fi
 
-suites 40 gpu scene loss optimizer densify train render
-step demo 150 "$relidar" demo --out "$out/demo" "${options[@]}" && tail -n 30 "$out/demo.log" || true
-rm -rf "$out/demo"   # the scans and pictures; its table is in the log
+if wants suites; then suites gpu:60 scene:90 loss:60 optimizer:60 densify:90 render:60 train:400; fi
+if wants demo; then
+    step demo 150 "$relidar" demo --out "$out/demo" "${options[@]}" && tail -n 30 "$out/demo.log" || true
+    rm -rf "$out/demo"   # the scans and pictures; its table is in the log
+fi
 
 printf '\nsummary\n'
 printf '%s\n' "${summary[@]}" | tee "$out/summary.txt"

@@ -58,7 +58,7 @@ struct BackwardOptions {
     Reduction reduction = Reduction::automatic;
     /// atomics: threads exchange their hits, so that neighbours add the floats of one hit; not given: on a GPU
     std::optional<bool> coalesced_atomics = std::nullopt;
-    /// gather: room for so many records a ray of the largest batch, 36 bytes each (42 with ShDirection::ray)
+    /// gather: room for so many records a ray of the largest batch, 38 bytes each (50 with ShDirection::ray)
     std::uint32_t hits_per_ray = 64;
 };
 
