@@ -182,7 +182,8 @@ TEST(MoverScores, NoParkedCarMovesWhereSidesAndPosesChange) {
                     inside += thing.holds(track.pose[i].translation, track.time_s[i], kWalkedOff_m);
                 return 2 * inside > track.pose.size();
             });
-            const glm::dvec3 from = track.pose.front().translation + log.world_offset_m, to = track.pose.back().translation + log.world_offset_m;
+            const glm::dvec3 from = track.pose.front().translation + log.world_offset_m;
+            const glm::dvec3 to = track.pose.back().translation + log.world_offset_m;
             EXPECT_TRUE(is_one) << "street " << seed << ": " << found.size_m.x << " x " << found.size_m.y << " m, in " << track.pose.size()
                                 << " frames from " << from.x << " " << from.y << " to " << to.x << " " << to.y;
         }
