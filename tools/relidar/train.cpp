@@ -146,7 +146,7 @@ TrainResult train_or_tell(Device& device, const Run& run, const Options& options
     const fs::path checkpoints = checkpoint_folder(run.folder);
     try {
         return train_logged(device, run.sequence, run.split, run.config, run.folder, options.quiet,
-                            {.checkpoints = checkpoints, .start = start, .stages = &stages});
+                            {.checkpoints = checkpoints, .start = start, .stop = {}, .note = {}, .stages = &stages});
     } catch (const Error& error) {
         if (list_checkpoints(checkpoints).empty()) throw;
         throw Error(error.code(), fmt::format("{}; the last checkpoint is kept, continue with: {}", error.what(), resume_command(options)));
