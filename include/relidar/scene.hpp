@@ -8,6 +8,7 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include <glm/glm.hpp>
@@ -119,6 +120,18 @@ struct ImageModel {
     bool single_drop_logit = false;          ///< hit logits are 0 and have no gradient: M6 is a sigmoid of the drop logit (ablation)
     Primitive primitive = Primitive::surfel; ///< what the scene is made of (ablation)
 };
+
+/// What a labelled thing is, whatever its dataset calls it.
+enum class ObjectKind {
+    vehicle,   ///< on more than two wheels, or on rails; trailers too
+    cyclist,   ///< two-wheelers, with a rider or without, and riders
+    person,
+    other
+};
+/// Of a class of KITTI, KITTI-360, Waymo, Argoverse 2 or nuScenes; `other` for a word that none of them has.
+ObjectKind object_kind(std::string_view category);
+/// "vehicle", "cyclist", "person", "other": what settings name them by.
+const char* name_of(ObjectKind kind);
 
 /// What becomes of boxes that move: models of their own; nothing (their points and rays are left out); or background like the rest.
 enum class ActorMode { models, masked, background };

@@ -5,7 +5,6 @@
 #include <cstdint>
 #include <optional>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include <relidar/math.hpp>
@@ -130,18 +129,6 @@ RayTable shifted_azimuths(RayTable rays, const SpinningSensor& sensor, const std
 
 /// Category of boxes that no dataset labelled (discover_tracks() in scene.hpp).
 inline constexpr const char* kDiscoveredCategory = "Discovered";
-
-/// What a labelled thing is, whatever its dataset calls it.
-enum class ObjectKind {
-    vehicle,   ///< on more than two wheels, or on rails; trailers too
-    cyclist,   ///< two-wheelers, with a rider or without, and riders
-    person,
-    other
-};
-/// Of a class of KITTI, KITTI-360, Waymo, Argoverse 2 or nuScenes; `other` for a word that none of them has.
-ObjectKind object_kind(std::string_view category);
-/// "vehicle", "cyclist", "person", "other": what settings name them by.
-const char* name_of(ObjectKind kind);
 
 /// One tracked box. The box frame has x along the length, y along the width, z up, origin at the centre.
 struct BoxTrack {
@@ -302,8 +289,7 @@ struct Split {
     std::vector<int> test;
 };
 /// Holds out sweeps, each with the frames of all LiDARs that share its index: every `test_every`-th but the first (10, 20, ... of 0:50 with
-/// 10), or those that are named. Of a part that others have published results of, every tenth is what they hold out
-/// (Sequence::test_frames), as far as it is there.
+/// 10), or those that are named. Every tenth of a published part is what is published (Sequence::test_frames).
 /// @param test_every  0 holds out nothing
 /// @param test_frames  instead of every so many: indices and ranges without their ends, "13,26,40:45"; empty: test_every decides
 /// @throws UsageError for a test_every of 1, for a list with something else in it, a frame that is not there or named twice, and where

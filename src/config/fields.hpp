@@ -163,13 +163,11 @@ void visit_training(C& c, Visitor&& f) {
     f("train.iterations", c.train.iterations, between(0, kMaxCount), "optimiser steps; 0: keep the initial scene");
     f("train.rays_per_iteration", c.train.rays_per_iteration, between(0, kMaxCount), "rays of one step; 0: all rays of one frame");
     f("train.batch", c.train.batch, one_of({"rays", "columns"}),
-      "rays of one step are every n-th column of the frame (every n-th ray where it has no image order), or a window of neighbouring "
-      "columns, which looks as the frame does");
+      "rays of one step are every n-th column of the frame (every n-th ray without image order), or a window of neighbouring columns");
     f("train.sh_degree_start", c.train.sh_degree_start, between(0, 3), "degree of the spherical harmonics that is active from the start");
     f("train.sh_degree_interval", c.train.sh_degree_interval, between(1, kMaxCount),
       "the active degree of the spherical harmonics rises by one after so many steps");
-    f("train.own_extents", c.train.own_extents, anything(),
-      "means of an actor learn at a rate in proportion to its own box; false: to the background's extent, as those of the background do");
+    f("train.own_extents", c.train.own_extents, anything(), "means of actors learn at the extent of their own box, not the background's");
     f("train.mean_rate", c.train.mean_rate, at_least(0), "learning rate of the means at the start, times the extent");
     f("train.mean_rate_final", c.train.mean_rate_final, at_least(0), "learning rate of the means at the end, times the extent");
     f("train.rotation_rate", c.train.rotation_rate, at_least(0), "learning rate of the rotations");

@@ -50,7 +50,8 @@ Drive choose_drive(const fs::path& folder, const DatasetOptions& options) {
         return drive;
     }
     for (const std::string& drive : drives)
-        if (drive == part.drive || drive.find("_drive_" + part.drive + "_") != std::string::npos) return {drive, part.frames, part.test_frames};
+        if (drive == part.drive || drive.find("_drive_" + part.drive + "_") != std::string::npos)
+            return {drive, part.frames, part.test_frames};
     throw UsageError(
         fmt::format("dataset.sequence: found '{}', expected a drive of {} ({}), its number, or ks1 to ks4 or kd1 to kd6 of 0000",
                     excerpt(options.sequence), folder.string(), excerpt(fmt::format("{}", fmt::join(drives, ", ")))));

@@ -61,7 +61,8 @@ Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
     }
     for (const fs::path& file : files) {
         const std::string name = file.filename().string();
-        if (name.starts_with(part.drive) || name.starts_with("segment-" + part.drive)) return {file, part.frames, part.of_paper, part.test_frames};
+        if (name.starts_with(part.drive) || name.starts_with("segment-" + part.drive))
+            return {file, part.frames, part.of_paper, part.test_frames};
     }
     throw UsageError(
         fmt::format("dataset.sequence: found '{}', expected how one of the {} segments of {} begins, or ws1 to ws4 or wd1 to wd4",

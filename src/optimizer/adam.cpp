@@ -64,7 +64,7 @@ void Adam::bound_scales(Device& device, const std::vector<float>& max_log_scale)
 }
 
 void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t>* touched, const LearningRates& rates,
-                int step, int sh_degree, const ModelRates& means) {
+                int step, int sh_degree) {
     Impl& a = *impl_;
     const std::uint32_t first = std::min(a.options.n_fixed, p.n), n_rows = p.n - first;
     RELIDAR_ASSERT_LE(n_rows, a.moment1.n);
@@ -77,7 +77,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
         const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
         const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;   // of all but the first float of a block
         const std::size_t from = std::size_t(first) * stride;
-        const bool by_model = group.rate == &LearningRates::mean && !means.factors.empty();
+        const bool by_model = group.rate == &LearningRates::mean && !rates.mean_factors.empty();
         run(stream, a.kernel, std::size_t(n_rows) * (a.per_float ? stride : 1u),
             {.values = (p.*group.device).address(from),
              .gradients = (g.*group.device).address(from),
@@ -85,8 +85,8 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
              .moment2 = (a.moment2.*group.device).address(),
              .touched = touched ? touched->address(first) : Address<std::uint32_t>{},
              .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first) : Address<float>{},
-             .model_scale = by_model ? impl_of(stream).values(means.factors) : Address<float>{},
-             .models = by_model ? means.models->address() : Address<shared::ModelEntry>{},
+             .model_scale = by_model ? impl_of(stream).values(rates.mean_factors) : Address<float>{},
+             .models = by_model ? rates.models->address() : Address<shared::ModelEntry>{},
              .learning_rate = static_cast<float>(rates.*group.rate * rest_factor),
              .beta1 = static_cast<float>(a.options.beta1),
              .beta2 = static_cast<float>(a.options.beta2),
@@ -95,7 +95,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
              .correction2 = correction2,
              .first_scale = static_cast<float>(1.0 / std::max(rest_factor, 1e-12)),
              .block_scale = static_cast<float>(group.harmonics ? rates.intensity_factor : 1.0),
-             .n_models = static_cast<std::uint32_t>(by_model ? means.factors.size() : 0),
+             .n_models = static_cast<std::uint32_t>(by_model ? rates.mean_factors.size() : 0),
              .first_row = first,
              .n_rows = n_rows,
              .stride = stride,

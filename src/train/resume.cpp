@@ -3,6 +3,7 @@
 #include "train/resume.hpp"
 
 #include <algorithm>
+#include <limits>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -58,6 +59,19 @@ struct LogColumns {
     }
 };
 
+TrainProgress progress_at(int step, const Config& config, double seconds, const std::array<double, kLossTerms>& terms,
+                          std::uint32_t n_surfels) {
+    TrainProgress p;
+    p.iteration = step;
+    p.n_iterations = config.train.iterations;
+    p.seconds = seconds;
+    p.iterations_per_second = step / std::max(seconds, 1e-9);
+    p.terms = terms;
+    p.loss = std::accumulate(terms.begin(), terms.end(), 0.0);
+    p.n_surfels = n_surfels;
+    return p;
+}
+
 }  // namespace
 
 std::map<std::string, std::string> training_texts(const Sequence& sequence, const Split& split, const Config& config) {
@@ -83,18 +97,13 @@ void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, con
     for (const Mark& mark : marks_of(sequence, split)) check_same(checkpoint, mark, doing);
 }
 
-TrainProgress progress_at(int step, const Config& config, double seconds, const std::array<double, kLossTerms>& terms,
-                          std::uint32_t n_surfels) {
-    TrainProgress p;
-    p.iteration = step;
-    p.n_iterations = config.train.iterations;
-    p.seconds = seconds;
-    p.iterations_per_second = step / std::max(seconds, 1e-9);
-    p.eta_s = (config.train.iterations - step) / std::max(p.iterations_per_second, 1e-9);
-    p.terms = terms;
-    p.loss = std::accumulate(terms.begin(), terms.end(), 0.0);
-    p.n_surfels = n_surfels;
-    return p;
+void add_line(std::vector<TrainProgress>& log, const LogLine& line, const Config& config, double seconds) {
+    TrainProgress p = progress_at(line.step, config, seconds, line.terms, line.n_surfels);
+    const int left = p.n_iterations - p.iteration, done = log.empty() ? 0 : p.iteration - log.front().iteration;
+    p.eta_s = left == 0 ? 0.0 : std::numeric_limits<double>::infinity();
+    if (left > 0 && done > 0) p.eta_s = left * (p.seconds - log.front().seconds) / done;
+    p.densified = line.densified;
+    log.push_back(std::move(p));
 }
 
 void write_result(StateWriter& write, const TrainResult& result, double train_s) {

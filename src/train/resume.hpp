@@ -4,9 +4,12 @@
 
 #include <map>
 #include <string>
+#include <vector>
 
 #include <relidar/stages/checkpoint.hpp>
 #include <relidar/train.hpp>
+
+#include "train/iteration_reports.hpp"
 
 namespace relidar {
 
@@ -21,8 +24,8 @@ void read_result(const Checkpoint& checkpoint, const Config& config, TrainResult
 /// The scene at a checkpoint. @throws DataError where its arrays or its layout are not sound
 Scene scene_of(const Checkpoint& checkpoint);
 
-/// A line of the log.
-TrainProgress progress_at(int step, const Config& config, double seconds, const std::array<double, kLossTerms>& terms,
-                          std::uint32_t n_surfels);
+/// Adds a line to the log. The rest takes as long as the pace since the first line says: before it drivers compile kernels. Infinite in the
+/// first one. @param seconds  since training started
+void add_line(std::vector<TrainProgress>& log, const LogLine& line, const Config& config, double seconds);
 
 }  // namespace relidar

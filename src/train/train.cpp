@@ -99,8 +99,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     bool stop = false;
     const auto take_lines = [&] {
         for (const LogLine& line : loop.take_lines()) {
-            result.log.push_back(progress_at(line.step, config, trained_s(), line.terms, line.n_surfels));
-            result.log.back().densified = line.densified;
+            add_line(result.log, line, config, trained_s());
             stop = !progress(result.log.back()) || stop;
         }
     };

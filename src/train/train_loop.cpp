@@ -55,8 +55,8 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
             c.intensity_factor};
 }
 
-/// Means learn at a rate in proportion to the extent of their own model: an actor's are not to be thrown out of its box by steps that suit a
-/// street. @return [models] over the background's
+/// Means learn at a rate in proportion to the extent of their own model: steps that suit a street would throw an actor's out of its box.
+/// @return [models] over the background's
 std::vector<float> mean_factors(const Scene& layout, double background_extent_m) {
     std::vector<float> factors;
     for (const Model& model : layout.models)
@@ -216,10 +216,10 @@ void TrainLoop::iterate(int step, bool ends_line) {
     const bool whole_frame = batch.rays.n_rays == frame.n_rays;
     if (densifier_)
         densifier_->observe(stream_, scene, {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), whole_frame});
-    const LearningRates rates = rates_at(config_.train, extent_m_, step);
+    LearningRates rates = rates_at(config_.train, extent_m_, step);
+    if (config_.train.own_extents) rates.models = &scene.models(), rates.mean_factors = mean_factors(scene.layout(), extent_m_);
     const Array<std::uint32_t>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
-    adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree,
-               {&scene.models(), config_.train.own_extents ? mean_factors(scene.layout(), extent_m_) : std::vector<float>{}});
+    adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree);
     reports_.add(step, frame.index, renderer_.rendered().rays.n_rays);
     if (densifier_ && densifier_->due(step))
         change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene, adam_, step, others_bytes); });

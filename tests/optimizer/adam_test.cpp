@@ -49,7 +49,7 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     const std::uint32_t n = 90, n_fixed = 11;
     const std::vector<shared::ModelEntry> entries{{.first_surfel = 0}, {.first_surfel = 40}, {.first_surfel = 40}};
     const Array<shared::ModelEntry> models(device(), std::span<const shared::ModelEntry>(entries), "models");
-    const LearningRates rates{1e-2, 2e-3, 3e-3, 4e-2, 5e-3, 0.05, 1.0};
+    const LearningRates rates{1e-2, 2e-3, 3e-3, 4e-2, 5e-3, 0.05, 1.0, &models, {1.0f, 7.0f, 0.25f}};
     Adam adam(device(), n, {.n_fixed = n_fixed, .thread_per_float = GetParam()});
     Stream stream(device());
     SurfelArrays parameters(device(), n, "parameters"), gradients(device(), n, "gradients");
@@ -59,7 +59,7 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     for (int t = 1; t <= 2; ++t) {
         g.push_back(random_surfels(n, 20 + std::uint64_t(t), Primitive::surfel));
         gradients.upload(g.back());
-        adam.step(stream, parameters, gradients, nullptr, rates, t, 2, {&models, {1.0f, 7.0f, 0.25f}});
+        adam.step(stream, parameters, gradients, nullptr, rates, t, 2);
         stream.finish();
     }
     const Surfels actual = parameters.download();

@@ -272,7 +272,7 @@ rendering() {
     check "a sensor under the ground is not warned of" \
         grep -q "^relidar: note: below: in 2 of 2 scans more than 20 % of the rays look where no ray of the log did, in number [23] 9" err
     check "scans.json does not say how much is unseen" grep -q '"unseen":0.9' <(tr -d ' \n' <below/scans.json)
-    good render run --out far --frames 2:3 --offset 9000,0,0 --set render.seen=true
+    good render run --out far_off --frames 2:3 --offset 9000,0,0 --set render.seen=true
     check "the summary does not say how much is unseen" grep -q "0.0 % return, 100.0 % look where the log did not" out
     good render run --out other --frames 11: --sensor VLP-16
     good render run --out grid --frames all --sensor kitti360 --quiet

@@ -45,6 +45,12 @@ TEST_P(TrainEither, LearnsTheStreet) {
     config.image.primitive = GetParam();
     const TrainResult result = train(device(), street, split, config, [](const TrainProgress&) { return true; });
     ASSERT_GE(result.log.size(), 6u);
+    EXPECT_TRUE(std::isinf(result.log.front().eta_s)) << "the pace is not known yet";
+    for (std::size_t i = 1; i < result.log.size(); ++i) {
+        const TrainProgress &first = result.log.front(), &line = result.log[i];
+        const double pace_s = (line.seconds - first.seconds) / (line.iteration - first.iteration);
+        EXPECT_NEAR(line.eta_s, (60 - line.iteration) * pace_s, 1e-9 + 1e-6 * line.seconds);
+    }
     EXPECT_LT(result.log.back().loss, 0.7 * result.log.front().loss);
     EXPECT_EQ(result.log.back().iteration, 60);
     EXPECT_FALSE(result.interrupted);

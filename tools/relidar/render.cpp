@@ -408,6 +408,24 @@ void add_file_options(CLI::App& command, Options& options) {
     command.add_flag("--overwrite", options.overwrite, "replace the rendering in DIR");
 }
 
+constexpr const char* kFilesHelp =
+    "Files are DIR/frame_000123.npz and so on, by the dataset's frame number (of a trajectory: counted from 0), and "
+    "DIR/scans.json: run, sensor, offset, poses, times, settings.\n"
+    "npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin [rows,columns,3];\n"
+    "pose [4,4] sensor to the dataset's world at time_s. Metres, seconds. ply, pcd, bin: points of rays with drop_prob < 0.5, of "
+    "the dominant\n"
+    "surface (--set render.points=range: of the mean along the ray, which lies between two surfaces at edges). ring: beam, 0 the "
+    "highest;\n"
+    "time: of the ray, seconds from time_s. VIEWPOINT of a pcd takes its points to the dataset's world.\n"
+    "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; "
+    "npz has instance_names.\n"
+    "mcap: DIR/scans.mcap, all scans of all sensors in one file for Foxglove; rosbag: DIR/rosbag.mcap, a bag of ROS 2. Both have\n"
+    "transforms world, base_link (the log's vehicle), sensors, and actors' boxes; --deskew moves points to the first ray's time.\n"
+    "--set render.normals=true: unit normals of surfaces, towards the sensor; --set render.spread=true: spread, |mean - median|\n"
+    "of the range along a ray, metres, large where it passes an edge: in npz, exr, ply and pcd.\n"
+    "--set render.seen=true: seen, share of a ray's way, up to what it meets, that rays of the log have looked along: what lies\n"
+    "beside it is extrapolated. scans.json has the share of rays of which less than half is seen: unseen.\n";
+
 }  // namespace
 
 void add_render(CLI::App& app, Call& call) {
@@ -443,23 +461,7 @@ void add_render(CLI::App& app, Call& call) {
     command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
-        std::string(
-            "Files are DIR/frame_000123.npz and so on, by the dataset's frame number (of a trajectory: counted from 0), and "
-            "DIR/scans.json: run, sensor, offset, poses, times, settings.\n"
-            "npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin [rows,columns,3];\n"
-            "pose [4,4] sensor to the dataset's world at time_s. Metres, seconds. ply, pcd, bin: points of rays with drop_prob < 0.5, of "
-            "the dominant\n"
-            "surface (--set render.points=range: of the mean along the ray, which lies between two surfaces at edges). ring: beam, 0 the "
-            "highest;\n"
-            "time: of the ray, seconds from time_s. VIEWPOINT of a pcd takes its points to the dataset's world.\n"
-            "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; "
-            "npz has instance_names.\n"
-            "mcap: DIR/scans.mcap, all scans of all sensors in one file for Foxglove; rosbag: DIR/rosbag.mcap, a bag of ROS 2. Both have\n"
-            "transforms world, base_link (the log's vehicle), sensors, and actors' boxes; --deskew moves points to the first ray's time.\n"
-            "--set render.normals=true: unit normals of surfaces, towards the sensor; --set render.spread=true: spread, |mean - median|\n"
-            "of the range along a ray, metres, large where it passes an edge: in npz, exr, ply and pcd.\n"
-            "--set render.seen=true: seen, share of a ray's way, up to what it meets, that rays of the log have looked along: what lies\n"
-            "beside it is extrapolated. scans.json has the share of rays of which less than half is seen: unseen.\n") +
+        std::string(kFilesHelp) +
         kSensorFileHelp +
         "\n"
         "Examples:\n"

@@ -25,12 +25,6 @@ struct AdamOptions {
 /// Exponential interpolation from `start` at step 0 to `end` at step n_steps.
 double exponential_schedule(double start, double end, int step, int n_steps);
 
-/// How much faster or slower the means of each model learn than LearningRates says.
-struct ModelRates {
-    const Array<shared::ModelEntry>* models = nullptr;   ///< DeviceScene::models()
-    std::vector<float> factors = {};                     ///< [models]; none: all learn at the same rate
-};
-
 class Adam {
 public:
     Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, Primitive primitive = Primitive::surfel);
@@ -39,7 +33,7 @@ public:
     /// @param touched [n] 1 where a surfel has a gradient, that of the others counts as zero whatever it is; null: all have
     /// @param sh_degree active degree: higher coefficients are left alone
     void step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients, const Array<std::uint32_t>* touched,
-              const LearningRates& rates, int step, int sh_degree, const ModelRates& means = {});
+              const LearningRates& rates, int step, int sh_degree);
     SurfelArrays& moment1();
     SurfelArrays& moment2();
     /// From now on no standard deviation is stepped beyond these. Their number must stay what it is.

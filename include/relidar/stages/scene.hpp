@@ -47,6 +47,8 @@ struct LearningRates {
     double sh = 2.5e-3;            ///< DC coefficient of each channel
     double sh_rest_factor = 0.05;  ///< of the other coefficients
     double intensity_factor = 1.0; ///< of all coefficients of the intensity, over those of the drop logits
+    const Array<shared::ModelEntry>* models = nullptr;   ///< DeviceScene::models(), where there are factors of them
+    std::vector<float> mean_factors = {};                ///< [models] of the means of each; none: 1
 };
 
 /// A group of parameters: what whoever treats all parameters alike (arrays, optimiser, densification, files) has to know of it.
