@@ -47,7 +47,8 @@ struct Scalar {
 /// Three models, the second without surfels: each has a rate of its own for its means, and the others' for all else.
 TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     const std::uint32_t n = 90, n_fixed = 11;
-    const std::vector<shared::ModelEntry> entries{{.first_surfel = 0}, {.first_surfel = 40}, {.first_surfel = 40}};
+    std::vector<shared::ModelEntry> entries(3);
+    entries[1].first_surfel = entries[2].first_surfel = 40;
     const Array<shared::ModelEntry> models(device(), std::span<const shared::ModelEntry>(entries), "models");
     const LearningRates rates{1e-2, 2e-3, 3e-3, 4e-2, 5e-3, 0.05, 1.0, &models, {1.0f, 7.0f, 0.25f}};
     Adam adam(device(), n, {.n_fixed = n_fixed, .thread_per_float = GetParam()});
@@ -145,9 +146,10 @@ TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
     stream.fill(gradient, 0x3f800000u);   // 1
     run(stream, kernel, n,
         {.values = value.address(), .gradients = gradient.address(), .moment1 = m.address(), .moment2 = v.address(), .touched = {},
-         .bounds = {},
+         .bounds = {}, .model_scale = {}, .models = {},
          .learning_rate = 1.0f, .beta1 = 0.9f, .beta2 = 0.999f, .epsilon = 1e-15f, .correction1 = 10.0f, .correction2 = 1000.0f,
-         .first_scale = 1.0f, .block_scale = 1.0f, .n_rows = n, .stride = 1, .block = 1, .n_active = 1, .only_touched = 0});
+         .first_scale = 1.0f, .block_scale = 1.0f, .n_models = 0, .first_row = 0,
+         .n_rows = n, .stride = 1, .block = 1, .n_active = 1, .only_touched = 0});
     stream.finish();
     const std::vector<float> values = value.download();
     EXPECT_EQ(std::count_if(values.begin(), values.end(), [](float x) { return std::abs(x + 1.0f) < 1e-4f; }), std::ptrdiff_t(n));
