@@ -320,7 +320,7 @@ void run_train(const Options& given, const std::string& command_line) {
     if (folder) clear_folder(folder->path(), config, resume && in_blocks, start.has_value());
     ranks.wait_for_all();
     Run run{options.out, config, std::move(sequence), split, {}, {}};
-    stages.begin("train");
+    if (in_blocks) stages.begin("train");
     TrainResult result = in_blocks ? train_blocks(device, run, {ranks, options.quiet, resume_command(options)})
                                    : train_or_tell(device, run, options, start ? &*start : nullptr, stages);
     if (!ranks.is_first()) return;
