@@ -52,7 +52,6 @@ struct ActorDetail {
     std::size_t surfels = 0;
 
     /// Whether there are so few surfels for so many rays that it shows as blobs with holes between: it was learnt from farther away.
-    /// The actors of a log have more surfels than rays meet them at once.
     bool is_sparse() const { return rays > 8 * surfels; }
 };
 /// @param lidar  in Sequence::lidars @return no rays where actor and LiDAR never meet, or where nothing is known of the LiDAR's rays

@@ -6,11 +6,13 @@
 #include <limits>
 #include <tuple>
 
+#include "core/cell_key.hpp"
+
 namespace relidar {
 namespace {
 
 constexpr int kEdge = Coverage::kBlockCells;
-constexpr double kFarthest_m = 1e6;   // a place of a block has 18 bits an axis and a sign
+constexpr double kFarthest_m = 1e6;   // keys of blocks repeat beyond 8e6 m
 
 struct Place {
     glm::ivec3 block;
@@ -22,11 +24,7 @@ Place place_of(const glm::ivec3& cell) {
     return {block, std::uint32_t(within.x + kEdge * (within.y + kEdge * within.z))};
 }
 
-std::uint64_t key_of(const glm::ivec3& block) {
-    std::uint64_t key = 0;
-    for (int axis = 0; axis < 3; ++axis) key = key << 21 | (std::uint64_t(std::uint32_t(block[axis])) & 0x1FFFFFu);
-    return key;
-}
+std::uint64_t key_of(const glm::ivec3& block) { return cell_key(glm::dvec3(block), 1.0); }
 
 bool is_near(const glm::dvec3& point_m) {
     return std::abs(point_m.x) < kFarthest_m && std::abs(point_m.y) < kFarthest_m && std::abs(point_m.z) < kFarthest_m;
