@@ -25,7 +25,7 @@ using namespace argoverse2;
 
 constexpr const char* kLidarNames[] = {"up_lidar", "down_lidar"};
 constexpr std::int64_t kLongestOffset_ns = 200'000'000;  // two turns
-constexpr double kFarthest_m = 1e4;                      // of a point
+constexpr double kFarthestHit_m = 1e4;                   // of a point
 
 /// A sweep's file, and its number in the whole log.
 struct SweepFile {
@@ -59,7 +59,7 @@ std::vector<SweepFile> in_range(const std::vector<SweepFile>& sweeps, const Fram
 }
 
 /// Rigid transforms of a table: quaternion w x y z, translation, a row each.
-std::vector<Pose> read_poses(const Feather& table) {
+std::vector<Pose> poses_of(const Feather& table) {
     std::vector<double> q[4], t[3];
     const char* quaternion[] = {"qw", "qx", "qy", "qz"};
     const char* translation[] = {"tx_m", "ty_m", "tz_m"};
@@ -80,7 +80,7 @@ std::vector<Pose> read_poses(const Feather& table) {
 std::vector<Lidar> read_lidars(const fs::path& file) {
     const Feather table(file);
     const std::vector<std::string> names = table.texts("sensor_name");
-    const std::vector<Pose> poses = read_poses(table);
+    const std::vector<Pose> poses = poses_of(table);
     std::vector<Lidar> lidars;
     for (const char* name : kLidarNames) {
         const auto row = std::find(names.begin(), names.end(), name);
@@ -101,7 +101,7 @@ double seconds(std::int64_t time_ns, std::int64_t origin_ns) {
 PoseTrack read_way(const fs::path& file, const std::vector<SweepFile>& sweeps, std::int64_t origin_ns) {
     const Feather table(file);
     const std::vector<std::int64_t> times_ns = table.integers("timestamp_ns");
-    PoseTrack way{{}, read_poses(table)};
+    PoseTrack way{{}, poses_of(table)};
     for (std::size_t i = 0; i < times_ns.size(); ++i) {
         if (i > 0 && times_ns[i] <= times_ns[i - 1])
             throw DataError(fmt::format("{}, column 'timestamp_ns': row {} is {} after {}, expected times that rise", table.name(), i,
@@ -129,9 +129,9 @@ RawSweep read_sweep(const fs::path& file) {
     sweep.offset_ns = table.integers("offset_ns");
     for (std::size_t i = 0; i < x.size(); ++i) {
         sweep.point_m.emplace_back(x[i], y[i], z[i]);
-        if (!(glm::length(sweep.point_m[i]) < kFarthest_m))
+        if (!(glm::length(sweep.point_m[i]) < kFarthestHit_m))
             throw DataError(
-                fmt::format("{}: point {} at ({}, {}, {}), expected metres within {}", table.name(), i, x[i], y[i], z[i], kFarthest_m));
+                fmt::format("{}: point {} at ({}, {}, {}), expected metres within {}", table.name(), i, x[i], y[i], z[i], kFarthestHit_m));
         if (sweep.laser[i] < 0 || sweep.laser[i] >= 2 * kLasers)
             throw DataError(
                 fmt::format("{}, column 'laser_number': row {} is {}, expected 0 to {}", table.name(), i, sweep.laser[i], 2 * kLasers - 1));
@@ -192,7 +192,7 @@ std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFi
     const std::vector<std::int64_t> times_ns = table.integers("timestamp_ns");
     const std::vector<std::string> ids = table.texts("track_uuid"), categories = table.texts("category");
     const std::vector<double> length = table.numbers("length_m"), width = table.numbers("width_m"), height = table.numbers("height_m");
-    const std::vector<Pose> vehicle_from_box = read_poses(table);
+    const std::vector<Pose> vehicle_from_box = poses_of(table);
     std::map<std::int64_t, std::size_t> sweep_at;
     for (std::size_t i = 0; i < sweeps.size(); ++i) sweep_at[sweeps[i].time_ns] = i;
     std::vector<BoxLabel> labels;

@@ -20,11 +20,11 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kLargest = 1e12;         // of any length or time
+constexpr double kLargestOfHead = 1e12;   // of any length or time
 constexpr double kFarthestWorld_m = 1e9;  // of the world's origin
 constexpr double kLargestBeam_m = 100.0;  // of where a beam starts
 constexpr std::int64_t kMostColumns = 1000000, kMaxFrame = 99999999;
-constexpr std::size_t kMostFields = 64;  // of a point
+constexpr std::size_t kMostFieldsOfPoint = 64;  // of a point
 
 double radians(double degrees) {
     return degrees * kPi / 180.0;
@@ -121,8 +121,8 @@ SpinningSensor read_sensor(const JsonField& field, double max_range_m) {
     sensor.name = text_or(field, "name", "");
     sensor.period_s = number_or(field, "period_s", 0.0, 0.0, 9.999);  // 0: from the times of frames
     sensor.clockwise = flag_or(field, "clockwise", true);
-    sensor.min_range_m = number_or(field, "min_range_m", 0.0, 0.0, kLargest);
-    sensor.max_range_m = number_or(field, "max_range_m", max_range_m, 0.0, kLargest);
+    sensor.min_range_m = number_or(field, "min_range_m", 0.0, 0.0, kLargestOfHead);
+    sensor.max_range_m = number_or(field, "max_range_m", max_range_m, 0.0, kLargestOfHead);
     sensor.divergence_rad = number_or(field, "divergence_rad", 0.0, 0.0, 1.0);
     if (field.has("beams")) read_beams(field, sensor);
     return sensor;
@@ -175,7 +175,7 @@ std::vector<HeadFrame> listed_frames(const JsonField& field, const std::vector<H
     for (std::size_t i = 0; i < field.size(); ++i) {
         const JsonField entry = field.at(i);
         entry.check_members({"number", "time_s", "lidar", "scan"});
-        frames.push_back({int(entry.at("number").integer(0, kMaxFrame)), entry.at("time_s").number(-kLargest, kLargest),
+        frames.push_back({int(entry.at("number").integer(0, kMaxFrame)), entry.at("time_s").number(-kLargestOfHead, kLargestOfHead),
                           lidar_number(entry, lidars), folder / entry.at("scan").text(kLongestPath)});
     }
     if (frames.empty()) field.fail("found no frame", "expected at least one");
@@ -202,9 +202,9 @@ std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadL
 PointUnits read_units(const JsonField& root) {
     PointUnits units;
     units.columns = texts_or_none(root, "columns");
-    if (units.columns.size() > kMostFields)
-        root.at("columns").fail(fmt::format("found {}", units.columns.size()), fmt::format("expected at most {}", kMostFields));
-    if (root.has("intensity_max")) units.intensity_max = root.at("intensity_max").number(1e-12, kLargest);
+    if (units.columns.size() > kMostFieldsOfPoint)
+        root.at("columns").fail(fmt::format("found {}", units.columns.size()), fmt::format("expected at most {}", kMostFieldsOfPoint));
+    if (root.has("intensity_max")) units.intensity_max = root.at("intensity_max").number(1e-12, kLargestOfHead);
     constexpr double kSeconds[] = {1.0, 1e-3, 1e-6, 1e-9};
     if (root.has("time_unit")) units.time_unit_s = kSeconds[choice(root.at("time_unit"), {"s", "ms", "us", "ns"})];
     units.absolute_times = root.has("point_times") && choice(root.at("point_times"), {"offsets", "absolute"}) == 1;

@@ -20,7 +20,7 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kSamples = 6;     // scans of a LiDAR from which its beams are found
 constexpr double kUsualPeriod_s = 0.1;  // of a sweep, where there is one frame alone
-constexpr double kFarthest_m = 1e6;
+constexpr double kFarthestCoordinate_m = 1e6;
 
 /// How the points of a LiDAR become scans.
 struct Plan {
@@ -46,8 +46,8 @@ ScanPoints points_of(const PointTable& table, const PointUnits& units, double ti
         if (std::isnan((*x)[i])) continue;
         const auto of_point = [&] { return fmt::format("{}: point {}", where, i); };
         const glm::dvec3 p((*x)[i], (*y)[i], (*z)[i]);
-        if (!(std::abs(p.x) <= kFarthest_m && std::abs(p.y) <= kFarthest_m && std::abs(p.z) <= kFarthest_m))
-            throw DataError(fmt::format("{}: ({}, {}, {}), expected metres within {}", of_point(), p.x, p.y, p.z, kFarthest_m));
+        if (!(std::abs(p.x) <= kFarthestCoordinate_m && std::abs(p.y) <= kFarthestCoordinate_m && std::abs(p.z) <= kFarthestCoordinate_m))
+            throw DataError(fmt::format("{}: ({}, {}, {}), expected metres within {}", of_point(), p.x, p.y, p.z, kFarthestCoordinate_m));
         points.point_m.emplace_back(p);
         points.intensity.push_back(intensity ? unit_intensity((*intensity)[i], units, of_point()) : 0.0f);
         if (ring) points.ring.push_back(ring_number((*ring)[i], of_point()));

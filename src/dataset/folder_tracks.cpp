@@ -19,7 +19,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr double kMostBeyond_s = 0.1;  // of a frame before the first and after the last pose: about a sweep
-constexpr double kLargest = 1e12;      // of any length or time
+constexpr double kLargestOfTrack = 1e12;  // of any length or time
 constexpr double kUnit = 1e-3;         // a quaternion's length may differ from 1 by this
 
 /// A line without what follows a '#'.
@@ -36,8 +36,8 @@ PoseTrack read_track(const std::vector<std::string>& lines, const std::string& f
         if (!v || v->size() != 8)
             throw DataError(fmt::format("{}: '{}', expected 8 numbers: time_s x y z qw qx qy qz", where, excerpt(lines[i])));
         const auto& n = *v;
-        if (!std::all_of(n.begin(), n.end(), [](double x) { return std::abs(x) <= kLargest; }))
-            throw DataError(fmt::format("{}: '{}', expected finite numbers within {}", where, excerpt(lines[i]), kLargest));
+        if (!std::all_of(n.begin(), n.end(), [](double x) { return std::abs(x) <= kLargestOfTrack; }))
+            throw DataError(fmt::format("{}: '{}', expected finite numbers within {}", where, excerpt(lines[i]), kLargestOfTrack));
         if (!track.time_s.empty() && !(n[0] > track.time_s.back()))
             throw DataError(fmt::format("{}: time {} s after {} s, expected times that rise", where, n[0], track.time_s.back()));
         const glm::dquat q(n[4], n[5], n[6], n[7]);
@@ -61,7 +61,7 @@ std::vector<Pose> interpolated(const PoseTrack& track, const std::vector<HeadFra
 }
 
 double time_of(const JsonField& label, const std::vector<HeadFrame>& all) {
-    if (label.has("time_s")) return label.at("time_s").number(-kLargest, kLargest);
+    if (label.has("time_s")) return label.at("time_s").number(-kLargestOfTrack, kLargestOfTrack);
     const std::int64_t number = label.at("frame").integer(0, 99999999);
     const auto frame = std::find_if(all.begin(), all.end(), [&](const HeadFrame& f) { return f.number == number; });
     if (frame == all.end()) label.at("frame").fail(fmt::format("found {}", number), "expected the number of a frame");

@@ -15,7 +15,7 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr double kFarthest_m = 1e4;  // no LiDAR return lies ten kilometres away: a file of another type or byte order
+constexpr double kFarthestReturn_m = 1e4;  // no LiDAR return lies ten kilometres away: a file of another type or byte order
 
 }  // namespace
 
@@ -93,9 +93,9 @@ std::vector<glm::vec4> read_scan(const fs::path& file) {
         const glm::vec4& p = points[i];
         const bool finite = std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z) && std::isfinite(p.w);
         const double largest = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-        if (finite && largest <= kFarthest_m) continue;
+        if (finite && largest <= kFarthestReturn_m) continue;
         throw DataError(fmt::format("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values within {} m", file.string(), i,
-                                    p.x, p.y, p.z, p.w, kFarthest_m));
+                                    p.x, p.y, p.z, p.w, kFarthestReturn_m));
     }
     return points;
 }

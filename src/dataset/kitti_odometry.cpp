@@ -43,7 +43,7 @@ fs::path find_poses(const fs::path& folder) {
 }
 
 /// world_from_sensor of the given frames.
-std::vector<Pose> read_poses(const fs::path& folder, const std::vector<int>& frames, const fs::path& poses_file) {
+std::vector<Pose> read_odometry_poses(const fs::path& folder, const std::vector<int>& frames, const fs::path& poses_file) {
     if (poses_file == kNoPoses) return std::vector<Pose>(frames.size());
     if (!poses_file.empty()) return kitti::read_pose_file(poses_file, frames);
     const Pose cam_from_velo = kitti::read_transform(folder / "calib.txt", "Tr");
@@ -59,7 +59,7 @@ Sequence load_kitti_odometry(const fs::path& given, const DatasetOptions& option
     const fs::path folder = fs::canonical(given);
     const std::vector<int> frames = kitti::list_scans(folder / "velodyne", options.frames.begin, options.frames.end);
     const std::vector<double> time_s = read_seconds(folder / "times.txt", frames);
-    const std::vector<Pose> poses = read_poses(folder, frames, options.poses_file);
+    const std::vector<Pose> poses = read_odometry_poses(folder, frames, options.poses_file);
     Sequence sequence;
     sequence.name = "KITTI odometry " + folder.filename().string();
     sequence.source = given.string();

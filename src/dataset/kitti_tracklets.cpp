@@ -15,14 +15,15 @@
 namespace relidar::kitti {
 namespace {
 
-constexpr double kLargest = 1e6;   // of any number of a label: metres, radians, frames
+constexpr double kLargestOfLabel = 1e6;  // of any number of a label: metres, radians, frames
 
 /// Number in a child element. @throws DataError naming track and field where it is missing or no number a label can have
 double number_of(const pugi::xml_node& node, const char* field, const std::string& where) {
     const std::string text = node.child_value(field);
     const auto value = parse_number(trimmed(text));
-    if (!value || !(std::abs(*value) <= kLargest)) {
-        throw DataError(fmt::format("{}: {} is '{}', expected a finite number within {:.0e}", where, field, excerpt(text), kLargest));
+    if (!value || !(std::abs(*value) <= kLargestOfLabel)) {
+        throw DataError(
+            fmt::format("{}: {} is '{}', expected a finite number within {:.0e}", where, field, excerpt(text), kLargestOfLabel));
     }
     return *value;
 }

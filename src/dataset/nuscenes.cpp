@@ -25,8 +25,8 @@ using namespace nuscenes;
 constexpr std::size_t kBeams = 32, kPointBytes = 20;
 constexpr double kPeriod_s = 0.05;
 constexpr double kNoReturn_m = 1.0;  // nearer than this nothing was measured: files keep such points at the origin
-constexpr double kFarthest_m = 1e4;
-constexpr std::size_t kMostColumns = 8192;
+constexpr double kFarthestOfSweep_m = 1e4;
+constexpr std::size_t kMostColumnsOfSweep = 8192;
 
 /// HDL-32E, nominal: +10.67 to -30.67 degrees.
 SpinningSensor hdl32e() {
@@ -73,9 +73,9 @@ struct ReadSweep {
 
 ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const PoseTrack& world_from_sensor, double time_s) {
     const std::string bytes = read_file(file);
-    if (bytes.empty() || bytes.size() % (kBeams * kPointBytes) != 0 || bytes.size() / (kBeams * kPointBytes) > kMostColumns)
+    if (bytes.empty() || bytes.size() % (kBeams * kPointBytes) != 0 || bytes.size() / (kBeams * kPointBytes) > kMostColumnsOfSweep)
         throw DataError(fmt::format("{}: {} bytes, expected columns of {} points of {} bytes, 1 to {} of them", file.string(), bytes.size(),
-                                    kBeams, kPointBytes, kMostColumns));
+                                    kBeams, kPointBytes, kMostColumnsOfSweep));
     const std::size_t n = bytes.size() / kPointBytes, columns = n / kBeams;
     ReadSweep read;
     std::vector<int> numbers;
@@ -83,9 +83,9 @@ ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const P
         float v[5];  // x right, y forward, z up, intensity, ring
         std::memcpy(v, bytes.data() + i * kPointBytes, kPointBytes);
         const double range_m = std::hypot(double(v[0]), double(v[1]), double(v[2]));
-        if (!(range_m < kFarthest_m) || !std::isfinite(v[3]))
+        if (!(range_m < kFarthestOfSweep_m) || !std::isfinite(v[3]))
             throw DataError(fmt::format("{}: point {} at ({}, {}, {}), intensity {}, expected metres within {}", file.string(), i, v[0],
-                                        v[1], v[2], v[3], kFarthest_m));
+                                        v[1], v[2], v[3], kFarthestOfSweep_m));
         if (!(v[4] >= 0.0f && v[4] < float(kBeams)) || v[4] != std::floor(v[4]))
             throw DataError(fmt::format("{}: point {} of ring {}, expected 0 to {}", file.string(), i, v[4], kBeams - 1));
         if (range_m < kNoReturn_m) continue;

@@ -13,10 +13,10 @@
 namespace relidar::folder {
 namespace {
 
-constexpr std::size_t kMostFields = 256, kMostBytes = 65536;  // of a point
+constexpr std::size_t kMostPcdFields = 256, kMostBytes = 65536;  // of a point
 constexpr std::size_t kMostExpansion = 264;                   // LZF: three bytes give at most this many
 
-struct Header {
+struct PcdHeader {
     std::vector<std::string> names;
     std::vector<double> sizes, counts;
     std::string types;  ///< a letter a field
@@ -47,8 +47,8 @@ std::vector<double> numbers_of(const std::vector<std::string>& words, const std:
     return numbers;
 }
 
-Header parse_header(std::string_view bytes, const std::string& where) {
-    Header header;
+PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
+    PcdHeader header;
     while (header.data.empty()) {
         const std::size_t end = bytes.find('\n', header.length);
         if (end == std::string_view::npos) throw DataError(fmt::format("{}: no line DATA, expected the header of a PCD file", where));
@@ -79,11 +79,11 @@ Header parse_header(std::string_view bytes, const std::string& where) {
     return header;
 }
 
-std::vector<PointField> fields_of(const Header& header, const std::string& where) {
+std::vector<PointField> fields_of(const PcdHeader& header, const std::string& where) {
     const std::size_t n = header.names.size();
-    if (n == 0 || n > kMostFields || header.sizes.size() != n || header.types.size() != n || header.counts.size() != n)
+    if (n == 0 || n > kMostPcdFields || header.sizes.size() != n || header.types.size() != n || header.counts.size() != n)
         throw DataError(fmt::format("{}: {} FIELDS, {} SIZE, {} TYPE, {} COUNT, expected 1 to {} of each", where, n, header.sizes.size(),
-                                    header.types.size(), header.counts.size(), kMostFields));
+                                    header.types.size(), header.counts.size(), kMostPcdFields));
     std::vector<PointField> fields;
     double record = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
@@ -143,7 +143,7 @@ std::string unpack(std::string_view data, const std::string& where) {
 }  // namespace
 
 PointTable read_pcd(const std::string& bytes, const std::string& where) {
-    const Header header = parse_header(bytes, where);
+    const PcdHeader header = parse_pcd_header(bytes, where);
     const std::vector<PointField> fields = fields_of(header, where);
     const std::string_view data = std::string_view(bytes).substr(header.length);
     const std::size_t n = std::size_t(header.points);

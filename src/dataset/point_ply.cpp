@@ -13,7 +13,7 @@
 namespace relidar::folder {
 namespace {
 
-constexpr std::size_t kMostFields = 1024;
+constexpr std::size_t kMostPlyFields = 1024;
 
 PointField field_of(const std::string& type, const std::string& name, const std::string& where) {
     struct Row {
@@ -29,14 +29,14 @@ PointField field_of(const std::string& type, const std::string& name, const std:
     throw DataError(fmt::format("{}: property '{}' of type '{}', expected a number of a vertex", where, excerpt(name), excerpt(type)));
 }
 
-struct Header {
+struct PlyHeader {
     std::string format;
     std::size_t n = 0;
     std::vector<PointField> fields;
     std::size_t length = 0;  ///< bytes of the header
 };
 
-void parse_line(const std::string& line, Header& header, int& elements, const std::string& where) {
+void parse_line(const std::string& line, PlyHeader& header, int& elements, const std::string& where) {
     std::istringstream words(line);
     std::string keyword, a, b;
     words >> keyword >> a >> b;
@@ -48,14 +48,14 @@ void parse_line(const std::string& line, Header& header, int& elements, const st
             throw DataError(fmt::format("{}: '{}', expected 'element vertex N' first", where, excerpt(line)));
         if (elements == 1) header.n = std::size_t(*n);
     } else if (keyword == "property" && elements == 1) {
-        if (header.fields.size() >= kMostFields)
-            throw DataError(fmt::format("{}: more than {} properties, expected fewer", where, kMostFields));
+        if (header.fields.size() >= kMostPlyFields)
+            throw DataError(fmt::format("{}: more than {} properties, expected fewer", where, kMostPlyFields));
         header.fields.push_back(field_of(a, b, where));
     }
 }
 
-Header parse_header(std::string_view bytes, const std::string& where) {
-    Header header;
+PlyHeader parse_ply_header(std::string_view bytes, const std::string& where) {
+    PlyHeader header;
     int elements = 0;
     if (!bytes.starts_with("ply")) throw DataError(fmt::format("{}: it does not begin with 'ply', expected a PLY file", where));
     for (std::string_view line; line != "end_header";) {
@@ -71,7 +71,7 @@ Header parse_header(std::string_view bytes, const std::string& where) {
 }  // namespace
 
 PointTable read_ply(const std::string& bytes, const std::string& where) {
-    const Header header = parse_header(bytes, where);
+    const PlyHeader header = parse_ply_header(bytes, where);
     const std::string_view data = std::string_view(bytes).substr(header.length);
     if (header.format == "ascii") return read_lines(data, header.fields, header.n, where);
     if (header.format == "binary_little_endian") return read_packed(data, header.fields, header.n, Packing::by_point, where);

@@ -34,7 +34,7 @@ constexpr std::uint32_t real_single(std::uint32_t field) {
 }
 
 constexpr std::size_t kMostInflated = std::size_t(32) << 20;  // a matrix of TOP with six channels has 4 MB
-constexpr double kLargest = 1e8;                              // of any number of a frame: metres, radians
+constexpr double kLargestOfFrame = 1e8;                       // of any number of a frame: metres, radians
 
 std::string_view view_of(pbf_reader& from) {
     const protozero::data_view view = from.get_view();
@@ -42,8 +42,8 @@ std::string_view view_of(pbf_reader& from) {
 }
 
 double checked(double value, const char* field, const std::string& where) {
-    if (!(std::abs(value) <= kLargest))
-        throw DataError(fmt::format("{}: {} is {}, expected one within {:.0e}", where, field, value, kLargest));
+    if (!(std::abs(value) <= kLargestOfFrame))
+        throw DataError(fmt::format("{}: {} is {}, expected one within {:.0e}", where, field, value, kLargestOfFrame));
     return value;
 }
 

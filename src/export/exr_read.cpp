@@ -26,9 +26,9 @@ namespace {
 
 namespace imf = OPENEXR_IMF_NAMESPACE;
 
-constexpr std::uint32_t kMagic = 20000630, kVersionBits = 0xFF, kTiles = 0x200, kDeep = 0x800, kParts = 0x1000;
+constexpr std::uint32_t kExrMagic = 20000630, kVersionBits = 0xFF, kTiles = 0x200, kDeep = 0x800, kParts = 0x1000;
 constexpr std::size_t kMostChannels = 256, kLongestNote = 10000;   // bytes
-constexpr std::size_t kMaxExpansion = 1032;                        // deflate's own bound: a larger image is a lie
+constexpr std::size_t kMostInflated = 1032;                        // deflate's own bound: a larger image is a lie
 constexpr std::size_t kAlwaysFits = 16 << 20;                      // bytes of an image that nobody has to prove
 constexpr std::int64_t kRowsAtOnce[] = {1, 1, 1, 16, 32, 16, 32, 32, 32, 256};   // that OpenEXR unpacks, by compression
 
@@ -102,7 +102,7 @@ void read_channels(std::string_view bytes, Promise& promise) {
 }
 
 void check_kind(Header& header) {
-    if (header.number() != std::int32_t(kMagic)) throw DataError("it does not begin as an OpenEXR file");
+    if (header.number() != std::int32_t(kExrMagic)) throw DataError("it does not begin as an OpenEXR file");
     const auto version = std::uint32_t(header.number());
     if ((version & kVersionBits) > 2) throw DataError(fmt::format("version {} of the format, expected 2", version & kVersionBits));
     if (version & kTiles) throw DataError("an image of tiles, expected scan lines");
@@ -141,15 +141,15 @@ void check_promise(const Promise& promise, std::size_t file_bytes) {
         throw DataError(fmt::format("{} x {} pixels, expected at most {}", rows, columns, kMaxRays));
     const std::int64_t unpacked = (rows + promise.rows_at_once - 1) / promise.rows_at_once * promise.rows_at_once;
     const std::size_t least = std::size_t(unpacked * columns) * promise.channels.size() * 2;   // bytes, half precision
-    if (least > std::max(kAlwaysFits, kMaxExpansion * file_bytes))
+    if (least > std::max(kAlwaysFits, kMostInflated * file_bytes))
         throw DataError(fmt::format("{} x {} pixels of {} channels are impossible in a file of {} bytes", rows, columns,
                                     promise.channels.size(), file_bytes));
 }
 
 /// What OpenEXR reads from instead of a file.
-class MemoryStream : public imf::IStream {
+class MemoryInput : public imf::IStream {
 public:
-    explicit MemoryStream(const std::string& bytes) : IStream("memory"), bytes_(bytes) {}
+    explicit MemoryInput(const std::string& bytes) : IStream("memory"), bytes_(bytes) {}
 
     bool read(char out[], int n) override {
         const std::size_t wanted = std::size_t(std::max(n, 0));
@@ -169,7 +169,7 @@ private:
 ExrImage decode(const std::string& file) {
     Promise promise = read_header(file);
     check_promise(promise, file.size());
-    MemoryStream stream(file);
+    MemoryInput stream(file);
     imf::InputFile input(stream);
     if (!input.isComplete()) throw DataError("it is truncated");
     ExrImage image{int(promise.rows), int(promise.columns), {}, std::move(promise.notes)};

@@ -18,7 +18,7 @@
 namespace relidar::export_detail {
 namespace {
 
-constexpr std::string_view kMagic{"\x93NUMPY", 6};
+constexpr std::string_view kNpyMagic{"\x93NUMPY", 6};
 constexpr std::size_t kAlignment = 64;
 
 /// Reads the one dict a header may hold, left to right.
@@ -131,13 +131,13 @@ std::string npy_header(const NamedArray& array) {
     dict.resize(total - kPrefix - 1, ' ');
     dict += '\n';
     if (dict.size() > 0xFFFF) throw DataError(fmt::format("array '{}' has {} dimensions", array.name, array.shape.size()));
-    std::string header(kMagic);
+    std::string header(kNpyMagic);
     header += {'\x01', '\x00', char(dict.size() & 0xFF), char(dict.size() >> 8)};
     return header + dict;
 }
 
 NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& bytes) {
-    if (bytes.size() < 12 || std::memcmp(bytes.data(), kMagic.data(), kMagic.size()) != 0) throw DataError("it is not a .npy array");
+    if (bytes.size() < 12 || std::memcmp(bytes.data(), kNpyMagic.data(), kNpyMagic.size()) != 0) throw DataError("it is not a .npy array");
     const auto version = std::to_integer<int>(bytes[6]);
     if (version < 1 || version > 3) throw DataError(fmt::format("npy version {}, expected 1 to 3", version));
     const std::size_t n_length = version == 1 ? 2 : 4, start = 8 + n_length;

@@ -82,7 +82,7 @@ Directory find_directory(const Archive& archive) {
     return directory;
 }
 
-struct Entry {
+struct NpzEntry {
     std::string name;
     std::uint16_t flags = 0, method = 0;
     std::uint32_t crc = 0;
@@ -90,7 +90,7 @@ struct Entry {
 };
 
 /// Replaces the fields that say "see zip64" by those of the extra field, which holds just these, in this order.
-void apply_zip64(Entry& entry, std::span<const std::byte> extra) {
+void apply_zip64(NpzEntry& entry, std::span<const std::byte> extra) {
     for (std::size_t at = 0; at + 4 <= extra.size();) {
         const std::size_t size = get<std::uint16_t>(extra, at + 2);
         if (get<std::uint16_t>(extra, at) == kZip64Extra) {
@@ -107,11 +107,11 @@ void apply_zip64(Entry& entry, std::span<const std::byte> extra) {
 }
 
 /// Directory entry at `at`, which is moved behind it.
-Entry parse_entry(std::span<const std::byte> directory, std::size_t& at) {
+NpzEntry parse_entry(std::span<const std::byte> directory, std::size_t& at) {
     const auto record = directory.subspan(at);
     if (get<std::uint32_t>(record, 0) != kCentralSignature || record.size() < kCentralSize)
         throw DataError("the zip directory is damaged");
-    Entry entry;
+    NpzEntry entry;
     entry.flags = get<std::uint16_t>(record, 8);
     entry.method = get<std::uint16_t>(record, 10);
     entry.crc = get<std::uint32_t>(record, 16);
@@ -150,7 +150,7 @@ std::vector<std::byte> inflate_bytes(std::span<const std::byte> packed, std::siz
     return result;
 }
 
-std::vector<std::byte> unpack(const Archive& archive, const Entry& entry) {
+std::vector<std::byte> unpack(const Archive& archive, const NpzEntry& entry) {
     if (entry.flags & 1) throw DataError("it is encrypted");
     const auto local = archive.part(entry.offset, kLocalSize);
     if (get<std::uint32_t>(local, 0) != kLocalSignature) throw DataError("its zip header is damaged");
@@ -172,7 +172,7 @@ std::vector<std::byte> unpack(const Archive& archive, const Entry& entry) {
     return bytes;
 }
 
-NamedArray read_array(const Archive& archive, const Entry& entry) {
+NamedArray read_array(const Archive& archive, const NpzEntry& entry) {
     constexpr std::string_view kSuffix = ".npy";
     try {
         if (entry.name.size() <= kSuffix.size() || !entry.name.ends_with(kSuffix)) throw DataError("it is not a .npy array");
@@ -190,7 +190,7 @@ std::vector<NamedArray> parse(const Archive& archive) {
     std::uint64_t n_packed = 0;
     std::size_t at = 0;
     for (std::uint64_t i = 0; i < directory.n_entries; ++i) {
-        const Entry entry = parse_entry(records, at);
+        const NpzEntry entry = parse_entry(records, at);
         if (!names.insert(entry.name).second) throw DataError(fmt::format("entry '{}' occurs twice", entry.name));
         n_packed += std::min<std::uint64_t>(entry.packed_size, archive.bytes.size() + 1);
         if (n_packed > archive.bytes.size()) throw DataError("zip entries overlap");   // the trick of zip bombs

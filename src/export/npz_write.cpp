@@ -19,8 +19,7 @@
 namespace relidar {
 namespace {
 
-
-constexpr std::uint32_t kLocalSignature = 0x04034b50, kCentralSignature = 0x02014b50, kEndSignature = 0x06054b50;
+constexpr std::uint32_t kLocalHeader = 0x04034b50, kCentralHeader = 0x02014b50, kEndRecord = 0x06054b50;
 constexpr std::uint16_t kVersion = 20;        // deflate
 constexpr std::uint16_t kUtf8Names = 1 << 11;
 constexpr std::uint16_t kDeflated = 8;
@@ -82,14 +81,14 @@ void append_common(std::string& bytes, const Entry& entry) {
 
 std::string local_header(const Entry& entry) {
     std::string bytes;
-    append(bytes, kLocalSignature);
+    append(bytes, kLocalHeader);
     append_common(bytes, entry);
     return bytes + entry.name;
 }
 
 std::string central_header(const Entry& entry) {
     std::string bytes;
-    append(bytes, kCentralSignature);
+    append(bytes, kCentralHeader);
     append(bytes, kVersion);           // made by
     append_common(bytes, entry);
     append(bytes, std::uint16_t(0));   // comment
@@ -102,7 +101,7 @@ std::string central_header(const Entry& entry) {
 
 std::string end_record(std::size_t n_entries, std::size_t directory_size, std::size_t directory_offset) {
     std::string bytes;
-    append(bytes, kEndSignature);
+    append(bytes, kEndRecord);
     append(bytes, std::uint32_t(0));   // disks
     append(bytes, std::uint16_t(n_entries));
     append(bytes, std::uint16_t(n_entries));

@@ -27,7 +27,7 @@ constexpr std::uint32_t kColours = 3;
 constexpr std::uint32_t kRest = kShCoefficients - 1;
 const float kFlat = std::log(1e-4f);            // thickness of a surfel for viewers of ellipsoids, metres
 constexpr std::string_view kEndOfHeader = "\nend_header";   // and a line end, which may be that of Windows
-constexpr std::size_t kMaxHeader = 65536;
+constexpr std::size_t kMaxPlyHeader = 65536;
 constexpr std::size_t kMaxSurfels = 4294967295;
 constexpr std::size_t kMaxModels = 1u << 24;    // an index is stored as a float
 
@@ -208,7 +208,7 @@ std::size_t find_end_of_header(const std::string& start) {
 }
 
 Scene parse(const std::vector<std::byte>& file, const Scene& scene_layout, Primitive primitive) {
-    const std::string start(reinterpret_cast<const char*>(file.data()), std::min(file.size(), kMaxHeader));
+    const std::string start(reinterpret_cast<const char*>(file.data()), std::min(file.size(), kMaxPlyHeader));
     const std::size_t end = find_end_of_header(start);
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
     if (end == std::string::npos) throw DataError(fmt::format("found no end_header in the first {} bytes, expected it", start.size()));

@@ -4,18 +4,13 @@
 
 #include "core/assert.hpp"
 #include "gpu/stream.hpp"
+#include "gpu/tiles.hpp"
 
 namespace relidar {
-namespace {
-
-constexpr Constant kWorkgroup{ConstantId::WORKGROUP_SIZE, RELIDAR_TILE_THREADS};
-
-std::size_t tiles_of(std::size_t n) { return (n + RELIDAR_TILE_SIZE - 1) / RELIDAR_TILE_SIZE; }
-
-}  // namespace
 
 PrefixSum::PrefixSum(Device& device)
-    : sums_(device, "gpu/scan_sums", {kWorkgroup}, Subgroups::full), write_(device, "gpu/scan_write", {kWorkgroup}, Subgroups::full) {}
+    : sums_(device, "gpu/scan_sums", {kTileWorkgroup}, Subgroups::full),
+      write_(device, "gpu/scan_write", {kTileWorkgroup}, Subgroups::full) {}
 
 void PrefixSum::reserve(Device& device, std::size_t n) {
     for (std::size_t level = 0; n > RELIDAR_TILE_SIZE; ++level) {

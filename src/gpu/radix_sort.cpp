@@ -9,14 +9,12 @@
 #include <relidar/error.hpp>
 
 #include "gpu/stream.hpp"
+#include "gpu/tiles.hpp"
 
 namespace relidar {
 namespace {
 
-constexpr Constant kWorkgroup{ConstantId::WORKGROUP_SIZE, RELIDAR_TILE_THREADS};
 constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;   // 128 to 2048 subgroups, for 256 digits
-
-std::size_t tiles_of(std::uint32_t n) { return (std::size_t(n) + RELIDAR_TILE_SIZE - 1) / RELIDAR_TILE_SIZE; }
 
 }  // namespace
 
@@ -25,9 +23,9 @@ static_assert(RELIDAR_SORT_DIGITS == 1u << RELIDAR_SORT_BITS && RELIDAR_SORT_BIT
 
 RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_words)
     : capacity_(capacity),
-      count_(device, "gpu/radix_count", {kWorkgroup, {ConstantId::KEY_WORDS, key_words}}, Subgroups::full),
-      scan_(device, "gpu/radix_scan", {kWorkgroup}, Subgroups::full),
-      scatter_(device, "gpu/radix_scatter", {kWorkgroup, {ConstantId::KEY_WORDS, key_words}}, Subgroups::full),
+      count_(device, "gpu/radix_count", {kTileWorkgroup, {ConstantId::KEY_WORDS, key_words}}, Subgroups::full),
+      scan_(device, "gpu/radix_scan", {kTileWorkgroup}, Subgroups::full),
+      scatter_(device, "gpu/radix_scatter", {kTileWorkgroup, {ConstantId::KEY_WORDS, key_words}}, Subgroups::full),
       counts_(device, RELIDAR_SORT_DIGITS * tiles_of(capacity), "sort counts"),
       totals_(device, RELIDAR_SORT_DIGITS, "sort totals") {
     if (const int lanes = device.info().subgroup_size; lanes < 4 || lanes > 64)

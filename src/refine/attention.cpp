@@ -9,11 +9,11 @@
 namespace relidar::refine {
 namespace {
 
-constexpr std::uint32_t kThreads = 64;   // of a workgroup
+constexpr std::uint32_t kAttentionThreads = 64;   // of a workgroup
 
-std::uint32_t tiles(std::uint32_t n, std::uint32_t size) { return (n + size - 1) / size; }
-
-std::vector<Constant> in_subgroups(std::uint32_t lanes) { return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kThreads}}; }
+std::vector<Constant> attention_constants(std::uint32_t lanes) {
+    return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kAttentionThreads}};
+}
 
 /// Channels by pixels, of each head; transposed: pixels by channels.
 shared::MatrixView of_heads(const Slice& slice, std::uint32_t heads, bool transposed) {
@@ -34,8 +34,8 @@ Attention::Attention(Device& device, std::uint32_t heads, Storage storage)
     : heads_(heads),
       lanes_(std::uint32_t(device.info().subgroup_size)),
       storage_(checked(device, storage)),
-      matmul_(device, image_kernel("refine/matmul", storage), in_subgroups(lanes_), Subgroups::full),
-      softmax_(device, image_kernel("refine/softmax", storage), in_subgroups(lanes_), Subgroups::full) {}
+      matmul_(device, image_kernel("refine/matmul", storage), attention_constants(lanes_), Subgroups::full),
+      softmax_(device, image_kernel("refine/softmax", storage), attention_constants(lanes_), Subgroups::full) {}
 
 AttentionState Attention::make_state(Device& device, const Grid& grid, bool with_gradients) const {
     const auto channels = std::uint32_t(heads_ * grid.pixels());
@@ -48,12 +48,12 @@ void Attention::multiply(Stream& stream, shared::MatmulParams params, const Grid
     params.n_batch = grid.n;
     params.n_heads = heads_;
     const std::uint32_t jobs = params.n_batch * params.n_heads * tiles(params.columns, lanes_) * tiles(params.rows, RELIDAR_MATMUL_ROWS);
-    run(stream, matmul_, std::size_t(tiles(jobs, kThreads / lanes_)) * kThreads, params);
+    run(stream, matmul_, std::size_t(tiles(jobs, kAttentionThreads / lanes_)) * kAttentionThreads, params);
 }
 
 void Attention::run_softmax(Stream& stream, AttentionState& state, const Grid& grid, bool derive) const {
     const auto pixels = std::uint32_t(grid.pixels()), rows = grid.n * heads_ * pixels;
-    run(stream, softmax_, std::size_t(tiles(rows, kThreads / lanes_)) * kThreads,
+    run(stream, softmax_, std::size_t(tiles(rows, kAttentionThreads / lanes_)) * kAttentionThreads,
         {.values = state.share.address(), .d_values = derive ? state.d_share.address() : Address<shared::ImageValue>(), .n_rows = rows,
          .n = pixels});
 }

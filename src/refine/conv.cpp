@@ -17,11 +17,10 @@
 namespace relidar::refine {
 namespace {
 
-constexpr std::uint32_t kThreads = 64;           // of a workgroup
+constexpr std::uint32_t kConvThreads = 64;       // of a workgroup
 constexpr std::uint32_t kLinesOfPart = 8;        // rows of an image that a subgroup of refine/conv_weights sums
 constexpr std::size_t kMostPartial = 1 << 24;    // floats
 
-std::uint32_t tiles(std::uint32_t n, std::uint32_t size) { return (n + size - 1) / size; }
 std::uint32_t inputs_of_subgroup(std::uint32_t taps) { return taps == 1 ? RELIDAR_CONV_IN : 1; }
 
 std::uint32_t parts_of(const Grid& grid, std::size_t n_weights) {
@@ -62,7 +61,7 @@ Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t taps, Precisi
              {ConstantId::PIXELS, pixels_of_lane(device)},
              {ConstantId::LANES, lanes_of(device)},
              {ConstantId::STAGED, coalesces(device) ? 1u : 0u},
-             {ConstantId::WORKGROUP_SIZE, kThreads}},
+             {ConstantId::WORKGROUP_SIZE, kConvThreads}},
             Subgroups::full};
 }
 
@@ -70,7 +69,7 @@ Kernel<shared::ConvWeightsParams> make_conv_weights(Device& device, std::uint32_
     if (precision == Precision::fp16)
         return {device, image_kernel("refine/conv_weights_matrix", storage), matrix_constants(device, taps), Subgroups::full};
     return {device, image_kernel("refine/conv_weights", storage),
-            {{ConstantId::TAPS, taps}, {ConstantId::LANES, lanes_of(device)}, {ConstantId::WORKGROUP_SIZE, kThreads}}, Subgroups::full};
+            {{ConstantId::TAPS, taps}, {ConstantId::LANES, lanes_of(device)}, {ConstantId::WORKGROUP_SIZE, kConvThreads}}, Subgroups::full};
 }
 
 }  // namespace
@@ -100,7 +99,7 @@ std::size_t Conv::conv_threads(const shared::ConvParams& params) const {
         return lines * tiles(params.columns, RELIDAR_MATRIX_GROUPS * RELIDAR_MATRIX_TILES * tile_[1]) *
                tiles(params.n_out, RELIDAR_MATRIX_OUT * tile_[0]) * RELIDAR_MATRIX_GROUPS * lanes_;
     const std::uint32_t segments = std::uint32_t(lines) * tiles(params.columns, lanes_ * pixels_);
-    return std::size_t(tiles(segments, kThreads / lanes_)) * tiles(params.n_out, RELIDAR_CONV_OUT) * kThreads;
+    return std::size_t(tiles(segments, kConvThreads / lanes_)) * tiles(params.n_out, RELIDAR_CONV_OUT) * kConvThreads;
 }
 
 std::size_t Conv::weights_threads(const shared::ConvWeightsParams& params) const {
@@ -109,7 +108,7 @@ std::size_t Conv::weights_threads(const shared::ConvWeightsParams& params) const
                tiles(params.n_out, RELIDAR_MATRIX_TILES * tile_[0]) * RELIDAR_MATRIX_GROUPS * lanes_;
     const std::uint32_t subgroups =
         params.n_parts * tiles(params.n_in, inputs_of_subgroup(taps_)) * tiles(params.n_out, RELIDAR_CONV_OUT);
-    return std::size_t(tiles(subgroups, kThreads / lanes_)) * kThreads;
+    return std::size_t(tiles(subgroups, kConvThreads / lanes_)) * kConvThreads;
 }
 
 void Conv::run_conv(Stream& stream, const shared::ConvParams& params) const { run(stream, conv_, conv_threads(params), params); }

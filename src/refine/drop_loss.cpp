@@ -7,7 +7,7 @@
 namespace relidar::refine {
 namespace {
 
-constexpr std::uint32_t kThreads = 64;   // of a workgroup
+constexpr std::uint32_t kLossThreads = 64;   // of a workgroup
 constexpr std::size_t kPixelsOfPart = 2048;
 
 }  // namespace
@@ -16,12 +16,12 @@ DropLoss::DropLoss(Device& device, std::size_t n_pixels, Storage storage)
     : lanes_(std::uint32_t(device.info().subgroup_size)),
       n_parts_(std::uint32_t(std::max<std::size_t>(1, n_pixels / kPixelsOfPart))),
       kernel_(device, image_kernel("refine/drop_loss", checked(device, storage)),
-              {{ConstantId::LANES, lanes_}, {ConstantId::WORKGROUP_SIZE, kThreads}}, Subgroups::full),
+              {{ConstantId::LANES, lanes_}, {ConstantId::WORKGROUP_SIZE, kLossThreads}}, Subgroups::full),
       partial_(device, 2 * n_parts_, "sums of cross-entropies") {}
 
 void DropLoss::run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known, float scale) {
-    const std::uint32_t of_workgroup = kThreads / lanes_;
-    relidar::run(stream, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kThreads,
+    const std::uint32_t of_workgroup = kLossThreads / lanes_;
+    relidar::run(stream, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kLossThreads,
                  {.logit = arrays.logit, .start = arrays.start, .target = arrays.target, .d_logit = arrays.d_logit,
                   .probability = arrays.probability, .partial = partial_.address(), .n = std::uint32_t(n), .n_parts = n_parts_,
                   .weight = scale / float(std::max<std::size_t>(known, 1))});

@@ -9,18 +9,18 @@
 namespace relidar::refine {
 namespace {
 
-constexpr std::uint32_t kThreads = 64;   // of a workgroup
+constexpr std::uint32_t kNormThreads = 64;   // of a workgroup
 constexpr float kMomentum = 0.1f, kEpsilon = 1e-5f;
 
 /// Parts of all images whose sums are taken by themselves: a part lies in one image.
-std::uint32_t parts_of(const Grid& grid) { return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.pixels() / 4096, 1, 64)); }
+std::uint32_t norm_parts(const Grid& grid) { return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.pixels() / 4096, 1, 64)); }
 /// Threads that make each pixel of a slice.
 std::size_t threads_of(const Slice& slice) {
-    constexpr std::size_t kStretch = std::size_t(kThreads) * RELIDAR_NORM_PIXELS;
-    return std::size_t(slice.grid.n) * slice.channels * ((slice.grid.pixels() + kStretch - 1) / kStretch) * kThreads;
+    constexpr std::size_t kStretch = std::size_t(kNormThreads) * RELIDAR_NORM_PIXELS;
+    return std::size_t(slice.grid.n) * slice.channels * ((slice.grid.pixels() + kStretch - 1) / kStretch) * kNormThreads;
 }
 
-std::vector<Constant> in_subgroups(std::uint32_t lanes) { return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kThreads}}; }
+std::vector<Constant> in_subgroups(std::uint32_t lanes) { return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kNormThreads}}; }
 
 }  // namespace
 
@@ -28,18 +28,18 @@ Norm::Norm(Device& device, Storage storage)
     : lanes_(std::uint32_t(device.info().subgroup_size)),
       sums_(device, image_kernel("refine/channel_sums", checked(device, storage)), in_subgroups(lanes_), Subgroups::full),
       finish_(device, "refine/norm_finish"),
-      norm_(device, image_kernel("refine/norm", storage), {{ConstantId::WORKGROUP_SIZE, kThreads}}),
-      norm_vjp_(device, image_kernel("refine/norm_vjp", storage), {{ConstantId::WORKGROUP_SIZE, kThreads}}),
+      norm_(device, image_kernel("refine/norm", storage), {{ConstantId::WORKGROUP_SIZE, kNormThreads}}),
+      norm_vjp_(device, image_kernel("refine/norm_vjp", storage), {{ConstantId::WORKGROUP_SIZE, kNormThreads}}),
       sum_parts_(device, "refine/sum_parts") {}
 
 void Norm::reserve(Device& device, std::uint32_t channels, const Grid& grid) {
-    partial_.reserve(device, 2 * std::size_t(channels) * parts_of(grid), "partial sums of channels");
+    partial_.reserve(device, 2 * std::size_t(channels) * norm_parts(grid), "partial sums of channels");
 }
 
 void Norm::run_sums(Stream& stream, shared::ChannelSumsParams params) const {
     RELIDAR_ASSERT_LE(2 * std::size_t(params.n_channels) * params.n_parts, partial_.size());
-    const std::uint32_t of_workgroup = kThreads / lanes_, jobs = params.n_channels * params.n_parts;
-    run(stream, sums_, std::size_t((jobs + of_workgroup - 1) / of_workgroup) * kThreads, params);
+    const std::uint32_t of_workgroup = kNormThreads / lanes_, jobs = params.n_channels * params.n_parts;
+    run(stream, sums_, std::size_t((jobs + of_workgroup - 1) / of_workgroup) * kNormThreads, params);
 }
 
 void Norm::finish(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, bool training) const {
@@ -50,7 +50,7 @@ void Norm::finish(Stream& stream, const Slice& from, const NormWeights& weights,
          .moments = state.moments.address(),
          .scale_shift = state.scale_shift.address(),
          .n_channels = from.channels,
-         .n_parts = parts_of(from.grid),
+         .n_parts = norm_parts(from.grid),
          .n_images = from.grid.n,
          .n_pixels = std::uint32_t(from.grid.pixels()),
          .training = training ? 1u : 0u,
@@ -69,7 +69,7 @@ void Norm::apply(Stream& stream, const Slice& from, const NormState& state, cons
 void Norm::forward(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, const Slice& to) {
     run_sums(stream, {.from = from.view, .d_to = from.view, .partial = partial_.address(), .scale_shift = {}, .moments = {},
                       .kind = shared::kSums_moments, .n_images = from.grid.n, .n_pixels = std::uint32_t(from.grid.pixels()),
-                      .n_channels = from.channels, .n_parts = parts_of(from.grid), .dropout_key = 0, .dropout = 0.0f});
+                      .n_channels = from.channels, .n_parts = norm_parts(from.grid), .dropout_key = 0, .dropout = 0.0f});
     finish(stream, from, weights, state, true);
     apply(stream, from, state, to, true);
 }
@@ -81,7 +81,7 @@ void Norm::evaluate(Stream& stream, const Slice& from, const NormWeights& weight
 
 void Norm::vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to, const Slice& d_from,
                const NormGradient& gradient, bool accumulate) {
-    const auto n_pixels = std::uint32_t(from.grid.pixels()), n_parts = parts_of(from.grid);
+    const auto n_pixels = std::uint32_t(from.grid.pixels()), n_parts = norm_parts(from.grid);
     run_sums(stream, {.from = from.view, .d_to = d_to.view, .partial = partial_.address(), .scale_shift = state.scale_shift.address(),
                       .moments = state.moments.address(), .kind = shared::kSums_norm_vjp, .n_images = from.grid.n, .n_pixels = n_pixels,
                       .n_channels = from.channels, .n_parts = n_parts, .dropout_key = state.dropout_key, .dropout = state.dropout});
@@ -96,7 +96,7 @@ void Norm::vjp(Stream& stream, const Slice& from, const NormState& state, const 
 }
 
 void Norm::bias_vjp(Stream& stream, const Slice& d_to, Address<float> d_bias) {
-    const std::uint32_t n_parts = parts_of(d_to.grid);
+    const std::uint32_t n_parts = norm_parts(d_to.grid);
     run_sums(stream, {.from = d_to.view, .d_to = d_to.view, .partial = partial_.address(), .scale_shift = {}, .moments = {},
                       .kind = shared::kSums_plain, .n_images = d_to.grid.n, .n_pixels = std::uint32_t(d_to.grid.pixels()),
                       .n_channels = d_to.channels, .n_parts = n_parts, .dropout_key = 0, .dropout = 0.0f});

@@ -21,6 +21,9 @@ struct Grid {
     friend bool operator==(const Grid&, const Grid&) = default;
 };
 
+/// So many of `size` hold n.
+inline std::uint32_t tiles(std::uint32_t n, std::uint32_t size) { return (n + size - 1) / size; }
+
 /// What images are kept as; what is computed from them are floats in both.
 enum class Storage { fp32, fp16 };
 

@@ -20,8 +20,8 @@ constexpr double kMap_m = 14.0;           // of the earlier pass, to either side
 constexpr double kGrid_m = 1.5, kWidest_m = 6.0, kHighest_m = 4.5;   // starts about the place that the track says
 constexpr double kGridPenalty = 0.01;     // share of points that a step of the grid away must bring more
 constexpr std::size_t kGridPoints = 400;
-constexpr int kMostSteps = 10;
-constexpr double kConverged_m = 1e-3, kPrior = 1e-4;
+constexpr int kMostLoopSteps = 10;
+constexpr double kLoopStep_m = 1e-3, kLoopPrior = 1e-4;
 constexpr double kLeastShare = 0.4;       // of a scan's points on planes of the earlier pass: odometry has 0.5 to 0.8
 constexpr std::size_t kFewestPlaces = 2;
 constexpr double kWay_m = 0.01, kWay_rad = 3e-4;        // standard deviations of odometry over kKey_m
@@ -156,7 +156,7 @@ private:
         }
         share = double(on_planes) / double(points.size());
         if (equations.empty()) return 0.0;
-        const Twist x = equations.solve(kPrior);
+        const Twist x = equations.solve(kLoopPrior);
         at = moved(at, x);
         return length_m(x);
     }
@@ -164,7 +164,7 @@ private:
     double settle(const std::vector<PlacedPoint>& points, Pose& at) const {
         double share = 0.0;
         for (int level = 0; level < LevelMaps::kLevels; ++level)
-            for (int i = 0; i < kMostSteps && step(points, at, level, share) > kConverged_m; ++i) {}
+            for (int i = 0; i < kMostLoopSteps && step(points, at, level, share) > kLoopStep_m; ++i) {}
         return share;
     }
 

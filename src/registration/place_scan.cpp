@@ -10,9 +10,9 @@ namespace {
 
 constexpr double kThin_m = 0.1;         // nearly all returns: what is fitted is one pose
 constexpr double kScale_m = 0.05;       // of the kernel: registration has brought scans nearer than that
-constexpr double kPrior = 1e-4;         // of the mean stiffness, towards where the scan was
-constexpr double kConverged_m = 2e-4;   // length of the last step
-constexpr int kMostSteps = 8;
+constexpr double kPlacePrior = 1e-4;    // of the mean stiffness, towards where the scan was
+constexpr double kPlaceStep_m = 2e-4;   // length of the last step
+constexpr int kMostPlaceSteps = 8;
 
 /// Rays of one frame that are looked at.
 struct FrameRays {
@@ -39,8 +39,8 @@ ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const Scene
     std::size_t n = 0;
     for (const FrameRays& f : frames) n += f.rays.size();
     if (n == 0) return result;
-    double step_m = 2.0 * kConverged_m;
-    for (int i = 0; i < kMostSteps && step_m > kConverged_m; ++i) {
+    double step_m = 2.0 * kPlaceStep_m;
+    for (int i = 0; i < kMostPlaceSteps && step_m > kPlaceStep_m; ++i) {
         RigidEquations equations;
         std::size_t on_surfaces = 0;
         for (const auto& [position, rays] : frames) {
@@ -55,7 +55,7 @@ ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const Scene
         }
         result.on_surfaces = double(on_surfaces) / double(n);
         if (equations.empty()) return result;
-        const Twist step = equations.solve(kPrior, twist_between(before, track.pose[pose]));
+        const Twist step = equations.solve(kPlacePrior, twist_between(before, track.pose[pose]));
         track.pose[pose] = moved(track.pose[pose], step);
         step_m = length_m(step);
     }

@@ -11,11 +11,11 @@ namespace relidar {
 namespace {
 
 constexpr int kChunks = 64;                 // sums are added up in this many parts, whatever the number of threads
-constexpr int kShrinking = 8, kLast = 2;    // rounds
+constexpr int kShrinking = 8, kLastRounds = 2;  // rounds
 constexpr double kShift = 0.37;             // of a cell from round to round
-constexpr double kPrior = 1e-4;             // of the mean stiffness of poses, towards no correction: decides only what no point sees
+constexpr double kAdjustmentPrior = 1e-4;   // of the mean stiffness of poses, towards no correction: decides only what no point sees
 constexpr std::size_t kFewestPlaced = 30;
-constexpr double kFewestShare = 0.05;       // of its points: streets 0.3 to 0.7, ranges at random 0.003
+constexpr double kFewestOnPlanes = 0.05;  // of its points: streets 0.3 to 0.7, ranges at random 0.003
 
 /// task(begin, end, chunk) over [0, n) in kChunks parts.
 template <class Task>
@@ -77,7 +77,7 @@ PlaneAdjustment::PlaneAdjustment(const PoseTrack& given, const PoseTrack& start,
 
 std::vector<RegisterRound> PlaneAdjustment::run(const RegisterRound& first, const RegisterRound& last,
                                                 const std::function<bool(double done)>& proceed) {
-    constexpr int kRounds = kShrinking + kLast;
+    constexpr int kRounds = kShrinking + kLastRounds;
     std::vector<RegisterRound> rounds;
     for (int i = 0; i < kRounds && proceed(i / double(kRounds)); ++i)
         rounds.push_back(step(between(first, last, std::min(1.0, i / double(kShrinking - 1))), kShift * i));
@@ -102,7 +102,7 @@ RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
     });
     for (std::size_t c = 1; c < kChunks; ++c) parts[0].add(std::move(parts[c]));
     const PoseTrack before = track_;
-    const Eigen::VectorXd step = parts[0].solve(track_, corrections(start_, track_), kPrior);
+    const Eigen::VectorXd step = parts[0].solve(track_, corrections(start_, track_), kAdjustmentPrior);
     for (std::size_t k = 0; k < track_.pose.size(); ++k) track_.pose[k] = moved(track_.pose[k], twist_of(step, k));
     remove_common_motion();
     round.planes = parts[0].n_planes();
@@ -168,7 +168,7 @@ double PlaneAdjustment::share_on_planes(const PlaneMap& map, std::span<const Thi
 }
 
 bool PlaneAdjustment::is_placed(double share, std::size_t n_points) {
-    return share >= kFewestShare && share * double(n_points) >= double(kFewestPlaced);
+    return share >= kFewestOnPlanes && share * double(n_points) >= double(kFewestPlaced);
 }
 
 double PlaneAdjustment::stands_out_m(std::size_t pose, const std::vector<bool>& among) const {
@@ -206,7 +206,7 @@ void PlaneAdjustment::place_pose(const PlaneMap& map, std::size_t pose, const st
         const PlacedPoint placed = place(track_, point);
         if (const Plane* plane = map.at(placed.point_m)) equations.add(row_of(placed, *plane, scale_m), share_of(point, pose));
     }
-    if (!equations.empty()) track_.pose[pose] = moved(track_.pose[pose], equations.solve(kPrior));
+    if (!equations.empty()) track_.pose[pose] = moved(track_.pose[pose], equations.solve(kAdjustmentPrior));
 }
 
 }  // namespace relidar

@@ -17,7 +17,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kThin_m = 0.5, kThinnest_m = 0.1;   // 12 thousand points of a 64-beam scan, and nearly all
+constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;  // 12 thousand points of a 64-beam scan, and nearly all
 constexpr double kScansOnACell = 24.0;          // fewer: more points of each, since a plane takes eight
 constexpr RegisterRound kLast{0.5, 0.05};       // cells and kernel of the last rounds
 constexpr RegisterRound kLastFollowed{0.5, 0.1};   // of a scan that is followed: a map of running sums is coarser
@@ -25,7 +25,7 @@ constexpr int kLevels = 5, kStepsALevel = 3;    // of held-out scans
 
 /// Edge of the cells of which one point is kept.
 double thinning_m(std::size_t n_scans) {
-    return std::clamp(kThin_m * std::sqrt(double(n_scans) / kScansOnACell), kThinnest_m, kThin_m);
+    return std::clamp(kThinned_m * std::sqrt(double(n_scans) / kScansOnACell), kThinnest_m, kThinned_m);
 }
 
 std::vector<ThinPoint> joined(const std::vector<std::vector<ThinPoint>>& scans) {

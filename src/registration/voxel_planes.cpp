@@ -6,8 +6,8 @@
 namespace relidar {
 namespace {
 
-constexpr double kFewestPoints = 6;
-constexpr double kSpread = 0.12;      // of the cell's edge: least standard deviation along the narrower axis; 0.29 fills the cell
+constexpr double kFewestOfVoxel = 6;
+constexpr double kVoxelSpread = 0.12;  // of the cell's edge: least standard deviation along the narrower axis; 0.29 fills the cell
 constexpr double kThickness = 0.1;    // of the cell's edge: largest standard deviation along the normal
 constexpr double kRefit = 1.1;        // growth after which a plane is fitted anew
 
@@ -21,7 +21,7 @@ void VoxelPlanes::add(const glm::dvec3& point_m, double travelled_m) {
 
 const Plane* VoxelPlanes::at(const glm::dvec3& point_m) const {
     const auto found = cells_.find(cell_key(point_m, cell_m_));
-    if (found == cells_.end() || found->second.sums.n < kFewestPoints) return nullptr;
+    if (found == cells_.end() || found->second.sums.n < kFewestOfVoxel) return nullptr;
     const Cell& cell = found->second;
     if (cell.sums.n >= kRefit * cell.n_fitted) fit(cell, centre(point_m));
     return cell.plane ? &*cell.plane : nullptr;
@@ -31,7 +31,7 @@ void VoxelPlanes::fit(const Cell& cell, const glm::dvec3& centre_m) const {
     const PlaneFit f = cell.sums.fit();
     cell.n_fitted = cell.sums.n;
     cell.plane.reset();
-    if (f.variance[1] < std::pow(kSpread * cell_m_, 2) || f.variance[0] > std::pow(kThickness * cell_m_, 2)) return;
+    if (f.variance[1] < std::pow(kVoxelSpread * cell_m_, 2) || f.variance[0] > std::pow(kThickness * cell_m_, 2)) return;
     cell.plane = Plane{centre_m + f.mean, f.axes[0], f.axes[1], f.axes[2]};
 }
 

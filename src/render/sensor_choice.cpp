@@ -16,7 +16,7 @@ namespace relidar {
 
 namespace {
 
-constexpr float kMinWeight = 0.05f;   ///< a simulated ray that met less than this has no point to bin
+constexpr float kLeastWeight = 0.05f;  ///< a simulated ray that met less than this has no point to bin
 
 RangeLimits configured_limits(const Config& config) { return {config.dataset.min_range_m, config.dataset.max_range_m}; }
 
@@ -106,7 +106,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     result.time_offset_s.assign(n, 0.0f);
     std::vector<float> winner_drop(n, 2.0f);   // of the ray that owns a cell so far; 2 = none
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
-        if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kMinWeight) continue;
+        if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;
         const glm::vec3 point = scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i];
         const std::optional<int> cell = project(grid, glm::dvec3(point));
         if (!cell) continue;

@@ -14,8 +14,8 @@
 namespace relidar::run_detail {
 namespace {
 
-constexpr const char* kFormat = "relidar coverage";
-constexpr const char* kVersion = "1";
+constexpr const char* kCoverageFormat = "relidar coverage";
+constexpr const char* kCoverageVersion = "1";
 constexpr const char* kCell = "cell_m";
 
 /// An array of so many columns. @throws DataError where the file has none of this type and width
@@ -44,14 +44,14 @@ void save_coverage(const std::filesystem::path& path, const Coverage& coverage) 
     write_safetensors(path,
                       {make_array("place", {n, 3}, places.data(), places.size()),
                        make_array("cells", {n, Coverage::kWords}, cells.data(), cells.size())},
-                      {{"format", kFormat}, {"version", kVersion}, {"relidar", RELIDAR_VERSION}, {kCell, cell_m}});
+                      {{"format", kCoverageFormat}, {"version", kCoverageVersion}, {"relidar", RELIDAR_VERSION}, {kCell, cell_m}});
 }
 
 Coverage load_coverage(const std::filesystem::path& path) {
     const std::string file = path.string();
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    check_format(metadata, file, kFormat, kVersion);
+    check_format(metadata, file, kCoverageFormat, kCoverageVersion);
     if (const std::string expected = fmt::format("{}", Coverage::kCell_m); metadata[kCell] != expected)
         throw DataError(fmt::format("{}: {}: found {}, expected {}", file, kCell, metadata[kCell], expected));
     const NamedArray &places = table(arrays, "place", "i4", 3, file), &cells = table(arrays, "cells", "u2", Coverage::kWords, file);

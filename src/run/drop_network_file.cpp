@@ -16,8 +16,8 @@
 namespace relidar {
 namespace {
 
-constexpr const char* kFormat = "relidar drop network";
-constexpr const char* kVersion = "1";
+constexpr const char* kNetworkFormat = "relidar drop network";
+constexpr const char* kNetworkVersion = "1";
 
 std::vector<float> values_of(const std::vector<NamedArray>& arrays, const char* name, const std::string& file) {
     const NamedArray* array = find_array(arrays, name);
@@ -58,14 +58,14 @@ void save_drop_network(const std::filesystem::path& path, const DropNetwork& net
     write_safetensors(path,
                       {array("normalisation", network.normalisation), array("parameters", network.parameters),
                        array("running", network.running)},
-                      {{"format", kFormat}, {"version", kVersion}, {"relidar", RELIDAR_VERSION}, {"shape", shape.dump()}});
+                      {{"format", kNetworkFormat}, {"version", kNetworkVersion}, {"relidar", RELIDAR_VERSION}, {"shape", shape.dump()}});
 }
 
 DropNetwork load_drop_network(const std::filesystem::path& path) {
     const std::string file = path.string();
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    run_detail::check_format(metadata, file, kFormat, kVersion);
+    run_detail::check_format(metadata, file, kNetworkFormat, kNetworkVersion);
     DropNetwork network;
     const std::string where = file + ": metadata shape";
     const nlohmann::json shape = parse_json(metadata["shape"], where);

@@ -24,8 +24,8 @@
 namespace relidar {
 namespace {
 
-constexpr const char* kFormat = "relidar model";
-constexpr const char* kVersion = "1";
+constexpr const char* kModelFormat = "relidar model";
+constexpr const char* kModelVersion = "1";
 constexpr std::int64_t kMaxSurfels = 4294967295;
 
 void check_finite(const ParameterGroup& group, const Surfels& surfels, const std::string& file) {
@@ -84,7 +84,7 @@ void read_layout(const JsonField& layout, Scene& scene) {
 }
 
 void check_metadata(const std::map<std::string, std::string>& metadata, const std::string& file) {
-    run_detail::check_format(metadata, file, kFormat, kVersion);
+    run_detail::check_format(metadata, file, kModelFormat, kModelVersion);
     if (!metadata.contains("layout")) throw DataError(fmt::format("{}: metadata layout: missing, expected it", file));
 }
 
@@ -167,7 +167,7 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
         arrays.push_back(make_array(kSensorDrop, {std::size_t(drop.channels), std::size_t(drop.bins)}, drop.probability.data(),
                                     drop.probability.size()));
     std::map<std::string, std::string> metadata{
-        {"format", kFormat}, {"version", kVersion}, {"relidar", RELIDAR_VERSION}, {"layout", layout_to_json(scene)}};
+        {"format", kModelFormat}, {"version", kModelVersion}, {"relidar", RELIDAR_VERSION}, {"layout", layout_to_json(scene)}};
     if (!scene.blocks.empty()) metadata[kBlocks] = blocks_to_json(scene, path.parent_path());
     write_safetensors(path, arrays, metadata);
 }

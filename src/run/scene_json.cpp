@@ -20,8 +20,8 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-constexpr const char* kFormat = "relidar scene";
-constexpr int kVersion = 2, kOldest = 1;
+constexpr const char* kSceneFormat = "relidar scene";
+constexpr int kSceneVersion = 2, kOldest = 1;
 constexpr double kHuge = 1e12;   // of any length or time in a log: beyond it a value is damage
 constexpr double kFarthest_m = 1e6;      // of any place from the world's origin, the sensor in the middle frame
 constexpr double kFarthestWorld_m = 1e9; // of that origin in the dataset's world
@@ -269,8 +269,8 @@ std::string to_scene_json(const Run& run) {
     const Sequence& s = run.sequence;
     Json boxes = Json::array();
     for (const BoxTrack& box : s.boxes) boxes.push_back(to_json(box));
-    Json json = {{"format", kFormat},
-                 {"version", kVersion},
+    Json json = {{"format", kSceneFormat},
+                 {"version", kSceneVersion},
                  {"relidar", RELIDAR_VERSION},
                  {"units", kUnits},
                  {"conventions", kConventions},
@@ -295,11 +295,11 @@ std::string to_scene_json(const Run& run) {
 SceneFile parse_scene_json(const std::string& text, const std::string& file) {
     const nlohmann::json json = parse_json(text, file);
     const JsonField root(json, file, "");
-    if (const std::string format = root.at("format").text(); format != kFormat)
-        root.at("format").fail("found \"" + format + "\"", fmt::format("expected \"{}\"", kFormat));
-    if (const std::int64_t version = root.at("version").integer(0, kMaxInt); version < kOldest || version > kVersion)
+    if (const std::string format = root.at("format").text(); format != kSceneFormat)
+        root.at("format").fail("found \"" + format + "\"", fmt::format("expected \"{}\"", kSceneFormat));
+    if (const std::int64_t version = root.at("version").integer(0, kMaxInt); version < kOldest || version > kSceneVersion)
         root.at("version").fail(fmt::format("found {}", version),
-                                fmt::format("this relidar ({}) reads versions {} to {}", RELIDAR_VERSION, kOldest, kVersion));
+                                fmt::format("this relidar ({}) reads versions {} to {}", RELIDAR_VERSION, kOldest, kSceneVersion));
     SceneFile scene;
     Sequence& s = scene.sequence;
     s.name = root.at("name").text();

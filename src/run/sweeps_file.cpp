@@ -14,8 +14,8 @@
 namespace relidar::run_detail {
 namespace {
 
-constexpr const char* kFormat = "relidar sweeps";
-constexpr const char* kVersion = "1";
+constexpr const char* kSweepsFormat = "relidar sweeps";
+constexpr const char* kSweepsVersion = "1";
 
 Frame& frame_of(const std::string& name, Sequence& sequence, const std::string& file) {
     std::size_t position = sequence.frames.size();
@@ -35,14 +35,14 @@ void save_sweeps(const std::filesystem::path& path, const Sequence& sequence) {
         arrays.push_back(make_array(fmt::format("{:06}", i), {shift_rad.size()}, shift_rad.data(), shift_rad.size()));
     }
     if (arrays.empty()) return void(std::filesystem::remove(path));
-    write_safetensors(path, arrays, {{"format", kFormat}, {"version", kVersion}, {"relidar", RELIDAR_VERSION}});
+    write_safetensors(path, arrays, {{"format", kSweepsFormat}, {"version", kSweepsVersion}, {"relidar", RELIDAR_VERSION}});
 }
 
 void load_sweeps(const std::filesystem::path& path, Sequence& sequence) {
     const std::string file = path.string();
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    check_format(metadata, file, kFormat, kVersion);
+    check_format(metadata, file, kSweepsFormat, kSweepsVersion);
     for (const NamedArray& array : arrays) {
         Frame& frame = frame_of(array.name, sequence, file);
         const auto columns = std::size_t(sequence.lidar_of(frame).sensor.columns);

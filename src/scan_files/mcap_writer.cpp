@@ -25,7 +25,7 @@ enum Code : std::uint8_t {
     kFooter = 2,
     kSchema = 3,
     kChannel = 4,
-    kMessage = 5,
+    kMessageRecord = 5,
     kChunk = 6,
     kMessageIndex = 7,
     kChunkIndex = 8,
@@ -109,7 +109,7 @@ void McapWriter::add_message(std::uint16_t channel, std::uint64_t time_ns, std::
     append(body, channel), append(body, std::uint32_t(n_messages_.at(channel)++));
     append(body, time_ns), append(body, time_ns);   // logged and published
     body += message;
-    chunk_ += record(kMessage, body);
+    chunk_ += record(kMessageRecord, body);
 }
 
 void McapWriter::end_chunk() {

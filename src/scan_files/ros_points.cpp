@@ -9,20 +9,20 @@
 namespace relidar::scan_files {
 namespace {
 
-struct PointField {
+struct RosField {
     const char* name;
     std::uint32_t offset;
     std::uint8_t type;  ///< a constant of sensor_msgs/PointField
 };
-constexpr std::uint8_t kUint8 = 2, kUint16 = 4, kUint32 = 6, kFloat32 = 7;
+constexpr std::uint8_t kRosUint8 = 2, kRosUint16 = 4, kRosUint32 = 6, kRosFloat32 = 7;
 /// By the names of Velodyne's drivers.
-constexpr PointField kPlain[] = {{"x", 0, kFloat32},          {"y", 4, kFloat32},     {"z", 8, kFloat32},
-                                 {"intensity", 12, kFloat32}, {"time", 16, kFloat32}, {"ring", 20, kUint16}};
+constexpr RosField kPlain[] = {{"x", 0, kRosFloat32},          {"y", 4, kRosFloat32},     {"z", 8, kRosFloat32},
+                               {"intensity", 12, kRosFloat32}, {"time", 16, kRosFloat32}, {"ring", 20, kRosUint16}};
 /// PointXYZIRCAEDT of Autoware and Nebula.
-constexpr PointField kAutoware[] = {{"x", 0, kFloat32},         {"y", 4, kFloat32},          {"z", 8, kFloat32},
-                                    {"intensity", 12, kUint8},  {"return_type", 13, kUint8}, {"channel", 14, kUint16},
-                                    {"azimuth", 16, kFloat32},  {"elevation", 20, kFloat32}, {"distance", 24, kFloat32},
-                                    {"time_stamp", 28, kUint32}};
+constexpr RosField kAutoware[] = {{"x", 0, kRosFloat32},         {"y", 4, kRosFloat32},          {"z", 8, kRosFloat32},
+                                  {"intensity", 12, kRosUint8},  {"return_type", 13, kRosUint8}, {"channel", 14, kRosUint16},
+                                  {"azimuth", 16, kRosFloat32},  {"elevation", 20, kRosFloat32}, {"distance", 24, kRosFloat32},
+                                  {"time_stamp", 28, kRosUint32}};
 
 /// Nebula's numbers of returns.
 enum ReturnType : std::uint8_t { kLast = 1, kStrongest = 3, kSecondStrongest = 8 };
@@ -61,7 +61,7 @@ std::string plain_points(const PointCloud& cloud) {
 
 /// What points of a cloud look like.
 struct PointType {
-    std::span<const PointField> fields;
+    std::span<const RosField> fields;
     std::uint32_t step;
     std::string (*points)(const PointCloud&);
 };
@@ -72,7 +72,7 @@ std::string cloud_message(const RecordedCloud& cloud, const std::string& frame, 
     Cdr cdr;
     add_header(cdr, cloud.stamp_ns, frame);
     cdr.add(std::uint32_t(1)).add(std::uint32_t(cloud.cloud.position_m.size())).add(std::uint32_t(type.fields.size()));
-    for (const PointField& field : type.fields) cdr.add_text(field.name).add(field.offset).add(field.type).add(std::uint32_t(1));
+    for (const RosField& field : type.fields) cdr.add_text(field.name).add(field.offset).add(field.type).add(std::uint32_t(1));
     cdr.add(std::uint8_t(0)).add(type.step).add(std::uint32_t(points.size())).add_bytes(points).add(std::uint8_t(1));
     return cdr.take();
 }

@@ -15,7 +15,7 @@ namespace {
 constexpr int kRounds = 3;               // the first path is that of what was seen, which turns as other sides appear
 constexpr double kTop_s = 1.0;           // the road rises little while this passes
 constexpr double kMargin_m = 0.1;        // of the box around its points
-constexpr double kGround_m = 0.15;       // the lowest part of a box counts as ground (actors.cpp)
+constexpr double kGroundOfBox_m = 0.15;  // the lowest part of a box counts as ground (actors.cpp)
 constexpr double kSpeedOver_s = 0.5;
 constexpr std::size_t kNearLabels = 10;  // that tell where a labelled box lies about what is seen of it
 constexpr double kBeside_m = 0.5;        // of a box: a sensor farther out sees one of its ends
@@ -140,7 +140,7 @@ Corners corners_of(const MoverTrack& track, const std::vector<Placement>& placed
         corners.low[axis] = along[axis][cut] - kMargin_m;
         corners.high[axis] = along[axis][along[axis].size() - 1 - cut] + kMargin_m;
     }
-    corners.low.z -= kGround_m;
+    corners.low.z -= kGroundOfBox_m;
     return corners;
 }
 

@@ -12,7 +12,7 @@ namespace {
 constexpr double kSamePlace_m = 0.2;      // returns of one thing that stands, poses and noise included
 constexpr double kClear_m = 0.4;          // of the box, before its place may be expected to be free
 constexpr double kToldShare = 0.25;       // of the returns of a track, of which others say that they moved
-constexpr double kMovedShare = 0.85;      // of those of which they say anything
+constexpr double kLeftShare = 0.85;       // of those of which they say anything
 constexpr double kProvenShare = 0.5;      // of the frames of a track
 
 }  // namespace
@@ -35,7 +35,7 @@ void Testimony::operator+=(const Testimony& other) {
 }
 
 bool Testimony::says_moved() const {
-    return looks.says_moved() && double(moved) >= kToldShare * double(returns) && double(moved) >= kMovedShare * double(told) &&
+    return looks.says_moved() && double(moved) >= kToldShare * double(returns) && double(moved) >= kLeftShare * double(told) &&
            double(frames_moved) >= kProvenShare * double(frames);
 }
 

@@ -13,7 +13,7 @@ namespace {
 constexpr double kPlaceNoise_m = 0.1;    // of where a frame sees the near end of something
 constexpr double kJerk = 0.2;            // q, m^2/s^5: with places every 0.1 s the path follows what takes longer than 0.4 s
 constexpr double kFar_m = 0.3;           // from the path, where a place counts half
-constexpr int kRounds = 3;
+constexpr int kPathRounds = 3;
 constexpr double kChord_m = 1.5;         // to either side: noise of 3 cm at its ends is less than a degree
 constexpr double kTurnsBack = 0.3;       // of that: where a path returns its chord says nothing
 
@@ -85,7 +85,7 @@ glm::dvec2 end_of_chord(const std::vector<glm::dvec3>& path_m, std::size_t place
 std::vector<PathState> smooth_path(const std::vector<double>& time_s, const std::vector<glm::dvec3>& place_m) {
     std::vector<double> weights(time_s.size(), 1.0);
     std::vector<PathState> path;
-    for (int round = 0; round < kRounds; ++round) {
+    for (int round = 0; round < kPathRounds; ++round) {
         path = smooth_once(time_s, place_m, weights);
         for (std::size_t k = 0; k < path.size(); ++k) {
             const double off = glm::length(glm::dvec2(place_m[k] - path[k].position_m)) / kFar_m;

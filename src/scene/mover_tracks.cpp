@@ -27,7 +27,7 @@ constexpr std::size_t kMinObservations = 6;
 constexpr double kMinPath_m = 0.6;
 constexpr double kMinStraightness = 0.5;    // of the path: noise walks to and fro
 constexpr double kOwnVehicle_m = 4.0, kRides_m = 0.3;
-constexpr double kVehicle_m = 1.2;          // parts as large belong to a vehicle, not to people who walk together
+constexpr double kVehiclePart_m = 1.2;      // parts as large belong to a vehicle, not to people who walk together
 constexpr double kBesides_m = 1.5;          // between parts of one vehicle
 constexpr double kRigid_m = 0.5;            // standard deviation of where a part is seen of the whole: its visible side changes
 
@@ -141,7 +141,7 @@ bool move_as_one(const MoverTrack& whole, const MoverTrack& part) {
     const auto common = in_common(whole, part);
     if (2 * common.size() < part.seen.size() || common.size() < 4) return false;
     const auto& [i, j] = common[common.size() / 2];
-    if (std::min(width_seen(whole.seen[i].cluster), width_seen(part.seen[j].cluster)) < kVehicle_m ||
+    if (std::min(width_seen(whole.seen[i].cluster), width_seen(part.seen[j].cluster)) < kVehiclePart_m ||
         gap_between(whole.seen[i].cluster, part.seen[j].cluster) > kBesides_m)
         return false;
     glm::dvec3 sum(0.0), squares(0.0);

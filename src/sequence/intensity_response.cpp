@@ -22,9 +22,9 @@ namespace {
 
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
 constexpr std::size_t kReference = 3;       // of the knots: where rho is 1
-constexpr double kPriorReturns = 200.0;  // a beam starts as if so many of its returns had followed the mean beam; a knot, a straight line
+constexpr double kResponsePrior = 200.0;  // a beam starts as if so many of its returns had followed the mean beam; a knot, a straight line
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
-constexpr double kLeastGain = 0.95;         // what does not bring the error down to this share of what it was is not there
+constexpr double kLeastResponseGain = 0.95;  // what does not bring the error down to this share of what it was is not there
 constexpr int kSteps = 12;
 constexpr double kDamping = 1e-3;
 constexpr std::size_t kChunks = 64;        // sums are added up in this many parts, whatever the number of threads
@@ -183,7 +183,7 @@ System system_of(const Model& m, const Layout& at, const PlaceReturns& returns) 
 
 void add_priors(System& sys, const Model& m, const Layout& at) {
     const auto pull = [&](Eigen::Index i, double weight, double error) { sys.h(i, i) += weight, sys.g[i] += weight * error; };
-    const double prior = kPriorReturns * (sys.mean * sys.mean + sys.spread * sys.spread);
+    const double prior = kResponsePrior * (sys.mean * sys.mean + sys.spread * sys.spread);
     for (std::size_t k = 1; at.parts.shared && k + 1 < kKnots_m.size(); ++k) {  // what few returns say continues the line of its neighbours
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
@@ -198,7 +198,7 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
     }
     for (std::size_t b = 0; at.parts.beams && b < m.beams.size(); ++b)
         for (const double x : {sys.mean - sys.spread, sys.mean + sys.spread}) {
-            const double weight = 0.5 * kPriorReturns, error = x - m.beams[b].gain * x - m.beams[b].offset;
+            const double weight = 0.5 * kResponsePrior, error = x - m.beams[b].gain * x - m.beams[b].offset;
             sys.h(at.gain(b), at.gain(b)) += weight * x * x, sys.h(at.offset(b), at.offset(b)) += weight;
             sys.h(at.gain(b), at.offset(b)) += weight * x, sys.h(at.offset(b), at.gain(b)) += weight * x;
             sys.g[at.gain(b)] += weight * x * error, sys.g[at.offset(b)] += weight * error;
@@ -219,7 +219,7 @@ void take_step(Model& m, const Layout& at, const Eigen::VectorXd& step) {
 
 /// One scale and one shift of all albedos are free: the mean beam, by returns, has gain 1 and offset 0.
 void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
-    std::vector<double> n(beams.size(), kPriorReturns);
+    std::vector<double> n(beams.size(), kResponsePrior);
     for (const PlaceReturn& r : returns.seen) n[r.beam] += 1.0;
     double all = 0.0, gain = 0.0, offset = 0.0;
     for (std::size_t b = 0; b < beams.size(); ++b) all += n[b], gain += n[b] * beams[b].gain, offset += n[b] * beams[b].offset;
@@ -295,7 +295,7 @@ IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<i
     result.returns = returns.seen.size();
     if (returns.seen.empty()) return result;
     const std::size_t n = beams.size();
-    const auto better = [](const Model& a, const Model& b) { return a.rms < kLeastGain * b.rms; };
+    const auto better = [](const Model& a, const Model& b) { return a.rms < kLeastResponseGain * b.rms; };
     Model best = fitted(returns, n, {false, false});
     result.rms_before = best.rms;
     const Model shared = fitted(returns, n, {true, false}), each_beam = fitted(returns, n, {false, true}),

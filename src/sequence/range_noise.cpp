@@ -18,7 +18,7 @@ namespace {
 constexpr std::array kRanges_m = {10.0, 20.0, 30.0, 45.0, 80.0};
 constexpr std::array kCosines = {0.3, 0.6, 1.0};
 constexpr std::size_t kBins = kRanges_m.size() * kCosines.size();
-constexpr std::size_t kMostReturns = 3000000, kFewestOfBin = 200;
+constexpr std::size_t kMostNoiseReturns = 3000000, kFewestOfBin = 200;
 constexpr float kEdge_m = 0.5f;        // larger differences are edges, not noise
 constexpr double kOfMedian = 1.4826;   // a normal deviate's standard deviation over its median absolute value
 
@@ -91,7 +91,7 @@ std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& posi
         std::vector<int> own;
         for (const int position : positions)
             if (sequence.frames[std::size_t(position)].lidar == int(i)) own.push_back(position);
-        const auto [noise, n_returns] = noise_of(read_frames(sequence, own, kMostReturns, differences_of));
+        const auto [noise, n_returns] = noise_of(read_frames(sequence, own, kMostNoiseReturns, differences_of));
         sequence.lidars[i].range_noise = noise;
         n += n_returns;
     }

@@ -16,7 +16,7 @@ namespace {
 
 constexpr double kCell_m = 0.3;             // large enough for a plane to be told from noise, small enough for a street to be flat in
 constexpr double kMaxRange_m = 40.0;        // farther out a cell has too few returns
-constexpr std::size_t kMostReturns = 6000000;
+constexpr std::size_t kMostOffsetReturns = 6000000;
 constexpr int kMinReturns = 20;             // of a cell that may be a plane
 constexpr double kMaxThickness_m = 0.05;    // standard deviation across a plane, and at least along it
 constexpr double kMaxResidual_m = 0.15;     // what lies farther off its cell's plane belongs to something else
@@ -32,7 +32,7 @@ struct Observation {
     std::uint32_t beam;
 };
 
-std::vector<Observation> returns_of(const Sequence& sequence, const Frame& frame) {
+std::vector<Observation> observations_of(const Sequence& sequence, const Frame& frame) {
     std::vector<Observation> result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         const auto beam = beam_that_saw(sequence, frame, ray, kMaxRange_m);
@@ -46,7 +46,7 @@ std::vector<Observation> returns_of(const Sequence& sequence, const Frame& frame
 /// Returns of the frames, and how many cells they fall into. A cell keeps its returns while they move by centimetres.
 std::vector<Observation> gather(const Sequence& sequence, const std::vector<int>& positions, std::size_t& n_cells) {
     std::vector<std::vector<Observation>> frames =
-        read_frames(sequence, positions, kMostReturns, [&](const Frame& frame) { return returns_of(sequence, frame); });
+        read_frames(sequence, positions, kMostOffsetReturns, [&](const Frame& frame) { return observations_of(sequence, frame); });
     std::unordered_map<std::uint64_t, std::uint32_t> number;
     std::vector<Observation> all;
     for (std::vector<Observation>& frame : frames) {

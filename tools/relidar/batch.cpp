@@ -25,7 +25,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-struct Options {
+struct BatchOptions {
     std::string manifest;
     std::string out;
     std::optional<int> task, tasks;
@@ -84,7 +84,7 @@ void raise_ends(const std::vector<JobReport>& reports) {
                                 failed.size() == 1 ? "job" : "the first, job", failed.front().job->job.name, failed.front().state.message));
 }
 
-void run_batch(const Options& options) {
+void run_batch(const BatchOptions& options) {
     catch_interrupts();   // at once: the first process of a container gets no signal that it does not catch
     const BatchManifest manifest = load_manifest(options.manifest);
     const BatchPlan plan = plan_batch(manifest, fs::absolute(options.out).lexically_normal(), options.device);
@@ -102,7 +102,7 @@ void run_batch(const Options& options) {
     raise_ends(reports);
 }
 
-void add_share_options(CLI::App& command, Options& options) {
+void add_share_options(CLI::App& command, BatchOptions& options) {
     command
         .add_option("--task", options.task,
                     "do the share of one of --tasks, counted from 0 (default: SLURM_ARRAY_TASK_ID of an array, JOB_COMPLETION_INDEX)")
@@ -114,7 +114,7 @@ void add_share_options(CLI::App& command, Options& options) {
 
 void add_batch(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("batch", "train, render and score many logs, resumably, on one machine or many");
-    const auto options = std::make_shared<Options>();
+    const auto options = std::make_shared<BatchOptions>();
     command->add_option("MANIFEST", options->manifest, "TOML file with [defaults] and a [[job]] for each log or list of logs")->required();
     command->add_option("--out", options->out, "folder for all jobs")->required()->type_name("DIR");
     add_share_options(*command, *options);

@@ -21,7 +21,7 @@ namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 using Metrics = std::map<std::string, double>;
 
-constexpr const char* kPhases[] = {"done", "failed", "preempted", "lost", "running", "waiting"};   // in the order of totals
+constexpr const char* kTotals[] = {"done", "failed", "preempted", "lost", "running", "waiting"};  // in the order of totals
 constexpr const char* kShownMetrics[] = {"strict/depth_medae_m", "strict/depth_rmse_m", "strict/intensity_mae", "strict/drop_accuracy",
                                          "points/cd_mean_m"};
 constexpr std::chrono::milliseconds kLookAgain{20};
@@ -73,7 +73,7 @@ Json job_json(const JobReport& report) {
 
 std::string summary_json(const BatchPlan& plan, const std::vector<JobReport>& reports) {
     Json totals = {{"jobs", reports.size()}};
-    for (const char* phase : kPhases) totals[phase] = count(reports, phase);
+    for (const char* phase : kTotals) totals[phase] = count(reports, phase);
     totals["seconds"] = total_seconds(reports);
     Json metrics = Json::object(), jobs = Json::array();
     for (const auto& [name, mean] : means(reports)) metrics[name] = {{"mean", mean.sum / mean.n}, {"jobs", mean.n}};
@@ -124,7 +124,7 @@ std::string status_text(const std::vector<JobReport>& reports) {
         if (phase == "failed")
             failed += one_line(fmt::format("failed  {}: exit code {}: {}", job->job.name, state.exit_code, state.message)) + "\n";
     }
-    for (const char* phase : kPhases)
+    for (const char* phase : kTotals)
         if (const std::size_t n = count(reports, phase); n > 0) totals += fmt::format(", {} {}", n, phase);
     const std::string jobs = fmt::format("\n{} job{}", reports.size(), reports.size() == 1 ? "" : "s");
     return table(rows) + (failed.empty() ? "" : "\n" + failed) + jobs + totals +

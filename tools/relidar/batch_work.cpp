@@ -32,7 +32,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::chrono::milliseconds kLookAgain{500};   // at jobs of other processes
+constexpr std::chrono::milliseconds kPoll{500};  // at jobs of other processes
 
 std::string host_name() {
     char name[256] = {};
@@ -80,7 +80,7 @@ public:
             left_ = std::move(held);
             if (left_.empty() || interrupted()) break;
             progress_.show(fmt::format("waiting for {} of {} jobs, which other processes are at", left_.size(), n_jobs_));
-            std::this_thread::sleep_for(kLookAgain);
+            std::this_thread::sleep_for(kPoll);
         }
         end_progress_line();
     }

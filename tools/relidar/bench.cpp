@@ -24,7 +24,7 @@ namespace {
 
 constexpr int kMaxRepeat = 100000;
 
-struct Options {
+struct BenchOptions {
     BenchChoice choice;
     bool describes_street = false;   ///< --scene, --surfels or --rays was given
     BenchSettings settings;
@@ -47,7 +47,7 @@ std::vector<int> actor_counts(const std::string& list) {
     return counts;
 }
 
-void bench_actors(const Options& options, Device& device, const std::string& command_line) {
+void bench_actors(const BenchOptions& options, Device& device, const std::string& command_line) {
     std::vector<ActorTimes> times;
     for (const int n : actor_counts(options.actors))
         for (const bool own_models : {false, true}) times.push_back(measure_actors(device, n, own_models, options.settings));
@@ -56,7 +56,7 @@ void bench_actors(const Options& options, Device& device, const std::string& com
     if (!options.settings.quiet) print(actors_text(times));
 }
 
-void run_bench(const Options& options, const std::string& command_line) {
+void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (!options.service.address.empty()) return bench_service(options.service);
     check(options.choice);
     if (!options.choice.run.empty() && options.describes_street)
@@ -111,7 +111,7 @@ void add_service_options(CLI::App& command, ServeBench& service) {
 
 void add_bench(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("bench", "time every kernel of a training iteration, on a benchmark street or a run");
-    const auto options = std::make_shared<Options>();
+    const auto options = std::make_shared<BenchOptions>();
     BenchChoice& choice = options->choice;
     const CLI::Option* scene =
         command

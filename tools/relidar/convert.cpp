@@ -15,7 +15,7 @@
 namespace relidar::cli {
 namespace {
 
-struct Options {
+struct ConvertOptions {
     std::string dataset;
     std::string out;
     std::string frames;
@@ -24,7 +24,7 @@ struct Options {
     bool quiet = false;
 };
 
-void run_convert(const Options& options) {
+void run_convert(const ConvertOptions& options) {
     Config config = resolve(options.settings);
     config.dataset.path = options.dataset;
     if (!options.frames.empty()) {
@@ -50,7 +50,7 @@ void run_convert(const Options& options) {
 
 void add_convert(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("convert", "write a log as a plain folder: npz, text and JSON that any tool can read");
-    const auto options = std::make_shared<Options>();
+    const auto options = std::make_shared<ConvertOptions>();
     command->add_option("DATASET", options->dataset, "log (path, or kind:path)")->required();
     command->add_option("--out", options->out, "folder to make")->required()->type_name("FOLDER");
     command->add_option("--frames", options->frames, "frames to convert, first:end (default: all)")->type_name("A:B");

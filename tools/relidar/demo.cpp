@@ -24,11 +24,11 @@ namespace {
 namespace fs = std::filesystem;
 
 const Pose kShift{glm::dquat(1.0, 0.0, 0.0, 0.0), glm::dvec3(0.0, 2.0, 1.0)};   // 2 m to the left, 1 m up
-constexpr const char* kShownMetrics[] = {"strict/depth_medae_m", "strict/depth_rmse_m", "strict/intensity_mae",
-                                         "strict/drop_accuracy", "strict/cd_mean_m",    "points/cd_mean_m",
-                                         "points/f_22cm",        "peer/depth_psnr_db",  "peer/depth_ssim"};
+constexpr const char* kDemoMetrics[] = {"strict/depth_medae_m", "strict/depth_rmse_m", "strict/intensity_mae",
+                                        "strict/drop_accuracy", "strict/cd_mean_m",    "points/cd_mean_m",
+                                        "points/f_22cm",        "peer/depth_psnr_db",  "peer/depth_ssim"};
 
-struct Options {
+struct DemoOptions {
     std::string out = "demo";
     std::string seed = "1";
     std::string iterations;
@@ -37,7 +37,7 @@ struct Options {
     bool quiet = false;
 };
 
-Config config_of(const Options& options, const fs::path& street) {
+Config config_of(const DemoOptions& options, const fs::path& street) {
     Config config = make_preset("quick");
     set_key(config, "train.seed", options.seed);
     set_key(config, "init.seed", options.seed);
@@ -94,7 +94,7 @@ void write_scans(const fs::path& folder, const Evaluation& evaluation, const Run
 std::string short_table(const Evaluation& held_out, const Evaluation& shifted) {
     std::vector<std::vector<std::string>> rows{{"metric", "held out", "shifted sensor"}};
     const auto cell = [](const MetricRow& row, const char* name) { return row.contains(name) ? number(row.at(name)) : std::string("-"); };
-    for (const char* name : kShownMetrics) rows.push_back({name, cell(held_out.mean, name), cell(shifted.mean, name)});
+    for (const char* name : kDemoMetrics) rows.push_back({name, cell(held_out.mean, name), cell(shifted.mean, name)});
     return table(rows);
 }
 
@@ -119,7 +119,7 @@ void finish(Device& device, const Run& run, const SyntheticOptions& street, Repo
     if (!quiet) print(short_table(held_out, shifted) + fmt::format("\nreport  {}\n", absolute_path((out / "report.html").string())));
 }
 
-void run_demo(const Options& options, const std::string& command_line) {
+void run_demo(const DemoOptions& options, const std::string& command_line) {
     const fs::path out = options.out;
     const Config config = config_of(options, out / "street");
     check_lpips_weights(with_lpips_weights(config));
@@ -159,7 +159,7 @@ void run_demo(const Options& options, const std::string& command_line) {
 
 void add_demo(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("demo", "the whole way on a synthetic street: log, training, new scans, report");
-    const auto options = std::make_shared<Options>();
+    const auto options = std::make_shared<DemoOptions>();
     command->add_option("--out", options->out, "folder for everything (default: demo)")->type_name("DIR");
     command->add_option("--seed", options->seed, "seed of the street and of training (default: 1)")->type_name("S");
     command->add_option("--iterations", options->iterations, "optimiser steps (default: as preset quick says)")->type_name("N");

@@ -17,7 +17,7 @@
 namespace relidar::cli {
 namespace {
 
-struct Options {
+struct EditOptions {
     std::string run;
     std::string out;
     std::vector<TypedEdit> edits;   ///< in the order typed
@@ -25,7 +25,7 @@ struct Options {
     bool quiet = false;
 };
 
-void check_other_folder(const Options& options) {
+void check_other_folder(const EditOptions& options) {
     std::error_code failed;
     if (std::filesystem::equivalent(options.run, options.out, failed))
         throw UsageError(fmt::format("--out {}: found the run that is edited, expected another folder", options.out));
@@ -61,7 +61,7 @@ std::string sparse_actors(const DrivingScene& driving, const std::vector<BoxTrac
     return text;
 }
 
-void run_edit(const Options& options) {
+void run_edit(const EditOptions& options) {
     if (options.edits.empty())
         throw UsageError(
             "found no edit, expected --remove, --move, --retime, --trajectory, --copy, --insert or --keep (see `relidar edit --help`)");
@@ -93,7 +93,7 @@ void run_edit(const Options& options) {
 
 void add_edit(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("edit", "remove, move, retime, copy and insert the actors of a run");
-    const auto options = std::make_shared<Options>();
+    const auto options = std::make_shared<EditOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
     command->add_option("--out", options->out, "folder for the edited run")->required()->type_name("DIR");
     for (const EditOption& edit : edit_options()) {

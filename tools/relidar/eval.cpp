@@ -27,7 +27,7 @@
 namespace relidar::cli {
 namespace {
 
-struct Options {
+struct EvalOptions {
     std::string target;
     std::string out;
     LogPart part;
@@ -41,7 +41,7 @@ struct Options {
     bool quiet = false;
 };
 
-void apply_options(Config& config, const Options& options) {
+void apply_options(Config& config, const EvalOptions& options) {
     apply_sets(config, options.sets);
     if (!options.lpips.empty()) config.eval.lpips_weights = absolute_path(options.lpips);
     config = with_lpips_weights(std::move(config));
@@ -112,7 +112,7 @@ void keep_share(std::vector<int>& positions, const Ranks& ranks) {
     positions = {positions.begin() + std::ptrdiff_t(share.begin), positions.begin() + std::ptrdiff_t(share.end)};
 }
 
-void score_run(const Options& options, const Ranks& ranks, const std::string& command_line) {
+void score_run(const EvalOptions& options, const Ranks& ranks, const std::string& command_line) {
     std::optional<FolderLock> lock;   // its metrics.json belongs to what is scored
     if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
     Run run = load_run(options.target);
@@ -155,7 +155,7 @@ void score_run(const Options& options, const Ranks& ranks, const std::string& co
 }
 
 /// The baseline alone: a log, no run, no device.
-void score_log(const Options& options, const Ranks& ranks) {
+void score_log(const EvalOptions& options, const Ranks& ranks) {
     Config config = make_preset("default");
     apply_options(config, options);
     config.dataset.path = absolute_dataset(options.target);
@@ -177,9 +177,9 @@ void score_log(const Options& options, const Ranks& ranks) {
     if (ranks.is_first()) write_results(output, evaluation, config, {"", "none", 0, seconds_since(start)}, options.quiet);
 }
 
-void run_eval(const Options& given, const std::string& command_line) {
+void run_eval(const EvalOptions& given, const std::string& command_line) {
     const Ranks ranks;
-    Options options = given;
+    EvalOptions options = given;
     options.quiet = options.quiet || !ranks.is_first();
     options.device = ranks.device(options.device);
     if (options.open && ranks.size() > 1)
@@ -199,7 +199,7 @@ void run_eval(const Options& given, const std::string& command_line) {
 
 void add_eval(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("eval", "score the held-out frames of a run against its log");
-    const auto options = std::make_shared<Options>();
+    const auto options = std::make_shared<EvalOptions>();
     command->add_option("RUN", options->target, "run folder of `relidar train`; with --baseline also a log")->required();
     command->add_option("--out", options->out, "JSON file for the numbers (default: RUN/metrics.json; of a log: none)")->type_name("FILE");
     command

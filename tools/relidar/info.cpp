@@ -16,14 +16,14 @@
 namespace relidar::cli {
 namespace {
 
-struct Options {
+struct InfoOptions {
     std::string path;
     LogPart part;
     Settings settings;
     bool json = false;
 };
 
-void show_run(const Options& options) {
+void show_run(const InfoOptions& options) {
     const RunSummary summary = summarise(load_run(options.path));
     print(options.json ? to_json(summary) : to_text(summary));
 }
@@ -38,7 +38,7 @@ void show_unfinished(const std::filesystem::path& folder) {
     if (!FolderLock::is_held(folder)) print(fmt::format("continue with: relidar train --resume {}\n", shell_word(folder.string())));
 }
 
-void show_log(const Options& options) {
+void show_log(const InfoOptions& options) {
     Config config = resolve(options.settings);
     config.dataset.path = options.path;
     apply_log_part(config, options.part);
@@ -50,7 +50,7 @@ void show_log(const Options& options) {
 
 void add_info(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("info", "say what a log or a run holds");
-    const auto options = std::make_shared<Options>();
+    const auto options = std::make_shared<InfoOptions>();
     command->add_option("DATASET|RUN", options->path, "log (path, or kind:path) or run folder")->required();
     add_log_part_options(*command, options->part);
     add_set_option(*command, options->settings.sets);

@@ -14,7 +14,7 @@
 namespace relidar::cli {
 namespace {
 
-struct Options {
+struct PipelinesOptions {
     int device = -1;
     std::string traversal = "both";
     std::string kernel;
@@ -29,7 +29,7 @@ std::vector<PipelineStatistics> compiled(int index, Traversal traversal) {
 }
 
 /// Those of the traversals asked for, of "both" those that the device has; each pipeline once.
-std::vector<PipelineStatistics> all_compiled(const Options& options) {
+std::vector<PipelineStatistics> all_compiled(const PipelinesOptions& options) {
     const DeviceInfo info = Device(from_environment({.index = options.device, .compile_only = true})).info();
     std::vector<PipelineStatistics> all;
     std::set<std::string> known;
@@ -65,7 +65,7 @@ std::vector<std::vector<std::string>> rows_of(const std::vector<PipelineStatisti
     return rows;
 }
 
-void run(const Options& options) {
+void run(const PipelinesOptions& options) {
     const std::vector<PipelineStatistics> pipelines = all_compiled(options);
     if (!options.tsv) {
         print(table(rows_of(pipelines)));
@@ -79,7 +79,7 @@ void run(const Options& options) {
 void add_pipelines(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand(
         "pipelines", "compile every kernel as the program uses it and print what the device's compiler says: registers, spills, waves");
-    const auto options = std::make_shared<Options>();
+    const auto options = std::make_shared<PipelinesOptions>();
     command->add_option("--device", options->device, "number of `relidar devices`");
     command->add_option("--traversal", options->traversal, "software, ray_query or both")
         ->check(CLI::IsMember({"software", "ray_query", "both"}));

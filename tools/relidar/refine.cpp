@@ -19,7 +19,7 @@
 namespace relidar::cli {
 namespace {
 
-struct Options {
+struct RefineOptions {
     std::string run;
     std::vector<std::string> sets;
     DeviceChoice device;
@@ -29,7 +29,7 @@ struct Options {
 };
 
 /// The checkpoint to continue from. @return nothing where training starts from the beginning
-std::optional<Checkpoint> find_start(const Options& options) {
+std::optional<Checkpoint> find_start(const RefineOptions& options) {
     const std::filesystem::path folder = network_checkpoint_folder(options.run);
     if (!options.resume) {
         if (!list_checkpoints(folder).empty())
@@ -43,14 +43,14 @@ std::optional<Checkpoint> find_start(const Options& options) {
 }
 
 /// What continues this training, as typed on the command line.
-std::string resume_command(const Options& options) {
+std::string resume_command(const RefineOptions& options) {
     std::string command = "relidar refine --resume " + shell_word(options.run);
     for (const std::string& word : device_words(options.device)) command += " " + word;
     return command;
 }
 
 /// Trains the network and saves it; interrupted, it says how to go on.
-void train_network(Device& device, Run& run, const Options& options, const Checkpoint* start) {
+void train_network(Device& device, Run& run, const RefineOptions& options, const Checkpoint* start) {
     if (start && !options.quiet) print(fmt::format("resume  from step {}\n", start->iteration));
     const std::filesystem::path checkpoints = network_checkpoint_folder(run.folder);
     catch_interrupts();
@@ -71,7 +71,7 @@ Evaluation score(Device& device, Run run, bool refined, bool quiet) {
     return evaluate_frames(renderer, with_lpips_weights(run.config), run.sequence, run.split.test, shown_until_interrupted(progress));
 }
 
-void run_refine(const Options& options) {
+void run_refine(const RefineOptions& options) {
     std::optional<FolderLock> lock;
     if (is_run(options.run)) lock.emplace(options.run);
     Run run = load_run(options.run);
@@ -100,7 +100,7 @@ void run_refine(const Options& options) {
 
 void add_refine(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("refine", "train the network that corrects a run's ray-drop");
-    const auto options = std::make_shared<Options>();
+    const auto options = std::make_shared<RefineOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
     command->add_flag("--resume", options->resume, "continue an interrupted training, with its settings, from its newest checkpoint");
     add_set_option(*command, options->sets);

@@ -28,7 +28,7 @@
 namespace relidar::cli {
 namespace {
 
-struct Options {
+struct RenderOptions {
     std::string run;
     std::string out;
     std::optional<std::string> frames;
@@ -140,7 +140,8 @@ void leave_out_hidden(ScanFormat& format, const Run& run, const std::vector<std:
 }
 
 /// What the files hold. @param name  of the sensor in a rig; empty: it stands alone
-ScanFormat wanted_format(const Options& options, const Run& run, const SensorChoice& sensor, const Pose& offset, const std::string& name) {
+ScanFormat wanted_format(const RenderOptions& options, const Run& run, const SensorChoice& sensor, const Pose& offset,
+                         const std::string& name) {
     ScanFormat format = scan_format(run, sensor);
     format.offset = offset;
     name_in_recordings(format, name.empty() ? run.sequence.lidars[std::size_t(sensor.lidar)].name : name, options.names);
@@ -155,7 +156,7 @@ ScanFormat wanted_format(const Options& options, const Run& run, const SensorCho
 }
 
 /// @throws UsageError where an earlier rendering would be overwritten unasked, or a run would get files that are not its own
-void check_empty(const std::filesystem::path& folder, const Options& options) {
+void check_empty(const std::filesystem::path& folder, const RenderOptions& options) {
     if (holds_run(folder)) throw UsageError(fmt::format("--out {}: found a run, expected another folder for its scans", folder.string()));
     const std::vector<std::filesystem::path> files = options.overwrite ? std::vector<std::filesystem::path>{} : scans_in(folder);
     if (!files.empty()) {
@@ -166,7 +167,7 @@ void check_empty(const std::filesystem::path& folder, const Options& options) {
 }
 
 /// @throws UsageError for what can be refused before the run is loaded
-void check_options(const Options& options, bool is_rig, const Ranks& ranks) {
+void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks) {
     for (const std::string& format : parse_formats(options.formats))
         if (ranks.size() > 1 && is_recording(format))
             throw UsageError(
@@ -190,7 +191,7 @@ struct Sweep {
     double time_s;
 };
 
-std::vector<Sweep> sweeps_of_log(const Run& run, const Options& options, int lidar) {
+std::vector<Sweep> sweeps_of_log(const Run& run, const RenderOptions& options, int lidar) {
     std::vector<Sweep> sweeps;
     for (const int position : choose_frames(run, options.frames, options.quiet)) {
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
@@ -201,7 +202,7 @@ std::vector<Sweep> sweeps_of_log(const Run& run, const Options& options, int lid
     return sweeps;
 }
 
-std::vector<Sweep> sweeps_along(const Run& run, const Options& options, const PoseTrack& track, int lidar) {
+std::vector<Sweep> sweeps_along(const Run& run, const RenderOptions& options, const PoseTrack& track, int lidar) {
     const std::vector<double> times_s =
         scan_times(options.trajectory, track, 1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar)].period_s());
     if (!options.quiet) note_beyond_log(run, track, times_s);
@@ -219,7 +220,7 @@ struct Wanted {
 
 using Rig = std::optional<std::vector<MountedSensor>>;
 
-std::vector<Wanted> wanted_sensors(const Options& options, const Rig& rig, const Run& run, int lidar) {
+std::vector<Wanted> wanted_sensors(const RenderOptions& options, const Rig& rig, const Run& run, int lidar) {
     if (options.sensor.empty()) return {{"", configured_sensor(run.config, run.sequence, lidar), {}}};
     if (!rig) return {{"", choose_sensor(options.sensor, run.config, run.sequence, lidar), {}}};
     std::vector<Wanted> wanted;
@@ -231,7 +232,7 @@ std::vector<Wanted> wanted_sensors(const Options& options, const Rig& rig, const
 }
 
 /// Format of the files that a rig's sensors share.
-ScanFormat merged_format(const Options& options, const Run& run, const std::vector<Wanted>& wanted, const Pose& offset) {
+ScanFormat merged_format(const RenderOptions& options, const Run& run, const std::vector<Wanted>& wanted, const Pose& offset) {
     SensorChoice rig = wanted.front().sensor;
     rig.name = std::filesystem::path(options.sensor).stem().string();
     for (const Wanted& w : wanted) rig.returns = std::max(rig.returns, w.sensor.returns);
@@ -248,7 +249,8 @@ struct Output {
 };
 
 /// The first process makes the folders before the others join.
-Output make_output(const Options& options, const Run& run, const std::vector<Wanted>& wanted, const Pose& offset, const Ranks& ranks) {
+Output make_output(const RenderOptions& options, const Run& run, const std::vector<Wanted>& wanted, const Pose& offset,
+                   const Ranks& ranks) {
     Output output;
     std::vector<ScanFormat> sensors;
     if (!ranks.is_first()) ranks.wait_for_all();
@@ -287,7 +289,7 @@ void finish(Output& output, const Ranks& ranks, bool quiet) {
 /// Renders and writes scans, one sweep after the other.
 class SweepRenderer {
 public:
-    SweepRenderer(ScanRenderer& renderer, const Options& options, const std::vector<Wanted>& wanted, const Pose& offset,
+    SweepRenderer(ScanRenderer& renderer, const RenderOptions& options, const std::vector<Wanted>& wanted, const Pose& offset,
                   const PoseTrack& track)
         : renderer_(renderer), options_(options), wanted_(wanted), offset_(offset), track_(track) {
         for (const Wanted& w : wanted) mountings_.push_back(w.mounting);
@@ -320,7 +322,7 @@ public:
 
 private:
     ScanRenderer& renderer_;
-    const Options& options_;
+    const RenderOptions& options_;
     const std::vector<Wanted>& wanted_;
     const Pose offset_;
     const PoseTrack track_;
@@ -336,9 +338,9 @@ private:
     }
 };
 
-void run_render(const Options& given) {
+void run_render(const RenderOptions& given) {
     const Ranks ranks;
-    Options options = given;
+    RenderOptions options = given;
     options.quiet = options.quiet || !ranks.is_first();
     options.device = ranks.device(options.device);
     const Rig rig = find_rig(options.sensor);
@@ -393,7 +395,7 @@ void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
 }
 
 /// What is written, in which frame of reference.
-void add_file_options(CLI::App& command, Options& options) {
+void add_file_options(CLI::App& command, RenderOptions& options) {
     command.add_option("--format", options.formats, "npz, exr, ply, pcd, bin, png, mcap, rosbag, parted by commas (default: npz)")
         ->type_name("LIST");
     command
@@ -430,7 +432,7 @@ constexpr const char* kFilesHelp =
 
 void add_render(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("render", "render scans of a trained run");
-    const auto options = std::make_shared<Options>();
+    const auto options = std::make_shared<RenderOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
     command->add_option("--out", options->out, "folder for the scans")->required()->type_name("DIR");
     command

@@ -16,7 +16,7 @@
 namespace relidar::cli {
 namespace {
 
-struct Options {
+struct SensorsOptions {
     std::string sensor;
     std::string out;
     double time_s = 0.0;
@@ -71,7 +71,7 @@ void list_sensors() {
     print(table(rows) + "\nAngles in degrees, left and up positive. A divergence of - is one that no source stated.\n");
 }
 
-void describe_sensor(const Options& options) {
+void describe_sensor(const SensorsOptions& options) {
     const SensorModel sensor = find_sensor(options.sensor);
     const RayTable rays = make_rays(sensor, options.time_s);
     const Extent e = extent_of(rays);
@@ -96,7 +96,7 @@ void describe_sensor(const Options& options) {
     }
 }
 
-void run_sensors(const Options& options) {
+void run_sensors(const SensorsOptions& options) {
     if (!options.out.empty() && options.sensor.empty()) throw UsageError("--out: found no sensor, expected the one to draw");
     if (!(std::abs(options.time_s) <= 1e10)) throw UsageError(fmt::format("--time: found {}, expected seconds", options.time_s));
     options.sensor.empty() ? list_sensors() : describe_sensor(options);
@@ -106,7 +106,7 @@ void run_sensors(const Options& options) {
 
 void add_sensors(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("sensors", "list the sensors that can be simulated, or show one and its pattern");
-    const auto options = std::make_shared<Options>();
+    const auto options = std::make_shared<SensorsOptions>();
     command->add_option("SENSOR", options->sensor, "a name, or a file (default: list all names)");
     command->add_option("--out", options->out, "picture of the pattern: azimuth by elevation, colour by firing time")
         ->type_name("FILE.png");

@@ -17,7 +17,7 @@
 namespace relidar::cli {
 namespace {
 
-struct Options {
+struct ServeOptions {
     serve::ServerOptions server;
     int queue = 64;
     int memory_mib = 0;
@@ -29,7 +29,7 @@ constexpr int kLongestQueue = 10'000;
 constexpr std::chrono::seconds kPatience{30};   // for calls in work when Ctrl-C comes
 constexpr std::chrono::milliseconds kLook{100};
 
-serve::ServerOptions server_options(const Options& options) {
+serve::ServerOptions server_options(const ServeOptions& options) {
     if (options.queue < 1 || options.queue > kLongestQueue)
         throw UsageError(fmt::format("--queue: found {}, expected 1 to {}", options.queue, kLongestQueue));
     if (options.memory_mib < 0) throw UsageError(fmt::format("--memory-mib: found {}, expected 0 or more", options.memory_mib));
@@ -42,7 +42,7 @@ serve::ServerOptions server_options(const Options& options) {
     return server;
 }
 
-void run_serve(const Options& options) {
+void run_serve(const ServeOptions& options) {
     const serve::ServerOptions wanted = server_options(options);
     if (!serve::is_loopback(wanted.listen))
         note(fmt::format("--listen {}: whoever reaches this address can render and upload, there is no authentication{}", wanted.listen,
@@ -63,7 +63,7 @@ void run_serve(const Options& options) {
 
 void add_serve(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("serve", "render scans of runs for simulators, by gRPC");
-    const auto options = std::make_shared<Options>();
+    const auto options = std::make_shared<ServeOptions>();
     command->add_option("RUN", options->server.runs, "run folders of `relidar train`; clients call each by its folder's name, or by NAME")
         ->required()
         ->type_name("[NAME=]RUN");

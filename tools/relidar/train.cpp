@@ -26,7 +26,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-struct Options {
+struct TrainOptions {
     std::string dataset;
     std::string out;
     LogPart part;
@@ -50,7 +50,7 @@ bool is_file(const fs::path& path) {
 }
 
 /// Which words are the log and the folder: `--resume` may stand before either.
-Options sorted_out(Options options) {
+TrainOptions sorted_out(TrainOptions options) {
     if (options.out.empty()) options.out = options.resume_folder;
     else if (options.dataset.empty()) options.dataset = options.resume_folder == options.out ? "" : options.resume_folder;
     if (!options.resume && options.dataset.empty()) throw UsageError("DATASET is required (see `relidar train --help`)");
@@ -63,7 +63,7 @@ Options sorted_out(Options options) {
 }
 
 /// The run's own settings where it continues and no others to start from are named.
-Config start_settings(const Options& options) {
+Config start_settings(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
     if (!options.resume || options.from_preset || !is_file(saved)) return resolve(options.settings);
     Config config;
@@ -72,7 +72,7 @@ Config start_settings(const Options& options) {
     return config;
 }
 
-Config config_of(const Options& options) {
+Config config_of(const TrainOptions& options) {
     Config config = start_settings(options);
     if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
@@ -113,7 +113,7 @@ bool has_scene(const fs::path& folder, const Config& config) {
 }
 
 /// The checkpoint to continue from. @return nothing where training starts from the beginning
-std::optional<Checkpoint> find_start(const Options& options) {
+std::optional<Checkpoint> find_start(const TrainOptions& options) {
     const fs::path folder = options.out;
     std::optional<Checkpoint> start = load_newest_checkpoint(checkpoint_folder(folder), note);
     if (start) return start;
@@ -135,14 +135,14 @@ void announce(const Sequence& sequence, const Split& split, const Device& device
 }
 
 /// What continues this training, as typed on the command line.
-std::string resume_command(const Options& options) {
+std::string resume_command(const TrainOptions& options) {
     std::string command = "relidar train --resume " + shell_word(options.out);
     for (const std::string& word : device_words(options.device)) command += " " + word;
     return command;
 }
 
 /// Training; whatever ends it early, the message says what is left and how to go on.
-TrainResult train_or_tell(Device& device, const Run& run, const Options& options, const Checkpoint* start, StageTimes& stages) {
+TrainResult train_or_tell(Device& device, const Run& run, const TrainOptions& options, const Checkpoint* start, StageTimes& stages) {
     const fs::path checkpoints = checkpoint_folder(run.folder);
     try {
         return train_logged(device, run.sequence, run.split, run.config, run.folder, options.quiet,
@@ -154,7 +154,7 @@ TrainResult train_or_tell(Device& device, const Run& run, const Options& options
 }
 
 /// Scores the held-out frames and writes metrics.json. @return nothing scored where no frame is held out
-Evaluation score(Device& device, const Run& run, const Options& options) {
+Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     if (run.split.test.empty() || options.no_eval) return {};
     const Config config = with_lpips_weights(run.config);
     ScanRenderer renderer(device, run);
@@ -168,7 +168,7 @@ Evaluation score(Device& device, const Run& run, const Options& options) {
 }
 
 /// Report and, unless training was interrupted, scores.
-void finish(Device& device, const Run& run, const TrainResult& result, const Options& options, const std::string& command_line,
+void finish(Device& device, const Run& run, const TrainResult& result, const TrainOptions& options, const std::string& command_line,
             StageTimes& stages) {
     stages.begin("report");
     Report report = make_report(run, result, device, command_line);
@@ -207,7 +207,7 @@ std::optional<Checkpoint> find_network_start(const Run& run) {
 
 /// Trains the ray-drop network of a scene that has been saved, and saves it. A log that has nothing to teach it is no error, nor is a
 /// device that cannot run its layers.
-void refine_or_tell(Device& device, Run& run, const Options& options, StageTimes& stages) {
+void refine_or_tell(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
     const std::optional<Checkpoint> start = find_network_start(run);
     if (!start) remove_network_checkpoints(run.folder);
     else if (!options.quiet) print(fmt::format("resume  the ray-drop network from step {}\n", start->iteration));
@@ -244,7 +244,7 @@ TrainResult logged_result(const fs::path& folder) {
 }
 
 /// Goes on where the scene is done: with the network, unless that is done too, scores and report.
-void finish_scene(const Options& options, const Config& config, const std::string& command_line) {
+void finish_scene(const TrainOptions& options, const Config& config, const std::string& command_line) {
     const RunFolder folder(options.out, Existing::keep);
     Run run = load_run(options.out);
     const bool has_network = !run.drop_network.empty() && same_group(run.config, config, "refine.");
@@ -282,9 +282,9 @@ void check_ranks(const Ranks& ranks, bool in_blocks) {
             fmt::format("training by {} processes: found a log in one piece, expected --blocks, which they share", ranks.size()));
 }
 
-void run_train(const Options& given, const std::string& command_line) {
+void run_train(const TrainOptions& given, const std::string& command_line) {
     const Ranks ranks;
-    Options options = sorted_out(given);
+    TrainOptions options = sorted_out(given);
     options.quiet = options.quiet || !ranks.is_first();
     options.device = ranks.device(options.device);
     const Config config = config_of(options);
@@ -335,7 +335,7 @@ void run_train(const Options& given, const std::string& command_line) {
     finish(device, run, result, options, command_line, stages);
 }
 
-void add_resume_option(CLI::App& command, const std::shared_ptr<Options>& options) {
+void add_resume_option(CLI::App& command, const std::shared_ptr<TrainOptions>& options) {
     command
         .add_option("--resume", options->resume_folder,
                     "continue the run in --out, or in RUN, from its newest checkpoint; log and settings are the run's unless given")
@@ -347,7 +347,7 @@ void add_resume_option(CLI::App& command, const std::shared_ptr<Options>& option
 
 void add_train(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("train", "train a scene on a log");
-    const auto options = std::make_shared<Options>();
+    const auto options = std::make_shared<TrainOptions>();
     command->add_option("DATASET", options->dataset, "log: a path (format recognised), or kind:path");
     command->add_option("--out", options->out, "run folder to make")->type_name("RUN");
     add_log_part_options(*command, options->part);

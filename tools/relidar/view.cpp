@@ -21,7 +21,7 @@
 namespace relidar::cli {
 namespace {
 
-struct Options {
+struct ViewOptions {
     std::string run;
     std::string save_to;
     std::string address = "127.0.0.1";
@@ -33,10 +33,10 @@ struct Options {
     bool quiet = false;
 };
 
-constexpr std::chrono::milliseconds kPatience{50};   // between looks at whether the user has pressed Ctrl-C
+constexpr std::chrono::milliseconds kViewPatience{50};  // between looks at whether the user has pressed Ctrl-C
 
 /// Where edited runs go. @throws DataError where it is no folder
-std::filesystem::path save_folder(const Options& options, const Run& run) {
+std::filesystem::path save_folder(const ViewOptions& options, const Run& run) {
     if (options.save_to.empty()) return std::filesystem::absolute(run.folder / "..").lexically_normal();
     std::error_code failed;
     if (!std::filesystem::is_directory(options.save_to, failed))
@@ -44,7 +44,7 @@ std::filesystem::path save_folder(const Options& options, const Run& run) {
     return std::filesystem::absolute(options.save_to).lexically_normal();
 }
 
-view::ServerOptions server_options(const Options& options) {
+view::ServerOptions server_options(const ViewOptions& options) {
     if (options.port < 0 || options.port > 65535)
         throw UsageError(fmt::format("--port: found {}, expected 0 to 65535; 0 takes any that is free", options.port));
     view::ServerOptions server;
@@ -55,7 +55,7 @@ view::ServerOptions server_options(const Options& options) {
     return server;
 }
 
-void run_view(const Options& options) {
+void run_view(const ViewOptions& options) {
     const view::ServerOptions wanted = server_options(options);   // a wrong address is found before the run is read
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
@@ -76,14 +76,14 @@ void run_view(const Options& options) {
     const char* who = wanted.token.empty() ? "open that address in a browser" : "only who has that address may look";
     if (!options.quiet) note(fmt::format("{}; Ctrl-C ends it", who));
     if (options.open) open_in_browser(server.url());
-    while (!interrupted()) session.work(kPatience);
+    while (!interrupted()) session.work(kViewPatience);
 }
 
 }  // namespace
 
 void add_view(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("view", "look at a run in the browser, and drive the sensor");
-    const auto options = std::make_shared<Options>();
+    const auto options = std::make_shared<ViewOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
     command->add_option("--port", options->port, "port to listen on (default: 8080; 0: any that is free)")->type_name("N");
     command
