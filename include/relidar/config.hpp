@@ -31,6 +31,7 @@ struct DatasetConfig {
     std::string test_frames;       ///< numbers of the frames held out, with ranges: "13,26,40:45"; empty: test_every decides
     std::string poses;             ///< file with 12 numbers a line; empty = the dataset's own; kNoPoses = none at all
     bool allow_missing_scans = true;
+    bool skip_broken = false;
     double min_range_m = 0.0;
     double max_range_m = 80.0;
     int memory_mib = 0;            ///< for scans; what goes beyond lies in a mapped file. 0: half of what the machine has

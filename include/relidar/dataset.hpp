@@ -30,6 +30,7 @@ struct DatasetOptions {
     /// 12 numbers a line, world_from_sensor of frame i on line i, in the dataset's world; empty = the dataset's own; kNoPoses
     std::filesystem::path poses_file;
     bool allow_missing_scans = true;    ///< leave frames without a scan out; false: a missing scan is an error
+    bool skip_broken = false;           ///< leave scans that cannot be read out, with a note each; false: the first is an error
     bool rolling_shutter = true;        ///< false: take all rays of a sweep as fired at its reference time
     double max_range_m = 80.0;          ///< returns beyond are treated as dropped
     double min_range_m = 0.0;           ///< and so are those nearer than this

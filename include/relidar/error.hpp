@@ -41,6 +41,10 @@ struct DeviceError : Error {
 /// The known name a mistyped one was most likely meant to be (smallest edit distance, case ignored), for "did you mean".
 /// @return empty where `known` is empty
 std::string nearest_name(std::string_view wanted, const std::vector<std::string>& known);
+/// ", did you mean 'NAME'?" with the nearest known name. @return `otherwise` where none resembles what was wanted
+/// @param quote  around the name: "'", "\"" or nothing
+std::string did_you_mean(std::string_view wanted, const std::vector<std::string>& known, std::string_view quote = "",
+                         std::string_view otherwise = "");
 /// The known name that a user means who writes it in another case; nothing where there is none.
 std::optional<std::string> known_name(std::string_view wanted, const std::vector<std::string>& known);
 

@@ -37,7 +37,7 @@ void write_text(const std::filesystem::path& path, const std::string& text);
 /// An n-dimensional array of an npz or safetensors file, row-major, little-endian.
 struct NamedArray {
     std::string name;
-    std::string dtype;                 ///< f4 f8 f2, i1 i2 i4 i8, u1 u2 u4 u8, b1, S<bytes> (npz alone): numpy's names without byte order
+    std::string dtype;                 ///< f4 f8 f2, i1 i2 i4 i8, u1 u2 u4 u8, b1, S<bytes>, U<letters> (npz alone): numpy's names without byte order
     std::vector<std::size_t> shape;
     std::vector<std::byte> bytes;
 
@@ -55,7 +55,7 @@ NamedArray make_array(std::string name, std::vector<std::size_t> shape, const fl
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values, std::size_t n);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values, std::size_t n);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::uint16_t* values, std::size_t n);
-/// Texts as numpy's fixed-length byte strings, UTF-8 padded with zeros. @return [texts]
+/// Texts as numpy's fixed-length strings (UTF-32 padded with zeros). @param texts  UTF-8 @return [texts]
 NamedArray make_text_array(std::string name, const std::vector<std::string>& texts);
 /// One text, of shape [].
 NamedArray make_text(std::string name, const std::string& text);

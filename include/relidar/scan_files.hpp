@@ -95,7 +95,7 @@ private:
 ///        normals [rows,columns,3], with render.spread spread [rows,columns], metres, see range_spread(), with render.seen seen
 ///        [rows,columns], see RenderedScan, with sensor.returns = 2 range_2, intensity_2 [rows,columns], 0 where there is no second return;
 ///        unseen, RenderedScan::unseen_share where it is known;
-///        instance [rows,columns] int32, -1 where nothing was met, and instance_names [instances] its meaning, bytes;
+///        instance [rows,columns] int32, -1 where nothing was met, and instance_names [instances] its meaning, texts;
 ///        pose [4,4] world_from_sensor at time_s; time_s, frame_number, frame, deskewed, sensor, run, units
 ///   exr  the images as float channels, notes as string attributes
 ///   png  range, intensity, drop probability as one picture, notes as text

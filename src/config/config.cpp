@@ -58,7 +58,9 @@ void set_found(Config& config, const std::string& key, const Found& found) {
         known = true;
         assign(field, key, accepts, found);
     });
-    if (!known) throw UsageError(fmt::format("setting {}: unknown key, did you mean {}?", excerpt(key), nearest_name(key, all_keys())));
+    if (!known)
+        throw UsageError(fmt::format("setting {}: unknown key{}", excerpt(key),
+                                     did_you_mean(key, all_keys(), "", ", expected one that `relidar config` lists")));
     if (key == "preset") config = make_preset(config.preset);
 }
 

@@ -51,6 +51,8 @@ void visit_dataset(C& c, Visitor&& f) {
       "the scans alone");
     f("dataset.allow_missing_scans", c.dataset.allow_missing_scans, anything(),
       "leave frames without a scan out, with a note; false: a missing scan is an error");
+    f("dataset.skip_broken", c.dataset.skip_broken, anything(),
+      "leave scans that cannot be read out, with a note each; false: the first of them is an error");
     f("dataset.min_range_m", c.dataset.min_range_m, at_least(0),
       "returns nearer than this count as dropped, and the log's sensor simulates none there, metres");
     f("dataset.max_range_m", c.dataset.max_range_m, above(0),

@@ -126,7 +126,7 @@ Config make_preset(const std::string& name) {
         known.emplace_back(preset.name);
     }
     throw UsageError(
-        fmt::format("preset '{}': unknown, did you mean '{}'? (known: {})", name, nearest_name(name, known), fmt::join(known, ", ")));
+        fmt::format("preset '{}': unknown{} (known: {})", name, did_you_mean(name, known, "'"), fmt::join(known, ", ")));
 }
 
 }  // namespace relidar

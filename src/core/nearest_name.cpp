@@ -7,6 +7,8 @@
 #include <cctype>
 #include <numeric>
 
+#include <fmt/format.h>
+
 namespace relidar {
 namespace {
 
@@ -29,6 +31,16 @@ std::size_t edit_distance(std::string_view a, std::string_view b) {
     return row[b.size()];
 }
 
+bool contains(std::string_view whole, std::string_view part) {
+    return part.size() >= 3 && std::search(whole.begin(), whole.end(), part.begin(), part.end(), same_letter) != whole.end();
+}
+
+/// A third of the letters may be wrong, or a part may be missing.
+bool resemble(std::string_view wanted, std::string_view name) {
+    const std::size_t most = std::max<std::size_t>(1, std::max(wanted.size(), name.size()) / 3);
+    return edit_distance(wanted, name) <= most || contains(wanted, name) || contains(name, wanted);
+}
+
 }  // namespace
 
 std::string nearest_name(std::string_view wanted, const std::vector<std::string>& known) {
@@ -36,6 +48,15 @@ std::string nearest_name(std::string_view wanted, const std::vector<std::string>
         return edit_distance(wanted, a) < edit_distance(wanted, b);
     });
     return best == known.end() ? std::string() : *best;
+}
+
+std::string did_you_mean(std::string_view wanted, const std::vector<std::string>& known, std::string_view quote,
+                         std::string_view otherwise) {
+    std::vector<std::string> alike;
+    for (const std::string& name : known)
+        if (resemble(wanted, name)) alike.push_back(name);
+    if (alike.empty()) return std::string(otherwise);
+    return fmt::format(", did you mean {}{}{}?", quote, nearest_name(wanted, alike), quote);
 }
 
 std::optional<std::string> known_name(std::string_view wanted, const std::vector<std::string>& known) {

@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <charconv>
 #include <map>
+#include <optional>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -13,6 +15,7 @@
 #include <relidar/reader.hpp>
 #include "core/files.hpp"
 #include "core/progress_blocks.hpp"
+#include "dataset/broken_scans.hpp"
 #include "dataset/feather.hpp"
 #include "dataset/kitti_files.hpp"
 #include "dataset/vlp32c_pair.hpp"
@@ -146,25 +149,32 @@ RawSweep read_sweep(const fs::path& file) {
 using SweepPairs = std::vector<std::array<LidarSweep, 2>>;
 
 SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars, const PoseTrack& way,
-                       const Progress& progress) {
-    const std::array<int, 2> halves =
-        find_halves(read_sweep(files[0].path), {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
+                       const Progress& progress, BrokenScans& broken) {
+    std::optional<std::array<int, 2>> halves;
+    for (std::size_t at = 0; at < files.size() && !halves; ++at)
+        broken.attempt(at, [&] {
+            halves = find_halves(read_sweep(files[at].path), {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
+        });
     std::array<PoseTrack, 2> ways;
     for (std::size_t l = 0; l < 2; ++l) ways[l] = moved_track(way, lidars[l].vehicle_from_sensor);
     SweepPairs sweeps(files.size());
     for_each_told(files.size(), progress, "reading sweeps", [&](std::size_t at) {
-        const RawSweep raw = read_sweep(files[at].path);
-        for (std::size_t l = 0; l < 2; ++l) sweeps[at][l] = lidar_sweep(raw, halves[l], lidars[l], ways[l], way.time_s[at]);
+        broken.attempt(at, [&] {
+            const RawSweep raw = read_sweep(files[at].path);
+            for (std::size_t l = 0; l < 2; ++l) sweeps[at][l] = lidar_sweep(raw, halves->at(l), lidars[l], ways[l], way.time_s[at]);
+        });
     });
     return sweeps;
 }
 
 /// Frames of the sweeps and their scans. A LiDAR without any point in a sweep has no frame there.
 void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const PoseTrack& poses, SweepPairs sweeps,
-                const Progress& progress) {
+                const Progress& progress, const BrokenScans& broken) {
+    broken.tell(sequence, files.size());
     std::vector<LidarSweep*> of_frame;
     std::size_t missing = 0;
     for (std::size_t at = 0; at < files.size(); ++at) {
+        if (broken.has(at)) continue;
         for (std::size_t l = 0; l < 2; ++l) {
             LidarSweep& found = sweeps[at][l];
             SpinningSensor& sensor = sequence.lidars[l].sensor;
@@ -230,7 +240,9 @@ Sequence load_argoverse2(const fs::path& given, const DatasetOptions& options) {
         sequence.boxes = read_boxes(folder / "annotations.feather", sweeps, own);
     else
         sequence.notes.push_back("no annotations.feather: nothing in this log is labelled");
-    add_sweeps(sequence, sweeps, own, read_sweeps(sweeps, sequence.lidars, own, options.progress), options.progress);
+    BrokenScans broken(options.skip_broken);
+    SweepPairs read = read_sweeps(sweeps, sequence.lidars, own, options.progress, broken);
+    add_sweeps(sequence, sweeps, own, std::move(read), options.progress, broken);
     kitti::take_given_poses(sequence, options.poses_file);
     recentre(sequence);
     return sequence;

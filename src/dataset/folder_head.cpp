@@ -53,7 +53,8 @@ std::vector<std::string> texts_or_none(const JsonField& field, const std::string
 std::size_t choice(const JsonField& field, const std::vector<std::string>& words) {
     const auto at = std::find(words.begin(), words.end(), field.text());
     if (at == words.end())
-        field.fail(fmt::format("found \"{}\"", excerpt(field.text())), "did you mean \"" + nearest_name(field.text(), words) + "\"?");
+        field.fail(fmt::format("found \"{}\"{}", excerpt(field.text()), did_you_mean(field.text(), words, "\"")),
+                   fmt::format("expected one of: {}", fmt::join(words, ", ")));
     return std::size_t(at - words.begin());
 }
 

@@ -66,8 +66,7 @@ std::vector<BoxTrack> read_boxes(const std::filesystem::path& file, const std::v
                                  const std::vector<HeadFrame>& all);
 
 /// Reads the scans of sequence.frames, which has its poses, and completes the sensors of LiDARs whose beams are found from the points.
-/// @param files  [frames] @param has_poses  without them motion compensation cannot be undone
-void read_scans(Sequence& sequence, const Head& head, const std::vector<std::filesystem::path>& files, bool has_poses,
-                const Progress& progress);
+/// Without poses (options.poses_file is kNoPoses) motion compensation cannot be undone. @param files  [frames]
+void read_scans(Sequence& sequence, const Head& head, const std::vector<std::filesystem::path>& files, const DatasetOptions& options);
 
 }  // namespace relidar::folder

@@ -9,6 +9,7 @@
 #include <relidar/error.hpp>
 
 #include "core/progress_blocks.hpp"
+#include "dataset/broken_scans.hpp"
 #include "dataset/folder_head.hpp"
 #include "dataset/point_table.hpp"
 #include "dataset/scan_npz.hpp"
@@ -63,8 +64,14 @@ ScanPoints points_of(const PointTable& table, const PointUnits& units, double ti
 
 class Reader {
 public:
-    Reader(Sequence& sequence, const Head& head, const std::vector<fs::path>& files, bool has_poses)
-        : sequence_(sequence), head_(head), files_(files), has_poses_(has_poses), plans_(head.lidars.size()), left_out_(files.size(), 0) {}
+    Reader(Sequence& sequence, const Head& head, const std::vector<fs::path>& files, bool has_poses, BrokenScans& broken)
+        : sequence_(sequence),
+          head_(head),
+          files_(files),
+          has_poses_(has_poses),
+          broken_(broken),
+          plans_(head.lidars.size()),
+          left_out_(files.size(), 0) {}
 
     void find_sensors() {
         for (std::size_t l = 0; l < plans_.size(); ++l) {
@@ -117,6 +124,7 @@ private:
     const Head& head_;
     const std::vector<fs::path>& files_;
     const bool has_poses_;
+    BrokenScans& broken_;
     std::vector<Plan> plans_;            ///< [lidars]
     std::vector<std::size_t> left_out_;  ///< [frames] points
 
@@ -162,8 +170,13 @@ private:
         Plan& plan = plans_[l];
         std::vector<ScanPoints> samples;
         const std::size_t n = std::min(kSamples, frames.size());
-        for (std::size_t k = 0; k < n; ++k)
-            samples.push_back(read_points(frames[k * frames.size() / n], head_.motion_compensated && has_poses_));
+        for (std::size_t k = 0; k < n; ++k) {
+            const std::size_t i = frames[k * frames.size() / n];
+            broken_.attempt(i, [&] { samples.push_back(read_points(i, head_.motion_compensated && has_poses_)); });
+        }
+        for (std::size_t k = 0; samples.empty() && k < frames.size(); ++k)
+            broken_.attempt(frames[k], [&] { samples.push_back(read_points(frames[k], head_.motion_compensated && has_poses_)); });
+        if (samples.empty()) broken_.tell(sequence_, broken_.size());
         plan.has_rings = !samples[0].ring.empty();
         plan.has_times = !samples[0].time_offset_s.empty();
         plan.undo = head_.motion_compensated && has_poses_ && plan.has_times;
@@ -252,11 +265,13 @@ private:
 
 }  // namespace
 
-void read_scans(Sequence& sequence, const Head& head, const std::vector<fs::path>& files, bool has_poses, const Progress& progress) {
-    Reader reader(sequence, head, files, has_poses);
+void read_scans(Sequence& sequence, const Head& head, const std::vector<fs::path>& files, const DatasetOptions& options) {
+    BrokenScans broken(options.skip_broken);
+    Reader reader(sequence, head, files, options.poses_file != kNoPoses, broken);
     reader.find_sensors();
-    for_each_told(files.size(), progress, "reading scans", [&](std::size_t i) { reader.read(i); });
+    for_each_told(files.size(), options.progress, "reading scans", [&](std::size_t i) { broken.attempt(i, [&] { reader.read(i); }); });
     reader.tell_left_out();
+    broken.leave_out(sequence);
 }
 
 }  // namespace relidar::folder

@@ -153,7 +153,7 @@ Sequence load_kitti_360(const fs::path& given, const DatasetOptions& options) {
     read_world(sequence, folder, drive, frames, options.poses_file);
     take_given_poses(sequence, options.poses_file);
     recentre(sequence);
-    read_sweeps(sequence, points / "data", 10, options.progress);
+    read_sweeps(sequence, points / "data", 10, options);
     return sequence;
 }
 

@@ -72,7 +72,7 @@ Sequence load_kitti_odometry(const fs::path& given, const DatasetOptions& option
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], poses[i]);
     recentre(sequence);
-    kitti::read_sweeps(sequence, folder / "velodyne", 6, options.progress);
+    kitti::read_sweeps(sequence, folder / "velodyne", 6, options);
     return sequence;
 }
 

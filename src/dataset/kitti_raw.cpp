@@ -66,7 +66,7 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], poses.time_s[i], poses.pose[i]);
     recentre(sequence);
     sequence.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, sequence.world_from_vehicle);
-    read_sweeps(sequence, drive / "velodyne_points/data", 10, options.progress);
+    read_sweeps(sequence, drive / "velodyne_points/data", 10, options);
     return sequence;
 }
 

@@ -12,6 +12,7 @@
 
 #include "core/parallel.hpp"
 #include "core/progress_blocks.hpp"
+#include "dataset/broken_scans.hpp"
 #include "dataset/firing_lattice.hpp"
 #include "dataset/kitti_files.hpp"
 
@@ -53,10 +54,14 @@ void check_rays(const std::vector<RawScan>& raw, const FiringLattice& lattice, c
 
 }  // namespace
 
-void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int digits, const Progress& progress) {
+void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int digits, const DatasetOptions& options) {
+    const Progress& progress = options.progress;
+    BrokenScans broken(options.skip_broken);
     const auto file_of = [&](std::size_t at) { return folder / fmt::format("{:0{}d}.bin", sequence.frames[at].index, digits); };
     std::vector<RawScan> raw(sequence.frames.size());
-    for_each_told(raw.size(), progress, "reading scans", [&](std::size_t at) { raw[at] = split_rings(read_scan(file_of(at))); });
+    for_each_told(raw.size(), progress, "reading scans", [&](std::size_t at) {
+        broken.attempt(at, [&] { raw[at] = split_rings(read_scan(file_of(at))); });
+    });
 
     const Cones cones = fit_cones(spread(raw, kFitScans), folder.string());
     run_parallel(static_cast<int>(raw.size()), [&](int i) { correct_rings(raw[static_cast<std::size_t>(i)], cones); });
@@ -65,20 +70,22 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
 
     std::vector<std::vector<int>> firings(raw.size());
     for_each_told(raw.size(), progress, "finding the firings of each sweep", [&](std::size_t at) {
-        firings[at] = find_firings(raw[at], lattice);
-        if (firings[at].empty()) {
-            throw DataError(fmt::format("{}: {} points without a firing in common, expected a sweep of an HDL-64E", file_of(at).string(),
-                                        raw[at].points.size()));
-        }
+        broken.attempt(at, [&] {
+            firings[at] = find_firings(raw[at], lattice);
+            if (firings[at].empty())
+                throw DataError(fmt::format("{}: {} points without a firing in common, expected a sweep of an HDL-64E",
+                                            file_of(at).string(), raw[at].points.size()));
+        });
     });
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.beams = lattice.beams(cones);
     for (const auto& sweep : firings) sensor.columns = std::max(sensor.columns, static_cast<int>(sweep.size()));
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     for_each_told(raw.size(), progress, "putting points on the rays that were fired", [&](std::size_t at) {
-        sequence.frames[at].scan = spinning_scan(points_of(raw[at]), sensor, {lattice.head, firings[at]});
+        if (!broken.has(at)) sequence.frames[at].scan = spinning_scan(points_of(raw[at]), sensor, {lattice.head, firings[at]});
         raw[at] = {};
     });
+    broken.leave_out(sequence);
 }
 
 }  // namespace relidar::kitti

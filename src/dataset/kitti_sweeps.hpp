@@ -4,7 +4,7 @@
 
 #include <filesystem>
 
-#include <relidar/progress.hpp>
+#include <relidar/dataset.hpp>
 #include <relidar/sequence.hpp>
 
 namespace relidar::kitti {
@@ -12,6 +12,6 @@ namespace relidar::kitti {
 /// Reads the scan of every frame of a log and puts its points on the rays that were fired; sets the beams and columns of its LiDAR.
 /// @param sequence  its frames have their numbers, its LiDAR its period and range @param folder  with a file a frame
 /// @param digits  of the number in a file's name, as 10 of 0000000042.bin @throws DataError naming the file
-void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int digits, const Progress& progress);
+void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int digits, const DatasetOptions& options);
 
 }  // namespace relidar::kitti

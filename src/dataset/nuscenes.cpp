@@ -12,6 +12,7 @@
 #include <relidar/reader.hpp>
 #include "core/files.hpp"
 #include "core/progress_blocks.hpp"
+#include "dataset/broken_scans.hpp"
 #include "dataset/kitti_files.hpp"
 #include "dataset/nuscenes_tables.hpp"
 #include "dataset/told_firings.hpp"
@@ -139,18 +140,21 @@ Frames frames_in(const SceneTables& scene, const fs::path& folder, const FrameRa
     return frames;
 }
 
-void read_sweeps(Sequence& sequence, const Frames& frames, const Progress& progress) {
+void read_sweeps(Sequence& sequence, const Frames& frames, const DatasetOptions& options) {
+    BrokenScans broken(options.skip_broken);
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     const PoseTrack way = moved_track(frames.own, sequence.lidars[0].vehicle_from_sensor);
     std::vector<ReadSweep> sweeps(frames.files.size());
-    for_each_told(sweeps.size(), progress, "reading sweeps",
-                  [&](std::size_t at) { sweeps[at] = read_sweep(frames.files[at], sensor, way, way.time_s[at]); });
+    for_each_told(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
+        broken.attempt(at, [&] { sweeps[at] = read_sweep(frames.files[at], sensor, way, way.time_s[at]); });
+    });
     for (const ReadSweep& read : sweeps) sensor.columns = std::max(sensor.columns, int(read.sweep.firings.size()));
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
-    for_each_told(sweeps.size(), progress, "putting points on the rays that were fired", [&](std::size_t at) {
-        sequence.frames[at].scan = spinning_scan(sweeps[at].points, sensor, sweeps[at].sweep);
+    for_each_told(sweeps.size(), options.progress, "putting points on the rays that were fired", [&](std::size_t at) {
+        if (!broken.has(at)) sequence.frames[at].scan = spinning_scan(sweeps[at].points, sensor, sweeps[at].sweep);
         sweeps[at] = {};
     });
+    broken.leave_out(sequence);
 }
 
 }  // namespace
@@ -177,7 +181,7 @@ Sequence load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
     sequence.boxes = boxes_at(scene.labels, frames.own.time_s);
     kitti::take_given_poses(sequence, options.poses_file);
     recentre(sequence);
-    read_sweeps(sequence, frames, options.progress);
+    read_sweeps(sequence, frames, options);
     return sequence;
 }
 

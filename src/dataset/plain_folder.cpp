@@ -88,7 +88,7 @@ Sequence load_plain_folder(const fs::path& given, const DatasetOptions& options)
         recentre(sequence, *head.world_offset_m);
     else
         recentre(sequence);
-    folder::read_scans(sequence, head, files, options.poses_file != kNoPoses, options.progress);
+    folder::read_scans(sequence, head, files, options);
     return sequence;
 }
 

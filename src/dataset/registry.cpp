@@ -17,6 +17,7 @@
 #include "dataset/kitti_raw.hpp"
 #include "dataset/nuscenes.hpp"
 #include "dataset/plain_folder.hpp"
+#include "dataset/point_table.hpp"
 #include "dataset/synthetic.hpp"
 #include "dataset/waymo.hpp"
 
@@ -55,7 +56,7 @@ const Kind& find_kind(const std::string& name) {
     for (const Kind& kind : kKinds) {
         if (name == kind.name) return kind;
     }
-    throw UsageError(fmt::format("dataset kind '{}': unknown, did you mean '{}'? (known: {})", name, nearest_name(name, kind_names()),
+    throw UsageError(fmt::format("dataset kind '{}': unknown{} (known: {})", name, did_you_mean(name, kind_names(), "'"),
                                  fmt::join(kind_names(), ", ")));
 }
 
@@ -70,6 +71,23 @@ bool is_kind(const fs::path& path, const Kind& kind) {
     if (!fs::is_directory(path)) return marker.starts_with('.') && matches(path);
     const std::vector<fs::path> files = list_folder(path);
     return std::any_of(files.begin(), files.end(), matches);
+}
+
+/// Scans that lack nothing but sequence.json. @throws DataError with the line that would do
+void check_bare_folder(const fs::path& path) {
+    std::error_code failed;
+    if (!fs::is_directory(path, failed)) return;
+    for (const char* scans : {"scans", "."}) {
+        if (!fs::is_directory(path / scans, failed)) continue;
+        std::size_t n = 0;
+        for (const fs::path& file : list_folder(path / scans)) n += folder::is_point_file(file) || folder::is_image_file(file);
+        if (n < 2) continue;
+        const std::string lidars = scans == std::string(".") ? R"(, "lidars": [{"name": "lidar", "scans": "."}])" : "";
+        throw DataError(fmt::format(R"({}: {} scans without a sequence.json, expected one beside {}, such as )"
+                                    R"({{"format": "relidar log", "version": 1, "rate_hz": 10{}}})"
+                                    R"(, and poses.txt or dataset.poses=none; docs/datasets.md has the rest)",
+                                    path.string(), n, lidars.empty() ? "the folder of the scans" : "them", lidars));
+    }
 }
 
 /// No LiDAR sees anything beyond its own limits and the given ones.
@@ -160,6 +178,7 @@ std::string recognise_dataset(const fs::path& path) {
         if (is_kind(path, kind)) return kind.name;
         known += fmt::format("{}{} ({})", known.empty() ? "" : ", ", kind.describe, kind.marker);
     }
+    check_bare_folder(path);
     for (const Kind& kind : kKinds) {
         const std::string stranger = kitti::describe_stranger(path, kind.marker);
         if (!stranger.empty()) throw DataError(fmt::format("{}: not a dataset, but {}", path.string(), stranger));

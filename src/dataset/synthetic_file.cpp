@@ -64,8 +64,8 @@ SyntheticOptions read_options(const fs::path& path) {
     for (const auto& [key, value] : table) {
         const std::string name(key.str());
         if (std::find(kKeys.begin(), kKeys.end(), name) != kKeys.end()) continue;
-        throw DataError(fmt::format("{} line {}: unknown key '{}', did you mean '{}'?", file, value.source().begin.line, excerpt(name),
-                                    nearest_name(name, kKeys)));
+        throw DataError(fmt::format("{} line {}: unknown key '{}'{} (known: {})", file, value.source().begin.line, excerpt(name),
+                                    did_you_mean(name, kKeys, "'"), fmt::join(kKeys, ", ")));
     }
     SyntheticOptions options;
     std::int64_t seed = static_cast<std::int64_t>(options.seed);

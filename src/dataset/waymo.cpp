@@ -20,6 +20,7 @@
 #include <relidar/reader.hpp>
 #include "core/files.hpp"
 #include "core/progress_blocks.hpp"
+#include "dataset/broken_scans.hpp"
 #include "dataset/kitti_files.hpp"
 #include "dataset/paper_parts.hpp"
 #include "dataset/tfrecord.hpp"
@@ -256,26 +257,30 @@ void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<
     sequence.boxes = tracks_of(labels);
 }
 
-void read_scans(Sequence& sequence, const TfRecords& records, const Progress& progress) {
+void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptions& options) {
+    BrokenScans broken(options.skip_broken);
     std::vector<RayTable> models;
     for (const Lidar& lidar : sequence.lidars) {
         RayTable& model = models.emplace_back(make_rays(lidar.sensor));
         if (lidar.name != kLaserNames[kTop]) std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);   // of one moment
     }
     const std::size_t n_lidars = sequence.lidars.size();
-    for_each_told(sequence.frames.size() / n_lidars, progress, "reading range images", [&](std::size_t sweep) {
+    for_each_told(sequence.frames.size() / n_lidars, options.progress, "reading range images", [&](std::size_t sweep) {
         const int record = sequence.frames[sweep * n_lidars].index;
-        const std::string data = records.read(std::size_t(record)), where = where_of(records, record);
+        const std::string data = records.read(std::size_t(record)), where = where_of(records, record);   // whole: its pose was read
         const FrameRecord parsed = parse_frame(data, where);
         for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {
             Frame& frame = sequence.frames[sweep * n_lidars + lidar];
             const std::string& name = sequence.lidars[lidar].name;
             const int laser = int(std::find(std::begin(kLaserNames), std::end(kLaserNames), name) - std::begin(kLaserNames));
-            RangeImageReader reader(sequence, frame, models[lidar], fmt::format("{}: {}", where, name));
-            reader.read(images_of(parsed, laser, where), parsed.world_from_vehicle);
-            frame.scan = std::move(reader.scan);
+            broken.attempt(sweep * n_lidars + lidar, [&] {
+                RangeImageReader reader(sequence, frame, models[lidar], fmt::format("{}: {}", where, name));
+                reader.read(images_of(parsed, laser, where), parsed.world_from_vehicle);
+                frame.scan = std::move(reader.scan);
+            });
         }
     });
+    broken.leave_out(sequence);
 }
 
 }  // namespace
@@ -297,7 +302,7 @@ Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
     sequence.test_frames = segment.test_frames;
     add_frames(sequence, records, heads, begin, segment.top_alone);
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
-    read_scans(sequence, records, options.progress);
+    read_scans(sequence, records, options);
     kitti::take_given_poses(sequence, options.poses_file);
     recentre(sequence);
     return sequence;

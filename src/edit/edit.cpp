@@ -37,7 +37,7 @@ std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
     if (labelled) throw UsageError(without_surfels(track, known));
     const std::string found = fmt::format("editing track \"{}\": found no such track", track);
     if (known.empty()) throw UsageError(found + ", and the scene has no actor at all");
-    throw UsageError(fmt::format("{}, did you mean \"{}\"? (actors: {})", found, nearest_name(track, known), fmt::join(known, ", ")));
+    throw UsageError(fmt::format("{}{} (actors: {})", found, did_you_mean(track, known, "\""), fmt::join(known, ", ")));
 }
 
 BoxTrack& box_of(DrivingScene& driving, const std::string& track) {

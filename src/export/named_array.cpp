@@ -78,15 +78,33 @@ std::vector<Out> values_of(const NamedArray& array) {
     return function(array);
 }
 
+/// UTF-8 as Unicode's numbers. What is no UTF-8 becomes U+FFFD, byte by byte.
+std::u32string code_points(std::string_view utf8) {
+    constexpr char32_t kReplacement = 0xFFFD, kLeast[] = {0, 0x80, 0x800, 0x10000};   // shorter forms are forbidden
+    std::u32string points;
+    for (std::size_t i = 0; i < utf8.size();) {
+        const auto first = static_cast<unsigned char>(utf8[i]);
+        const std::size_t more = first < 0x80 ? 0 : first >> 5 == 6 ? 1 : first >> 4 == 14 ? 2 : first >> 3 == 30 ? 3 : 4;
+        char32_t point = more == 0 ? first : first & (0x3Fu >> more);
+        std::size_t n = 1;
+        for (; more < 4 && n <= more && i + n < utf8.size() && (static_cast<unsigned char>(utf8[i + n]) & 0xC0) == 0x80; ++n)
+            point = point << 6 | (static_cast<unsigned char>(utf8[i + n]) & 0x3F);
+        const bool valid = more < 4 && n == more + 1 && point >= kLeast[more] && point <= 0x10FFFF && (point < 0xD800 || point > 0xDFFF);
+        points.push_back(valid ? point : kReplacement);
+        i += valid ? n : 1;
+    }
+    return points;
+}
+
 }  // namespace
 
 namespace export_detail {
 
 std::size_t item_size(std::string_view dtype) {
-    if (dtype.starts_with('S')) {
-        std::size_t length = 0;
+    if (dtype.starts_with('S') || dtype.starts_with('U')) {
+        std::uint32_t length = 0;
         const auto [end, error] = std::from_chars(dtype.data() + 1, dtype.data() + dtype.size(), length);
-        return error == std::errc() && end == dtype.data() + dtype.size() ? length : 0;
+        return error == std::errc() && end == dtype.data() + dtype.size() ? length * (dtype[0] == 'U' ? sizeof(char32_t) : 1) : 0;
     }
     if (!converter<float>(dtype)) return 0;
     return std::size_t(dtype[1] - '0');
@@ -151,10 +169,13 @@ NamedArray make_text(std::string name, const std::string& text) {
 }
 
 NamedArray make_text_array(std::string name, const std::vector<std::string>& texts) {
+    std::vector<std::u32string> letters;
     std::size_t length = 1;
-    for (const std::string& text : texts) length = std::max(length, text.size());
-    NamedArray array{std::move(name), fmt::format("S{}", length), {texts.size()}, std::vector<std::byte>(texts.size() * length)};
-    for (std::size_t i = 0; i < texts.size(); ++i) std::memcpy(array.bytes.data() + i * length, texts[i].data(), texts[i].size());
+    for (const std::string& text : texts) length = std::max(length, letters.emplace_back(code_points(text)).size());
+    const std::size_t size = length * sizeof(char32_t);
+    NamedArray array{std::move(name), fmt::format("U{}", length), {texts.size()}, std::vector<std::byte>(texts.size() * size)};
+    for (std::size_t i = 0; i < letters.size(); ++i)
+        std::memcpy(array.bytes.data() + i * size, letters[i].data(), letters[i].size() * sizeof(char32_t));
     return array;
 }
 

@@ -59,8 +59,8 @@ ScanFolder::ScanFolder(fs::path folder, ScanFormat format, Joining) : folder_(st
     const std::vector<std::string> known = scan_formats();
     for (const std::string& name : format_.formats)
         if (std::find(known.begin(), known.end(), name) == known.end())
-            throw UsageError(fmt::format("writing scans: found format \"{}\", did you mean {}? (known: {})", name,
-                                         nearest_name(name, known), fmt::join(known, ", ")));
+            throw UsageError(fmt::format("writing scans: found format \"{}\"{} (known: {})", name, did_you_mean(name, known),
+                                         fmt::join(known, ", ")));
     check_writable(folder_);
 }
 

@@ -110,8 +110,8 @@ void check_tracks(const Sequence& sequence, const std::string& tracks) {
     for (const BoxTrack& box : sequence.boxes) known.push_back(box.id);
     for (const std::string& track : words_of(tracks))
         if (std::find(known.begin(), known.end(), track) == known.end())
-            throw UsageError(fmt::format("setting init.actor_tracks: found \"{}\", did you mean \"{}\"? (tracks: {})", track,
-                                         nearest_name(track, known), fmt::join(known, ", ")));
+            throw UsageError(fmt::format("setting init.actor_tracks: found \"{}\"{} (tracks: {})", track,
+                                         did_you_mean(track, known, "\""), fmt::join(known, ", ")));
 }
 
 /// The other half of what is about as symmetric as vehicles are.
@@ -241,7 +241,7 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
         if (std::find(tracks.begin(), tracks.end(), track) == tracks.end())
             throw UsageError(
                 fmt::format("placing actors: found a pose of \"{}\", expected a track of the scene{}", track,
-                            tracks.empty() ? ", which has no actor" : fmt::format("; did you mean \"{}\"?", nearest_name(track, tracks))));
+                            tracks.empty() ? ", which has no actor" : did_you_mean(track, tracks, "\"")));
     return place_by(scene, sequence, sweep, [&](const std::string& name) {
         const auto track = world_from_actor.find(name);
         return track == world_from_actor.end() ? nullptr : &track->second;

@@ -23,7 +23,7 @@ RangeGrid kitti360_grid() {
 
 RangeGrid find_grid(const std::string& name) {
     if (known_name(name, {"kitti360"})) return kitti360_grid();
-    throw UsageError(fmt::format("grid '{}': unknown name, did you mean '{}'?", name, nearest_name(name, {"kitti360"})));
+    throw UsageError(fmt::format("grid '{}': unknown name, expected kitti360", name));
 }
 
 std::optional<int> project(const RangeGrid& grid, const glm::dvec3& point_m) {

@@ -81,9 +81,9 @@ SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::
     std::vector<std::string> known = also_known;
     for (const std::string& sensor : sensor_names()) known.push_back(sensor);
     throw UsageError(fmt::format(
-        "sensor '{}': unknown name, did you mean '{}'? (known: {}; the path of a file works too, as beams.csv:1024x10, rays.npz "
+        "sensor '{}': unknown name{} (known: {}; the path of a file works too, as beams.csv:1024x10, rays.npz "
         "or an Ouster's metadata.json)",
-        name_or_file, nearest_name(name_or_file, known), fmt::join(known, ", ")));
+        name_or_file, did_you_mean(name_or_file, known, "'"), fmt::join(known, ", ")));
 }
 
 }  // namespace relidar

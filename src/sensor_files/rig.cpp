@@ -72,8 +72,8 @@ void check_keys(const Json& sensor, const std::string& where) {
     static const std::vector<std::string> kKeys{"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"};
     for (const auto& [key, value] : sensor.items())
         if (std::find(kKeys.begin(), kKeys.end(), key) == kKeys.end())
-            throw DataError(fmt::format("{}: unknown key '{}', did you mean '{}'? (known: {})", where, excerpt(key),
-                                        nearest_name(key, kKeys), fmt::join(kKeys, ", ")));
+            throw DataError(fmt::format("{}: unknown key '{}'{} (known: {})", where, excerpt(key),
+                                        did_you_mean(key, kKeys, "'"), fmt::join(kKeys, ", ")));
 }
 
 }  // namespace

@@ -25,6 +25,7 @@ Sequence load_log(const Config& config, const Progress& progress) {
     options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
     options.poses_file = config.dataset.poses;
     options.allow_missing_scans = config.dataset.allow_missing_scans;
+    options.skip_broken = config.dataset.skip_broken;
     options.rolling_shutter = config.sensor.rolling_shutter;
     options.max_range_m = config.dataset.max_range_m;
     options.min_range_m = config.dataset.min_range_m;

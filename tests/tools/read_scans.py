@@ -72,7 +72,7 @@ def check_scan(folder, summary, scan):
         check(f"{stem}: shape of {name}", npz[name].shape == shape)
     check(f"{stem}: types", npz["ring"].dtype == np.uint16 and npz["time"].dtype == np.float32 and npz["pose"].dtype == np.float64)
     check(f"{stem}: pose", np.array_equal(npz["pose"], scan["world_from_sensor"]) and npz["time_s"] == scan["time_s"])
-    check(f"{stem}: names", npz["sensor"][()].decode() == summary["sensor"]["name"] and npz["run"][()].decode() == summary["run"])
+    check(f"{stem}: names", npz["sensor"].item() == summary["sensor"]["name"] and npz["run"].item() == summary["run"])
     check(f"{stem}: directions", np.allclose(np.linalg.norm(npz["directions"], axis=-1), 1, atol=1e-5))
     points_range = np.where(npz["median_range"] > 0, npz["median_range"], npz["range"])
     kept = (npz["drop_prob"] < 0.5) & (points_range > 0)

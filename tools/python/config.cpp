@@ -32,7 +32,8 @@ ConfigKey find_key(const Config& config, const std::string& key) {
     if (it != keys.end()) return *it;
     std::vector<std::string> names;
     for (const ConfigKey& k : keys) names.push_back(k.key);
-    throw UsageError(fmt::format("setting {}: unknown key, did you mean {}?", key, nearest_name(key, names)));
+    throw UsageError(
+        fmt::format("setting {}: unknown key{}", key, did_you_mean(key, names, "", ", expected one that Config.values() lists")));
 }
 
 Config make(const std::string& preset, const py::dict& values) {

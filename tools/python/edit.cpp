@@ -40,7 +40,7 @@ struct Edits {
     std::unique_ptr<LoadedRun> finished() const { return std::make_unique<LoadedRun>(run, device); }
 };
 
-std::string text_of(const glm::dvec3& v) {
+std::string vector_text(const glm::dvec3& v) {
     return fmt::format("{:.6g},{:.6g},{:.6g}", v.x, v.y, v.z);
 }
 
@@ -52,7 +52,7 @@ Edits& keep(Edits& edits, const std::string& what) {
 
 Edits& move(Edits& edits, const std::string& track, const py::object& pose) {
     const Pose box_from_moved = pose_of(pose, "pose");
-    return edits.apply(fmt::format("move {}:{}", track, text_of(box_from_moved.translation)),
+    return edits.apply(fmt::format("move {}:{}", track, vector_text(box_from_moved.translation)),
                        [&](DrivingScene d) { return move_track(std::move(d), track, box_from_moved); });
 }
 
@@ -64,14 +64,14 @@ Edits& follow(Edits& edits, const std::string& track, const py::object& trajecto
 
 Edits& copy(Edits& edits, const std::string& track, const py::object& pose, double speed_mps) {
     const Start start{pose_of(pose, "pose"), speed_mps};
-    return edits.apply(fmt::format("copy {}@{}:{:.6g}", track, text_of(start.dataset_from_box.translation), speed_mps),
+    return edits.apply(fmt::format("copy {}@{}:{:.6g}", track, vector_text(start.dataset_from_box.translation), speed_mps),
                        [&](DrivingScene d) { return copy_track(std::move(d), track, start); });
 }
 
 Edits& insert(Edits& edits, const LoadedRun& other, const std::string& track, const py::object& pose, double speed_mps) {
     const Start start{pose_of(pose, "pose"), speed_mps};
     const std::string said =
-        fmt::format("insert {}#{}@{}:{:.6g}", other.run.folder.string(), track, text_of(start.dataset_from_box.translation), speed_mps);
+        fmt::format("insert {}#{}@{}:{:.6g}", other.run.folder.string(), track, vector_text(start.dataset_from_box.translation), speed_mps);
     return edits.apply(said, [&](DrivingScene d) { return insert_track(std::move(d), other.run.driving(), track, start); });
 }
 

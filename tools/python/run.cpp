@@ -26,7 +26,7 @@ namespace {
 namespace fs = std::filesystem;
 
 /// Arguments of Run.render().
-struct Asked {
+struct AskedScan {
     py::object sensor, pose;
     std::optional<double> time;
     std::optional<py::dict> actors;
@@ -63,7 +63,7 @@ int nearest_sweep(const Sequence& sequence, double time_s) {
     return std::min_element(sequence.frames.begin(), sequence.frames.end(), farther)->index;
 }
 
-ScanRequest request_of(const Asked& asked, const Run& run, int lidar) {
+ScanRequest request_of(const AskedScan& asked, const Run& run, int lidar) {
     ScanRequest request;
     request.time_s = asked.time.value_or(run.sequence.frames.front().time_s);
     request.dataset_from_sensor = asked.pose.is_none() ? log_track(run.sequence, lidar) : track_of(asked.pose, "pose", request.time_s);
@@ -71,7 +71,7 @@ ScanRequest request_of(const Asked& asked, const Run& run, int lidar) {
     return request;
 }
 
-py::dict render(LoadedRun& loaded, const Asked& asked) {
+py::dict render(LoadedRun& loaded, const AskedScan& asked) {
     const Run& run = loaded.run;
     const int lidar = find_lidar(run.sequence, asked.lidar);
     const SensorChoice sensor = sensor_of(asked.sensor, run, lidar);

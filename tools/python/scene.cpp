@@ -96,7 +96,8 @@ Surfels surfels_of(const py::dict& arrays) {
     for (const auto& [name, array] : arrays) {
         const std::string text = py::str(name);
         if (std::find(names.begin(), names.end(), text) == names.end())
-            throw UsageError(fmt::format("surfels: found an array \"{}\", did you mean \"{}\"?", text, nearest_name(text, names)));
+            throw UsageError(fmt::format("surfels: found an array \"{}\"{} (known: {})", text, did_you_mean(text, names, "\""),
+                                         fmt::join(names, ", ")));
     }
     surfels.check_shapes();
     return surfels;

@@ -19,7 +19,7 @@ namespace {
 namespace fs = std::filesystem;
 
 /// Arguments of train() beside the log.
-struct Asked {
+struct AskedTraining {
     std::optional<Config> config;
     std::optional<std::function<py::object(const TrainProgress&)>> callback;
     std::optional<std::function<void(const std::string&)>> note;
@@ -40,13 +40,13 @@ Config config_of(const Log& log, const std::optional<Config>& wanted) {
     return config;
 }
 
-std::optional<Checkpoint> find_start(const Asked& asked, const std::function<void(const std::string&)>& note) {
+std::optional<Checkpoint> find_start(const AskedTraining& asked, const std::function<void(const std::string&)>& note) {
     if (!asked.resume) return std::nullopt;
     if (!asked.checkpoints) throw UsageError("train: found resume=True without checkpoints, expected the folder that holds them");
     return load_newest_checkpoint(*asked.checkpoints, note);
 }
 
-TrainResult trained(OpenDevice& open, Run& run, const Asked& asked, PythonCalls& python) {
+TrainResult trained(OpenDevice& open, Run& run, const AskedTraining& asked, PythonCalls& python) {
     const auto note = [&](const std::string& line) {
         python([&] {
             if (asked.note) (*asked.note)(line);
@@ -76,7 +76,7 @@ void placed(OpenDevice& open, Run& run, PythonCalls& python) {
 }
 
 /// The ray-drop network. A log that has nothing to teach it is no error, and a checkpoint of another network none either.
-void refined(OpenDevice& open, Run& run, const Asked& asked, PythonCalls& python) {
+void refined(OpenDevice& open, Run& run, const AskedTraining& asked, PythonCalls& python) {
     const auto note = [&](const std::string& line) {
         if (asked.note) python([&] { (*asked.note)(line); });
     };
@@ -103,7 +103,7 @@ void refined(OpenDevice& open, Run& run, const Asked& asked, PythonCalls& python
     if (!folder.empty()) remove_checkpoints(folder);
 }
 
-std::unique_ptr<LoadedRun> train_run(const Log& log, const Asked& asked) {
+std::unique_ptr<LoadedRun> train_run(const Log& log, const AskedTraining& asked) {
     const Config config = config_of(log, asked.config);
     Run run{{}, config, log.sequence, split_frames(log.sequence, config.dataset.test_every, config.dataset.test_frames), {}};
     const SharedDevice device = device_or_default(asked.device);

@@ -85,7 +85,7 @@ void check_keys(const toml::table& table, const Words& known) {
     for (const auto& [key, value] : table) {
         const std::string name(key.str());
         if (std::find(known.begin(), known.end(), name) == known.end())
-            throw UsageError(fmt::format("key {}: unknown, did you mean {}?", cut(name), nearest_name(name, known)));
+            throw UsageError(fmt::format("key {}: unknown{} (known: {})", cut(name), did_you_mean(name, known), fmt::join(known, ", ")));
     }
 }
 

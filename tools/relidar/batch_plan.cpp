@@ -33,8 +33,8 @@ const StepCommand& find_step(const std::string& name) {
         if (name == step.name) return step;
         names.emplace_back(step.name);
     }
-    throw UsageError(fmt::format("found command \"{}\", did you mean {}? (a step is one of {})", name.substr(0, 80),
-                                 nearest_name(name, names), fmt::join(names, ", ")));
+    throw UsageError(fmt::format("found command \"{}\"{} (a step is one of {})", name.substr(0, 80),
+                                 did_you_mean(name, names), fmt::join(names, ", ")));
 }
 
 /// PlanWords of a command line: parted by blanks, but not within quotes, which go.

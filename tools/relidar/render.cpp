@@ -115,7 +115,7 @@ std::vector<std::string> parse_formats(const std::string& list) {
         const std::string name = without_blanks(word);
         const std::optional<std::string> format = known_name(name, known);
         if (!format)
-            throw UsageError(fmt::format("--format: found \"{}\", did you mean {}? (known: {})", name, nearest_name(name, known),
+            throw UsageError(fmt::format("--format: found \"{}\"{} (known: {})", name, did_you_mean(name, known),
                                          fmt::join(known, ", ")));
         wanted.push_back(*format);
     }

@@ -47,10 +47,10 @@ std::string usage_message(const CLI::App& app, const std::string& what) {
     if (unexpected.empty()) return fmt::format("{} (see `{}`)", in_our_words(what), help);
     const std::string word = without_value(unexpected.front());
     if (word.size() > 1 && word.front() == '-') {
-        return fmt::format("option {}: unknown, did you mean {}? (see `{}`)", word, nearest_name(word, option_names(command)), help);
+        return fmt::format("option {}: unknown{} (see `{}`)", word, did_you_mean(word, option_names(command)), help);
     }
     if (chosen.empty())
-        return fmt::format("command {}: unknown, did you mean {}? (see `{}`)", word, nearest_name(word, command_names(app)), help);
+        return fmt::format("command {}: unknown{} (see `{}`)", word, did_you_mean(word, command_names(app)), help);
     return fmt::format("argument {}: not expected (see `{}`)", word, help);
 }
 
