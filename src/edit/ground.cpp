@@ -26,8 +26,8 @@ constexpr double kSteepest = 0.25;                // of streets: how much higher
 constexpr double kOnPlane_m = 0.1;                // half a kerb: beyond it a surfel lies on something else
 constexpr double kFitted_m = 0.05;                // of least squares: noise of a street's surfels, but not the foot of a wall
 constexpr std::array kMargins_m{0.25, 0.5, 1.0};  // beside the box: far rings of a sweep are a metre apart
-constexpr double kSmallest_m = 0.75;              // half edge of the area below someone on foot, whose own is too small for a tilt
-constexpr std::size_t kFewest = 8;                // surfels of a plane
+constexpr double kSmallestBelow_m = 0.75;         // half edge of the area below someone on foot, whose own is too small for a tilt
+constexpr std::size_t kFewestOnPlane = 8;         // surfels of a plane
 constexpr double kNarrowest_m = 0.15;             // standard deviation across a plane's surfels: one ring of a sweep tells no tilt
 constexpr int kDraws = 200;
 constexpr int kOwnPlaces = 16;                    // at which an actor's height above the ground is looked at
@@ -76,9 +76,9 @@ public:
         add(driving.scene.surfels, driving.scene.models.front().count);
         for (const SceneBlock& block : driving.scene.blocks) {
             const auto is_near = [&](const glm::dvec2& p) {
-                constexpr double kReach_m = 20.0;   // half the longest thing on a road
-                return glm::all(glm::greaterThan(p, glm::dvec2(block.low_m) - kReach_m)) &&
-                       glm::all(glm::lessThan(p, glm::dvec2(block.high_m) + kReach_m));
+                constexpr double kBlockReach_m = 20.0;   // half the longest thing on a road
+                return glm::all(glm::greaterThan(p, glm::dvec2(block.low_m) - kBlockReach_m)) &&
+                       glm::all(glm::lessThan(p, glm::dvec2(block.high_m) + kBlockReach_m));
             };
             if (std::ranges::any_of(places, is_near)) add(read_block(block), block.count);
         }
@@ -143,11 +143,11 @@ private:
     }
 
     static std::optional<GroundPlane> plane_of(const std::vector<glm::dvec3>& points, const Footprint& footprint, double margin_m) {
-        if (points.size() < kFewest) return {};
+        if (points.size() < kFewestOnPlane) return {};
         GroundPlane plane = most_common(points);
         for (int round = 0; round < 3; ++round) {
             const std::vector<glm::dvec3> on = on_plane(plane, points);
-            if (on.size() < kFewest) return {};
+            if (on.size() < kFewestOnPlane) return {};
             PlaneSums sums;
             for (const glm::dvec3& p : on) sums.add(p - points.front());
             const PlaneFit fit = sums.fit();
@@ -164,13 +164,13 @@ private:
     std::vector<glm::dvec3> points_;
 };
 
-double heading(const Pose& pose) {
+double heading_of(const Pose& pose) {
     const glm::dvec3 ahead = pose.rotation * glm::dvec3(1.0, 0.0, 0.0);
     return std::atan2(ahead.y, ahead.x);
 }
 
 Footprint footprint_of(const glm::dvec2& centre_m, double yaw_rad, const glm::dvec3& size_m) {
-    return {centre_m, yaw_rad, glm::max(0.5 * glm::dvec2(size_m), glm::dvec2(kSmallest_m))};
+    return {centre_m, yaw_rad, glm::max(0.5 * glm::dvec2(size_m), glm::dvec2(kSmallestBelow_m))};
 }
 
 const BoxTrack& box_of_actor(const DrivingView& owner, const std::string& track) {
@@ -188,7 +188,7 @@ double clearance_m(const DrivingView& owner, const BoxTrack& box) {
     std::vector<double> found;
     for (std::size_t i = 0; i < poses.size(); i += step) {
         const Pose& pose = poses[i];
-        const std::optional<GroundPlane> plane = surfels.below(footprint_of(pose.translation, heading(pose), box.size_m));
+        const std::optional<GroundPlane> plane = surfels.below(footprint_of(pose.translation, heading_of(pose), box.size_m));
         if (plane) found.push_back(plane->above(pose.translation) - 0.5 * box.size_m.z);
     }
     if (found.empty()) return 0.0;
@@ -210,7 +210,7 @@ Start start_on_ground(const DrivingView& driving, const GroundPlace& place, cons
     const BoxTrack& box = box_of_actor(owner, track);
     const glm::dvec3 offset_m = driving.sequence.world_offset_m;
     const glm::dvec2 xy = place.dataset_m - glm::dvec2(offset_m);
-    const double yaw_rad = place.yaw_rad ? *place.yaw_rad : heading(nearest_pose(driving.sequence.world_from_vehicle, xy));
+    const double yaw_rad = place.yaw_rad ? *place.yaw_rad : heading_of(nearest_pose(driving.sequence.world_from_vehicle, xy));
     const LevelSurfels surfels(driving, {xy});
     const std::optional<GroundPlane> plane = surfels.below(footprint_of(xy, yaw_rad, box.size_m));
     if (!plane)
