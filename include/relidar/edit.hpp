@@ -4,7 +4,10 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
+
+#include <glm/glm.hpp>
 
 #include <relidar/scene.hpp>
 #include <relidar/sequence.hpp>
@@ -16,6 +19,26 @@ struct Start {
     Pose dataset_from_box;   ///< box centre in the dataset's world (relidar's world + world_offset_m)
     double speed_mps = 0.0;
 };
+
+/// A place on the ground.
+struct GroundPlace {
+    glm::dvec2 dataset_m{0.0};              ///< [2] x, y of the box's centre in the dataset's world
+    std::optional<double> yaw_rad = {};     ///< in the dataset's world; none: as the log's vehicle drove where it came nearest
+    double speed_mps = 0.0;
+};
+
+/// A scene and its log that are looked at alone.
+struct DrivingView {
+    const Scene& scene;
+    const Sequence& sequence;
+};
+
+/// Where an actor stands on the background's surface: tilted as the plane of the level surfels below its box is, and as high above that
+/// plane as it was above the ground where its own scene has it, since boxes of many labels begin above the road (without ground there:
+/// the box's bottom lies on the plane). Surfels above the log's sensor, and a quarter of the distance to it more, are no ground: bridges,
+/// trees.
+/// @param owner  the scene that has the actor @throws UsageError naming the place, where the background has no level surface below it
+Start start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner, const std::string& track);
 
 /// Takes an actor and its track out. Rays continue to what the scene holds behind it.
 /// @throws UsageError, here as in every function that takes a track, where no instance has that track; the nearest name is told

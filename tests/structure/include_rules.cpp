@@ -21,7 +21,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"dataset", {"reader", "sensor_files", "export", "sequence", "sensor"}},  // export: npz
         {"registration", {"sequence", "sensor"}},
         {"scene", {"sequence", "sensor", "gpu"}},
-        {"edit", {"scene", "sequence", "sensor"}},
+        {"edit", {"run", "scene", "sequence", "sensor"}},
         {"accel", {"scene", "gpu"}},
         {"optimizer", {"scene", "gpu"}},
         {"loss", {"traversal", "scene", "gpu"}},

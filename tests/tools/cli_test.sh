@@ -435,6 +435,12 @@ editing() {
     check "a removed actor keeps its surfels" test "$(stat -c %s removed/model.safetensors)" -lt "$(stat -c %s run/model.safetensors)"
     local start
     start=$(start_of run 0)
+    good edit run --out standing --copy "0@${start%%,*},2,ground" --copy 1@5,0,ground,90:3 --insert run#0@9,0,ground
+    says "copied 0 as 0-copy-1, on the ground at .*,2.00,0.8[0-9], tilted by [01][.]. degrees"
+    says "inserted 0 of run as 0-insert-1, on the ground"
+    good info standing
+    says "edit +--copy 1@5,0,ground,90:3"
+    good edit run --out tilted --copy "0@$start,4,-3:2"
     good edit run --out edited --move 0:0,3.5,0 --copy "0@$start:8" --move 0-copy-1:0,-3,0,10 --copy "0-copy-1@$start" --retime 1:0.3 --remove 0
     says "copied 0 as 0-copy-1"
     good info edited --json
@@ -476,6 +482,11 @@ wrong_edits() {
     bad 2 'move: found "0", expected TRACK' edit run --out x --move 0
     bad 2 'retime: found "0:", expected TRACK:seconds' edit run --out x --retime 0:
     bad 2 'copy: found "0@1,2,3", expected TRACK@x,y,z,yaw_deg' edit run --out x --copy 0@1,2,3
+    bad 2 'copy: found "0@1,2,3,4,5", expected TRACK@x,y,z,yaw_deg' edit run --out x --copy 0@1,2,3,4,5
+    bad 2 'copy: found "0@1,ground", expected TRACK@x,y,z,yaw_deg.* or TRACK@x,y,ground' edit run --out x --copy 0@1,ground
+    bad 2 'copy: found "0@1,2,ground3", expected' edit run --out x --copy 0@1,2,ground3
+    bad 2 'copy 0@900,2,ground: placing 0 on the ground at 900,2 of the dataset.s world: found no surface' edit run --out x --copy 0@900,2,ground
+    bad 2 'insert run#7@1,2,ground: editing track "7"' edit run --out x --insert run#7@1,2,ground
     bad 2 'copy: found "@1,2,3,4", expected' edit run --out x --copy @1,2,3,4
     bad 2 'copy: found "" in ""' edit run --out x --copy 0@1,2,3,4:
     bad 2 'insert: found "run@1,2,3,4", expected RUN#TRACK' edit run --out x --insert run@1,2,3,4

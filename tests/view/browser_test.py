@@ -7,26 +7,14 @@
 Exits 77 (skipped) where chromium, its driver or python3-selenium is missing."""
 import os
 import pathlib
-import shutil
-import signal
 import subprocess
 import sys
 import time
 
-try:
-    from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
-    from selenium.webdriver.common.by import By
-    from selenium.webdriver.common.keys import Keys
-    from selenium.webdriver.support.ui import Select
-except ImportError:
-    print("skipped: python3-selenium is missing (tools/dev/setup --tests)")
-    sys.exit(77)
-
-STREET = "seed = 3\nn_frames = 6\nrows = 32\ncolumns = 512\n"
-TRAIN = ["--preset", "quick", "--set", "train.pose_register=false", "--set", "train.iterations=3", "--set", "dataset.test_every=3",
-         "--set", "init.actor_min_points=10", "--set", "refine.enabled=false", "--no-eval", "--quiet"]
-PATIENCE_S = 60
+from browser_page import Page, Viewer, need, train_street   # before selenium: says what is missing
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select
 
 # Pixels of a picture (PNG, base64) that have a colour, neither white, black nor gray: points and boxes.
 COLOURED = """
@@ -41,8 +29,6 @@ image.onload = () => {
   done(n);
 };
 image.src = 'data:image/png;base64,' + arguments[0];"""
-STRIP = """const c = document.getElementById(arguments[0]);
-return Array.from(new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer));"""
 # The longest time between two pictures of the screen, ms, while two seconds pass.
 LONGEST_PAUSE = """
 const done = arguments[0], end = performance.now() + 2000;
@@ -53,56 +39,6 @@ let last = performance.now(), longest = 0;
 })(last);"""
 FIRST_BLUE = 0xFF000000 | 235 << 16 | 111 << 8 | 31      # the first actor's colour, as bytes of RGBA
 COPY_GREEN = 0xFF000000 | 107 << 16 | 150 << 8 | 18    # the third's: the copy of a street with two
-
-
-def need(programs):
-    for name in programs:
-        if shutil.which(name) is None:
-            print(f"skipped: {name} is missing (tools/dev/setup --tests)")
-            sys.exit(77)
-
-
-class Page:
-    def __init__(self, url, work):
-        self.work = work
-        options = webdriver.ChromeOptions()
-        for flag in ["--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--window-size=1280,860"]:
-            options.add_argument(flag)
-        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-        self.driver = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
-        self.driver.set_script_timeout(30)
-        self.driver.get(url)
-
-    def find(self, selector):
-        return self.driver.find_element(By.CSS_SELECTOR, selector)
-
-    def click(self, selector):
-        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'}); arguments[0].click()", self.find(selector))
-
-    def type(self, selector, text):
-        field = self.find(selector)
-        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", field)
-        field.send_keys(Keys.CONTROL, "a")
-        field.send_keys(text)
-
-    def strip(self, name="strip"):
-        return self.driver.execute_script(STRIP, name)
-
-    def points(self):
-        text = self.find("#n-points").text.replace(",", "")
-        return int(text) if text.isdigit() else 0
-
-    def wait(self, what, condition):
-        end = time.monotonic() + PATIENCE_S
-        while time.monotonic() < end:
-            if condition():
-                return
-            time.sleep(0.1)
-        self.driver.save_screenshot(str(self.work / "failed.png"))
-        raise AssertionError(f"waited {PATIENCE_S} s for: {what}; the page says: {self.find('#message').text!r}, errors: {self.errors()}")
-
-    def errors(self):
-        return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
 
 
 def shows_points(page):
@@ -124,7 +60,7 @@ def moves(page):
     page.wait("another image from 2.5 m to the left", lambda: share_of_changes(before, page.strip()) > 0.3)
     page.find("body").click()
     page.find("#view").send_keys("w")
-    assert page.find("#place-x").get_attribute("value") == "0.5", "W drives half a metre"
+    page.wait("a tap of W to drive half a metre", lambda: page.find("#place-x").get_attribute("value") == "0.5")
     page.click("#reset-place")
     page.wait("the first image again", lambda: share_of_changes(before, page.strip()) < 0.01)
 
@@ -223,19 +159,13 @@ def check(page, url, relidar, work):
 def main():
     relidar, work = str(pathlib.Path(sys.argv[1]).resolve()), pathlib.Path(sys.argv[2]).resolve()
     need(["chromium", "chromedriver"])
-    shutil.rmtree(work, ignore_errors=True)
-    for folder in ("street", "saved"):
-        (work / folder).mkdir(parents=True)
-    (work / "street/street.toml").write_text(STREET)
-    subprocess.run([relidar, "train", "street", "--out", "run", *TRAIN], cwd=work, check=True)
-    viewer = subprocess.Popen([relidar, "view", "run", "--port", "0", "--save-to", "saved", "--quiet"], cwd=work, stdout=subprocess.PIPE, text=True)
+    train_street(relidar, work)
+    viewer = Viewer(relidar, work, "run", "--port", "0")
     page = None
     try:
-        url = viewer.stdout.readline().strip()
-        page = Page(url, work)
-        check(page, url, relidar, work)
-        viewer.send_signal(signal.SIGINT)
-        assert viewer.wait(timeout=5) == 0, viewer.returncode
+        page = Page(viewer.url, work)
+        check(page, viewer.url, relidar, work)
+        viewer.end()
         page.wait("the page to say that the program has ended", lambda: "has ended" in page.find("#message").text)
     finally:
         viewer.kill()

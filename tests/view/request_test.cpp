@@ -12,7 +12,8 @@ namespace {
 
 using testing::HasSubstr;
 
-const std::string kEdits = R"({"copies": [{"of": "0", "at": [1, 2, 3, 90, 5]}], "moves": {"1": [0, -3.5, 0, 10]}, "removed": ["2"],
+const std::string kEdits = R"({"copies": [{"of": "0", "from": "", "at": [1, 2, 3, 90, 4, 6, 5]},
+    {"of": "7", "from": "../run2", "at": [0, 0, 0, 0, 0, 0, 0]}], "moves": {"1": [0, -3.5, 0, 10]}, "removed": ["2"],
     "hidden": ["3", "4"]})";
 const std::string kNoEdits = R"({"copies": [], "moves": {}, "removed": [], "hidden": []})";
 
@@ -41,9 +42,11 @@ TEST(ViewRequest, ReadsAScan) {
     EXPECT_FALSE(wish.real);
     const glm::dvec3 ahead = wish.sensor_offset * glm::dvec3(1, 0, 0);   // 90 degrees to the left
     EXPECT_NEAR(glm::distance(ahead, glm::dvec3(1, 3, 3)), 0.0, 1e-12);
-    ASSERT_EQ(wish.edits.copies.size(), 1u);
+    ASSERT_EQ(wish.edits.copies.size(), 2u);
+    EXPECT_EQ(wish.edits.copies[0].from, "");
+    EXPECT_EQ(wish.edits.copies[1].from, "../run2");
     EXPECT_EQ(wish.edits.copies[0].of, "0");
-    EXPECT_EQ(wish.edits.copies[0].at, (std::array<double, 5>{1, 2, 3, 90, 5}));
+    EXPECT_EQ(wish.edits.copies[0].at, (std::array<double, 7>{1, 2, 3, 90, 4, 6, 5}));
     EXPECT_EQ(wish.edits.moves.at("1"), (std::array<double, 4>{0, -3.5, 0, 10}));
     EXPECT_EQ(wish.edits.removed, std::set<std::string>{"2"});
     EXPECT_EQ(wish.edits.hidden, (std::set<std::string>{"3", "4"}));
@@ -68,6 +71,8 @@ TEST(ViewRequest, RefusesWhatIsNoScan) {
         {scan(zero, kNoEdits, "1e999"), "expected a JSON object"},
         {scan(zero, "[]"), "edits: expected an object"},
         {scan(zero, R"({"copies": [1], "moves": {}, "removed": [], "hidden": []})"), "copies: expected objects"},
+        {scan(zero, R"({"copies": [{"of": "0", "from": "", "at": [1, 2, 3, 90, 5]}], "moves": {}, "removed": [], "hidden": []})"),
+         "at: expected 7 numbers"},
         {scan(zero, R"({"copies": [], "moves": {"0": [1]}, "removed": [], "hidden": []})"), "moves: expected 4 numbers"},
         {scan(zero, R"({"copies": [], "moves": {}, "removed": "0", "hidden": []})"), "removed: expected a list"}};
     for (const auto& [message, why] : cases) EXPECT_THAT(refusal(message), HasSubstr(why)) << message.substr(0, 80);
@@ -82,6 +87,15 @@ TEST(ViewRequest, SavesUnderPlainNamesAlone) {
     for (const char* name : {"", ".", "..", "../run", "a/b", "/tmp/x", "a\\\\b", ".hidden", "-f", "a b", "a\\u0000b", "\\u00e4", "a\\nb"})
         EXPECT_NE(refusal(save(name)), "") << name;
     EXPECT_NE(refusal(save(std::string(65, 'x'))), "");
+}
+
+TEST(ViewRequest, TakesPlacesOnTheGround) {
+    const auto wish = std::get<GroundWish>(parse_request(R"({"do": "ground", "of": "0", "from": "", "at": [12.5, -3]})"));
+    EXPECT_EQ(wish.of, "0");
+    EXPECT_EQ(wish.from, "");
+    EXPECT_EQ(wish.at, (std::array<double, 2>{12.5, -3.0}));
+    EXPECT_THAT(refusal(R"({"do": "ground", "of": "0", "from": "", "at": [12.5]})"), HasSubstr("at: expected 2 numbers"));
+    EXPECT_THAT(refusal(R"({"do": "ground", "of": "0", "from": 3, "at": [1, 2]})"), HasSubstr("from: expected a text"));
 }
 
 TEST(ViewRequest, TakesSensorFiles) {

@@ -83,7 +83,7 @@ class LiveScan : public test::DeviceTest {
 protected:
     void SetUp() override {
         DeviceTest::SetUp();
-        if (!IsSkipped()) made_ = std::make_unique<Scanner>(small_run(), device());
+        if (!IsSkipped()) made_ = std::make_unique<Scanner>(small_run(), OtherRuns{{"other", small_run()}}, device());
     }
     void TearDown() override {
         made_.reset();
@@ -118,21 +118,50 @@ TEST_F(LiveScan, ShowsEditsAsAnEditedRunDoes) {
     wish.time_s = 0.2;
     wish.edits.moves[first] = {1.0, -2.0, 0.0, 15.0};
     wish.edits.removed = {second};
-    const relidar::Run edited = edited_run(run(), wish.edits);
+    const relidar::Run edited = edited_run(run(), scanner().others(), wish.edits);
     EXPECT_EQ(edited.edits.size(), 2u);
     const RenderedScan expected = rendered(edited, wish.time_s, {});
     expect_same(Read(scanner().scan(tab, wish)), expected, run());
 
-    wish.edits.copies = {{first, {5.0, 3.0, -0.9, 45.0, 2.0}}};
+    wish.edits.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 3.0, -2.0, 2.0}}};
     const Read with_copy(scanner().scan(tab, wish));
-    expect_same(with_copy, rendered(edited_run(run(), wish.edits), wish.time_s, {}), run());
+    expect_same(with_copy, rendered(edited_run(run(), scanner().others(), wish.edits), wish.time_s, {}), run());
     EXPECT_EQ(with_copy.header["instances"][3], first + "-copy-1");
+}
+
+TEST_F(LiveScan, ShowsActorsOfOtherRuns) {
+    const std::string first = run().scene.instances[1].track;
+    ScanWish wish;
+    wish.edits.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 0.0, 0.0, 2.0}}, {first, "other", {8.0, -3.0, -0.9, 0.0, 0.0, 0.0, 0.0}}};
+    const relidar::Run edited = edited_run(run(), scanner().others(), wish.edits);
+    EXPECT_THAT(edited.edits.back().edit, testing::StartsWith("--insert ")) << "as `relidar edit` takes it";
+    const Read live(scanner().scan(tab, wish));
+    expect_same(live, rendered(edited, wish.time_s, {}), run());
+    EXPECT_EQ(live.header["instances"][4], first + "-insert-1");
+    wish.edits.copies[1].from = "elsewhere";
+    EXPECT_THROW(scanner().scan(tab, wish), UsageError);
+}
+
+TEST_F(LiveScan, PutsCopiesOnTheGround) {
+    const BoxTrack& car = run().sequence.boxes.front();
+    const Pose there = car.world_from_box.pose.front();   // the street is flat
+    for (const char* from : {"", "other"}) {
+        const ActorEdits::Copy copy =
+            copy_on_ground(run(), scanner().others(), {car.id, from, {there.translation.x - 5.0, there.translation.y + 2.0}});
+        EXPECT_EQ(copy.from, from);
+        EXPECT_NEAR(copy.at[0], there.translation.x - 5.0, 1e-9);
+        EXPECT_NEAR(copy.at[1], there.translation.y + 2.0, 1e-9);
+        EXPECT_NEAR(copy.at[2], there.translation.z, 0.05);
+        EXPECT_NEAR(copy.at[4], 0.0, 1.0);
+        EXPECT_NEAR(copy.at[5], 0.0, 1.0);
+    }
+    EXPECT_THROW(copy_on_ground(run(), scanner().others(), {car.id, "", {1000.0, 1000.0}}), UsageError);
 }
 
 TEST_F(LiveScan, HidesWithoutAnEdit) {
     ScanWish wish;
     wish.edits.hidden = {run().scene.instances[1].track, run().scene.instances[2].track};
-    EXPECT_TRUE(edited_run(run(), wish.edits).edits.empty());
+    EXPECT_TRUE(edited_run(run(), scanner().others(), wish.edits).edits.empty());
     const std::vector<std::uint16_t> instance = Read(scanner().scan(tab, wish)).array<std::uint16_t>("instance");
     EXPECT_THAT(instance, testing::Each(testing::AnyOf(0, 65535)));
 }

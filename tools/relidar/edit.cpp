@@ -115,13 +115,17 @@ void add_edit(CLI::App& app, Call& call) {
         "edits.\n"
         "Places are box centres in the dataset's world, metres; copies and inserted actors start there at the log's first frame and become "
         "TRACK-copy-1, ...\n"
+        "With `ground` for z, x and y are of that world too; height and tilt come from the surface of the background below the box, and "
+        "without yaw_deg\n"
+        "the actor faces as the log's vehicle did where it came nearest. It drives on along the slope on which it starts.\n"
         "A trajectory's times are those of the log; poses between its lines are interpolated, position linearly, rotation by slerp; actors "
         "are absent\n"
         "outside their interval. Actors may overlap: rays meet whichever surface comes first.\n"
         "Examples:\n"
         "  relidar edit run --out empty --remove 0\n"
         "  relidar edit run --out lane --move 0:0,3.5,0 --retime 1:-0.5\n"
-        "  relidar edit run --out more --copy 0@12,3.5,0.9,180:8 --insert other#3@30,0,0.8,0:10");
+        "  relidar edit run --out more --copy 0@12,3.5,0.9,180:8 --insert other#3@30,0,0.8,0:10\n"
+        "  relidar edit run --out parked --copy 0@12,3.5,ground");
     command->callback([&call, options] { call.run = [options] { run_edit(*options); }; });
 }
 

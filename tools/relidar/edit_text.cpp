@@ -3,6 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
+#include <string_view>
 #include <utility>
 
 #include <fmt/format.h>
@@ -39,17 +41,47 @@ std::vector<double> numbers(const TypedEdit& edit, const std::string& text, std:
     return values;
 }
 
+/// x, y, z and, as far as they are there, yaw, pitch and roll in degrees.
 Pose pose_of(const std::vector<double>& v) {
-    return {glm::angleAxis((v.size() > 3 ? v[3] : 0.0) * kPi / 180.0, glm::dvec3(0, 0, 1)), {v[0], v[1], v[2]}};
+    const auto radians = [&](std::size_t i) { return i < v.size() ? v[i] * kPi / 180.0 : 0.0; };
+    return {rotation_of(radians(3), radians(4), radians(5)), {v[0], v[1], v[2]}};
 }
 
-/// "x,y,z,yaw_deg[:speed]"
-Start start_of(const TypedEdit& edit, const std::string& text) {
+/// "x,y,ground[,yaw_deg]"; nothing where the third is not that word.
+std::optional<GroundPlace> ground_place(const TypedEdit& edit, const std::string& text) {
+    constexpr std::string_view kWord = ",ground";
+    const std::size_t at = text.find(kWord);
+    if (at == std::string::npos) return {};
+    const std::vector<double> xy = numbers(edit, text.substr(0, at), 2, 2);
+    GroundPlace place{{xy[0], xy[1]}};
+    const std::string rest = text.substr(at + kWord.size());
+    if (!rest.empty() && rest[0] != ',') refuse(edit, form_of(edit));
+    if (!rest.empty()) place.yaw_rad = numbers(edit, rest.substr(1), 1, 1)[0] * kPi / 180.0;
+    return place;
+}
+
+/// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]" @param owner  the scene that has the actor
+Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScene& driving, const DrivingScene& owner,
+               const std::string& track) {
     const std::size_t colon = text.find(':');
-    Start start{pose_of(numbers(edit, text.substr(0, colon), 4, 4))};
-    if (colon != std::string::npos) start.speed_mps = numbers(edit, text.substr(colon + 1), 1, 1)[0];
-    if (std::abs(start.speed_mps) > kFarOff_m) refuse(edit, "a speed in m/s");
-    return start;
+    const double speed_mps = colon == std::string::npos ? 0.0 : numbers(edit, text.substr(colon + 1), 1, 1)[0];
+    if (std::abs(speed_mps) > kFarOff_m) refuse(edit, "a speed in m/s");
+    const std::string place = text.substr(0, colon);
+    if (std::optional<GroundPlace> ground = ground_place(edit, place)) {
+        ground->speed_mps = speed_mps;
+        return start_on_ground({driving.scene, driving.sequence}, *ground, {owner.scene, owner.sequence}, track);
+    }
+    const std::vector<double> pose = numbers(edit, place, 4, 6);
+    if (pose.size() == 5) refuse(edit, form_of(edit));
+    return {pose_of(pose), speed_mps};
+}
+
+/// Where an actor stands, for one that was put on the ground: nothing was typed of its height.
+std::string standing(const Start& start, const std::string& typed) {
+    if (typed.find(",ground") == std::string::npos) return "";
+    const glm::dvec3& p = start.dataset_from_box.translation;
+    const double tilt_deg = std::acos(std::clamp((start.dataset_from_box.rotation * glm::dvec3(0, 0, 1)).z, -1.0, 1.0)) * 180.0 / kPi;
+    return fmt::format(", on the ground at {:.2f},{:.2f},{:.2f}, tilted by {:.1f} degrees", p.x, p.y, p.z, tilt_deg);
 }
 
 const std::string& last_track(const DrivingScene& driving) { return driving.scene.instances.back().track; }
@@ -92,15 +124,17 @@ AppliedEdit trajectory(DrivingScene driving, const TypedEdit& edit) {
 
 AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, place] = cut(edit, edit.value, edit.value.rfind('@'));
-    driving = copy_track(std::move(driving), track, start_of(edit, place));
-    return {driving, fmt::format("copied {} as {}", track, last_track(driving)), ""};
+    const Start start = start_of(edit, place, driving, driving, track);
+    driving = copy_track(std::move(driving), track, start);
+    return {driving, fmt::format("copied {} as {}{}", track, last_track(driving), standing(start, place)), ""};
 }
 
 AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
     const auto [what, place] = cut(edit, edit.value, edit.value.rfind('@'));
     const auto [folder, track] = cut(edit, what, what.rfind('#'));
-    const Start start = start_of(edit, place);
     const Run other = load_run(folder);
+    const DrivingScene owner = other.driving();
+    const Start start = start_of(edit, place, driving, owner, track);
     const SpinningSensor &theirs = other.sequence.lidars[0].sensor, &ours = driving.sequence.lidars[0].sensor;
     const bool same = theirs.name == ours.name && theirs.beams.size() == ours.beams.size();
     const std::string note = same ? ""
@@ -108,8 +142,8 @@ AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
                                         "{} was recorded by another sensor ({}, {} beams; here {}, {} beams): shape and motion of {} are "
                                         "right, its intensities and ray-drop are those of that sensor",
                                         folder, theirs.name, theirs.beams.size(), ours.name, ours.beams.size(), track);
-    driving = insert_track(std::move(driving), {other.scene, other.sequence}, track, start);
-    return {driving, fmt::format("inserted {} of {} as {}", track, folder, last_track(driving)), note};
+    driving = insert_track(std::move(driving), owner, track, start);
+    return {driving, fmt::format("inserted {} of {} as {}{}", track, folder, last_track(driving), standing(start, place)), note};
 }
 
 AppliedEdit keep(DrivingScene driving, const TypedEdit& edit) {
@@ -126,8 +160,12 @@ const std::vector<EditOption>& edit_options() {
         {"--move", "TRACK:dx,dy,dz[,yaw_deg]", "shift an actor in its own frame (forward, left, up) and turn it left, all along its way"},
         {"--retime", "TRACK:seconds", "let everything it does happen so much later"},
         {"--trajectory", "TRACK:FILE.csv", "give it other poses: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]"},
-        {"--copy", "TRACK@x,y,z,yaw_deg[:speed]", "place its model once more, driving straight ahead at speed m/s"},
-        {"--insert", "RUN#TRACK@x,y,z,yaw_deg[:speed]", "the same with an actor of another run"},
+        {"--copy",
+         "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
+         "place its model once more, driving straight ahead at speed m/s; ground: height and tilt from the surface below"},
+        {"--insert",
+         "RUN#TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or RUN#TRACK@x,y,ground[,yaw_deg][:speed]",
+         "the same with an actor of another run"},
         {"--keep", "background|actors", "drop the other"}};
     return options;
 }

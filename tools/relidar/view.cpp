@@ -23,6 +23,7 @@ namespace {
 
 struct ViewOptions {
     std::string run;
+    std::vector<std::string> inserts;   ///< other runs, whose actors the page can insert
     std::string save_to;
     std::string address = "127.0.0.1";
     int port = 8080;
@@ -44,6 +45,13 @@ std::filesystem::path save_folder(const ViewOptions& options, const Run& run) {
     return std::filesystem::absolute(options.save_to).lexically_normal();
 }
 
+/// By the names that were typed.
+view::OtherRuns other_runs(const std::vector<std::string>& folders) {
+    view::OtherRuns runs;
+    for (const std::string& folder : folders) runs.emplace(folder, load_run(folder));
+    return runs;
+}
+
 view::ServerOptions server_options(const ViewOptions& options) {
     if (options.port < 0 || options.port > 65535)
         throw UsageError(fmt::format("--port: found {}, expected 0 to 65535; 0 takes any that is free", options.port));
@@ -63,7 +71,7 @@ void run_view(const ViewOptions& options) {
     const std::filesystem::path folder = save_folder(options, run);
     Device device(device_options(options.device));
     view::Server* out = nullptr;   // the server calls the session, and has to be gone before it: it is made after it
-    view::Session session(std::move(run), device, folder,
+    view::Session session(std::move(run), other_runs(options.inserts), device, folder,
                           {[&](view::TabId tab, std::string text) { out->send_text(tab, std::move(text)); },
                            [&](view::TabId tab, std::string frame) { out->send_newest(tab, std::move(frame)); }});
     view::Server server(wanted, {[&](view::ClientId tab) { session.open(tab); },
@@ -93,6 +101,9 @@ void add_view(CLI::App& app, Call& call) {
         ->type_name("ADDRESS");
     command->add_option("--save-to", options->save_to, "folder in which the page makes edited runs (default: the one that RUN is in)")
         ->type_name("DIR");
+    command->add_option("--insert", options->inserts, "another run, whose actors the page can put on the ground; repeatable")
+        ->type_name("RUN")
+        ->allow_extra_args(false);
     command->add_flag("--open", options->open, "open a browser");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
@@ -100,10 +111,12 @@ void add_view(CLI::App& app, Call& call) {
     command->add_flag("--quiet", options->quiet, "print the address and errors only");
     command->footer(
         "The page moves the sensor by mouse and keys, plays the log, changes sensor and traffic; ? shows its keys. It has the log's own\n"
-        "scans too where the log is still at its place. docs/viewer.md says more.\n"
+        "scans too where the log is still at its place. Its address holds what it shows, edits included; it goes on when the program has\n"
+        "been started again. docs/viewer.md says more.\n"
         "Examples:\n"
         "  relidar view run\n"
         "  relidar view run --port 0 --open\n"
+        "  relidar view run --insert other                            # its actors can be put on the ground, too\n"
         "  ssh -L 8080:127.0.0.1:8080 machine relidar view run       # then http://127.0.0.1:8080/ here");
     command->callback([&call, options] { call.run = [options] { run_view(*options); }; });
 }

@@ -20,6 +20,7 @@ constexpr double kFast_mps = 200.0;
 constexpr double kLate_s = 1e10;
 constexpr std::size_t kMaxActors = 256;     // that are copied, moved, removed or hidden
 constexpr std::size_t kMaxName = 64;
+constexpr std::size_t kMaxRunName = 1024;   // as it was typed to `relidar view`, a path
 
 [[noreturn]] void refuse(const std::string& what, const std::string& expected) {
     throw UsageError(fmt::format("{}: expected {}", what, expected));
@@ -50,6 +51,9 @@ std::string text(const Json& value, const char* what, std::size_t limit = kMaxNa
     return result;
 }
 
+/// Name of the run that has an actor; empty for the one that is shown.
+std::string run_name(const Json& value) { return value == "" ? "" : text(value, "from", kMaxRunName); }
+
 /// Numbers of an array, each within its own limit.
 template <std::size_t N>
 std::array<double, N> numbers(const Json& value, const char* what, const std::array<double, N>& limits) {
@@ -73,8 +77,9 @@ ActorEdits parse_edits(const Json& json) {
     if (!copies.is_array() || copies.size() > kMaxActors) refuse("copies", fmt::format("a list of at most {}", kMaxActors));
     for (const Json& copy : copies) {
         if (!copy.is_object()) refuse("copies", "objects");
-        edits.copies.push_back({text(field(copy, "of"), "of"),
-                                numbers<5>(field(copy, "at"), "at", {kFarAway_m, kFarAway_m, kFarAway_m, 360.0, kFast_mps})});
+        edits.copies.push_back(
+            {text(field(copy, "of"), "of"), run_name(field(copy, "from")),
+             numbers<7>(field(copy, "at"), "at", {kFarAway_m, kFarAway_m, kFarAway_m, 360.0, 360.0, 360.0, kFast_mps})});
     }
     const Json& moves = field(json, "moves");
     if (!moves.is_object() || moves.size() > kMaxActors) refuse("moves", fmt::format("an object of at most {} tracks", kMaxActors));
@@ -119,7 +124,10 @@ Request parse_request(const std::string& message) {
     if (wanted == "scan") return parse_scan(json);
     if (wanted == "sensor") return SensorFile{text(field(json, "file"), "file", 200), text(field(json, "text"), "text", message.size())};
     if (wanted == "save") return SaveWish{folder_name(field(json, "name")), parse_edits(field(json, "edits"))};
-    throw UsageError(fmt::format("do: found \"{}\", expected scan, sensor or save", wanted));
+    if (wanted == "ground")
+        return GroundWish{text(field(json, "of"), "of"), run_name(field(json, "from")),
+                          numbers<2>(field(json, "at"), "at", {kFarAway_m, kFarAway_m})};
+    throw UsageError(fmt::format("do: found \"{}\", expected scan, sensor, ground or save", wanted));
 }
 
 }  // namespace relidar::view

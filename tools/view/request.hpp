@@ -3,9 +3,11 @@
 //   {"do": "scan", "id": 7, "time_s": 1.5, "place": [x, y, z, yaw_deg, pitch_deg, roll_deg], "sensor": "VLP-16", "lidar": 0,
 //    "simulate": true, "real": false, "edits": EDITS}
 //   {"do": "sensor", "file": "beams.csv", "text": "..."}         from then on a sensor named "file"
+//   {"do": "ground", "of": TRACK, "from": RUN, "at": [x, y]}     where a copy stands on the ground there
 //   {"do": "save", "name": "run2", "edits": EDITS}
-// EDITS: {"copies": [{"of": TRACK, "at": [x, y, z, yaw_deg, speed_mps]}], "moves": {TRACK: [x, y, z, yaw_deg]}, "removed": [TRACK],
-// "hidden": [TRACK]}; places in relidar's world, moves in the actor's own frame. All of it comes from outside and is checked here.
+// EDITS: {"copies": [{"of": TRACK, "from": RUN, "at": [x, y, z, yaw_deg, pitch_deg, roll_deg, speed_mps]}], "moves": {TRACK: [x, y, z,
+// yaw_deg]}, "removed": [TRACK], "hidden": [TRACK]}; RUN is "" or one of the other runs of `hello`; places in relidar's world, moves in the
+// actor's own frame. All of it comes from outside and is checked here.
 #pragma once
 
 #include <array>
@@ -24,7 +26,8 @@ namespace relidar::view {
 struct ActorEdits {
     struct Copy {
         std::string of;
-        std::array<double, 5> at{};   ///< x, y, z in relidar's world, yaw_deg, speed_mps straight ahead
+        std::string from;             ///< name of the run that has it; empty: the one that is shown
+        std::array<double, 7> at{};   ///< x, y, z in relidar's world, yaw_deg, pitch_deg, roll_deg, speed_mps straight ahead
         bool operator==(const Copy&) const = default;
     };
     std::vector<Copy> copies;
@@ -50,12 +53,19 @@ struct SensorFile {
     std::string text;
 };
 
+/// A place on which somebody has clicked, for an actor to stand there.
+struct GroundWish {
+    std::string of;
+    std::string from;               ///< as in ActorEdits::Copy
+    std::array<double, 2> at{};     ///< x, y in relidar's world
+};
+
 struct SaveWish {
     std::string name;   ///< of a folder: letters, digits, -, _ and .
     ActorEdits edits;
 };
 
-using Request = std::variant<ScanWish, SensorFile, SaveWish>;
+using Request = std::variant<ScanWish, SensorFile, SaveWish, GroundWish>;
 
 /// @throws UsageError naming what is missing, of another type or out of bounds
 Request parse_request(const std::string& text);

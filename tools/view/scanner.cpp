@@ -32,10 +32,36 @@ std::vector<std::string> known_sensors() {
     return names;
 }
 
-std::vector<std::pair<std::string, std::uint32_t>> names_of(const std::vector<Instance>& instances) {
-    std::vector<std::pair<std::string, std::uint32_t>> names;
-    for (const Instance& instance : instances) names.emplace_back(instance.track, instance.model);
-    return names;
+/// What decides which surfels a scene has: copies of what, in their order.
+std::vector<std::pair<std::string, std::string>> models_of(const std::vector<ActorEdits::Copy>& copies) {
+    std::vector<std::pair<std::string, std::string>> models;
+    for (const ActorEdits::Copy& copy : copies) models.emplace_back(copy.from, copy.of);
+    return models;
+}
+
+/// Tells runs apart, for a page that outlives the program: the folder, as a hash since it is nobody's business (FNV-1a).
+std::string identity_of(const Run& run) {
+    std::uint32_t hash = 2166136261u;
+    for (const char c : std::filesystem::absolute(run.folder).lexically_normal().string())
+        hash = (hash ^ static_cast<unsigned char>(c)) * 16777619u;
+    return fmt::format("{:08x}", hash);
+}
+
+/// Actors that can be copied.
+Json actors_json(const Run& run) {
+    Json actors = Json::array();
+    for (const Instance& instance : run.scene.instances) {
+        const auto box = std::ranges::find_if(run.sequence.boxes, [&](const BoxTrack& b) { return b.id == instance.track; });
+        if (!instance.track.empty() && box != run.sequence.boxes.end())
+            actors.push_back({{"track", box->id}, {"category", box->category}});
+    }
+    return actors;
+}
+
+Json others_json(const OtherRuns& others) {
+    Json result = Json::array();
+    for (const auto& [name, run] : others) result.push_back({{"name", name}, {"actors", actors_json(run)}});
+    return result;
 }
 
 bool is_identity(const Pose& pose) { return pose.translation == glm::dvec3(0.0) && std::abs(pose.rotation.w) == 1.0; }
@@ -76,7 +102,8 @@ void check_size(const SensorChoice& sensor) {
 
 }  // namespace
 
-Scanner::Scanner(Run run, Device& device) : run_(std::move(run)), device_(device), real_(run_) {}
+Scanner::Scanner(Run run, OtherRuns others, Device& device)
+    : run_(std::move(run)), others_(std::move(others)), device_(device), real_(run_) {}
 
 Json Scanner::describe() const {
     const Sequence& log = run_.sequence;
@@ -94,7 +121,10 @@ Json Scanner::describe() const {
     for (const Lidar& lidar : log.lidars) lidars.push_back({{"name", lidar.name}, {"sensor", lidar.sensor.name}});
     return {{"kind", "hello"},
             {"run", run_.folder.filename().empty() ? run_.folder.parent_path().filename().string() : run_.folder.filename().string()},
+            {"identity", identity_of(run_)},
             {"log", log.name},
+            {"actors", actors_json(run_)},
+            {"others", others_json(others_)},
             {"surfels", count_surfels(run_.scene)},
             {"device", device_.info().name},
             {"frames", frames},
@@ -142,16 +172,16 @@ Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     return sensor_json(*tab.file_sensor, 0.0);
 }
 
-/// The renderer of a scene with these instances. Only copies need another one: what moves or goes is placed otherwise.
+/// The renderer of a scene with these copies. Only copies need another one: what moves or goes is placed otherwise.
 ScanRenderer& Scanner::renderer_for(const Traffic& traffic) {
-    const auto wanted = names_of(traffic.instances());
+    const auto wanted = models_of(traffic.edits().copies);
     if (!renderer_ || rendered_ != wanted) {
         renderer_.reset();   // gives its memory back first
         if (traffic.edits().copies.empty()) {
             renderer_.emplace(device_, run_);
         } else {
             Run run = run_;
-            run.replace(with_copies({std::move(run.scene), std::move(run.sequence)}, traffic.edits().copies));
+            run.replace(with_copies({std::move(run.scene), std::move(run.sequence)}, others_, traffic.edits().copies));
             renderer_.emplace(device_, run);
         }
         rendered_ = wanted;
@@ -197,7 +227,7 @@ Json Scanner::kernel_times() {
 std::string Scanner::scan(TabCache& tab, const ScanWish& wish) {
     const auto start = Clock::now();
     SensorChoice sensor = sensor_for(tab, wish);   // throws before anything is rendered
-    if (!tab.traffic || tab.traffic->edits() != wish.edits) tab.traffic.emplace(run_, wish.edits);
+    if (!tab.traffic || tab.traffic->edits() != wish.edits) tab.traffic.emplace(run_, others_, wish.edits);
     const Sequence& log = run_.sequence;
     const Frame* real = nearest_real(wish);
     const bool on_frame = real && std::abs(real->time_s - wish.time_s) < kSameTime_s;

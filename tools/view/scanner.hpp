@@ -31,11 +31,13 @@ struct TabCache {
 /// Serves one thread.
 class Scanner {
 public:
-    Scanner(Run run, Device& device);
+    /// @param others  runs whose actors can be inserted
+    Scanner(Run run, OtherRuns others, Device& device);
 
     const Run& run() const { return run_; }
+    const OtherRuns& others() const { return others_; }
     const RealScans& real() const { return real_; }
-    /// What the page has to know once: run, frames, path, sensors, device.
+    /// What the page has to know once: run, frames, path, sensors, actors of other runs, device.
     nlohmann::json describe() const;
     /// A scan as frame.hpp has it. @throws UsageError, DataError for what cannot be rendered
     std::string scan(TabCache& tab, const ScanWish& wish);
@@ -50,10 +52,11 @@ private:
     nlohmann::json kernel_times();
 
     const Run run_;
+    const OtherRuns others_;
     Device& device_;
     RealScans real_;
     std::optional<ScanRenderer> renderer_;
-    std::vector<std::pair<std::string, std::uint32_t>> rendered_;   ///< track and model of the renderer's instances
+    std::vector<std::pair<std::string, std::string>> rendered_;     ///< run and track of the copies that the renderer has
     std::map<std::string, std::size_t> launches_;                   ///< of kernels, as they were counted last
 };
 

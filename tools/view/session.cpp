@@ -11,10 +11,10 @@ namespace {
 
 using Json = nlohmann::json;
 
-constexpr std::size_t kMaxWaiting = 4;   // sensor files and saves of one tab; more is nobody's hand
+constexpr std::size_t kMaxWaiting = 4;   // sensor files, places and saves of one tab; more is nobody's hand
 
 const char* about(const Request& request) {
-    static constexpr const char* kNames[] = {"scan", "sensor", "save"};
+    static constexpr const char* kNames[] = {"scan", "sensor", "save", "ground"};
     return kNames[request.index()];
 }
 
@@ -26,8 +26,8 @@ const char* name_of(RealScans::State state) {
 
 }  // namespace
 
-Session::Session(Run run, Device& device, std::filesystem::path save_folder, Answers answers)
-    : scanner_(std::move(run), device), save_folder_(std::move(save_folder)), answers_(std::move(answers)) {}
+Session::Session(Run run, OtherRuns others, Device& device, std::filesystem::path save_folder, Answers answers)
+    : scanner_(std::move(run), std::move(others), device), save_folder_(std::move(save_folder)), answers_(std::move(answers)) {}
 
 void Session::open(TabId tab) {
     const std::lock_guard lock(mutex_);
@@ -86,10 +86,9 @@ std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>
         const Request request = std::move(tab->others.front());
         tab->others.pop_front();
         return Job{id, about(request), [this, id, tab, request] {
-                       if (const auto* wish = std::get_if<SaveWish>(&request)) return save(id, *wish);
-                       Json read = scanner_.read_sensor(tab->cache, std::get<SensorFile>(request));
-                       read["kind"] = "sensor";
-                       answers_.text(id, dump(read));
+                       Json told = answer(tab->cache, request);
+                       told["kind"] = std::holds_alternative<SaveWish>(request) ? "saved" : about(request);
+                       answers_.text(id, dump(told));
                    }};
     }
     if (tab->scan) {
@@ -129,17 +128,24 @@ void Session::work(std::chrono::milliseconds patience) {
     }
 }
 
-void Session::save(TabId id, const SaveWish& wish) const {
+Json Session::answer(TabCache& cache, const Request& request) const {
+    if (const auto* wish = std::get_if<SaveWish>(&request)) return save(*wish);
+    if (const auto* file = std::get_if<SensorFile>(&request)) return scanner_.read_sensor(cache, *file);
+    const ActorEdits::Copy copy = copy_on_ground(scanner_.run(), scanner_.others(), std::get<GroundWish>(request));
+    return {{"of", copy.of}, {"from", copy.from}, {"at", copy.at}};
+}
+
+Json Session::save(const SaveWish& wish) const {
+    Run run = edited_run(scanner_.run(), scanner_.others(), wish.edits);   // throws before there is a folder
     const std::filesystem::path folder = save_folder_ / wish.name;
     std::error_code failed;
     if (!std::filesystem::create_directory(folder, failed)) {   // also where there is a link of that name
         const std::string why = failed ? failed.message() : "it is there already";
         throw UsageError(fmt::format("saving {}: {}, expected a name that is free in {}", wish.name, why, save_folder_.string()));
     }
-    Run run = edited_run(scanner_.run(), wish.edits);
     run.folder = folder;
     save_run(run);
-    answers_.text(id, dump({{"kind", "saved"}, {"folder", folder.string()}}));
+    return {{"folder", folder.string()}};
 }
 
 }  // namespace relidar::view

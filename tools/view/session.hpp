@@ -23,7 +23,8 @@ namespace relidar::view {
 using TabId = std::uint64_t;
 
 /// Where answers go; called by work() alone. Texts are JSON, each with its "kind":
-///   hello (Scanner::describe), log {state, why}, sensor {name, rows, columns, rays}, saved {folder}, error {about, text}
+///   hello (Scanner::describe), log {state, why}, sensor {name, rows, columns, rays}, ground {of, from, at}, saved {folder},
+///   error {about, text}
 struct Answers {
     std::function<void(TabId, std::string)> text;
     std::function<void(TabId, std::string)> frame;   ///< see frame.hpp
@@ -31,8 +32,8 @@ struct Answers {
 
 class Session {
 public:
-    /// @param save_folder  in which edited runs are made
-    Session(Run run, Device& device, std::filesystem::path save_folder, Answers answers);
+    /// @param others  runs whose actors can be inserted @param save_folder  in which edited runs are made
+    Session(Run run, OtherRuns others, Device& device, std::filesystem::path save_folder, Answers answers);
 
     void open(TabId tab);
     void close(TabId tab);
@@ -46,7 +47,7 @@ private:
         bool greeted = false;
         RealScans::State told = RealScans::State::loading;   ///< of the log
         std::optional<ScanWish> scan = {};                   ///< the newest that is not rendered
-        std::deque<Request> others = {};                     ///< sensor files and runs to save
+        std::deque<Request> others = {};                     ///< sensor files, places on the ground and runs to save
         std::optional<std::string> refused = {};             ///< why the last message was none
         TabCache cache = {};                                 ///< of the rendering thread alone
     };
@@ -58,8 +59,9 @@ private:
 
     std::optional<Job> next_job(std::chrono::milliseconds patience);
     std::optional<Job> job_of(TabId id, const std::shared_ptr<Tab>& tab);
+    nlohmann::json answer(TabCache& cache, const Request& request) const;
     void refuse(TabId id, const char* about, const std::string& why) const;
-    void save(TabId id, const SaveWish& wish) const;
+    nlohmann::json save(const SaveWish& wish) const;
 
     Scanner scanner_;
     const std::filesystem::path save_folder_;

@@ -2,6 +2,7 @@
 #include "traffic.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
@@ -17,10 +18,17 @@ namespace {
 
 constexpr double kRadians = kPi / 180.0;
 
+/// [3] radians of rotation_of().
+glm::dvec3 yaw_pitch_roll(const glm::dquat& rotation) {
+    const glm::dmat3 m = glm::mat3_cast(rotation);
+    return {std::atan2(m[0][1], m[0][0]), std::asin(std::clamp(-m[0][2], -1.0, 1.0)), std::atan2(m[1][2], m[2][2])};
+}
+
 Pose upright(const double* xyz, double yaw_deg) { return {rotation_of(yaw_deg * kRadians, 0.0, 0.0), {xyz[0], xyz[1], xyz[2]}}; }
 
 Start start_of(const ActorEdits::Copy& copy, const glm::dvec3& world_offset_m) {
-    Start start{upright(copy.at.data(), copy.at[3]), copy.at[4]};
+    const auto& at = copy.at;
+    Start start{{rotation_of(at[3] * kRadians, at[4] * kRadians, at[5] * kRadians), {at[0], at[1], at[2]}}, at[6]};
     start.dataset_from_box.translation += world_offset_m;
     return start;
 }
@@ -30,8 +38,30 @@ DrivingScene with_moves(DrivingScene driving, const ActorEdits& edits) {
     return driving;
 }
 
-/// A run's tracks and instances; its frames have no scans.
-DrivingScene layout(const Run& run) { return {layout_of(run.scene), run.sequence}; }
+/// A run's tracks and instances; its frames have no scans, its models no surfels.
+DrivingScene layout(const Run& run) {
+    DrivingScene driving{layout_of(run.scene), run.sequence};
+    for (Model& model : driving.scene.models) model.first = model.count = 0;
+    return driving;
+}
+
+const Run& run_called(const std::string& name, const OtherRuns& others) {
+    const auto found = others.find(name);
+    if (found == others.end())
+        throw UsageError(fmt::format("inserting an actor: found the run \"{}\", expected one of `relidar view --insert`", name));
+    return found->second;
+}
+
+/// @param scene_of  what is wanted of another run: its layout, or all of it
+DrivingScene copied(DrivingScene driving, const OtherRuns& others, const std::vector<ActorEdits::Copy>& copies,
+                    DrivingScene (*scene_of)(const Run&)) {
+    for (const ActorEdits::Copy& copy : copies) {
+        const Start start = start_of(copy, driving.sequence.world_offset_m);
+        if (copy.from.empty()) driving = copy_track(std::move(driving), copy.of, start);
+        else driving = insert_track(std::move(driving), scene_of(run_called(copy.from, others)), copy.of, start);
+    }
+    return driving;
+}
 
 void check_known(const DrivingScene& driving, const std::set<std::string>& tracks) {
     const std::vector<std::string> names(tracks.begin(), tracks.end());
@@ -39,13 +69,16 @@ void check_known(const DrivingScene& driving, const std::set<std::string>& track
 }
 
 /// Edits as `relidar edit` takes them, for the history of the run.
-std::vector<RunEdit> history(const Run& run, const ActorEdits& edits) {
-    const std::string origin = std::filesystem::absolute(run.folder).lexically_normal().string();
+std::vector<RunEdit> history(const Run& run, const OtherRuns& others, const ActorEdits& edits) {
+    const auto folder_of = [](const Run& r) { return std::filesystem::absolute(r.folder).lexically_normal().string(); };
+    const std::string origin = folder_of(run);
     std::vector<RunEdit> result;
     for (const ActorEdits::Copy& copy : edits.copies) {
         const Start start = start_of(copy, run.sequence.world_offset_m);
         const glm::dvec3& p = start.dataset_from_box.translation;
-        result.push_back({origin, fmt::format("--copy {}@{},{},{},{}:{}", copy.of, p.x, p.y, p.z, copy.at[3], copy.at[4])});
+        const std::string what = copy.from.empty() ? "--copy " : fmt::format("--insert {}#", folder_of(run_called(copy.from, others)));
+        result.push_back({origin, fmt::format("{}{}@{},{},{},{},{},{}:{}", what, copy.of, p.x, p.y, p.z, copy.at[3], copy.at[4],
+                                              copy.at[5], copy.at[6])});
     }
     for (const auto& [track, by] : edits.moves)
         result.push_back({origin, fmt::format("--move {}:{},{},{},{}", track, by[0], by[1], by[2], by[3])});
@@ -55,16 +88,21 @@ std::vector<RunEdit> history(const Run& run, const ActorEdits& edits) {
 
 }  // namespace
 
-DrivingScene with_copies(DrivingScene driving, const std::vector<ActorEdits::Copy>& copies) {
-    for (const ActorEdits::Copy& copy : copies) {
-        const Start start = start_of(copy, driving.sequence.world_offset_m);
-        driving = copy_track(std::move(driving), copy.of, start);
-    }
-    return driving;
+DrivingScene with_copies(DrivingScene driving, const OtherRuns& others, const std::vector<ActorEdits::Copy>& copies) {
+    return copied(std::move(driving), others, copies, [](const Run& run) { return run.driving(); });
 }
 
-Traffic::Traffic(const Run& run, const ActorEdits& edits)
-    : driving_(with_moves(with_copies(layout(run), edits.copies), edits)), edits_(edits) {
+ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const GroundWish& wish) {
+    const Run& owner = wish.from.empty() ? run : run_called(wish.from, others);
+    const glm::dvec3& offset_m = run.sequence.world_offset_m;
+    const GroundPlace place{{wish.at[0] + offset_m.x, wish.at[1] + offset_m.y}};
+    const Pose pose = start_on_ground({run.scene, run.sequence}, place, {owner.scene, owner.sequence}, wish.of).dataset_from_box;
+    const glm::dvec3 p = pose.translation - offset_m, angles_deg = yaw_pitch_roll(pose.rotation) / kRadians;
+    return {wish.of, wish.from, {p.x, p.y, p.z, angles_deg.x, angles_deg.y, angles_deg.z, 0.0}};
+}
+
+Traffic::Traffic(const Run& run, const OtherRuns& others, const ActorEdits& edits)
+    : driving_(with_moves(copied(layout(run), others, edits.copies, layout), edits)), edits_(edits) {
     check_known(driving_, edits.removed);
     check_known(driving_, edits.hidden);
 }
@@ -94,12 +132,12 @@ nlohmann::json Traffic::describe(double time_s) const {
     return actors;
 }
 
-Run edited_run(const Run& run, const ActorEdits& edits) {
+Run edited_run(const Run& run, const OtherRuns& others, const ActorEdits& edits) {
     Run result = run;
-    DrivingScene driving = with_moves(with_copies({result.scene, result.sequence}, edits.copies), edits);
+    DrivingScene driving = with_moves(with_copies({result.scene, result.sequence}, others, edits.copies), edits);
     for (const std::string& track : edits.removed) driving = remove_track(std::move(driving), track);
     result.replace(std::move(driving));
-    const std::vector<RunEdit> done = history(run, edits);
+    const std::vector<RunEdit> done = history(run, others, edits);
     result.edits.insert(result.edits.end(), done.begin(), done.end());
     return result;
 }

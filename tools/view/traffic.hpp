@@ -2,6 +2,7 @@
 // The actors of a run as one tab of the browser has changed them.
 #pragma once
 
+#include <map>
 #include <string>
 #include <vector>
 
@@ -17,14 +18,21 @@ struct Run;
 
 namespace relidar::view {
 
-/// A scene with copies of its actors; what is moved or gone changes no surfel and so no scene.
-DrivingScene with_copies(DrivingScene driving, const std::vector<ActorEdits::Copy>& copies);
+/// Runs whose actors can be inserted, by the names that the page knows.
+using OtherRuns = std::map<std::string, Run>;
+
+/// A scene with copies of its actors and of those of other runs; what is moved or gone changes no surfel and so no scene.
+/// @throws UsageError for a run or a track that is not there
+DrivingScene with_copies(DrivingScene driving, const OtherRuns& others, const std::vector<ActorEdits::Copy>& copies);
+
+/// The copy that somebody asks for by a click. @throws UsageError where it finds no ground, as start_on_ground()
+ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const GroundWish& wish);
 
 /// The traffic of a run after some edits. It looks at tracks and instances alone, never at a surfel.
 class Traffic {
 public:
     /// @throws UsageError for a track that is not there, as the functions of <relidar/edit.hpp>
-    Traffic(const Run& run, const ActorEdits& edits);
+    Traffic(const Run& run, const OtherRuns& others, const ActorEdits& edits);
 
     const ActorEdits& edits() const { return edits_; }
     const std::vector<Instance>& instances() const { return driving_.scene.instances; }
@@ -41,6 +49,6 @@ private:
 };
 
 /// The run with all edits but hiding, its history included.
-Run edited_run(const Run& run, const ActorEdits& edits);
+Run edited_run(const Run& run, const OtherRuns& others, const ActorEdits& edits);
 
 }  // namespace relidar::view

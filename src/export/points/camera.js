@@ -35,6 +35,12 @@ export class Camera {
     else this.yaw = 0;
   }
 
+  /** As it was: {mode, yaw, pitch, distance, target}. */
+  restore({ mode, yaw, pitch, distance, target }) {
+    Object.assign(this, { mode, yaw, distance: Math.max(1, Math.min(400, distance)), target });
+    this.pitch = Math.max(-STEEPEST, Math.min(STEEPEST, pitch));
+  }
+
   /** Where that is which a camera in follow looks at. */
   track(position, heading) {
     if (this.mode !== 'follow') return;

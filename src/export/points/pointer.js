@@ -1,25 +1,33 @@
 // SPDX-License-Identifier: Apache-2.0
 // The mouse over a view: drag turns the camera, right or middle button or Ctrl pans, the wheel zooms.
 
+const LONGEST_CLICK = 4;   // pixels that a hand moves while it clicks
+
 /**
  * @param onChange after each change of the camera
  * @param onGround (from, to) while Shift is held: places that were dragged over the plane whose height planeHeight() gives; or null
+ * @param onClick ([x, y]) a click that dragged nothing, -1..1, up positive
  */
-export function steer(view, camera, { onChange, onGround = null, planeHeight = () => 0 }) {
+export function steer(view, camera, { onChange, onGround = null, planeHeight = () => 0, onClick = () => {} }) {
   const { canvas } = view;
-  const place = (event) => {
+  const pixel = (event) => {
     const box = canvas.getBoundingClientRect();
-    const x = (2 * (event.clientX - box.left)) / box.width - 1;
-    const y = 1 - (2 * (event.clientY - box.top)) / box.height;
-    return camera.onPlane(x, y, view.aspect, planeHeight());
+    return [(2 * (event.clientX - box.left)) / box.width - 1, 1 - (2 * (event.clientY - box.top)) / box.height];
   };
+  const place = (event) => camera.onPlane(...pixel(event), view.aspect, planeHeight());
   let ground = null;
+  let dragged = 0;   // pixels since the button is down
   canvas.addEventListener('pointerdown', (event) => {
     canvas.setPointerCapture(event.pointerId);
     ground = onGround && event.shiftKey ? place(event) : null;
+    dragged = 0;
+  });
+  canvas.addEventListener('pointerup', (event) => {
+    if (canvas.hasPointerCapture(event.pointerId) && event.button === 0 && dragged < LONGEST_CLICK) onClick(pixel(event));
   });
   canvas.addEventListener('pointermove', (event) => {
     if (!canvas.hasPointerCapture(event.pointerId)) return;
+    dragged += Math.hypot(event.movementX, event.movementY);
     if (ground) {
       const now = place(event);
       if (now) onGround(ground, now);

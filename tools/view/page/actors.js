@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The traffic: hidden, moved, copied, removed, and saved as a run. What has been changed is one object, as tools/view/request.hpp has it.
+// The traffic: hidden, moved, copied, placed on the ground, removed, and saved as a run. What has been changed is one object, as tools/view/request.hpp has it.
 import { instanceColour } from './colours.js';
 import { headingOf, transform } from './matrix.js';
 
@@ -12,27 +12,78 @@ const button = (label, onClick) => {
   return made;
 };
 
+const without = ({ hidden, ...saved }) => JSON.stringify(saved);   // what saving keeps
+const NOTHING = { copies: [], moves: {}, removed: [], hidden: [] };
+
 export class Actors {
-  constructor(onChange, send) {
+  /** @param onPlacing (actor or null) somebody chooses a place for an actor, {of, from}, or no longer does */
+  constructor(onChange, onPlacing, send) {
     this.onChange = onChange;
-    this.copies = [];
-    this.moves = {};
-    this.removed = new Set();
-    this.hidden = new Set();
+    this.onPlacing = onPlacing;
     this.rows = new Map();
     this.known = [];
+    this.own = new Set();     // tracks of the run itself
+    this.placing = null;
+    this.accepted = NOTHING;  // edits of the last scan that came
+    this.savedAs = without(NOTHING);
+    this.put(NOTHING);
     this.list = document.getElementById('actors');
     this.name = document.getElementById('save-name');
     this.save = document.getElementById('save');
     this.hint = document.getElementById('save-hint');
-    const mayWe = () => { this.save.disabled = !this.name.value || !this.name.checkValidity() || !this.isEdited; };
-    this.checkSave = mayWe;
-    this.name.addEventListener('input', mayWe);
+    this.insert = document.getElementById('insert');
+    this.name.addEventListener('input', () => this.checkSave());
     this.save.addEventListener('click', () => {
-      this.say('saving …', false);
-      send({ do: 'save', name: this.name.value, edits: this.edits });
+      this.saving = without(this.edits);
+      if (send({ do: 'save', name: this.name.value, edits: this.edits })) this.say('saving …', false);
+      else this.say('The program cannot be reached; nothing is saved.', true);
     });
+    const place = document.getElementById('insert-place');
+    place.addEventListener('click', () => this.place(this.placing ? null : JSON.parse(this.insert.value)));
   }
+
+  checkSave() { this.save.disabled = !this.name.value || !this.name.checkValidity() || !this.isEdited; }
+
+  /** What the program says of actors, once a connection. */
+  load({ actors, others }) {
+    this.own = new Set(actors.map(({ track }) => track));
+    this.insert.replaceChildren(...others.flatMap(({ name, actors: theirs }) => theirs.map(
+      ({ track, category }) => new Option(`${name}#${track} · ${category}`, JSON.stringify({ of: track, from: name })))));
+    document.getElementById('insert-row').hidden = this.insert.length === 0;
+  }
+
+  put({ copies, moves, removed, hidden }) {
+    this.copies = copies.map((copy) => ({ ...copy }));
+    this.moves = { ...moves };
+    this.removed = new Set(removed);
+    this.hidden = new Set(hidden);
+    this.rows.clear();
+  }
+
+  /** Edits from elsewhere: an address, or none. @param isSaved as a run */
+  restore(edits, isSaved) {
+    this.put(edits ?? NOTHING);
+    if (isSaved) this.savedAs = without(this.edits);
+    this.change();
+  }
+
+  /** A scan with these edits has come. */
+  accept(edits) { this.accepted = edits; }
+
+  /** Takes back what no scan has come of. @return whether there was anything */
+  takeBack() {
+    if (JSON.stringify(this.edits) === JSON.stringify(this.accepted)) return false;
+    this.restore(this.accepted, false);
+    return true;
+  }
+
+  saved(folder) {
+    this.savedAs = this.saving;
+    this.say(`saved as ${folder}`, false);
+    this.onChange();
+  }
+
+  get isUnsaved() { return this.isEdited && without(this.edits) !== this.savedAs; }
 
   get edits() { return { copies: this.copies, moves: this.moves, removed: [...this.removed], hidden: [...this.hidden] }; }
 
@@ -75,38 +126,42 @@ export class Actors {
     swatch.style.background = `rgb(${instanceColour(instance).join(' ')})`;
     summary.append(swatch, `${track} · ${category}`);
     const buttons = Object.assign(document.createElement('div'), { className: 'row' });
-    const hide = this.toggle('Hide', this.hidden, track);
-    const remove = this.toggle('Remove', this.removed, track);
-    buttons.append(hide, button('Copy', () => this.copy(track)), remove);
+    const place = button('Place …', () => this.place(this.placing?.of === track ? null : { of: track, from: '' }));
+    place.title = 'Put a copy on the ground, where the next click is';
+    place.hidden = !this.own.has(track);
+    const hide = this.toggle('Hide', 'hidden', track);
+    const remove = this.toggle('Remove', 'removed', track);
+    buttons.append(hide, button('Copy', () => this.copy(track)), remove, place);
     row.append(summary, buttons, this.makeMoves(track));
     return row;
   }
 
-  /** A button that puts a track into a set, or takes it out. */
+  /** A button that puts a track into the set of a name, or takes it out. */
   toggle(label, set, track) {
+    const mark = () => made.setAttribute('aria-pressed', String(this[set].has(track)));
     const made = button(label, () => {
-      if (!set.delete(track)) set.add(track);
-      made.setAttribute('aria-pressed', String(set.has(track)));
+      if (!this[set].delete(track)) this[set].add(track);
+      mark();
       this.change();
     });
-    made.setAttribute('aria-pressed', String(set.has(track)));
+    mark();
     return made;
   }
 
   makeMoves(track) {
     const fields = document.createElement('fieldset');
     fields.append(Object.assign(document.createElement('legend'), { textContent: 'moved, as it faces' }));
-    const inputs = MOVES.map(([label, step]) => {
-      const input = Object.assign(document.createElement('input'), { type: 'number', step, value: 0 });
+    const inputs = MOVES.map(([label, step], i) => {
+      const input = Object.assign(document.createElement('input'), { type: 'number', step, value: this.moves[track]?.[i] ?? 0 });
       input.addEventListener('input', () => {
-        const by = inputs.map((i) => Number(i.value) || 0);
+        const by = inputs.map((field) => Number(field.value) || 0);
         if (by.every((v) => v === 0)) delete this.moves[track];
         else this.moves[track] = by;
         this.change();
       });
-      const field = document.createElement('label');
-      field.append(label, input);
-      fields.append(field);
+      const labelled = document.createElement('label');
+      labelled.append(label, input);
+      fields.append(labelled);
       return input;
     });
     return fields;
@@ -116,7 +171,24 @@ export class Actors {
   copy(track) {
     const { pose } = this.known.find((a) => a.track === track);
     const [x, y, z] = transform(pose, [0, COPY_BESIDE_M, 0]);
-    this.copies.push({ of: track, at: [x, y, z, (headingOf(pose) * 180) / Math.PI, 0] });
+    this.add({ of: track, from: '', at: [x, y, z, (headingOf(pose) * 180) / Math.PI, 0, 0, 0] });
+  }
+
+  /** Begins to choose a place on the ground for an actor {of, from}; null: no longer. */
+  place(actor) {
+    this.placing = actor;
+    this.say(actor ? `Click on the ground where ${actor.of} is to stand; Esc ends it.` : '', false);
+    this.onPlacing(actor);
+  }
+
+  /** The program has found the ground there: at is as in edits. */
+  placed({ of, from, at }) {
+    this.place(null);
+    this.add({ of, from, at });
+  }
+
+  add({ of, from, at }) {
+    this.copies.push({ of, from, at: at.map((v) => Math.round(v * 1000) / 1000) });   // millimetres: the address holds it
     this.change();
   }
 

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Keys: what they do, and the page that says so.
+// The page that says what keys and mouse do.
 
 const KEYS = [
-  [['W', 'A', 'S', 'D'], 'drive the sensor ahead, left, back, right (Shift: in steps of 5 m)'],
-  [['R', 'F'], 'sensor up, down'],
-  [['Q', 'E'], 'turn the sensor left, right'],
+  [['W', 'A', 'S', 'D'], 'drive the sensor ahead, left, back, right while the key is down: 5 m/s, with Shift 20 m/s'],
+  [['R', 'F'], 'sensor up, down: 2.5 m/s, with Shift 10 m/s'],
+  [['Q', 'E'], 'turn the sensor left, right: 45 degrees/s, with Shift 180'],
   [['0'], 'sensor back to the place of the log'],
   [['Space'], 'play, pause'],
   [[',', '.'], 'frame before, next frame'],
@@ -13,6 +13,8 @@ const KEYS = [
   [['←', '→', '↑', '↓'], 'move the camera'],
   [['drag'], 'turn the camera; right button or Ctrl: move it; wheel: nearer, farther'],
   [['Shift', 'drag'], 'move the sensor over the ground'],
+  [['Enter'], 'in a list or a number: the keys drive again'],
+  [['Esc'], 'place nothing after all'],
   [['?'], 'this help'],
 ];
 
@@ -27,17 +29,4 @@ export function setUpHelp() {
   const open = () => { if (!dialog.open) dialog.showModal(); };
   document.getElementById('help-button').addEventListener('click', open);
   return open;
-}
-
-/** Calls what a key is bound to, unless the person types. @param bindings {key: (event) => void}, keys in lower case */
-export function bindKeys(bindings) {
-  document.addEventListener('keydown', (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.target.closest('input, select, textarea, dialog')) return;
-    if (event.key === ' ' && event.target.closest('button, summary')) return;
-    const action = bindings[event.key.toLowerCase()];
-    if (!action) return;
-    event.preventDefault();
-    action(event);
-  });
 }

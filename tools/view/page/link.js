@@ -1,23 +1,52 @@
 // SPDX-License-Identifier: Apache-2.0
 // The WebSocket to the program: one scan is asked for at a time, and of what changes meanwhile only the last state is asked for next.
+// A program that has gone is called again, after pauses that grow.
 import { decodeFrame } from './frame.js';
 
+const FIRST_PAUSE_S = 0.5;
+const LONGEST_PAUSE_S = 8;
+
 export class Link {
-  /** @param on {text(message), frame(frame), lost()} @param state () => what is to be scanned, without "do" and "id" */
+  /**
+   * @param state () => what is to be scanned, without "do" and "id"
+   * @param on {text(message), frame(frame, asked), lost(pause_s, isLocked)}: asked, the state that the scan is of; isLocked, the program is
+   * there and wants a token
+   */
   constructor(state, on) {
     this.state = state;
     this.on = on;
     this.id = 0;
+    this.pause = FIRST_PAUSE_S;
+    this.connect();
+    document.addEventListener('visibilitychange', () => { if (!document.hidden && this.timer) this.connect(); });
+  }
+
+  connect() {
+    clearTimeout(this.timer);
+    this.timer = null;
     this.waiting = false;   // for a scan
     this.stale = false;     // the state has changed since it was asked for
+    this.asked = null;
     this.socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/live`);
     this.socket.binaryType = 'arraybuffer';
     this.socket.onmessage = ({ data }) => (typeof data === 'string' ? this.heard(JSON.parse(data)) : this.received(data));
-    this.socket.onclose = () => on.lost();
+    this.socket.onclose = () => this.lost();
   }
 
+  lost() {
+    const pause = this.pause;
+    this.pause = Math.min(LONGEST_PAUSE_S, 2 * pause);
+    this.waiting = false;
+    this.timer = setTimeout(() => this.connect(), 1000 * pause);
+    this.on.lost(pause, false);
+    fetch('/', { cache: 'no-store' }).then(({ status }) => { if (status === 401 && this.timer) this.on.lost(pause, true); }, () => {});
+  }
+
+  get isOpen() { return this.socket.readyState === WebSocket.OPEN; }
+
   send(message) {
-    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+    if (this.isOpen) this.socket.send(JSON.stringify(message));
+    return this.isOpen;
   }
 
   /** The state has changed. */
@@ -27,22 +56,25 @@ export class Link {
   }
 
   ask() {
-    if (this.socket.readyState !== WebSocket.OPEN) return;
+    if (!this.isOpen) return;
     this.stale = false;
     this.waiting = true;
-    this.send({ do: 'scan', id: ++this.id, ...this.state() });
+    this.asked = this.state();
+    this.send({ do: 'scan', id: ++this.id, ...this.asked });
   }
 
   heard(message) {
+    this.pause = FIRST_PAUSE_S;
+    const isAboutScan = message.kind === 'error' && (message.about === 'scan' || message.about === 'message');
+    if (isAboutScan) this.waiting = false;   // the scan will not come
     this.on.text(message);
-    if (message.kind !== 'error' || (message.about !== 'scan' && message.about !== 'message')) return;
-    this.waiting = false;   // the scan will not come
-    if (this.stale) this.ask();
+    if (isAboutScan && this.stale && !this.waiting) this.ask();
   }
 
   received(data) {
+    const { asked } = this;
     this.waiting = false;
     if (this.stale) this.ask();   // before drawing: the next is rendered meanwhile
-    this.on.frame(decodeFrame(data));
+    this.on.frame(decodeFrame(data), asked);
   }
 }

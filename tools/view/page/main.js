@@ -1,15 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 // The page: parts, and what happens when one of them changes. What is simulated is asked for by Link; what is shown is drawn here.
 import { Actors } from './actors.js';
+import { readAddress, writeAddress } from './address.js';
 import { Beams } from './beams.js';
 import { Camera } from './camera.js';
 import { CloudView } from './cloud_view.js';
 import { COLOURINGS, coloursOf, cssGradient, flatColours, instanceColour } from './colours.js';
+import { makeDriver } from './drive.js';
 import { returned } from './frame.js';
-import { bindKeys, setUpHelp } from './help.js';
+import { setUpHelp } from './help.js';
+import { bindKeys, giveBackFocus } from './keys.js';
 import { Link } from './link.js';
 import { headingOf } from './matrix.js';
 import { Panel } from './panel.js';
+import { pickGround } from './pick.js';
 import { steer } from './pointer.js';
 import { SensorPanel } from './sensor.js';
 import * as shapes from './shapes.js';
@@ -20,23 +24,26 @@ const SENSOR_HEIGHT_M = 1.8;      // of a car's roof: where the grid is drawn be
 const SHORTEST_ERROR_M = 0.1;     // of error lines
 const GRID_REACH_M = 80;
 const REAL_SIZE = 0.6;              // of real points among simulated ones, which they would hide
+const ADDRESS_PAUSE_MS = 500;       // between changes of the address: browsers refuse more than a few a second
+const NOWHERE = [0, 0, 0, 0, 0, 0];
 const DARK = matchMedia('(prefers-color-scheme: dark)');
 const element = (id) => document.getElementById(id);
 
 let hello = null;
+let isSettling = false;           // several things change at once: the scan is asked for when all have
 let frame = null;                 // the last scan that came
 let drawn = false;                // whether the picture is as the state is
 const camera = new Camera();
 const view = makeView();
 const panel = new Panel({ onMode: refresh, onLook: show });
 const timeline = new Timeline(refresh);
-const actors = new Actors(refresh, send);
+const actors = new Actors(refresh, (actor) => element('view').classList.toggle('placing', actor !== null), send);
 const sensor = new SensorPanel(refresh, send);
 const beams = new Beams(show);
 const tellPixel = (text) => { element('pixel').textContent = text; };
 const strip = new Strip(element('strip'), tellPixel);
 const realStrip = new Strip(element('real-strip'), tellPixel);
-const link = new Link(state, { text: heard, frame: received, lost: () => panel.say('The program has ended; nothing moves any more.', true) });
+const link = new Link(state, { text: heard, frame: received, lost });
 
 function makeView() {
   try {
@@ -51,41 +58,121 @@ function state() {
   return { time_s: timeline.time, ...sensor.wish, simulate: panel.mode !== 'real', real: panel.mode !== 'simulated', edits: actors.edits };
 }
 
-function send(message) { link.send(message); }
+function send(message) { return link.send(message); }
 
 function refresh() {
-  if (hello) link.refresh();
+  if (!hello || isSettling) return;
+  link.refresh();
+  remember();
 }
 
 function heard(message) {
   if (message.kind === 'hello') start(message);
   else if (message.kind === 'log') panel.setLog(message);
   else if (message.kind === 'sensor') sensor.addFile(message);
-  else if (message.kind === 'saved') actors.say(`saved as ${message.folder}`, false);
+  else if (message.kind === 'saved') actors.saved(message.folder);
+  else if (message.kind === 'ground') actors.placed(message);
   else if (message.about === 'sensor') sensor.say(message.text, true);
-  else if (message.about === 'save') actors.say(message.text, true);
+  else if (message.about === 'save' || message.about === 'ground') actors.say(message.text, true);
+  else if (actors.takeBack()) panel.tell(`The last change of the traffic is taken back: ${message.text}`);
   else panel.say(message.text, true);
 }
 
+function lost(pause, isLocked) {
+  panel.say(isLocked ? 'The program was started again and asks for a token that this page has not got: open the address that it has printed.'
+    : `The program has ended or cannot be reached; nothing moves. Trying again in ${pause} s.`, true);
+}
+
+/** The program answers, for the first time or again: what the page shows is asked for anew. */
 function start(message) {
+  const before = hello;
   hello = message;
   element('run-name').textContent = hello.run;
   element('log-name').textContent = `${hello.log} · ${hello.frames.length} frames · ${hello.surfels.toLocaleString('en')} surfels · ${hello.device}`;
   document.title = `${hello.run} – relidar view`;
   element('save-name').title = `a folder in ${hello.save_folder}`;
-  sensor.load(hello);
-  timeline.load(hello.frames);
+  actors.load(hello);
+  settle(before ? () => resume(before) : restore);
 }
 
-function received(next) {
+function settle(change) {
+  isSettling = true;
+  change();
+  isSettling = false;
+  refresh();
+}
+
+/** After a program that has gone: all stays, unless it is another run now. */
+function resume(before) {
+  const isSame = hello.identity === before.identity;
+  const lostSensor = sensor.load(hello);
+  panel.waitForLog();
+  if (sensor.wish.sensor === 'file') send(sensor.file);
+  if (!isSame) startAnew();
+  timeline.load(hello.frames, isSame ? timeline.time : undefined);
+  if (!isSame) panel.tell(`The program shows another run now, ${hello.run} instead of ${before.run}: place, time and edits of that one are left out.`);
+  else if (lostSensor) panel.tell("The program has not got the sensor any more: the log's own is shown.");
+}
+
+function startAnew() {
+  actors.restore(null, false);
+  sensor.setPlace(NOWHERE);
+}
+
+/** What the address says; parts of another run, and those that nobody understands, are left out. */
+function restore() {
+  const { parts, wrong } = readAddress(location.hash);
+  const isSame = parts.run === undefined || parts.run === hello.identity;
+  const notes = wrong.length ? [`The address has parts that are left out: ${wrong.join('; ')}.`] : [];
+  if (!isSame) notes.push('The address is of another run: its place, time and edits are left out.');
+  sensor.load(hello);
+  if (parts.sensor === 'file' && !sensor.file) notes.push("The sensor's file has to be chosen again; the log's own sensor is shown.");
+  if (!sensor.choose(parts.sensor ?? 'native', parts.lidar ?? 0) && parts.sensor !== 'file')
+    notes.push("The address has a sensor that is not there: the log's own is shown.");
+  panel.look = { colour: parts.colour, size: parts.size, layers: parts.layers };
+  if (parts.camera) camera.restore(isSame ? parts.camera : { ...parts.camera, mode: 'follow' });
+  panel.markCamera(camera.mode);
+  panel.setMode(parts.show ?? 'simulated');
+  startAnew();
+  if (isSame && parts.edits) actors.restore(parts.edits, parts.saved === '1');
+  if (isSame && parts.place) sensor.setPlace(parts.place);
+  timeline.load(hello.frames, isSame ? parts.time : undefined);
+  panel.tell(notes.join(' '));
+}
+
+let remembering = null;   // a change of the address is due
+
+/** The state has changed: so does the address, soon. */
+function remember() {
+  if (hello) remembering ??= setTimeout(writeHash, ADDRESS_PAUSE_MS);
+}
+
+function writeHash() {
+  clearTimeout(remembering);
+  remembering = null;
+  if (!hello) return;
+  const { sensor: name, lidar, place } = sensor.wish;
+  const { hash, holdsEdits } = writeAddress({
+    run: hello.identity, sensor: name, lidar, time: timeline.time, place, show: panel.wanted ?? panel.mode, ...panel.look, camera,
+    edits: actors.edits, saved: !actors.isUnsaved,
+  });
+  if (!holdsEdits) panel.tell('The edits are too many for the address: save them as a run, a reload loses them.');
+  if (hash !== location.hash) history.replaceState(null, '', hash);
+}
+
+function received(next, asked) {
   frame = next;
   const { header } = frame;
+  actors.accept(asked.edits);
   camera.track([header.pose[12], header.pose[13], header.pose[14]], headingOf(header.pose));
   actors.update(header.actors, header.instances);
   if (frame.simulated) beams.fit(frame.simulated.ring);
   panel.setNumbers(frame);
   show();
 }
+
+/** Whether a point of a scan is drawn. */
+const shownOf = (scan) => (i) => scan.range[i] > 0 && beams.has(scan.ring[i]) && (panel.shows.dropped || returned(scan, i));
 
 const linesOf = ({ position, rgba }) => [position, rgba];
 
@@ -94,10 +181,9 @@ function show() {
   if (!frame) return redraw();
   const { header, simulated, real } = frame;
   const error = header.matched ? rangeErrors(simulated, real) : null;
-  const shown = (scan) => (i) => scan.range[i] > 0 && beams.has(scan.ring[i]) && (panel.shows.dropped || returned(scan, i));
-  const options = (scan) => ({ maxRange: hello.max_range_m, sensorHeight: header.pose[14], error, shown: shown(scan) });
+  const options = (scan) => ({ maxRange: hello.max_range_m, sensorHeight: header.pose[14], error, shown: shownOf(scan) });
   const colours = simulated && coloursOf(simulated, panel.colouring, options(simulated));
-  const realColours = real && (simulated ? flatColours(real.range.length, panel.realColour, shown(real)) : coloursOf(real, panel.colouring, options(real)));
+  const realColours = real && (simulated ? flatColours(real.range.length, panel.realColour, shownOf(real)) : coloursOf(real, panel.colouring, options(real)));
   setCloud('simulated', simulated, colours, 1);
   setCloud('real', real, realColours, simulated ? REAL_SIZE : 1);
   setErrorLines(error);
@@ -160,6 +246,7 @@ function showLegend() {
 }
 
 function redraw() {
+  remember();
   if (!drawn) return;
   drawn = false;
   requestAnimationFrame(() => {
@@ -177,28 +264,43 @@ function setCamera(mode) {
   redraw();
 }
 
+/** Where an actor is to stand, while a place for it is chosen. */
+function clicked(xy) {
+  if (!frame || !actors.placing) return;
+  const scan = frame.simulated ?? frame.real;
+  const at = pickGround(camera, view.aspect, xy, scan, shownOf(scan), frame.header.pose[14] - SENSOR_HEIGHT_M);
+  if (!at) actors.say('There is no ground: the click looks into the sky.', true);
+  else if (!send({ do: 'ground', ...actors.placing, at })) actors.say('The program cannot be reached.', true);
+}
+
 const CAMERAS = ['follow', 'orbit', 'fly'];
 document.querySelectorAll('[data-camera]').forEach((b) => b.addEventListener('click', () => setCamera(b.dataset.camera)));
 steer(view, camera, {
   onChange: () => { panel.markCamera(camera.mode); redraw(); },
   onGround: (from, to) => frame && sensor.drag(to[0] - from[0], to[1] - from[1], headingOf(frame.header.log_pose)),
   planeHeight: () => (frame ? frame.header.pose[14] - SENSOR_HEIGHT_M : 0),
+  onClick: clicked,
 });
 const openHelp = setUpHelp();
-const far = (event, step) => (event.shiftKey ? 10 * step : step);
 const fly = (ahead, left) => () => { camera.move(ahead, left, 0); panel.markCamera(camera.mode); redraw(); };
 bindKeys({
-  w: (e) => sensor.drive(far(e, 0.5), 0, 0, 0), s: (e) => sensor.drive(-far(e, 0.5), 0, 0, 0),
-  a: (e) => sensor.drive(0, far(e, 0.5), 0, 0), d: (e) => sensor.drive(0, -far(e, 0.5), 0, 0),
-  r: () => sensor.drive(0, 0, 0.25, 0), f: () => sensor.drive(0, 0, -0.25, 0),
-  q: () => sensor.drive(0, 0, 0, 5), e: () => sensor.drive(0, 0, 0, -5), 0: () => sensor.setPlace([0, 0, 0, 0, 0, 0]),
+  0: () => sensor.setPlace(NOWHERE), escape: () => { if (actors.placing) actors.place(null); },
   ' ': () => timeline.toggle(), ',': () => timeline.step(-1), '.': () => timeline.step(1),
   1: () => panel.setMode('simulated'), 2: () => panel.setMode('real'), 3: () => panel.setMode('both'),
   c: () => setCamera(CAMERAS[(CAMERAS.indexOf(camera.mode) + 1) % 3]), '?': openHelp,
   arrowup: fly(1, 0), arrowdown: fly(-1, 0), arrowleft: fly(0, 1), arrowright: fly(0, -1),
-});
+}, makeDriver((...moved) => sensor.drive(...moved)));
+giveBackFocus(element('view'));
 DARK.addEventListener('change', show);
 new ResizeObserver(redraw).observe(element('view'));
-if (location.search) history.replaceState(null, '', '/');   // the token is a cookie now, and no one's to read over a shoulder
+window.addEventListener('pagehide', writeHash);
+window.addEventListener('hashchange', () => { if (hello) settle(restore); });   // typed, or a link: replaceState() is none
+window.addEventListener('beforeunload', (event) => {
+  writeHash();
+  if (!actors.isUnsaved) return;
+  event.preventDefault();
+  event.returnValue = true;   // for browsers older than 2024
+});
+if (location.search) history.replaceState(null, '', `/${location.hash}`);   // the token is a cookie now, and no one's to read over a shoulder
 drawn = true;
 redraw();

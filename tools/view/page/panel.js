@@ -8,6 +8,7 @@ export class Panel {
   /** @param onMode another scan is wanted @param onLook the same scan looks otherwise */
   constructor({ onMode, onLook }) {
     this.mode = 'simulated';
+    this.wanted = null;   // a mode, as soon as the log is there
     this.hasLog = false;
     this.arrivals = [];
     this.onMode = onMode;
@@ -16,6 +17,8 @@ export class Panel {
     for (const id of ['colouring', 'show-grid', 'show-path', 'show-boxes', 'show-errors', 'show-dropped'])
       document.getElementById(id).addEventListener('change', onLook);
     document.getElementById('point-size').addEventListener('input', onLook);
+    this.note = document.getElementById('note');
+    document.getElementById('note-close').addEventListener('click', () => this.tell(''));
     this.markMode();
   }
 
@@ -27,10 +30,24 @@ export class Panel {
     return Object.fromEntries(['grid', 'path', 'boxes', 'errors', 'dropped'].map((name) => [name, document.getElementById(`show-${name}`).checked]));
   }
 
+  /** How it looks, as an address has it: {colour, size, layers}; what is missing stays. */
+  get look() {
+    const { shows } = this;
+    return { colour: this.colouring, size: this.pointSize, layers: Object.keys(shows).filter((name) => shows[name]) };
+  }
+
+  set look({ colour, size, layers }) {
+    const colouring = document.getElementById('colouring');
+    if (colour && [...colouring.options].some((o) => o.value === colour)) colouring.value = colour;
+    if (size) document.getElementById('point-size').value = String(size);
+    if (layers) for (const name of Object.keys(this.shows)) document.getElementById(`show-${name}`).checked = layers.includes(name);
+  }
+
   get realColour() { return matchMedia('(prefers-color-scheme: dark)').matches ? REAL.dark : REAL.light; }
 
   setMode(mode) {
-    if (mode !== 'simulated' && !this.hasLog) return;
+    this.wanted = mode === 'simulated' || this.hasLog ? null : mode;
+    if (this.wanted) return;
     this.mode = mode;
     this.markMode();
     this.onMode();
@@ -51,7 +68,24 @@ export class Panel {
   setLog({ state, why }) {
     this.hasLog = state === 'ready';
     document.getElementById('log-state').textContent = this.hasLog ? '' : `The log's own scans cannot be shown: ${why}`;
-    this.markMode();
+    if (!this.hasLog) this.setMode('simulated');
+    else if (this.wanted) this.setMode(this.wanted);
+    else this.markMode();
+  }
+
+  /** The program begins to read the log: what needs it waits. */
+  waitForLog() {
+    const wanted = this.wanted ?? this.mode;
+    this.hasLog = false;
+    document.getElementById('log-state').textContent = 'Reading the log for its own scans …';
+    this.setMode('simulated');
+    this.setMode(wanted);
+  }
+
+  /** Something to know that stays until it is read, beside what say() says of the moment. */
+  tell(text) {
+    this.note.firstElementChild.textContent = text;
+    this.note.hidden = !text;
   }
 
   say(text, isAlarm) {

@@ -18,7 +18,9 @@ export class SensorPanel {
     document.getElementById('reset-place').addEventListener('click', () => this.setPlace([0, 0, 0, 0, 0, 0]));
     document.getElementById('sensor-file').addEventListener('change', async ({ target }) => {
       const [file] = target.files;
-      if (file) send({ do: 'sensor', file: file.name, text: await file.text() });
+      if (!file) return;
+      this.file = { do: 'sensor', file: file.name, text: await file.text() };
+      if (!send(this.file)) this.say('The program cannot be reached; the file is not read.', true);
     });
   }
 
@@ -35,10 +37,24 @@ export class SensorPanel {
     return input;
   }
 
+  /** What there is to choose from, once a connection; what was chosen stays where it is there. @return whether a sensor is lost */
   load({ sensors, lidars }) {
-    for (const name of sensors) this.choice.add(new Option(name === 'native' ? "native (the log's)" : name, name));
-    lidars.forEach(({ name, sensor }, i) => this.lidar.add(new Option(name || sensor, String(i))));
+    const { sensor, lidar } = this.wish;
+    const file = [...this.choice.options].find((o) => o.value === 'file');
+    this.choice.replaceChildren(...sensors.map((name) => new Option(name === 'native' ? "native (the log's)" : name, name)), ...(file ? [file] : []));
+    this.lidar.replaceChildren(...lidars.map(({ name, sensor: kind }, i) => new Option(name || kind, String(i))));
     document.getElementById('lidar-field').hidden = lidars.length < 2;
+    return !this.choose(sensor, lidar);
+  }
+
+  /** @return whether there is such a sensor, in place of such a LiDAR; else it is the log's own */
+  choose(sensor, lidar) {
+    this.choice.value = sensor;
+    this.lidar.value = String(lidar);
+    const isThere = this.choice.selectedIndex >= 0 && this.lidar.selectedIndex >= 0;
+    if (this.choice.selectedIndex < 0) this.choice.value = 'native';
+    if (this.lidar.selectedIndex < 0) this.lidar.value = '0';
+    return isThere;
   }
 
   /** A file of the user's was read. */
@@ -59,9 +75,9 @@ export class SensorPanel {
   setPlace(place) {
     this.place = place.map((v, i) => {
       const turned = i < 3 ? v : ((((v + 180) % 360) + 360) % 360) - 180;
-      return Math.round(Math.max(-LIMITS[i], Math.min(LIMITS[i], turned)) * 1000) / 1000;
+      return Math.max(-LIMITS[i], Math.min(LIMITS[i], turned));
     });
-    this.inputs.forEach((input, i) => { input.value = String(this.place[i]); });
+    this.inputs.forEach((input, i) => { input.value = String(Math.round(this.place[i] * 1000) / 1000); });
     this.onChange();
   }
 
@@ -79,5 +95,5 @@ export class SensorPanel {
     this.setPlace([x + c * dx + s * dy, y - s * dx + c * dy, ...rest]);
   }
 
-  get wish() { return { place: this.place, sensor: this.choice.value || 'native', lidar: Number(this.lidar.value || 0) }; }
+  get wish() { return { place: [...this.place], sensor: this.choice.value || 'native', lidar: Number(this.lidar.value || 0) }; }
 }

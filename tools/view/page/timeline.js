@@ -17,13 +17,13 @@ export class Timeline {
     document.getElementById('forth').addEventListener('click', () => this.step(1));
   }
 
-  /** Frames of the log in order: [{time_s, index, held_out}]. */
-  load(frames) {
+  /** Frames of the log in order: [{time_s, index, held_out}]. @param time to begin at; none: the middle */
+  load(frames, time) {
     this.frames = frames;
     this.first = frames[0].time_s;
     this.last = frames[frames.length - 1].time_s;
     this.slider.max = String(this.last - this.first);
-    this.set(frames[Math.floor(frames.length / 2)].time_s);
+    this.set(time ?? frames[Math.floor(frames.length / 2)].time_s);
   }
 
   /** The frame nearest to the time. */

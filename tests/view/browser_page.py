@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the tests of the page share: a run of a small street, the program that serves it, and headless Chromium looking at it.
+
+Ends the test as skipped (77) where chromium, its driver or python3-selenium is missing."""
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+try:
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+except ImportError:
+    print("skipped: python3-selenium is missing (tools/dev/setup --tests)")
+    sys.exit(77)
+
+STREET = "seed = 3\nn_frames = 6\nrows = 32\ncolumns = 512\n"
+TRAIN = ["--preset", "quick", "--set", "train.pose_register=false", "--set", "train.iterations=3", "--set", "dataset.test_every=3",
+         "--set", "init.actor_min_points=10", "--set", "refine.enabled=false", "--no-eval", "--quiet"]
+PATIENCE_S = 60
+STRIP = """const c = document.getElementById(arguments[0]);
+return Array.from(new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer));"""
+
+
+def need(programs):
+    for name in programs:
+        if shutil.which(name) is None:
+            print(f"skipped: {name} is missing (tools/dev/setup --tests)")
+            sys.exit(77)
+
+
+class Page:
+    def __init__(self, url, work):
+        self.work = work
+        options = webdriver.ChromeOptions()
+        for flag in ["--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--window-size=1280,860"]:
+            options.add_argument(flag)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+        self.driver = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
+        self.driver.set_script_timeout(30)
+        self.driver.get(url)
+
+    def find(self, selector):
+        return self.driver.find_element(By.CSS_SELECTOR, selector)
+
+    def click(self, selector):
+        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'}); arguments[0].click()", self.find(selector))
+
+    def type(self, selector, text):
+        field = self.find(selector)
+        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", field)
+        field.send_keys(Keys.CONTROL, "a")
+        field.send_keys(text)
+
+    def strip(self, name="strip"):
+        return self.driver.execute_script(STRIP, name)
+
+    def points(self):
+        text = self.find("#n-points").text.replace(",", "")
+        return int(text) if text.isdigit() else 0
+
+    def wait(self, what, condition):
+        end = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            if condition():
+                return
+            time.sleep(0.1)
+        self.driver.save_screenshot(str(self.work / "failed.png"))
+        raise AssertionError(f"waited {PATIENCE_S} s for: {what}; the page says: {self.find('#message').text!r}, errors: {self.errors()}")
+
+    def errors(self):
+        return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
+
+
+def train_street(relidar, work):
+    """A run in work/run, barely trained, and an empty folder work/saved."""
+    shutil.rmtree(work, ignore_errors=True)
+    for folder in ("street", "saved"):
+        (work / folder).mkdir(parents=True)
+    (work / "street/street.toml").write_text(STREET)
+    subprocess.run([relidar, "train", "street", "--out", "run", *TRAIN], cwd=work, check=True)
+
+
+class Viewer:
+    """`relidar view`, started with some arguments."""
+
+    def __init__(self, relidar, work, *arguments):
+        command = [relidar, "view", *arguments, "--save-to", "saved", "--quiet"]
+        self.process = subprocess.Popen(command, cwd=work, stdout=subprocess.PIPE, text=True)
+        self.url = self.process.stdout.readline().strip()
+
+    def end(self):
+        self.process.send_signal(signal.SIGINT)
+        assert self.process.wait(timeout=5) == 0, self.process.returncode
+
+    def kill(self):
+        self.process.kill()
