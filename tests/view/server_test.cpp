@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The viewer's server before anybody on the network: what is served, what is refused with which status, and that it lives on.
+#include <filesystem>
 #include <fstream>
 #include <future>
 
@@ -87,8 +88,28 @@ TEST(ViewServer, ServesItsAssetsByTheirExactNames) {
     EXPECT_TRUE(head.ends_with("\r\n\r\n"));
 }
 
+/// The working folder of a test that writes into it.
+class InTemporaryFolder {
+public:
+    InTemporaryFolder() {
+        std::filesystem::create_directories(folder_);
+        std::filesystem::current_path(folder_);
+    }
+    ~InTemporaryFolder() {
+        std::filesystem::current_path(before_);
+        std::filesystem::remove_all(folder_);
+    }
+    InTemporaryFolder(const InTemporaryFolder&) = delete;
+    InTemporaryFolder& operator=(const InTemporaryFolder&) = delete;
+
+private:
+    const std::filesystem::path before_ = std::filesystem::current_path();
+    const std::filesystem::path folder_ = std::filesystem::path(testing::TempDir()) / "relidar_view_server";
+};
+
 TEST(ViewServer, ServesNothingElse) {
     const Echo echo;
+    const InTemporaryFolder here;
     std::ofstream("main.css") << "a file beside the program";
     for (const char* path : {"/main.css", "/../main.js", "/./main.js", "//main.js", "/../../../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd",
                              "/..%2f..%2fetc/passwd", "/..\\..\\etc\\passwd", "/main.js/", "/main.js%00.html", "/MAIN.JS", "/etc/passwd",

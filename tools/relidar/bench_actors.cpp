@@ -20,7 +20,7 @@ namespace relidar::cli {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-double ms_since(Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); }
+double elapsed_ms(Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); }
 
 constexpr int kRows = 64, kColumns = 1024;
 
@@ -78,7 +78,7 @@ void measure_moves(Device& device, const BenchCase& bench, int repeat, ActorTime
     Clock::time_point start = Clock::now();
     accel.update(stream, on_device);
     stream.finish();
-    times.build_ms = ms_since(start);
+    times.build_ms = elapsed_ms(start);
     const std::uint64_t builds_before = accel.updates();
     std::vector<double> samples;
     for (int step = 1; step <= kWarmUp + repeat; ++step) {
@@ -88,7 +88,7 @@ void measure_moves(Device& device, const BenchCase& bench, int repeat, ActorTime
         on_device.place(stream, placed);
         accel.move(stream, on_device);
         stream.finish();
-        if (step > kWarmUp) samples.push_back(ms_since(start));
+        if (step > kWarmUp) samples.push_back(elapsed_ms(start));
     }
     times.move_ms = spread_of(samples);
     times.builds = accel.updates() - builds_before;
