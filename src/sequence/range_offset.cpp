@@ -70,13 +70,13 @@ struct Plane {
 };
 
 std::vector<Plane> planes_of(const std::vector<Observation>& seen, const std::vector<double>& offset_m, std::size_t n_cells) {
-    struct Sums {
+    struct CellSums {
         PlaneSums sums;          // from the cell's first point
         glm::dvec3 about{0.0};
     };
-    std::vector<Sums> cells(n_cells);
+    std::vector<CellSums> cells(n_cells);
     for (const Observation& o : seen) {
-        Sums& s = cells[o.cell];
+        CellSums& s = cells[o.cell];
         const glm::dvec3 at = moved(o, offset_m);
         if (s.sums.n == 0.0) s.about = at;
         s.sums.add(at - s.about);

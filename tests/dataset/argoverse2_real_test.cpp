@@ -28,7 +28,7 @@ constexpr std::int64_t kTimes_ns[2] = {315966265259836000, 315966265360032000};
 const Pose kMounted[2] = {{glm::normalize(glm::dquat(1.0, -0.0000762, 0.0000566, 0.0)), {1.3626, 0.0006, 1.6406}},
                           {glm::normalize(glm::dquat(0.000639, 0.9944968, -0.1047668, 0.0000928)), {1.37536, 0.00165, 1.52427}}};
 
-fs::path sweeps_folder() {
+fs::path shared_folder() {
     const char* shared = std::getenv("RELIDAR_SHARED");
     return shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared";
 }
@@ -64,7 +64,7 @@ struct RealSweep {
 std::vector<RealSweep> read_real(const fs::path& scratch) {
     std::vector<RealSweep> sweeps;
     for (const std::int64_t time_ns : kTimes_ns) {
-        const fs::path source = sweeps_folder() / "data/argoverse2" / fmt::format("7fab2350_{}.npz", time_ns),
+        const fs::path source = shared_folder() / "data/argoverse2" / fmt::format("7fab2350_{}.npz", time_ns),
                        bytes = scratch / "sweep.npz";
         if (!fs::exists(source)) return {};
         fs::create_directories(scratch);
@@ -149,7 +149,7 @@ protected:
         DatasetOptions options;
         options.max_range_m = 300.0;
         log_ = load_sequence(folder_.string(), options);
-        beams_ = std::get<SpinningSensor>(find_sensor((sweeps_folder() / "data/sensors/VLP-32C_Argoverse2.csv").string()).pattern).beams;
+        beams_ = std::get<SpinningSensor>(find_sensor((shared_folder() / "data/sensors/VLP-32C_Argoverse2.csv").string()).pattern).beams;
     }
     static void TearDownTestSuite() {
         std::error_code failed;
@@ -157,7 +157,7 @@ protected:
     }
     void SetUp() override {
         if (real_.empty())
-            GTEST_SKIP() << sweeps_folder() / "data/argoverse2"
+            GTEST_SKIP() << shared_folder() / "data/argoverse2"
                          << " or python3 with numpy is not there";
     }
 
@@ -199,7 +199,7 @@ TEST_F(Argoverse2Real, ElevationsAreThoseOfTheTable) {
 TEST_F(Argoverse2Real, SwappedHalvesAreClearlyWorse) {
     double error[2] = {0.0, 0.0};  // straight, swapped
     std::map<int, double> elevation;
-    const std::string table = test::read_text(sweeps_folder() / "data/sensors/VLP-32C_Argoverse2.csv");
+    const std::string table = test::read_text(shared_folder() / "data/sensors/VLP-32C_Argoverse2.csv");
     for (std::size_t at = table.find('\n') + 1; at < table.size(); at = table.find('\n', at) + 1) {
         int channel = 0;
         double degrees = 0.0;

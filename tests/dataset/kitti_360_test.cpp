@@ -22,7 +22,7 @@ using test::write_text;
 using testing::Contains;
 using testing::HasSubstr;
 
-Sequence read_drive(const Kitti360Folder& kitti, const DatasetOptions& options = {}) {
+Sequence read(const Kitti360Folder& kitti, const DatasetOptions& options = {}) {
     return load_sequence(kitti.folder.string(), options);
 }
 
@@ -36,7 +36,7 @@ std::size_t points_in(const Sequence& log, const Frame& frame, const BoxTrack& b
 TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
     const Kitti360Folder kitti("k360");
     EXPECT_EQ(recognise_dataset(kitti.folder), "kitti360");
-    const Sequence log = read_drive(kitti);
+    const Sequence log = read(kitti);
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_TRUE(log.rolling_shutter);
     EXPECT_EQ(log.frames[0].index, Kitti360Folder::kFirst);
@@ -63,7 +63,7 @@ TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
 
 TEST(Kitti360, BoxesHoldWhatWasLabelled) {
     const Kitti360Folder kitti("k360_boxes");
-    const Sequence log = read_drive(kitti);
+    const Sequence log = read(kitti);
     ASSERT_EQ(log.boxes.size(), 2u);
     const BoxTrack &driving = log.boxes[0], &standing = log.boxes[1];
     EXPECT_EQ(driving.id, "13005");
@@ -99,25 +99,25 @@ TEST(Kitti360, DrivesAndPartsHaveNames) {
     const Kitti360Folder kitti("k360_names");
     DatasetOptions options;
     options.sequence = "kd1";
-    Sequence log = read_drive(kitti, options);
+    Sequence log = read(kitti, options);
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[0].index, 2351);
     EXPECT_EQ(log.test_frames, (std::vector<int>{2360, 2370, 2380, 2390}));
     options.frames = {2352, -1};
-    EXPECT_EQ(read_drive(kitti, options).frames.size(), 1u);
+    EXPECT_EQ(read(kitti, options).frames.size(), 1u);
     options.frames = {0, 2351};
-    EXPECT_THROW(read_drive(kitti, options), UsageError);
+    EXPECT_THROW(read(kitti, options), UsageError);
     options.frames = {};
     for (const char* name : {"0000", "2013_05_28_drive_0000_sync"}) {
         options.sequence = name;
-        EXPECT_EQ(read_drive(kitti, options).frames.size(), 3u);
-        EXPECT_TRUE(read_drive(kitti, options).test_frames.empty()) << "nobody has published a split of the drive";
+        EXPECT_EQ(read(kitti, options).frames.size(), 3u);
+        EXPECT_TRUE(read(kitti, options).test_frames.empty()) << "nobody has published a split of the drive";
     }
     options.sequence = "ks2";
-    EXPECT_THROW(read_drive(kitti, options), UsageError) << "frames that are not there";
+    EXPECT_THROW(read(kitti, options), UsageError) << "frames that are not there";
     options.sequence = "0003";
     try {
-        read_drive(kitti, options);
+        read(kitti, options);
         FAIL();
     } catch (const UsageError& error) {
         EXPECT_THAT(error.what(), HasSubstr("dataset.sequence: found '0003', expected a drive of"));
@@ -136,23 +136,23 @@ TEST(Kitti360, DrivesAndPartsHaveNames) {
 TEST(Kitti360, FramesWithoutAPose) {
     const Kitti360Folder kitti("k360_gaps");
     kitti.write_poses({2350, 2352});
-    Sequence log = read_drive(kitti);
+    Sequence log = read(kitti);
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_THAT(log.notes, Contains("frames without a pose, taken between those of their neighbours: 2351"));
     const glm::dvec3 there(Kitti360Folder::world_from_velo(2351)[3]);
     EXPECT_LT(glm::distance(log.world_from_vehicle.pose[1].translation + log.world_offset_m, there), 1e-3);
     kitti.write_poses({2345, 2351});  // six frames apart: half a second is five
-    log = read_drive(kitti);
+    log = read(kitti);
     ASSERT_EQ(log.frames.size(), 1u);
     EXPECT_THAT(log.notes, Contains("frames without a pose, left out: 2350, 2352"));
     // Long, but the car stands.
     const std::string line = read_text(kitti.poses());
     const std::string pose = line.substr(line.find(' '), line.find('\n') - line.find(' '));
     write_text(kitti.poses(), "2300" + pose + "\n2400" + pose + "\n");
-    EXPECT_EQ(read_drive(kitti).frames.size(), 3u);
+    EXPECT_EQ(read(kitti).frames.size(), 3u);
     kitti.write_poses({100, 200});
     try {
-        read_drive(kitti);
+        read(kitti);
         FAIL();
     } catch (const DataError& error) {
         EXPECT_THAT(error.what(), HasSubstr("none of the frames 2350 to 2352 has a pose, expected some between 100 and 200"));
@@ -163,7 +163,7 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     const Kitti360Folder kitti("k360_poses");
     DatasetOptions options;
     options.poses_file = kNoPoses;
-    const Sequence none = read_drive(kitti, options);
+    const Sequence none = read(kitti, options);
     EXPECT_EQ(none.world_from_vehicle.pose[2].translation, glm::dvec3(0.0));
     ASSERT_EQ(none.boxes.size(), 2u);
     for (const Pose& pose : none.boxes[0].world_from_box.pose) EXPECT_LT(glm::distance(pose.translation, glm::dvec3(9.5, 0, 0)), 1e-6);
@@ -171,12 +171,12 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     for (int frame = 0; frame < 2353; ++frame) lines += fmt::format("1 0 0 {} 0 1 0 0 0 0 1 0\n", frame);
     options.poses_file = kitti.folder / "mine.txt";
     write_text(options.poses_file, lines);
-    const Sequence mine = read_drive(kitti, options);
+    const Sequence mine = read(kitti, options);
     EXPECT_EQ(mine.world_offset_m, glm::dvec3(2351, 0, 0));
     EXPECT_LT(glm::distance(mine.boxes[0].world_from_box.pose[2].translation, glm::dvec3(10.5, 0, 0)), 1e-6);
     fs::remove_all(kitti.folder / "data_poses");
-    EXPECT_THAT(read_drive(kitti, options).notes, Contains("no data_poses: boxes have no place"));
-    EXPECT_TRUE(read_drive(kitti, options).boxes.empty());
+    EXPECT_THAT(read(kitti, options).notes, Contains("no data_poses: boxes have no place"));
+    EXPECT_TRUE(read(kitti, options).boxes.empty());
 }
 
 // Drive 0004: objects without numbers, in train_full alone; other drives may have train alone.
@@ -194,7 +194,7 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
                test::boxes_xml(
                    test::object_xml(1, fields("pedestrian", 11, 2350), place) + test::object_xml(2, fields("pedestrian", 12, 2351), place) +
                    test::object_xml(3, fields("car", 13, -1), place) + test::object_xml(4, fields("trafficSign", 14, -1), place)));
-    const Sequence log = read_drive(kitti);
+    const Sequence log = read(kitti);
     ASSERT_EQ(log.boxes.size(), 2u);
     EXPECT_EQ(log.boxes[0].id, "car-13");
     EXPECT_EQ(log.boxes[0].world_from_box.pose.size(), 1u);
@@ -202,7 +202,7 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     EXPECT_EQ(log.boxes[1].category, "person");
     EXPECT_EQ(log.boxes[1].world_from_box.pose.size(), 2u);
     fs::remove_all(kitti.folder / "data_3d_bboxes");
-    EXPECT_THAT(read_drive(kitti).notes, Contains("no data_3d_bboxes: nothing in this drive is labelled"));
+    EXPECT_THAT(read(kitti).notes, Contains("no data_3d_bboxes: nothing in this drive is labelled"));
 }
 
 /// Reads with a file changed, and puts it back.
@@ -210,7 +210,7 @@ void expect_error(const Kitti360Folder& kitti, const fs::path& file, const std::
     const std::string good = read_text(file);
     write_text(file, text);
     try {
-        read_drive(kitti);
+        read(kitti);
         ADD_FAILURE() << "no failure, expected " << part;
     } catch (const DataError& error) {
         EXPECT_THAT(error.what(), HasSubstr(part));
@@ -234,9 +234,9 @@ TEST(Kitti360, SaysWhichFileIsWrong) {
     expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n2013-05-28 08:47:02.9\n", "a sweep lasts 60 s");
     expect_error(kitti, kitti.scan(2351), "", "0000002351.bin: empty");
     fs::remove(kitti.calibration("calib_cam_to_velo.txt"));
-    EXPECT_THROW(read_drive(kitti), DataError);
+    EXPECT_THROW(read(kitti), DataError);
     fs::remove_all(kitti.raw());
-    EXPECT_THROW(read_drive(kitti), DataError);
+    EXPECT_THROW(read(kitti), DataError);
 }
 
 TEST(Kitti360, SaysWhichBoxIsWrong) {

@@ -37,7 +37,7 @@ struct Odometry {
     fs::path poses() const { return folder.parent_path().parent_path() / "poses/04.txt"; }
 };
 
-Sequence read_log(const Odometry& odometry, const fs::path& poses_file, FrameRange frames = {}) {
+Sequence read(const Odometry& odometry, const fs::path& poses_file, FrameRange frames = {}) {
     DatasetOptions options;
     options.poses_file = poses_file;
     options.frames = frames;
@@ -62,14 +62,14 @@ TEST(KittiOdometry, IsRecognisedAndRead) {
     EXPECT_EQ(log.frames[0].scan.count_returns(), odometry.drive.n_points);
     EXPECT_EQ(log.lidars[0].sensor.beams.size(), 64u);
     EXPECT_EQ(log.lidars[0].sensor.columns, test::KittiDrive::kFirings);
-    EXPECT_EQ(read_log(odometry, "", {1, 3}).frames.size(), 2u);
+    EXPECT_EQ(read(odometry, "", {1, 3}).frames.size(), 2u);
 }
 
 TEST(KittiOdometry, TakesPosesOfTheLidar) {
     const Odometry odometry("odometry_poses");
     test::write_text(odometry.folder / "lidar.txt", "1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n1 0 0 7 0 1 0 0 0 0 1 0\n");
-    EXPECT_EQ(read_log(odometry, odometry.folder / "lidar.txt").world_offset_m, glm::dvec3(6, 0, 0));
-    EXPECT_EQ(read_log(odometry, kNoPoses).world_from_vehicle.pose[2].translation,
+    EXPECT_EQ(read(odometry, odometry.folder / "lidar.txt").world_offset_m, glm::dvec3(6, 0, 0));
+    EXPECT_EQ(read(odometry, kNoPoses).world_from_vehicle.pose[2].translation,
               glm::dvec3(0, 0, 0));
 }
 

@@ -20,13 +20,13 @@ namespace {
 
 constexpr double kPi64 = 3.14159265358979323846;
 
-glm::dmat4 rotated(const glm::dmat4& m, double angle, const glm::dvec3& axis) {
+glm::dmat4 turned(const glm::dmat4& m, double angle, const glm::dvec3& axis) {
     return glm::rotate(m, angle, axis);
 }
 
 /// Rz Ry Rx at a place.
 glm::dmat4 euler(double roll, double pitch, double yaw, const glm::dvec3& at) {
-    return rotated(turned(rotated(glm::translate(glm::dmat4(1.0), at), yaw, {0, 0, 1}), pitch, {0, 1, 0}), roll, {1, 0, 0});
+    return turned(turned(turned(glm::translate(glm::dmat4(1.0), at), yaw, {0, 0, 1}), pitch, {0, 1, 0}), roll, {1, 0, 0});
 }
 
 /// roll, pitch, yaw, x, y, z of the vehicle.

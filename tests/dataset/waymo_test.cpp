@@ -22,7 +22,7 @@ using test::WaymoPixel;
 using test::WaymoSegment;
 using testing::HasSubstr;
 
-Sequence read_segment(const WaymoSegment& segment, const DatasetOptions& options = {}) {
+Sequence read(const WaymoSegment& segment, const DatasetOptions& options = {}) {
     return load_sequence(segment.file.string(), options);
 }
 
@@ -49,7 +49,7 @@ TEST(Waymo, PointsStandInTheWorldWhereTheyWere) {
     EXPECT_EQ(recognise_dataset(segment.file), "waymo");
     EXPECT_EQ(recognise_dataset(segment.folder), "waymo");
     EXPECT_TRUE(is_dataset(segment.file));
-    const Sequence log = read_segment(segment);
+    const Sequence log = read(segment);
     ASSERT_EQ(log.lidars.size(), 2u);
     EXPECT_EQ(log.lidars[0].name, "TOP");
     EXPECT_EQ(log.lidars[1].name, "SIDE_LEFT");
@@ -69,7 +69,7 @@ TEST(Waymo, PointsStandInTheWorldWhereTheyWere) {
 
 TEST(Waymo, RaysAreTheSensorsOwn) {
     const WaymoSegment segment("waymo_rays");
-    const Sequence log = read_segment(segment);
+    const Sequence log = read(segment);
     const Lidar& lidar = log.lidars[0];
     EXPECT_NEAR(lidar.sensor.period_s, 0.1, 1e-9);
     for (int row = 0; row < WaymoSegment::kTopRows; ++row)
@@ -96,7 +96,7 @@ TEST(Waymo, RaysAreTheSensorsOwn) {
 
 TEST(Waymo, LabelsAreBoxesOfTheWorld) {
     const WaymoSegment segment("waymo_boxes");
-    const Sequence log = read_segment(segment);
+    const Sequence log = read(segment);
     ASSERT_EQ(log.boxes.size(), 2u) << "signs stay where they are";
     const BoxTrack &parked = log.boxes[0], &walker = log.boxes[1];
     EXPECT_EQ(parked.id, "parked");
@@ -137,7 +137,7 @@ TEST(Waymo, SegmentsFramesAndPoses) {
     EXPECT_THROW(load_sequence(segment.folder.string(), options), UsageError);
     options.sequence = "";
     options.frames = {3, -1};
-    EXPECT_THROW(read_segment(segment, options), UsageError);
+    EXPECT_THROW(read(segment, options), UsageError);
     fs::copy_file(segment.file, segment.folder / "segment-113792_x.tfrecord");
     options = {};
     options.sequence = "ws1";
@@ -148,7 +148,7 @@ TEST(Waymo, SegmentsFramesAndPoses) {
     EXPECT_EQ(paper.frames[0].index, 1);
     options = {};
     options.poses_file = kNoPoses;
-    const Sequence none = read_segment(segment, options);
+    const Sequence none = read(segment, options);
     EXPECT_EQ(none.world_from_vehicle.pose[2].translation, glm::dvec3(0.0));
     const glm::dmat4 from_world = glm::inverse(WaymoSegment::world_from_vehicle(WaymoSegment::kStart_us + 1.5 * WaymoSegment::kPeriod_us));
     EXPECT_LT(
@@ -174,7 +174,7 @@ TEST(Waymo, OthersDecodeWhatTheWriterWrites) {
 std::string refusal(const WaymoSegment& segment, const std::string& bytes) {
     test::write_text(segment.file, bytes);
     try {
-        read_segment(segment);
+        read(segment);
     } catch (const DataError& error) {
         EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);
         return error.what();

@@ -23,7 +23,7 @@ using reference::RangeImage;
 class GeometryTerms : public test::DeviceTest {};
 
 /// Rays of a turning sensor that sees a wavy surface with an edge; a tenth dropped, unknown or faint. All rounded to float.
-RangeImage random_ranges(int rows, int columns, bool circular, bool normalised) {
+RangeImage random_image(int rows, int columns, bool circular, bool normalised) {
     std::mt19937_64 random(std::uint64_t(rows * 1000 + columns));
     std::uniform_real_distribution<double> unit(0.0, 1.0);
     std::normal_distribution<double> normal;
@@ -121,7 +121,7 @@ TEST_F(GeometryTerms, AgreeWithReference) {
     };
     for (const Case& c :
          {Case{8, 60, true, true, 1}, Case{7, 25, false, true, 3}, Case{6, 40, true, false, 2}, Case{12, 9, false, false, 1}}) {
-        const RangeImage image = random_ranges(c.rows, c.columns, c.circular, c.normalised);
+        const RangeImage image = random_image(c.rows, c.columns, c.circular, c.normalised);
         const auto normals = image_normals(image);
         const auto n_normals = std::count_if(normals.begin(), normals.end(), [](const auto& n) { return n.has_value(); });
         EXPECT_GT(n_normals, 20) << "the image tests little";
@@ -152,7 +152,7 @@ TEST_F(GeometryTerms, AgreeWithReference) {
 
 /// Distortion alone: rays need no image order, and nothing else gets a gradient.
 TEST_F(GeometryTerms, DistortionIsARaysOwn) {
-    const RangeImage image = random_ranges(4, 30, false, true);
+    const RangeImage image = random_image(4, 30, false, true);
     LossWeights weights;
     weights.distortion = 1.0f;
     const Found found = device_terms(device(), image, weights, 1);
@@ -170,7 +170,7 @@ TEST_F(GeometryTerms, DistortionIsARaysOwn) {
 /// Likelihood alone, and as one of three: value and derivative against the double reference, at dropped and unknown rays 0.
 TEST_F(GeometryTerms, LikelihoodAgreesWithReference) {
     for (const bool alone : {true, false}) {
-        const RangeImage image = random_ranges(9, 31, false, true);
+        const RangeImage image = random_image(9, 31, false, true);
         std::vector<reference::Target> targets;
         for (const bool returned : image.returned) targets.push_back({returned ? 5.0 : 0.0, 0.5});
         std::vector<reference::PixelGradient> expected;

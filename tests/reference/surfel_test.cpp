@@ -13,7 +13,7 @@ namespace relidar::reference {
 namespace {
 
 /// Facing the x axis at x = 5: a_u = y, a_v = z, normal = x. Standard deviations 0.5 and 0.25 m, opacity 0.8.
-Surfel surfel_at_five() {
+Surfel facing_surfel() {
     Surfel s;
     s.mean = {5, 0, 0};
     s.rotation = {0.5, 0.5, 0.5, 0.5};   // turns x -> y -> z -> x
@@ -41,7 +41,7 @@ TEST(ReferenceSurfel, RotationAgreesWithGlm) {
 }
 
 TEST(ReferenceSurfel, ActivationsOfKnownValues) {
-    const Activated a = activate(surfel_at_five());
+    const Activated a = activate(facing_surfel());
     EXPECT_DOUBLE_EQ(a.scale.x, 0.5);
     EXPECT_DOUBLE_EQ(a.scale.y, 0.25);
     EXPECT_DOUBLE_EQ(a.opacity, 0.8);
@@ -97,7 +97,7 @@ TEST(ReferenceSh, GradientAgreesWithDifferences) {
 }
 
 TEST(ReferenceHit, HeadOnAndOffCentre) {
-    const DoubleRecord record = make_record(surfel_at_five());
+    const DoubleRecord record = make_record(facing_surfel());
     const auto centre = double_hit(record, {{0, 0, 0}, {1, 0, 0}}, {});
     ASSERT_TRUE(centre);
     EXPECT_DOUBLE_EQ(centre->t, 5.0);
@@ -113,7 +113,7 @@ TEST(ReferenceHit, HeadOnAndOffCentre) {
 }
 
 TEST(ReferenceHit, Refusals) {
-    const DoubleRecord record = make_record(surfel_at_five());
+    const DoubleRecord record = make_record(facing_surfel());
     EXPECT_FALSE(double_hit(record, {{0, 0, 0}, {-1, 0, 0}}, {})) << "behind the origin";
     EXPECT_FALSE(double_hit(record, {{4.85, 0, 0}, {1, 0, 0}}, {})) << "nearer than 0.2 m";
     EXPECT_TRUE(double_hit(record, {{4.75, 0, 0}, {1, 0, 0}}, {}));
@@ -125,7 +125,7 @@ TEST(ReferenceHit, Refusals) {
 
 TEST(ReferenceHit, DegenerateAndNonFiniteSurfelsAreNeverHit) {
     const double nan = std::numeric_limits<double>::quiet_NaN(), inf = std::numeric_limits<double>::infinity();
-    std::vector<Surfel> bad(9, surfel_at_five());
+    std::vector<Surfel> bad(9, facing_surfel());
     bad[0].mean.y = nan;
     bad[1].mean.x = inf;
     bad[2].rotation = {0, 0, 0, 0};
@@ -139,10 +139,10 @@ TEST(ReferenceHit, DegenerateAndNonFiniteSurfelsAreNeverHit) {
         EXPECT_FALSE(double_hit(make_record(bad[i]), {{0, 0, 0}, {1, 0, 0}}, {})) << "surfel " << i;
         EXPECT_FALSE(float_hit(make_float_record(bad[i]), {{0, 0, 0}, {1, 0, 0}}, {})) << "surfel " << i;
     }
-    Surfel tiny = surfel_at_five();
+    Surfel tiny = facing_surfel();
     tiny.log_scale = {-100.0, -100.0};   // 1 / s overflows in float only
     EXPECT_FALSE(float_hit(make_float_record(tiny), {{0, 0, 0}, {1, 0, 0}}, {}));
-    Surfel huge = surfel_at_five();
+    Surfel huge = facing_surfel();
     huge.log_scale = {80.0, 80.0};
     EXPECT_TRUE(float_hit(make_float_record(huge), {{0, 3, 4}, {1, 0, 0}}, {}));
 }
@@ -156,8 +156,8 @@ TEST(ReferenceHit, PoseMovesTheRayIntoTheModel) {
     EXPECT_NEAR(glm::length(back.direction - local.direction), 0.0, 1e-14);
     const LocalRay<float> rounded = to_model(model_from_world_rows(pose), glm::vec3(world.origin), glm::vec3(world.direction));
     EXPECT_NEAR(glm::length(glm::dvec3(rounded.origin) - local.origin), 0.0, 2e-6);
-    const auto exact = double_hit(make_record(surfel_at_five()), back, {});
-    const auto single = float_hit(make_float_record(surfel_at_five()), rounded, {});
+    const auto exact = double_hit(make_record(facing_surfel()), back, {});
+    const auto single = float_hit(make_float_record(facing_surfel()), rounded, {});
     ASSERT_TRUE(exact && single);
     EXPECT_NEAR(exact->t, double(single->t), 5e-6);
     EXPECT_NEAR(exact->alpha, double(single->alpha), 5e-6);

@@ -20,7 +20,7 @@ namespace {
 using refine::Conv, refine::Grid, refine::Precision;
 using test::OnDevice, test::worst_error;
 
-using MatrixCase = test::ConvCase;
+using Case = test::ConvCase;
 
 /// Tests of what needs matrix units.
 class MatrixTest : public test::DeviceTest {
@@ -32,14 +32,12 @@ protected:
         if (!missing.empty()) GTEST_SKIP() << "no matrix units: missing " << missing;
     }
 };
-class MatrixSizes : public MatrixTest, public testing::WithParamInterface<MatrixCase> {};
+class MatrixSizes : public MatrixTest, public testing::WithParamInterface<Case> {};
 INSTANTIATE_TEST_SUITE_P(Refine, MatrixSizes,
-                         testing::Values(MatrixCase{9, {1, 66, 1030}, 9, 3}, MatrixCase{1, {1, 66, 1030}, 3, 17},
-                                         MatrixCase{9, {3, 5, 13}, 17, 40}, MatrixCase{9, {1, 5, 13}, 40, 17},
-                                         MatrixCase{1, {3, 5, 13}, 40, 3}, MatrixCase{9, {1, 4, 300}, 40, 70},
-                                         MatrixCase{1, {2, 3, 129}, 70, 40}, MatrixCase{9, {3, 1, 3}, 3, 3}, MatrixCase{9, {1, 2, 1}, 1, 8},
-                                         MatrixCase{9, {1, 3, 2}, 8, 16}, MatrixCase{9, {1, 20, 64}, 32, 32},
-                                         MatrixCase{9, {1, 1, 1}, 1, 1}));
+                         testing::Values(Case{9, {1, 66, 1030}, 9, 3}, Case{1, {1, 66, 1030}, 3, 17}, Case{9, {3, 5, 13}, 17, 40},
+                                         Case{9, {1, 5, 13}, 40, 17}, Case{1, {3, 5, 13}, 40, 3}, Case{9, {1, 4, 300}, 40, 70},
+                                         Case{1, {2, 3, 129}, 70, 40}, Case{9, {3, 1, 3}, 3, 3}, Case{9, {1, 2, 1}, 1, 8},
+                                         Case{9, {1, 3, 2}, 8, 16}, Case{9, {1, 20, 64}, 32, 32}, Case{9, {1, 1, 1}, 1, 1}));
 
 /// Normal deviates in steps of 1/64: halves.
 std::vector<double> halves(std::size_t n, std::uint64_t seed) {
@@ -58,7 +56,7 @@ struct Layer {
     test::ImageBatch from, d_to;
     std::vector<double> weights, bias;
 
-    explicit Layer(const MatrixCase& c)
+    explicit Layer(const Case& c)
         : from(half_images(c.grid, c.n_in, 1)),
           d_to(half_images(c.grid, c.n_out, 2)),
           weights(halves(std::size_t(c.n_in) * c.n_out * c.taps, 3)),
@@ -66,7 +64,7 @@ struct Layer {
 };
 
 TEST_P(MatrixSizes, Forward) {
-    const MatrixCase& c = GetParam();
+    const Case& c = GetParam();
     const Layer layer(c);
     Conv conv(device(), c.taps, Precision::fp16);
     Stream stream(device());
@@ -82,7 +80,7 @@ TEST_P(MatrixSizes, Forward) {
 }
 
 /// Both derivatives, where gradients of images are `scale` times what they are and those of weights are not.
-void expect_derivatives(Device& device, const MatrixCase& c, float scale) {
+void expect_derivatives(Device& device, const Case& c, float scale) {
     const Layer layer(c);
     Conv conv(device, c.taps, Precision::fp16);
     conv.scale_gradients(scale);
@@ -109,7 +107,7 @@ TEST_P(MatrixSizes, Derivatives) { expect_derivatives(device(), GetParam(), 1.0f
 TEST_P(MatrixSizes, DerivativesOfScaledGradients) { expect_derivatives(device(), GetParam(), std::exp2(24.0f)); }
 
 TEST_F(MatrixTest, InputGradientsAreAdded) {
-    const MatrixCase c{9, {2, 5, 13}, 17, 9};
+    const Case c{9, {2, 5, 13}, 17, 9};
     const Layer layer(c);
     Conv conv(device(), c.taps, Precision::fp16);
     conv.scale_gradients(64.0f);
@@ -125,7 +123,7 @@ TEST_F(MatrixTest, InputGradientsAreAdded) {
 
 /// Numbers that no half is: within half a step of one, 2^-11 of it, each. Which way is the device's.
 TEST_F(MatrixTest, OperandsAreRounded) {
-    const MatrixCase c{9, {1, 9, 31}, 16, 17};
+    const Case c{9, {1, 9, 31}, 16, 17};
     const test::ImageBatch images = test::random_images(c.grid, c.n_in, 1);
     const std::vector<double> values = test::random_floats(std::size_t(c.n_in) * c.n_out * 9, 3);
     Conv conv(device(), 9, Precision::fp16);

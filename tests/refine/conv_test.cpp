@@ -14,29 +14,29 @@ namespace {
 using refine::Conv, refine::Grid;
 using test::OnDevice, test::worst_error;
 
-using ConvCase = test::ConvCase;
+using Case = test::ConvCase;
 
 class ConvTest : public test::DeviceTest {};
-class ConvSizes : public test::DeviceTest, public testing::WithParamInterface<ConvCase> {};
-INSTANTIATE_TEST_SUITE_P(Refine, ConvSizes,
-                         testing::Values(ConvCase{9, {1, 66, 1030}, 9, 3}, ConvCase{1, {1, 66, 1030}, 9, 3}, ConvCase{9, {1, 5, 13}, 1, 1},
-                                         ConvCase{9, {4, 7, 9}, 3, 17}, ConvCase{9, {4, 1, 3}, 17, 9}, ConvCase{9, {1, 2, 1}, 3, 8},
-                                         ConvCase{9, {1, 3, 2}, 8, 16}, ConvCase{9, {1, 2, 65}, 9, 9}, ConvCase{9, {4, 9, 31}, 16, 17},
-                                         ConvCase{1, {4, 5, 13}, 17, 9}, ConvCase{1, {1, 1, 3}, 1, 17}, ConvCase{1, {4, 7, 9}, 3, 1},
-                                         ConvCase{1, {1, 2, 70}, 9, 8}, ConvCase{9, {1, 1, 1}, 1, 3}, ConvCase{9, {4, 33, 32}, 3, 3}));
+class ConvSizes : public test::DeviceTest, public testing::WithParamInterface<Case> {};
+INSTANTIATE_TEST_SUITE_P(
+    Refine, ConvSizes,
+    testing::Values(Case{9, {1, 66, 1030}, 9, 3}, Case{1, {1, 66, 1030}, 9, 3}, Case{9, {1, 5, 13}, 1, 1}, Case{9, {4, 7, 9}, 3, 17},
+                    Case{9, {4, 1, 3}, 17, 9}, Case{9, {1, 2, 1}, 3, 8}, Case{9, {1, 3, 2}, 8, 16}, Case{9, {1, 2, 65}, 9, 9},
+                    Case{9, {4, 9, 31}, 16, 17}, Case{1, {4, 5, 13}, 17, 9}, Case{1, {1, 1, 3}, 1, 17}, Case{1, {4, 7, 9}, 3, 1},
+                    Case{1, {1, 2, 70}, 9, 8}, Case{9, {1, 1, 1}, 1, 3}, Case{9, {4, 33, 32}, 3, 3}));
 
 struct Layer {
     test::ImageBatch from, d_to;
     std::vector<double> weights, bias;
 };
 
-Layer random_layer(const ConvCase& c) {
+Layer random_layer(const Case& c) {
     return {test::random_images(c.grid, c.n_in, 1), test::random_images(c.grid, c.n_out, 2),
             test::random_floats(std::size_t(c.n_in) * c.n_out * c.taps, 3), test::random_floats(std::size_t(c.n_out), 4)};
 }
 
 TEST_P(ConvSizes, Forward) {
-    const ConvCase& c = GetParam();
+    const Case& c = GetParam();
     const Layer layer = random_layer(c);
     Conv conv(device(), c.taps);
     Stream stream(device());
@@ -51,7 +51,7 @@ TEST_P(ConvSizes, Forward) {
 }
 
 TEST_P(ConvSizes, DerivativeByTheInputAndItsSum) {
-    const ConvCase& c = GetParam();
+    const Case& c = GetParam();
     const Layer layer = random_layer(c);
     Conv conv(device(), c.taps);
     Stream stream(device());
@@ -67,7 +67,7 @@ TEST_P(ConvSizes, DerivativeByTheInputAndItsSum) {
 }
 
 TEST_P(ConvSizes, DerivativeByTheWeights) {
-    const ConvCase& c = GetParam();
+    const Case& c = GetParam();
     const Layer layer = random_layer(c);
     Conv conv(device(), c.taps);
     Stream stream(device());
@@ -88,7 +88,7 @@ TEST_P(ConvSizes, DerivativeByTheWeights) {
 
 /// <d_to, W v> = <W^T d_to, v>, all of it on the device.
 TEST_F(ConvTest, ForwardAndBackwardAreTransposes) {
-    const ConvCase c{9, {4, 11, 37}, 9, 17};
+    const Case c{9, {4, 11, 37}, 9, 17};
     const Layer layer = random_layer(c);
     Conv conv(device(), c.taps);
     Stream stream(device());
@@ -143,7 +143,7 @@ INSTANTIATE_TEST_SUITE_P(Refine, ConvVariants, testing::Values(Variant{8, 1}, Va
 TEST_P(ConvVariants, Agree) {
     const auto lanes = std::uint32_t(device().info().subgroup_size);
     const auto tiles = [](std::uint32_t n, std::uint32_t size) { return (n + size - 1) / size; };
-    for (const ConvCase& c : {ConvCase{9, {2, 5, 75}, 9, 17}, ConvCase{1, {2, 3, 41}, 17, 9}}) {
+    for (const Case& c : {Case{9, {2, 5, 75}, 9, 17}, Case{1, {2, 3, 41}, 17, 9}}) {
         const Layer layer = random_layer(c);
         const Kernel<shared::ConvParams> kernel(device(), "refine/conv",
                                                 {{ConstantId::TAPS, c.taps},

@@ -13,20 +13,18 @@ namespace {
 using refine::Grid, refine::Norm, refine::NormState, refine::NormWeights;
 using test::OnDevice, test::worst_error;
 
-struct NormCase {
+struct Case {
     Grid grid;
     int channels;
 };
 
-void PrintTo(const NormCase& c, std::ostream* out) {
-    *out << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.channels;
-}
+void PrintTo(const Case& c, std::ostream* out) { *out << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.channels; }
 
 class NormTest : public test::DeviceTest {};
-class NormSizes : public test::DeviceTest, public testing::WithParamInterface<NormCase> {};
+class NormSizes : public test::DeviceTest, public testing::WithParamInterface<Case> {};
 INSTANTIATE_TEST_SUITE_P(Refine, NormSizes,
-                         testing::Values(NormCase{{1, 66, 1030}, 3}, NormCase{{4, 5, 13}, 17}, NormCase{{1, 7, 9}, 1},
-                                         NormCase{{4, 1, 3}, 9}, NormCase{{1, 2, 1}, 3}, NormCase{{4, 33, 65}, 9}));
+                         testing::Values(Case{{1, 66, 1030}, 3}, Case{{4, 5, 13}, 17}, Case{{1, 7, 9}, 1}, Case{{4, 1, 3}, 9},
+                                         Case{{1, 2, 1}, 3}, Case{{4, 33, 65}, 9}));
 
 /// A layer and its parameters on the device.
 struct OnePass {
@@ -36,7 +34,7 @@ struct OnePass {
     Array<glm::vec2> beta_gamma, running;
     Stream stream;
 
-    OnePass(Device& device, const NormCase& c)
+    OnePass(Device& device, const Case& c)
         : norm(device),
           state(device, std::uint32_t(c.channels)),
           layer{test::random_floats(std::size_t(c.channels), 5, 0.5), test::random_floats(std::size_t(c.channels), 6), {}, 1e-5},
@@ -46,7 +44,7 @@ struct OnePass {
         norm.reserve(device, std::uint32_t(c.channels), c.grid);
     }
     NormWeights weights() const { return {beta_gamma.address(), running.address()}; }
-    test::ImageBatch forward(Device& device, const OnDevice& from, const NormCase& c) {
+    test::ImageBatch forward(Device& device, const OnDevice& from, const Case& c) {
         const OnDevice to = OnDevice::unwritten(device, c.grid, c.channels);
         norm.forward(stream, from.slice(), weights(), state, to.slice());
         stream.finish();
@@ -55,7 +53,7 @@ struct OnePass {
 };
 
 /// What a pass lets through of each value, found from what it made of values that are all positive.
-std::vector<double> gate_of(Device& device, const NormCase& c, float dropout, std::uint32_t key) {
+std::vector<double> gate_of(Device& device, const Case& c, float dropout, std::uint32_t key) {
     OnePass pass(device, c);
     const std::size_t n = std::size_t(c.channels);
     pass.beta_gamma = test::pairs_to_device(device, std::vector<double>(n, 1.0), std::vector<double>(n, 0.0));   // all become 1
@@ -80,7 +78,7 @@ double largest_term(const test::ImageBatch& from, const reference::NormLayer& la
 }
 
 TEST_P(NormSizes, ForwardAndRunningMoments) {
-    const NormCase& c = GetParam();
+    const Case& c = GetParam();
     const test::ImageBatch values = test::random_images(c.grid, c.channels, 1, 2.0, 0.7);
     OnePass pass(device(), c);
     const OnDevice from(device(), values);
@@ -96,7 +94,7 @@ TEST_P(NormSizes, ForwardAndRunningMoments) {
 }
 
 TEST_P(NormSizes, EvaluationUsesTheRunningMoments) {
-    const NormCase& c = GetParam();
+    const Case& c = GetParam();
     const test::ImageBatch values = test::random_images(c.grid, c.channels, 1, 2.0, 0.7);
     OnePass pass(device(), c);
     pass.state.dropout = 0.9f;   // of no account
@@ -110,7 +108,7 @@ TEST_P(NormSizes, EvaluationUsesTheRunningMoments) {
 }
 
 TEST_P(NormSizes, Derivatives) {
-    const NormCase& c = GetParam();
+    const Case& c = GetParam();
     for (const float dropout : {0.0f, 0.3f}) {
         const test::ImageBatch values = test::random_images(c.grid, c.channels, 1, 2.0, 0.7);
         test::ImageBatch asked = test::random_images(c.grid, c.channels, 2);
@@ -139,7 +137,7 @@ TEST_P(NormSizes, Derivatives) {
 }
 
 TEST_P(NormSizes, DerivativeByABias) {
-    const NormCase& c = GetParam();
+    const Case& c = GetParam();
     const test::ImageBatch asked = test::random_images(c.grid, c.channels, 2, 1.0, 0.5);
     OnePass pass(device(), c);
     const OnDevice d_to(device(), asked);
@@ -155,7 +153,7 @@ TEST_P(NormSizes, DerivativeByABias) {
 /// Mean 1000, deviation 1: the naive E[x^2] - E[x]^2 has no digits left in single precision.
 TEST_F(NormTest, MomentsOfValuesFarFromZero) {
     for (const Grid& grid : {Grid{1, 66, 1030}, Grid{4, 7, 9}}) {
-        const NormCase c{grid, 3};
+        const Case c{grid, 3};
         const test::ImageBatch values = test::random_images(grid, 3, 1, 1.0, 1000.0);
         OnePass pass(device(), c);
         pass.forward(device(), OnDevice(device(), values), c);
@@ -170,7 +168,7 @@ TEST_F(NormTest, MomentsOfValuesFarFromZero) {
 
 /// One value: nothing to divide by.
 TEST_F(NormTest, ASinglePixelIsFinite) {
-    const NormCase c{{1, 1, 1}, 3};
+    const Case c{{1, 1, 1}, 3};
     OnePass pass(device(), c);
     const test::ImageBatch actual = pass.forward(device(), OnDevice(device(), test::random_images(c.grid, 3, 1)), c);
     for (std::size_t k = 0; k < 3; ++k) EXPECT_NEAR(actual.values[k], std::max(pass.layer.beta[k], 0.0), 1e-5);
@@ -178,7 +176,7 @@ TEST_F(NormTest, ASinglePixelIsFinite) {
 }
 
 TEST_F(NormTest, DropoutDropsItsShareByKey) {
-    const NormCase c{{4, 33, 65}, 9};
+    const Case c{{4, 33, 65}, 9};
     for (const float dropout : {0.1f, 0.5f}) {
         const std::vector<double> gate = gate_of(device(), c, dropout, 11);
         double n_dropped = 0.0, of_image[4] = {}, same = 0.0;

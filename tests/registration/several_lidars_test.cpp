@@ -11,15 +11,15 @@
 namespace relidar {
 namespace {
 
-constexpr double kOneDegree = kPi / 180.0;
+constexpr double kDegree = kPi / 180.0;
 
-SyntheticOptions street_options() {
+SyntheticOptions options() {
     return {.n_frames = 12, .rows = 32, .columns = 256, .moving_cars = false};
 }
 
 /// Twice the same poses: of each sweep, and off_s later, when the second LiDAR sweeps.
 Sequence one_after_the_other(double off_s) {
-    const Sequence together = test::two_lidar_street(street_options());
+    const Sequence together = test::two_lidar_street(options());
     Sequence street = together;
     const RayTable rays = make_rays(street.lidars[1].sensor);
     street.frames.clear();
@@ -27,7 +27,7 @@ Sequence one_after_the_other(double off_s) {
     for (const Frame& frame : together.frames) {
         const double time_s = frame.time_s + frame.lidar * off_s;
         add_frame(street, frame.index, time_s, together.world_from_vehicle.at(time_s), frame.lidar).scan =
-            frame.lidar == 0 ? frame.scan : cast_synthetic_street(street_options(), rays, together.world_from_sensor(1), time_s);
+            frame.lidar == 0 ? frame.scan : cast_synthetic_street(options(), rays, together.world_from_sensor(1), time_s);
     }
     check_sequence(street);
     return street;
@@ -45,10 +45,10 @@ Sequence with_poses(Sequence street, PoseTrack track) {
 }
 
 TEST(SeveralLidars, AreRegisteredAsOneScanOfTheVehicle) {
-    const Sequence street = test::two_lidar_street(street_options());
+    const Sequence street = test::two_lidar_street(options());
     const PoseTrack& exact = street.world_from_vehicle;
     const Split split = split_frames(street, 5);
-    for (const PoseTrack& wrong : {test::perturbed(exact, 0.05, 0.3 * kOneDegree, 1), test::drifting(exact, 0.2, 0.3 * kOneDegree)}) {
+    for (const PoseTrack& wrong : {test::perturbed(exact, 0.05, 0.3 * kDegree, 1), test::drifting(exact, 0.2, 0.3 * kDegree)}) {
         const Registration found = register_scans(with_poses(street, wrong), split, {});
         ASSERT_TRUE(found.done);
         EXPECT_TRUE(found.lost.empty());
@@ -60,7 +60,7 @@ TEST(SeveralLidars, AreRegisteredAsOneScanOfTheVehicle) {
 }
 
 TEST(SeveralLidars, OneFindsWhatTheOtherMissed) {
-    Sequence street = test::two_lidar_street(street_options());
+    Sequence street = test::two_lidar_street(options());
     const PoseTrack exact = street.world_from_vehicle;
     Scan& missed = street.frames[8].scan;
     std::fill(missed.range_m.begin(), missed.range_m.end(), 0.0f);
@@ -77,8 +77,7 @@ TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
         const Sequence street = one_after_the_other(off_s);
         const PoseTrack& exact = street.world_from_vehicle;
         ASSERT_EQ(exact.pose.size(), 24u);
-        const PoseTrack sweeps = test::two_lidar_street(street_options()).world_from_vehicle,
-                        drift = test::drifting(sweeps, 0.2, 0.3 * kOneDegree);
+        const PoseTrack sweeps = test::two_lidar_street(options()).world_from_vehicle, drift = test::drifting(sweeps, 0.2, 0.3 * kDegree);
         PoseTrack wrong = exact;
         for (std::size_t k = 0; k < wrong.pose.size(); ++k)
             wrong.pose[k] = drift.at(wrong.time_s[k]) * (inverse(sweeps.at(wrong.time_s[k])) * wrong.pose[k]);
@@ -92,7 +91,7 @@ TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
 }
 
 TEST(SeveralLidars, AreFollowedWithoutPoses) {
-    const Sequence street = test::two_lidar_street(street_options());
+    const Sequence street = test::two_lidar_street(options());
     PoseTrack none = street.world_from_vehicle;
     for (Pose& pose : none.pose) pose = {};
     RegisterOptions blind;

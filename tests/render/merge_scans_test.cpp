@@ -10,7 +10,7 @@ namespace relidar {
 namespace {
 
 /// Two rays, fired at different times, of a sensor on a vehicle that drives and turns.
-RenderedScan sensor_scan(const Pose& rig_from_sensor, float range_m) {
+RenderedScan scan_of(const Pose& rig_from_sensor, float range_m) {
     const Pose start{{1, 0, 0, 0}, {5.0, 0.0, 0.0}}, end{glm::angleAxis(0.4, glm::dvec3(0, 0, 1)), {7.0, 1.0, 0.0}};
     RenderedScan scan;
     scan.image.rows = 1;
@@ -39,7 +39,7 @@ glm::dvec3 world_point(const RenderedScan& scan, std::size_t i) {
 TEST(MergeScans, PointsStayWhereTheyAre) {
     const std::vector<Pose> mounting{{glm::angleAxis(1.2, glm::normalize(glm::dvec3(1, 2, 3))), {1.0, -0.5, 2.0}},
                                      {glm::angleAxis(-2.0, glm::dvec3(0, 0, 1)), {0.0, 3.0, 0.5}}};
-    const std::vector<RenderedScan> scans{sensor_scan(mounting[0], 10.0f), sensor_scan(mounting[1], 20.0f)};
+    const std::vector<RenderedScan> scans{scan_of(mounting[0], 10.0f), scan_of(mounting[1], 20.0f)};
     const RenderedScan merged = merge_scans(scans, mounting);
     ASSERT_EQ(merged.image.range_m.size(), 4u);
     EXPECT_EQ(merged.image.columns, 4);

@@ -10,7 +10,7 @@
 namespace relidar {
 namespace {
 
-RenderedScan point_scan(const std::vector<glm::vec3>& points, const std::vector<float>& drop) {
+RenderedScan scan_of(const std::vector<glm::vec3>& points, const std::vector<float>& drop) {
     RenderedScan scan;
     scan.image.rows = 1;
     scan.image.columns = static_cast<int>(points.size());
@@ -35,7 +35,7 @@ TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
     const RangeGrid grid = kitti360_grid();
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
     // a cell with a returned far point, a nearer returned one, and a nearest that is dropped
-    const RenderedScan near = project_scan(point_scan({a, 0.9f * a, 0.5f * a}, {0.1f, 0.2f, 0.9f}), grid);
+    const RenderedScan near = project_scan(scan_of({a, 0.9f * a, 0.5f * a}, {0.1f, 0.2f, 0.9f}), grid);
     const std::size_t cell = std::size_t(*project(grid, glm::dvec3(a)));
     EXPECT_NEAR(near.image.range_m[cell], 0.9f * glm::length(a), 1e-4f);
     EXPECT_NEAR(near.image.intensity[cell], 0.2f, 1e-6f);
@@ -54,7 +54,7 @@ TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
 TEST(ProjectScan, WhatHedgesBetweenTwoSurfacesIsBinnedByTheDominantOne) {
     const RangeGrid grid = kitti360_grid();
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
-    RenderedScan scan = point_scan({a, 0.8f * a}, {0.1f, 0.2f});
+    RenderedScan scan = scan_of({a, 0.8f * a}, {0.1f, 0.2f});
     scan.image.range_m[0] *= 0.6f;   // the mean of a surface at a and one nearby
     scan.mean_range_m[0] = scan.image.range_m[0];
     scan.mean_range_m[1] -= 2.5f;
@@ -72,7 +72,7 @@ RenderedScan half_dropped_wall() {
     for (int row = 0; row < 64; ++row)
         for (int column = 0; column < 256; ++column)
             points.push_back({10.0f, 10.0f * std::tan((128 - column) * 0.008f), 3.2f - 0.1f * float(row)});
-    RenderedScan scan = point_scan(points, std::vector<float>(points.size(), 0.5f));
+    RenderedScan scan = scan_of(points, std::vector<float>(points.size(), 0.5f));
     scan.image.rows = 64, scan.image.columns = 256;
     scan.time_s = 1.5;
     return scan;
@@ -120,7 +120,7 @@ TEST(ProjectScan, RealAndSimulatedPointsAreBinnedAlike) {
     Scan real;
     std::vector<glm::vec3> points;
     for (int i = 0; i < 500; ++i) points.push_back({12.0f * std::cos(0.0123f * i), 12.0f * std::sin(0.0123f * i), -0.004f * i + 0.2f});
-    const RenderedScan simulated = point_scan(points, std::vector<float>(points.size(), 0.0f));
+    const RenderedScan simulated = scan_of(points, std::vector<float>(points.size(), 0.0f));
     real.rays.rows = 1;
     real.rays.columns = 500;
     real.rays.origin = to_scan_array(simulated.image.origin);

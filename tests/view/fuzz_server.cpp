@@ -15,7 +15,7 @@ namespace {
 
 using namespace relidar;
 
-const std::vector<view::Asset> kServedAssets = {{"/", "text/html", "page"}, {"/main.js", "text/javascript", "let a;"}};
+const std::vector<view::Asset> kAssets = {{"/", "text/html", "page"}, {"/main.js", "text/javascript", "let a;"}};
 constexpr int kTogether = 8;          // requests on one connection
 constexpr int kBetweenChecks = 500;   // requests
 
@@ -84,7 +84,7 @@ void bother(int port, Changer& change) {
 int run(int n_requests, unsigned seed) {
     view::ServerOptions options;
     options.port = 0;
-    options.assets = kServedAssets;
+    options.assets = kAssets;
     options.request_time = std::chrono::milliseconds(500);
     options.max_message_bytes = 4096;
     view::Server* server = nullptr;

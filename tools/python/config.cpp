@@ -48,7 +48,7 @@ Config load(const std::filesystem::path& path) {
     return config;
 }
 
-py::dict values_of(const Config& config) {
+py::dict dict_of(const Config& config) {
     py::dict values;
     for (const ConfigKey& key : config_keys(config)) values[py::str(key.key)] = key.value;
     return values;
@@ -83,7 +83,7 @@ void add_config(py::module_& module) {
         .def(
             "help", [](const Config& config, const std::string& key) { return find_key(config, key).help; }, py::arg("key"),
             "What a setting means.")
-        .def("values", &values_of, "All settings as a dict of texts, in the order of the TOML file.")
+        .def("values", &dict_of, "All settings as a dict of texts, in the order of the TOML file.")
         .def(
             "copy", [](const Config& config) { return config; }, "Settings of their own with the same values.")
         .def("to_toml", &to_toml, "Every value as TOML with its help as comments, which load() reads back.");

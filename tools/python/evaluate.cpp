@@ -10,7 +10,7 @@
 namespace relidar::python {
 namespace {
 
-py::dict to_dict(const Evaluation& evaluation) {
+py::dict evaluation_dict(const Evaluation& evaluation) {
     py::list frames;
     for (const ScoredFrame& frame : evaluation.frames)
         frames.append(py::dict(py::arg("frame") = frame.frame, py::arg("time_s") = frame.time_s, py::arg("metrics") = frame.metrics));
@@ -40,7 +40,7 @@ py::dict evaluate_run(LoadedRun& run, const Log* log, const std::optional<std::s
         const py::gil_scoped_release others_run;
         read = load_log(run.run.config, progress);
     }
-    return to_dict(evaluation_of(run, log ? log->sequence : read, baseline, progress));
+    return evaluation_dict(evaluation_of(run, log ? log->sequence : read, baseline, progress));
 }
 
 }  // namespace
