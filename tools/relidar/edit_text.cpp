@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 
 #include "options.hpp"
+#include <relidar/assets.hpp>
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
 
@@ -98,9 +99,11 @@ AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
 
 AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
     const auto [what, place] = cut(edit, edit.value, edit.value.rfind('@'));
-    const auto [folder, track] = cut(edit, what, what.rfind('#'));
+    const bool named = what.find('#') != std::string::npos;
+    const auto [folder, named_track] = named ? cut(edit, what, what.rfind('#')) : std::pair(what, std::string());
     const Start start = start_of(edit, place);
     const Run other = load_run(folder);
+    const std::string track = named ? named_track : only_track(other);
     const SpinningSensor &theirs = other.sequence.lidars[0].sensor, &ours = driving.sequence.lidars[0].sensor;
     const bool same = theirs.name == ours.name && theirs.beams.size() == ours.beams.size();
     const std::string note = same ? ""
@@ -127,7 +130,7 @@ const std::vector<EditOption>& edit_options() {
         {"--retime", "TRACK:seconds", "let everything it does happen so much later"},
         {"--trajectory", "TRACK:FILE.csv", "give it other poses: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]"},
         {"--copy", "TRACK@x,y,z,yaw_deg[:speed]", "place its model once more, driving straight ahead at speed m/s"},
-        {"--insert", "RUN#TRACK@x,y,z,yaw_deg[:speed]", "the same with an actor of another run"},
+        {"--insert", "RUN#TRACK|ASSET@x,y,z,yaw_deg[:speed]", "the same with an actor of another run, or an asset of `relidar assets`"},
         {"--keep", "background|actors", "drop the other"}};
     return options;
 }
