@@ -110,8 +110,8 @@ Surfels mirrored_left_right(Surfels surfels);
 void save_asset(Asset asset, const std::filesystem::path& folder);
 /// What asset.json of a folder says. @throws DataError where it is missing or malformed
 AssetFacts read_asset_facts(const std::filesystem::path& folder);
-/// All assets in a folder, by name. @throws DataError where there is none, or one cannot be read
-std::vector<AssetFacts> list_assets(const std::filesystem::path& folder);
+/// The folders of all assets in a folder, by name. @throws DataError where there is none
+std::vector<std::filesystem::path> asset_folders(const std::filesystem::path& folder);
 
 /// The only actor of a run: what an asset is of. @throws UsageError where it has several, or none
 std::string only_track(const Run& run);

@@ -82,15 +82,13 @@ AssetFacts read_asset_facts(const fs::path& folder) {
     return facts;
 }
 
-std::vector<AssetFacts> list_assets(const fs::path& folder) {
-    std::vector<AssetFacts> assets;
+std::vector<fs::path> asset_folders(const fs::path& folder) {
     check_folder(folder, "a folder of `relidar assets`");
-    for (const fs::path& entry : list_folder(folder))
-        if (path_exists(entry / kAssetFile)) assets.push_back(read_asset_facts(entry));
+    std::vector<fs::path> assets = list_folder(folder);
+    std::erase_if(assets, [](const fs::path& entry) { return !path_exists(entry / kAssetFile); });
     if (assets.empty())
         throw DataError(fmt::format("{}: found no asset in it, expected folders with an {} each (`relidar assets RUN --out FOLDER`)",
                                     folder.string(), kAssetFile));
-    std::ranges::sort(assets, {}, &AssetFacts::name);
     return assets;
 }
 

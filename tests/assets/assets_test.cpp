@@ -115,9 +115,8 @@ class AssetFiles : public TemporaryFolder {};
 TEST_F(AssetFiles, SayAgainWhatTheyWereTold) {
     Asset asset = make_asset(run_of(plates(), kAhead), "7", from_outside({{-1.95f, 0.0f, 0.2f}, {0.1f, 0.95f, 0.3f}}, 8.25));
     save_asset(asset, folder / "car-7");
-    const std::vector<AssetFacts> assets = list_assets(folder);
-    ASSERT_EQ(assets.size(), 1u);
-    const AssetFacts& found = assets[0];
+    ASSERT_EQ(asset_folders(folder), std::vector<std::filesystem::path>{folder / "car-7"});
+    const AssetFacts found = read_asset_facts(folder / "car-7");
     EXPECT_EQ(found.name, "car-7");
     EXPECT_EQ(found.category, "Car");
     EXPECT_EQ(found.kind, ObjectKind::vehicle);
@@ -135,8 +134,8 @@ TEST_F(AssetFiles, SayAgainWhatTheyWereTold) {
 }
 
 TEST_F(AssetFiles, DamageIsNamed) {
-    EXPECT_THAT(data_error([&] { list_assets(folder); }), HasSubstr("found no asset"));
-    EXPECT_THAT(data_error([&] { list_assets(folder / "nowhere"); }), HasSubstr("nowhere"));
+    EXPECT_THAT(data_error([&] { asset_folders(folder); }), HasSubstr("found no asset"));
+    EXPECT_THAT(data_error([&] { asset_folders(folder / "nowhere"); }), HasSubstr("nowhere"));
     save_asset(make_asset(run_of(plates(), kAhead), "7", from_outside({}, 8.0)), folder / "car-7");
     const std::string good = contents(folder / "car-7" / kAssetFile);
     const nlohmann::json wrong = {{"seen", 1.5}, {"kind", "plane"}, {"size_m", {1, 2}}, {"format", "x"}};
@@ -144,7 +143,7 @@ TEST_F(AssetFiles, DamageIsNamed) {
         nlohmann::json json = nlohmann::json::parse(good);
         json[member] = value;
         put(folder / "car-7" / kAssetFile, json.dump());
-        EXPECT_THAT(data_error([&] { list_assets(folder); }), HasSubstr(member));
+        EXPECT_THAT(data_error([&] { read_asset_facts(folder / "car-7"); }), HasSubstr(member));
     }
 }
 
