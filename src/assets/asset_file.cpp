@@ -18,16 +18,16 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kFormat = "relidar asset";
-constexpr int kVersion = 1;
-constexpr double kMost = 1e9;   // of counts and lengths
-constexpr ObjectKind kKinds[] = {ObjectKind::vehicle, ObjectKind::cyclist, ObjectKind::person, ObjectKind::other};
+constexpr const char* kAssetFormat = "relidar asset";
+constexpr int kAssetVersion = 1;
+constexpr double kAssetMost = 1e9;   // of counts and lengths
+constexpr ObjectKind kAssetKinds[] = {ObjectKind::vehicle, ObjectKind::cyclist, ObjectKind::person, ObjectKind::other};
 
 std::string facts_to_json(const AssetFacts& facts) {
     nlohmann::ordered_json sides;
     for (std::size_t s = 0; s < kBoxSides; ++s) sides[name_of(BoxSide(s))] = facts.seen_sides[s];
-    const nlohmann::ordered_json json = {{"format", kFormat},
-                                         {"version", kVersion},
+    const nlohmann::ordered_json json = {{"format", kAssetFormat},
+                                         {"version", kAssetVersion},
                                          {"name", facts.name},
                                          {"class", facts.category},
                                          {"kind", name_of(facts.kind)},
@@ -45,8 +45,8 @@ std::string facts_to_json(const AssetFacts& facts) {
 
 ObjectKind read_kind(const JsonField& field) {
     const std::string word = field.text();
-    const auto kind = std::ranges::find_if(kKinds, [&](ObjectKind k) { return word == name_of(k); });
-    if (kind == std::end(kKinds)) field.fail("found \"" + word + "\"", "expected vehicle, cyclist, person or other");
+    const auto kind = std::ranges::find_if(kAssetKinds, [&](ObjectKind k) { return word == name_of(k); });
+    if (kind == std::end(kAssetKinds)) field.fail("found \"" + word + "\"", "expected vehicle, cyclist, person or other");
     return *kind;
 }
 
@@ -62,9 +62,9 @@ AssetFacts read_asset_facts(const fs::path& folder) {
     const std::string file = (folder / kAssetFile).string();
     const nlohmann::json json = parse_json(read_file(file), file);
     const JsonField root(json, file, "");
-    if (const std::string format = root.at("format").text(); format != kFormat)
-        root.at("format").fail("found \"" + format + "\"", fmt::format("expected \"{}\"", kFormat));
-    root.at("version").integer(kVersion, kVersion);
+    if (const std::string format = root.at("format").text(); format != kAssetFormat)
+        root.at("format").fail("found \"" + format + "\"", fmt::format("expected \"{}\"", kAssetFormat));
+    root.at("version").integer(kAssetVersion, kAssetVersion);
     AssetFacts facts;
     facts.name = root.at("name").text(200);
     facts.category = root.at("class").text(200);
@@ -76,9 +76,9 @@ AssetFacts read_asset_facts(const fs::path& folder) {
     for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = root.at("seen_sides").at(name_of(BoxSide(s))).number(0.0, 1.0);
     facts.seen = root.at("seen").number(0.0, 1.0);
     facts.completed = root.at("completed").number(0.0, 1.0);
-    facts.nearest_m = root.at("nearest_m").number(0.0, kMost);
-    facts.surfels = std::size_t(root.at("surfels").integer(0, std::int64_t(kMost)));
-    facts.mirrored = std::size_t(root.at("mirrored_surfels").integer(0, std::int64_t(kMost)));
+    facts.nearest_m = root.at("nearest_m").number(0.0, kAssetMost);
+    facts.surfels = std::size_t(root.at("surfels").integer(0, std::int64_t(kAssetMost)));
+    facts.mirrored = std::size_t(root.at("mirrored_surfels").integer(0, std::int64_t(kAssetMost)));
     return facts;
 }
 

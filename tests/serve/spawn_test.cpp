@@ -267,18 +267,18 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     EXPECT_EQ(scenes.spawned().taken(0).size(), 1u);
 }
 
-TEST(SpawnedPlaces, AreMadeInDoublingNumbersAndUsedAgain) {
+TEST(SpawnedPlaces, AreMadeInGrowingNumbersAndUsedAgain) {
     SpawnedActors actors(2);
     const SpawnSource car{false, "car"}, van{true, "van"};
     std::vector<std::size_t> sizes;
-    for (int i = 0; i < 5; ++i) {
+    for (int i = 0; i < 17; ++i) {
         actors.take(1, {{fmt::format("{}", i), car}});
         sizes.push_back(actors.count_places(1));
     }
-    EXPECT_THAT(sizes, ElementsAre(1u, 2u, 4u, 4u, 8u));
+    EXPECT_THAT(sizes, ElementsAre(1u, 2u, 4u, 4u, 8u, 8u, 8u, 8u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 24u));
     EXPECT_EQ(actors.count_places(0), 0u) << "of another scene";
     actors.give_back(1, {"1", "3"});
-    EXPECT_EQ(actors.take(1, {{"v", van}})[0].position, 8u) << "a place keeps its source";
+    EXPECT_EQ(actors.take(1, {{"v", van}})[0].position, 24u) << "a place keeps its source";
     EXPECT_EQ(actors.take(1, {{"c", car}})[0].position, 1u);
 }
 

@@ -20,7 +20,7 @@ namespace relidar::serve {
 namespace {
 
 constexpr int kMostSensors = 64;         // of a rig
-constexpr std::size_t kLongestName = 200;   // bytes, of spawned actors
+constexpr std::size_t kLongestSpawnName = 200;   // bytes, of spawned actors
 constexpr double kBeyondPath_s = 60.0;   // a longer way to extrapolate is a slip, of microseconds for seconds say
 
 /// @param known  where there is anything to be meant instead
@@ -163,8 +163,8 @@ std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& 
     for (int i = 0; i < message.actors_size(); ++i) {
         const v1::Spawn& spawn = message.actors(i);
         const std::string field = fmt::format("actors[{}]", i);
-        if (spawn.name().empty() || spawn.name().size() > kLongestName)
-            refuse(field + ".name", quoted(spawn.name()), fmt::format("a name of 1 to {} bytes", kLongestName));
+        if (spawn.name().empty() || spawn.name().size() > kLongestSpawnName)
+            refuse(field + ".name", quoted(spawn.name()), fmt::format("a name of 1 to {} bytes", kLongestSpawnName));
         if (std::ranges::find(of_run, spawn.name()) != of_run.end())
             throw Refusal(grpc::StatusCode::ALREADY_EXISTS, fmt::format("reading {}.name: found {}, which is an actor of the run, expected "
                                                                         "another name", field, quoted(spawn.name())));

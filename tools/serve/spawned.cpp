@@ -14,6 +14,8 @@
 namespace relidar::serve {
 namespace {
 
+constexpr std::size_t kMostSpare = 8;   // places made at once: with image.sh_direction=surfel each has surfels of its own
+
 using SpawnedPlaces = std::vector<SpawnWish>;
 
 auto find_spawned(SpawnedPlaces& places, const std::string& name) { return std::ranges::find(places, name, &SpawnWish::name); }
@@ -31,7 +33,7 @@ std::size_t free_place(SpawnedPlaces& places, const SpawnWish& wish) {
     const std::size_t first = places.size();
     SpawnWish empty = wish;
     empty.name.clear();
-    places.resize(std::min(first + std::max<std::size_t>(of_source, 1), SpawnedActors::kMostPlaces), empty);
+    places.resize(std::min(first + std::clamp<std::size_t>(of_source, 1, kMostSpare), SpawnedActors::kMostPlaces), empty);
     return first;
 }
 

@@ -51,8 +51,8 @@ public:
     /// Those that are taken.
     std::vector<Place> taken(std::size_t scene) const;
 
-    /// Finds a place for each. Where there is no free one as many more are made as there are of that source. @return in the order of the
-    /// wishes @throws Refusal where a name is taken, or no more places can be had: then nothing has changed
+    /// Finds a place for each. Where there is no free one as many more are made as there are of that source, 8 at most.
+    /// @return in the order of the wishes @throws Refusal where a name is taken, or no more places can be had: then nothing has changed
     std::vector<Place> take(std::size_t scene, const std::vector<SpawnWish>& wishes);
     /// All of them, or none. @throws Refusal for a name that is not there
     void give_back(std::size_t scene, const std::vector<std::string>& names);
