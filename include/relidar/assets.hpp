@@ -82,6 +82,7 @@ struct AssetFacts {
     glm::dvec3 size_m{0.0};      ///< length, width, height
     std::string source_run;      ///< absolute path of the run it was an actor of
     std::string source_track;    ///< and by which name
+    std::string sensor;          ///< of that run, whose intensities and ray-drop it has
     std::array<double, kBoxSides> seen_sides{};   ///< share of each side that rays of the log have met
     double seen = 0.0;           ///< share of all of them, by area
     double completed = 0.0;      ///< share that the mirror image of what was seen stands in for

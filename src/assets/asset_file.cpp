@@ -32,7 +32,7 @@ std::string facts_to_json(const AssetFacts& facts) {
                                          {"class", facts.category},
                                          {"kind", name_of(facts.kind)},
                                          {"size_m", {facts.size_m.x, facts.size_m.y, facts.size_m.z}},
-                                         {"source", {{"run", facts.source_run}, {"track", facts.source_track}}},
+                                         {"source", {{"run", facts.source_run}, {"track", facts.source_track}, {"sensor", facts.sensor}}},
                                          {"score", facts.score()},
                                          {"seen", facts.seen},
                                          {"seen_sides", sides},
@@ -73,6 +73,7 @@ AssetFacts read_asset_facts(const fs::path& folder) {
     facts.size_m = {size_m[0], size_m[1], size_m[2]};
     facts.source_run = root.at("source").at("run").text();
     facts.source_track = root.at("source").at("track").text();
+    facts.sensor = root.at("source").at("sensor").text(200);
     for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = root.at("seen_sides").at(name_of(BoxSide(s))).number(0.0, 1.0);
     facts.seen = root.at("seen").number(0.0, 1.0);
     facts.completed = root.at("completed").number(0.0, 1.0);

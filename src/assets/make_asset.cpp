@@ -103,7 +103,8 @@ Asset make_asset(const Run& run, const std::string& track, const ActorSightings&
     Asset asset;
     AssetFacts& facts = asset.facts;
     facts = {asset_name(*box), box->category, is_vehicle(*box) ? ObjectKind::vehicle : object_kind(box->category), box->size_m,
-             run.folder.empty() ? "" : std::filesystem::absolute(run.folder).lexically_normal().string(), track};
+             run.folder.empty() ? "" : std::filesystem::absolute(run.folder).lexically_normal().string(), track,
+             run.sequence.lidars.front().sensor.name};
     for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = surface.seen(BoxSide(s));
     facts.seen = surface.seen();
     facts.nearest_m = sightings.nearest_m;

@@ -122,6 +122,7 @@ TEST_F(AssetFiles, SayAgainWhatTheyWereTold) {
     EXPECT_EQ(found.kind, ObjectKind::vehicle);
     EXPECT_EQ(found.size_m, kCarSize_m);
     EXPECT_EQ(found.source_track, "7");
+    EXPECT_EQ(found.sensor, "small");
     EXPECT_EQ(found.seen_sides, asset.facts.seen_sides);
     EXPECT_EQ(found.seen, asset.facts.seen);
     EXPECT_EQ(found.completed, asset.facts.completed);

@@ -39,7 +39,7 @@ Asset plate_asset(const std::string& name, std::size_t n_surfels = 1, Primitive 
     run.config.image.primitive = primitive;
     AssetFacts facts;
     facts.name = name, facts.category = "Van", facts.kind = ObjectKind::vehicle, facts.size_m = {5, 2, 2.5};
-    facts.seen = 0.5, facts.completed = 0.25, facts.nearest_m = 6.0, facts.surfels = n_surfels;
+    facts.seen = 0.5, facts.completed = 0.25, facts.nearest_m = 6.0, facts.surfels = n_surfels, facts.sensor = "HDL-64E";
     return {facts, run};
 }
 
@@ -153,6 +153,7 @@ TEST_F(Spawn, IsListedUntilItIsTakenOut) {
     EXPECT_EQ(asset.seen(), 0.5);
     EXPECT_EQ(asset.nearest_m(), 6.0);
     EXPECT_EQ(asset.surfels(), 1u);
+    EXPECT_EQ(asset.sensor(), "HDL-64E");
     EXPECT_TRUE(before.scenes(0).spawned().empty());
 
     const v1::SpawnActorsResponse answer = spawned({{"a", "asset van-1"}, {"b", "car"}});

@@ -23,6 +23,7 @@ void write_asset(const AssetFacts& facts, v1::Asset& message) {
     message.set_seen(facts.seen);
     message.set_nearest_m(facts.nearest_m);
     message.set_surfels(facts.surfels);
+    message.set_sensor(facts.sensor);
 }
 
 void write_spawned(const SpawnedActors::Place& place, const Run& run, v1::SpawnedActor& message) {
