@@ -5,6 +5,7 @@
 
 #include <filesystem>
 #include <optional>
+#include <span>
 #include <string>
 
 #include <glm/glm.hpp>
@@ -79,6 +80,11 @@ struct ActorDetail {
 };
 /// @param lidar  in Sequence::lidars @return no rays where actor and LiDAR never meet, or where nothing is known of the LiDAR's rays
 ActorDetail actor_detail(const DrivingScene& driving, const std::string& track, int lidar = 0);
+
+/// The same where an actor stands before some rays. @param origin, direction [n,3] of the rays, sensor frame
+/// @param box_from_sensor  as the box stands there @param size_m [3] of the box
+ActorDetail actor_detail(std::span<const glm::vec3> origin, std::span<const glm::vec3> direction, const Pose& box_from_sensor,
+                         const glm::dvec3& size_m, std::size_t surfels);
 
 /// A trajectory as CSV: time_s, x, y, z, yaw_deg[, pitch_deg, roll_deg] a line, R = Rz(yaw) Ry(pitch) Rx(roll); the first line may be
 /// a header (write_trajectory() in export.hpp writes one). @throws DataError naming line and column, and for fewer than two poses

@@ -5,6 +5,7 @@
 // used by two threads. Functions without a device may be called by any thread. Failures are thrown as relidar::Error (error.hpp).
 #pragma once
 
+#include <relidar/assets.hpp>
 #include <relidar/blocks.hpp>
 #include <relidar/config.hpp>
 #include <relidar/coverage.hpp>

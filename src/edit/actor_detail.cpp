@@ -27,14 +27,26 @@ bool meets_box(const glm::dvec3& origin_m, const glm::dvec3& direction, const gl
     return begin <= end;
 }
 
-std::size_t count_rays(const RayTable& rays, const Pose& box_from_sensor, const glm::dvec3& size_m) {
-    std::size_t n = 0;
-    for (std::size_t i = 0; i < rays.size(); ++i)
-        n += meets_box(box_from_sensor * glm::dvec3(rays.origin[i]), box_from_sensor.rotation * glm::dvec3(rays.direction[i]), size_m);
-    return n;
+/// Whether the line of a ray comes into the ball around a box: most do not, and that is quickly found.
+bool comes_near(const glm::vec3& origin_m, const glm::vec3& direction, const glm::vec3& centre_m, float radius_m) {
+    const glm::vec3 to_centre = centre_m - origin_m;
+    const float along_m = glm::dot(to_centre, direction), distance2 = glm::dot(to_centre, to_centre);
+    return distance2 <= radius_m * radius_m || (along_m > 0.0f && distance2 - along_m * along_m <= radius_m * radius_m);
 }
 
 }  // namespace
+
+ActorDetail actor_detail(std::span<const glm::vec3> origin, std::span<const glm::vec3> direction, const Pose& box_from_sensor,
+                         const glm::dvec3& size_m, std::size_t surfels) {
+    ActorDetail detail{glm::length(box_from_sensor.translation), 0.0, 0, surfels};
+    const glm::vec3 centre_m(inverse(box_from_sensor).translation);
+    const float radius_m = float(0.5 * glm::length(size_m)) * 1.001f + 0.01f;
+    for (std::size_t i = 0; i < direction.size(); ++i)
+        if (comes_near(origin[i], direction[i], centre_m, radius_m))
+            detail.rays +=
+                meets_box(box_from_sensor * glm::dvec3(origin[i]), box_from_sensor.rotation * glm::dvec3(direction[i]), size_m);
+    return detail;
+}
 
 ActorDetail actor_detail(const DrivingScene& driving, const std::string& track, int lidar) {
     const Sequence& log = driving.sequence;
@@ -51,8 +63,9 @@ ActorDetail actor_detail(const DrivingScene& driving, const std::string& track, 
         if (const double distance_m = glm::length(nearer.translation); distance_m < detail.nearest_m)
             box_from_sensor = nearer, detail.nearest_m = distance_m, detail.time_s = frame.time_s;
     }
-    if (detail.nearest_m < std::numeric_limits<double>::infinity())
-        detail.rays = count_rays(nominal_rays(log.lidars[std::size_t(lidar)], detail.time_s), box_from_sensor, box->size_m);
+    if (detail.nearest_m == std::numeric_limits<double>::infinity()) return detail;
+    const RayTable rays = nominal_rays(log.lidars[std::size_t(lidar)], detail.time_s);
+    detail.rays = actor_detail(rays.origin, rays.direction, box_from_sensor, box->size_m, detail.surfels).rays;
     return detail;
 }
 

@@ -46,6 +46,18 @@ TEST(ActorDetail, CountsTheRaysThatMeetTheBoxWhereItIsNearest) {
     EXPECT_NEAR(double(detail.rays), expected, 0.02 * expected);
 }
 
+TEST(ActorDetail, OfGivenRaysThoseAreCountedWhoseLinesMeetTheBox) {
+    const glm::vec3 ahead(1.0f, 0.0f, 0.0f), across(0.0f, 1.0f, 0.0f);
+    const std::vector<glm::vec3> direction{ahead, ahead, ahead, -ahead, across}, origin{
+        {0.0f, 0.0f, 0.0f}, {0.0f, 0.9f, 0.0f}, {0.0f, 1.1f, 0.0f}, {0.0f, 0.0f, 0.0f}, {10.0f, -3.0f, 0.0f}};
+    const Pose box_from_sensor = inverse(Pose{rotation_of(0.5 * kPi, 0.0, 0.0), {10.0, 0.0, 0.0}});
+    const ActorDetail detail = actor_detail(origin, direction, box_from_sensor, {2.0, 2.0, 1.0}, 7);
+    EXPECT_EQ(detail.rays, 3u) << "two ahead and one from the side; one passes by, one goes the other way";
+    EXPECT_DOUBLE_EQ(detail.nearest_m, 10.0);
+    EXPECT_EQ(detail.surfels, 7u);
+    EXPECT_EQ(actor_detail(origin, direction, {}, {30.0, 30.0, 30.0}, 7).rays, 5u) << "from within";
+}
+
 TEST(ActorDetail, IsSparseWhereFewSurfelsMeetManyRays) {
     const std::size_t rays = actor_detail(passing_cube(1), "cube").rays;
     EXPECT_TRUE(actor_detail(passing_cube(std::uint32_t(rays / 10)), "cube").is_sparse());

@@ -4,6 +4,7 @@
 
 #include <relidar/error.hpp>
 
+#include "asset_shelf.hpp"
 #include "scenes.hpp"
 #include "../export/temporary_folder.hpp"
 #include "small_service.hpp"
@@ -16,6 +17,7 @@ using testing::HasSubstr;
 class Scenes : public ServiceTest {
 protected:
     std::vector<SceneSource> sources;
+    const AssetShelf no_assets{{}};
     const ScanRequest request{0.5, {{0.5}, {at_x(1.0)}}};
 
     void SetUp() override {
@@ -33,7 +35,7 @@ protected:
     /// Device memory of one of them, after a scan.
     std::uint64_t size_of_one() {
         const std::uint64_t before = device().allocated_bytes();
-        SceneSet one(device(), {sources[0]}, std::uint64_t(1) << 40);
+        SceneSet one(device(), {sources[0]}, std::uint64_t(1) << 40, no_assets);
         ranges(one, 0);
         return device().allocated_bytes() - before;
     }
@@ -42,7 +44,7 @@ protected:
 TEST_F(Scenes, ThoseUsedLongestAgoMakeRoomAndComeBackTheSame) {
     const std::uint64_t one = size_of_one(), around = device().allocated_bytes();
     const std::uint64_t budget = around + 5 * one / 2;   // two of three
-    SceneSet scenes(device(), sources, budget);
+    SceneSet scenes(device(), sources, budget, no_assets);
     const std::vector<float> truth = ranges(scenes, 0);
     ASSERT_FALSE(truth.empty());
     ranges(scenes, 1), ranges(scenes, 2);   // each has grown to what a scan needs
@@ -58,14 +60,14 @@ TEST_F(Scenes, ThoseUsedLongestAgoMakeRoomAndComeBackTheSame) {
 }
 
 TEST_F(Scenes, OneThatNeverFitsIsRefusedAtTheStart) {
-    const std::string message = data_error([&] { SceneSet(device(), sources, 1000); });
+    const std::string message = data_error([&] { SceneSet(device(), sources, 1000, no_assets); });
     EXPECT_THAT(message, HasSubstr("serving " + (folder / "a").string() + ": it holds"));
     EXPECT_THAT(message, HasSubstr("--memory-mib"));
 }
 
 TEST_F(Scenes, MissingAndBrokenRunsAreNamed) {
     sources[1].folder = folder / "nowhere";
-    EXPECT_THAT(data_error([&] { SceneSet(device(), sources, std::uint64_t(1) << 40); }), HasSubstr("nowhere"));
+    EXPECT_THAT(data_error([&] { SceneSet(device(), sources, std::uint64_t(1) << 40, no_assets); }), HasSubstr("nowhere"));
 }
 
 TEST(SceneSources, NamesAreTheFoldersOrGiven) {

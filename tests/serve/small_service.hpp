@@ -59,6 +59,7 @@ inline Run small_run(const std::filesystem::path& folder) {
 class ServiceTest : public test::DeviceTest {
 protected:
     std::filesystem::path folder;   ///< of the runs
+    std::vector<std::string> assets;   ///< folders of them
     std::optional<ScanServer> server;
 
     void SetUp() override {
@@ -75,6 +76,7 @@ protected:
 
     void start(std::size_t waiting = 64, const std::vector<std::string>& names = {"small"}, std::uint64_t memory_mib = 0) {
         ServerOptions options;
+        options.assets = assets;
         for (const std::string& name : names) {
             if (!std::filesystem::exists(folder / name)) save_run(small_run(folder / name));
             options.runs.push_back((folder / name).string());

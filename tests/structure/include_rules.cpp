@@ -42,6 +42,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"render",
          {"sensor_files", "config", "coverage", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor",
           "gpu"}},
+        {"assets", {"render", "run", "edit", "export", "config", "scene", "sequence", "sensor", "gpu"}},   // export: write_text
         {"scan_files", {"render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
         {"evaluation", {"render", "run", "config", "export", "metrics", "scene", "sequence", "sensor", "gpu"}},  // export: weights of LPIPS
         {"blocks", {"run", "config", "coverage", "scene", "sequence", "sensor"}},

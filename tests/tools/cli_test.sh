@@ -16,10 +16,10 @@ source "$tests/checks.sh"
 
 help_tells() {
     good --help
-    for command in devices sensors config convert info train batch refine render serve edit view eval export import bench demo; do
+    for command in devices sensors config convert info train batch refine render serve edit assets view eval export import bench demo; do
         says "^  $command "
     done
-    for command in devices sensors config convert info train batch refine render serve edit view eval export import bench demo; do
+    for command in devices sensors config convert info train batch refine render serve edit assets view eval export import bench demo; do
         good "$command" --help
         says "Example"
     done
@@ -472,6 +472,32 @@ editing() {
     good render run --out car --frames 5:6 --only 0 --only background --format ply
 }
 
+# Two cars of the street, of which the log has seen different sides.
+keeping_assets() {
+    good assets run --out assets --least 0.1
+    says "^asset +class +score +front +rear +left +right +top +completed"
+    says "^car-0 +Car +0\.[0-9]+ "
+    says "^2 of 2 actors in assets$"
+    for name in car-0 car-1; do exists "assets/$name/asset.json"; exists "assets/$name/views.png"; done
+    good info assets/car-0
+    says "^boxes +1: "
+    good edit run --out furnished --insert "assets/car-0@$(start_of run 1)" --insert "assets/car-0@$(start_of run 0):8"
+    says "inserted car-0 of assets/car-0 as car-0$"
+    says "inserted car-0 of assets/car-0 as car-0-insert-1$"
+    good render assets/car-0 --out asset_scans --frames 5:6 --format ply
+    local most
+    most=$("$relidar" assets run --out every --least 0 2>/dev/null | awk '/^car-/ && $3 > most { most = $3 } END { print most }')
+    bad 3 "run: found no actor that is seen well enough: skipped 0 \(Car\): score 0.*expected 1.00 \(--least\): seen front" assets run --out none --least 1
+    absent none
+    check "a score above 1: $most" awk "BEGIN { exit !($most <= 1) }"
+    bad 2 "assets: there is something of that name, expected a new folder" assets run --out assets
+    bad 2 "least: found 2, expected 0 to 1" assets run --out none --least 2
+    bad 2 "found no actor in it" assets again2 --out none
+    bad 3 "nowhere: no such folder" assets nowhere --out none
+    absent none
+    check "unfinished folders were left behind" test -z "$(find . -maxdepth 1 -name '.*tmp*')"
+}
+
 wrong_edits() {
     bad 2 "found no edit" edit run --out x
     bad 2 'found no such track, did you mean "0"\?' edit run --out x --remove 00
@@ -489,7 +515,9 @@ wrong_edits() {
     bad 2 'insert run#7@1,2,ground: editing track "7"' edit run --out x --insert run#7@1,2,ground
     bad 2 'copy: found "@1,2,3,4", expected' edit run --out x --copy @1,2,3,4
     bad 2 'copy: found "" in ""' edit run --out x --copy 0@1,2,3,4:
-    bad 2 'insert: found "run@1,2,3,4", expected RUN#TRACK' edit run --out x --insert run@1,2,3,4
+    bad 2 'insert run@1,2,3,4: run: found 2 actors and none of them named, expected an asset, or RUN#TRACK with one of 0, 1' edit run --out x --insert run@1,2,3,4
+    bad 3 'nowhere: no such folder' edit run --out x --insert nowhere@1,2,3,4
+    bad 2 'insert: found "run#@1,2,3,4", expected RUN#TRACK' edit run --out x --insert run#@1,2,3,4
     bad 3 'nowhere: no such folder' edit run --out x --insert nowhere#0@1,2,3,4
     bad 2 'keep: found "car", expected background or actors' edit run --out x --keep car
     bad 3 'none.csv' edit run --out x --trajectory 0:none.csv
@@ -800,6 +828,7 @@ if "$relidar" devices >out 2>err; then
     ray_drop
     own_paths
     editing
+    keeping_assets
     wrong_edits
     lost_scans
     wrong_weights

@@ -110,6 +110,19 @@ grep -q "stopped .* m behind the actor" loop.out || fail "closed_loop_client.py:
 stop
 ! "$relidar" bench --serve "$address" --calls 1 >/dev/null 2>&1 || fail "it answers after Ctrl-C"
 
+# The other car of the street as an asset, under a name of the client's; taken out again, the name is free.
+bad 3 "nowhere: no such folder" serve run --assets nowhere
+bad 3 "street: found no asset in it" serve run --assets street
+"$relidar" assets run --out assets --least 0 --quiet || fail "no assets to serve"
+serve run --assets assets
+for round in first second; do
+    "$python" -B "$root/tools/examples/closed_loop_client.py" "$address" "" car-1 >loop.out 2>&1
+    grep -q "stopped .* m behind the actor" loop.out || fail "closed_loop_client.py with an asset, $round time: $(cat loop.out)"
+done
+"$python" -B "$root/tools/examples/closed_loop_client.py" "$address" "" car-7 >loop.out 2>&1
+grep -q 'actors\[0\].asset: found "car-7", expected one that is there, as "car-' loop.out || fail "an unknown asset: $(cat loop.out)"
+stop
+
 # A certificate of our own, which the client is told to trust.
 if command -v openssl >/dev/null; then
     openssl req -x509 -newkey rsa:2048 -nodes -keyout key.pem -out cert.pem -days 2 -subj /CN=localhost -addext subjectAltName=IP:127.0.0.1 2>/dev/null

@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
 """A simulator in a loop at 10 Hz, as a client of `relidar serve`: it drives its own car and an actor of the scene, and brakes for what its
-simulated LiDAR sees. The car starts where the log's did; the actor drives 25 m in front of it and brakes after two seconds.
+simulated LiDAR sees. The car starts where the log's did; the actor drives 25 m in front of it and brakes after two seconds. It is the
+first of the scene, or an asset that is put there.
 
-    relidar serve RUN &
-    tools/examples/closed_loop_client.py [HOST:PORT [SENSOR]]
+    relidar serve RUN [--assets FOLDER] &
+    tools/examples/closed_loop_client.py [HOST:PORT [SENSOR [ASSET]]]
 
 Needs numpy, grpcio and protobuf (Debian: python3-numpy python3-grpcio python3-protobuf), and something that makes stubs of the proto:
 grpcio-tools of PyPI, or Debian's protobuf-compiler and protobuf-compiler-grpc.
 """
+import os
 import pathlib
 import shutil
 import subprocess
@@ -20,6 +22,7 @@ import numpy as np
 
 PROTO = pathlib.Path(__file__).resolve().parents[1] / "serve/relidar/v1/render.proto"
 STEP_S, LANE_M, ACTOR_BRAKES, EGO_BRAKES = 0.1, 1.2, 4.0, 6.0   # seconds, metres, m/s2
+SENSOR_M = 1.73   # above the road, as KITTI's and the demo's
 
 
 def make_stubs(folder):
@@ -49,13 +52,23 @@ def forward(q):
     return np.array([1 - 2 * (q.y**2 + q.z**2), 2 * (q.x * q.y + q.w * q.z), 2 * (q.x * q.z - q.w * q.y)])
 
 
-def main(address="127.0.0.1:50051", sensor=""):
+def lead_of(service, scene, asset):
+    """Name and height of the actor that drives ahead: the first of the scene, or an asset under a name of our own."""
+    if asset:
+        lead = v1.Spawn(name=f"lead of {os.getpid()}", asset=asset)
+        spawned = service.SpawnActors(v1.SpawnActorsRequest(scene=scene.name, actors=[lead])).actors[0]
+        return spawned.name, spawned.size_m.z
+    if not scene.actors:
+        raise SystemExit(f"{scene.name} has no actors, expected one at least, or an asset")
+    return scene.actors[0].name, scene.actors[0].size_m.z
+
+
+def main(address="127.0.0.1:50051", sensor="", asset=""):
     channel = grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", -1)])
     service = v1_grpc.RenderServiceStub(channel)
     scene = service.ListScenes(v1.ListScenesRequest()).scenes[0]
-    if not scene.actors:
-        raise SystemExit(f"{scene.name} has no actors, expected one at least")
-    tracks = service.GetTracks(v1.GetTracksRequest(scene=scene.name, actors=[scene.actors[0].name]))
+    lead, height_m = lead_of(service, scene, asset)
+    tracks = service.GetTracks(v1.GetTracksRequest(scene=scene.name))
     start = tracks.dataset_from_sensor[0].pose
     origin, axis = np.array([start.translation.x, start.translation.y, start.translation.z]), forward(start.rotation)
 
@@ -67,13 +80,16 @@ def main(address="127.0.0.1:50051", sensor=""):
         return [v1.TimedPose(time_s=begin_s, pose=ahead(begin_m, up_m)), v1.TimedPose(time_s=begin_s + STEP_S, pose=ahead(end_m, up_m))]
 
     ego_m, ego_mps, actor_m, actor_mps = 0.0, 8.0, 25.0, 8.0
+    coarse = set()
     for step in range(80):
         t = scene.begin_s + step * STEP_S
-        actor = v1.ActorTrack(name=scene.actors[0].name, poses=drives(t, actor_m, actor_m + actor_mps * STEP_S, -1.0))
+        actor = v1.ActorTrack(name=lead, poses=drives(t, actor_m, actor_m + actor_mps * STEP_S, 0.5 * height_m - SENSOR_M))
         scan = service.RenderLidar(v1.RenderLidarRequest(
             scene=scene.name, sensor=v1.Sensor(name=sensor), path=drives(t, ego_m, ego_m + ego_mps * STEP_S),
             actors=v1.ActorTracks(actors=[actor])), timeout=30)
         gap_m = gap_ahead(scan.points)
+        for sparse in scan.sparse_actors:
+            coarse.add(sparse.name)
         if gap_m < 6.0 + ego_mps**2 / (2 * EGO_BRAKES) * 1.3:
             ego_mps = max(0.0, ego_mps - EGO_BRAKES * STEP_S)
         if step * STEP_S > 2.0:
@@ -83,6 +99,10 @@ def main(address="127.0.0.1:50051", sensor=""):
                   f"{scan.points.count} points in {scan.rendered_ms:.0f} ms")
         ego_m += ego_mps * STEP_S
         actor_m += actor_mps * STEP_S
+    for name in coarse:
+        print(f"{name} was learnt from farther away and shows holes")
+    if asset:
+        service.DespawnActors(v1.DespawnActorsRequest(scene=scene.name, names=[lead]))
     print(f"stopped {actor_m - ego_m:.1f} m behind the actor")
     return 0 if ego_mps == 0.0 and actor_m - ego_m > 3.0 else 1
 

@@ -34,6 +34,7 @@ void add_batch(CLI::App& app, Call& call);
 void add_refine(CLI::App& app, Call& call);
 void add_serve(CLI::App& app, Call& call);
 void add_edit(CLI::App& app, Call& call);
+void add_assets(CLI::App& app, Call& call);
 void add_render(CLI::App& app, Call& call);
 void add_eval(CLI::App& app, Call& call);
 void add_export(CLI::App& app, Call& call);

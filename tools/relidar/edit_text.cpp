@@ -10,6 +10,7 @@
 #include <fmt/format.h>
 
 #include "options.hpp"
+#include <relidar/assets.hpp>
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
 
@@ -131,8 +132,10 @@ AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
 
 AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
     const auto [what, place] = cut(edit, edit.value, edit.value.rfind('@'));
-    const auto [folder, track] = cut(edit, what, what.rfind('#'));
+    const bool named = what.find('#') != std::string::npos;
+    const auto [folder, named_track] = named ? cut(edit, what, what.rfind('#')) : std::pair(what, std::string());
     const Run other = load_run(folder);
+    const std::string track = named ? named_track : only_track(other);
     const DrivingScene owner = other.driving();
     const Start start = start_of(edit, place, driving, owner, track);
     const SpinningSensor &theirs = other.sequence.lidars[0].sensor, &ours = driving.sequence.lidars[0].sensor;
@@ -164,8 +167,8 @@ const std::vector<EditOption>& edit_options() {
          "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
          "place its model once more, driving straight ahead at speed m/s; ground: height and tilt from the surface below"},
         {"--insert",
-         "RUN#TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or RUN#TRACK@x,y,ground[,yaw_deg][:speed]",
-         "the same with an actor of another run"},
+         "RUN#TRACK@PLACE|ASSET@PLACE",
+         "the same with an actor of another run, or an asset of `relidar assets`; PLACE as of --copy"},
         {"--keep", "background|actors", "drop the other"}};
     return options;
 }

@@ -74,6 +74,11 @@ void add_serve(CLI::App& app, Call& call) {
         ->add_option("--memory-mib", options->memory_mib,
                      "device memory that scenes may hold together; beyond it the one used longest ago goes (default: half of the device's)")
         ->type_name("N");
+    command
+        ->add_option("--assets", options->server.assets,
+                     "folders of `relidar assets`: what is in them can be put into any scene by clients (repeatable)")
+        ->type_name("FOLDER")
+        ->allow_extra_args(false);
     command->add_option("--queue", options->queue, "calls that may wait; more are turned away with RESOURCE_EXHAUSTED (default: 64)")
         ->type_name("N");
     command->add_option("--tls-cert", options->server.tls_cert, "certificate chain in PEM: encrypts, with --tls-key")->type_name("FILE");
@@ -85,6 +90,7 @@ void add_serve(CLI::App& app, Call& call) {
         "there too. Ctrl-C finishes calls in work, a second one ends at once.\n"
         "Examples:\n"
         "  relidar serve run\n"
+        "  relidar serve run --assets assets\n"
         "  relidar serve town=runs/17 motorway=runs/18 --listen 0.0.0.0:50051 --tls-cert cert.pem --tls-key key.pem\n"
         "  relidar bench --serve 127.0.0.1:50051");
     command->callback([&call, options] { call.run = [options] { run_serve(*options); }; });

@@ -155,7 +155,7 @@ void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtr
         const BoxTrack* box = find_box(run, name);
         if (!box)
             throw Refusal(grpc::StatusCode::NOT_FOUND,
-                          fmt::format("reading actors: found {}, expected a name that ListScenes gives", quoted(name)));
+                          fmt::format("reading actors: found {}, expected an actor of the log that ListScenes gives", quoted(name)));
         v1::ActorTrack& track = *message.add_actors();
         track.set_name(name);
         write_track(in_dataset(box->world_from_box), *track.mutable_poses());

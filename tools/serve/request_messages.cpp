@@ -3,20 +3,24 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
 #include <relidar/error.hpp>
 
+#include "asset_shelf.hpp"
 #include "geometry_messages.hpp"
 #include "refusal.hpp"
+#include "scenes.hpp"
 #include "sensor_messages.hpp"
 
 namespace relidar::serve {
 namespace {
 
 constexpr int kMostSensors = 64;         // of a rig
+constexpr std::size_t kLongestSpawnName = 200;   // bytes, of spawned actors
 constexpr double kBeyondPath_s = 60.0;   // a longer way to extrapolate is a slip, of microseconds for seconds say
 
 /// @param known  where there is anything to be meant instead
@@ -36,6 +40,18 @@ double read_moment(double time_s, const PoseTrack& path, const std::string& fiel
     return time_s;
 }
 
+std::vector<std::string> names_of_placed(const std::vector<PlacedActor>& actors) {
+    std::vector<std::string> names;
+    for (const PlacedActor& actor : actors) names.push_back(actor.name);
+    return names;
+}
+
+std::vector<std::string> asset_names(const AssetShelf& assets) {
+    std::vector<std::string> names;
+    for (const AssetShelf::Entry& entry : assets.entries()) names.push_back(entry.facts.name);
+    return names;
+}
+
 }  // namespace
 
 std::vector<std::string> actor_names(const Run& run) {
@@ -44,6 +60,9 @@ std::vector<std::string> actor_names(const Run& run) {
         if (!instance.track.empty()) names.push_back(instance.track);
     return names;
 }
+
+RequestReader::RequestReader(SceneSet& scenes)
+    : outlines_(scenes.outlines()), sources_(scenes.sources()), assets_(scenes.assets()), spawned_(scenes.spawned()) {}
 
 std::size_t RequestReader::find_scene(const std::string& name) const {
     if (name.empty() && sources_.size() == 1) return 0;
@@ -105,17 +124,63 @@ std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorWish&
     return std::make_shared<const SensorChoice>(std::move(placed));
 }
 
-ActorPoses RequestReader::read_actors(const v1::ActorTracks& message, std::size_t scene) const {
-    const std::vector<std::string> known = actor_names(outlines_[scene]);
-    ActorPoses poses;
+/// Those of the run, and those that clients have put there.
+std::vector<PlacedActor> RequestReader::known_actors(std::size_t scene) const {
+    const Run& run = outlines_[scene];
+    std::vector<PlacedActor> known;
+    for (const Instance& instance : run.scene.instances) {
+        if (instance.track.empty()) continue;
+        const auto box = std::ranges::find(run.sequence.boxes, instance.track, &BoxTrack::id);
+        known.push_back({instance.track, instance.track, box == run.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m,
+                         run.scene.models[instance.model].count});
+    }
+    for (const SpawnedActors::Place& place : spawned_.taken(scene))
+        known.push_back({place.actor.name, track_of_place(place.position), place.actor.size_m, place.actor.surfels});
+    return known;
+}
+
+void RequestReader::read_actors(const v1::ActorTracks& message, WantedScan& wanted) const {
+    const std::vector<PlacedActor> known = known_actors(wanted.scene);
+    std::map<std::string_view, const PlacedActor*> by_name;   // there may be thousands
+    for (const PlacedActor& actor : known) by_name.emplace(actor.name, &actor);
+    ActorPoses& poses = wanted.request.dataset_from_actor.emplace();
     for (int i = 0; i < message.actors_size(); ++i) {
         const v1::ActorTrack& actor = message.actors(i);
         const std::string field = fmt::format("actors.actors[{}]", i);
-        if (std::find(known.begin(), known.end(), actor.name()) == known.end()) refuse_unknown(field + ".name", actor.name(), known);
-        if (!poses.emplace(actor.name(), read_track(actor.poses(), field + ".poses")).second)
+        const auto found = by_name.find(actor.name());
+        if (found == by_name.end()) refuse_unknown(field + ".name", actor.name(), names_of_placed(known));
+        if (!poses.emplace(found->second->track, read_track(actor.poses(), field + ".poses")).second)
             refuse(field + ".name", quoted(actor.name()) + " again", "each actor once");
+        wanted.placed.push_back(*found->second);
     }
-    return poses;
+}
+
+std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& message, std::size_t scene) const {
+    if (message.actors().empty()) refuse("actors", "none", "one actor at least");
+    const std::vector<std::string> of_run = actor_names(outlines_[scene]);
+    const std::vector<PlacedActor> known = known_actors(scene);
+    std::vector<SpawnWish> wishes;
+    for (int i = 0; i < message.actors_size(); ++i) {
+        const v1::Spawn& spawn = message.actors(i);
+        const std::string field = fmt::format("actors[{}]", i);
+        if (spawn.name().empty() || spawn.name().size() > kLongestSpawnName)
+            refuse(field + ".name", quoted(spawn.name()), fmt::format("a name of 1 to {} bytes", kLongestSpawnName));
+        if (std::ranges::find(of_run, spawn.name()) != of_run.end())
+            throw Refusal(grpc::StatusCode::ALREADY_EXISTS, fmt::format("reading {}.name: found {}, which is an actor of the run, expected "
+                                                                        "another name", field, quoted(spawn.name())));
+        if (spawn.has_asset()) {
+            const AssetShelf::Entry* asset = assets_.find(spawn.asset());
+            if (!asset) refuse_unknown(field + ".asset", spawn.asset(), asset_names(assets_));
+            wishes.push_back({spawn.name(), {true, spawn.asset()}, asset->facts.size_m, asset->facts.surfels});
+            continue;
+        }
+        if (!spawn.has_actor()) refuse(field, "neither actor nor asset", "one of them");
+        const auto actor = std::ranges::find(of_run, spawn.actor());
+        if (actor == of_run.end()) refuse_unknown(field + ".actor", spawn.actor(), of_run);
+        const PlacedActor& model = known[std::size_t(actor - of_run.begin())];   // those of the run come first
+        wishes.push_back({spawn.name(), {false, spawn.actor()}, model.size_m, model.surfels});
+    }
+    return wishes;
 }
 
 WantedScan RequestReader::read_scan(const v1::RenderLidarRequest& message, const SensorWish& wish,
@@ -128,7 +193,7 @@ WantedScan RequestReader::read_scan(const v1::RenderLidarRequest& message, const
                                                  : path.time_s.front() - firing_span(*wanted.sensor).first_s;
     wanted.points_at_s = message.has_points_at_s() ? read_moment(message.points_at_s(), path, "points_at_s") : path.time_s.back();
     wanted.request.dataset_from_sensor = path_from_sensor ? moved_track(std::move(path), *path_from_sensor) : std::move(path);
-    if (message.has_actors()) wanted.request.dataset_from_actor = read_actors(message.actors(), wanted.scene);
+    if (message.has_actors()) read_actors(message.actors(), wanted);
     if (message.has_sample_seed()) wanted.sample = message.sample_seed();
     if (message.has_wanted()) {
         wanted.points = message.wanted().points();

@@ -18,11 +18,25 @@
 
 namespace relidar::serve {
 
+class AssetShelf;
+class SceneSet;
+class SpawnedActors;
+struct SpawnWish;
+
+/// An actor that a request places.
+struct PlacedActor {
+    std::string name;    ///< as the request calls it
+    std::string track;   ///< as the scene that is rendered does
+    glm::dvec3 size_m{0.0};
+    std::size_t surfels = 0;
+};
+
 /// A scan that is wanted and can be rendered.
 struct WantedScan {
     std::size_t scene = 0;   ///< index into the outlines
     std::shared_ptr<const SensorChoice> sensor;
     ScanRequest request;
+    std::vector<PlacedActor> placed;   ///< those of request.dataset_from_actor
     std::optional<std::uint64_t> sample;
     double points_at_s = 0.0;
     bool points = true, range_image = false, drop_probability = false;
@@ -34,13 +48,16 @@ std::vector<std::string> actor_names(const Run& run);
 /// Holds no state of a request; what it looks things up in outlives it.
 class RequestReader {
 public:
-    RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources) : outlines_(outlines), sources_(sources) {}
+    /// @param scenes  of which what is for all threads is looked at
+    explicit RequestReader(SceneSet& scenes);
 
     /// Index of a scene. @throws Refusal
     std::size_t find_scene(const std::string& name) const;
     int find_lidar(std::size_t scene, const std::string& name) const;
     /// Keeps a sensor that a client describes. @return its handle, and what it is @throws Refusal
     std::pair<std::string, std::shared_ptr<const SensorChoice>> upload(const v1::SensorSpec& spec);
+    /// The actors to be spawned in a scene. @throws Refusal for names that make no sense, and for an actor or asset that is not there
+    std::vector<SpawnWish> read_spawns(const v1::SpawnActorsRequest& message, std::size_t scene) const;
     /// @throws Refusal naming the field that makes no sense
     WantedScan read(const v1::RenderLidarRequest& message);
     /// One for each sensor.
@@ -49,6 +66,8 @@ public:
 private:
     const std::vector<Run>& outlines_;
     const std::vector<SceneSource>& sources_;
+    const AssetShelf& assets_;
+    const SpawnedActors& spawned_;
     SensorShelf uploaded_, named_;
 
     struct SensorWish {
@@ -58,7 +77,8 @@ private:
     };
     std::shared_ptr<const SensorChoice> find_sensor(const SensorWish& wish, std::size_t scene, int lidar);
     std::shared_ptr<const SensorChoice> known_sensor(const std::string& name, std::size_t scene, int lidar);
-    ActorPoses read_actors(const v1::ActorTracks& message, std::size_t scene) const;
+    std::vector<PlacedActor> known_actors(std::size_t scene) const;
+    void read_actors(const v1::ActorTracks& message, WantedScan& wanted) const;
     /// @param path_from_sensor  of a sensor of a rig; none: the path is the sensor's own, and keeps every bit
     WantedScan read_scan(const v1::RenderLidarRequest& message, const SensorWish& wish, const std::optional<Pose>& path_from_sensor);
 };

@@ -7,6 +7,8 @@
 
 #include <relidar/error.hpp>
 
+#include "refusal.hpp"
+
 namespace relidar::serve {
 namespace {
 
@@ -33,8 +35,13 @@ ScanRequest first_pose(const Run& run) {
 
 }  // namespace
 
-SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes)
-    : device_(device), sources_(std::move(sources)), memory_bytes_(memory_bytes), loaded_(sources_.size()) {
+SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes, const AssetShelf& assets)
+    : device_(device),
+      sources_(std::move(sources)),
+      memory_bytes_(memory_bytes),
+      loaded_(sources_.size()),
+      assets_(assets),
+      spawned_(sources_.size()) {
     for (std::size_t i = 0; i < sources_.size(); ++i) {
         Run run = load_run(sources_[i].folder);
         load(i, run);
@@ -51,7 +58,7 @@ RenderedScan SceneSet::render(std::size_t scene, const SensorChoice& sensor, con
     loaded_[scene].used = ++clock_;
     if (!loaded_[scene].renderer) {
         make_room(scene, loaded_[scene].bytes);
-        load(scene, load_run(sources_[scene].folder));
+        load_with_places(scene);
     }
     RenderedScan scan;
     try {
@@ -72,6 +79,48 @@ void SceneSet::load(std::size_t scene, const Run& run) {
         loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
         loaded.renderer->render(one_ray(), first_pose(run));
     });
+}
+
+/// The run as it is now, with the actors that clients have put into it.
+void SceneSet::load_with_places(std::size_t scene) {
+    const std::vector<SpawnedActors::Place> places = spawned_.places(scene);
+    Run run = load_run(sources_[scene].folder);
+    add_places(run, places, assets_);
+    load(scene, run);
+    loaded_[scene].n_places = places.size();
+}
+
+std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene, const std::vector<SpawnWish>& wishes) {
+    Loaded& loaded = loaded_[scene];
+    const std::size_t n_before = spawned_.count_places(scene);
+    std::vector<SpawnedActors::Place> places = spawned_.take(scene, wishes);
+    if (loaded.renderer && loaded.n_places == spawned_.count_places(scene)) return places;
+    const auto undo = [&] {
+        loaded.renderer.reset();   // the next request loads the scene as it was before
+        spawned_.undo(scene, places, n_before);
+    };
+    try {
+        loaded.renderer.reset();
+        make_room(scene, loaded.bytes);
+        load_with_places(scene);
+        make_room(scene, 0);
+    } catch (const DataError& error) {
+        undo();
+        throw Refusal(grpc::StatusCode::FAILED_PRECONDITION, fmt::format("spawning {} actors: {}", wishes.size(), error.what()));
+    } catch (const DeviceError& error) {
+        undo();
+        throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED, fmt::format("spawning {} actors: {}", wishes.size(), error.what()));
+    } catch (...) {
+        undo();
+        throw;
+    }
+    if (loaded.bytes <= memory_bytes_) return places;
+    const double needed_mib = double(loaded.bytes) / kMiB;
+    undo();
+    throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
+                  fmt::format("spawning {} actors: the scene would hold {:.1f} MiB of device memory with them, expected at most {:.1f} "
+                              "(--memory-mib of the server)",
+                              wishes.size(), needed_mib, double(memory_bytes_) / kMiB));
 }
 
 /// Forgets the scenes used longest ago, but this one, until all fit with so many more bytes, or no other is left.

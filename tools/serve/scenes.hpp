@@ -12,20 +12,28 @@
 #include <relidar/run.hpp>
 
 #include "scene_source.hpp"
+#include "spawned.hpp"
 
 namespace relidar::serve {
 
-/// Serves one thread at a time, that of its device; outlines() are for all.
+/// Serves one thread at a time, that of its device; outlines(), assets() and spawned() are for all.
 class SceneSet {
 public:
     /// Loads each run, to see that it can be and how large it is.
     /// @param memory_bytes  device memory that scenes may hold together; beyond it the one used longest ago goes
+    /// @param assets  that may be spawned; it outlives this
     /// @throws DataError for a run that cannot be read, or is larger than that alone
-    SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes);
+    SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes, const AssetShelf& assets);
 
     /// Runs without their surfels and ray-drop networks, in the order given. Never changes.
     const std::vector<Run>& outlines() const { return outlines_; }
     const std::vector<SceneSource>& sources() const { return sources_; }
+    const AssetShelf& assets() const { return assets_; }
+    SpawnedActors& spawned() { return spawned_; }
+
+    /// Puts actors into a scene, which is loaded anew where there is no place for them. @return in the order of the wishes
+    /// @throws Refusal where a name is taken or an asset does not fit, and where the device's memory does not do: nothing has changed then
+    std::vector<SpawnedActors::Place> spawn(std::size_t scene, const std::vector<SpawnWish>& wishes);
 
     /// Loads the scene where it is not there. @param scene  index into outlines()
     RenderedScan render(std::size_t scene, const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample);
@@ -38,6 +46,7 @@ private:
         std::unique_ptr<ScanRenderer> renderer;   ///< null where it is not loaded
         std::uint64_t bytes = 0;                  ///< on the device, when it was there last
         std::uint64_t used = 0;                   ///< by a clock that counts uses
+        std::size_t n_places = 0;                 ///< of spawned actors, that it was loaded with
     };
 
     Device& device_;
@@ -45,9 +54,12 @@ private:
     const std::uint64_t memory_bytes_;
     std::vector<Run> outlines_;
     std::vector<Loaded> loaded_;
+    const AssetShelf& assets_;
+    SpawnedActors spawned_;
     std::uint64_t clock_ = 0;
 
     void load(std::size_t scene, const Run& run);
+    void load_with_places(std::size_t scene);
     void make_room(std::size_t scene, std::uint64_t bytes);
     void count_growth(std::size_t scene, const std::function<void()>& work);
 };

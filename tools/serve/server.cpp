@@ -15,6 +15,7 @@
 
 #include <relidar/error.hpp>
 
+#include "asset_shelf.hpp"
 #include "service.hpp"
 
 namespace relidar::serve {
@@ -52,6 +53,7 @@ std::uint64_t memory_bytes(const ServerOptions& options, const Device& device) {
 
 struct ScanServer::Impl {
     RenderQueue queue;
+    std::optional<AssetShelf> assets;
     std::optional<Device> device;      ///< this and the scenes: made, used and destroyed on the queue's thread
     std::optional<SceneSet> scenes;
     std::optional<RenderService> service;
@@ -91,9 +93,10 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
 
 ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Impl>(options.waiting)) {
     std::vector<SceneSource> sources = scene_sources(options.runs);
+    impl_->assets.emplace(options.assets);
     impl_->on_render_thread([&] {
         impl_->device.emplace(options.device);
-        impl_->scenes.emplace(*impl_->device, std::move(sources), memory_bytes(options, *impl_->device));
+        impl_->scenes.emplace(*impl_->device, std::move(sources), memory_bytes(options, *impl_->device), *impl_->assets);
     });
     impl_->service.emplace(impl_->queue, *impl_->scenes);
     impl_->listen(options);

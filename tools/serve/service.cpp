@@ -8,7 +8,9 @@
 #include <relidar/error.hpp>
 
 #include "answer_messages.hpp"
+#include "asset_shelf.hpp"
 #include "sensor_messages.hpp"
+#include "spawn_messages.hpp"
 
 namespace relidar::serve {
 namespace {
@@ -23,8 +25,14 @@ bool is_wanted(const grpc::ServerContext& context) { return !context.IsCancelled
 
 [[noreturn]] void give_up(const grpc::ServerContext& context) {
     if (is_late(context))
-        throw Refusal(grpc::StatusCode::DEADLINE_EXCEEDED, "rendering a scan: found the deadline passed, expected a later one");
-    throw Refusal(grpc::StatusCode::CANCELLED, "rendering a scan: the client has left");
+        throw Refusal(grpc::StatusCode::DEADLINE_EXCEEDED, "answering a request: found the deadline passed, expected a later one");
+    throw Refusal(grpc::StatusCode::CANCELLED, "answering a request: the client has left");
+}
+
+std::vector<std::string> names_of_spawned(const std::vector<SpawnedActors::Place>& places) {
+    std::vector<std::string> names;
+    for (const SpawnedActors::Place& place : places) names.push_back(place.actor.name);
+    return names;
 }
 
 }  // namespace
@@ -54,6 +62,7 @@ void RenderService::render(RenderQueue::Place& place, const WantedScan& wanted, 
     const WorkEnd end = place.run(work, [&] { return is_wanted(context); });
     if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
     write_scan(scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
+    write_sparse_actors(scan, wanted, answer);
     answer.set_queued_ms(ms_between(asked, begun));
     answer.set_rendered_ms(ms_between(begun, rendered));
 }
@@ -62,6 +71,10 @@ grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScene
     return answered([&] {
         for (std::size_t i = 0; i < scenes_.outlines().size(); ++i)
             write_scene(scenes_.sources()[i].name, scenes_.outlines()[i], *answer->add_scenes());
+        for (std::size_t i = 0; i < scenes_.outlines().size(); ++i)
+            for (const SpawnedActors::Place& place : scenes_.spawned().taken(i))
+                write_spawned(place, scenes_.outlines()[i], *answer->mutable_scenes(int(i))->add_spawned());
+        for (const AssetShelf::Entry& entry : scenes_.assets().entries()) write_asset(entry.facts, *answer->add_assets());
         for (const std::string& name : sensor_names()) answer->add_sensors(name);
     });
 }
@@ -71,6 +84,32 @@ grpc::Status RenderService::GetTracks(grpc::ServerContext*, const v1::GetTracksR
         const std::size_t scene = reader_.find_scene(request->scene());
         const int lidar = reader_.find_lidar(scene, request->lidar());
         write_tracks(scenes_.outlines()[scene], lidar, request->actors(), *answer);
+    });
+}
+
+grpc::Status RenderService::SpawnActors(grpc::ServerContext* context, const v1::SpawnActorsRequest* request,
+                                        v1::SpawnActorsResponse* answer) {
+    return answered([&] {
+        RenderQueue::Place in_line = enter();
+        const std::size_t scene = reader_.find_scene(request->scene());
+        const std::vector<SpawnWish> wishes = reader_.read_spawns(*request, scene);
+        std::vector<SpawnedActors::Place> places;
+        const WorkEnd end = in_line.run([&] { places = scenes_.spawn(scene, wishes); }, [&] { return is_wanted(*context); });
+        if (end == WorkEnd::unwanted) give_up(*context);
+        if (!is_wanted(*context)) {   // whoever is not told that they are there would never take them out
+            scenes_.spawned().give_back(scene, names_of_spawned(places));
+            give_up(*context);
+        }
+        for (const SpawnedActors::Place& place : places) write_spawned(place, scenes_.outlines()[scene], *answer->add_actors());
+    });
+}
+
+grpc::Status RenderService::DespawnActors(grpc::ServerContext*, const v1::DespawnActorsRequest* request,
+                                          v1::DespawnActorsResponse* answer) {
+    return answered([&] {
+        const std::size_t scene = reader_.find_scene(request->scene());
+        scenes_.spawned().give_back(scene, {request->names().begin(), request->names().end()});
+        answer->set_left(std::uint32_t(scenes_.spawned().taken(scene).size()));
     });
 }
 

@@ -16,10 +16,13 @@ namespace relidar::serve {
 class RenderService final : public v1::RenderService::Service {
 public:
     /// Both outlive the service. @param scenes  renders on the queue's thread alone
-    RenderService(RenderQueue& queue, SceneSet& scenes) : queue_(queue), scenes_(scenes), reader_(scenes.outlines(), scenes.sources()) {}
+    RenderService(RenderQueue& queue, SceneSet& scenes) : queue_(queue), scenes_(scenes), reader_(scenes) {}
 
     grpc::Status ListScenes(grpc::ServerContext* context, const v1::ListScenesRequest* request, v1::ListScenesResponse* answer) override;
     grpc::Status GetTracks(grpc::ServerContext* context, const v1::GetTracksRequest* request, v1::GetTracksResponse* answer) override;
+    grpc::Status SpawnActors(grpc::ServerContext* context, const v1::SpawnActorsRequest* request, v1::SpawnActorsResponse* answer) override;
+    grpc::Status DespawnActors(grpc::ServerContext* context, const v1::DespawnActorsRequest* request,
+                               v1::DespawnActorsResponse* answer) override;
     grpc::Status UploadSensor(grpc::ServerContext* context, const v1::UploadSensorRequest* request,
                               v1::UploadSensorResponse* answer) override;
     grpc::Status RenderLidar(grpc::ServerContext* context, const v1::RenderLidarRequest* request, v1::LidarScan* answer) override;

@@ -1,0 +1,295 @@
+// SPDX-License-Identifier: Apache-2.0
+// Actors that clients put into scenes: scans against those of the library's edits, what is listed, refused and taken out again.
+#include <cmath>
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+
+#include <relidar/edit.hpp>
+#include <relidar/error.hpp>
+#include <relidar/render.hpp>
+
+#include "asset_shelf.hpp"
+#include "refusal.hpp"
+#include "scenes.hpp"
+#include "../export/temporary_folder.hpp"
+#include "small_service.hpp"
+
+namespace relidar::serve {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using Code = grpc::StatusCode;
+
+/// A plate across its own x axis, wider than that of the small run's car and of another brightness, as an asset.
+Asset plate_asset(const std::string& name, std::size_t n_surfels = 1, Primitive primitive = Primitive::surfel) {
+    relidar::Run run = small_run("");
+    Surfels& surfels = run.scene.surfels;
+    surfels = surfels.slice(0, 1);
+    surfels.log_scale[0] = glm::vec2(std::log(0.8f));
+    surfels.mean[0] = {};
+    surfels.sh[0] = 1.0f;
+    const Surfels one = surfels;
+    for (std::size_t i = 1; i < n_surfels; ++i) surfels.append(one);
+    if (primitive == Primitive::gaussian) make_gaussians(surfels, 0.1);
+    run.scene.models = {{"background", 0, 0}, {name, 0, std::uint32_t(n_surfels)}};
+    run.scene.instances = {{0, ""}, {1, name}};
+    run.sequence.boxes[0].id = name;
+    run.config.image.primitive = primitive;
+    AssetFacts facts;
+    facts.name = name, facts.category = "Van", facts.kind = ObjectKind::vehicle, facts.size_m = {5, 2, 2.5};
+    facts.seen = 0.5, facts.completed = 0.25, facts.nearest_m = 6.0, facts.surfels = n_surfels, facts.sensor = "HDL-64E";
+    return {facts, run};
+}
+
+v1::SpawnActorsRequest spawn_request(const std::vector<std::pair<std::string, std::string>>& name_and_source) {
+    v1::SpawnActorsRequest request;
+    for (const auto& [name, source] : name_and_source) {
+        v1::Spawn& spawn = *request.add_actors();
+        spawn.set_name(name);
+        if (source.starts_with("asset ")) spawn.set_asset(source.substr(6));
+        else if (!source.empty()) spawn.set_actor(source);
+    }
+    return request;
+}
+
+Pose beside(double x_m, double y_m, double yaw_rad = 0.0) {
+    return {rotation_of(yaw_rad, 0.0, 0.0), kDatasetOrigin_m + glm::dvec3(x_m, y_m, 0.0)};
+}
+
+void place(v1::RenderLidarRequest& request, const std::string& name, const Pose& pose) {
+    v1::ActorTrack& actor = *request.mutable_actors()->add_actors();
+    actor.set_name(name);
+    add_pose(*actor.mutable_poses(), 0.5, pose);
+}
+
+class Spawn : public ServiceTest {
+protected:
+    void SetUp() override {
+        ServiceTest::SetUp();
+        if (IsSkipped() || HasFatalFailure()) return;
+        save_asset(plate_asset("van-1"), folder / "assets" / "van-1");
+        save_asset(plate_asset("gauss", 3, Primitive::gaussian), folder / "assets" / "gauss");
+        assets = {(folder / "assets").string()};
+    }
+    grpc::Status spawn(const v1::SpawnActorsRequest& request, v1::SpawnActorsResponse& answer) {
+        grpc::ClientContext context;
+        return stub()->SpawnActors(&context, request, &answer);
+    }
+    v1::SpawnActorsResponse spawned(const std::vector<std::pair<std::string, std::string>>& wishes) {
+        v1::SpawnActorsResponse answer;
+        const grpc::Status status = spawn(spawn_request(wishes), answer);
+        EXPECT_TRUE(status.ok()) << status.error_message();
+        return answer;
+    }
+    void expect_refused(const v1::SpawnActorsRequest& request, Code code, const std::string& says) {
+        v1::SpawnActorsResponse answer;
+        const grpc::Status status = spawn(request, answer);
+        EXPECT_EQ(status.error_code(), code) << status.error_message();
+        EXPECT_THAT(status.error_message(), HasSubstr(says));
+    }
+    grpc::Status despawn(const std::vector<std::string>& names, std::uint32_t& left) {
+        grpc::ClientContext context;
+        v1::DespawnActorsRequest request;
+        for (const std::string& name : names) request.add_names(name);
+        v1::DespawnActorsResponse answer;
+        const grpc::Status status = stub()->DespawnActors(&context, request, &answer);
+        left = answer.left();
+        return status;
+    }
+    v1::LidarScan scan_of(const v1::RenderLidarRequest& request) { return ScanClient(address()).render(request); }
+    std::vector<std::string> listed() {
+        const v1::ListScenesResponse scenes = ScanClient(address()).list_scenes();
+        std::vector<std::string> names;
+        for (const v1::SpawnedActor& actor : scenes.scenes(0).spawned()) names.push_back(actor.name());
+        return names;
+    }
+};
+
+TEST_F(Spawn, CopiesRenderAsThoseOfEdits) {
+    start();
+    const v1::SpawnActorsResponse answer =
+        spawned({{"first", "car"}, {"second", "asset van-1"}, {"third", "asset van-1"}, {"unused", "car"}});
+    ASSERT_EQ(answer.actors_size(), 4);
+    const std::vector<std::pair<std::string, Pose>> places{
+        {"first", beside(3.0, 1.0)}, {"second", beside(5.0, -1.5, 0.3)}, {"third", beside(6.0, 0.5, -0.2)}};
+    v1::RenderLidarRequest request = standing();
+    for (const auto& [name, pose] : places) place(request, name, pose);
+    const v1::LidarScan scan = scan_of(request);
+
+    const relidar::Run run = load_run(folder / "small"), asset = load_run(folder / "assets" / "van-1");
+    DrivingScene edited = copy_track(run.driving(), "car", {places[0].second});
+    for (const std::size_t i : {1u, 2u}) edited = insert_track(std::move(edited), asset.driving(), "van-1", {places[i].second});
+    edited = remove_track(std::move(edited), "car");
+    ScanRenderer renderer(device(), edited.scene, run.config, edited.sequence);
+    const RenderedScan truth = renderer.render(configured_sensor(run.config, run.sequence), {0.5, {{0.5}, {at_x(0.0)}}});
+    EXPECT_EQ(values<float>(scan.image().range_m()), truth.image.range_m);
+    EXPECT_EQ(values<float>(scan.image().intensity()), truth.image.intensity);
+    EXPECT_EQ(values<float>(scan.image().drop_probability()), truth.image.drop_prob);
+
+    std::vector<std::int32_t> expected;   // of the edited run: 1, 2, 3; the small run has two instances, so that spawned ones follow from 2
+    for (std::size_t i = 0; i < truth.image.range_m.size(); ++i)
+        if (truth.image.drop_prob[i] < 0.5f && truth.image.range_m[i] > 0.0f)
+            expected.push_back(truth.instance[i] < 1 ? truth.instance[i] : std::int32_t(answer.actors(truth.instance[i] - 1).instance()));
+    EXPECT_EQ(values<std::int32_t>(scan.points().instance()), expected);
+    for (const std::int32_t actor : {1, 2, 3}) EXPECT_GT(std::ranges::count(truth.instance, actor), 0) << actor;
+
+    const v1::LidarScan before = scan_of(standing());
+    EXPECT_THAT(values<std::int32_t>(before.points().instance()), testing::Contains(1)) << "as the log has them";
+    EXPECT_THAT(values<std::int32_t>(before.points().instance()), testing::Each(testing::Lt(2))) << "nowhere where none is named";
+}
+
+TEST_F(Spawn, IsListedUntilItIsTakenOut) {
+    start();
+    const v1::ListScenesResponse before = ScanClient(address()).list_scenes();
+    ASSERT_EQ(before.assets_size(), 2);
+    const v1::Asset& asset = before.assets(1);
+    EXPECT_EQ(asset.name(), "van-1");
+    EXPECT_EQ(asset.category(), "Van");
+    EXPECT_EQ(asset.kind(), "vehicle");
+    EXPECT_EQ(asset.size_m().z(), 2.5);
+    EXPECT_EQ(asset.score(), 0.75);
+    EXPECT_EQ(asset.seen(), 0.5);
+    EXPECT_EQ(asset.nearest_m(), 6.0);
+    EXPECT_EQ(asset.surfels(), 1u);
+    EXPECT_EQ(asset.sensor(), "HDL-64E");
+    EXPECT_TRUE(before.scenes(0).spawned().empty());
+
+    const v1::SpawnActorsResponse answer = spawned({{"a", "asset van-1"}, {"b", "car"}});
+    EXPECT_EQ(answer.actors(0).asset(), "van-1");
+    EXPECT_EQ(answer.actors(0).size_m().x(), 5.0);
+    EXPECT_EQ(answer.actors(1).actor(), "car");
+    EXPECT_EQ(answer.actors(1).size_m().x(), 1.0);
+    EXPECT_EQ(answer.actors(1).surfels(), 1u);
+    EXPECT_THAT(listed(), ElementsAre("a", "b"));
+    std::uint32_t left = 9;
+    EXPECT_TRUE(despawn({"a"}, left).ok());
+    EXPECT_EQ(left, 1u);
+    EXPECT_THAT(listed(), ElementsAre("b"));
+    v1::RenderLidarRequest request = standing();
+    place(request, "a", beside(3.0, 0.0));
+    grpc::ClientContext context;
+    v1::LidarScan scan;
+    const grpc::Status status = stub()->RenderLidar(&context, request, &scan);
+    EXPECT_EQ(status.error_code(), Code::NOT_FOUND);
+    EXPECT_THAT(status.error_message(), HasSubstr("actors.actors[0].name: found \"a\""));
+    EXPECT_EQ(spawned({{"again", "asset van-1"}}).actors(0).instance(), answer.actors(0).instance()) << "the place was free";
+}
+
+TEST_F(Spawn, WhatMakesNoSenseIsRefusedByNameAndChangesNothing) {
+    start();
+    spawned({{"mine", "car"}});
+    expect_refused(spawn_request({{"mine", "car"}}), Code::ALREADY_EXISTS, "spawning \"mine\": found an actor of that name");
+    expect_refused(spawn_request({{"x", "car"}, {"mine", "car"}}), Code::ALREADY_EXISTS, "spawning \"mine\"");
+    expect_refused(spawn_request({{"x", "car"}, {"x", "asset van-1"}}), Code::ALREADY_EXISTS, "spawning \"x\"");
+    expect_refused(spawn_request({{"car", "asset van-1"}}), Code::ALREADY_EXISTS, "which is an actor of the run");
+    expect_refused(spawn_request({{"x", "cat"}}), Code::NOT_FOUND, "actors[0].actor: found \"cat\", expected one that is there, as \"c");
+    expect_refused(spawn_request({{"x", "asset van-2"}}), Code::NOT_FOUND, "actors[0].asset: found \"van-2\", expected one that is");
+    expect_refused(spawn_request({{"x", "mine"}}), Code::NOT_FOUND, "actors[0].actor: found \"mine\"");
+    expect_refused(spawn_request({{"x", ""}}), Code::INVALID_ARGUMENT, "neither actor nor asset");
+    expect_refused(spawn_request({{"", "car"}}), Code::INVALID_ARGUMENT, "actors[0].name");
+    expect_refused(spawn_request({{std::string(201, 'x'), "car"}}), Code::INVALID_ARGUMENT, "of 201 bytes");
+    expect_refused({}, Code::INVALID_ARGUMENT, "reading actors: found none");
+    expect_refused(spawn_request({{"x", "asset gauss"}}), Code::FAILED_PRECONDITION, "3D Gaussians");
+    std::vector<std::pair<std::string, std::string>> many;
+    for (std::size_t i = 0; i <= SpawnedActors::kMostPlaces; ++i) many.emplace_back(fmt::format("n{}", i), "car");
+    expect_refused(spawn_request(many), Code::RESOURCE_EXHAUSTED, "found 4096 places");
+    v1::SpawnActorsRequest elsewhere = spawn_request({{"x", "car"}});
+    elsewhere.set_scene("nowhere");
+    expect_refused(elsewhere, Code::NOT_FOUND, "reading scene: found \"nowhere\"");
+    std::uint32_t left = 0;
+    for (const std::vector<std::string>& names : {std::vector<std::string>{"x"}, {"mine", "mine"}, {"car"}, {""}}) {
+        const grpc::Status status = despawn(names, left);
+        EXPECT_EQ(status.error_code(), Code::NOT_FOUND) << names[0];
+        EXPECT_THAT(status.error_message(), HasSubstr("despawning \"" + names[0] + "\""));
+    }
+    EXPECT_THAT(listed(), ElementsAre("mine"));
+    v1::RenderLidarRequest request = standing();
+    place(request, "mine", beside(3.0, 0.0));
+    EXPECT_THAT(values<std::int32_t>(scan_of(request).points().instance()), testing::Contains(2));
+}
+
+TEST_F(Spawn, ActorsWithTooFewSurfelsForTheirRaysAreNamed) {
+    start();
+    spawned({{"van", "asset van-1"}});
+    v1::RenderLidarRequest request = standing();
+    place(request, "van", beside(4.0, 0.0));
+    *request.mutable_sensor()->mutable_spec() = rays_ahead(9);
+    const v1::LidarScan near = scan_of(request);
+    ASSERT_EQ(near.sparse_actors_size(), 1);
+    EXPECT_EQ(near.sparse_actors(0).name(), "van");
+    EXPECT_NEAR(near.sparse_actors(0).distance_m(), 4.0, 1e-6);
+    EXPECT_EQ(near.sparse_actors(0).rays(), 9u);
+    EXPECT_EQ(near.sparse_actors(0).surfels(), 1u);
+    *request.mutable_sensor()->mutable_spec() = rays_ahead(8);
+    EXPECT_EQ(scan_of(request).sparse_actors_size(), 0) << "eight rays a surfel do";
+    *request.mutable_sensor()->mutable_spec() = rays_ahead(9);
+    request.clear_actors();
+    place(request, "van", beside(4.0, 5.0));
+    EXPECT_EQ(scan_of(request).sparse_actors_size(), 0) << "beside the rays";
+    request.clear_actors();
+    place(request, "car", beside(4.0, 0.0));
+    EXPECT_EQ(scan_of(request).sparse_actors_size(), 1) << "an actor of the log that the client places";
+    request.clear_actors();
+    EXPECT_EQ(scan_of(request).sparse_actors_size(), 0) << "where the log had it";
+}
+
+TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
+    save_run(small_run(folder / "small"));
+    save_asset(plate_asset("large", 20000), folder / "more" / "large");
+    const std::uint64_t before = device().allocated_bytes();
+    std::uint64_t budget = 0;
+    const std::vector<SceneSource> sources{{"small", folder / "small"}};
+    const ScanRequest request{0.5, {{0.5}, {at_x(1.0)}}};
+    {
+        const AssetShelf none({});
+        SceneSet one(device(), sources, std::uint64_t(1) << 40, none);
+        budget = 2 * (device().allocated_bytes() - before);
+    }
+    const AssetShelf shelf({(folder / "more").string()});
+    SceneSet scenes(device(), sources, before + budget, shelf);
+    const SensorChoice sensor = configured_sensor(scenes.outlines()[0].config, scenes.outlines()[0].sequence);
+    const std::vector<float> truth = scenes.render(0, sensor, request, {}).image.range_m;
+    const auto refused = [&](const SpawnWish& wish) {
+        try {
+            scenes.spawn(0, {wish});
+        } catch (const Refusal& refusal) {
+            EXPECT_EQ(refusal.code(), Code::RESOURCE_EXHAUSTED);
+            return std::string(refusal.what());
+        }
+        return std::string();
+    };
+    EXPECT_THAT(refused({"x", {true, "large"}, {1, 1, 1}, 20000}), HasSubstr("MiB of device memory with them"));
+    EXPECT_TRUE(scenes.spawned().taken(0).empty());
+    EXPECT_EQ(scenes.spawned().count_places(0), 0u);
+    EXPECT_EQ(scenes.render(0, sensor, request, {}).image.range_m, truth);
+    EXPECT_EQ(refused({"x", {false, "car"}, {1, 1, 1}, 1}), "") << "the name is free, and this one fits";
+    EXPECT_EQ(scenes.spawned().taken(0).size(), 1u);
+}
+
+TEST(SpawnedPlaces, AreMadeInGrowingNumbersAndUsedAgain) {
+    SpawnedActors actors(2);
+    const SpawnSource car{false, "car"}, van{true, "van"};
+    std::vector<std::size_t> sizes;
+    for (int i = 0; i < 17; ++i) {
+        actors.take(1, {{fmt::format("{}", i), car}});
+        sizes.push_back(actors.count_places(1));
+    }
+    EXPECT_THAT(sizes, ElementsAre(1u, 2u, 4u, 4u, 8u, 8u, 8u, 8u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 24u));
+    EXPECT_EQ(actors.count_places(0), 0u) << "of another scene";
+    actors.give_back(1, {"1", "3"});
+    EXPECT_EQ(actors.take(1, {{"v", van}})[0].position, 24u) << "a place keeps its source";
+    EXPECT_EQ(actors.take(1, {{"c", car}})[0].position, 1u);
+}
+
+TEST_F(Spawn, AnAssetsNameIsGivenOnce) {
+    save_asset(plate_asset("van-1"), folder / "others" / "van-1");
+    const std::string message =
+        error_message<UsageError>([&] { AssetShelf({(folder / "assets").string(), (folder / "others").string()}); });
+    EXPECT_THAT(message, HasSubstr("found van-1 in"));
+    EXPECT_THAT(data_error([&] { AssetShelf({folder.string() + "/nowhere"}); }), HasSubstr("nowhere"));
+}
+
+}  // namespace
+}  // namespace relidar::serve

@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "asset_shelf.hpp"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar::serve {
+
+AssetShelf::AssetShelf(const std::vector<std::string>& folders) {
+    for (const std::string& folder : folders) {
+        for (const std::filesystem::path& entry : asset_folders(folder)) {
+            AssetFacts facts = read_asset_facts(entry);
+            if (const Entry* same = find(facts.name))
+                throw UsageError(fmt::format("serving assets of {}: found {} in {} too, expected each name once", folder, facts.name,
+                                             same->folder.parent_path().string()));
+            only_track(load_run(entry));
+            entries_.push_back({entry, std::move(facts)});
+        }
+    }
+}
+
+const AssetShelf::Entry* AssetShelf::find(const std::string& name) const {
+    const auto entry = std::ranges::find_if(entries_, [&](const Entry& e) { return e.facts.name == name; });
+    return entry == entries_.end() ? nullptr : &*entry;
+}
+
+}  // namespace relidar::serve

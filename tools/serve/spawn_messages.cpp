@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "spawn_messages.hpp"
+
+#include <relidar/edit.hpp>
+
+namespace relidar::serve {
+namespace {
+
+void write_size(const glm::dvec3& size_m, v1::Vector& message) {
+    message.set_x(size_m.x);
+    message.set_y(size_m.y);
+    message.set_z(size_m.z);
+}
+
+}  // namespace
+
+void write_asset(const AssetFacts& facts, v1::Asset& message) {
+    message.set_name(facts.name);
+    message.set_category(facts.category);
+    message.set_kind(name_of(facts.kind));
+    write_size(facts.size_m, *message.mutable_size_m());
+    message.set_score(facts.score());
+    message.set_seen(facts.seen);
+    message.set_nearest_m(facts.nearest_m);
+    message.set_surfels(facts.surfels);
+    message.set_sensor(facts.sensor);
+}
+
+void write_spawned(const SpawnedActors::Place& place, const Run& run, v1::SpawnedActor& message) {
+    message.set_name(place.actor.name);
+    if (place.actor.source.is_asset) message.set_asset(place.actor.source.name);
+    else message.set_actor(place.actor.source.name);
+    message.set_instance(std::uint32_t(run.scene.instances.size() + place.position));
+    write_size(place.actor.size_m, *message.mutable_size_m());
+    message.set_surfels(place.actor.surfels);
+}
+
+void write_sparse_actors(const RenderedScan& scan, const WantedScan& wanted, v1::LidarScan& message) {
+    const Pose dataset_from_sensor = wanted.request.dataset_from_sensor.at(scan.time_s);
+    for (const PlacedActor& actor : wanted.placed) {
+        const Pose dataset_from_actor = wanted.request.dataset_from_actor->at(actor.track).at(scan.time_s);
+        const Pose box_from_sensor = inverse(dataset_from_actor) * dataset_from_sensor;
+        const ActorDetail detail = actor_detail(scan.image.origin, scan.image.direction, box_from_sensor, actor.size_m, actor.surfels);
+        if (!detail.is_sparse()) continue;
+        v1::SparseActor& sparse = *message.add_sparse_actors();
+        sparse.set_name(actor.name);
+        sparse.set_distance_m(detail.nearest_m);
+        sparse.set_rays(detail.rays);
+        sparse.set_surfels(detail.surfels);
+    }
+}
+
+}  // namespace relidar::serve

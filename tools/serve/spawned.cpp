@@ -1,0 +1,124 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "spawned.hpp"
+
+#include <algorithm>
+#include <map>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "asset_shelf.hpp"
+#include "refusal.hpp"
+
+namespace relidar::serve {
+namespace {
+
+constexpr std::size_t kMostSpare = 8;   // places made at once: with image.sh_direction=surfel each has surfels of its own
+
+using SpawnedPlaces = std::vector<SpawnWish>;
+
+auto find_spawned(SpawnedPlaces& places, const std::string& name) { return std::ranges::find(places, name, &SpawnWish::name); }
+
+/// A free place of the same source; where there is none, the first of new ones.
+std::size_t free_place(SpawnedPlaces& places, const SpawnWish& wish) {
+    const auto is_free = [&](const SpawnWish& p) { return p.name.empty() && p.source == wish.source; };
+    const auto free = std::ranges::find_if(places, is_free);
+    if (free != places.end()) return std::size_t(free - places.begin());
+    const auto of_source = std::size_t(std::ranges::count(places, wish.source, &SpawnWish::source));
+    if (places.size() >= SpawnedActors::kMostPlaces)
+        throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
+                      fmt::format("spawning {}: found {} places of spawned actors in this scene, expected at most that many",
+                                  quoted(wish.name), places.size()));
+    const std::size_t first = places.size();
+    SpawnWish empty = wish;
+    empty.name.clear();
+    places.resize(std::min(first + std::clamp<std::size_t>(of_source, 1, kMostSpare), SpawnedActors::kMostPlaces), empty);
+    return first;
+}
+
+std::uint32_t model_of_actor(const Scene& scene, const std::string& track) {
+    const auto instance = std::ranges::find(scene.instances, track, &Instance::track);
+    if (instance == scene.instances.end()) throw DataError(fmt::format("spawning {}: the run has no such actor any more", track));
+    return instance->model;
+}
+
+/// Appends the model of an asset to a scene.
+std::uint32_t add_asset(Scene& scene, const std::filesystem::path& folder) {
+    const Run asset = load_run(folder);
+    const Model& model = asset.scene.models[model_of_actor(asset.scene, only_track(asset))];
+    scene.models.push_back({model.name, std::uint32_t(scene.surfels.size()), model.count, model.half_size_m});
+    scene.surfels.append(asset.scene.surfels.slice(model.first, model.count));
+    return std::uint32_t(scene.models.size() - 1);
+}
+
+}  // namespace
+
+std::vector<SpawnedActors::Place> SpawnedActors::places(std::size_t scene) const {
+    const std::lock_guard lock(mutex_);
+    std::vector<Place> all;
+    for (const SpawnWish& actor : scenes_[scene]) all.push_back({all.size(), actor});
+    return all;
+}
+
+std::vector<SpawnedActors::Place> SpawnedActors::taken(std::size_t scene) const {
+    std::vector<Place> all = places(scene);
+    std::erase_if(all, [](const Place& place) { return place.actor.name.empty(); });
+    return all;
+}
+
+std::size_t SpawnedActors::count_places(std::size_t scene) const {
+    const std::lock_guard lock(mutex_);
+    return scenes_[scene].size();
+}
+
+std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene, const std::vector<SpawnWish>& wishes) {
+    const std::lock_guard lock(mutex_);
+    SpawnedPlaces places = scenes_[scene];   // a copy: a refusal changes nothing
+    std::vector<Place> given;
+    for (const SpawnWish& wish : wishes) {
+        if (find_spawned(places, wish.name) != places.end())
+            throw Refusal(grpc::StatusCode::ALREADY_EXISTS,
+                          fmt::format("spawning {}: found an actor of that name, expected one that is free", quoted(wish.name)));
+        const std::size_t position = free_place(places, wish);
+        places[position] = wish;
+        given.push_back({position, wish});
+    }
+    scenes_[scene] = std::move(places);
+    return given;
+}
+
+void SpawnedActors::give_back(std::size_t scene, const std::vector<std::string>& names) {
+    const std::lock_guard lock(mutex_);
+    SpawnedPlaces places = scenes_[scene];
+    for (const std::string& name : names) {
+        const auto place = find_spawned(places, name);
+        if (name.empty() || place == places.end())
+            throw Refusal(grpc::StatusCode::NOT_FOUND,
+                          fmt::format("despawning {}: found no spawned actor of that name, expected one, once", quoted(name)));
+        place->name.clear();
+    }
+    scenes_[scene] = std::move(places);
+}
+
+void SpawnedActors::undo(std::size_t scene, const std::vector<Place>& places, std::size_t n_before) {
+    const std::lock_guard lock(mutex_);
+    for (const Place& place : places) scenes_[scene][place.position].name.clear();
+    scenes_[scene].resize(n_before);
+}
+
+std::string track_of_place(std::size_t position) { return fmt::format("\x01spawned {}", position); }
+
+void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetShelf& assets) {
+    std::map<std::string, std::uint32_t> models;   // of assets
+    for (const SpawnedActors::Place& place : places) {
+        const SpawnSource& source = place.actor.source;
+        std::uint32_t model = 0;
+        if (!source.is_asset) model = model_of_actor(run.scene, source.name);
+        else if (const auto known = models.find(source.name); known != models.end()) model = known->second;
+        else model = models[source.name] = add_asset(run.scene, assets.find(source.name)->folder);
+        run.scene.instances.push_back({model, track_of_place(place.position)});
+    }
+}
+
+}  // namespace relidar::serve
