@@ -22,7 +22,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 double elapsed_ms(Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); }
 
-constexpr int kRows = 64, kColumns = 1024;
+constexpr int kImageRows = 64, kImageColumns = 1024;
 
 /// An actor of some 4 m: the benchmark street made smaller.
 Surfels actor_surfels() {
@@ -57,7 +57,7 @@ std::vector<InstancePose> poses_at(int n_actors, int step) {
 BenchCase case_of_actors(int n_actors, bool own_models) {
     BenchCase bench;
     bench.name = fmt::format("{} actors", n_actors);
-    const RayTable table = make_benchmark_rays(kRows, kColumns, 2.0, -24.9);
+    const RayTable table = make_benchmark_rays(kImageRows, kImageColumns, 2.0, -24.9);
     bench.rows = table.rows;
     bench.columns = table.columns;
     bench.rays = {to_vector(table.origin), to_vector(table.direction)};

@@ -60,7 +60,7 @@ struct Row {
 };
 
 /// One row a kernel. Surfels met are those with a gradient: others need not be loaded.
-constexpr Row kRows[] = {
+constexpr Row kFloorRows[] = {
     {"scene/activate", When::always, [](const FloorSizes& s) { return s.n_surfels * (kGeometry + sh(s) + kRecord); }},
     {"accel/proxies", When::always, [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.boxes ? kBox : kCorners)); }},
     {"accel/build", When::software, build},
@@ -106,7 +106,7 @@ double seconds_of_copy(Device& device, std::size_t n_bytes) {
 
 std::map<std::string, double> floor_bytes(const FloorSizes& sizes) {
     std::map<std::string, double> bytes;
-    for (const Row& row : kRows)
+    for (const Row& row : kFloorRows)
         if (runs(row, sizes)) bytes[row.kernel] = row.bytes(sizes);
     return bytes;
 }
