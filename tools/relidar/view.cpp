@@ -34,6 +34,7 @@ struct Options {
 };
 
 constexpr std::chrono::milliseconds kPatience{50};   // between looks at whether the user has pressed Ctrl-C
+constexpr std::chrono::seconds kGoodbye{5};          // for tabs that read slowly what is on its way to them
 
 /// Where edited runs go. @throws DataError where it is no folder
 std::filesystem::path save_folder(const Options& options, const Run& run) {
@@ -77,6 +78,8 @@ void run_view(const Options& options) {
     if (!options.quiet) note(fmt::format("{}; Ctrl-C ends it", who));
     if (options.open) open_in_browser(server.url());
     while (!interrupted()) session.work(kPatience);
+    session.finish();
+    server.close(kGoodbye);
 }
 
 }  // namespace
