@@ -128,6 +128,8 @@ relidar_dependency(zstd APT libzstd-dev HEADER zstd.h LIBRARY zstd)
 if(RELIDAR_BUILD_TOOLS AND NOT RELIDAR_FOR_PACKAGE)
     relidar_dependency(cli11 APT libcli11-dev BUILD_ONLY PACKAGE CLI11 TARGETS CLI11::CLI11 HEADER CLI/CLI.hpp
         FETCH https://github.com/CLIUtils/CLI11.git v2.3.1 include)
+endif()
+if((RELIDAR_BUILD_TOOLS OR RELIDAR_FUZZ) AND NOT RELIDAR_FOR_PACKAGE)
     find_path(RELIDAR_beast_INCLUDE boost/beast/websocket/stream.hpp)
     if(RELIDAR_VIEW AND RELIDAR_beast_INCLUDE)
         relidar_dependency(beast APT libboost-dev BUILD_ONLY HEADER boost/beast/websocket/stream.hpp)
@@ -138,7 +140,7 @@ if(RELIDAR_BUILD_TOOLS AND NOT RELIDAR_FOR_PACKAGE)
 endif()
 
 # --- the service of the tool: left out where something of it is missing ------------------------------------------------
-if(RELIDAR_BUILD_TOOLS AND RELIDAR_SERVE AND NOT RELIDAR_FOR_PACKAGE)
+if((RELIDAR_BUILD_TOOLS OR RELIDAR_FUZZ) AND RELIDAR_SERVE AND NOT RELIDAR_FOR_PACKAGE)
     find_program(RELIDAR_PROTOC protoc)
     find_program(RELIDAR_GRPC_PLUGIN grpc_cpp_plugin)
     find_library(RELIDAR_REFLECTION_LIBRARY grpc++_reflection)

@@ -57,6 +57,8 @@ public:
         return text;
     }
 
+    bool at_end() const { return at_ == file_.size(); }
+
 private:
     const std::string& file_;
     std::size_t at_ = 0;
@@ -99,6 +101,32 @@ void read_channels(std::string_view bytes, Promise& promise) {
         promise.channels.push_back(name);
         if (promise.channels.size() > kMostChannels) throw DataError(fmt::format("more than {} channels", kMostChannels));
     }
+    if (!items.at_end()) throw DataError("its list of channels ends before the bytes that it is said to have");
+}
+
+/// Whether an attribute has the bytes that its type needs. OpenEXR reads these, whatever size is told, and would go on in the middle of
+/// something else: there it finds sizes that nobody has looked at.
+void check_layout(const std::string& name, const std::string& type, std::string_view bytes) {
+    static const std::map<std::string_view, std::size_t> kSizes = {
+        {"box2i", 16}, {"box2f", 16},   {"chromaticities", 32}, {"compression", 1}, {"deepImageState", 1}, {"double", 8},
+        {"envmap", 1}, {"float", 4},    {"int", 4},             {"keycode", 28},    {"lineOrder", 1},      {"m33d", 72},
+        {"m33f", 36},  {"m44d", 128},   {"m44f", 64},           {"rational", 8},    {"tiledesc", 9},       {"timecode", 8},
+        {"v2d", 16},   {"v2f", 8},      {"v2i", 8},             {"v3d", 24},        {"v3f", 12},           {"v3i", 12}};
+    if (const auto known = kSizes.find(type); known != kSizes.end() && known->second != bytes.size())
+        throw DataError(fmt::format("attribute '{}' of type '{}' has {} bytes, expected {}", excerpt(name), type, bytes.size(),
+                                    known->second));
+    if (type == "chlist") {
+        Promise of_others;
+        read_channels(bytes, of_others);
+    }
+    if (type == "stringvector") {
+        const std::string list(bytes);
+        for (Header items(list); !items.at_end();) {
+            const std::int32_t size = items.number();
+            if (size < 0) throw DataError(fmt::format("attribute '{}' has a text of {} bytes", excerpt(name), size));
+            items.bytes(std::size_t(size));
+        }
+    }
 }
 
 void check_kind(Header& header) {
@@ -121,8 +149,9 @@ Promise read_header(const std::string& file) {
         if (size < 0) throw DataError(fmt::format("attribute '{}' of {} bytes", excerpt(name), size));
         const std::string_view bytes = header.bytes(std::size_t(size));
         if (!seen.insert(name).second) throw DataError(fmt::format("attribute '{}' occurs twice", excerpt(name)));
-        if (type == "idmanifest" || type == "preview")   // they hold sizes of their own
+        if (type == "idmanifest" || type == "preview" || type == "bytes")   // they hold sizes of their own
             throw DataError(fmt::format("attribute '{}' of type '{}', expected none of that type", excerpt(name), type));
+        check_layout(name, type, bytes);
         if (name == "dataWindow") read_window(bytes, promise);
         if (name == "compression") read_compression(bytes, promise);
         if (name == "channels") read_channels(bytes, promise);

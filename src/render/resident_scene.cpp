@@ -11,6 +11,7 @@ namespace {
 
 constexpr double kSweep_m = 10.0;   // that a sensor may come along while it sweeps
 constexpr double kMiB = 1024.0 * 1024.0;
+constexpr std::ptrdiff_t kMostLaunches = 4096;   // of a kernel, as KernelTimes has it: a server loads blocks for as long as it runs
 
 double distance_to(const SceneBlock& block, const glm::vec3& point_m) {
     return double(glm::distance(point_m, glm::clamp(point_m, block.low_m, block.high_m)));
@@ -20,6 +21,7 @@ void add_times(KernelTimes& sum, const KernelTimes& times) {
     for (const auto& [kernel, milliseconds] : times.milliseconds) {
         std::vector<double>& all = sum.milliseconds[kernel];
         all.insert(all.end(), milliseconds.begin(), milliseconds.end());
+        if (std::ssize(all) > kMostLaunches) all.erase(all.begin(), all.end() - kMostLaunches);
     }
 }
 

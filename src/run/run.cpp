@@ -7,6 +7,7 @@
 #include <cstdlib>
 #include <system_error>
 
+#include <fcntl.h>
 #include <unistd.h>
 
 #include <fmt/format.h>
@@ -137,8 +138,9 @@ bool is_run(const fs::path& path) {
 
 void check_writable(const fs::path& folder) {
     make_folder(folder);
-    std::string probe = (folder / ".relidar-probe-XXXXXX").string();   // several processes may try at the same time
-    const int file = ::mkstemp(probe.data());
+    // several processes may try at the same time, and one that is killed here leaves what remove_temporaries() finds
+    const std::string probe = (folder / fmt::format(".probe.tmp-{}-0", ::getpid())).string();
+    const int file = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
     if (file < 0) throw DataError(fmt::format("writing into '{}': {}", folder.string(), std::generic_category().message(errno)));
     ::close(file);
     ::unlink(probe.c_str());

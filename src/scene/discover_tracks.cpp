@@ -209,7 +209,7 @@ std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vecto
     std::vector<BoxTrack> boxes;
     for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)   // two sweeps at one time would see a mover twice in a track
         add_movers(boxes, discovered_by(lidar, sequence, train_positions, options, progress, team));
-    std::ranges::stable_partition(boxes, [](const BoxTrack& box) { return !is_continued(box); });
+    std::stable_partition(boxes.begin(), boxes.end(), [](const BoxTrack& box) { return !is_continued(box); });
     int n = 0;
     for (BoxTrack& box : boxes)
         if (!is_continued(box)) box.id = fmt::format("mover-{}", n++);

@@ -259,6 +259,12 @@ TEST_F(ExrDamage, OfHeaders) {
     expect_bytes(window(8, -5), "20 x -4 pixels");
     expect_bytes(window(-4, 2147483647), "its header is cut short");
     expect_bytes(window(-4, -1), "attribute 'dataWindow' of -1 bytes");
+    expect_bytes(patched(bytes, "pixelAspectRatio", "float", -4, 8),
+                 "attribute 'pixelAspectRatio' of type 'float' has 8 bytes, expected 4");
+    std::int32_t list_bytes = 0;   // more are told than its channels take: OpenEXR would read on within it
+    const std::string list = std::string("channels") + '\0' + "chlist" + '\0';
+    std::memcpy(&list_bytes, bytes.data() + bytes.find(list) + list.size(), sizeof list_bytes);
+    expect_bytes(patched(bytes, "channels", "chlist", -4, list_bytes + 9), "its list of channels ends before the bytes");
     std::string other = bytes;
     other[5] = 0x02;
     expect_bytes(other, "an image of tiles");

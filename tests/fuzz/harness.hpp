@@ -28,6 +28,8 @@ std::vector<Harness> folder_harnesses();
 std::vector<Harness> argoverse2_harnesses();
 std::vector<Harness> nuscenes_harnesses();
 std::vector<Harness> sensor_harnesses();
+std::vector<Harness> run_harnesses();
+std::vector<Harness> request_harnesses();
 
 void put(const std::filesystem::path& file, std::string_view bytes);
 std::string contents(const std::filesystem::path& file);

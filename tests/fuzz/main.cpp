@@ -3,12 +3,14 @@
 // all.
 #include "harness.hpp"
 
+#include <atomic>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <fstream>
 #include <iterator>
 
+#include <sanitizer/allocator_interface.h>
 #include <unistd.h>
 
 #include <relidar/error.hpp>
@@ -20,10 +22,24 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kLongestMessage = 1000;   // paths included: those of the harnesses are short
 
+constexpr long long kMostBytes = 64ll << 20, kMostBytesPerByte = 10;   // that an input may take, at one time
+
+std::atomic<long long> bytes_held{0}, most_bytes_held{0};
+
+void on_malloc(const volatile void*, std::size_t n_bytes) {
+    const long long now = bytes_held += static_cast<long long>(n_bytes);
+    for (long long most = most_bytes_held; now > most && !most_bytes_held.compare_exchange_weak(most, now);) {
+    }
+}
+
+void on_free(const volatile void* bytes) {
+    if (bytes) bytes_held -= static_cast<long long>(__sanitizer_get_allocated_size(bytes));
+}
+
 std::vector<Harness> all_harnesses() {
     std::vector<Harness> all = array_harnesses();
     for (const auto& more : {text_harnesses(), drive_harnesses(), argoverse2_harnesses(), folder_harnesses(), nuscenes_harnesses(),
-                             sensor_harnesses(), waymo_harnesses()})
+                             sensor_harnesses(), waymo_harnesses(), run_harnesses(), request_harnesses()})
         all.insert(all.end(), more.begin(), more.end());
     return all;
 }
@@ -70,6 +86,13 @@ void initialise(const std::vector<std::string>& arguments) {
     if (!seeds.empty()) write_seeds(seeds);
 }
 
+void check_memory(std::size_t n_input) {
+    const long long most = kMostBytes + kMostBytesPerByte * static_cast<long long>(n_input);
+    if (most_bytes_held <= most) return;
+    std::fprintf(stderr, "ERROR: an input of %zu bytes took %lld bytes, expected at most %lld\n", n_input, most_bytes_held.load(), most);
+    std::abort();
+}
+
 void read(std::string_view input) {
     try {
         chosen.read(input, scratch_folder());
@@ -98,10 +121,13 @@ std::string contents(const fs::path& file) {
 
 extern "C" int LLVMFuzzerInitialize(int* argc, char*** argv) {
     relidar::fuzz::initialise({*argv, *argv + *argc});
+    __sanitizer_install_malloc_and_free_hooks(relidar::fuzz::on_malloc, relidar::fuzz::on_free);
     return 0;
 }
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+    relidar::fuzz::bytes_held = relidar::fuzz::most_bytes_held = 0;
     relidar::fuzz::read({reinterpret_cast<const char*>(data), size});
+    relidar::fuzz::check_memory(size);
     return 0;
 }

@@ -718,7 +718,9 @@ resuming() {
     says "^resume  from iteration $((total - 1))$"
     check "the damaged checkpoint is not named" grep -Eq "^relidar: note: reading safetensors .*$total.safetensors.*taking the checkpoint before" err
     exists stopped/checkpoints/iteration_*$((total + 2)).safetensors
+    mkdir anew && touch anew/.lock anew/.config.toml.tmp-1-0   # as a process leaves it that is killed while it writes its first file
     good train street --out anew --preset quick --set train.pose_register=false --set train.iterations=2 --no-eval --resume
+    absent anew/.config.toml.tmp-1-0
     check "a run without checkpoint starts anew without a word" grep -q "^relidar: note: anew holds no checkpoint" err
     bad 2 "has ended and left no checkpoint" train --resume anew --set train.iterations=4
     bad 3 "the intensity loss is|array parameters/sh: row" train street --out lost --quiet --preset quick --set train.pose_register=false --set train.sh_rate=1e39 --set train.log_every=1 --set train.checkpoint_every=1

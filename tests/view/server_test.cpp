@@ -316,6 +316,25 @@ TEST(ViewServer, SaysWhereItCannotListen) {
     EXPECT_EQ(random_token().size(), 32u);
 }
 
+TEST(ViewServer, ClosesOnceWhatWaitsHasBeenSent) {
+    Echo echo;
+    const int port = echo.port();
+    Socket socket(port), other(port);
+    socket.send(text_frame("hello"));
+    ASSERT_THAT(socket.receive(12), HasSubstr("echo hello"));
+    const std::string large(std::size_t(8) << 20, 'x');   // more than the system takes at once
+    echo.server.send_newest(echo.last, large);
+    auto closed = std::async(std::launch::async, [&] { echo.server.close(std::chrono::seconds(20)); });
+    const std::string received = socket.receive();
+    EXPECT_EQ(received.size(), 10 + large.size() + 2 + 2 + std::string("the program ends").size());   // a frame and a close frame
+    EXPECT_EQ(close_code(received), 1001);
+    EXPECT_EQ(close_code(other.receive()), 1001);
+    socket.abort();
+    other.abort();
+    EXPECT_EQ(closed.wait_for(std::chrono::seconds(10)), std::future_status::ready);
+    EXPECT_THROW(RawClient{port}, std::exception);   // nobody is let in any more
+}
+
 TEST(ViewServer, EndsAtOnceWhateverIsOpen) {
     auto echo = std::make_unique<Echo>();
     const Socket idle(echo->port());

@@ -30,11 +30,17 @@ namespace fs = std::filesystem;
 
 constexpr const char* kLockFile = ".lock";
 
-/// Nothing in it but what a process that was killed at once may have left. A folder that cannot be looked into is told when it is written.
+/// What a process that was killed at once may have left: its lock, which the system has let go, and half of a file.
+bool is_left_over(const fs::path& path) {
+    const std::string name = path.filename().string();
+    return name == kLockFile || (name.starts_with('.') && name.find(".tmp-") != std::string::npos);
+}
+
+/// Nothing in it but such. A folder that cannot be looked into is told when it is written.
 bool holds_nothing(const fs::path& folder) {
     std::error_code failed;
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed)) {
-        if (entry->path().filename() != kLockFile) return false;
+        if (!is_left_over(entry->path())) return false;
     }
     return true;
 }
@@ -48,6 +54,11 @@ void check_content(const fs::path& folder, Existing existing) {
     if (existing == Existing::refuse)
         throw UsageError(
             fmt::format("--out {}: the folder is not empty, expected a new one; --force overwrites the run in it", folder.string()));
+}
+
+/// What a killed process left half written in a folder that is locked now: of a run, its checkpoints too.
+void remove_half_written(const fs::path& folder) {
+    for (const fs::path& in : {folder, checkpoint_folder(folder), network_checkpoint_folder(folder)}) remove_temporaries(in);
 }
 
 /// Whether the name still leads to the file that is open: whoever let it go has removed it.
@@ -97,12 +108,14 @@ FolderLock::FolderLock(const fs::path& folder) : file_(folder / kLockFile) {
     if (!lock) throw DataError(fmt::format("{}: another relidar is writing this run, expected one at a time", folder.string()));
     descriptor_ = lock->descriptor;
     exclusive_ = lock->exclusive;
+    if (exclusive_) remove_half_written(folder);
 }
 
 std::unique_ptr<FolderLock> FolderLock::take_if_free(const fs::path& folder) {
     const fs::path file = folder / kLockFile;
     const std::optional<OpenLock> lock = open_locked(file);
     if (!lock) return nullptr;
+    if (lock->exclusive) remove_half_written(folder);
     return std::unique_ptr<FolderLock>(new FolderLock(file, lock->descriptor, lock->exclusive));
 }
 
@@ -138,8 +151,6 @@ void remove_run_files(const fs::path& folder) {
     std::error_code failed;
     for (const char* name : {"scene.json", "model.safetensors", "log.jsonl", "metrics.json", "report.html"})
         fs::remove(folder / name, failed);
-    remove_temporaries(folder);
-    remove_temporaries(checkpoint_folder(folder));
 }
 
 void remove_blocks(const fs::path& folder) {
@@ -154,7 +165,6 @@ fs::path checkpoint_folder(const fs::path& run) { return run / "checkpoints"; }
 fs::path network_checkpoint_folder(const fs::path& run) { return checkpoint_folder(run) / kRefineCheckpoints; }
 
 void remove_network_checkpoints(const fs::path& run) {
-    remove_temporaries(network_checkpoint_folder(run));
     remove_checkpoints(network_checkpoint_folder(run));
     std::error_code failed;
     fs::remove(checkpoint_folder(run), failed);   // refuses where the scene's are in it

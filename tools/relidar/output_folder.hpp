@@ -25,7 +25,7 @@ private:
 };
 
 /// One process at a time writes a folder. The system forgets a lock with the process that held it, however that ended; where a file system
-/// knows no locks, there is none.
+/// knows no locks, there is none. Whoever takes it removes what a killed process has left half written.
 class FolderLock {
 public:
     /// @throws DataError where another process holds it, or the folder cannot be written
@@ -75,8 +75,7 @@ private:
     std::optional<FolderLock> lock_;   ///< goes first: an empty folder can be removed
 };
 
-/// Removes the files of an earlier run but its settings and checkpoints, so that none is mistaken for one of this run, and what a killed
-/// one left half written.
+/// Removes the files of an earlier run but its settings and checkpoints, so that none is mistaken for one of this run.
 void remove_run_files(const std::filesystem::path& folder);
 /// Removes the blocks of a long scene, trained or begun.
 void remove_blocks(const std::filesystem::path& folder);
@@ -85,7 +84,7 @@ std::filesystem::path blocks_folder(const std::filesystem::path& run);
 /// Where a run keeps its checkpoints, and those of its ray-drop network.
 std::filesystem::path checkpoint_folder(const std::filesystem::path& run);
 std::filesystem::path network_checkpoint_folder(const std::filesystem::path& run);
-/// Removes those of the network, and what a killed process left half written.
+/// Removes those of the network.
 void remove_network_checkpoints(const std::filesystem::path& run);
 
 }  // namespace relidar::cli

@@ -60,7 +60,6 @@ void train_network(Device& device, Run& run, const RefineOptions& options, const
                                                        can_go_on ? "; continue with: " + resume_command(options) : ""));
     }
     save_run(run);
-    remove_network_checkpoints(run.folder);
 }
 
 /// Scores the held-out frames with the network or without.
@@ -69,6 +68,15 @@ Evaluation score(Device& device, Run run, bool refined, bool quiet) {
     ScanRenderer renderer(device, run);
     Progress progress(quiet);
     return evaluate_frames(renderer, with_lpips_weights(run.config), run.sequence, run.split.test, shown_until_interrupted(progress));
+}
+
+/// What the network is worth, told and written.
+void score_both(Device& device, const Run& run, const RefineOptions& options) {
+    const Evaluation before = score(device, run, false, options.quiet), after = score(device, run, true, options.quiet);
+    end_progress_line();
+    write_text(run.folder / "metrics.json",
+               metrics_json(after, run.config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
+    if (!options.quiet) print(metric_table(after, &before) + "\n\"baseline\" is without the network\n");
 }
 
 void run_refine(const RefineOptions& options) {
@@ -88,12 +96,8 @@ void run_refine(const RefineOptions& options) {
     else remove_network_checkpoints(run.folder);
 
     train_network(device, run, options, start ? &*start : nullptr);
-    if (options.no_eval || run.split.test.empty()) return;
-    const Evaluation before = score(device, run, false, options.quiet), after = score(device, run, true, options.quiet);
-    end_progress_line();
-    write_text(run.folder / "metrics.json",
-               metrics_json(after, run.config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
-    if (!options.quiet) print(metric_table(after, &before) + "\n\"baseline\" is without the network\n");
+    if (!options.no_eval && !run.split.test.empty()) score_both(device, run, options);
+    remove_network_checkpoints(run.folder);   // last: until then --resume has no step to do again, whenever this process is killed
 }
 
 }  // namespace

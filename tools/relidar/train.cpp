@@ -261,7 +261,8 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
         print("resume  behind the last iteration\n");
     }
     catch_interrupts();
-    if (config.refine.enabled && !has_network) refine_or_tell(device, run, options, stages);
+    if (has_network) remove_network_checkpoints(run.folder);   // where a process was killed just before it would have done so
+    else if (config.refine.enabled) refine_or_tell(device, run, options, stages);
     TrainResult result = logged_result(run.folder);
     result.peak_device_bytes = device.peak_bytes();
     finish(device, run, result, options, command_line, stages);

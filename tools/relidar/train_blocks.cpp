@@ -134,6 +134,7 @@ private:
         if (fs::is_regular_file(folder / "scene.json", failed)) {
             const Run trained = load_run(folder);
             check_frames(trained, log);
+            remove_checkpoints(checkpoint_folder(folder));   // where a process was killed just before it would have done so
             return false;
         }
         tell(k, log);
@@ -183,8 +184,6 @@ private:
         keep_own_surfels(part.scene, run_.sequence, blocks_, k);
         save_run(part);
         remove_checkpoints(checkpoint_folder(folder));
-        std::error_code failed;
-        fs::remove(checkpoint_folder(folder), failed);
     }
 
     TrainResult train(std::size_t k, const BlockLog& log, const fs::path& folder) const {

@@ -35,6 +35,7 @@ struct ViewOptions {
 };
 
 constexpr std::chrono::milliseconds kViewPatience{50};  // between looks at whether the user has pressed Ctrl-C
+constexpr std::chrono::seconds kGoodbye{5};              // for tabs that read slowly what is on its way to them
 
 /// Where edited runs go. @throws DataError where it is no folder
 std::filesystem::path save_folder(const ViewOptions& options, const Run& run) {
@@ -85,6 +86,8 @@ void run_view(const ViewOptions& options) {
     if (!options.quiet) note(fmt::format("{}; Ctrl-C ends it", who));
     if (options.open) open_in_browser(server.url());
     while (!interrupted()) session.work(kViewPatience);
+    session.finish();
+    server.close(kGoodbye);
 }
 
 }  // namespace

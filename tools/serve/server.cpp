@@ -7,6 +7,7 @@
 #include <optional>
 
 #include <fmt/format.h>
+#include <google/protobuf/stubs/common.h>
 #include <grpc/support/log.h>
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/grpcpp.h>
@@ -40,9 +41,14 @@ std::shared_ptr<grpc::ServerCredentials> credentials(const ServerOptions& option
     return grpc::SslServerCredentials(tls);
 }
 
-/// gRPC's own log goes to stderr in a form of its own; what matters of it is said by exceptions and statuses.
+/// gRPC's own log goes to stderr in a form of its own; what matters of it is said by exceptions and statuses. Protobuf has a line for each
+/// text of a client that is no UTF-8: whoever can connect could fill a disk.
 void silence_log() {
-    if (!std::getenv("GRPC_VERBOSITY")) gpr_set_log_function([](gpr_log_func_args*) {});
+    if (std::getenv("GRPC_VERBOSITY")) return;
+    gpr_set_log_function([](gpr_log_func_args*) {});
+#if GOOGLE_PROTOBUF_VERSION < 4022000   // from then on by absl, which says nothing unless it is asked to
+    google::protobuf::SetLogHandler(nullptr);
+#endif
 }
 
 std::uint64_t memory_bytes(const ServerOptions& options, const Device& device) {

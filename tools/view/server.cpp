@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server.hpp"
 
+#include <future>
 #include <random>
 #include <thread>
 
+#include <boost/asio/executor_work_guard.hpp>
 #include <boost/asio/ip/host_name.hpp>
 #include <boost/asio/post.hpp>
 #include <boost/asio/steady_timer.hpp>
@@ -22,6 +24,7 @@ using boost::asio::ip::tcp;
 using ErrorCode = boost::system::error_code;
 
 constexpr std::chrono::milliseconds kAcceptPause{50};   // where the system has no descriptor left
+constexpr std::chrono::milliseconds kCloseLook{5};      // between looks at who is still there
 
 boost::asio::ip::address parse_address(const std::string& text) {
     ErrorCode failed;
@@ -53,6 +56,8 @@ std::string machine_name() {
 
 struct Server::Impl {
     Hub hub;
+    /// The thread goes on where close() has left nothing to do.
+    boost::asio::executor_work_guard<boost::asio::io_context::executor_type> busy = boost::asio::make_work_guard(hub.io);
     tcp::acceptor acceptor;
     boost::asio::steady_timer pause;
     std::thread thread = {};
@@ -64,9 +69,12 @@ struct Server::Impl {
 
     void accept() {
         acceptor.async_accept([this](ErrorCode failed, tcp::socket socket) {
+            if (!acceptor.is_open()) return;   // close() was called
             if (failed) {
                 pause.expires_after(kAcceptPause);
-                pause.async_wait([this](ErrorCode) { accept(); });
+                pause.async_wait([this](ErrorCode) {
+                    if (acceptor.is_open()) accept();
+                });
                 return;
             }
             const bool has_room = hub.n_connections < hub.options.max_connections;
@@ -89,6 +97,22 @@ struct Server::Impl {
 Server::Server(const ServerOptions& options, Events events) : impl_(new Impl(options, std::move(events))) {
     impl_->accept();
     impl_->thread = std::thread([&impl = *impl_] { impl.hub.io.run(); });
+}
+
+void Server::close(std::chrono::milliseconds patience) {
+    const auto end = std::chrono::steady_clock::now() + patience;
+    boost::asio::post(impl_->hub.io, [&impl = *impl_] {
+        ErrorCode ignored;
+        impl.acceptor.close(ignored);
+        const auto clients = impl.hub.clients;   // one that leaves at once changes the hub's
+        for (const auto& [id, client] : clients)
+            if (const auto session = client.lock()) session->leave();
+    });
+    for (bool all_gone = false; !all_gone && std::chrono::steady_clock::now() < end; std::this_thread::sleep_for(kCloseLook)) {
+        std::promise<bool> none;
+        boost::asio::post(impl_->hub.io, [&] { none.set_value(impl_->hub.clients.empty()); });
+        all_gone = none.get_future().get();
+    }
 }
 
 Server::~Server() {

@@ -54,7 +54,7 @@ class Server {
 public:
     /// Listens and answers from now on. @throws UsageError for an address or port that cannot be had
     Server(const ServerOptions& options, Events events);
-    /// Closes every connection at once.
+    /// Closes every connection at once; close() before it does so in order.
     ~Server();
     Server(const Server&) = delete;
     Server& operator=(const Server&) = delete;
@@ -67,6 +67,8 @@ public:
     void send_text(ClientId client, std::string text);
     /// Where an earlier one still waits to be sent, this one takes its place: of pictures only the newest matters.
     void send_newest(ClientId client, std::string bytes);
+    /// Lets nobody in any more, and closes each WebSocket once what waits for it has been sent. Waits for that, for so long at most.
+    void close(std::chrono::milliseconds patience);
 
 private:
     struct Impl;

@@ -31,6 +31,7 @@ Session::Session(Run run, OtherRuns others, Device& device, std::filesystem::pat
 
 void Session::open(TabId tab) {
     const std::lock_guard lock(mutex_);
+    if (deaf_) return;
     tabs_[tab] = std::make_shared<Tab>();
     arrived_.notify_one();
 }
@@ -54,7 +55,7 @@ void Session::receive(TabId id, const std::string& message) {
     }
     const std::lock_guard lock(mutex_);
     const auto found = tabs_.find(id);
-    if (found == tabs_.end()) return;
+    if (found == tabs_.end() || deaf_) return;
     Tab& tab = *found->second;
     if (request && std::holds_alternative<ScanWish>(*request)) tab.scan = std::get<ScanWish>(std::move(*request));
     else if (request && tab.others.size() < kMaxWaiting) tab.others.push_back(std::move(*request));
@@ -116,9 +117,18 @@ std::optional<Session::Job> Session::next_job(std::chrono::milliseconds patience
     return job;
 }
 
-void Session::work(std::chrono::milliseconds patience) {
+void Session::finish() {
+    {
+        const std::lock_guard lock(mutex_);
+        deaf_ = true;
+    }
+    while (work(std::chrono::milliseconds(0))) {
+    }
+}
+
+bool Session::work(std::chrono::milliseconds patience) {
     const std::optional<Job> job = next_job(patience);
-    if (!job) return;
+    if (!job) return false;
     try {
         job->run();
     } catch (const DeviceError&) {
@@ -126,6 +136,7 @@ void Session::work(std::chrono::milliseconds patience) {
     } catch (const Error& error) {
         refuse(job->id, job->about, error.what());
     }
+    return true;
 }
 
 Json Session::answer(TabCache& cache, const Request& request) const {

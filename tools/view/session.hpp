@@ -39,8 +39,11 @@ public:
     void close(TabId tab);
     void receive(TabId tab, const std::string& message);
 
-    /// Does one thing that a tab waits for, if one comes within `patience`. @throws DeviceError where the device has failed
-    void work(std::chrono::milliseconds patience);
+    /// Does one thing that a tab waits for, if one comes within `patience`. @return whether one came
+    /// @throws DeviceError where the device has failed
+    bool work(std::chrono::milliseconds patience);
+    /// Hears nobody any more, and does all that tabs wait for now. @throws DeviceError
+    void finish();
 
 private:
     struct Tab {
@@ -70,6 +73,7 @@ private:
     std::condition_variable arrived_;
     std::map<TabId, std::shared_ptr<Tab>> tabs_;
     TabId last_served_ = 0;
+    bool deaf_ = false;   ///< finish() was called
 };
 
 }  // namespace relidar::view

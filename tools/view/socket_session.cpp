@@ -71,6 +71,17 @@ void SocketSession::on_written(Error failed) {
     outgoing_.pop_front();
     if (refused_) return refuse();
     if (!outgoing_.empty()) write();
+    else if (leaving_) say_goodbye(websocket::close_code::going_away, "the program ends");
+}
+
+void SocketSession::leave() {
+    leaving_ = true;
+    if (id_ != 0 && outgoing_.empty()) say_goodbye(websocket::close_code::going_away, "the program ends");
+}
+
+void SocketSession::say_goodbye(std::uint16_t code, const char* why) {
+    if (std::exchange(said_goodbye_, true)) return;
+    stream_.async_close({websocket::close_code(code), why}, [self = shared_from_this()](Error) { self->finish(); });
 }
 
 /// Ends the conversation with one who sends what is not understood, once nothing is being written.
@@ -80,7 +91,7 @@ void SocketSession::refuse() {
         outgoing_.erase(outgoing_.begin() + 1, outgoing_.end());
         return;
     }
-    stream_.async_close({websocket::close_code::unknown_data, "text is expected"}, [self = shared_from_this()](Error) { self->finish(); });
+    say_goodbye(websocket::close_code::unknown_data, "text is expected");
 }
 
 void SocketSession::finish() {

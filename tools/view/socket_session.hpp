@@ -2,6 +2,7 @@
 // One WebSocket: texts come in, texts and binary messages go out, one write at a time. Private to the server.
 #pragma once
 
+#include <cstdint>
 #include <deque>
 #include <memory>
 #include <string>
@@ -22,6 +23,8 @@ public:
     /// Answers the handshake, then reads until the client goes.
     void start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade);
     void send(std::string bytes, bool is_text, bool newest_only);
+    /// Closes once what waits has been sent.
+    void leave();
 
 private:
     struct Message {
@@ -36,6 +39,7 @@ private:
     void write();
     void on_written(Error failed);
     void refuse();
+    void say_goodbye(std::uint16_t code, const char* why);
     void finish();
 
     Hub& hub_;
@@ -45,6 +49,8 @@ private:
     std::deque<Message> outgoing_;   ///< the first is being written
     ClientId id_ = 0;                ///< 0 before the handshake and after the end
     bool refused_ = false;
+    bool leaving_ = false;
+    bool said_goodbye_ = false;
 };
 
 }  // namespace relidar::view

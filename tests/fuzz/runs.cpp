@@ -1,0 +1,70 @@
+// SPDX-License-Identifier: Apache-2.0
+// Files of a run beside its scene: where the log has looked, where its heads pointed, the ray-drop network.
+#include "harness.hpp"
+
+#include <cstdlib>
+
+#include <relidar/run.hpp>
+
+#include "run/coverage_file.hpp"
+#include "run/example_run.hpp"
+#include "run/sweeps_file.hpp"
+
+namespace relidar::fuzz {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::vector<std::string> coverage_seeds(const fs::path& folder) {
+    Coverage coverage;
+    coverage.add(glm::dvec3(-9.5, 0.25, 1.5), glm::dvec3(20.0, -3.0, 2.0));
+    run_detail::save_coverage(folder / "seed", coverage);
+    return {contents(folder / "seed")};
+}
+
+/// Wherever its blocks are, ways through them have a share between 0 and 1.
+void read_coverage(std::string_view input, const fs::path& folder) {
+    put(folder / "input", input);
+    Coverage coverage = run_detail::load_coverage(folder / "input");
+    coverage.add(Coverage(coverage));
+    for (const Coverage::Block& block : coverage.blocks()) {
+        const glm::dvec3 corner = glm::dvec3(block.place) * (Coverage::kCell_m * Coverage::kBlockCells);
+        const double share = coverage.share(corner, corner + glm::dvec3(3.0, 20.0, -7.0));
+        if (!(share >= 0.0 && share <= 1.0)) std::abort();
+    }
+}
+
+std::vector<std::string> sweeps_seeds(const fs::path& folder) {
+    run_detail::save_sweeps(folder / "seed", example_run(folder).sequence);
+    return {contents(folder / "seed")};
+}
+
+void read_sweeps(std::string_view input, const fs::path& folder) {
+    put(folder / "input", input);
+    Sequence sequence = example_run(folder).sequence;
+    run_detail::load_sweeps(folder / "input", sequence);
+}
+
+std::vector<std::string> network_seeds(const fs::path& folder) {
+    DropNetwork network;
+    network.inputs = {"range", "drop"};
+    network.widths = {4, 8};
+    network.normalisation = {1.0f, 0.0f, 0.5f, -0.25f};
+    network.parameters.assign(40, 0.125f);
+    network.running = {0.0f, 1.0f};
+    save_drop_network(folder / "seed", network);
+    return {contents(folder / "seed")};
+}
+
+void read_network(std::string_view input, const fs::path& folder) {
+    put(folder / "input", input);
+    load_drop_network(folder / "input");
+}
+
+}  // namespace
+
+std::vector<Harness> run_harnesses() {
+    return {{"coverage", coverage_seeds, read_coverage}, {"sweeps", sweeps_seeds, read_sweeps}, {"network", network_seeds, read_network}};
+}
+
+}  // namespace relidar::fuzz
