@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <limits>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -86,6 +87,7 @@ struct AssetFacts {
     std::array<double, kBoxSides> seen_sides{};   ///< share of each side that rays of the log have met
     double seen = 0.0;           ///< share of all of them, by area
     double completed = 0.0;      ///< share that the mirror image of what was seen stands in for
+    double clearance_m = 0.0;    ///< of the bottom of its box above the ground it drove on (ground_clearance())
     double nearest_m = 0.0;      ///< range from which it was seen at the nearest
     std::size_t surfels = 0;
     std::size_t mirrored = 0;    ///< of them, of the other side
@@ -111,6 +113,8 @@ Surfels mirrored_left_right(Surfels surfels);
 void save_asset(Asset asset, const std::filesystem::path& folder);
 /// What asset.json of a folder says. @throws DataError where it is missing or malformed
 AssetFacts read_asset_facts(const std::filesystem::path& folder);
+/// AssetFacts::clearance_m of a run that is an asset; nothing of another run.
+std::optional<double> asset_clearance(const Run& run);
 /// The folders of all assets in a folder, by name. @throws DataError where there is none
 std::vector<std::filesystem::path> asset_folders(const std::filesystem::path& folder);
 

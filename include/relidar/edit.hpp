@@ -26,6 +26,8 @@ struct GroundPlace {
     glm::dvec2 dataset_m{0.0};              ///< [2] x, y of the box's centre in the dataset's world
     std::optional<double> yaw_rad = {};     ///< in the dataset's world; none: as the log's vehicle drove where it came nearest
     double speed_mps = 0.0;
+    /// how far the bottom of the actor's box is above the ground; none: as ground_clearance() finds it, or 0
+    std::optional<double> clearance_m = {};
 };
 
 /// A scene and its log that are looked at alone.
@@ -33,6 +35,10 @@ struct DrivingView {
     const Scene& scene;
     const Sequence& sequence;
 };
+
+/// How far the bottom of an actor's box is above the ground below it, metres, in the middle of its track: boxes of many labels begin above
+/// the road. @return nothing where its own scene has no ground below it @throws UsageError as start_on_ground()
+std::optional<double> ground_clearance(const DrivingView& owner, const std::string& track);
 
 /// Where an actor stands on the background's surface: tilted as the plane of the level surfels below its box is, and as high above that
 /// plane as it was above the ground where its own scene has it, since boxes of many labels begin above the road (without ground there:

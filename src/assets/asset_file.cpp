@@ -37,6 +37,7 @@ std::string facts_to_json(const AssetFacts& facts) {
                                          {"seen", facts.seen},
                                          {"seen_sides", sides},
                                          {"completed", facts.completed},
+                                         {"clearance_m", facts.clearance_m},
                                          {"nearest_m", facts.nearest_m},
                                          {"surfels", facts.surfels},
                                          {"mirrored_surfels", facts.mirrored}};
@@ -77,10 +78,16 @@ AssetFacts read_asset_facts(const fs::path& folder) {
     for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = root.at("seen_sides").at(name_of(BoxSide(s))).number(0.0, 1.0);
     facts.seen = root.at("seen").number(0.0, 1.0);
     facts.completed = root.at("completed").number(0.0, 1.0);
+    facts.clearance_m = root.at("clearance_m").number(-kAssetMost, kAssetMost);
     facts.nearest_m = root.at("nearest_m").number(0.0, kAssetMost);
     facts.surfels = std::size_t(root.at("surfels").integer(0, std::int64_t(kAssetMost)));
     facts.mirrored = std::size_t(root.at("mirrored_surfels").integer(0, std::int64_t(kAssetMost)));
     return facts;
+}
+
+std::optional<double> asset_clearance(const Run& run) {
+    if (run.folder.empty() || !path_exists(run.folder / kAssetFile)) return {};
+    return read_asset_facts(run.folder).clearance_m;
 }
 
 std::vector<fs::path> asset_folders(const fs::path& folder) {

@@ -108,6 +108,7 @@ Asset make_asset(const Run& run, const std::string& track, const ActorSightings&
     for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = surface.seen(BoxSide(s));
     facts.seen = surface.seen();
     facts.nearest_m = sightings.nearest_m;
+    facts.clearance_m = ground_clearance({run.scene, run.sequence}, track).value_or(0.0);
 
     Model& model = alone.scene.models[1];
     Surfels& surfels = alone.scene.surfels;

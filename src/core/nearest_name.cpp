@@ -35,9 +35,9 @@ bool contains(std::string_view whole, std::string_view part) {
     return part.size() >= 3 && std::search(whole.begin(), whole.end(), part.begin(), part.end(), same_letter) != whole.end();
 }
 
-/// A third of the letters may be wrong, or a part may be missing.
+/// Two letters of five may be wrong, or a part may be missing.
 bool resemble(std::string_view wanted, std::string_view name) {
-    const std::size_t most = std::max<std::size_t>(1, std::max(wanted.size(), name.size()) / 3);
+    const std::size_t most = std::max<std::size_t>(1, 2 * std::max(wanted.size(), name.size()) / 5);
     return edit_distance(wanted, name) <= most || contains(wanted, name) || contains(name, wanted);
 }
 

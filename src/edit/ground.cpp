@@ -178,8 +178,18 @@ const BoxTrack& box_of_actor(const DrivingView& owner, const std::string& track)
     return *std::ranges::find_if(owner.sequence.boxes, [&](const BoxTrack& b) { return b.id == track; });
 }
 
-/// How far the bottom of an actor's box is above the ground below it, the middle of some places of its track; 0 where none has ground.
-double clearance_m(const DrivingView& owner, const BoxTrack& box) {
+/// A rotation that faces in a direction on a plane.
+glm::dquat facing_on(const GroundPlane& plane, double yaw_rad) {
+    const glm::dvec2 level(std::cos(yaw_rad), std::sin(yaw_rad));
+    const double climb = -(plane.normal.x * level.x + plane.normal.y * level.y) / plane.normal.z;
+    const glm::dvec3 ahead = glm::normalize(glm::dvec3(level, climb));
+    return glm::normalize(glm::quat_cast(glm::dmat3(ahead, glm::cross(plane.normal, ahead), plane.normal)));
+}
+
+}  // namespace
+
+std::optional<double> ground_clearance(const DrivingView& owner, const std::string& track) {
+    const BoxTrack& box = box_of_actor(owner, track);
     std::vector<glm::dvec2> places;
     const std::vector<Pose>& poses = box.world_from_box.pose;
     const std::size_t step = std::max<std::size_t>(1, poses.size() / kOwnPlaces);
@@ -191,20 +201,10 @@ double clearance_m(const DrivingView& owner, const BoxTrack& box) {
         const std::optional<GroundPlane> plane = surfels.below(footprint_of(pose.translation, heading_of(pose), box.size_m));
         if (plane) found.push_back(plane->above(pose.translation) - 0.5 * box.size_m.z);
     }
-    if (found.empty()) return 0.0;
+    if (found.empty()) return {};
     std::ranges::nth_element(found, found.begin() + std::ptrdiff_t(found.size() / 2));
     return found[found.size() / 2];
 }
-
-/// A rotation that faces in a direction on a plane.
-glm::dquat facing_on(const GroundPlane& plane, double yaw_rad) {
-    const glm::dvec2 level(std::cos(yaw_rad), std::sin(yaw_rad));
-    const double climb = -(plane.normal.x * level.x + plane.normal.y * level.y) / plane.normal.z;
-    const glm::dvec3 ahead = glm::normalize(glm::dvec3(level, climb));
-    return glm::normalize(glm::quat_cast(glm::dmat3(ahead, glm::cross(plane.normal, ahead), plane.normal)));
-}
-
-}  // namespace
 
 Start start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner, const std::string& track) {
     const BoxTrack& box = box_of_actor(owner, track);
@@ -217,7 +217,8 @@ Start start_on_ground(const DrivingView& driving, const GroundPlace& place, cons
         throw UsageError(fmt::format("placing {} on the ground at {:.6g},{:.6g} of the dataset's world: found no surface of the background "
                                      "below its box ({}), expected a place that the log has seen",
                                      track, place.dataset_m.x, place.dataset_m.y, surfels.nearest(xy)));
-    const double above_m = 0.5 * box.size_m.z + clearance_m(owner, box);
+    const std::optional<double> clearance_m = place.clearance_m ? place.clearance_m : ground_clearance(owner, track);
+    const double above_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);
     const glm::dvec3 centre_m(xy, plane->height_at(xy) + above_m / plane->normal.z);
     return {{facing_on(*plane, yaw_rad), centre_m + offset_m}, place.speed_mps};
 }

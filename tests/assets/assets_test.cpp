@@ -114,7 +114,10 @@ class AssetFiles : public TemporaryFolder {};
 
 TEST_F(AssetFiles, SayAgainWhatTheyWereTold) {
     Asset asset = make_asset(run_of(plates(), kAhead), "7", from_outside({{-1.95f, 0.0f, 0.2f}, {0.1f, 0.95f, 0.3f}}, 8.25));
+    asset.facts.clearance_m = 0.15;
     save_asset(asset, folder / "car-7");
+    EXPECT_EQ(asset_clearance(load_run(folder / "car-7")), 0.15);
+    EXPECT_FALSE(asset_clearance(run_of(plates(), kAhead)));
     ASSERT_EQ(asset_folders(folder), std::vector<std::filesystem::path>{folder / "car-7"});
     const AssetFacts found = read_asset_facts(folder / "car-7");
     EXPECT_EQ(found.name, "car-7");

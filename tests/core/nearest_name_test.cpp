@@ -11,6 +11,7 @@ const std::vector<std::string> kPresets{"paper", "released", "default", "quick"}
 TEST(DidYouMean, NamesWhatIsSpelledAlmostAlike) {
     EXPECT_EQ(did_you_mean("quik", kPresets), ", did you mean quick?");
     EXPECT_EQ(did_you_mean("PAPR", kPresets, "'"), ", did you mean 'paper'?");
+    EXPECT_EQ(did_you_mean("trian", {"render", "train"}), ", did you mean train?");
     EXPECT_EQ(did_you_mean("defualt", kPresets, "\""), ", did you mean \"default\"?");
     EXPECT_EQ(did_you_mean("iterations", {"train.iterations", "train.interval"}), ", did you mean train.iterations?") << "a part is missing";
     EXPECT_EQ(did_you_mean("azimuth_ofset_deg", {"azimuth", "azimuth_offset_deg"}), ", did you mean azimuth_offset_deg?") << "the nearest";

@@ -88,6 +88,21 @@ TEST(Ground, GivesHeightAndTiltOfASlope) {
     expect_on_slope(placed(d, 6.0, 3.0), 6.0, 3.0, 0.3);   // as the log's vehicle drives
 }
 
+TEST(Ground, IsAsFarBelowAnActorAsItIsKnownToBe) {
+    const DrivingScene d = slope();
+    const DrivingScene alone = keep_actors(d);   // an asset has no ground of its own
+    EXPECT_NEAR(ground_clearance({d.scene, d.sequence}, "van").value_or(-1.0), 0.2, 0.02);
+    EXPECT_FALSE(ground_clearance({alone.scene, alone.sequence}, "van"));
+    EXPECT_THROW(ground_clearance({d.scene, d.sequence}, "nobody"), UsageError);
+    for (const double clearance_m : {0.0, 0.5}) {
+        GroundPlace place{{6.0 + kWorldOffset_m.x, 3.0 + kWorldOffset_m.y}, 0.0};
+        place.clearance_m = clearance_m;
+        const Start start = start_on_ground({d.scene, d.sequence}, place, {alone.scene, alone.sequence}, "van");
+        const glm::dvec3 above = start.dataset_from_box.translation - kWorldOffset_m - glm::dvec3(6.0, 3.0, slope_height(6.0, 3.0));
+        EXPECT_NEAR(glm::dot(kSlopeNormal, above), 0.8 + clearance_m, 0.02);
+    }
+}
+
 TEST(Ground, IsNeitherARoofNorAWallNorWhatIsFaint) {
     DrivingScene d = slope();
     Surfels others;

@@ -291,7 +291,7 @@ rendering() {
     bad 2 "no frame of run lies in it" render run --out x --frames 100:200
     bad 2 'format: found "npy", did you mean npz' render run --out x --format npy
     bad 2 "offset: found 2 numbers" render run --out x --offset 1,2
-    bad 2 'format: found "", did you mean' render run --out x --format npz,
+    bad 2 'format: found "" \(known: npz' render run --out x --format npz,
     bad 2 "offset: found 1e[+]?30 in .*between -10000 and 10000" render run --out x --offset 1e30,0,0,0
     bad 2 "offset: found a turn of 1000000000 in" render run --out x --offset 0,0,0,1e9
     bad 2 'lidar: found "rear", expected none: the log has one LiDAR' render run --out x --lidar rear
@@ -526,7 +526,7 @@ wrong_edits() {
     bad 2 'found the run that is edited' edit run --out ./run --remove 0
     bad 2 'removed: the folder is not empty' edit run --out removed --remove 0
     bad 3 'nowhere: no such folder' edit nowhere --out x --remove 0
-    bad 2 'found "cars", did you mean' render run --out x --only cars
+    bad 2 'found "cars" \(there are: background' render run --out x --only cars
     absent x
 }
 

@@ -110,7 +110,7 @@ def check_frames(plain, world, deskewed, scan):
     moved = np.abs(clouds[2] - clouds[0]).max()
     check(f"{deskewed}/{name}: moved by {moved} m, expected what a sensor drives in half a sweep", 0.01 < moved < 5)
     npz = np.load(f"{world}/{name}.npz")
-    check(f"{world}/{name}: frame", npz["frame"][()] == b"world" and npz["deskewed"] == 1)
+    check(f"{world}/{name}: frame", npz["frame"].item() == "world" and npz["deskewed"] == 1)
     check(f"{world}/{name}: origins", np.abs(npz["origin"] - pose[:3, 3]).max() < 5)
 
 

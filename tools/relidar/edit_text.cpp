@@ -61,16 +61,23 @@ std::optional<GroundPlace> ground_place(const TypedEdit& edit, const std::string
     return place;
 }
 
-/// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]" @param owner  the scene that has the actor
-Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScene& driving, const DrivingScene& owner,
-               const std::string& track) {
+/// An actor, and the scene that has it.
+struct OwnedActor {
+    const DrivingScene& owner;
+    const std::string& track;
+    std::optional<double> clearance_m;   ///< above the ground, where it is known
+};
+
+/// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]"
+Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScene& driving, const OwnedActor& actor) {
     const std::size_t colon = text.find(':');
     const double speed_mps = colon == std::string::npos ? 0.0 : numbers(edit, text.substr(colon + 1), 1, 1)[0];
     if (std::abs(speed_mps) > kFarOff_m) refuse(edit, "a speed in m/s");
     const std::string place = text.substr(0, colon);
     if (std::optional<GroundPlace> ground = ground_place(edit, place)) {
         ground->speed_mps = speed_mps;
-        return start_on_ground({driving.scene, driving.sequence}, *ground, {owner.scene, owner.sequence}, track);
+        ground->clearance_m = actor.clearance_m;
+        return start_on_ground({driving.scene, driving.sequence}, *ground, {actor.owner.scene, actor.owner.sequence}, actor.track);
     }
     const std::vector<double> pose = numbers(edit, place, 4, 6);
     if (pose.size() == 5) refuse(edit, form_of(edit));
@@ -125,7 +132,7 @@ AppliedEdit trajectory(DrivingScene driving, const TypedEdit& edit) {
 
 AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, place] = cut(edit, edit.value, edit.value.rfind('@'));
-    const Start start = start_of(edit, place, driving, driving, track);
+    const Start start = start_of(edit, place, driving, {driving, track, {}});
     driving = copy_track(std::move(driving), track, start);
     return {driving, fmt::format("copied {} as {}{}", track, last_track(driving), standing(start, place)), ""};
 }
@@ -137,7 +144,7 @@ AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
     const Run other = load_run(folder);
     const std::string track = named ? named_track : only_track(other);
     const DrivingScene owner = other.driving();
-    const Start start = start_of(edit, place, driving, owner, track);
+    const Start start = start_of(edit, place, driving, {owner, track, asset_clearance(other)});
     const SpinningSensor &theirs = other.sequence.lidars[0].sensor, &ours = driving.sequence.lidars[0].sensor;
     const bool same = theirs.name == ours.name && theirs.beams.size() == ours.beams.size();
     const std::string note = same ? ""

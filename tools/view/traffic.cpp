@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include <relidar/assets.hpp>
 #include <relidar/edit.hpp>
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
@@ -95,7 +96,8 @@ DrivingScene with_copies(DrivingScene driving, const OtherRuns& others, const st
 ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const GroundWish& wish) {
     const Run& owner = wish.from.empty() ? run : run_called(wish.from, others);
     const glm::dvec3& offset_m = run.sequence.world_offset_m;
-    const GroundPlace place{{wish.at[0] + offset_m.x, wish.at[1] + offset_m.y}};
+    GroundPlace place{{wish.at[0] + offset_m.x, wish.at[1] + offset_m.y}};
+    place.clearance_m = asset_clearance(owner);
     const Pose pose = start_on_ground({run.scene, run.sequence}, place, {owner.scene, owner.sequence}, wish.of).dataset_from_box;
     const glm::dvec3 p = pose.translation - offset_m, angles_deg = yaw_pitch_roll(pose.rotation) / kRadians;
     return {wish.of, wish.from, {p.x, p.y, p.z, angles_deg.x, angles_deg.y, angles_deg.z, 0.0}};
