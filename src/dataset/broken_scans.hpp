@@ -25,7 +25,7 @@ public:
         try {
             step();
         } catch (const DataError& error) {
-            if (!skip_) throw;
+            if (!skip_) throw DataError(std::string(error.what()) + kWayOut);
             add(i, error.what());
         }
     }
@@ -40,6 +40,8 @@ public:
     void leave_out(Sequence& sequence) const;
 
 private:
+    static constexpr const char* kWayOut = "; dataset.skip_broken=true leaves such scans out";
+
     const bool skip_;
     mutable std::mutex lock_;
     std::map<std::size_t, std::string> reasons_;

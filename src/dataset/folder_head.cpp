@@ -188,7 +188,7 @@ std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadL
     std::vector<HeadFrame> frames;
     for (std::size_t l = 0; l < lidars.size(); ++l) {
         int number = 0;
-        for (const fs::path& file : list_folder(folder / lidars[l].scans))
+        for (const fs::path& file : list_folder((folder / lidars[l].scans).lexically_normal()))
             if (is_point_file(file) || is_image_file(file)) {
                 frames.push_back({number, number / rate_hz, int(l), file});
                 ++number;
