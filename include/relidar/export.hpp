@@ -37,7 +37,8 @@ void write_text(const std::filesystem::path& path, const std::string& text);
 /// An n-dimensional array of an npz or safetensors file, row-major, little-endian.
 struct NamedArray {
     std::string name;
-    std::string dtype;                 ///< f4 f8 f2, i1 i2 i4 i8, u1 u2 u4 u8, b1, S<bytes>, U<letters> (npz alone): numpy's names without byte order
+    /// numpy's names without byte order: f4 f8 f2, i1 i2 i4 i8, u1 u2 u4 u8, b1; npz alone: S<bytes>, U<letters>
+    std::string dtype;
     std::vector<std::size_t> shape;
     std::vector<std::byte> bytes;
 

@@ -88,7 +88,7 @@ TEST_F(FolderDamage, OfTheHead) {
     expect("sequence.json", with("\"frames\": []"), "found frames and rate_hz");
     expect("sequence.json", replaced(head, "\"rate_hz\": 10, ", ""), "found neither frames nor rate_hz");
     expect("sequence.json", replaced(head, "10", "0"), "rate_hz: found 0");
-    expect("sequence.json", with("\"time_unit\": \"sec\""), "time_unit: found \"sec\", did you mean \"s\"?");
+    expect("sequence.json", with("\"time_unit\": \"sec\""), "time_unit: found \"sec\", expected one of: s, ms, us, ns");
     expect("sequence.json", with("\"lidars\": []"), "lidars: found no LiDAR");
     expect("sequence.json", with("\"lidars\": [{\"sensor\": \"VLP-61\"}]"), "VLP-16");
     expect("sequence.json", with("\"lidars\": [{\"sensor\": \"missing.csv\"}]"), "missing.csv");

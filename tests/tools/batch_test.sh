@@ -68,7 +68,7 @@ name = "a"'
     wrong 2 "wrong.toml: key jobs: unknown, did you mean job\?" '[[jobs]]'
     wrong 2 "wrong.toml:1: job a: key frame: unknown, did you mean frames\?" "$a
 frame = \"0:5\""
-    wrong 2 "wrong.toml:1: \[defaults\]: key log: unknown, did you mean out\?" '[defaults]
+    wrong 2 "wrong.toml:1: \[defaults\]: key log: unknown \(known: config, frames, out" '[defaults]
 log = "x"'
     wrong 2 "job a: key preset: found a TOML integer, expected a text in quotes" "$a
 preset = 5"
