@@ -120,8 +120,8 @@ function startAnew() {
 }
 
 /** What the address says; parts of another run, and those that nobody understands, are left out. */
-function restore() {
-  const { parts, wrong } = readAddress(location.hash);
+function restore(hash = location.hash) {
+  const { parts, wrong } = readAddress(hash);
   const isSame = parts.run === undefined || parts.run === hello.identity;
   const notes = wrong.length ? [`The address has parts that are left out: ${wrong.join('; ')}.`] : [];
   if (!isSame) notes.push('The address is of another run: its place, time and edits are left out.');
@@ -294,7 +294,8 @@ giveBackFocus(element('view'));
 DARK.addEventListener('change', show);
 new ResizeObserver(redraw).observe(element('view'));
 window.addEventListener('pagehide', writeHash);
-window.addEventListener('hashchange', () => { if (hello) settle(restore); });   // typed, or a link: replaceState() is none
+// Typed, or a link: replaceState() is none. Between the two writeHash() may have put back what the page shows.
+window.addEventListener('hashchange', ({ newURL }) => { if (hello) settle(() => restore(new URL(newURL).hash)); });
 window.addEventListener('beforeunload', (event) => {
   writeHash();
   if (!actors.isUnsaved) return;
