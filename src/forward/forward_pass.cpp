@@ -38,7 +38,7 @@ void ForwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
                       Array<shared::RenderedRay>& rendered, KeptHits* kept, RayGeometry* geometry) {
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered.size());
-    const std::size_t end = batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1;
+    [[maybe_unused]] const std::size_t end = batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1;
     RELIDAR_ASSERT_LE(end, batch.rays->size());
     RELIDAR_ASSERT_LE(batch.targets ? end : 0, batch.targets ? batch.targets->size() : 0);
     RELIDAR_ASSERT_LE(kept ? std::size_t(batch.n_rays) * kept->per_ray : 0, kept ? kept->hits.size() : 0);
