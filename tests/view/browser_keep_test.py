@@ -9,6 +9,7 @@ import pathlib
 import re
 import subprocess
 import sys
+from urllib.parse import unquote
 
 from browser_page import Page, Viewer, need, train_street   # before selenium: says what is missing
 from selenium.webdriver.common.action_chains import ActionChains
@@ -161,7 +162,8 @@ def survives_a_reload(page):
     page.click(".actor[data-track='1'] button:nth-of-type(3)")
     time_text = page.find("#time-text").text
     page.wait("the address to tell all", lambda: all(
-        part in page.driver.current_url for part in ("sensor=VLP-16", "place=0,1.5,0,20,0,0", "colour=instance", "camera=orbit", "edits=")))
+        part in unquote(page.driver.current_url)
+        for part in ("sensor=VLP-16", "place=0,1.5,0,20,0,0", "colour=instance", "camera=orbit", '"removed":["1"]')))
     page.driver.refresh()
     page.wait("points after a reload", lambda: page.points() > 5_000)
     page.wait("the edits after a reload", lambda: rows(page) == ["0", "1", "0-copy-1", "0-insert-1"])

@@ -38,10 +38,10 @@ export class Held {
 
   count(time) {
     for (const [key, held] of this.keys) {
-      const until = Math.min(time, held.until);
-      const seconds = (Math.max(0, until - held.done) * (this.isFast ? FASTER : 1)) / 1000;
+      const until = Math.max(held.from, Math.min(time, held.until));   // before `done` where a picture came between a key and its event
+      const seconds = ((until - held.done) * (this.isFast ? FASTER : 1)) / 1000;
       DIRECTIONS[key].forEach((way, i) => { this.moved[i] += way * SPEEDS[i] * seconds; });
-      held.done = Math.max(held.done, until);
+      held.done = until;
       if (held.until <= time) this.keys.delete(key);
     }
   }
