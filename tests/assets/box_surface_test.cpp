@@ -5,6 +5,8 @@
 
 #include <relidar/assets.hpp>
 
+#include <gtest/gtest.h>
+
 namespace relidar {
 namespace {
 
