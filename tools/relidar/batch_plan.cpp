@@ -14,7 +14,7 @@ namespace relidar::cli {
 namespace {
 
 namespace fs = std::filesystem;
-using PlanWords = std::vector<std::string>;
+using Words = std::vector<std::string>;
 using Places = std::vector<std::pair<std::string, std::string>>;   ///< what stands in braces, and what for
 
 /// A command that may be a step, and what it is always given, so that it may be called again where it was stopped half-way.
@@ -37,9 +37,9 @@ const StepCommand& find_step(const std::string& name) {
                                  did_you_mean(name, names), fmt::join(names, ", ")));
 }
 
-/// PlanWords of a command line: parted by blanks, but not within quotes, which go.
-PlanWords words_of(const std::string& text) {
-    PlanWords words;
+/// Words of a command line: parted by blanks, but not within quotes, which go.
+Words words_of(const std::string& text) {
+    Words words;
     bool inside = false;
     char quote = 0;   // the open one
     for (const char c : text) {
@@ -77,17 +77,17 @@ std::string filled(const std::string& text, const Places& places) {
     return result;
 }
 
-std::string as_text(const PlanWords& words) {
+std::string as_text(const Words& words) {
     std::string text;
     for (const std::string& word : words) text += (text.empty() ? "" : " ") + shell_word(word);
     return text;
 }
 
-void append(PlanWords& words, const PlanWords& more) { words.insert(words.end(), more.begin(), more.end()); }
+void append(Words& words, const Words& more) { words.insert(words.end(), more.begin(), more.end()); }
 
 /// With --resume, a training begins, goes on from its checkpoint, or does nothing where it is finished.
 JobCommand training(const BatchJob& job, const fs::path& run, const DeviceChoice& device) {
-    PlanWords words{"train", job.log};
+    Words words{"train", job.log};
     const std::pair<const char*, const std::string*> options[] = {
         {"--sequence", &job.sequence}, {"--frames", &job.frames}, {"--preset", &job.preset}, {"--config", &job.config}};
     for (const auto& [option, value] : options)
@@ -101,7 +101,7 @@ JobCommand training(const BatchJob& job, const fs::path& run, const DeviceChoice
 }
 
 JobCommand step(const std::string& text, const Places& places, const DeviceChoice& device) {
-    PlanWords words = words_of(text);
+    Words words = words_of(text);
     const StepCommand& command = find_step(words.empty() ? "" : words.front());
     for (std::string& word : words) word = filled(word, places);
     if (*command.again) words.emplace_back(command.again);

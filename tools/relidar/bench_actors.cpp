@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include "bench_case.hpp"
+#include "bench_measure.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
 #include <relidar/error.hpp>
@@ -20,7 +21,6 @@ namespace relidar::cli {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-double elapsed_ms(Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); }
 
 constexpr int kImageRows = 64, kImageColumns = 1024;
 
@@ -78,7 +78,7 @@ void measure_moves(Device& device, const BenchCase& bench, int repeat, ActorTime
     Clock::time_point start = Clock::now();
     accel.update(stream, on_device);
     stream.finish();
-    times.build_ms = elapsed_ms(start);
+    times.build_ms = ms_since(start);
     const std::uint64_t builds_before = accel.updates();
     std::vector<double> samples;
     for (int step = 1; step <= kWarmUp + repeat; ++step) {
@@ -88,7 +88,7 @@ void measure_moves(Device& device, const BenchCase& bench, int repeat, ActorTime
         on_device.place(stream, placed);
         accel.move(stream, on_device);
         stream.finish();
-        if (step > kWarmUp) samples.push_back(elapsed_ms(start));
+        if (step > kWarmUp) samples.push_back(ms_since(start));
     }
     times.move_ms = spread_of(samples);
     times.builds = accel.updates() - builds_before;

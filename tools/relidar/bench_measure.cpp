@@ -33,8 +33,6 @@ constexpr const char* kOrder[] = {"scene/activate",     "accel/proxies",  "accel
                                   "backward/sort",      "backward/trace", "backward/gather", "backward/gather_heads",
                                   "scene/activate_vjp", "optimizer/adam"};
 
-double ms_since(Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); }
-
 /// Row that a kernel counts in. Those of the software tree go together, under the names of the driver's builds; so do prefix sums and
 /// sorts.
 std::string row_of(const std::string& kernel, const std::string& phase) {
@@ -304,6 +302,8 @@ FloorSizes Bench::sizes(const BenchResult& result) {
 }
 
 }  // namespace
+
+double ms_since(Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); }
 
 Spread spread_of(std::vector<double> samples) {
     std::sort(samples.begin(), samples.end());

@@ -2,6 +2,7 @@
 // Times of every kernel of a training iteration, of a rebuild and of a moved instance, through the public faces alone.
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -25,6 +26,9 @@ struct Spread {
 };
 /// @param samples  [n] at least one
 Spread spread_of(std::vector<double> samples);
+
+/// Milliseconds that have passed.
+double ms_since(std::chrono::steady_clock::time_point start);
 
 /// All launches of one kernel, or of a group of kernels, in one repetition.
 struct BenchRow {
