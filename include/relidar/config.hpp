@@ -109,9 +109,7 @@ struct BlockConfig {
 struct RenderConfig {
     std::string range = "normalised";   ///< "expected" (D, paper), "normalised" (D / W), "median" or "mode": of range images
     bool follow_sweeps = false;         ///< the log's LiDAR, at the time of one of its sweeps, points where its head did
-    bool normals = false;               ///< normals of what rays meet are rendered too
-    bool spread = false;                ///< files tell range_spread() of each ray
-    bool seen = false;                  ///< RenderedScan::seen of each ray
+    std::string channels;               ///< that scans have beside the basic ones: names of optional_channels(), separated by commas
     std::string points = "median";      ///< range of the points of point clouds: "median", the dominant surface, or "range", as above
     int memory_mib = 1024;              ///< device memory for blocks of a long scene beyond those that a scan needs
 };

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include <relidar/channels.hpp>
 #include <relidar/config.hpp>
 #include <relidar/coverage.hpp>
 #include <relidar/gpu.hpp>
@@ -27,17 +28,14 @@ struct RenderedScan {
     std::vector<float> mean_range_m;    ///< [n] D / W along the ray, whatever render.range says; the median where T never crosses 0.5
     std::vector<float> weight;          ///< [n] accumulated alpha W
     std::vector<std::int32_t> instance; ///< [n] whose surface was met: index into Scene::instances, -1 where none was
-    /// [n] unit, of the surface that was met, towards the sensor; 0 where none was; empty without render.normals
-    std::vector<glm::vec3> normal;
     std::vector<float> time_offset_s;   ///< [n] firing time of each ray
-    std::vector<std::uint16_t> channel; ///< [n]
+    std::vector<std::uint16_t> ring;    ///< [n] number of the beam, 0 = highest
     std::vector<FurtherReturn> further = {};   ///< second returns with sensor.returns = 2; of the dominant surfaces
-    /// [n] share of each ray's way, to what it meets or to the end of its range, that rays of training scans have looked along (Coverage):
-    /// what lies beside it is extrapolated; empty without render.seen, and where the run does not know
-    std::vector<float> seen = {};
+    /// [n] each: those of config.render.channels, but for what the run does not know ("seen" without a Coverage), and what a caller adds of
+    /// his own, which goes through joins, grids, merges and into every output like the others
+    std::vector<ScanChannel> channels = {};
     /// share of the rays of which less than half of the way is seen, of all or of some thousand; nothing where the run does not know
     std::optional<double> unseen_share = {};
-    std::vector<float> surfel_drop_prob = {};  ///< [n] drop probability of the surfels alone, where a network has corrected the image's
     Pose world_from_sensor;             ///< at the reference time, in the dataset's world
     PoseTrack track;                    ///< of the sensor, in the dataset's world; a single pose where all rays were fired from it
     double time_s = 0.0;
@@ -78,7 +76,7 @@ struct SensorChoice {
     /// the rays are the nominal ones of that LiDAR: at the time of one of its sweeps they point where its head did (find_azimuth_shift()),
     /// unless it is driven (ScanRequest)
     bool follows_sweeps = false;
-    /// of the rays' channels, what these add to ranges and make of intensities; none: they measure what is there
+    /// of the rays' beams, what these add to ranges and make of intensities; none: they measure what is there
     std::vector<Beam> beams = {};
     std::optional<FixedPattern> pattern = {};   ///< of one that does not spin: when it faces what; without `rays`, those of each scan
     RangeLimits limits = {};         ///< of measured ranges
@@ -98,7 +96,9 @@ SensorChoice choose_sensor(const std::string& name_or_file, const Config& config
 SensorChoice sensor_choice(const SensorModel& sensor, int lidar = 0);
 
 /// Scans of a rig's sensors, taken together, as one without image order: rays in the frame of the rig, which is the sensor of the scan;
-/// channels are counted through. @param scans  at the same time @param rig_from_sensor [scans] as they were mounted
+/// rings are counted through; a channel that some scans have is `none` in the others. @param scans  at the same time
+/// @param rig_from_sensor [scans] as they were mounted
+/// @throws UsageError for channels of one name and two types
 RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vector<Pose>& rig_from_sensor);
 
 /// A scan to be taken, wherever its sensor was driven: by a file, or by a simulator that owns the traffic too. Poses are in the dataset's
@@ -116,7 +116,7 @@ struct ScanRequest {
 /// ShDirection::ray needs one copy alone.
 class ScanRenderer {
 public:
-    /// @throws UsageError for normals of 3D Gaussians, which have none
+    /// @throws UsageError for unknown channels, and for those of 3D Gaussians that are made of normals, which they do not have
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
     /// Uses the run's coverage, and its ray-drop network where it has one and config.refine.enabled says so.
     ScanRenderer(Device& device, const Run& run);
@@ -127,6 +127,9 @@ public:
     /// with image order, rows and columns enough, before it is binned into a grid; one of a grid's cells on images of that grid alone.
     /// @throws DataError where its arrays do not fit its shape
     void refine_drops(const DropNetwork& network);
+    /// Adds channels to every scan from now on, beside those of config.render.channels. @throws UsageError for an unknown one, and for one
+    /// that needs normals, which are traced for those of the config alone
+    void want_channels(const std::string& names);
     /// Says of every scan from now on what of it the log has seen (RenderedScan::unseen_share); an empty one: no longer.
     void compare_with(const Coverage& coverage);
     /// Whether scans of a sensor are refined.

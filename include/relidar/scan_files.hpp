@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include <relidar/channels.hpp>
 #include <relidar/config.hpp>
 #include <relidar/export.hpp>
 #include <relidar/math.hpp>
@@ -63,11 +64,11 @@ std::string topic_word(const std::string& name);
 
 /// Scans of one sensor, or of those of a rig that scan together, in one file for each kind that formats name, which appears when it is
 /// finished:
-///   mcap    scans.mcap for Foxglove: foxglove.PointCloud (x y z intensity time instance ring return) on each sensor's topic, /tf and
-///           /tf_static foxglove.FrameTransforms, /actors foxglove.SceneUpdate with a box each
-///   rosbag  rosbag.mcap, a bag of ROS 2: on each sensor's topic sensor_msgs/PointCloud2 (x y z intensity time ring), on TOPIC_xyzircaedt
-///           the same with Autoware's point type, in the sensor's frame alone; /tf, /tf_static, /odom nav_msgs/Odometry, /clock; /actors
-///           vision_msgs/Detection3DArray, /actors_autoware autoware_perception_msgs/TrackedObjects
+///   mcap    scans.mcap for Foxglove: foxglove.PointCloud (x y z intensity time instance ring return, channels) on each sensor's topic, /tf
+///           and /tf_static foxglove.FrameTransforms, /actors foxglove.SceneUpdate with a box each
+///   rosbag  rosbag.mcap, a bag of ROS 2: on each sensor's topic sensor_msgs/PointCloud2 (x y z intensity time ring, channels), on
+///           TOPIC_xyzircaedt the same with Autoware's point type, in the sensor's frame alone; /tf, /tf_static, /odom nav_msgs/Odometry,
+///           /clock; /actors vision_msgs/Detection3DArray, /actors_autoware autoware_perception_msgs/TrackedObjects
 /// Frames are world -> base_link, the log's vehicle, on /tf, every 10 ms of a sweep and wherever its path has a pose; and base_link -> each
 /// sensor on /tf_static. A cloud's stamp is that of its first ray, times of points count from there. A point in the sensor's frame at its
 /// own time comes to the world by the transforms of that time; with ScanFormat::deskew by those of the stamp. Actors are where they are at
@@ -91,16 +92,16 @@ private:
 
 /// Scans of one sensor written one by one into a folder, and scans.json, which says what they are. Files of one scan are
 /// FOLDER/frame_000123.<format>:
-///   npz  range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin, and with render.normals
-///        normals [rows,columns,3], with render.spread spread [rows,columns], metres, see range_spread(), with render.seen seen
-///        [rows,columns], see RenderedScan, with sensor.returns = 2 range_2, intensity_2 [rows,columns], 0 where there is no second return;
+///   npz  range, median_range, intensity, drop_prob, weight, time, ring [rows,columns], instance [rows,columns] int32, -1 where nothing was
+///        met, and instance_names [instances] its meaning, texts; directions, origin [rows,columns,3];
+///        with sensor.returns = 2 range_2, intensity_2 [rows,columns], 0 where there is no second return;
+///        each of RenderedScan::channels by its name, [rows,columns] or of vectors [rows,columns,3];
 ///        unseen, RenderedScan::unseen_share where it is known;
-///        instance [rows,columns] int32, -1 where nothing was met, and instance_names [instances] its meaning, texts;
 ///        pose [4,4] world_from_sensor at time_s; time_s, frame_number, frame, deskewed, sensor, run, units
 ///   exr  the images as float channels, notes as string attributes
 ///   png  range, intensity, drop probability as one picture, notes as text
 ///   ply, pcd, bin  points of returned rays (drop_prob < 0.5); ply and pcd with ring, time and instance,
-///        with second returns return, 1 or 2, with render.spread spread, 0 of second returns, with render.seen seen; notes as comments
+///        with second returns return, 1 or 2, and with the scan's channels, see write_ply(); notes as comments
 /// and of all scans together, when the last one is written, the recordings: see ScanRecordings.
 class ScanFolder {
 public:
@@ -126,6 +127,7 @@ private:
     std::filesystem::path folder_;
     ScanFormat format_;
     std::vector<std::string> entries_;
+    std::vector<ChannelInfo> channels_;            ///< of the scans, beside the basic ones
     std::shared_ptr<ScanRecordings> recordings_;   ///< shared so that a folder can be moved; none of a process that joins
 
     bool wants(const std::string& format) const;   ///< one of ScanFormat::formats

@@ -21,10 +21,35 @@ void add_geometry(TraceScene scene, Ray ray, Hit hit, float w, float before, flo
     q.normal += w * facing_normal(scene, ray, hit.instance, hit.surfel);
 }
 
+/// Field by field, so that a new one has its line and none takes another's place.
+RenderedRay nothing_met() {
+    RenderedRay r;
+    r.depth = 0.0;
+    r.weight = 0.0;
+    r.intensity = 0.0;
+    r.hit_logit = 0.0;
+    r.drop_logit = 0.0;
+    r.transmittance = 1.0;
+    r.median_depth = 0.0;
+    r.n_hits = 0u;
+    r.instance = RELIDAR_NO_INSTANCE;
+    return r;
+}
+
+RenderedGeometry no_geometry() {
+    RenderedGeometry q;
+    q.normal = vec3(0.0);
+    q.distortion = 0.0;
+    q.moment = 0.0;
+    q.likelihood = 0.0;
+    q.mode = 0.0;
+    return q;
+}
+
 RenderedRay render(TraceScene scene, Ray ray, uint ray_index) {
-    RenderedRay r = RenderedRay(0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0u, RELIDAR_NO_INSTANCE);
+    RenderedRay r = nothing_met();
     float lost[6] = float[](0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-    RenderedGeometry geometry = RenderedGeometry(vec3(0.0), 0.0, 0.0, 0.0, 0.0);
+    RenderedGeometry geometry = no_geometry();
     Surfaces surfaces = no_surfaces();
     if (LIKELIHOOD != 0u) take_measured(scene, ray_index);
     float first_t = 0.0;

@@ -14,6 +14,7 @@
 #include "config/field_text.hpp"
 #include "core/files.hpp"
 #include "core/number_text.hpp"
+#include <relidar/channels.hpp>
 #include <relidar/stages/accel.hpp>
 #include <relidar/stages/backward.hpp>
 #include <relidar/error.hpp>
@@ -64,6 +65,17 @@ void set_found(Config& config, const std::string& key, const Found& found) {
     if (key == "preset") config = make_preset(config.preset);
 }
 
+/// Channels had a key each in files of earlier versions. @return whether it was one
+bool take_former_key(Config& config, const std::string& key, const Found& found) {
+    const std::string channel = key == "render.normals" ? "normal" : key == "render.spread" ? "spread" : key == "render.seen" ? "seen" : "";
+    if (channel.empty()) return false;
+    bool is_wanted = false;
+    assign(is_wanted, key, {}, found);
+    std::string& channels = config.render.channels;
+    if (is_wanted) channels += (channels.empty() ? "" : ",") + channel;
+    return true;
+}
+
 /// A TOML scalar as text.
 Found found_in(const toml::node& node, const std::string& key) {
     if (const auto* text = node.as_string()) return {text->get(), Found::Quotes::yes};
@@ -79,7 +91,7 @@ void set_table(Config& config, const toml::table& table, const std::string& pref
     for (const auto& [name, node] : table) {
         const std::string key = prefix + std::string(name.str());
         if (const toml::table* inner = node.as_table()) set_table(config, *inner, key + ".");
-        else if (key != "preset") set_found(config, key, found_in(node, key));
+        else if (key != "preset" && !take_former_key(config, key, found_in(node, key))) set_found(config, key, found_in(node, key));
     }
 }
 
@@ -170,7 +182,7 @@ TraceOptions training_trace_options(const Config& config) {
 
 TraceOptions rendering_trace_options(const Config& config) {
     TraceOptions options = trace_options(config);
-    options.geometry = config.render.normals;
+    options.geometry = std::ranges::any_of(wanted_channels(config.render.channels), &ChannelInfo::needs_normals);
     if (config.render.range == "mode") options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);
     return options;
 }

@@ -13,6 +13,7 @@
 #include <fmt/format.h>
 
 #include "config/fields.hpp"
+#include "core/list_text.hpp"
 #include "core/number_text.hpp"
 
 namespace relidar::config_detail {
@@ -32,6 +33,7 @@ std::string to_text(const T& value, const Accepts& accepts) {
 template <class T>
 std::string describe(const Accepts& accepts) {
     if constexpr (std::is_same_v<T, bool>) return "true or false";
+    if (accepts.several) return fmt::format("some of {}, separated by commas", fmt::join(accepts.choices, ", "));
     if (!accepts.choices.empty()) return fmt::format("one of {}", fmt::join(accepts.choices, ", "));
     if constexpr (is_text<T>) return "text";
     const std::string kind = std::is_integral_v<T> ? "an integer" : "a number";
@@ -62,8 +64,11 @@ bool parse_number(const std::string& text, const Accepts& accepts, T& value) {
 /// @return whether the text is a value the field accepts; the field is unchanged where it is not
 template <class T>
 bool from_text(const std::string& text, const Accepts& accepts, T& value) {
-    const auto choice = std::find(accepts.choices.begin(), accepts.choices.end(), text);
-    if (!accepts.choices.empty() && choice == accepts.choices.end()) return false;
+    const auto find = [&](const std::string& word) { return std::find(accepts.choices.begin(), accepts.choices.end(), word); };
+    const auto choice = find(text);
+    const auto is_choice = [&](const std::string& word) { return find(word) != accepts.choices.end(); };
+    if (accepts.several ? !std::ranges::all_of(words_of(text), is_choice) : !accepts.choices.empty() && choice == accepts.choices.end())
+        return false;
     if constexpr (std::is_enum_v<T>) {
         value = static_cast<T>(choice - accepts.choices.begin());
     } else if constexpr (std::is_same_v<T, std::string>) {

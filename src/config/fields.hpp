@@ -8,6 +8,7 @@
 #include <type_traits>
 #include <vector>
 
+#include <relidar/channels.hpp>
 #include <relidar/config.hpp>
 
 namespace relidar::config_detail {
@@ -18,6 +19,7 @@ struct Accepts {
     double high = std::numeric_limits<double>::max();
     bool above_low = false;              ///< low itself is refused
     std::vector<std::string> choices;    ///< of a text or enum field; an enum's value is its place in this list
+    bool several = false;                ///< a text of any of the choices, separated by commas
 };
 
 inline Accepts anything() { return {}; }
@@ -27,6 +29,12 @@ inline Accepts between(double low, double high) { return {low, high, false, {}};
 inline Accepts one_of(std::vector<std::string> names) {
     Accepts accepts;
     accepts.choices = std::move(names);
+    return accepts;
+}
+
+inline Accepts some_of(std::vector<std::string> names) {
+    Accepts accepts = one_of(std::move(names));
+    accepts.several = true;
     return accepts;
 }
 
@@ -313,12 +321,8 @@ void visit(C& c, Visitor&& f) {
       "nearer to each other than sensor.return_separation_m are one)");
     f("render.follow_sweeps", c.render.follow_sweeps, anything(),
       "the log's own sensor, rendered at one of its sweeps, has the azimuths of that sweep; false: nominal ones, evenly spaced (paper)");
-    f("render.normals", c.render.normals, anything(),
-      "unit normals of the surfaces that rays meet: normals of npz, normal of exr, nx ny nz of ply, normal_x ... of pcd");
-    f("render.spread", c.render.spread, anything(),
-      "how far apart the surfaces are that the range of a ray is of, |mean - median| along it, metres: spread of npz, exr, ply and pcd");
-    f("render.seen", c.render.seen, anything(),
-      "how much of a ray's way, up to what it meets, rays of the log have looked along, 0 to 1: seen of npz, exr, ply and pcd");
+    f("render.channels", c.render.channels, some_of(optional_channel_names()),
+      "what scans say of each ray beside the basic channels, in all their outputs; `relidar render --help` says what they are");
     f("render.points", c.render.points, one_of({"median", "range"}),
       "points of point clouds lie where the transmittance crosses 0.5, on the dominant surface, or at render.range, which has points "
       "between two surfaces");

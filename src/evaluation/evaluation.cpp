@@ -172,6 +172,7 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequ
 
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const std::vector<int>& positions,
                            const Progress& progress, const SeeFrame& see) {
+    if (see && renderer.refines(configured_sensor(config, sequence))) renderer.want_channels("surfel_drop_prob");   // pictures show both
     std::vector<ScoredFrame> scored =
         score_all({positions, sequence, config, progress, see}, "rendering held-out frames",
                   [&](int, const Frame& frame) { return render_frame(renderer, config, sequence, frame, {}); });

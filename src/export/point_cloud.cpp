@@ -18,14 +18,12 @@
 namespace relidar {
 namespace {
 
-
 /// A field of a record, as both headers call it. (PLY has two names of 16 bits, ushort and uint16: Open3D reads the second alone.)
 struct Field {
-    const char* name;
+    std::string name;
     const char* ply_type;
     int bytes;
     char pcd_type;
-    const char* pcd_name = name;
 };
 
 std::vector<Field> fields_of(const PointCloud& cloud) {
@@ -35,12 +33,16 @@ std::vector<Field> fields_of(const PointCloud& cloud) {
     if (cloud.time) fields.push_back({"time", "float", 4, 'F'});
     if (cloud.instance) fields.push_back({"instance", "int", 4, 'I'});
     if (cloud.return_number) fields.push_back({"return", "uint8", 1, 'U'});
-    if (cloud.spread) fields.push_back({"spread", "float", 4, 'F'});
-    if (cloud.seen) fields.push_back({"seen", "float", 4, 'F'});
-    if (!cloud.normal) return fields;
-    fields.insert(fields.end(),
-                  {{"nx", "float", 4, 'F', "normal_x"}, {"ny", "float", 4, 'F', "normal_y"}, {"nz", "float", 4, 'F', "normal_z"}});
+    for (const auto& [name, is_integer] : numbers_of(cloud.channels))
+        fields.push_back({name, is_integer ? "int" : "float", 4, is_integer ? 'I' : 'F'});
     return fields;
+}
+
+/// Normals have names of their own in PLY.
+std::string ply_name(const std::string& name) {
+    for (const char* axis : {"x", "y", "z"})
+        if (name == std::string("normal_") + axis) return std::string("n") + axis;
+    return name;
 }
 
 /// @throws DataError where an array's length is not the number of points
@@ -54,9 +56,7 @@ void check_cloud(const PointCloud& cloud) {
     if (cloud.time) check("time", cloud.time->size());
     if (cloud.instance) check("instance", cloud.instance->size());
     if (cloud.return_number) check("return", cloud.return_number->size());
-    if (cloud.spread) check("spread", cloud.spread->size());
-    if (cloud.seen) check("seen", cloud.seen->size());
-    if (cloud.normal) check("normal", cloud.normal->size());
+    check_channels(cloud.channels, n, "a point cloud");
 }
 
 /// A record a point, in the order of fields_of().
@@ -70,9 +70,7 @@ std::string packed_records(const PointCloud& cloud) {
         if (cloud.time) append(bytes, (*cloud.time)[i]);
         if (cloud.instance) append(bytes, (*cloud.instance)[i]);
         if (cloud.return_number) append(bytes, (*cloud.return_number)[i]);
-        if (cloud.spread) append(bytes, (*cloud.spread)[i]);
-        if (cloud.seen) append(bytes, (*cloud.seen)[i]);
-        for (int axis = 0; cloud.normal && axis < 3; ++axis) append(bytes, (*cloud.normal)[i][axis]);
+        append_row(bytes, cloud.channels, i);
     }
     return bytes;
 }
@@ -100,7 +98,7 @@ void write_ply(const std::filesystem::path& path, const PointCloud& cloud) {
     std::string text = "ply\nformat binary_little_endian 1.0\n";
     for (const auto& note : cloud.notes) text += fmt::format("comment {}\n", note_line(note));
     text += fmt::format("element vertex {}\n", cloud.position_m.size());
-    for (const Field& field : fields_of(cloud)) text += fmt::format("property {} {}\n", field.ply_type, field.name);
+    for (const Field& field : fields_of(cloud)) text += fmt::format("property {} {}\n", field.ply_type, ply_name(field.name));
     export_detail::write_file(path, text + "end_header\n" + packed_records(cloud));
 }
 
@@ -109,7 +107,7 @@ void write_pcd(const std::filesystem::path& path, const PointCloud& cloud) {
     std::string header = "# .PCD v0.7 - Point Cloud Data file format\n", names, sizes, types, counts;
     for (const auto& note : cloud.notes) header += fmt::format("# {}\n", note_line(note));
     for (const Field& field : fields_of(cloud)) {
-        names += fmt::format(" {}", field.pcd_name);
+        names += fmt::format(" {}", field.name);
         sizes += fmt::format(" {}", field.bytes);
         types += fmt::format(" {}", field.pcd_type);
         counts += " 1";

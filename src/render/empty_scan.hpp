@@ -7,7 +7,7 @@
 namespace relidar {
 
 /// A scan of these rays without anything that came back. @param taken  a scan of the same sweep: when, from where, in what time; none: not
-/// known yet
+/// known yet. Of its channels there are no values yet.
 inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& taken = {}) {
     RenderedScan scan;
     scan.image.rows = rays.rows;
@@ -15,12 +15,13 @@ inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& taken =
     scan.image.origin = to_vector(rays.origin);
     scan.image.direction = to_vector(rays.direction);
     scan.time_offset_s = to_vector(rays.time_offset_s);
-    scan.channel = to_vector(rays.channel);
+    scan.ring = to_vector(rays.channel);
     scan.world_from_sensor = taken.world_from_sensor;
     scan.track = taken.track;
     scan.time_s = taken.time_s;
     scan.trace_ms = taken.trace_ms;
     scan.unseen_share = taken.unseen_share;
+    scan.channels = emptied(taken.channels);
     return scan;
 }
 

@@ -3,9 +3,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <type_traits>
 #include <vector>
 
 #include <relidar/math.hpp>
+#include "render/channel_pairs.hpp"
 #include "render/empty_scan.hpp"
 
 namespace relidar {
@@ -86,9 +88,16 @@ float mean_of(const Group& group, const std::vector<float>& values, const Render
     return static_cast<float>(sum / double(group.light));
 }
 
-float intensity_of(const Group& group, const RenderedScan& scan, int n) {
+float sum_of(const Group& group, const std::vector<float>& values) {
     float sum = 0.0f;
-    for (const std::size_t i : group.parts) sum += scan.image.intensity[i];
+    for (const std::size_t i : group.parts) sum += values[i];
+    return sum;
+}
+
+/// Of n values from the first on.
+float mean_of_all(const std::vector<float>& values, std::size_t first, int n) {
+    float sum = 0.0f;
+    for (std::size_t i = first; i < first + std::size_t(n); ++i) sum += values[i];
     return sum / static_cast<float>(n);
 }
 
@@ -118,25 +127,23 @@ public:
     void add(std::size_t ray) {
         const int n = config_.sub_rays;
         const std::size_t first = ray * std::size_t(n);
-        float drop = 0.0f;
-        for (std::size_t i = first; i < first + std::size_t(n); ++i) drop += parts_.image.drop_prob[i];
-        scan_.image.drop_prob.push_back(drop / static_cast<float>(n));
         const std::vector<Group> groups = groups_of(parts_, first, offsets_, static_cast<float>(config_.return_separation_m));
         const Group middle{{first}, std::max(parts_.image.intensity[first], kDarkest)};
         const Group& strongest = groups.empty() ? middle : *std::ranges::max_element(groups, {}, &Group::light);
-        scan_.image.range_m.push_back(mean_of(strongest, parts_.image.range_m, parts_));
-        scan_.median_range_m.push_back(mean_of(strongest, parts_.median_range_m, parts_));
-        scan_.mean_range_m.push_back(mean_of(strongest, parts_.mean_range_m, parts_));
-        scan_.image.intensity.push_back(groups.empty() ? parts_.image.intensity[first] : intensity_of(strongest, parts_, n));
-        const std::size_t nearest = std::ranges::min(strongest.parts);   // parts go outwards from the middle
-        scan_.weight.push_back(parts_.weight[nearest]);
-        scan_.instance.push_back(parts_.instance[nearest]);
-        if (!parts_.normal.empty()) scan_.normal.push_back(parts_.normal[nearest]);
+        for_each_pair(parts_, scan_, [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_parts, std::vector<T>& of_rays) {
+            if constexpr (std::is_same_v<T, float>) {
+                if (channel.join == ChannelJoin::range) return of_rays.push_back(mean_of(strongest, of_parts, parts_));
+                if (channel.join == ChannelJoin::drop) return of_rays.push_back(mean_of_all(of_parts, first, n));
+                if (channel.join == ChannelJoin::intensity)
+                    return of_rays.push_back(groups.empty() ? of_parts[first] : sum_of(strongest, of_parts) / static_cast<float>(n));
+            }
+            of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);   // parts go outwards from the middle
+        });
         if (scan_.further.empty()) return;
         const bool returns = returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
         const Group* second = returns && groups.size() > 1 ? second_of(groups, strongest, config_.second_return_share) : nullptr;
         scan_.further[0].range_m.push_back(second ? mean_of(*second, parts_.median_range_m, parts_) : 0.0f);
-        scan_.further[0].intensity.push_back(second ? intensity_of(*second, parts_, n) : 0.0f);
+        scan_.further[0].intensity.push_back(second ? sum_of(*second, parts_.image.intensity) / static_cast<float>(n) : 0.0f);
     }
 
     RenderedScan take() { return std::move(scan_); }
@@ -186,20 +193,13 @@ std::vector<std::size_t> find_edges(const RenderedScan& parts, const RayTable& r
 }
 
 void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& places, const RenderedScan& better) {
-    for (std::size_t i = 0; i < places.size(); ++i) {
-        const std::size_t ray = places[i];
-        scan.image.range_m[ray] = better.image.range_m[i];
-        scan.image.intensity[ray] = better.image.intensity[i];
-        scan.image.drop_prob[ray] = better.image.drop_prob[i];
-        scan.median_range_m[ray] = better.median_range_m[i];
-        scan.mean_range_m[ray] = better.mean_range_m[i];
-        scan.weight[ray] = better.weight[i];
-        scan.instance[ray] = better.instance[i];
-        if (!scan.normal.empty()) scan.normal[ray] = better.normal[i];
-        for (std::size_t k = 0; k < scan.further.size(); ++k) {
-            scan.further[k].range_m[ray] = better.further[k].range_m[i];
-            scan.further[k].intensity[ray] = better.further[k].intensity[i];
-        }
+    const auto replace = [&](const auto& from, auto& to) {
+        for (std::size_t i = 0; i < places.size(); ++i) to[places[i]] = from[i];
+    };
+    for_each_pair(better, scan, [&](const ChannelInfo&, const auto& from, auto& to) { replace(from, to); });
+    for (std::size_t k = 0; k < scan.further.size(); ++k) {
+        replace(better.further[k].range_m, scan.further[k].range_m);
+        replace(better.further[k].intensity, scan.further[k].intensity);
     }
     scan.trace_ms += better.trace_ms;
 }

@@ -2,10 +2,13 @@
 #include <relidar/render.hpp>
 
 #include <algorithm>
+#include <type_traits>
 
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+
+#include "render/channel_pairs.hpp"
 
 namespace relidar {
 namespace {
@@ -15,16 +18,48 @@ void append(std::vector<T>& to, const std::vector<T>& from) {
     to.insert(to.end(), from.begin(), from.end());
 }
 
+/// Gives merged scans the channels of one more, so far without anything to say.
+void add_channels(RenderedScan& merged, const RenderedScan& scan) {
+    for (const ScanChannel& channel : emptied(scan.channels)) {
+        const auto known =
+            std::ranges::find(merged.channels, channel.info.name, [](const ScanChannel& c) -> const std::string& { return c.info.name; });
+        if (known == merged.channels.end()) {
+            merged.channels.push_back(channel);
+            std::visit([&](auto& values) { values.assign(merged.image.range_m.size(), nothing_of(channel.info, values)); },
+                       merged.channels.back().values);
+        } else if (known->values.index() != channel.values.index()) {
+            throw UsageError(fmt::format("merging scans: found channel {} of two types, expected one", channel.info.name));
+        }
+    }
+}
+
+/// @param first_ray  of the scan in the merged one, where the rays are already
+void append_channels(RenderedScan& merged, const RenderedScan& scan, std::size_t first_ray) {
+    const std::size_t n = scan.image.range_m.size();
+    for (auto& [info, values] : merged.channels) {
+        const auto add = [&]<class T>(std::vector<T>& all) {
+            const std::vector<T>* own = find_values<T>(scan.channels, info.name);
+            for (std::size_t i = 0; i < n; ++i) all.push_back(own ? (*own)[i] : nothing_of(info, all));
+            if constexpr (std::is_same_v<T, glm::vec3>)
+                for (std::size_t i = 0; own && info.turns && i < n; ++i) {
+                    const glm::dquat turn =
+                        glm::conjugate(merged.world_from_firing(first_ray + i).rotation) * scan.world_from_firing(i).rotation;
+                    all[first_ray + i] = glm::vec3(turn * glm::dvec3((*own)[i]));
+                }
+        };
+        std::visit(add, values);
+    }
+}
+
 /// Rays in the rig's frame when each was fired, by where sensor and rig were then: between poses a sensor moves along a chord and so does
-/// the rig, which is not quite the same. @param first_channel  number of the scan's channel 0 in the merged one
-void append_rays(RenderedScan& merged, const RenderedScan& scan, std::size_t first_channel) {
+/// the rig, which is not quite the same. @param first_ring  number of the scan's ring 0 in the merged one
+void append_rays(RenderedScan& merged, const RenderedScan& scan, std::size_t first_ring) {
     for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {
         merged.time_offset_s.push_back(scan.time_offset_s[i]);
-        merged.channel.push_back(static_cast<std::uint16_t>(first_channel + scan.channel[i]));
+        merged.ring.push_back(static_cast<std::uint16_t>(first_ring + scan.ring[i]));
         const Pose rig_from_firing = inverse(merged.world_from_firing(merged.time_offset_s.size() - 1)) * scan.world_from_firing(i);
         merged.image.origin.emplace_back(rig_from_firing * glm::dvec3(scan.image.origin[i]));
         merged.image.direction.emplace_back(glm::normalize(rig_from_firing.rotation * glm::dvec3(scan.image.direction[i])));
-        if (!scan.normal.empty()) merged.normal.emplace_back(rig_from_firing.rotation * glm::dvec3(scan.normal[i]));
     }
 }
 
@@ -32,27 +67,23 @@ void append_rays(RenderedScan& merged, const RenderedScan& scan, std::size_t fir
 
 RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vector<Pose>& rig_from_sensor) {
     if (scans.empty() || scans.size() != rig_from_sensor.size())
-        throw UsageError(fmt::format("merging scans: found {} scans and {} mountings, expected as many of both", scans.size(),
-                                     rig_from_sensor.size()));
+        throw UsageError(
+            fmt::format("merging scans: found {} scans and {} mountings, expected as many of both", scans.size(), rig_from_sensor.size()));
     RenderedScan merged;
     const Pose sensor_from_rig = inverse(rig_from_sensor[0]);
     merged.world_from_sensor = scans[0].world_from_sensor * sensor_from_rig;
     merged.track = moved_track(scans[0].track, sensor_from_rig);
     merged.time_s = scans[0].time_s;
-    std::size_t channels = 0;
+    std::size_t rings = 0;
     double unseen_rays = 0.0;
     for (const RenderedScan& scan : scans) {
-        append_rays(merged, scan, channels);
-        if (!scan.channel.empty()) channels += std::size_t(*std::ranges::max_element(scan.channel)) + 1;
-        if (channels > 65536) throw UsageError(fmt::format("merging scans: found {} channels, expected at most 65536", channels));
-        append(merged.image.range_m, scan.image.range_m);
-        append(merged.image.intensity, scan.image.intensity);
-        append(merged.image.drop_prob, scan.image.drop_prob);
-        append(merged.median_range_m, scan.median_range_m);
-        append(merged.mean_range_m, scan.mean_range_m);
-        append(merged.weight, scan.weight);
-        append(merged.instance, scan.instance);
-        append(merged.seen, scan.seen);
+        check_channels(scan.channels, scan.image.range_m.size(), "a scan of a rig");
+        add_channels(merged, scan);
+        append_rays(merged, scan, rings);
+        if (!scan.ring.empty()) rings += std::size_t(*std::ranges::max_element(scan.ring)) + 1;
+        if (rings > 65536) throw UsageError(fmt::format("merging scans: found {} beams, expected at most 65536", rings));
+        append_channels(merged, scan, merged.image.range_m.size());
+        for_each_basic_pair(scan, merged, [](const ChannelInfo&, const auto& from, auto& to) { append(to, from); });
         if (scan.unseen_share) {
             unseen_rays += *scan.unseen_share * double(scan.instance.size());
             merged.unseen_share = unseen_rays / double(merged.instance.size());

@@ -13,10 +13,10 @@
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
 #include <relidar/stages/forward.hpp>
+#include "render/channel_makers.hpp"
 #include "render/empty_scan.hpp"
 #include "render/footprint.hpp"
 #include "render/resident_scene.hpp"
-#include "render/seen.hpp"
 
 namespace relidar {
 
@@ -25,7 +25,6 @@ namespace {
 constexpr double kFarthest = 1e10;    // metres of any world, seconds since 1970
 constexpr double kSameTime_s = 1e-3;  // as a sweep of the log
 constexpr const char* kNative = "native";   ///< image of a network: the rays of a sensor
-constexpr float kMinWeight = 1e-3f;   ///< below this a ray met nothing that has a range
 
 float chosen_range(const Rendering& r, std::size_t i, const std::string& which) {
     if (which == "expected") return r.depth[i];
@@ -38,18 +37,12 @@ float chosen_range(const Rendering& r, std::size_t i, const std::string& which) 
 
 float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
 
-/// Unit normal in the sensor's frame.
-/// @param blended  world
-glm::vec3 seen_normal(const glm::vec3& blended, float weight, const Pose& world_from_sensor) {
-    if (weight < kMinWeight) return glm::vec3(0.0f);
-    const glm::dvec3 normal = glm::conjugate(world_from_sensor.rotation) * glm::dvec3(blended);
-    const double length = glm::length(normal);
-    return length > 0.0 ? glm::vec3(normal / length) : glm::vec3(0.0f);
-}
-
 TraceOptions traced_with(const Config& config) {
-    if (config.render.normals && config.image.primitive == Primitive::gaussian)
-        throw UsageError("setting render.normals: found image.primitive=gaussian, which has no normal, expected surfel, or false");
+    for (const ChannelInfo& channel : wanted_channels(config.render.channels))
+        if (channel.needs_normals && config.image.primitive == Primitive::gaussian)
+            throw UsageError(fmt::format("setting render.channels: found {} with image.primitive=gaussian, which has no normals, "
+                                         "expected surfels, or other channels",
+                                         channel.name));
     return rendering_trace_options(config);
 }
 
@@ -135,6 +128,7 @@ struct ScanRenderer::Impl {
     const PoseTrack log_world_from_vehicle;   ///< where it was in the log
     const glm::dvec3 first_origin_m;          ///< see first_origin()
     const std::vector<Frame> sweeps;          ///< of the log that have an azimuth shift; no scans
+    std::vector<ChannelInfo> wanted;          ///< channels
     ResidentScene scene;
     std::vector<bool> shown;   ///< [instances]
     Device& device;
@@ -161,13 +155,13 @@ struct ScanRenderer::Impl {
     }
     /// Sub-rays and returns of a sensor.
     SensorConfig config_of(const SensorChoice& sensor) const {
-        SensorConfig wanted = config.sensor;
-        if (sensor.returns > 0) wanted.returns = sensor.returns;
-        if (sensor.returns > 1 && wanted.sub_rays == 1) wanted.sub_rays = 9;
-        return wanted;
+        SensorConfig result = config.sensor;
+        if (sensor.returns > 0) result.returns = sensor.returns;
+        if (sensor.returns > 1 && result.sub_rays == 1) result.sub_rays = 9;
+        return result;
     }
     RenderedScan cast(const SensorChoice& sensor, const RayTable& table, double time_s);
-    RenderedScan join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig wanted);
+    RenderedScan join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig beams);
     /// An image that a network may look at: rays of any sensor ("native") or cells of a grid.
     struct ImageOf {
         int rows, columns;
@@ -183,7 +177,7 @@ struct ScanRenderer::Impl {
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
     : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_vehicle, first_origin(sequence),
-                     shifted_sweeps(sequence),
+                     shifted_sweeps(sequence), wanted_channels(config.render.channels),
                      ResidentScene(device, scene, config, {.accel = accel_options(config), .trace = traced_with(config)}),
                      std::vector<bool>(scene.instances.size(), true), device}) {}
 ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {
@@ -202,6 +196,15 @@ void ScanRenderer::show_only(const std::vector<bool>& shown) {
 void ScanRenderer::refine_drops(const DropNetwork& network) {
     impl_->refiner.reset();
     if (!network.empty()) impl_->refiner.emplace(impl_->device, network);
+}
+
+void ScanRenderer::want_channels(const std::string& names) {
+    for (const ChannelInfo& channel : wanted_channels(names)) {
+        if (std::ranges::find(impl_->wanted, channel.name, &ChannelInfo::name) != impl_->wanted.end()) continue;
+        if (channel.needs_normals)
+            throw UsageError(fmt::format("choosing channels: found {}, which needs normals, expected it in render.channels", channel.name));
+        impl_->wanted.push_back(channel);
+    }
 }
 
 void ScanRenderer::compare_with(const Coverage& coverage) { impl_->coverage = coverage; }
@@ -282,20 +285,19 @@ RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable
     scan.track = shifted_track(std::move(track), sweep.world_offset_m);
     scan.world_from_sensor = {pose.rotation, pose.translation + sweep.world_offset_m};
     scan.time_s = time_s;
-    for (std::size_t i = 0; i < r.normal.size(); ++i)
-        scan.normal.push_back(seen_normal(r.normal[i], r.weight[i], scan.world_from_firing(i)));
+    add_ray_channels(scan, r, wanted);
     return scan;
 }
 
 /// The scan of whole beams, from one of their parts; beams that meet several surfaces are cast again in more parts.
-RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig wanted) {
-    RenderedScan scan = join_footprints(parts, whole, wanted);
-    const std::vector<std::size_t> edges = find_edges(parts, whole, wanted);
+RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig beams) {
+    RenderedScan scan = join_footprints(parts, whole, beams);
+    const std::vector<std::size_t> edges = find_edges(parts, whole, beams);
     if (edges.empty() || edges.size() * kEdgeParts > kMaxRays) return scan;
     const RayTable rays = some_rays(whole, edges);
-    wanted.sub_rays = kEdgeParts;
-    const RenderedScan better = cast(sensor, split_rays(rays, kEdgeParts, 1e-3 * wanted.divergence_mrad), parts.time_s);
-    replace_rays(scan, edges, join_footprints(better, rays, wanted));
+    beams.sub_rays = kEdgeParts;
+    const RenderedScan better = cast(sensor, split_rays(rays, kEdgeParts, 1e-3 * beams.divergence_mrad), parts.time_s);
+    replace_rays(scan, edges, join_footprints(better, rays, beams));
     return scan;
 }
 
@@ -307,8 +309,7 @@ bool ScanRenderer::Impl::refines(const ImageOf& image) const {
 
 /// Drop probabilities as the network of the run has them.
 void ScanRenderer::Impl::refine(RenderedScan& scan) {
-    std::vector<float> refined = refiner->refine(drop_image(scan, refiner->network().inputs, first_origin_m));
-    scan.surfel_drop_prob = std::exchange(scan.image.drop_prob, std::move(refined));
+    scan.image.drop_prob = refiner->refine(drop_image(scan, refiner->network().inputs, first_origin_m));
 }
 
 /// @param placed  instances at their moments; those that are not shown are left out
@@ -331,8 +332,9 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     s.scene.renderer().move(placed, sensor_m);
     RenderedScan scan = s.cast(sensor, table, time_s);
     if (parts) scan = s.join(sensor, scan, whole, config);
-    tell_seen(scan, s.coverage, s.sweep.world_offset_m, std::min(sensor.limits.max_m, double(s.config.dataset.max_range_m)),
-              s.config.render.seen);
+    const SeenByLog log{s.coverage, s.sweep.world_offset_m, std::min(sensor.limits.max_m, double(s.config.dataset.max_range_m))};
+    add_scan_channels(scan, log, s.wanted);
+    tell_unseen(scan, log);
     if (s.refines({whole.rows, whole.columns, kNative}) || (!sensor.grid && s.refines({whole.rows, whole.columns, sensor.name})))
         s.refine(scan);
     const bool of_cells = sensor.grid && s.refines({sensor.grid->rows, sensor.grid->columns, sensor.grid->name});

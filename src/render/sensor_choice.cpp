@@ -5,11 +5,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <type_traits>
 
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
 #include <relidar/sensor_files.hpp>
+#include "render/channel_pairs.hpp"
 #include "render/empty_scan.hpp"
 
 namespace relidar {
@@ -18,7 +20,9 @@ namespace {
 
 constexpr float kLeastWeight = 0.05f;  ///< a simulated ray that met less than this has no point to bin
 
-RangeLimits configured_limits(const Config& config) { return {config.dataset.min_range_m, config.dataset.max_range_m}; }
+RangeLimits configured_limits(const Config& config) {
+    return {config.dataset.min_range_m, config.dataset.max_range_m};
+}
 
 /// Those of a Rosette are made for each scan.
 template <class Make>
@@ -54,17 +58,25 @@ SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequ
     return choice;
 }
 
+/// The cell takes what the ray says, but for drops.
 void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, std::size_t cell) {
     const glm::vec3 &origin = from.image.origin[source], &direction = from.image.direction[source];
-    to.image.range_m[cell] = glm::length(origin + from.image.range_m[source] * direction);
-    to.median_range_m[cell] = glm::length(origin + from.median_range_m[source] * direction);
-    to.mean_range_m[cell] = glm::length(origin + from.mean_range_m[source] * direction);
-    to.image.intensity[cell] = from.image.intensity[source];
-    to.weight[cell] = from.weight[source];
-    to.instance[cell] = from.instance[source];
-    if (!from.normal.empty()) to.normal[cell] = from.normal[source];
-    if (!from.seen.empty()) to.seen[cell] = from.seen[source];
+    for_each_pair(from, to, [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
+        if constexpr (std::is_same_v<T, float>) {
+            if (channel.join == ChannelJoin::drop) return;
+            if (channel.join == ChannelJoin::range) return void(of_cells[cell] = glm::length(origin + of_rays[source] * direction));
+        }
+        of_cells[cell] = of_rays[source];
+    });
     to.time_offset_s[cell] = from.time_offset_s[source];
+}
+
+/// A cell is dropped where all rays in it are.
+void join_drops(const RenderedScan& from, std::size_t source, RenderedScan& to, std::size_t cell) {
+    for_each_pair(from, to, [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
+        if constexpr (std::is_same_v<T, float>)
+            if (channel.join == ChannelJoin::drop) of_cells[cell] = std::min(of_cells[cell], of_rays[source]);
+    });
 }
 
 }  // namespace
@@ -92,19 +104,12 @@ SensorChoice choose_sensor(const std::string& name_or_file, const Config& config
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     const RayTable cells = make_rays(grid);
     const std::size_t n = cells.size();
+    check_channels(scan.channels, scan.median_range_m.size(), "a scan that is binned");
     RenderedScan result = empty_scan(cells, scan);
-    result.image.range_m.assign(n, 0.0f);
-    result.image.intensity.assign(n, 0.0f);
-    result.image.drop_prob.assign(n, 1.0f);
-    result.median_range_m.assign(n, 0.0f);
-    result.mean_range_m.assign(n, 0.0f);
-    result.weight.assign(n, 0.0f);
-    result.instance.assign(n, -1);
-    if (!scan.normal.empty()) result.normal.assign(n, glm::vec3(0.0f));
-    if (!scan.seen.empty()) result.seen.assign(n, 0.0f);
-    if (!scan.surfel_drop_prob.empty()) result.surfel_drop_prob.assign(n, 1.0f);
+    for_each_pair(scan, result,
+                  [n](const ChannelInfo& channel, const auto&, auto& of_cells) { of_cells.assign(n, nothing_of(channel, of_cells)); });
     result.time_offset_s.assign(n, 0.0f);
-    std::vector<float> winner_drop(n, 2.0f);   // of the ray that owns a cell so far; 2 = none
+    std::vector<float> winner_drop(n, 2.0f);  // of the ray that owns a cell so far; 2 = none
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;
         const glm::vec3 point = scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i];
@@ -112,8 +117,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
         if (!cell) continue;
         const std::size_t c = std::size_t(*cell);
         const float drop = scan.image.drop_prob[i];
-        result.image.drop_prob[c] = std::min(result.image.drop_prob[c], drop);
-        if (!scan.surfel_drop_prob.empty()) result.surfel_drop_prob[c] = std::min(result.surfel_drop_prob[c], scan.surfel_drop_prob[i]);
+        join_drops(scan, i, result, c);
         const bool returns = drop < kDropThreshold, winner_returns = winner_drop[c] < kDropThreshold;
         const bool is_nearer = glm::length(point) < result.median_range_m[c];
         const bool wins = returns != winner_returns ? returns : returns ? is_nearer : drop < winner_drop[c];
@@ -145,8 +149,7 @@ RangeImage real_image(const Config& config, const Scan& scan) {
         }
         const GridImage binned = project_points(grid, points, intensity);
         const RayTable cells = make_rays(grid);
-        image = {grid.rows,        grid.columns, binned.range_m, binned.intensity, {}, to_vector(cells.origin),
-                 to_vector(cells.direction)};
+        image = {grid.rows, grid.columns, binned.range_m, binned.intensity, {}, to_vector(cells.origin), to_vector(cells.direction)};
     }
     for (const float range : image.range_m) image.drop_prob.push_back(range > 0.0f ? 0.0f : 1.0f);
     return image;

@@ -177,14 +177,24 @@ std::string pose_message(const Pose& pose) {
 /// Numbers of foxglove.NumericType.
 enum Numeric { kUint8 = 1, kUint16 = 3, kInt32Number = 6, kFloat32 = 7 };
 struct PointField {
-    const char* name;
+    std::string name;
     std::uint32_t offset;
     Numeric type;
 };
-constexpr PointField kPointFields[] = {{"x", 0, kFloat32},          {"y", 4, kFloat32},     {"z", 8, kFloat32},
+const PointField kPointFields[] = {{"x", 0, kFloat32},          {"y", 4, kFloat32},     {"z", 8, kFloat32},
                                        {"intensity", 12, kFloat32}, {"time", 16, kFloat32}, {"instance", 20, kInt32Number},
                                        {"ring", 24, kUint16},       {"return", 26, kUint8}};
-constexpr std::size_t kStride = 28;   // a multiple of 4, so that floats lie where processors like them
+constexpr std::uint32_t kStride = 28;   // a multiple of 4, so that floats lie where processors like them; channels come behind
+
+std::vector<PointField> fields_of(const PointCloud& cloud) {
+    std::vector<PointField> fields(std::begin(kPointFields), std::end(kPointFields));
+    std::uint32_t offset = kStride;
+    for (const auto& [name, is_integer] : numbers_of(cloud.channels)) {
+        fields.push_back({name, offset, is_integer ? kInt32Number : kFloat32});
+        offset += 4;
+    }
+    return fields;
+}
 
 std::string point_bytes(const PointCloud& cloud) {
     std::string bytes;
@@ -194,7 +204,8 @@ std::string point_bytes(const PointCloud& cloud) {
         append(bytes, cloud.intensity[i]), append(bytes, (*cloud.time)[i]), append(bytes, (*cloud.instance)[i]);
         append(bytes, (*cloud.ring)[i]);
         append(bytes, cloud.return_number ? (*cloud.return_number)[i] : std::uint8_t(1));
-        append(bytes, std::uint8_t(0));   // to the stride
+        append(bytes, std::uint8_t(0));   // to a multiple of 4
+        append_row(bytes, cloud.channels, i);
     }
     return bytes;
 }
@@ -205,8 +216,9 @@ std::string points(const RecordedCloud& cloud, const std::string& frame) {
     writer.add_message(1, timestamp(cloud.stamp_ns));
     writer.add_string(2, frame);
     writer.add_message(3, pose_message({}));
-    writer.add_fixed32(4, kStride);
-    for (const PointField& field : kPointFields) {
+    const std::vector<PointField> fields = fields_of(cloud.cloud);
+    writer.add_fixed32(4, fields.size() == std::size(kPointFields) ? kStride : fields.back().offset + 4);
+    for (const PointField& field : fields) {
         std::string of_field;
         pbf_writer element(of_field);
         element.add_string(1, field.name);

@@ -11,33 +11,42 @@ bool is_point(const RenderedScan& scan, std::size_t ray, float range_m) {
     return returned(scan.image.drop_prob[ray], range_m);
 }
 
-/// @param number  of the return, from 1; normal, instance and spread are known of the first
+/// @param number  of the return, from 1: of the second one what is known of the ray
 void add_point(PointCloud& cloud, const PlacedScan& placed, std::size_t ray, float range_m, float intensity, int number) {
     const RenderedScan& scan = placed.scan;
     cloud.position_m.push_back(placed.origin[ray] + range_m * placed.direction[ray]);
     cloud.intensity.push_back(intensity);
-    cloud.ring->push_back(scan.channel[ray]);
+    cloud.ring->push_back(scan.ring[ray]);
     cloud.time->push_back(scan.time_offset_s[ray]);
     cloud.instance->push_back(number == 1 ? scan.instance[ray] : -1);
-    if (cloud.normal) cloud.normal->push_back(number == 1 ? placed.normal[ray] : glm::vec3(0.0f));
-    if (cloud.spread) cloud.spread->push_back(number == 1 ? (*placed.spread_m)[ray] : 0.0f);
-    if (cloud.seen) cloud.seen->push_back(scan.seen[ray]);
+    for (std::size_t k = 0; k < cloud.channels.size(); ++k) {
+        auto& [info, values] = cloud.channels[k];
+        const bool is_known = number == 1 || info.of_ray;
+        const auto add = [&, none = static_cast<float>(info.none)]<class T>(std::vector<T>& of_points) {
+            of_points.push_back(is_known ? std::get<std::vector<T>>(placed.channels[k].values)[ray] : T(none));
+        };
+        std::visit(add, values);
+    }
     if (cloud.return_number) cloud.return_number->push_back(static_cast<std::uint8_t>(number));
 }
 
 }  // namespace
 
 PlacedScan place(const RenderedScan& scan, const ScanFormat& format, const Pose& world_from_deskewed, int frame, FileNotes notes) {
-    PlacedScan placed{scan, format, frame, scan.image.origin, scan.image.direction, scan.normal, {}, std::move(notes)};
-    if (format.config.render.spread) placed.spread_m = range_spread(scan);
+    check_channels(scan.channels, scan.image.range_m.size(), "a scan");
+    PlacedScan placed{scan, format, frame, scan.image.origin, scan.image.direction, scan.channels, std::move(notes)};
     const bool world = format.frame == PointFrame::world;
     if (!world && !format.deskew) return placed;
     const Pose target_from_world = world ? Pose{} : inverse(world_from_deskewed);
+    std::vector<std::vector<glm::vec3>*> turning;
+    for (auto& [info, values] : placed.channels)
+        if (auto* vectors = std::get_if<std::vector<glm::vec3>>(&values); vectors && info.turns) turning.push_back(vectors);
     for (std::size_t i = 0; i < placed.origin.size(); ++i) {
         const Pose target_from_firing = target_from_world * placed.scan.world_from_firing(i);
         placed.origin[i] = glm::vec3(target_from_firing * glm::dvec3(placed.origin[i]));
         placed.direction[i] = glm::vec3(glm::normalize(target_from_firing.rotation * glm::dvec3(placed.direction[i])));
-        if (!placed.normal.empty()) placed.normal[i] = glm::vec3(target_from_firing.rotation * glm::dvec3(placed.normal[i]));
+        for (std::vector<glm::vec3>* vectors : turning)
+            (*vectors)[i] = glm::vec3(target_from_firing.rotation * glm::dvec3((*vectors)[i]));
     }
     return placed;
 }
@@ -47,9 +56,7 @@ PointCloud cloud_of(const PlacedScan& placed) {
     const std::vector<float>& range_m = point_ranges(scan, placed.format.config);
     PointCloud cloud;
     cloud.ring.emplace(), cloud.time.emplace(), cloud.instance.emplace();
-    if (!placed.normal.empty()) cloud.normal.emplace();
-    if (placed.spread_m) cloud.spread.emplace();
-    if (!scan.seen.empty()) cloud.seen.emplace();
+    cloud.channels = emptied(placed.channels);
     cloud.notes = placed.notes;
     if (!scan.further.empty()) cloud.return_number.emplace();
     if (placed.format.frame == PointFrame::sensor) cloud.world_from_points = scan.world_from_sensor;

@@ -2,11 +2,11 @@
 // A scan with its rays in the frame that its files hold.
 #pragma once
 
-#include <optional>
 #include <vector>
 
 #include <glm/glm.hpp>
 
+#include <relidar/channels.hpp>
 #include <relidar/export.hpp>
 #include <relidar/math.hpp>
 #include <relidar/render.hpp>
@@ -17,15 +17,32 @@ namespace relidar::scan_files {
 struct PlacedScan {
     const RenderedScan& scan;
     const ScanFormat& format;
-    int frame;                                         ///< the dataset's number
-    std::vector<glm::vec3> origin, direction, normal;  ///< [n], normals where they were rendered
-    std::optional<std::vector<float>> spread_m;        ///< [n] where it was asked for
+    int frame;                                 ///< the dataset's number
+    std::vector<glm::vec3> origin, direction;  ///< [n]
+    std::vector<ScanChannel> channels;         ///< [n] each, the scan's
     FileNotes notes;
 
     const RangeImage& image() const { return scan.image; }
 };
 
+/// Calls visit(info, values) for each channel that files hold, in their order; second returns are range_2 and intensity_2.
+template <class Visit>
+void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
+    const RenderedScan& scan = placed.scan;
+    const BasicChannels& basic = basic_channels();
+    visit(basic.range, scan.image.range_m), visit(basic.median_range, scan.median_range_m), visit(basic.intensity, scan.image.intensity);
+    visit(basic.drop_prob, scan.image.drop_prob), visit(basic.weight, scan.weight), visit(basic.time, scan.time_offset_s);
+    visit(basic.ring, scan.ring), visit(basic.instance, scan.instance);
+    if (!scan.further.empty()) {
+        visit(ChannelInfo{"range_2", "m"}, scan.further[0].range_m);
+        visit(ChannelInfo{"intensity_2"}, scan.further[0].intensity);
+    }
+    for (const auto& [info, values] : placed.channels)
+        std::visit([&visit, &channel = info](const auto& v) { visit(channel, v); }, values);
+}
+
 /// Rays in the frame that the format asks for. @param world_from_deskewed  of that of deskewed rays @param notes  of the files
+/// @throws DataError as check_channels()
 PlacedScan place(const RenderedScan& scan, const ScanFormat& format, const Pose& world_from_deskewed, int frame, FileNotes notes = {});
 
 /// Points of returned rays, second returns behind their first.

@@ -4,22 +4,21 @@
 
 #include <algorithm>
 #include <cmath>
-#include <span>
 
 namespace relidar::scan_files {
 namespace {
 
 struct RosField {
-    const char* name;
+    std::string name;
     std::uint32_t offset;
     std::uint8_t type;  ///< a constant of sensor_msgs/PointField
 };
-constexpr std::uint8_t kRosUint8 = 2, kRosUint16 = 4, kRosUint32 = 6, kRosFloat32 = 7;
-/// By the names of Velodyne's drivers.
-constexpr RosField kPlain[] = {{"x", 0, kRosFloat32},          {"y", 4, kRosFloat32},     {"z", 8, kRosFloat32},
+constexpr std::uint8_t kRosUint8 = 2, kRosUint16 = 4, kRosInt32 = 5, kRosUint32 = 6, kRosFloat32 = 7;
+/// By the names of Velodyne's drivers; channels come behind.
+const std::vector<RosField> kPlain = {{"x", 0, kRosFloat32},          {"y", 4, kRosFloat32},     {"z", 8, kRosFloat32},
                                {"intensity", 12, kRosFloat32}, {"time", 16, kRosFloat32}, {"ring", 20, kRosUint16}};
 /// PointXYZIRCAEDT of Autoware and Nebula.
-constexpr RosField kAutoware[] = {{"x", 0, kRosFloat32},         {"y", 4, kRosFloat32},          {"z", 8, kRosFloat32},
+const std::vector<RosField> kAutoware = {{"x", 0, kRosFloat32},         {"y", 4, kRosFloat32},          {"z", 8, kRosFloat32},
                                   {"intensity", 12, kRosUint8},  {"return_type", 13, kRosUint8}, {"channel", 14, kRosUint16},
                                   {"azimuth", 16, kRosFloat32},  {"elevation", 20, kRosFloat32}, {"distance", 24, kRosFloat32},
                                   {"time_stamp", 28, kRosUint32}};
@@ -54,26 +53,34 @@ std::string plain_points(const PointCloud& cloud) {
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         append(bytes, cloud.position_m[i]), append(bytes, cloud.intensity[i]);
         append(bytes, (*cloud.time)[i]), append(bytes, (*cloud.ring)[i]);
-        append(bytes, std::uint16_t(0));  // to the step
+        append(bytes, std::uint16_t(0));  // to a multiple of 4
+        append_row(bytes, cloud.channels, i);
     }
     return bytes;
 }
 
 /// What points of a cloud look like.
 struct PointType {
-    std::span<const RosField> fields;
-    std::uint32_t step;
+    const std::vector<RosField>& fields;
+    std::uint32_t step;   ///< without channels
     std::string (*points)(const PointCloud&);
+    bool has_channels;
 };
-constexpr PointType kPlainType{kPlain, 24, plain_points}, kAutowareType{kAutoware, 32, autoware_points};
+const PointType kPlainType{kPlain, 24, plain_points, true}, kAutowareType{kAutoware, 32, autoware_points, false};
 
 std::string cloud_message(const RecordedCloud& cloud, const std::string& frame, const PointType& type) {
     const std::string points = type.points(cloud.cloud);
+    std::vector<RosField> fields = type.fields;
+    std::uint32_t step = type.step;
+    for (const auto& [name, is_integer] : type.has_channels ? numbers_of(cloud.cloud.channels) : std::vector<ChannelNumber>{}) {
+        fields.push_back({name, step, is_integer ? kRosInt32 : kRosFloat32});
+        step += 4;
+    }
     Cdr cdr;
     add_header(cdr, cloud.stamp_ns, frame);
-    cdr.add(std::uint32_t(1)).add(std::uint32_t(cloud.cloud.position_m.size())).add(std::uint32_t(type.fields.size()));
-    for (const RosField& field : type.fields) cdr.add_text(field.name).add(field.offset).add(field.type).add(std::uint32_t(1));
-    cdr.add(std::uint8_t(0)).add(type.step).add(std::uint32_t(points.size())).add_bytes(points).add(std::uint8_t(1));
+    cdr.add(std::uint32_t(1)).add(std::uint32_t(cloud.cloud.position_m.size())).add(std::uint32_t(fields.size()));
+    for (const RosField& field : fields) cdr.add_text(field.name).add(field.offset).add(field.type).add(std::uint32_t(1));
+    cdr.add(std::uint8_t(0)).add(step).add(std::uint32_t(points.size())).add_bytes(points).add(std::uint8_t(1));
     return cdr.take();
 }
 

@@ -2,8 +2,8 @@
 #include <relidar/scan_files.hpp>
 
 #include <algorithm>
-#include <optional>
-#include <utility>
+#include <map>
+#include <type_traits>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -52,11 +52,11 @@ FileNotes notes_of(const ScanFormat& format, int frame, const RenderedScan& scan
 }
 
 template <class T>
-NamedArray image_array(const char* name, const RangeImage& image, const std::vector<T>& values) {
+NamedArray image_array(const std::string& name, const RangeImage& image, const std::vector<T>& values) {
     return make_array(name, {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns)}, values.data(), values.size());
 }
 
-NamedArray vector_array(const char* name, const RangeImage& image, const std::vector<glm::vec3>& values) {
+NamedArray image_array(const std::string& name, const RangeImage& image, const std::vector<glm::vec3>& values) {
     const float* first = values.empty() ? nullptr : &values.front().x;
     return make_array(name, {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns), 3}, first, values.size() * 3);
 }
@@ -67,17 +67,9 @@ std::vector<NamedArray> arrays_of(const PlacedScan& placed) {
     const std::vector<double> pose = matrix_of(scan.world_from_sensor);
     const bool world = placed.format.frame == PointFrame::world;
     const std::int32_t number = placed.frame, deskewed = world || placed.format.deskew ? 1 : 0;
-    std::vector<NamedArray> arrays{image_array("range", image, image.range_m),
-                                   image_array("median_range", image, scan.median_range_m),
-                                   image_array("intensity", image, image.intensity),
-                                   image_array("drop_prob", image, image.drop_prob),
-                                   image_array("weight", image, scan.weight),
-                                   image_array("time", image, scan.time_offset_s),
-                                   image_array("ring", image, scan.channel),
-                                   image_array("instance", image, scan.instance),
-                                   make_text_array("instance_names", placed.format.instance_names),
-                                   vector_array("directions", image, placed.direction),
-                                   vector_array("origin", image, placed.origin),
+    std::vector<NamedArray> arrays{make_text_array("instance_names", placed.format.instance_names),
+                                   image_array("directions", image, placed.direction),
+                                   image_array("origin", image, placed.origin),
                                    make_array("pose", {4, 4}, pose.data(), pose.size()),
                                    make_array("time_s", {}, &scan.time_s, 1),
                                    make_array("frame_number", {}, &number, 1),
@@ -86,35 +78,26 @@ std::vector<NamedArray> arrays_of(const PlacedScan& placed) {
                                    make_text("sensor", placed.format.sensor),
                                    make_text("run", placed.format.run),
                                    make_text("units", kUnits)};
-    if (!placed.normal.empty()) arrays.push_back(vector_array("normals", image, placed.normal));
-    if (placed.spread_m) arrays.push_back(image_array("spread", image, *placed.spread_m));
-    if (!scan.seen.empty()) arrays.push_back(image_array("seen", image, scan.seen));
+    for_each_file_channel(placed, [&](const ChannelInfo& channel, const auto& values) {
+        arrays.push_back(image_array(channel.name, image, values));
+    });
     if (scan.unseen_share) arrays.push_back(make_array("unseen", {}, &*scan.unseen_share, 1));
-    if (!scan.further.empty()) {
-        arrays.push_back(image_array("range_2", image, scan.further[0].range_m));
-        arrays.push_back(image_array("intensity_2", image, scan.further[0].intensity));
-    }
     return arrays;
 }
 
 void exr(const fs::path& path, const PlacedScan& placed) {
-    const RenderedScan& scan = placed.scan;
-    const RangeImage& image = scan.image;
-    std::map<std::string, std::vector<float>> channels{{"range", image.range_m},         {"median_range", scan.median_range_m},
-                                                       {"intensity", image.intensity},   {"drop_prob", image.drop_prob},
-                                                       {"weight", scan.weight},          {"time", scan.time_offset_s},
-                                                       {"instance", {scan.instance.begin(), scan.instance.end()}},
-                                                       {"ring", {scan.channel.begin(), scan.channel.end()}}};
-    if (placed.spread_m) channels["spread"] = *placed.spread_m;
-    if (!scan.seen.empty()) channels["seen"] = scan.seen;
-    if (!scan.further.empty()) channels["range_2"] = scan.further[0].range_m, channels["intensity_2"] = scan.further[0].intensity;
-    constexpr const char* kAxes = "xyz";
-    for (int axis = 0; axis < 3; ++axis) {
-        const auto add = [&](const char* name, const std::vector<glm::vec3>& vectors) {
-            for (const glm::vec3& v : vectors) channels[fmt::format("{}.{}", name, kAxes[axis])].push_back(v[axis]);
-        };
-        add("origin", placed.origin), add("direction", placed.direction), add("normal", placed.normal);
-    }
+    std::map<std::string, std::vector<float>> channels;
+    const auto add = [&]<class T>(const std::string& name, const std::vector<T>& values) {
+        if constexpr (std::is_same_v<T, glm::vec3>) {
+            for (const glm::vec3& v : values)
+                for (int axis = 0; axis < 3; ++axis) channels[fmt::format("{}.{}", name, "xyz"[axis])].push_back(v[axis]);
+        } else {
+            channels[name].assign(values.begin(), values.end());
+        }
+    };
+    add("origin", placed.origin), add("direction", placed.direction);
+    for_each_file_channel(placed, [&](const ChannelInfo& channel, const auto& values) { add(channel.name, values); });
+    const RangeImage& image = placed.scan.image;
     write_exr(path, image.rows, image.columns, channels, placed.notes);
 }
 
@@ -177,6 +160,8 @@ void ScanFolder::write(int frame, const RenderedScan& scan) {
         format.write(folder_ / files.back(), placed);
     }
     if (recordings_) recordings_->write({&scan, 1});
+    for (const ScanChannel& channel : scan.channels)
+        if (std::ranges::find(channels_, channel.info.name, &ChannelInfo::name) == channels_.end()) channels_.push_back(channel.info);
     entries_.push_back(scan_files::entry_json(frame, scan, scan_files::count_points(scan, format_.config), files));
 }
 

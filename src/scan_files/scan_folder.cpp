@@ -53,6 +53,15 @@ Json settings_json(const Config& config) {
     return json;
 }
 
+/// What arrays of files are called, what they hold and in what unit.
+Json channels_json(const std::vector<ChannelInfo>& channels) {
+    Json json = Json::object();
+    const auto add = [&](const ChannelInfo& channel) { json[channel.name] = {{"unit", channel.unit}, {"meaning", channel.meaning}}; };
+    std::ranges::for_each(file_channels(), add);
+    std::ranges::for_each(channels, add);
+    return json;
+}
+
 }  // namespace
 
 ScanFolder::ScanFolder(fs::path folder, ScanFormat format, Joining) : folder_(std::move(folder)), format_(std::move(format)) {
@@ -62,6 +71,7 @@ ScanFolder::ScanFolder(fs::path folder, ScanFormat format, Joining) : folder_(st
             throw UsageError(fmt::format("writing scans: found format \"{}\"{} (known: {})", name, did_you_mean(name, known),
                                          fmt::join(known, ", ")));
     check_writable(folder_);
+    channels_ = wanted_channels(format_.config.render.channels);
 }
 
 ScanFolder ScanFolder::joining(fs::path folder, ScanFormat format) {
@@ -103,6 +113,7 @@ void ScanFolder::summarise() const {
                  {"trajectory", format_.trajectory.empty() ? Json() : Json(format_.trajectory)},
                  {"units", "metres, seconds; time of a point in seconds from time_s; intensity and drop_prob 0 to 1"},
                  {"points", points},
+                 {"channels", channels_json(channels_)},
                  {"instances", format_.instance_names},
                  {"only", format_.only},
                  {"sample", format_.sample ? Json(*format_.sample) : Json()},

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <set>
 
+#include <relidar/channels.hpp>
 #include <relidar/registration.hpp>
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
@@ -31,13 +32,14 @@ public:
         const glm::dvec3& offset_m = run_.sequence.world_offset_m;
         const RenderedScan scan =
             renderer_.render(sensor, {frame.time_s, shifted_track(moved_track(world_from_vehicle, mounted), offset_m), {}});
+        const std::vector<glm::vec3>& normals = *find_values<glm::vec3>(scan.channels, "normal");
         std::vector<SeenSurface> seen(rays.size());
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const std::int32_t instance = scan.instance[i];
             if (scan.weight[i] < kFewestWeight || instance < 0 || !run_.scene.instances[std::size_t(instance)].track.empty()) continue;
             const Pose pose = scan.world_from_firing(i);
             const glm::vec3 point_m = sensor.rays.origin[i] + scan.median_range_m[i] * sensor.rays.direction[i];
-            seen[i] = {pose * glm::dvec3(point_m) - offset_m, pose.rotation * glm::dvec3(scan.normal[i])};
+            seen[i] = {pose * glm::dvec3(point_m) - offset_m, pose.rotation * glm::dvec3(normals[i])};
         }
         return seen;
     }
@@ -47,7 +49,7 @@ private:
     ScanRenderer renderer_;
 
     static Config view_config(Config config) {
-        config.render.normals = true;
+        config.render.channels = "normal";
         config.sensor.sub_rays = config.sensor.returns = 1;
         return config;
     }

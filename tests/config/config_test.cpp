@@ -4,6 +4,8 @@
 
 #include <set>
 
+#include <relidar/channels.hpp>
+#include <relidar/export.hpp>
 #include <relidar/stages/accel.hpp>
 #include <relidar/stages/traversal.hpp>
 
@@ -47,7 +49,7 @@ Config through_toml(const Config& config, const std::filesystem::path& folder) {
 /// Gives a key another value that it accepts.
 bool change(Config& config, const std::string& key) {
     const std::string before = value_of(config, key);
-    for (const char* value : {"0.12345678", "0.6000001", "0.25", "2",      "7",      "123456",   "true",       "false",    "kitti360",
+    for (const char* value : {"0.12345678", "seen", "0.6000001", "0.25", "2", "7", "123456", "true", "false", "kitti360",
                               "cast",       "columns",   "ray",  "surfel", "median", "expected", "boxes",      "gaussian", "adaptive",
                               "gather",     "pixel",     "direction", "grid", "sensor", "none",     "lane",     "masked",     "range",
                               "fp16", "a \"b\" \\c"}) {
@@ -93,6 +95,25 @@ TEST_F(ConfigFile, ValuesReadBackBitByBit) {
     EXPECT_EQ(read.train.mean_rate, config.train.mean_rate);
     EXPECT_EQ(read.init.seed, config.init.seed);
     EXPECT_EQ(read.image.alpha_min, 1.0f / 255.0f);
+}
+
+/// As run folders of earlier versions have them.
+TEST_F(ConfigFile, FormerKeysOfChannelsAreRead) {
+    write_text(folder / "old.toml", "[render]\nnormals = true\nspread = false\nseen = true\n");
+    Config config;
+    load_config(config, folder / "old.toml");
+    EXPECT_EQ(config.render.channels, "normal,seen");
+    EXPECT_NE(set_error("render.normals", "true").find("unknown key"), std::string::npos) << "of files alone";
+    write_text(folder / "old.toml", "[render]\nnormals = \"yes\"\n");
+    EXPECT_THROW(load_config(config, folder / "old.toml"), UsageError);
+}
+
+TEST(Config, ChannelsAreAList) {
+    Config config;
+    set_key(config, "render.channels", "normal, seen");
+    EXPECT_EQ(wanted_channels(config.render.channels).size(), 2u);
+    set_key(config, "render.channels", "");
+    EXPECT_NE(set_error("render.channels", "normal,sean").find("found \"normal,sean\", expected some of normal, "), std::string::npos);
 }
 
 TEST(Config, KeysAreUniqueAndExplained) {

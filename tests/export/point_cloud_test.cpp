@@ -111,7 +111,8 @@ TEST_F(PointCloudFile, LeavesOutFieldsThatAreMissing) {
 
 TEST_F(PointCloudFile, WritesTheSpreadBehindTheOtherFields) {
     PointCloud cloud = some_cloud();
-    cloud.spread = {{0.0f, 0.5f, 12.25f}};
+    const std::vector<float> spread{0.0f, 0.5f, 12.25f};
+    cloud.channels = {{{.name = "spread"}, spread}};
     write_ply(folder / "a.ply", cloud);
     write_pcd(folder / "a.pcd", cloud);
     EXPECT_NE(contents(folder / "a.ply").find("property int instance\nproperty float spread\nend_header"), std::string::npos);
@@ -119,16 +120,17 @@ TEST_F(PointCloudFile, WritesTheSpreadBehindTheOtherFields) {
     for (const auto& [name, last] : {std::pair("a.ply", "end_header"), {"a.pcd", "DATA binary"}}) {
         const std::string body = parse(contents(folder / name), last).body;
         ASSERT_EQ(body.size(), 3u * 30u) << name;
-        for (std::size_t i = 0; i < 3; ++i) EXPECT_EQ(value_at<float>(body, 30 * i + 26), (*cloud.spread)[i]) << name;
+        for (std::size_t i = 0; i < 3; ++i) EXPECT_EQ(value_at<float>(body, 30 * i + 26), spread[i]) << name;
     }
-    cloud.spread->pop_back();
+    cloud.channels = {{{.name = "spread"}, std::vector<float>(2)}};
     EXPECT_THROW(write_ply(folder / "b.ply", cloud), DataError);
 }
 
 TEST_F(PointCloudFile, WritesNormalsByTheNamesOfEachFormat) {
     PointCloud cloud = some_cloud();
     cloud.ring.reset(), cloud.time.reset(), cloud.instance.reset();
-    cloud.normal = {{1.0f, 0.0f, 0.0f}, {0.0f, -1.0f, 0.0f}, {0.6f, 0.0f, 0.8f}};
+    const std::vector<glm::vec3> normal{{1.0f, 0.0f, 0.0f}, {0.0f, -1.0f, 0.0f}, {0.6f, 0.0f, 0.8f}};
+    cloud.channels = {{{.name = "normal", .turns = true}, normal}};
     write_ply(folder / "a.ply", cloud);
     write_pcd(folder / "a.pcd", cloud);
     const Parsed ply = parse(contents(folder / "a.ply"), "end_header"), pcd = parse(contents(folder / "a.pcd"), "DATA binary");
@@ -138,8 +140,8 @@ TEST_F(PointCloudFile, WritesNormalsByTheNamesOfEachFormat) {
     ASSERT_EQ(ply.body.size(), 3u * 28u);
     for (std::size_t i = 0; i < 3; ++i)
         for (int axis = 0; axis < 3; ++axis)
-            EXPECT_EQ(value_at<float>(ply.body, 28 * i + 16 + 4 * std::size_t(axis)), (*cloud.normal)[i][axis]);
-    cloud.normal->pop_back();
+            EXPECT_EQ(value_at<float>(ply.body, 28 * i + 16 + 4 * std::size_t(axis)), normal[i][axis]);
+    cloud.channels = {{{.name = "normal"}, std::vector<glm::vec3>(2)}};
     data_error([&] { write_ply(folder / "b", cloud); });
 }
 

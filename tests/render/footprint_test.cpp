@@ -135,7 +135,7 @@ TEST(Footprint, PartsOnOneSurfaceAreOneReturnOfTheirMeanWeighedByLight) {
     EXPECT_NEAR(scan.image.intensity[0], 0.2f, kNear);
     EXPECT_NEAR(scan.image.drop_prob[0], 0.1f, kNear);
     EXPECT_EQ(scan.further[0].range_m[0], 0.0f) << "steps below the separation are one surface, however far it reaches";
-    EXPECT_EQ(scan.channel[0], 7);
+    EXPECT_EQ(scan.ring[0], 7);
 }
 
 TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {

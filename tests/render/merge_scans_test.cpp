@@ -23,14 +23,16 @@ RenderedScan scan_of(const Pose& rig_from_sensor, float range_m) {
     scan.image.drop_prob = {0.0f, 0.1f};
     scan.weight = {1.0f, 0.9f};
     scan.instance = {0, 2};
-    scan.normal = {{-1.0f, 0.0f, 0.0f}, {0.0f, 0.0f, -1.0f}};
+    scan.channels = {{optional_channels()[0], std::vector<glm::vec3>{{-1.0f, 0.0f, 0.0f}, {0.0f, 0.0f, -1.0f}}}};
     scan.time_offset_s = {-0.05f, 0.04f};
-    scan.channel = {3, 1};
+    scan.ring = {3, 1};
     scan.track = moved_track({{0.0, 1.0}, {start, end}}, rig_from_sensor);
     scan.time_s = 0.5;
     scan.world_from_sensor = scan.track.at(0.5);
     return scan;
 }
+
+const std::vector<glm::vec3>& normals_of(const RenderedScan& scan) { return *find_values<glm::vec3>(scan.channels, "normal"); }
 
 glm::dvec3 world_point(const RenderedScan& scan, std::size_t i) {
     return scan.world_from_firing(i) * glm::dvec3(scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]);
@@ -46,13 +48,13 @@ TEST(MergeScans, PointsStayWhereTheyAre) {
     for (std::size_t i = 0; i < 4; ++i) {
         const RenderedScan& own = scans[i / 2];
         EXPECT_LT(glm::length(world_point(merged, i) - world_point(own, i % 2)), 1e-4) << i;
-        const glm::dvec3 normal = merged.world_from_firing(i).rotation * glm::dvec3(merged.normal[i]);
-        EXPECT_LT(glm::length(normal - own.world_from_firing(i % 2).rotation * glm::dvec3(own.normal[i % 2])), 1e-6) << i;
+        const glm::dvec3 normal = merged.world_from_firing(i).rotation * glm::dvec3(normals_of(merged)[i]);
+        EXPECT_LT(glm::length(normal - own.world_from_firing(i % 2).rotation * glm::dvec3(normals_of(own)[i % 2])), 1e-6) << i;
         EXPECT_EQ(merged.image.intensity[i], own.image.intensity[i % 2]);
         EXPECT_EQ(merged.instance[i], own.instance[i % 2]);
     }
     EXPECT_EQ(range_spread(merged), (std::vector<float>{1.0f, 2.0f, 1.0f, 2.0f}));
-    EXPECT_EQ(merged.channel, (std::vector<std::uint16_t>{3, 1, 7, 5})) << "of the second sensor behind the four of the first";
+    EXPECT_EQ(merged.ring, (std::vector<std::uint16_t>{3, 1, 7, 5})) << "of the second sensor behind the four of the first";
     EXPECT_THROW(merge_scans({}, {}), UsageError);
     EXPECT_THROW(merge_scans(scans, {Pose{}}), UsageError);
 }

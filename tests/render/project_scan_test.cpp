@@ -25,7 +25,7 @@ RenderedScan scan_of(const std::vector<glm::vec3>& points, const std::vector<flo
         scan.mean_range_m.push_back(scan.image.range_m.back());
         scan.weight.push_back(1.0f);
         scan.time_offset_s.push_back(0.0f);
-        scan.channel.push_back(0);
+        scan.ring.push_back(0);
         scan.instance.push_back(static_cast<std::int32_t>(i));
     }
     return scan;

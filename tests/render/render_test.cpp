@@ -359,22 +359,25 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
                                    {Pose{}, Pose{glm::angleAxis(1.0, glm::normalize(glm::dvec3(0.1, 0.2, 1))), {4.0, -1.0, 0.0}}}};
     Config config;
     const SensorChoice sensor = configured_sensor(config, sequence);
-    EXPECT_TRUE(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5).normal.empty());
-    config.render.normals = true;
+    EXPECT_TRUE(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5).channels.empty());
+    config.render.channels = "normal";
     const RenderedScan scan = ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5);
+    const std::vector<glm::vec3>& normal = *find_values<glm::vec3>(scan.channels, "normal");
+    ASSERT_EQ(normal.size(), scan.instance.size());
     std::size_t met = 0;
-    for (std::size_t i = 0; i < scan.normal.size(); ++i) {
-        if (scan.instance[i] < 0) EXPECT_EQ(scan.normal[i], glm::vec3(0.0f));
+    for (std::size_t i = 0; i < normal.size(); ++i) {
+        if (scan.instance[i] < 0) EXPECT_EQ(normal[i], glm::vec3(0.0f));
         else
-            EXPECT_LT(glm::length(scan.world_from_firing(i).rotation * glm::dvec3(scan.normal[i]) - glm::dvec3(-1.0, 0.0, 0.0)), 1e-5)
+            EXPECT_LT(glm::length(scan.world_from_firing(i).rotation * glm::dvec3(normal[i]) - glm::dvec3(-1.0, 0.0, 0.0)), 1e-5)
                 << "ray " << i;
         met += scan.instance[i] >= 0;
     }
     EXPECT_GT(met, 5u);
     const RenderedScan binned = project_scan(scan, kitti360_grid());
-    ASSERT_EQ(binned.normal.size(), binned.instance.size());
-    for (std::size_t i = 0; i < binned.normal.size(); ++i)
-        EXPECT_NEAR(glm::length(binned.normal[i]), binned.instance[i] < 0 ? 0.0f : 1.0f, 1e-6f);
+    const std::vector<glm::vec3>& of_cells = *find_values<glm::vec3>(binned.channels, "normal");
+    ASSERT_EQ(of_cells.size(), binned.instance.size());
+    for (std::size_t i = 0; i < of_cells.size(); ++i)
+        EXPECT_NEAR(glm::length(of_cells[i]), binned.instance[i] < 0 ? 0.0f : 1.0f, 1e-6f);
     config.image.primitive = Primitive::gaussian;
     EXPECT_THROW(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence), UsageError);
 }

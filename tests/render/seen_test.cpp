@@ -19,13 +19,14 @@ protected:
         log = make_synthetic_street(options);
         split = split_frames(log, 5);
         scene = initialise_scene(log, split.train, {});
-        config.render.seen = true;
+        config.render.channels = "seen";
     }
     RenderedScan scan(const Pose& offset, const Config& settings, const std::string& sensor = "native") {
         ScanRenderer renderer(device(), scene, settings, log);
         renderer.compare_with(find_coverage(log, log.world_from_vehicle, split.train, settings.dataset.max_range_m));
         return renderer.render(choose_sensor(sensor, settings, log), log.frames[std::size_t(split.test[0])].time_s, offset);
     }
+    static const std::vector<float>& seen(const RenderedScan& scan) { return *find_values<float>(scan.channels, "seen"); }
     double unseen(const glm::dvec3& offset_m) { return scan({{1, 0, 0, 0}, offset_m}, config).unseen_share.value(); }
 
     Sequence log;
@@ -37,9 +38,9 @@ protected:
 TEST_F(Seen, AHeldOutScanLooksWhereTheLogDid) {
     const RenderedScan own = scan({}, config);
     EXPECT_LT(own.unseen_share.value(), 0.02);
-    ASSERT_EQ(own.seen.size(), own.image.range_m.size());
+    ASSERT_EQ(seen(own).size(), own.image.range_m.size());
     EXPECT_EQ(own.unseen_share.value(),
-              double(std::ranges::count_if(own.seen, [](float s) { return s < 0.5f; })) / double(own.seen.size()));
+              double(std::ranges::count_if(seen(own), [](float s) { return s < 0.5f; })) / double(seen(own).size()));
     EXPECT_LT(unseen({0.0, 3.0, 0.0}), kMuchUnseen) << "the next lane";
 }
 
@@ -51,21 +52,21 @@ TEST_F(Seen, WhatLiesOutsideIsSaid) {
 
 TEST_F(Seen, AShareIsKnownWithoutTheChannel) {
     Config plain = config;
-    plain.render.seen = false;
+    plain.render.channels.clear();
     const Pose beside{{1, 0, 0, 0}, {0.0, 5.0, 2.0}};
     const RenderedScan some = scan(beside, plain), all = scan(beside, config);
-    EXPECT_TRUE(some.seen.empty());
+    EXPECT_TRUE(some.channels.empty());
     EXPECT_NEAR(some.unseen_share.value(), all.unseen_share.value(), 0.02);
     EXPECT_EQ(some.image.range_m, all.image.range_m);
 }
 
 TEST_F(Seen, BinnedAndMergedScansKeepIt) {
     const RenderedScan own = scan({}, config), grid = scan({}, config, "kitti360"), below = scan({{1, 0, 0, 0}, {0, 0, -5.0}}, config);
-    EXPECT_EQ(grid.seen.size(), grid.image.range_m.size());
+    EXPECT_EQ(seen(grid).size(), grid.image.range_m.size());
     EXPECT_EQ(grid.unseen_share, own.unseen_share);
     const RenderedScan both = merge_scans({own, below}, {Pose{}, Pose{{1, 0, 0, 0}, {0, 0, -5.0}}});
-    ASSERT_EQ(both.seen.size(), own.seen.size() + below.seen.size());
-    EXPECT_EQ(both.seen.back(), below.seen.back());
+    ASSERT_EQ(seen(both).size(), seen(own).size() + seen(below).size());
+    EXPECT_EQ(seen(both).back(), seen(below).back());
     EXPECT_NEAR(both.unseen_share.value(), (*own.unseen_share + *below.unseen_share) / 2.0, 1e-12);
 }
 
@@ -73,7 +74,7 @@ TEST_F(Seen, WithoutACoverageNothingIsClaimed) {
     ScanRenderer renderer(device(), scene, config, log);
     const RenderedScan own = renderer.render(choose_sensor("native", config, log), log.frames[0].time_s);
     EXPECT_FALSE(own.unseen_share.has_value());
-    EXPECT_TRUE(own.seen.empty());
+    EXPECT_TRUE(own.channels.empty());
 }
 
 }  // namespace

@@ -29,7 +29,7 @@ RenderedScan four_rays() {
     scan.weight.assign(4, 1.0f);
     scan.instance = {0, 1, -1, 0};
     scan.time_offset_s = {-0.05f, 0.05f, 0.0f, 0.025f};
-    scan.channel = {1, 0, 1, 0};
+    scan.ring = {1, 0, 1, 0};
     scan.further = {{{0.0f, 14.0f, 0.0f, 0.0f}, {0.0f, 0.2f, 0.0f, 0.0f}}};
     scan.time_s = 3.0;
     return scan;
@@ -38,7 +38,7 @@ RenderedScan four_rays() {
 TEST_F(ExrScans, AreReadAsScans) {
     ScanFormat format;
     format.formats = {"exr"};
-    const RenderedScan truth = four_rays();
+    RenderedScan truth = four_rays();
     const auto write = [&] {
         ScanFolder scans(folder / "scans", format);
         scans.write(5, truth);
@@ -53,13 +53,13 @@ TEST_F(ExrScans, AreReadAsScans) {
     EXPECT_THAT(scan.intensity, testing::ElementsAre(0.5f, 1.0f, 0.0f, 0.125f));
     EXPECT_EQ(to_vector(scan.rays.direction), truth.image.direction);
     EXPECT_EQ(to_vector(scan.rays.origin), truth.image.origin);
-    EXPECT_EQ(to_vector(scan.rays.channel), truth.channel);
+    EXPECT_EQ(to_vector(scan.rays.channel), truth.ring);
     EXPECT_EQ(to_vector(scan.rays.time_offset_s), truth.time_offset_s);
     ASSERT_EQ(scan.further.size(), 1u);
     EXPECT_EQ(scan.further[0].range_m, truth.further[0].range_m);
     EXPECT_EQ(scan.further[0].intensity, truth.further[0].intensity);
     EXPECT_EQ(read_exr(folder / "scans" / "frame_000005.exr").channels.count("spread"), 0u) << "not asked for";
-    format.config.render.spread = true;
+    truth.channels = {{{.name = "spread"}, range_spread(truth)}};
     write();
     EXPECT_THAT(read_exr(folder / "scans" / "frame_000005.exr").channels.at("spread"), testing::ElementsAre(0.5f, 0.5f, 0.0f, 1.0f));
     format.deskew = true;

@@ -47,7 +47,7 @@ RenderedScan lane_change() {
     scan.median_range_m = scan.mean_range_m = scan.image.range_m;
     scan.weight.assign(places().size(), 1.0f);
     scan.instance.assign(places().size(), 0);
-    scan.channel.assign(places().size(), 0);
+    scan.ring.assign(places().size(), 0);
     return scan;
 }
 

@@ -29,7 +29,7 @@ RenderedScan two_rays(double time_s) {
     scan.weight = {1.0f, 1.0f};
     scan.instance = {0, 1};
     scan.time_offset_s = {-0.05f, 0.05f};
-    scan.channel = {0, 1};
+    scan.ring = {0, 1};
     scan.further = {{{0.0f, 14.0f}, {0.0f, 0.2f}}};
     scan.time_s = time_s;
     return scan;

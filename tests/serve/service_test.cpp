@@ -94,6 +94,33 @@ TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
     EXPECT_THAT(values<std::uint16_t>(scan.points().ring()), testing::Contains(2));
 }
 
+/// The wall faces the sensor squarely wherever that stands: its normal is -x of the world, in the frame of the points.
+TEST_F(Service, ChannelsComeWithPointsAndImage) {
+    channels = "normal,spread";
+    start();
+    v1::RenderLidarRequest request = standing();
+    request.clear_path();
+    const Pose begin = at_x(-1.0), end{rotation_of(0.4, 0.0, 0.0), at_x(0.0).translation};
+    add_pose(*request.mutable_path(), 0.45, begin), add_pose(*request.mutable_path(), 0.55, end);
+    request.mutable_actors();
+    request.mutable_wanted()->set_range_image(true);
+    const v1::LidarScan scan = scan_of(request);
+    ASSERT_EQ(scan.points().channels_size(), 2);
+    const v1::Channel &normal = scan.points().channels(0), &spread = scan.points().channels(1);
+    EXPECT_EQ(normal.name(), "normal");
+    EXPECT_EQ(normal.components(), 3u);
+    EXPECT_EQ(spread.name(), "spread");
+    EXPECT_EQ(spread.unit(), "m");
+    EXPECT_EQ(spread.components(), 1u);
+    const std::vector<glm::vec3> normals = values<glm::vec3>(normal.values());
+    ASSERT_EQ(normals.size(), scan.points().count());
+    ASSERT_GT(normals.size(), 10u);
+    for (const glm::vec3& n : normals) EXPECT_LT(glm::distance(end.rotation * glm::dvec3(n), glm::dvec3(-1.0, 0.0, 0.0)), 1e-4);
+    EXPECT_EQ(values<float>(spread.values()).size(), scan.points().count());
+    ASSERT_EQ(scan.image().channels_size(), 2);
+    EXPECT_EQ(values<float>(scan.image().channels(1).values()).size(), scan.rays());
+}
+
 TEST_F(Service, FirstRayIsFiredAtTheBeginningOfThePathUnlessToldOtherwise) {
     start();
     v1::RenderLidarRequest request = standing();

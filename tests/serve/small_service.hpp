@@ -60,6 +60,7 @@ class ServiceTest : public test::DeviceTest {
 protected:
     std::filesystem::path folder;   ///< of the runs
     std::vector<std::string> assets;   ///< folders of them
+    std::optional<std::string> channels;   ///< of all scans
     std::optional<ScanServer> server;
 
     void SetUp() override {
@@ -77,6 +78,7 @@ protected:
     void start(std::size_t waiting = 64, const std::vector<std::string>& names = {"small"}, std::uint64_t memory_mib = 0) {
         ServerOptions options;
         options.assets = assets;
+        options.channels = channels;
         for (const std::string& name : names) {
             if (!std::filesystem::exists(folder / name)) save_run(small_run(folder / name));
             options.runs.push_back((folder / name).string());

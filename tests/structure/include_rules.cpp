@@ -13,6 +13,7 @@ using Stages = std::set<std::string>;
 const std::map<std::string, Stages>& layer_table() {
     static const std::map<std::string, Stages> table = {
         {"core", {}},
+        {"channels", {}},
         {"gpu", {}},
         {"sensor", {}},
         {"sequence", {"sensor"}},
@@ -27,7 +28,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"loss", {"traversal", "scene", "gpu"}},
         {"metrics", {"sequence", "sensor", "gpu"}},
         {"refine", {"optimizer", "gpu"}},
-        {"export", {"metrics", "scene", "sequence", "sensor"}},  // metrics: the rows a report shows
+        {"export", {"channels", "metrics", "scene", "sequence", "sensor"}},  // metrics: the rows a report shows
         {"forward", {"traversal", "accel", "scene", "sequence", "sensor", "gpu"}},
         {"densify", {"optimizer", "scene", "gpu"}},
         {"checkpoint", {"export", "scene", "optimizer", "refine", "gpu"}},  // export: safetensors
@@ -36,17 +37,18 @@ const std::map<std::string, Stages>& layer_table() {
         {"differentiable_renderer", {"backward", "forward", "traversal", "accel", "scene", "gpu"}},
         // options of all of them
         {"config",
-         {"traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "refine", "scene", "sequence", "sensor", "gpu"}},
+         {"channels", "traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "refine", "scene", "sequence", "sensor",
+          "gpu"}},
         {"run", {"config", "coverage", "export", "refine", "scene", "sequence", "sensor"}},  // a run's folder; export: safetensors
         {"sensor_files", {"sensor", "export"}},                                  // export: npz
         {"render",
-         {"sensor_files", "config", "coverage", "run", "forward", "traversal", "refine", "accel", "metrics", "scene", "sequence", "sensor",
-          "gpu"}},
+         {"channels", "sensor_files", "config", "coverage", "run", "forward", "traversal", "refine", "accel", "metrics", "scene",
+          "sequence", "sensor", "gpu"}},
         {"assets", {"render", "run", "edit", "export", "config", "scene", "sequence", "sensor", "gpu"}},   // export: write_text
-        {"scan_files", {"render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
+        {"scan_files", {"channels", "render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
         {"evaluation", {"render", "run", "config", "export", "metrics", "scene", "sequence", "sensor", "gpu"}},  // export: weights of LPIPS
         {"blocks", {"run", "config", "coverage", "scene", "sequence", "sensor"}},
-        {"train", {"config",     "run",      "render",    "differentiable_renderer",
+        {"train", {"channels",   "config",   "run",       "render",    "differentiable_renderer",
                    "backward",   "forward",  "traversal", "densify",
                    "checkpoint", "accel",    "optimizer", "loss",
                    "metrics",    "refine",   "dataset",   "registration",

@@ -222,14 +222,14 @@ foreign_readers() {
         good render run --out deskewed --format npz,ply --deskew
         "$python" "$tests/read_scans.py" scans in_world deskewed >err 2>&1
         check "read_scans.py finds faults" test $? = 0
-        good render run --out with_normals --format npz,ply,pcd,bin --set render.normals=true --set render.spread=true
+        good render run --out with_normals --format npz,ply,pcd,bin --channels normal,spread
         "$python" "$tests/read_scans.py" with_normals >err 2>&1
         check "read_scans.py finds faults with normals and spread" test $? = 0
     fi
     if ! command -v exrheader >/dev/null; then
         echo "note: no exrheader, exr is not read by another program"
     else
-        good render run --out spread --frames 5:6 --format exr --set render.spread=true
+        good render run --out spread --frames 5:6 --format exr --channels spread
         exrheader spread/frame_000005.exr >out 2>err
         says '^    spread, 32-bit floating-point'
         exrheader scans/frame_000005.exr >out 2>err
@@ -272,7 +272,7 @@ rendering() {
     check "a sensor under the ground is not warned of" \
         grep -q "^relidar: note: below: in 2 of 2 scans more than 20 % of the rays look where no ray of the log did, in number [23] 9" err
     check "scans.json does not say how much is unseen" grep -q '"unseen":0.9' <(tr -d ' \n' <below/scans.json)
-    good render run --out far_off --frames 2:3 --offset 9000,0,0 --set render.seen=true
+    good render run --out far_off --frames 2:3 --offset 9000,0,0 --channels seen
     check "the summary does not say how much is unseen" grep -q "0.0 % return, 100.0 % look where the log did not" out
     good render run --out other --frames 11: --sensor VLP-16
     good render run --out grid --frames all --sensor kitti360 --quiet

@@ -66,6 +66,19 @@ function checkCloud(what, sensor, i, message, frames, shift) {
     if (process.env.SHOW) console.log(what, largest);
     check(`${what}: composed with /tf ${sum / rows.length} m off the world's points in the mean, ${largest} m at most`, largest <= kTolerance_m);
     if (rows[0].channel !== undefined) checkAngles(what, rows);
+    else checkChannels(what, rows, own, said.deskewed && !inWorld);
+}
+
+/** Channels are those of the ply; deskewed normals are not: a recording's are in the frame of its stamp. */
+function checkChannels(what, rows, own, isOtherFrame) {
+    const names = Object.keys(own[0]).filter((name) => !["x", "y", "z", "intensity", "ring", "time", "instance", "return"].includes(name));
+    for (const name of names) {
+        const isNormal = /^n[xyz]$/.test(name), field = isNormal ? `normal_${name[1]}` : name;
+        check(`${what}: no channel ${field}`, field in rows[0]);
+        if (!(isNormal && isOtherFrame)) check(`${what}: another ${field}`, rows.every((row, k) => Math.abs(row[field] - own[k][name]) < 1e-6));
+    }
+    if (names.includes("nx"))
+        check(`${what}: normals of another length`, rows.every((row) => Math.abs(Math.hypot(row.normal_x, row.normal_y, row.normal_z) - 1) < 1e-4));
 }
 
 function checkAngles(what, rows) {

@@ -59,9 +59,9 @@ def xyz(cloud):
 
 def check_normals(stem, npz):
     """Unit vectors towards the sensor where a surface was met."""
-    lengths = np.linalg.norm(npz["normals"], axis=-1)
+    lengths = np.linalg.norm(npz["normal"], axis=-1)
     check(f"{stem}: lengths of normals", np.allclose(lengths, npz["instance"] >= 0, atol=1e-5))
-    check(f"{stem}: normals look away", (npz["normals"] * npz["directions"]).sum(axis=-1).max() <= 1e-5)
+    check(f"{stem}: normals look away", (npz["normal"] * npz["directions"]).sum(axis=-1).max() <= 1e-5)
 
 
 def check_scan(folder, summary, scan):
@@ -83,15 +83,15 @@ def check_scan(folder, summary, scan):
     pcd, viewpoint = read_pcd(stem + ".pcd")
     check(f"{stem}: points", len(points) == scan["points"] > 0)
     for name, cloud in (("ply", ply), ("pcd", pcd)):
-        of_normals = NORMAL_FIELDS[name] if "normals" in npz else ()
+        of_normals = NORMAL_FIELDS[name] if "normal" in npz else ()
         of_spread = ("spread",) if "spread" in npz else ()
         check(f"{stem}.{name}: fields", cloud.dtype.names == ("x", "y", "z", "intensity", "ring", "time", "instance") + of_spread + of_normals)
         for axis, field in enumerate(of_normals):
-            check(f"{stem}.{name}: {field}", np.array_equal(cloud[field], npz["normals"][kept][:, axis]))
+            check(f"{stem}.{name}: {field}", np.array_equal(cloud[field], npz["normal"][kept][:, axis]))
         check(f"{stem}.{name}: points", np.allclose(xyz(cloud), points, atol=1e-5))
         for field in ("intensity", "ring", "time", "instance") + of_spread:
             check(f"{stem}.{name}: {field}", np.array_equal(cloud[field], npz[field][kept]))
-    if "normals" in npz:
+    if "normal" in npz:
         check_normals(stem, npz)
     if "spread" in npz:   # with render.range=normalised, the image has the mean
         check(f"{stem}: spread", np.allclose(npz["spread"], np.abs(npz["median_range"] - npz["range"]), atol=1e-6) and npz["spread"].max() > 0)

@@ -64,19 +64,19 @@ printf '%s\n' '{"sensors": [{"name": "front", "sensor": "VLP-16:300x10", "transl
 alone=".=/lidar/points=lidar"
 rig="front=/lidar/front/points=front 2nd-rear=/lidar/_2nd_rear/points=2nd-rear"
 
-check own "$alone" --frames 0:4   # frame 0 begins before second 0
+check own "$alone" --frames 0:4 --channels normal,spread   # frame 0 begins before second 0
 check beside "$alone" --frames 2:5 --offset -1,2.5,1,90 --sensor VLP-16:300x10
 check lane "$alone" --trajectory lane.csv --times 0.2:0.5:0.1 --sensor VLP-16:450x10
 check named ".=/sensing/front/pointcloud=front_lidar" --trajectory lane.csv --times 0.2:0.3:0.1 --sensor VLP-16:300x10 \
     -- --topic /sensing/front/pointcloud --frame-id front_lidar
 check overlapping "$alone" --trajectory lane.csv --times 0.2:0.3:0.02 --sensor VLP-16:300x10
 check at_once "$alone" --trajectory lane.csv --times 0.2:0.4:0.1 --sensor VLP-16:300x10 --set sensor.rolling_shutter=false
-check rig "$rig" --trajectory lane.csv --times 0.2:0.5:0.1 --sensor rig.json
+check rig "$rig" --trajectory lane.csv --times 0.2:0.5:0.1 --sensor rig.json --channels spread,normal
 check bend "$rig" --trajectory bend.csv --times 0.2:1:0.1 --sensor rig.json --offset 0,1,0,10
 check rig_of_log "$rig" --frames 3:6 --sensor rig.json
 check rig_named "front=/sensing/front/points=front_link 2nd-rear=/sensing/_2nd_rear/points=2nd-rear_link" --frames 3:5 --sensor rig.json \
     -- --topic "/sensing/{name}/points" --frame-id "{name}_link"
-check merged "$alone" --trajectory bend.csv --times 0.2:0.4:0.1 --sensor rig.json --merge
+check merged "$alone" --trajectory bend.csv --times 0.2:0.4:0.1 --sensor rig.json --merge --channels normal
 
 # A log of several LiDARs: base_link is the frame that they are mounted in, and names are theirs.
 mkdir two && printf 'seed = 5\nn_frames = 6\nrig = "../rig.json"\n' >two/street.toml

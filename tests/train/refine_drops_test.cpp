@@ -147,11 +147,12 @@ TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
     const SensorChoice grid = configured_sensor(run.config, run.sequence), native = choose_sensor("native", run.config, run.sequence);
     EXPECT_TRUE(renderer.refines(grid));
     EXPECT_FALSE(renderer.refines(native));
+    renderer.want_channels("surfel_drop_prob");
     const RenderedScan refined = renderer.render(grid, 0.5);
     renderer.refine_drops({});
     EXPECT_FALSE(renderer.refines(grid));
     const RenderedScan plain = renderer.render(grid, 0.5);
-    EXPECT_EQ(refined.surfel_drop_prob, plain.image.drop_prob);
+    EXPECT_EQ(*find_values<float>(refined.channels, "surfel_drop_prob"), plain.image.drop_prob);
     EXPECT_NE(refined.image.drop_prob, plain.image.drop_prob);
     EXPECT_EQ(refined.image.range_m, plain.image.range_m);
 }

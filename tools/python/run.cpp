@@ -134,9 +134,8 @@ constexpr const char* kRenderHelp =
     "Returns the arrays of an npz of `relidar render`: range, median_range (metres), intensity, drop_prob, weight, time (seconds\n"
     "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: nothing met) [rows,columns]; directions, origin\n"
     "[rows,columns,3] float32; pose [4,4] float64; time_s, frame_number (of the log's sweep nearest in time), instance_names, frame,\n"
-    "deskewed, sensor, run, units; with render.normals normals [rows,columns,3]; with render.spread spread [rows,columns], metres;\n"
-    "with render.seen seen [rows,columns], share of each ray's way that the log has looked along; unseen, share of the rays that look\n"
-    "where it never did, where the run knows.\n\n"
+    "deskewed, sensor, run, units; each channel of render.channels by its name, [rows,columns] or of vectors\n"
+    "[rows,columns,3]; unseen, share of the rays that look where the log never did, where the run knows.\n\n"
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for unknown names.";
 
 /// What a run does.

@@ -51,9 +51,10 @@ RayTable parallel_rays(const AssetView& view, const glm::dvec3& size_m, double p
 std::vector<float> shades(const RenderedScan& scan, const AssetView& view, const glm::dquat& world_from_box, float brightest) {
     std::vector<float> shade(scan.weight.size(), -1.0f);
     const glm::vec3 along(world_from_box * view.along);
+    const auto* normals = find_values<glm::vec3>(scan.channels, "normal");
     for (std::size_t i = 0; i < shade.size(); ++i) {
         if (scan.weight[i] < kLeastWeight) continue;
-        const float steep = scan.normal.empty() ? 1.0f : std::abs(glm::dot(scan.normal[i], along));
+        const float steep = normals ? std::abs(glm::dot((*normals)[i], along)) : 1.0f;
         shade[i] = (0.3f + 0.7f * std::sqrt(std::clamp(scan.image.intensity[i] / brightest, 0.0f, 1.0f))) * (0.35f + 0.65f * steep);
     }
     return shade;
@@ -90,7 +91,7 @@ void draw(Image& canvas, int row, int column, const RenderedScan& scan, const st
 Image asset_picture(Device& device, const Asset& asset, const BoxSurface& surface) {
     const Run& run = asset.run;
     Config config = run.config;
-    config.render.normals = run.scene.surfels.primitive() == Primitive::surfel;
+    config.render.channels = run.scene.surfels.primitive() == Primitive::surfel ? "normal" : "";
     config.sensor.sub_rays = config.sensor.returns = 1;
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const BoxTrack& box = run.sequence.boxes.front();

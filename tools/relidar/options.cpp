@@ -6,8 +6,10 @@
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include "console.hpp"
+#include <relidar/channels.hpp>
 #include <relidar/error.hpp>
 #include <relidar/train.hpp>
 
@@ -52,6 +54,15 @@ std::vector<std::string> device_words(const DeviceChoice& choice) {
     if (choice.index >= 0) words.insert(words.end(), {"--device", fmt::format("{}", choice.index)});
     if (choice.traversal != "auto") words.insert(words.end(), {"--traversal", choice.traversal});
     return words;
+}
+
+void add_channels_option(CLI::App& command, std::optional<std::string>& channels) {
+    command
+        .add_option("--channels", channels,
+                    fmt::format("what scans say of each ray beside the basic channels: some of {}, separated by commas; as --set "
+                                "render.channels=LIST",
+                                fmt::join(optional_channel_names(), ", ")))
+        ->type_name("LIST");
 }
 
 void add_set_option(CLI::App& command, std::vector<std::string>& sets) {

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -34,6 +35,8 @@ struct Settings {
     std::vector<std::string> sets;   ///< "key=value"
 };
 void add_settings_options(CLI::App& command, Settings& settings);
+/// --channels, which is the setting render.channels.
+void add_channels_option(CLI::App& command, std::optional<std::string>& channels);
 /// --set alone: for commands whose settings come with a run.
 void add_set_option(CLI::App& command, std::vector<std::string>& sets);
 Config resolve(const Settings& settings);

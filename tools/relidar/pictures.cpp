@@ -40,9 +40,9 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
         return colour_map(distance(a, b), real.rows, real.columns, 0.0f, scale, "heat", shown);
     };
     ReportFigure drops{title + ": ray drop", {{real_caption + ", white: dropped", drop_picture(real)}}};
-    if (!frame.rendered.surfel_drop_prob.empty()) {
+    if (const auto* of_surfels = find_values<float>(frame.rendered.channels, "surfel_drop_prob")) {
         RangeImage surfels = rendered;
-        surfels.drop_prob = frame.rendered.surfel_drop_prob;
+        surfels.drop_prob = *of_surfels;
         drops.images.emplace_back("drop probability of the surfels", drop_picture(surfels));
         drops.images.emplace_back("its absolute error", error(real.drop_prob, surfels.drop_prob, 1.0f, {}));
         drops.images.emplace_back("rendered drop probability, corrected by the network", drop_picture(rendered));

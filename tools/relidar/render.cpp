@@ -37,6 +37,7 @@ struct RenderOptions {
     std::string lidar;
     std::string sensor;
     std::string formats = "npz";
+    std::optional<std::string> channels;
     RecordingNames names;
     std::vector<std::string> sets;
     std::vector<std::string> only;
@@ -352,6 +353,7 @@ void run_render(const RenderOptions& given) {
     if (ranks.is_first()) folder.emplace(options.out);   // which goes again where nothing was written: not for each process to decide
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
+    if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
     const int lidar = find_lidar(run.sequence, options.lidar);
     const std::vector<Sweep> sweeps = drives ? sweeps_along(run, options, track, lidar) : sweeps_of_log(run, options, lidar);
@@ -402,6 +404,7 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
         .add_option("--frame", options.point_frame,
                      "frame of reference of points: sensor, each point at its own firing time; or world, the dataset's (default: sensor)")
         ->type_name("WHAT");
+    add_channels_option(command, options.channels);
     command.add_flag("--deskew", options.deskew,
                       "bring all points of a scan to the sensor's frame at the scan's time, as a motion-compensated log has them; in mcap "
                       "and rosbag to that at the stamp");
@@ -423,10 +426,15 @@ constexpr const char* kFilesHelp =
     "npz has instance_names.\n"
     "mcap: DIR/scans.mcap, all scans of all sensors in one file for Foxglove; rosbag: DIR/rosbag.mcap, a bag of ROS 2. Both have\n"
     "transforms world, base_link (the log's vehicle), sensors, and actors' boxes; --deskew moves points to the first ray's time.\n"
-    "--set render.normals=true: unit normals of surfaces, towards the sensor; --set render.spread=true: spread, |mean - median|\n"
-    "of the range along a ray, metres, large where it passes an edge: in npz, exr, ply and pcd.\n"
-    "--set render.seen=true: seen, share of a ray's way, up to what it meets, that rays of the log have looked along: what lies\n"
-    "beside it is extrapolated. scans.json has the share of rays of which less than half is seen: unseen.\n";
+    "scans.json has the share of rays of whose way less than half was seen by the log: unseen.\n";
+
+/// What --channels takes.
+std::string channels_help() {
+    std::string text = "Channels of --channels, an entry a ray in npz and exr, a point in ply, pcd, mcap and rosbag:\n";
+    for (const ChannelInfo& channel : optional_channels())
+        text += fmt::format("  {:<17} {}{}\n", channel.name, channel.meaning, channel.unit.empty() ? "" : " [" + channel.unit + "]");
+    return text;
+}
 
 }  // namespace
 
@@ -463,7 +471,7 @@ void add_render(CLI::App& app, Call& call) {
     command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
-        std::string(kFilesHelp) +
+        std::string(kFilesHelp) + channels_help() +
         kSensorFileHelp +
         "\n"
         "Examples:\n"

@@ -29,7 +29,7 @@ void note_unseen(const std::vector<std::string>& entries, const std::string& fol
     }
     if (n_unseen == 0) return;
     note(fmt::format("{}: in {} of {} scans more than {:.0f} % of the rays look where no ray of the log did, in number {} {:.1f} %: what "
-                     "they meet there is extrapolated (scans.json: unseen; --set render.seen=true: by ray)",
+                     "they meet there is extrapolated (scans.json: unseen; --channels seen: by ray)",
                      folder, n_unseen, n_known, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
 }
 

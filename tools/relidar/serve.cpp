@@ -79,6 +79,7 @@ void add_serve(CLI::App& app, Call& call) {
                      "folders of `relidar assets`: what is in them can be put into any scene by clients (repeatable)")
         ->type_name("FOLDER")
         ->allow_extra_args(false);
+    add_channels_option(*command, options->server.channels);
     command->add_option("--queue", options->queue, "calls that may wait; more are turned away with RESOURCE_EXHAUSTED (default: 64)")
         ->type_name("N");
     command->add_option("--tls-cert", options->server.tls_cert, "certificate chain in PEM: encrypts, with --tls-key")->type_name("FILE");

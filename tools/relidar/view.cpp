@@ -28,6 +28,7 @@ struct ViewOptions {
     std::string address = "127.0.0.1";
     int port = 8080;
     std::vector<std::string> sets;
+    std::optional<std::string> channels;
     DeviceChoice device;
     bool no_refine = false;
     bool open = false;
@@ -68,6 +69,7 @@ void run_view(const ViewOptions& options) {
     const view::ServerOptions wanted = server_options(options);   // a wrong address is found before the run is read
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
+    if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
     const std::filesystem::path folder = save_folder(options, run);
     Device device(device_options(options.device));
@@ -108,6 +110,7 @@ void add_view(CLI::App& app, Call& call) {
         ->type_name("RUN")
         ->allow_extra_args(false);
     command->add_flag("--open", options->open, "open a browser");
+    add_channels_option(*command, options->channels);
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");

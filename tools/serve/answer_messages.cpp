@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <bit>
 #include <cstring>
+#include <type_traits>
 
 #include <fmt/format.h>
 
@@ -36,6 +37,9 @@ public:
         const glm::dvec3 seen = glm::dvec3(scan_.image.origin[ray]) + double(range_m) * glm::dvec3(scan_.image.direction[ray]);
         return glm::vec3((stands_ ? *stands_ : points_from_firing(ray)) * seen);
     }
+    glm::vec3 direction(std::size_t ray, const glm::vec3& of_ray) const {
+        return glm::vec3((stands_ ? *stands_ : points_from_firing(ray)).rotation * glm::dvec3(of_ray));
+    }
 
 private:
     const RenderedScan& scan_;
@@ -45,17 +49,44 @@ private:
     Pose points_from_firing(std::size_t ray) const { return points_from_dataset_ * scan_.world_from_firing(ray); }
 };
 
+template <class Messages>
+void write_channels(const std::vector<ScanChannel>& channels, Messages& messages) {
+    for (const auto& [info, values] : channels) {
+        v1::Channel& message = *messages.Add();
+        message.set_name(info.name);
+        message.set_unit(info.unit);
+        message.set_meaning(info.meaning);
+        message.set_components(std::holds_alternative<std::vector<glm::vec3>>(values) ? 3 : 1);
+        message.set_is_integer(std::holds_alternative<std::vector<std::int32_t>>(values));
+        std::visit([&](const auto& of_rays) { set_array(*message.mutable_values(), of_rays); }, values);
+    }
+}
+
+/// What a channel says of a return. @param number  of the return, from 1
+void add_value(ScanChannel& of_points, const ScanChannel& of_rays, const Deskew& deskew, std::size_t ray, std::uint8_t number) {
+    const ChannelInfo& info = of_rays.info;
+    const auto add = [&]<class T>(const std::vector<T>& values) {
+        T value = number == 1 || info.of_ray ? values[ray] : T(static_cast<float>(info.none));
+        if constexpr (std::is_same_v<T, glm::vec3>)
+            if (info.turns) value = deskew.direction(ray, value);
+        std::get<std::vector<T>>(of_points.values).push_back(value);
+    };
+    std::visit(add, of_rays.values);
+}
+
 void write_points(const RenderedScan& scan, const Pose& dataset_from_points, const Config& config, v1::Points& points) {
     const Deskew deskew(scan, dataset_from_points);
     const std::vector<float>& range_m = point_ranges(scan, config);
+    std::vector<ScanChannel> channels = emptied(scan.channels);
     std::uint32_t n = 0;
     const auto add = [&](std::size_t ray, float range, float intensity, std::uint8_t number) {
         append(*points.mutable_xyz_m(), deskew.point(ray, range));
         append(*points.mutable_intensity(), intensity);
-        append(*points.mutable_ring(), scan.channel[ray]);
+        append(*points.mutable_ring(), scan.ring[ray]);
         append(*points.mutable_time_s(), scan.time_offset_s[ray]);
         append(*points.mutable_return_number(), number);
         append(*points.mutable_instance(), number == 1 ? scan.instance[ray] : std::int32_t(-1));
+        for (std::size_t k = 0; k < channels.size(); ++k) add_value(channels[k], scan.channels[k], deskew, ray, number);
         ++n;
     };
     for (std::size_t ray = 0; ray < range_m.size(); ++ray) {
@@ -66,6 +97,7 @@ void write_points(const RenderedScan& scan, const Pose& dataset_from_points, con
             if (++number; further.range_m[ray] > 0.0f) add(ray, further.range_m[ray], further.intensity[ray], number);
     }
     points.set_count(n);
+    write_channels(channels, *points.mutable_channels());
 }
 
 std::uint32_t count_returned(const RenderedScan& scan) {
@@ -123,6 +155,7 @@ void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config
     if (!wanted.range_image) return;
     set_array(*image.mutable_range_m(), scan.image.range_m);
     set_array(*image.mutable_intensity(), scan.image.intensity);
+    write_channels(scan.channels, *image.mutable_channels());
 }
 
 void write_scene(const std::string& name, const Run& run, v1::Scene& message) {

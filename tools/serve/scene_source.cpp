@@ -6,6 +6,7 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include <relidar/run.hpp>
 
 namespace relidar::serve {
 namespace {
@@ -19,13 +20,19 @@ std::string folder_name(const std::string& folder) {
 
 }  // namespace
 
-std::vector<SceneSource> scene_sources(const std::vector<std::string>& words) {
+Run SceneSource::load() const {
+    Run run = load_run(folder);
+    if (channels) set_key(run.config, "render.channels", *channels);
+    return run;
+}
+
+std::vector<SceneSource> scene_sources(const std::vector<std::string>& words, const std::optional<std::string>& channels) {
     std::vector<SceneSource> sources;
     for (const std::string& word : words) {
         const std::size_t equals = word.find('=');
         const bool named = equals != std::string::npos && !fs::exists(word);
         const std::string folder = named ? word.substr(equals + 1) : word;
-        sources.push_back({named ? word.substr(0, equals) : folder_name(folder), folder});
+        sources.push_back({named ? word.substr(0, equals) : folder_name(folder), folder, channels});
         const SceneSource& added = sources.back();
         const auto same = std::find_if(sources.begin(), sources.end() - 1, [&](const SceneSource& s) { return s.name == added.name; });
         if (added.name.empty()) throw UsageError(fmt::format("serving {}: found no name, expected NAME=RUN", word));

@@ -3,8 +3,13 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
+
+namespace relidar {
+struct Run;
+}
 
 namespace relidar::serve {
 
@@ -12,9 +17,13 @@ namespace relidar::serve {
 struct SceneSource {
     std::string name;
     std::filesystem::path folder;
+    std::optional<std::string> channels = {};   ///< of its scans; none: as the run is configured
+
+    /// The run as it is served. @throws as load_run(); UsageError for unknown channels
+    Run load() const;
 };
 
 /// From words "RUN" or "NAME=RUN"; the name is the folder's where none is given. @throws UsageError for a name that is used twice
-std::vector<SceneSource> scene_sources(const std::vector<std::string>& words);
+std::vector<SceneSource> scene_sources(const std::vector<std::string>& words, const std::optional<std::string>& channels = {});
 
 }  // namespace relidar::serve

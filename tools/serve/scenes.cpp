@@ -43,7 +43,7 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
       assets_(assets),
       spawned_(sources_.size()) {
     for (std::size_t i = 0; i < sources_.size(); ++i) {
-        Run run = load_run(sources_[i].folder);
+        Run run = sources_[i].load();
         load(i, run);
         outlines_.push_back(outline_of(std::move(run)));
         if (loaded_[i].bytes > memory_bytes_)
@@ -84,7 +84,7 @@ void SceneSet::load(std::size_t scene, const Run& run) {
 /// The run as it is now, with the actors that clients have put into it.
 void SceneSet::load_with_places(std::size_t scene) {
     const std::vector<SpawnedActors::Place> places = spawned_.places(scene);
-    Run run = load_run(sources_[scene].folder);
+    Run run = sources_[scene].load();
     add_places(run, places, assets_);
     load(scene, run);
     loaded_[scene].n_places = places.size();

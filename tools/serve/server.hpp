@@ -16,6 +16,7 @@ namespace relidar::serve {
 struct ServerOptions {
     std::vector<std::string> runs;           ///< "RUN" or "NAME=RUN"
     std::vector<std::string> assets;         ///< folders of `relidar assets`
+    std::optional<std::string> channels;     ///< of scans, in place of each run's own setting render.channels
     std::string listen = "127.0.0.1:50051";  ///< port 0: a free one
     std::uint64_t memory_mib = 0;            ///< device memory that scenes may hold together; 0: half of the device's
     std::size_t waiting = 64;                ///< requests that may wait, beside the one that is served

@@ -5,6 +5,7 @@
 #include <bit>
 #include <cmath>
 #include <cstring>
+#include <type_traits>
 
 #include <nlohmann/json.hpp>
 
@@ -42,6 +43,13 @@ public:
         add(prefix + "drop", "u8", 1, scan.drop);
         add(prefix + "instance", "u16", 1, scan.instance);
         add(prefix + "ring", "u16", 1, scan.ring);
+        for (const auto& [info, values] : scan.channels) {
+            const auto add_one = [&, &name = info.name]<class T>(const std::vector<T>& of_rays) {
+                constexpr bool is_vector = std::is_same_v<T, glm::vec3>;
+                add(prefix + "channel_" + name, std::is_same_v<T, std::int32_t> ? "i32" : "f32", is_vector ? 3 : 1, of_rays);
+            };
+            std::visit(add_one, values);
+        }
     }
     const Json& table() const { return table_; }
     const std::string& bytes() const { return bytes_; }
@@ -55,7 +63,7 @@ private:
 
 ScanColumns simulated_columns(const RenderedScan& scan, const Config& config, const glm::dvec3& world_offset_m) {
     const RangeImage& image = scan.image;
-    ScanColumns result{image.rows, image.columns, {}, point_ranges(scan, config), {}, {}, {}, scan.channel};
+    ScanColumns result{image.rows, image.columns, {}, point_ranges(scan, config), {}, {}, {}, scan.ring, scan.channels};
     const std::size_t n = result.range_m.size();
     for (std::size_t i = 0; i < n; ++i) {
         const glm::dvec3 in_sensor = glm::dvec3(image.origin[i]) + double(result.range_m[i]) * glm::dvec3(image.direction[i]);

@@ -3,7 +3,7 @@
 //   bytes 0..3   "RLV1"
 //   bytes 4..7   length h of the header, little-endian, a multiple of 4
 //   h bytes      JSON, padded with blanks: what the scan is, and "arrays": [{name, type, components, count, offset}]
-//   the rest     the arrays, each at `offset` from the end of the header, a multiple of 4; type f32, u8 or u16, little-endian
+//   the rest     the arrays, each at `offset` from the end of the header, a multiple of 4; type f32, i32, u8 or u16, little-endian
 #pragma once
 
 #include <cstdint>
@@ -13,6 +13,7 @@
 #include <glm/glm.hpp>
 #include <nlohmann/json_fwd.hpp>
 
+#include <relidar/channels.hpp>
 #include <relidar/math.hpp>
 
 namespace relidar {
@@ -34,6 +35,7 @@ struct ScanColumns {
     std::vector<std::uint8_t> drop;          ///< [n] probability; a real scan has 0 and 255 alone
     std::vector<std::uint16_t> instance;     ///< [n] index into the instances that the scan names, 65535 where there is none; or empty
     std::vector<std::uint16_t> ring;         ///< [n]
+    std::vector<ScanChannel> channels = {};  ///< [n] each; arrays "channel_NAME"
 };
 
 /// What was simulated. @param world_offset_m  of the dataset's world, see Sequence

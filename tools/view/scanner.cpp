@@ -100,6 +100,13 @@ void check_size(const SensorChoice& sensor) {
                                      sensor.rays.size(), kMaxRays));
 }
 
+Json channels_json(const Config& config) {
+    Json channels = Json::array();
+    for (const ChannelInfo& channel : wanted_channels(config.render.channels))
+        channels.push_back({{"name", channel.name}, {"unit", channel.unit}, {"meaning", channel.meaning}});
+    return channels;
+}
+
 }  // namespace
 
 Scanner::Scanner(Run run, OtherRuns others, Device& device)
@@ -130,7 +137,8 @@ Json Scanner::describe() const {
             {"frames", frames},
             {"lidars", lidars},
             {"sensors", known_sensors()},
-            {"max_range_m", run_.config.dataset.max_range_m}};
+            {"max_range_m", run_.config.dataset.max_range_m},
+            {"channels", channels_json(run_.config)}};
 }
 
 SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {

@@ -30,12 +30,37 @@ export const COLOURINGS = {
   instance: { label: 'instance', unit: '', map: null },
 };
 
+/** The channel that a colouring called "channel:NAME" shows, if the scan has it. */
+const channelOf = (colouring, scan) => (colouring.startsWith('channel:') ? scan?.channels?.[colouring.slice('channel:'.length)] : undefined);
+
+/** How a channel shows: a number between the ends that it has in the scan, a vector as RGB, an integer as instances do. */
+function channelColouring(colouring, scan) {
+  const label = colouring.slice('channel:'.length);
+  const channel = channelOf(colouring, scan);
+  if (!channel || channel.components === 3 || channel.isInteger) return { label, unit: '', map: null };
+  let low = 0;
+  let high = 1;   // most are shares
+  for (const v of channel.values) if (Number.isFinite(v)) [low, high] = [Math.min(low, v), Math.max(high, v)];
+  return { label, unit: '', map: 'turbo', ends: () => [low, high], share: (v, [a, b]) => (v - a) / (b - a) };
+}
+
+/** How a scan shows: one of COLOURINGS, or "channel:NAME". */
+export const colouringOf = (name, scan) => COLOURINGS[name] ?? channelColouring(name, scan);
+
+/** Colour of a point by a channel that is no single number. */
+function channelColour({ values, components, isInteger }, i) {
+  if (isInteger) return INSTANCES[Math.abs(values[i]) % INSTANCES.length];
+  return [0, 1, 2].map((k) => Math.round(127.5 * (1 + values[components * i + k])));
+}
+
 /** Value of each point of a scan for a colouring; NaN where it is not known. */
 function valueReader(scan, colouring, options) {
   if (colouring === 'range') return (i) => scan.range[i];
   if (colouring === 'intensity') return (i) => scan.intensity[i] / 255;
   if (colouring === 'height') return (i) => scan.position[3 * i + 2] - options.sensorHeight;
   if (colouring === 'drop') return (i) => scan.drop[i] / 255;
+  const channel = channelOf(colouring, scan);
+  if (channel) return (i) => channel.values[i];
   return (i) => (options.error ? options.error[i] : NaN);
 }
 
@@ -48,13 +73,16 @@ export const instanceColour = (instance) => (instance === 0 || instance === 6553
 export function coloursOf(scan, colouring, options) {
   const n = scan.range.length;
   const rgba = new Uint8Array(4 * n);
-  const { map, ends, share } = COLOURINGS[colouring];
+  const { map, ends, share } = colouringOf(colouring, scan);
+  const channel = channelOf(colouring, scan);
   const limits = ends ? ends(options) : null;
   const value = valueReader(scan, colouring, options);
   for (let i = 0; i < n; ++i) {
     if (!options.shown(i)) continue;   // alpha 0: not drawn
     let colour;
-    if (!map) {
+    if (!map && channel) {
+      colour = channelColour(channel, i);
+    } else if (!map) {
       colour = scan.instance ? instanceColour(scan.instance[i]) : UNKNOWN;
     } else {
       const v = value(i);
@@ -75,8 +103,8 @@ export function flatColours(n, colour, shown) {
   return rgba;
 }
 
-/** A colouring's map as CSS, from left to right. */
-export function cssGradient(colouring) {
-  const stops = { turbo: TURBO, glow: GLOW, alarm: ALARM }[COLOURINGS[colouring].map];
+/** A map as CSS, from left to right. */
+export function cssGradient(map) {
+  const stops = { turbo: TURBO, glow: GLOW, alarm: ALARM }[map];
   return `linear-gradient(to right, ${stops.map((c) => `rgb(${c.join(' ')})`).join(', ')})`;
 }

@@ -52,10 +52,10 @@ function setUp(box) {
       const cross = axes(IDENTITY, 2);
       view.setLines('axes', cross.position, cross.rgba);
     }
-    const { label, unit, ends } = COLOURINGS[choice.value];
+    const { label, unit, ends, map } = COLOURINGS[choice.value];
     const [low, high] = ends({ maxRange: MAX_RANGE_M });
     const bar = Object.assign(document.createElement('i'), { title: label });
-    bar.style.background = cssGradient(choice.value);
+    bar.style.background = cssGradient(map);
     box.querySelector('.legend3d').replaceChildren(String(low), bar, `${high} ${unit}`);
     redraw();
   };

@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads a scan as tools/view/frame.hpp says it is written.
 
-const TYPES = { f32: Float32Array, u8: Uint8Array, u16: Uint16Array };
+const TYPES = { f32: Float32Array, i32: Int32Array, u8: Uint8Array, u16: Uint16Array };
 
-/** @return {header, simulated, real}: scans as {rows, columns, position, range, intensity, drop, instance, ring}, null where there is none */
+/**
+ * @return {header, simulated, real}: scans as {rows, columns, position, range, intensity, drop, instance, ring, channels}, null where there
+ * is none; channels by name are {values, components, isInteger}
+ */
 export function decodeFrame(buffer) {
   const view = new DataView(buffer);
   const magic = String.fromCharCode(...new Uint8Array(buffer, 0, 4));
@@ -11,11 +14,15 @@ export function decodeFrame(buffer) {
   const start = 8 + view.getUint32(4, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, start - 8)));
   const arrays = {};
-  for (const { name, type, components, count, offset } of header.arrays)
+  const channels = {};
+  for (const { name, type, components, count, offset } of header.arrays) {
     arrays[name] = new TYPES[type](buffer, start + offset, components * count);
+    if (name.startsWith('channel_')) channels[name.slice('channel_'.length)] = { values: arrays[name], components, isInteger: type === 'i32' };
+  }
   const scan = (prefix, image) => image && {
     rows: image[0],
     columns: image[1],
+    channels: prefix ? {} : channels,   // nobody measures them
     ...Object.fromEntries(['position', 'range', 'intensity', 'drop', 'instance', 'ring'].map((name) => [name, arrays[prefix + name]])),
   };
   return { header, simulated: scan('', header.image) ?? null, real: scan('real_', header.real_image) ?? null };

@@ -5,7 +5,7 @@ import { readAddress, writeAddress } from './address.js';
 import { Beams } from './beams.js';
 import { Camera } from './camera.js';
 import { CloudView } from './cloud_view.js';
-import { COLOURINGS, coloursOf, cssGradient, flatColours, instanceColour } from './colours.js';
+import { colouringOf, coloursOf, cssGradient, flatColours, instanceColour } from './colours.js';
 import { makeDriver } from './drive.js';
 import { returned } from './frame.js';
 import { setUpHelp } from './help.js';
@@ -92,6 +92,7 @@ function start(message) {
   document.title = `${hello.run} – relidar view`;
   element('save-name').title = `a folder in ${hello.save_folder}`;
   actors.load(hello);
+  panel.setChannels(hello.channels);
   settle(before ? () => resume(before) : restore);
 }
 
@@ -234,13 +235,15 @@ function showStrips(colours, realColours) {
   if (images.includes(false)) tellPixel('Rays of this sensor have no rows and columns, so there is no image of it.');
 }
 
+const shortNumber = (x) => String(Number(x.toPrecision(3)));
+
 function showLegend() {
-  const { label, unit, ends } = COLOURINGS[panel.colouring];
+  const { label, unit, ends, map } = colouringOf(panel.colouring, frame.simulated);
   const limits = ends ? ends({ maxRange: hello.max_range_m }) : null;
-  element('legend-low').textContent = limits ? String(limits[0]) : '';
-  element('legend-high').textContent = limits ? `${limits[1]} ${unit}` : '';
+  element('legend-low').textContent = limits ? shortNumber(limits[0]) : '';
+  element('legend-high').textContent = limits ? `${shortNumber(limits[1])} ${unit}` : '';
   element('legend-bar').hidden = !limits;
-  element('legend-bar').style.background = limits ? cssGradient(panel.colouring) : '';
+  element('legend-bar').style.background = limits ? cssGradient(map) : '';
   element('legend-name').textContent = panel.colouring === 'error' && !frame.header.matched ? `${label}: only at a frame, from its own place` : label;
   element('legend-real').hidden = panel.mode !== 'both';
 }

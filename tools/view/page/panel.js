@@ -24,6 +24,17 @@ export class Panel {
 
   get colouring() { return document.getElementById('colouring').value; }
 
+  /** Channels of the scans, which colours may show. @param channels [{name, unit, meaning}] */
+  setChannels(channels) {
+    const list = document.getElementById('colouring');
+    const chosen = list.value;
+    list.querySelectorAll('[value^="channel:"]').forEach((o) => o.remove());
+    for (const { name, unit, meaning } of channels)
+      list.append(Object.assign(document.createElement('option'), { value: `channel:${name}`, textContent: unit ? `${name}, ${unit}` : name, title: meaning }));
+    list.value = chosen;
+    if (list.selectedIndex < 0) list.value = 'range';
+  }
+
   get pointSize() { return Number(document.getElementById('point-size').value); }
 
   get shows() {

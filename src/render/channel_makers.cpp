@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "render/channel_makers.hpp"
+
+#include <algorithm>
+#include <string_view>
+
+#include <relidar/stages/forward.hpp>
+
+namespace relidar {
+namespace {
+
+/// Of the surface that each ray met, in the sensor's frame at the ray's firing time.
+ChannelValues normals(const Rendering& rendering, const RenderedScan& scan) {
+    std::vector<glm::vec3> normal(rendering.size(), glm::vec3(0.0f));
+    for (std::size_t i = 0; i < normal.size(); ++i) {
+        if (rendering.weight[i] < kMinWeight) continue;
+        const glm::dvec3 in_sensor = glm::conjugate(scan.world_from_firing(i).rotation) * glm::dvec3(rendering.normal[i]);
+        const double length = glm::length(in_sensor);
+        if (length > 0.0) normal[i] = glm::vec3(in_sensor / length);
+    }
+    return normal;
+}
+
+ChannelValues spread(const RenderedScan& scan, const SeenByLog&) {
+    return range_spread(scan);
+}
+
+ChannelValues seen(const RenderedScan& scan, const SeenByLog& log) {
+    if (log.coverage.empty()) return {};
+    std::vector<std::size_t> rays;
+    for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) rays.push_back(i);
+    return seen_shares(scan, rays, log);
+}
+
+ChannelValues surfel_drop_prob(const RenderedScan& scan, const SeenByLog&) {
+    return scan.image.drop_prob;
+}
+
+/// A row a channel of optional_channels(); one of the two.
+struct Maker {
+    std::string_view name;
+    ChannelValues (*of_rays)(const Rendering&, const RenderedScan&);
+    ChannelValues (*of_scan)(const RenderedScan&, const SeenByLog&);
+};
+constexpr Maker kMakers[] = {
+    {"normal", normals, nullptr},
+    {"spread", nullptr, spread},
+    {"seen", nullptr, seen},
+    {"surfel_drop_prob", nullptr, surfel_drop_prob},
+};
+
+Maker maker_of(const ChannelInfo& channel) {
+    const auto* maker = std::ranges::find(kMakers, channel.name, &Maker::name);
+    return maker == std::end(kMakers) ? Maker{} : *maker;  // tests/render/channels_test.cpp asks for all
+}
+
+}  // namespace
+
+void add_ray_channels(RenderedScan& scan, const Rendering& rendering, const std::vector<ChannelInfo>& wanted) {
+    for (const ChannelInfo& channel : wanted)
+        if (const Maker maker = maker_of(channel); maker.of_rays) scan.channels.push_back({channel, maker.of_rays(rendering, scan)});
+}
+
+void add_scan_channels(RenderedScan& scan, const SeenByLog& log, const std::vector<ChannelInfo>& wanted) {
+    for (const ChannelInfo& channel : wanted) {
+        const Maker maker = maker_of(channel);
+        if (!maker.of_scan) continue;
+        ChannelValues values = maker.of_scan(scan, log);
+        if (size(values) == scan.image.range_m.size()) scan.channels.push_back({channel, std::move(values)});
+    }
+}
+
+}  // namespace relidar
