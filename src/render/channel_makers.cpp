@@ -10,7 +10,7 @@ namespace relidar {
 namespace {
 
 /// Of the surface that each ray met, in the sensor's frame at the ray's firing time.
-ChannelValues normals(const Rendering& rendering, const RenderedScan& scan) {
+std::vector<glm::vec3> seen_normals(const Rendering& rendering, const RenderedScan& scan) {
     std::vector<glm::vec3> normal(rendering.size(), glm::vec3(0.0f));
     for (std::size_t i = 0; i < normal.size(); ++i) {
         if (rendering.weight[i] < kMinWeight) continue;
@@ -19,6 +19,14 @@ ChannelValues normals(const Rendering& rendering, const RenderedScan& scan) {
         if (length > 0.0) normal[i] = glm::vec3(in_sensor / length);
     }
     return normal;
+}
+
+ChannelValues normals(const Rendering& rendering, const RenderedScan& scan) { return seen_normals(rendering, scan); }
+
+ChannelValues incidence(const Rendering& rendering, const RenderedScan& scan) {
+    std::vector<float> cosine;
+    for (const glm::vec3& normal : seen_normals(rendering, scan)) cosine.push_back(-glm::dot(normal, scan.image.direction[cosine.size()]));
+    return cosine;
 }
 
 ChannelValues spread(const RenderedScan& scan, const SeenByLog&) {
@@ -44,6 +52,7 @@ struct Maker {
 };
 constexpr Maker kMakers[] = {
     {"normal", normals, nullptr},
+    {"incidence", incidence, nullptr},
     {"spread", nullptr, spread},
     {"seen", nullptr, seen},
     {"surfel_drop_prob", nullptr, surfel_drop_prob},

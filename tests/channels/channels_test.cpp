@@ -31,7 +31,7 @@ TEST(ChannelList, IsAskedForByNames) {
     EXPECT_EQ(wanted[0].name, "seen");
     EXPECT_EQ(wanted[1].name, "normal");
     EXPECT_TRUE(wanted_channels("").empty());
-    EXPECT_THAT(refusal("normal,sean"), HasSubstr("found \"sean\", did you mean seen?, expected some of normal, spread, seen"));
+    EXPECT_THAT(refusal("normal,sean"), HasSubstr("found \"sean\", did you mean seen?, expected some of normal, incidence, spread, seen"));
 }
 
 TEST(ChannelList, NumbersAndRowsAgree) {

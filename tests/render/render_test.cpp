@@ -350,7 +350,8 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
     }
 }
 
-/// The wall's normal is known whichever way the sensor looks, turns and is binned: it comes back in the sensor's frame, towards the sensor.
+/// The wall's normal is known, and at what angle it is met, whichever way the sensor looks, turns and is binned: it comes back in the
+/// sensor's frame, towards the sensor.
 TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     Sequence sequence = cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
@@ -378,6 +379,13 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     ASSERT_EQ(of_cells.size(), binned.instance.size());
     for (std::size_t i = 0; i < of_cells.size(); ++i)
         EXPECT_NEAR(glm::length(of_cells[i]), binned.instance[i] < 0 ? 0.0f : 1.0f, 1e-6f);
+    config.render.channels = "incidence";
+    const RenderedScan again = ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5);
+    const std::vector<float>& incidence = *find_values<float>(again.channels, "incidence");
+    for (std::size_t i = 0; i < normal.size(); ++i) {
+        const glm::dvec3 in_world = again.world_from_firing(i).rotation * glm::dvec3(again.image.direction[i]);
+        EXPECT_NEAR(incidence[i], again.instance[i] < 0 ? 0.0 : in_world.x, 1e-5) << "a wall across x";
+    }
     config.image.primitive = Primitive::gaussian;
     EXPECT_THROW(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence), UsageError);
 }
