@@ -78,6 +78,20 @@ def changes_sensor(page, work):
     page.wait("32 rows again", lambda: page.find("#image-size").text == "32 × 512")
 
 
+def shows_channels(page):
+    """A number in colours between its ends, a vector as RGB."""
+    Select(page.find("#colouring")).select_by_value("channel:incidence")
+    page.wait("incidence in the legend", lambda: page.find("#legend-name").text == "incidence" and page.find("#legend-high").text == "1")
+    of_incidence = page.strip()
+    Select(page.find("#colouring")).select_by_value("channel:normal")
+    page.wait("no ends of a vector", lambda: page.find("#legend-name").text == "normal" and page.find("#legend-high").text == "")
+    of_normal = page.strip()
+    ground = [(p & 255, p >> 8 & 255, p >> 16 & 255) for p in of_normal[-512:] if p]
+    upwards = sum(b > 230 and abs(r - 127) < 40 and abs(g - 127) < 40 for r, g, b in ground) / len(ground)
+    assert upwards > 0.8, f"{upwards} of what the lowest beam meets faces upwards, expected the ground"
+    assert len(set(of_incidence)) > 50 and share_of_changes(of_incidence, of_normal) > 0.5
+
+
 def edits(page, relidar, work):
     Select(page.find("#colouring")).select_by_value("instance")
     page.wait("the first actor in the image", lambda: page.strip().count(FIRST_BLUE) > 0)
@@ -146,6 +160,7 @@ def check(page, url, relidar, work):
     shows_points(page)
     moves(page)
     changes_sensor(page, work)
+    shows_channels(page)
     edits(page, relidar, work)
     shows_the_log(page)
     stays_responsive(page)
@@ -160,7 +175,7 @@ def main():
     relidar, work = str(pathlib.Path(sys.argv[1]).resolve()), pathlib.Path(sys.argv[2]).resolve()
     need(["chromium", "chromedriver"])
     train_street(relidar, work)
-    viewer = Viewer(relidar, work, "run", "--port", "0")
+    viewer = Viewer(relidar, work, "run", "--port", "0", "--channels", "normal,incidence")
     page = None
     try:
         page = Page(viewer.url, work)
