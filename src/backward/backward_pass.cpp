@@ -56,7 +56,7 @@ struct BackwardPass::Impl {
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o, const BackwardOptions& backward)
         : model(m),
           options(o),
-          trace(device, accumulating_variant(device, "backward/trace" + traversal_variant(device, o)),
+          trace(device, "backward/trace", accumulating_variant(device, traversal_variant(device, o)),
                 constants(device, m, proxy, o, backward)),
           poses(device),
           gather(gathers(device, backward.reduction, m.sh_direction)

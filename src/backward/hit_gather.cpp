@@ -25,8 +25,8 @@ HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits
     : device_(device),
       hits_per_ray_(hits_per_ray),
       part_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
-      gather_(device, accumulating_variant(device, "backward/gather@"), constants(model, options)),
-      heads_kernel_(device, accumulating_variant(device, "backward/gather_heads@"), constants(model, options)),
+      gather_(device, "backward/gather", accumulating_variant(device), constants(model, options)),
+      heads_kernel_(device, "backward/gather_heads", accumulating_variant(device), constants(model, options)),
       most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch"),
       n_hits_(device, 1, "hits of a batch"),
       prefix_sum_(device) {}

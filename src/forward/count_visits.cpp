@@ -12,7 +12,7 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
     if (device.traversal() != Traversal::software || options.brute_force) return std::nullopt;
     std::vector<Constant> constants = trace_constants(device, accel.proxy(), options, model);
     constants.push_back({ConstantId::COUNT_VISITS, 1u});
-    const Kernel<shared::ForwardParams> trace(device, "forward/trace@software_bvh", constants);
+    const Kernel<shared::ForwardParams> trace(device, "forward/trace", KernelVariant("@software_bvh"), constants);
     const Array<shared::RenderedRay> rendered(device, batch.n_rays, "rendered rays");
     const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"),
         visits(device, std::vector<std::uint32_t>{0u, 0u}, "visits");

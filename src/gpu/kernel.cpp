@@ -151,8 +151,8 @@ std::string missing_for_networks(const Device& device) {
     return gpu::missing_for_networks(subgroup, sizes, impl_of(device).optional);
 }
 
-std::string accumulating_variant(const Device& device, std::string_view name) {
-    return std::string(name) + (device.info().float_atomics ? "_atomics" : "_swap");
+KernelVariant accumulating_variant(const Device& device, const KernelVariant& variant) {
+    return KernelVariant(variant.suffix + (device.info().float_atomics ? "_atomics" : "_swap"));
 }
 
 }  // namespace relidar

@@ -67,10 +67,10 @@ struct ChamferLoss::Impl {
           nearest_simulated(device, n, "nearest simulated"),
           d_found(device, 2 * n, "gradients of found points"),
           counts(device, 2, "points"),
-          points(device, accumulating_variant(device, "loss/chamfer_points@")),
+          points(device, "loss/chamfer_points", accumulating_variant(device)),
           boxes(device, "loss/chamfer_boxes"),
           nearest(device, "loss/chamfer_nearest"),
-          chamfer(device, accumulating_variant(device, "loss/chamfer@")),
+          chamfer(device, "loss/chamfer", accumulating_variant(device)),
           vjp(device, "loss/chamfer_vjp") {}
 
     void bound_tiles(Stream& stream, const Cloud& cloud, const Levels& l) const {

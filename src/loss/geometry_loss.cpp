@@ -21,7 +21,7 @@ struct GeometryLoss::Impl {
 GeometryLoss::GeometryLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays)
     : impl_(new Impl{weights,
                      {device, weights.normal > 0.0f ? 2 * std::size_t(n_rays) : 0, "tangent gradients"},
-                     {device, accumulating_variant(device, "loss/geometry_loss@")},
+                     {device, "loss/geometry_loss", accumulating_variant(device)},
                      {device, "loss/normal_vjp"}}) {}
 GeometryLoss::~GeometryLoss() = default;
 

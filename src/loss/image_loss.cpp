@@ -21,8 +21,8 @@ struct ImageLoss::Impl {
 
 ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays)
     : impl_(new Impl{weights,
-                     {device, accumulating_variant(device, "loss/image_loss@")},
-                     {device, accumulating_variant(device, "loss/ssim@")},
+                     {device, "loss/image_loss", accumulating_variant(device)},
+                     {device, "loss/ssim", accumulating_variant(device)},
                      {device, "loss/ssim_vjp"},
                      {device, weights.intensity_ssim > 0.0f ? std::size_t(n_rays) * RELIDAR_SSIM_FLOATS : 0, "structural similarity"}}) {}
 ImageLoss::~ImageLoss() = default;

@@ -18,7 +18,7 @@ struct LogRangeLoss::Impl {
 };
 
 LogRangeLoss::LogRangeLoss(Device& device, const LossWeights& weights)
-    : impl_(new Impl{weights, {device, accumulating_variant(device, "loss/log_range@")}}) {}
+    : impl_(new Impl{weights, {device, "loss/log_range", accumulating_variant(device)}}) {}
 LogRangeLoss::~LogRangeLoss() = default;
 
 void LogRangeLoss::compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& batch, const TermRow& terms) {

@@ -23,7 +23,7 @@ struct SurfelLoss::Impl {
 };
 
 SurfelLoss::SurfelLoss(Device& device, const LossWeights& weights)
-    : impl_(new Impl{weights, {device, accumulating_variant(device, "loss/surfel_loss@")}}) {}
+    : impl_(new Impl{weights, {device, "loss/surfel_loss", accumulating_variant(device)}}) {}
 SurfelLoss::~SurfelLoss() = default;
 
 void SurfelLoss::regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients, const TermRow& terms) {

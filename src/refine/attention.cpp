@@ -34,8 +34,8 @@ Attention::Attention(Device& device, std::uint32_t heads, Storage storage)
     : heads_(heads),
       lanes_(std::uint32_t(device.info().subgroup_size)),
       storage_(checked(device, storage)),
-      matmul_(device, image_kernel("refine/matmul", storage), attention_constants(lanes_), Subgroups::full),
-      softmax_(device, image_kernel("refine/softmax", storage), attention_constants(lanes_), Subgroups::full) {}
+      matmul_(device, "refine/matmul", image_variant(storage), attention_constants(lanes_), Subgroups::full),
+      softmax_(device, "refine/softmax", image_variant(storage), attention_constants(lanes_), Subgroups::full) {}
 
 AttentionState Attention::make_state(Device& device, const Grid& grid, bool with_gradients) const {
     const auto channels = std::uint32_t(heads_ * grid.pixels());

@@ -55,8 +55,8 @@ std::vector<Constant> matrix_constants(const Device& device, std::uint32_t taps)
 
 Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t taps, Precision precision, Storage storage) {
     if (precision == Precision::fp16)
-        return {device, image_kernel("refine/conv_matrix", storage), matrix_constants(device, taps), Subgroups::full};
-    return {device, image_kernel("refine/conv", storage),
+        return {device, "refine/conv_matrix", image_variant(storage), matrix_constants(device, taps), Subgroups::full};
+    return {device, "refine/conv", image_variant(storage),
             {{ConstantId::TAPS, taps},
              {ConstantId::PIXELS, pixels_of_lane(device)},
              {ConstantId::LANES, lanes_of(device)},
@@ -67,8 +67,8 @@ Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t taps, Precisi
 
 Kernel<shared::ConvWeightsParams> make_conv_weights(Device& device, std::uint32_t taps, Precision precision, Storage storage) {
     if (precision == Precision::fp16)
-        return {device, image_kernel("refine/conv_weights_matrix", storage), matrix_constants(device, taps), Subgroups::full};
-    return {device, image_kernel("refine/conv_weights", storage),
+        return {device, "refine/conv_weights_matrix", image_variant(storage), matrix_constants(device, taps), Subgroups::full};
+    return {device, "refine/conv_weights", image_variant(storage),
             {{ConstantId::TAPS, taps}, {ConstantId::LANES, lanes_of(device)}, {ConstantId::WORKGROUP_SIZE, kConvThreads}}, Subgroups::full};
 }
 

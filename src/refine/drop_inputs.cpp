@@ -55,7 +55,7 @@ DropInputs::DropInputs(Device& device, const DropNetwork& network, Storage stora
     : n_channels_(std::uint32_t(network.inputs.size())),
       n_fixed_(fixed_channels(network)),
       logit_channel_(logit_channel(network)),
-      kernel_(device, image_kernel("refine/drop_inputs", checked(device, storage))),
+      kernel_(device, "refine/drop_inputs", image_variant(checked(device, storage))),
       scale_shift_(pairs(device, network.normalisation)) {}
 
 void DropInputs::keep(Device& device, std::span<const DropImage> images) {

@@ -15,7 +15,7 @@ constexpr std::size_t kPixelsOfPart = 2048;
 DropLoss::DropLoss(Device& device, std::size_t n_pixels, Storage storage)
     : lanes_(std::uint32_t(device.info().subgroup_size)),
       n_parts_(std::uint32_t(std::max<std::size_t>(1, n_pixels / kPixelsOfPart))),
-      kernel_(device, image_kernel("refine/drop_loss", checked(device, storage)),
+      kernel_(device, "refine/drop_loss", image_variant(checked(device, storage)),
               {{ConstantId::LANES, lanes_}, {ConstantId::WORKGROUP_SIZE, kLossThreads}}, Subgroups::full),
       partial_(device, 2 * n_parts_, "sums of cross-entropies") {}
 

@@ -26,10 +26,10 @@ std::vector<Constant> in_subgroups(std::uint32_t lanes) { return {{ConstantId::L
 
 Norm::Norm(Device& device, Storage storage)
     : lanes_(std::uint32_t(device.info().subgroup_size)),
-      sums_(device, image_kernel("refine/channel_sums", checked(device, storage)), in_subgroups(lanes_), Subgroups::full),
+      sums_(device, "refine/channel_sums", image_variant(checked(device, storage)), in_subgroups(lanes_), Subgroups::full),
       finish_(device, "refine/norm_finish"),
-      norm_(device, image_kernel("refine/norm", storage), {{ConstantId::WORKGROUP_SIZE, kNormThreads}}),
-      norm_vjp_(device, image_kernel("refine/norm_vjp", storage), {{ConstantId::WORKGROUP_SIZE, kNormThreads}}),
+      norm_(device, "refine/norm", image_variant(storage), {{ConstantId::WORKGROUP_SIZE, kNormThreads}}),
+      norm_vjp_(device, "refine/norm_vjp", image_variant(storage), {{ConstantId::WORKGROUP_SIZE, kNormThreads}}),
       sum_parts_(device, "refine/sum_parts") {}
 
 void Norm::reserve(Device& device, std::uint32_t channels, const Grid& grid) {

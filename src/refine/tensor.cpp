@@ -24,6 +24,6 @@ Storage checked(const Device& device, Storage storage) {
     return storage;
 }
 
-std::string image_kernel(const char* name, Storage storage) { return storage == Storage::fp16 ? std::string(name) + "@halves" : name; }
+KernelVariant image_variant(Storage storage) { return KernelVariant(storage == Storage::fp16 ? "@halves" : ""); }
 
 }  // namespace relidar::refine

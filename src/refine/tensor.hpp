@@ -7,6 +7,7 @@
 #include <string>
 
 #include <relidar/stages/gpu.hpp>
+#include "gpu/kernel.hpp"
 
 #include "shared/refine.h"
 
@@ -32,7 +33,7 @@ Storage find_storage(const std::string& name);
 /// The same, of a device. @throws DeviceError naming what it lacks
 Storage checked(const Device& device, Storage storage);
 /// Name of the variant of a kernel whose images are kept so.
-std::string image_kernel(const char* name, Storage storage);
+KernelVariant image_variant(Storage storage);
 
 /// Some consecutive channels of a tensor.
 struct Slice {

@@ -63,9 +63,9 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& acc
 }
 
 /// Which build of a tracing kernel a device runs.
-inline std::string traversal_variant(const Device& device, const TraceOptions& options) {
-    if (options.brute_force) return "@brute_force";
-    return device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query";
+inline KernelVariant traversal_variant(const Device& device, const TraceOptions& options) {
+    if (options.brute_force) return KernelVariant("@brute_force");
+    return KernelVariant(device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query");
 }
 
 /// Whether rays of a subgroup walk the software tree together. Measured: 1.2 times as fast on lavapipe (docs/platform.md); on a GPU lanes

@@ -1,15 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
-// Arrays of different types cannot take each other's place in what a kernel is given. Most of it is whether something compiles.
+// Arrays of different types cannot take each other's place in what a kernel is given, nor can kernels with other parameters. Most of it is
+// whether something compiles.
 #include <concepts>
 #include <type_traits>
 
 #include <relidar/stages/gpu.hpp>
 
 #include "../support/device.hpp"
+#include "gpu/kernel.hpp"
 #include "shared/loss.h"
 
 namespace relidar {
 namespace {
+
+static_assert(name_of_struct<shared::LogRangeParams>() == "LogRangeParams");
+static_assert(params_of_kernel("loss/log_range") == "LogRangeParams", "as its shader declares");
+static_assert(params_of_kernel("loss/surfel_loss") != "LogRangeParams", "so Kernel<LogRangeParams> of it does not compile");
+static_assert(params_of_kernel("loss/log_rang").empty(), "nor does a name that no kernel has");
 
 template <class Rendered, class Targets>
 concept FillParameters = requires(Rendered rendered, Targets targets) {

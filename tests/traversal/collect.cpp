@@ -8,9 +8,9 @@
 
 namespace relidar::test {
 
-CollectedHits collect(Device& device, const std::string& kernel, const std::vector<Constant>& constants, shared::TraceScene scene,
+CollectedHits collect(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants, shared::TraceScene scene,
                       const WorldRays& rays, std::uint32_t max_hits) {
-    const Kernel<shared::CollectHitsParams> collect_hits(device, kernel, constants);
+    const Kernel<shared::CollectHitsParams> collect_hits(device, "traversal/collect_hits", variant, constants);
     const std::size_t n = rays.size(), n_slots = n * max_hits;
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
     const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
@@ -28,7 +28,7 @@ CollectedHits collect(Device& device, const std::string& kernel, const std::vect
          .surfel = surfel.address(),
          .max_hits = max_hits});
     stream.finish();
-    EXPECT_EQ(pass_cap.download()[0], 0u) << kernel << ": rays that did not end";
+    EXPECT_EQ(pass_cap.download()[0], 0u) << variant.suffix << ": rays that did not end";
     return {max_hits, counts.download(), t.download(), instance.download(), surfel.download()};
 }
 

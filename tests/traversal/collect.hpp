@@ -12,8 +12,8 @@
 namespace relidar::test {
 
 /// @param scene  of trace_scene(); its rays, and where passes at the cap are counted, are filled in
-/// @param kernel  a build of collect_hits, "traversal/collect_hits@..." @param constants  of traversal/trace_scene.hpp
-CollectedHits collect(Device& device, const std::string& kernel, const std::vector<Constant>& constants, shared::TraceScene scene,
+/// @param variant  of traversal/collect_hits @param constants  of traversal/trace_scene.hpp
+CollectedHits collect(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants, shared::TraceScene scene,
                       const WorldRays& rays, std::uint32_t max_hits);
 
 }  // namespace relidar::test

@@ -61,7 +61,7 @@ protected:
     }
 
     CollectedHits collect(const DeviceScene& scene, const Accel& accel, const TraceOptions& options) {
-        return test::collect(device(), "traversal/collect_hits" + traversal_variant(device(), options),
+        return test::collect(device(), traversal_variant(device(), options),
                              trace_constants(device(), accel.proxy(), options, model_), trace_scene(scene, accel.addresses(), model_),
                              case_.rays, 64);
     }

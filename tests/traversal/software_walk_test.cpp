@@ -27,7 +27,7 @@ protected:
         const std::uint32_t gaussians = c.surfels.primitive() == Primitive::gaussian ? 1u : 0u;
         const std::vector<Constant> constants{
             {ConstantId::CHUNK, chunk}, {ConstantId::TOGETHER, packet}, {ConstantId::GAUSSIANS, gaussians}};
-        return test::in_world(test::collect(device(), "traversal/collect_hits@software_bvh", constants, trace, c.rays, test::kMaxHits),
+        return test::in_world(test::collect(device(), KernelVariant("@software_bvh"), constants, trace, c.rays, test::kMaxHits),
                               placed);
     }
 };
