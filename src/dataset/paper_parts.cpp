@@ -24,4 +24,11 @@ ChosenPart choose_part(const DatasetOptions& options, std::span<const PaperPart>
     return {part->drive, {begin, end}, true, test_frames};
 }
 
+std::vector<PublishedPart> published_parts() {
+    std::vector<PublishedPart> parts;
+    for (const PaperPart& part : kKitti360Parts) parts.push_back({part.name, "kitti360", part.name[1] == 'd'});
+    for (const PaperPart& part : kWaymoParts) parts.push_back({part.name, "waymo", part.name[1] == 'd'});
+    return parts;
+}
+
 }  // namespace relidar
