@@ -34,6 +34,7 @@ struct DatasetOptions {
     bool rolling_shutter = true;        ///< false: take all rays of a sweep as fired at its reference time
     double max_range_m = 80.0;          ///< returns beyond are treated as dropped
     double min_range_m = 0.0;           ///< and so are those nearer than this
+    bool clamp_intensity = false;       ///< of Waymo Open: cut at 1; false: its tanh
     std::vector<std::string> lidars = {};   ///< names of those that are read; none: all
     Progress progress = {};             ///< of reading
 };

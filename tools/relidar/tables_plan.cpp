@@ -53,7 +53,9 @@ std::vector<PublishedPart> choose_parts(const TablesOptions& options) {
 /// What the paper's evaluation asks for, then what the user says, then the change.
 std::map<std::string, std::string> settings_of(const TablesOptions& options, const TableEntry& entry) {
     std::map<std::string, std::string> settings;
+    const bool as_published = entry.preset == "paper" || entry.preset == "released";
     if (entry.part.kind == "kitti360") settings["sensor.grid"] = "kitti360";
+    if (entry.part.kind == "kitti360" && as_published) settings["train.grid"] = "kitti360", settings["sensor.grid_method"] = "cast";
     std::vector<std::string> sets = options.sets;
     if (entry.change && !entry.change->setting.empty()) sets.push_back(entry.change->setting);
     for (const std::string& set : sets) settings[set.substr(0, set.find('='))] = set.substr(set.find('=') + 1);
