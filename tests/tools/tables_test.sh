@@ -34,6 +34,12 @@ tiny=(--preset quick --set train.iterations=2 --set refine.epochs=1 --set init.d
     --set sensor.calibrate_range=false --set sensor.calibrate_intensity=false --set init.voxel_m=1)
 tables=(tables paper --kitti360 KITTI-360 --waymo waymo --out tables)
 
+# bad_rows OUT ARGS...: the tables of parts of which none is there.
+bad_rows() {
+    "$relidar" tables paper --waymo waymo --parts kd1,wd1 --out "$@" >out 2>err
+    check "no part is there: exit code $?, expected 3" test $? = 3
+}
+
 wrong() {
     bad 2 "TABLES: .*others not in \{paper\}" tables others --out x
     bad 2 "out is required" tables paper
@@ -43,14 +49,19 @@ wrong() {
     bad 2 "setting train.iteration: unknown key" tables paper --kitti360 KITTI-360 --out x --set train.iteration=5
     bad 3 "none.safetensors" tables paper --kitti360 KITTI-360 --out x --lpips-weights none.safetensors
     absent x
-    "$relidar" tables paper --waymo waymo --parts kd1,wd1 --out x >out 2>err   # nothing is there: needs no device
-    check "no part is there: exit code $?, expected 3" test $? = 3
+    bad_rows x   # needs no device
     has err "^relidar: note: kd1-paper: missing: no --kitti360 given"
     has err "^relidar: note: wd1-paper: missing: dataset.sequence: found 'wd1', expected how one of the 1 segments of .* begins"
     has x/tables.md "LiDAR-RT, as printed \| 10 \| 42.7 \| 0.41 \| 3.4671 \| 0.0512 \| 0.1016 \| 0.8406 \| 27.6755 \| 0.1115 "
     has x/tables.md "LiDAR-RT, as printed \| 8 \| 20.1 \| 1.37 \| 6.4577 \| 0.0340 "
     has x/tables.md "relidar, .quick. \| 0 of 8|relidar, .paper. \| 0 of 8"
     absent x/parts.toml
+    absent x/ablation.csv
+    bad_rows x --ablation
+    has x/tables.md "w/o L_CD, as printed \| 6 \| – \| – \| 3.5053 "
+    has x/tables.md "w/o R_hit: one drop logit, as printed \| 6 \| – \| – \| 4.5482 "
+    has x/tables.md "^\| relidar, .paper., w/o L_CD \| 0 of 6"
+    has x/ablation.csv '^"3D Gaussians",all,"printed",29(.0)?,,3.6716,,0.1145,'
 }
 
 # Three parts, of which one has no labels, and one that is not there; then the same again.

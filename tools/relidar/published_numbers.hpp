@@ -19,7 +19,7 @@ std::span<const PublishedRow> published_rows(const std::string& kind);
 
 /// A row of the paper's ablations, on dynamic parts of KITTI-360, and what it is here.
 struct Ablation {
-    std::string name;     ///< of folders: "no_chamfer"
+    std::string name;     ///< of folders: "no_chamfer"; rows of one name are one run
     std::string title;    ///< as the paper has it
     std::string setting;  ///< key=value over the preset; empty: the preset's run, scored without its network
     MetricRow values;     ///< as printed

@@ -102,7 +102,8 @@ void add_tables(CLI::App& app, Call& call) {
     command->add_option("--preset", options->presets, "settings of each row: paper (default), released, default, quick; several by commas")
         ->type_name("NAMES");
     add_set_option(*command, options->sets);
-    command->add_option("--lpips-weights", options->lpips, "weights of LPIPS (made by tools/lpips_weights); without them its columns are empty")
+    command
+        ->add_option("--lpips-weights", options->lpips, "weights of LPIPS (made by tools/lpips_weights); without them columns are empty")
         ->type_name("FILE");
     command->add_flag("--ablation", options->ablation, "the paper's ablations too, on the dynamic parts of KITTI-360 among the parts");
     command->add_flag("--retry-failed", options->retry_failed, "try again what failed before");
