@@ -46,6 +46,13 @@ TEST(Waymo, IntensitiesAreCutOrSquashed) {
     EXPECT_THAT(squashed.conventions, HasSubstr("the tanh of Waymo's"));
 }
 
+TEST(Waymo, PartsAreMissedBeforeTheyAreRead) {
+    const WaymoSegment segment("waymo_parts");
+    EXPECT_NO_THROW(check_dataset(segment.folder.string(), "1083056"));
+    EXPECT_THROW(check_dataset(segment.folder.string(), "wd1"), UsageError) << "its three records end before frame 148";
+    EXPECT_THROW(check_dataset(segment.folder.string(), "ws1"), UsageError) << "another segment";
+}
+
 /// Compares every pixel of a frame with what it was cast from.
 void expect_pixels(const Sequence& log, const Frame& frame, const std::vector<WaymoPixel>& truth) {
     ASSERT_EQ(frame.scan.rays.size(), truth.size());
