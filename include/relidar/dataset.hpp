@@ -53,6 +53,8 @@ struct PublishedPart {
     std::string name;      ///< for DatasetOptions::sequence: "ks1" ... "wd4"
     std::string kind;      ///< of the dataset: "kitti360" or "waymo"
     bool is_dynamic;       ///< as the paper says: things move in it
+    int n_frames;
+    int n_test_frames;     ///< of them, held out
 };
 /// All of them, in the order of the paper's supplementary tables.
 std::vector<PublishedPart> published_parts();

@@ -26,8 +26,11 @@ ChosenPart choose_part(const DatasetOptions& options, std::span<const PaperPart>
 
 std::vector<PublishedPart> published_parts() {
     std::vector<PublishedPart> parts;
-    for (const PaperPart& part : kKitti360Parts) parts.push_back({part.name, "kitti360", part.name[1] == 'd'});
-    for (const PaperPart& part : kWaymoParts) parts.push_back({part.name, "waymo", part.name[1] == 'd'});
+    const auto add = [&](const PaperPart& part, const char* kind) {
+        parts.push_back({part.name, kind, part.name[1] == 'd', part.last - part.first + 1, kPaperTestFrames});
+    };
+    for (const PaperPart& part : kKitti360Parts) add(part, "kitti360");
+    for (const PaperPart& part : kWaymoParts) add(part, "waymo");
     return parts;
 }
 

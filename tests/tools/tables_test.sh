@@ -69,8 +69,9 @@ first_time() {
     "$relidar" "${tables[@]}" --parts kd1,kd2,kd3,ws1 "${tiny[@]}" >out 2>err
     check "exit code $?, expected 3: something is missing" test $? = 3
     has err "note: kd3-quick: missing: frames 8121:8171: no scan of .* lies in it"
-    has err "note: kd1-quick: done, but no box was labelled"
-    has err "^relidar: tables: 1 of 4 rows are missing, 1 without labels"
+    has err "note: kd1-quick: done, but 3 of 50 frames were there, 1 of 4 to be held out; no box was labelled"
+    has err "note: kd2-quick: done, but 3 of 50 frames were there, 1 of 4 to be held out\$"
+    has err "^relidar: tables: 1 of 4 rows are missing, 3 lack frames or labels"
     for part in kd1 kd2 ws1; do
         has "tables/$part-quick/job.json" '"state": "done"'
         exists "tables/$part-quick/scans/scans.json"
@@ -99,7 +100,7 @@ goes_on() {
     "$relidar" "${tables[@]}" --parts kd1,kd2,kd3,ws1 "${tiny[@]}" >out 2>err
     check "exit code $?, expected 3: a part failed" test $? = 3
     has err "^relidar: 1 of 4 jobs failed, job kd3-quick: .*timestamps.txt: 4969 lines, frame 8121 needs .*; --retry-failed tries again"
-    has err "^relidar: note: kd1-quick: done, but no box"
+    has err "^relidar: note: kd1-quick: done, but 3 of 50"
     has tables/tables.md '^\| kd3 \| relidar, .quick. \| failed: .*frame 8121'
     has tables/tables.md '^\| relidar, .quick. \| 2 of 10 \|'
     for part in kd1 kd2 ws1; do check "$part was trained again" test "$(trainings "tables/$part-quick")" = 1; done
@@ -120,10 +121,11 @@ interrupted() {
     wait $!
     check "told to stop: exit code $?, expected 130" test $? = 130
     has told/tables.md '^\| ws1 \| relidar, .quick. \| preempted '
-    good "${long[@]}"
+    "$relidar" "${long[@]}" >out 2>err
+    check "went on: exit code $?, expected 3: frames are missing" test $? = 3
     has told/ws1-quick/batch.log "^resume  from iteration [1-9]"
     has told/tables.md '^\| relidar, .quick. \| 1 of 8 \| [0-9]'
-    has told/tables.md '^\| ws1 \| relidar, .quick. \| done \| 1 \|'
+    has told/tables.md '^\| ws1 \| relidar, .quick. \| done, but 11 of 50 frames were there, 1 of 4 to be held out \| 1 \|'
 }
 
 wrong

@@ -51,22 +51,22 @@ void write_tables(const fs::path& out, const std::vector<TableResult>& results, 
     if (!options.quiet) print(fmt::format("tables  {}\n", (out / "tables.md").string()));
 }
 
-/// A line for each part that is not there or has no labels.
+/// A line for each part that is not there, or lacks something.
 void tell_missing(const std::vector<TableResult>& results) {
     for (const TableResult& result : results)
-        if (!result.entry->missing.empty() || result.lacks_labels) note(fmt::format("{}: {}", result.entry->job.name, result.state));
+        if (!result.entry->missing.empty() || !result.lacks.empty()) note(fmt::format("{}: {}", result.entry->job.name, result.state));
 }
 
 void raise_missing(const std::vector<TableResult>& results) {
-    std::size_t n_missing = 0, n_unlabelled = 0;
+    std::size_t n_missing = 0, n_lacking = 0;
     for (const TableResult& result : results) {
         n_missing += !result.entry->missing.empty();
-        n_unlabelled += result.lacks_labels;
+        n_lacking += !result.lacks.empty();
     }
-    if (n_missing + n_unlabelled > 0)
+    if (n_missing + n_lacking > 0)
         throw DataError(
-            fmt::format("tables: {} of {} rows are missing, {} without labels, see above; the same command adds what is there by then",
-                        n_missing, results.size(), n_unlabelled));
+            fmt::format("tables: {} of {} rows are missing, {} lack frames or labels, see above; the same command adds what has come",
+                        n_missing, results.size(), n_lacking));
 }
 
 void run_tables(const TablesOptions& given, const std::string& command_line) {

@@ -184,10 +184,21 @@ double number_at(const Json& json, const char* group, const char* key) {
     return from && from->contains(key) && (*from)[key].is_number() ? (*from)[key].get<double>() : 0.0;
 }
 
+/// What a part should have and the run's scene.json has not. @param n_test  frames that were scored
+std::string lack_of(const PublishedPart& part, const Json& scene, double n_test) {
+    const double n_frames = number_at(scene, "counts", "frames");
+    std::string lacks;
+    if (n_frames < part.n_frames || n_test < part.n_test_frames)
+        lacks = fmt::format("{} of {} frames were there, {} of {} to be held out", n_frames, part.n_frames, n_test, part.n_test_frames);
+    if (part.is_dynamic && number_at(scene, "counts", "boxes") == 0.0)
+        lacks += std::string(lacks.empty() ? "" : "; ") + "no box was labelled: what moves is in the background";
+    return lacks;
+}
+
 /// Takes the numbers of a row that is done. @param seconds  of all commands of its job
 void take_scores(TableResult& result, const fs::path& run, double seconds) {
     const Json scores = read_json(result.entry->scores), training = read_json(run / "metrics.json"), scene = read_json(run / "scene.json");
-    if (!scores.is_object() || !training.is_object() || !scores.contains("mean")) {
+    if (!scores.is_object() || !training.is_object() || !scene.is_object() || !scores.contains("mean")) {
         result.state = result.entry->scores.string() + ": no scores in it";
         return;
     }
@@ -202,8 +213,8 @@ void take_scores(TableResult& result, const fs::path& run, double seconds) {
     if (!log.empty()) result.values["training_s"] = log.back().seconds;
     result.values["all_s"] = seconds;
     if (scores.contains("device") && scores["device"].is_string()) result.device = scores["device"].get<std::string>();
-    result.lacks_labels = result.entry->part.is_dynamic && scene.is_object() && number_at(scene, "counts", "boxes") == 0.0;
-    if (result.lacks_labels) result.state = "done, but no box was labelled: what moves is in the background";
+    result.lacks = lack_of(result.entry->part, scene, result.values["frames"]);
+    if (!result.lacks.empty()) result.state = "done, but " + result.lacks;
 }
 
 }  // namespace
@@ -211,8 +222,9 @@ void take_scores(TableResult& result, const fs::path& run, double seconds) {
 std::vector<TableResult> collect_results(const std::vector<TableEntry>& entries, const std::vector<JobReport>& reports) {
     std::vector<TableResult> results;
     for (const TableEntry& entry : entries) {
-        TableResult& result =
-            results.emplace_back(TableResult{&entry, entry.missing.empty() ? "" : "missing: " + one_line(entry.missing), {}, {}});
+        TableResult& result = results.emplace_back();
+        result.entry = &entry;
+        if (!entry.missing.empty()) result.state = "missing: " + one_line(entry.missing);
         if (!entry.missing.empty()) continue;
         const auto report =
             std::find_if(reports.begin(), reports.end(), [&](const JobReport& r) { return r.job->job.name == entry.job.name; });

@@ -12,13 +12,12 @@ namespace relidar::cli {
 
 /// What is known of a row.
 struct TableResult {
-    const TableEntry* entry;
+    const TableEntry* entry = nullptr;
     std::string state;  ///< "done"; else why there are no numbers, or not yet
     /// As metrics.json has them, and "fps", "memory_gb", "seconds_per_scan", "training_s", "all_s", "frames"; empty: none yet
     MetricRow values;
     std::string device;  ///< that scored it
-    /// Whether the part is dynamic, and none of its boxes was read: what moves was trained as background.
-    bool lacks_labels = false;
+    std::string lacks;     ///< what the part should have and had not: frames, labels; empty: nothing
 };
 
 /// @param reports  of the jobs of the entries that are not missing
