@@ -34,6 +34,7 @@ struct DatasetConfig {
     bool skip_broken = false;
     double min_range_m = 0.0;
     double max_range_m = 80.0;
+    std::string waymo_intensity = "tanh";   ///< what becomes of Waymo's, which have no upper end: "tanh", or "clamp" at 1
     int memory_mib = 0;            ///< for scans; what goes beyond lies in a mapped file. 0: half of what the machine has
 };
 
@@ -53,6 +54,7 @@ struct SensorConfig {
 
 struct TrainConfig {
     int iterations = 30000;
+    std::string grid = "native";     ///< what a frame is: "native", the rays fired, or "kitti360", an image of cells (published results)
     int rays_per_iteration = 0;      ///< 0 = all rays of one frame (paper)
     std::string batch = "rays";      ///< fewer than all: "rays" (every n-th column of the frame) or "columns" (a window of whole columns)
     int sh_degree_start = 0;         ///< active from the first iteration

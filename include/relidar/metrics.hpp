@@ -64,6 +64,7 @@ struct Region {
 ///   strict/{cd_mean_m,cd_sq_m2}                          sum of the two means (one a direction)
 ///   strict/{f_5cm,f_22cm}                                F-score at 0.05 m and sqrt(0.05) m
 ///   strict/drop_{accuracy,precision,recall,f1}           positive = dropped
+///   strict/drop_rmse                                     sqrt(mean (drop_prob - dropped)^2), every pixel, no threshold
 /// A pixel counts as returned where drop_prob is below the threshold and range_m above 0. A metric that is undefined
 /// (nothing returned, image below 7 x 7 for SSIM or 31 x 31 for LPIPS) is left out; an F-score against an empty cloud is 0.
 /// @throws DataError where the images differ in shape or hold a value that is not finite

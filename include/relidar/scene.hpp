@@ -163,6 +163,7 @@ struct InitialiseOptions {
     ActorMode actors = ActorMode::models;
     /// comma-separated kinds (object_kind()) or classes of moving boxes that become actors of their own; all = every class, empty = none
     std::string actor_classes = "all";
+    bool mask_others = true;           ///< moving boxes of other classes are left out; false = they belong to the background (paper)
     std::string actor_tracks;          ///< comma-separated tracks that do, whatever their class and motion; empty = by class
     int actor_points = 8000;           ///< an actor has at most so many surfels
     int actor_pad_to = 0;              ///< an actor with fewer is filled up with random points of its box; 0 = not (paper: 8000)

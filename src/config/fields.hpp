@@ -65,6 +65,8 @@ void visit_dataset(C& c, Visitor&& f) {
       "returns nearer than this count as dropped, and the log's sensor simulates none there, metres");
     f("dataset.max_range_m", c.dataset.max_range_m, above(0),
       "returns beyond this range count as dropped, and the log's sensor simulates none there, metres");
+    f("dataset.waymo_intensity", c.dataset.waymo_intensity, one_of({"tanh", "clamp"}),
+      "intensities of Waymo Open, which have no upper end: their tanh, or cut at 1");
     f("dataset.memory_mib", c.dataset.memory_mib, between(0, kMaxCount),
       "memory for scans, MiB; those that do not fit lie in a file in TMPDIR, mapped; 0: half of the memory of the machine");
 }
@@ -127,7 +129,10 @@ void visit_scene(C& c, Visitor&& f) {
       "moving boxes become models of their own, are masked out, or belong to the background (see init.remove_unlabelled_movers)");
     f("init.actor_classes", c.init.actor_classes, anything(),
       "moving boxes that become actors of their own, separated by commas: vehicle, cyclist, person, other, or a dataset's own class; all: "
-      "every class; empty: moving boxes are masked out");
+      "every class; empty: none (init.mask_others says what becomes of them)");
+    f("init.mask_others", c.init.mask_others, anything(),
+      "moving boxes of classes that init.actor_classes leaves out are masked out of points and losses; false: they belong to the "
+      "background (paper)");
     f("init.actor_points", c.init.actor_points, between(1, 1e6), "most surfels of an actor");
     f("init.actor_tracks", c.init.actor_tracks, anything(),
       "tracks that become actors, whatever their class and motion, separated by commas; empty: by class");
@@ -171,6 +176,7 @@ void visit_losses(C& c, Visitor&& f) {
 template <class C, class Visitor>
 void visit_training(C& c, Visitor&& f) {
     f("train.iterations", c.train.iterations, between(0, kMaxCount), "optimiser steps; 0: keep the initial scene");
+    f("train.grid", c.train.grid, one_of({"native", "kitti360"}), "frames: rays as fired, or images of 66 x 1030 cells (published)");
     f("train.rays_per_iteration", c.train.rays_per_iteration, between(0, kMaxCount), "rays of one step; 0: all rays of one frame");
     f("train.batch", c.train.batch, one_of({"rays", "columns"}),
       "rays of one step are every n-th column of the frame (every n-th ray without image order), or a window of neighbouring columns");
@@ -200,8 +206,7 @@ void visit_training(C& c, Visitor&& f) {
     f("train.sub_rays", c.train.sub_rays, between(1, 9), "rays cast for a beam of a step, over its footprint: 1, 5 or 9");
     f("train.second_returns", c.train.second_returns, anything(),
       "second returns that lie farther are rays of their own, which start behind the first surface; scans with any lose their image order");
-    f("train.sensor_drop", c.train.sensor_drop, anything(),
-      "learn what the sensor itself never sees (its own vehicle) apart from the scene");
+    f("train.sensor_drop", c.train.sensor_drop, anything(), "learn what the sensor itself never sees (its own vehicle) by itself");
     f("train.refine_poses", c.train.refine_poses, one_of({"none", "sensor", "actors", "sensor,actors"}),
       "poses that are corrected together with the scene: of the sensor, of the actors' boxes");
     f("train.pose_register", c.train.pose_register, anything(),

@@ -13,9 +13,11 @@ namespace {
 Config paper() {
     Config config;
     config.preset = "paper";
+    config.dataset.waymo_intensity = "clamp";
     config.init.further_returns = false;
     config.init.max_scale_m = 1000.0;   // the paper does not clamp
-    config.init.actor_classes = "vehicle";   // as it says; people and cyclists are masked out
+    config.init.actor_classes = "vehicle";   // as it says; people and cyclists are left in the background
+    config.init.mask_others = false;
     config.init.actor_min_points = 100;
     config.init.actor_pad_to = 8000;
     config.render.range = "expected";

@@ -33,14 +33,15 @@ struct Kind {
     const char* describe;
     Sequence (*load)(const fs::path&, const DatasetOptions&);
     bool holds_drives = false;   ///< several, of which DatasetOptions::sequence names one
+    void (*check)(const fs::path&, const DatasetOptions&) = nullptr;   ///< whether that one is there; none: only reading it tells
 };
 
 constexpr Kind kKinds[] = {
     {"argoverse2", "city_SE3_egovehicle.feather", "an Argoverse 2 log", load_argoverse2},
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
     {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_kitti_odometry},
-    {"kitti360", "data_3d_raw", "KITTI-360", load_kitti_360, true},
-    {"waymo", ".tfrecord", "a segment of Waymo Open", load_waymo, true},
+    {"kitti360", "data_3d_raw", "KITTI-360", load_kitti_360, true, check_kitti_360},
+    {"waymo", ".tfrecord", "a segment of Waymo Open", load_waymo, true, check_waymo},
     {"nuscenes", "v1.0-*", "nuScenes", load_nuscenes, true},
     {"folder", "sequence.json", "a plain folder", load_plain_folder},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
@@ -194,9 +195,12 @@ std::string absolute_dataset(const std::string& dataset) {
 }
 
 void check_dataset(const std::string& dataset, const std::string& sequence) {
-    (void)reader_of(dataset, sequence);
+    const Kind& reader = reader_of(dataset, sequence);
     const fs::path path = parted(dataset).second;
     if (!path_exists(path)) throw DataError(fmt::format("{}: no such file or folder, expected a dataset", path.string()));
+    DatasetOptions options;
+    options.sequence = sequence;
+    if (reader.check && !sequence.empty()) reader.check(path, options);
 }
 
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options) {

@@ -172,8 +172,9 @@ Lidar make_lidar(const FrameRecord& frame, const LaserImages& images, double per
 /// Puts a range image on the rays of the sensor.
 class RangeImageReader {
 public:
-    RangeImageReader(const Sequence& sequence, const Frame& frame, RayTable model, std::string where)
-        : lidar_(sequence.lidar_of(frame)), where_(std::move(where)) {
+    /// @param clamps  intensities are cut at 1; false: their tanh
+    RangeImageReader(const Sequence& sequence, const Frame& frame, RayTable model, std::string where, bool clamps)
+        : lidar_(sequence.lidar_of(frame)), where_(std::move(where)), clamps_(clamps) {
         scan.rays = std::move(model);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
@@ -204,6 +205,7 @@ public:
 private:
     const Lidar& lidar_;
     std::string where_;
+    bool clamps_;
     std::vector<Pose> sensor_from_world_;  ///< [columns] by the track of the log
 
     Image inflated(std::string_view packed) const {
@@ -211,6 +213,11 @@ private:
         if (image.rows == scan.rays.rows && image.columns == scan.rays.columns) return image;
         throw DataError(fmt::format("{}: a range image of {} x {}, expected {} x {} as in the first frame", where_, image.rows,
                                     image.columns, scan.rays.rows, scan.rays.columns));
+    }
+
+    /// Of a return, 0 to 1.
+    float intensity_of(float brightness) const {
+        return clamps_ ? std::clamp(brightness, 0.0f, 1.0f) : std::tanh(std::max(brightness, 0.0f));
     }
 
     void read_returns(const Image& image, std::span<float> range_m, std::span<float> intensity) const {
@@ -221,7 +228,7 @@ private:
                 throw DataError(fmt::format("{}: pixel {} has range {} m and intensity {}, expected finite values within {} m", where_, ray,
                                             range, brightness, kFarthest_m));
             range_m[ray] = std::max(range, 0.0f);
-            intensity[ray] = range > 0.0f ? std::tanh(std::max(brightness, 0.0f)) : 0.0f;
+            intensity[ray] = range > 0.0f ? intensity_of(brightness) : 0.0f;
         }
     }
 
@@ -274,7 +281,7 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
             const std::string& name = sequence.lidars[lidar].name;
             const int laser = int(std::find(std::begin(kLaserNames), std::end(kLaserNames), name) - std::begin(kLaserNames));
             broken.attempt(sweep * n_lidars + lidar, [&] {
-                RangeImageReader reader(sequence, frame, models[lidar], fmt::format("{}: {}", where, name));
+                RangeImageReader reader(sequence, frame, models[lidar], fmt::format("{}: {}", where, name), options.clamp_intensity);
                 reader.read(images_of(parsed, laser, where), parsed.world_from_vehicle);
                 frame.scan = std::move(reader.scan);
             });
@@ -284,6 +291,11 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
 }
 
 }  // namespace
+
+void check_waymo(const fs::path& path, const DatasetOptions& options) {
+    const Segment segment = choose_segment(path, options);
+    (void)record_range(TfRecords(segment.file), segment.frames);
+}
 
 Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
     const Segment segment = choose_segment(path, options);
@@ -297,7 +309,9 @@ Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
     sequence.source = path.string();
     sequence.conventions =
         "vehicle x forward, y left, z up; metres; time = head of TOP faces forward, seconds after the segment's first firing; "
-        "intensity is the tanh of Waymo's; rays of TOP in time, the other LiDARs at one moment";
+        "intensity is " +
+        std::string(options.clamp_intensity ? "Waymo's cut at 1" : "the tanh of Waymo's") +
+        "; rays of TOP in time, the other LiDARs at one moment";
     sequence.notes = segment.notes;
     sequence.test_frames = segment.test_frames;
     add_frames(sequence, records, heads, begin, segment.top_alone);

@@ -99,6 +99,13 @@ void add_peer(MetricRow& row, const RangeImage& rendered, const RangeImage& real
     row["peer/f_score"] = distances.f_score(kPeerThreshold_m);
 }
 
+/// Distance of the probabilities of a drop from what happened, over all pixels; no threshold.
+double drop_rmse(const RangeImage& rendered, const RangeImage& real) {
+    Values error(real.drop_prob.size());
+    for (std::size_t i = 0; i < error.size(); ++i) error[i] = double(rendered.drop_prob[i]) - double(real.drop_prob[i]);
+    return std::sqrt(mean_square(error));
+}
+
 /// Ray drop as a classification; positive = dropped.
 void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
     std::size_t hits = 0, false_drops = 0, missed_drops = 0, equal = 0;
@@ -142,6 +149,7 @@ void add_strict(MetricRow& row, const RangeImage& rendered, const RangeImage& re
     add_errors(row, "strict/intensity_", "", selected(rendered.intensity, both, kMaxIntensity),
                selected(real.intensity, both, kMaxIntensity));
     add_drop(row, kept, truth);
+    row["strict/drop_rmse"] = drop_rmse(rendered, real);
     const double threshold = options.strict_drop_threshold;
     add_image(row, "strict/image_depth_", "_m", depth_pair(rendered, real, threshold, options.max_range_m), nullptr);
     add_image(row, "strict/image_intensity_", "", intensity_pair(rendered, real, threshold), nullptr);

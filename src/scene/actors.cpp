@@ -177,6 +177,7 @@ std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseO
     for (const BoxTrack& box : sequence.boxes) {
         check_box(box);
         const bool moves = box.mean_step_m() > options.actor_min_step_m;
+        if (options.actors == ActorMode::models && !options.mask_others && !is_wanted(box, options)) continue;
         if (options.actors != ActorMode::background && (moves || lists(options.actor_tracks, box.id))) boxes.push_back(box);
     }
     return boxes;

@@ -29,6 +29,7 @@ Sequence load_log(const Config& config, const Progress& progress) {
     options.rolling_shutter = config.sensor.rolling_shutter;
     options.max_range_m = config.dataset.max_range_m;
     options.min_range_m = config.dataset.min_range_m;
+    options.clamp_intensity = config.dataset.waymo_intensity == "clamp";
     options.progress = progress;
     std::error_code failed;
     const std::filesystem::path folder = std::filesystem::temp_directory_path(failed);

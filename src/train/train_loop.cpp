@@ -130,8 +130,26 @@ std::optional<Footprints> make_footprints(Device& device, const Config& config, 
     return std::optional<Footprints>(std::in_place, device, config.train.sub_rays, most_rays(frames.all()), kUnexplained);
 }
 
+/// The cells that are trained on; nothing: the sensor's own rays. @throws UsageError beside what speaks of those
+std::optional<RangeGrid> trained_grid(const Config& config) {
+    if (config.train.grid == "native") return std::nullopt;
+    const std::pair<bool, const char*> of_own_rays[] = {{config.train.sensor_drop, "train.sensor_drop"},
+                                                        {config.train.second_returns, "train.second_returns"},
+                                                        {config.train.sub_rays > 1, "train.sub_rays"},
+                                                        {config.blocks.length_m > 0.0, "blocks.length_m"}};
+    for (const auto& [found, setting] : of_own_rays)
+        if (found)
+            throw UsageError(
+                fmt::format("setting train.grid={}: found {} too, which is of the sensor's own rays, expected one of them",
+                            config.train.grid, setting));
+    return find_grid(config.train.grid);
+}
+
 FrameUse frame_use(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
-    return {unknown(sequence, split, scene, config), config.train.refines("sensor"), std::uint64_t(config.train.frame_memory_mib) << 20};
+    return {.unknown = unknown(sequence, split, scene, config),
+            .moves_rays = config.train.refines("sensor"),
+            .stay_bytes = std::uint64_t(config.train.frame_memory_mib) << 20,
+            .grid = trained_grid(config)};
 }
 
 }  // namespace

@@ -12,6 +12,7 @@
 
 #include "core/parallel.hpp"
 #include "gpu/stream.hpp"
+#include "train/grid_frame.hpp"
 
 namespace relidar {
 namespace {
@@ -22,8 +23,19 @@ double firing_time(const Sequence& sequence, const Frame& frame, float offset_s)
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
 
-FrameData describe(const Sequence& sequence, int position) {
-    const Frame& frame = sequence.frames[std::size_t(position)];
+/// A frame as it is trained on: one of the log, or made from it.
+struct TrainedFrame {
+    std::optional<Frame> binned;
+    const Frame& frame;
+
+    TrainedFrame(const Sequence& sequence, int position, const std::optional<RangeGrid>& grid)
+        : binned(grid ? std::optional(on_grid(sequence, sequence.frames[std::size_t(position)], *grid)) : std::nullopt),
+          frame(binned ? *binned : sequence.frames[std::size_t(position)]) {}
+};
+
+FrameData describe(const Sequence& sequence, int position, const std::optional<RangeGrid>& grid) {
+    const TrainedFrame trained(sequence, position, grid);
+    const Frame& frame = trained.frame;
     const RayTable& table = frame.scan.rays;
     if (frame.scan.range_m.empty())
         throw DataError(fmt::format("preparing frame {} of {}: it has no rays, expected at least one", frame.index, sequence.name));
@@ -64,7 +76,7 @@ std::size_t TrainingFrames::bytes_per_ray() const {
 
 TrainingFrames::TrainingFrames(Device& device, const Sequence& sequence, const std::vector<int>& positions, FrameUse use)
     : sequence_(sequence), use_(std::move(use)) {
-    for (const int position : positions) frames_.push_back(describe(sequence, position));
+    for (const int position : positions) frames_.push_back(describe(sequence, position, use_.grid));
     std::uint64_t bytes = 0;
     for (const FrameData& frame : frames_) {
         bytes += std::uint64_t(frame.n_rays) * bytes_per_ray();
@@ -99,7 +111,8 @@ void TrainingFrames::keep_on_device(Device& device) {
 
 TrainingFrames::HostFrame TrainingFrames::prepare(std::size_t i) const {
     const FrameData& data = frames_[i];
-    const Frame& frame = sequence_.frames[std::size_t(data.position)];
+    const TrainedFrame trained(sequence_, data.position, use_.grid);
+    const Frame& frame = trained.frame;
     HostFrame host;
     make_targets(sequence_, frame, use_.unknown, host.rays, host.targets);
     if (use_.moves_rays)

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <future>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include <relidar/stages/gpu.hpp>
@@ -19,6 +20,7 @@ struct FrameUse {
     Unknown unknown;
     bool moves_rays = false;               ///< poses of the vehicle are corrected: FrameArrays::places are there
     std::uint64_t stay_bytes = ~0ull;      ///< of frames that stay on the device, at most
+    std::optional<RangeGrid> grid = {};    ///< rays are those of its cells: on_grid()
 };
 
 class TrainingFrames {

@@ -52,7 +52,7 @@ bool change(Config& config, const std::string& key) {
     for (const char* value : {"0.12345678", "seen", "0.6000001", "0.25", "2", "7", "123456", "true", "false", "kitti360",
                               "cast",       "columns",   "ray",  "surfel", "median", "expected", "boxes",      "gaussian", "adaptive",
                               "gather",     "pixel",     "direction", "grid", "sensor", "none",     "lane",     "masked",     "range",
-                              "fp16", "a \"b\" \\c"}) {
+                              "fp16", "clamp", "a \"b\" \\c"}) {
         if (value == before) continue;
         try {
             set_key(config, key, value);

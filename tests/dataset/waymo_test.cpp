@@ -26,6 +26,33 @@ Sequence read(const WaymoSegment& segment, const DatasetOptions& options = {}) {
     return load_sequence(segment.file.string(), options);
 }
 
+TEST(Waymo, IntensitiesAreCutOrSquashed) {
+    const WaymoSegment segment("waymo_intensity");
+    DatasetOptions options;
+    options.clamp_intensity = true;
+    const Sequence squashed = read(segment), cut = read(segment, options);
+    int above_1 = 0;
+    for (std::size_t i = 0; i < segment.top[0].size(); ++i) {
+        const WaymoPixel& pixel = segment.top[0][i];
+        if (pixel.range_m == 0.0f) continue;
+        above_1 += pixel.intensity > 1.0f;
+        const auto frame = std::ranges::find_if(cut.frames, [&](const Frame& f) { return cut.lidar_of(f).name == "TOP"; });
+        const auto at = std::size_t(frame - cut.frames.begin());
+        EXPECT_EQ(cut.frames[at].scan.intensity[i], std::min(pixel.intensity, 1.0f)) << i;
+        EXPECT_NEAR(squashed.frames[at].scan.intensity[i], std::tanh(pixel.intensity), 1e-6f) << i;
+    }
+    EXPECT_GT(above_1, 10);
+    EXPECT_THAT(cut.conventions, HasSubstr("Waymo's cut at 1"));
+    EXPECT_THAT(squashed.conventions, HasSubstr("the tanh of Waymo's"));
+}
+
+TEST(Waymo, PartsAreMissedBeforeTheyAreRead) {
+    const WaymoSegment segment("waymo_parts");
+    EXPECT_NO_THROW(check_dataset(segment.folder.string(), "1083056"));
+    EXPECT_THROW(check_dataset(segment.folder.string(), "wd1"), UsageError) << "its three records end before frame 148";
+    EXPECT_THROW(check_dataset(segment.folder.string(), "ws1"), UsageError) << "another segment";
+}
+
 /// Compares every pixel of a frame with what it was cast from.
 void expect_pixels(const Sequence& log, const Frame& frame, const std::vector<WaymoPixel>& truth) {
     ASSERT_EQ(frame.scan.rays.size(), truth.size());

@@ -112,6 +112,8 @@ TEST(Evaluate, DropsByHand) {
     EXPECT_NEAR(row.at("strict/drop_precision"), 2.0 / 3.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_recall"), 2.0 / 3.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_f1"), 2.0 / 3.0, 1e-12);
+    // 0.2 - 0, 0.9 - 1, 0.3 - 1, 0.5 - 0, 0.1 - 1, as the probabilities are: where there is no range, too
+    EXPECT_NEAR(row.at("strict/drop_rmse"), std::sqrt((0.04 + 0.01 + 0.49 + 0.25 + 0.81) / 5.0), 1e-7);
 }
 
 TEST(Evaluate, ClampsRanges) {
@@ -145,14 +147,14 @@ TEST(Evaluate, IdenticalImagesArePerfect) {
     const RangeImage image = random_image(16, 40, 7);
     const MetricRow row = evaluate(image, image);
     for (const char* name : {"peer/depth_rmse_m", "peer/depth_mae_m", "peer/depth_medae_m", "peer/intensity_rmse", "peer/cd_sq_m2",
-                             "strict/depth_rmse_m", "strict/intensity_rmse", "strict/cd_mean_m", "strict/cd_sq_m2"})
+                             "strict/depth_rmse_m", "strict/intensity_rmse", "strict/cd_mean_m", "strict/cd_sq_m2", "strict/drop_rmse"})
         EXPECT_EQ(row.at(name), 0.0) << name;
     for (const char* name : {"peer/depth_ssim", "peer/intensity_ssim", "peer/f_score", "strict/f_5cm", "strict/f_22cm",
                              "strict/drop_accuracy", "strict/drop_precision", "strict/drop_recall", "strict/drop_f1"})
         EXPECT_NEAR(row.at(name), 1.0, 1e-12) << name;
     EXPECT_NEAR(row.at("peer/depth_psnr_db"), 10.0 * std::log10(6400.0 / 1e-20), 1e-9);   // capped, not infinite
     EXPECT_NEAR(row.at("peer/intensity_psnr_db"), 200.0, 1e-9);
-    EXPECT_EQ(row.size(), 36u);   // peer 12, strict 24; no LPIPS without weights
+    EXPECT_EQ(row.size(), 37u);   // peer 12, strict 25; no LPIPS without weights
 }
 
 TEST(Evaluate, LeavesOutWhatIsNotDefined) {

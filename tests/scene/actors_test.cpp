@@ -98,6 +98,27 @@ TEST(Actors, AreChosenByModeClassOrTrack) {
     EXPECT_GT(initialise_background(street, split_frames(street, 10).train, options).size(), masked + 100) << "the cars' points are in it";
 }
 
+TEST(Actors, WhatIsNoActorIsMaskedOrOfTheBackground) {
+    Sequence street = make_synthetic_street(street_options());
+    ASSERT_EQ(street.boxes.size(), 2u);
+    street.boxes[0].category = "Pedestrian";
+    const std::vector<int> train = split_frames(street, 10).train;
+    InitialiseOptions options = with_actors();
+    options.actor_classes = "person";
+    const Scene masked = initialise_scene(street, train, options);
+    ASSERT_EQ(masked.instances.size(), 2u);
+    EXPECT_EQ(masked_boxes(masked, street, options).size(), 1u);
+    options.mask_others = false;
+    const Scene kept = initialise_scene(street, train, options);
+    ASSERT_EQ(kept.instances.size(), 2u) << "the actor stays one";
+    EXPECT_EQ(kept.instances[1].track, "0");
+    EXPECT_TRUE(masked_boxes(kept, street, options).empty());
+    EXPECT_TRUE(unwanted_boxes(street, options).empty());
+    EXPECT_GT(kept.models[0].count, masked.models[0].count + 100) << "the other car's points are in the background";
+    options.actors = ActorMode::masked;
+    EXPECT_EQ(separate_boxes(street, options).size(), 2u) << "which is of all boxes";
+}
+
 TEST(Actors, TrackChosenByNameNeedNotMove) {
     Sequence street = make_synthetic_street(street_options());
     BoxTrack& box = street.boxes[0];

@@ -4,6 +4,8 @@
 #include "train/training_frames.hpp"
 
 #include <algorithm>
+#include <cmath>
+#include <map>
 #include <numeric>
 
 #include <relidar/dataset.hpp>
@@ -13,11 +15,57 @@
 #include "../export/temporary_folder.hpp"
 #include "../support/device.hpp"
 #include "core/random.hpp"
+#include "train/grid_frame.hpp"
 
 namespace relidar {
 namespace {
 
 constexpr std::uint64_t kAll = ~0ull;
+
+/// Cell of the KITTI-360 grid by its printed definition: 66 rows from +2.0 to -24.9 degrees, 1030 columns from azimuth +180 down, centred.
+int cell_of(const glm::vec3& p) {
+    const double degrees = 180.0 / kPi, elevation = degrees * std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
+    const double azimuth = degrees * std::atan2(double(p.y), double(p.x));
+    const int row = int(std::floor((2.0 - elevation) / 26.9 * 66.0 + 0.5));
+    const int column = int(std::floor((180.0 - azimuth) / 360.0 * 1030.0 + 0.5));
+    return row >= 0 && row < 66 ? row * 1030 + column % 1030 : -1;
+}
+
+TEST(OnGrid, NearestReturnsOfCells) {
+    const Sequence log = make_synthetic_street({.n_frames = 1, .rows = 32, .columns = 2048});
+    const Scan& scan = log.frames[0].scan;
+    std::map<int, std::size_t> nearest;
+    for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
+        const int cell = scan.range_m[i] > 0.0f ? cell_of(scan.point(i)) : -1;
+        if (cell < 0) continue;
+        const auto [at, is_new] = nearest.try_emplace(cell, i);
+        if (!is_new && glm::length(scan.point(i)) < glm::length(scan.point(at->second))) at->second = i;
+    }
+    ASSERT_GT(nearest.size(), 10000u);
+    const Frame binned = on_grid(log, log.frames[0], kitti360_grid());
+    ASSERT_EQ(binned.scan.range_m.size(), 66u * 1030u);
+    EXPECT_EQ(binned.scan.rays.rows, 66);
+    int elsewhere = 0;   // on the edge of two cells, single and double precision may differ
+    for (std::size_t cell = 0; cell < binned.scan.range_m.size(); ++cell) {
+        const glm::vec3& d = binned.scan.rays.direction[cell];
+        EXPECT_EQ(cell_of(10.0f * d), int(cell));
+        EXPECT_EQ(binned.scan.rays.origin[cell], glm::vec3(0.0f));
+        const auto found = nearest.find(int(cell));
+        if (found == nearest.end()) {
+            elsewhere += binned.scan.range_m[cell] != 0.0f;
+            continue;
+        }
+        const std::size_t ray = found->second;
+        if (std::abs(binned.scan.range_m[cell] - glm::length(scan.point(ray))) > 1e-4f) {
+            ++elsewhere;
+            continue;
+        }
+        EXPECT_EQ(binned.scan.intensity[cell], scan.intensity[ray]);
+        EXPECT_EQ(binned.scan.rays.time_offset_s[cell], scan.rays.time_offset_s[ray]);
+        EXPECT_EQ(binned.scan.rays.channel[cell], scan.rays.channel[ray]);
+    }
+    EXPECT_LE(elsewhere, 20);
+}
 
 class FramesInTurn : public test::DeviceTest {
 protected:
@@ -127,6 +175,26 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
             EXPECT_EQ(stay.poses->world_from_vehicle.pose[k].rotation, come.poses->world_from_vehicle.pose[k].rotation) << batch;
         }
     }
+}
+
+/// Cells in the place of the rays that were fired; what speaks of those is refused in one line.
+TEST_F(FramesInTurn, AreCellsOfAGrid) {
+    const Sequence log = street(2);
+    TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .grid = kitti360_grid()});
+    Stream stream(device());
+    const FrameData& frame = frames.bring(stream, 0);
+    EXPECT_EQ(frame.n_rays, 66u * 1030u);
+    EXPECT_EQ(frame.image.rows, 66u);
+    EXPECT_TRUE(frame.image.circular);
+    const Frame binned = on_grid(log, log.frames[0], kitti360_grid());
+    const std::vector<DeviceTarget> targets = frame.targets().download(frame.n_rays);
+    for (std::size_t i = 0; i < targets.size(); ++i) ASSERT_EQ(targets[i].range_m, binned.scan.range_m[i]) << i;
+
+    Config config = make_preset("quick");
+    config.train.grid = "kitti360";
+    const Split split{positions(log), {}};
+    EXPECT_EQ(error_message<UsageError>([&] { train(device(), log, split, config, [](const TrainProgress&) { return true; }); }),
+              "setting train.grid=kitti360: found train.sensor_drop too, which is of the sensor's own rays, expected one of them");
 }
 
 }  // namespace

@@ -45,43 +45,12 @@ void raise_problems(const std::vector<Error>& problems, const std::string& manif
                 fmt::format("{}: {} faults, see above; no job was begun", manifest, problems.size()));
 }
 
-/// Of failures that differ, the code of the one that another attempt helps most likely: a device or a crash before a bug, before what is
-/// wrong with a log or a setting.
-ExitCode code_of_failures(const std::vector<JobReport>& failed) {
-    for (const ExitCode code : {ExitCode::device, ExitCode::bug, ExitCode::data}) {
-        for (const JobReport& report : failed) {
-            const int found = report.state.exit_code;
-            const bool crashed = found > static_cast<int>(ExitCode::device);   // 127, 128 + signal
-            if (found == static_cast<int>(code) || (crashed && code == ExitCode::device)) return code;
-        }
-    }
-    return ExitCode::usage;
-}
-
 std::vector<JobReport> report_share(const BatchPlan& plan, const Share& share) {
     const std::vector<JobReport> all = report_jobs(plan);
     std::vector<JobReport> reports;
     for (std::size_t j = 0; j < all.size(); ++j)
         if (share.has(j)) reports.push_back(all[j]);
     return reports;
-}
-
-/// Ends the command as its jobs have ended.
-void raise_ends(const std::vector<JobReport>& reports) {
-    std::vector<JobReport> failed;
-    const std::size_t n_jobs = reports.size();
-    std::size_t n_done = 0;
-    for (const JobReport& report : reports) {
-        n_done += report.phase == "done";
-        if (report.phase == "failed") failed.push_back(report);
-    }
-    if (n_done + failed.size() < n_jobs)
-        throw Error(ExitCode::interrupted,
-                    fmt::format("interrupted: {} of {} jobs are done, {} failed; the same command goes on", n_done, n_jobs, failed.size()));
-    if (!failed.empty())
-        throw Error(code_of_failures(failed),
-                    fmt::format("{} of {} jobs failed, {} {}: {}; --retry-failed tries again", failed.size(), n_jobs,
-                                failed.size() == 1 ? "job" : "the first, job", failed.front().job->job.name, failed.front().state.message));
 }
 
 void run_batch(const BatchOptions& options) {

@@ -12,6 +12,7 @@
 
 #include "console.hpp"
 #include "output_folder.hpp"
+#include <relidar/error.hpp>
 #include <relidar/export.hpp>
 
 namespace relidar::cli {
@@ -98,6 +99,19 @@ std::string metrics_text(const std::vector<JobReport>& reports) {
     return rows.size() > 1 ? "\n" + table(rows) : "";
 }
 
+/// Of failures that differ, the code of the one that another attempt helps most likely: a device or a crash before a bug, before what is
+/// wrong with a log or a setting.
+ExitCode code_of_failures(const std::vector<JobReport>& failed) {
+    for (const ExitCode code : {ExitCode::device, ExitCode::bug, ExitCode::data}) {
+        for (const JobReport& report : failed) {
+            const int found = report.state.exit_code;
+            const bool crashed = found > static_cast<int>(ExitCode::device);   // 127, 128 + signal
+            if (found == static_cast<int>(code) || (crashed && code == ExitCode::device)) return code;
+        }
+    }
+    return ExitCode::usage;
+}
+
 }  // namespace
 
 std::vector<JobReport> report_jobs(const BatchPlan& plan) {
@@ -129,6 +143,23 @@ std::string status_text(const std::vector<JobReport>& reports) {
     const std::string jobs = fmt::format("\n{} job{}", reports.size(), reports.size() == 1 ? "" : "s");
     return table(rows) + (failed.empty() ? "" : "\n" + failed) + jobs + totals +
            fmt::format(", {} of work\n", duration(total_seconds(reports))) + metrics_text(reports);
+}
+
+void raise_ends(const std::vector<JobReport>& reports) {
+    std::vector<JobReport> failed;
+    const std::size_t n_jobs = reports.size();
+    std::size_t n_done = 0;
+    for (const JobReport& report : reports) {
+        n_done += report.phase == "done";
+        if (report.phase == "failed") failed.push_back(report);
+    }
+    if (n_done + failed.size() < n_jobs)
+        throw Error(ExitCode::interrupted,
+                    fmt::format("interrupted: {} of {} jobs are done, {} failed; the same command goes on", n_done, n_jobs, failed.size()));
+    if (!failed.empty())
+        throw Error(code_of_failures(failed),
+                    fmt::format("{} of {} jobs failed, {} {}: {}; --retry-failed tries again", failed.size(), n_jobs,
+                                failed.size() == 1 ? "job" : "the first, job", failed.front().job->job.name, failed.front().state.message));
 }
 
 void write_summary(const BatchPlan& plan) {

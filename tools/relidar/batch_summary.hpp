@@ -25,6 +25,10 @@ std::vector<JobReport> report_jobs(const BatchPlan& plan);
 /// A row a job, a line for each that failed, totals, means of the metrics over the jobs that were scored.
 std::string status_text(const std::vector<JobReport>& reports);
 
+/// Ends the command as its jobs have ended: nothing where all are done. @throws Error of exit code 130 where some are neither done nor
+/// failed, else of the code of a failed one, naming the first
+void raise_ends(const std::vector<JobReport>& reports);
+
 /// DIR/batch.json: the same. Processes write it one at a time, so that the last one has seen what all others did.
 void write_summary(const BatchPlan& plan);
 

@@ -25,7 +25,7 @@ constexpr const char* kPeer =
 constexpr const char* kStrict =
     "returned: drop_prob < 0.5; image_*: all pixels, dropped ones at 0; depth_*, intensity_*: pixels returned in both; Chamfer distance: "
     "both ways summed; "
-    "F-score at 5 cm and 22.4 cm; drop_*: dropped is positive";
+    "F-score at 5 cm and 22.4 cm; drop_*: dropped is positive; drop_rmse: of the drop probabilities, all pixels, no threshold";
 constexpr const char* kPoints =
     "as strict/depth_*, cd_* and f_*, of point clouds as files hold them: render.points, by default the dominant surface; strict/* is of "
     "the image, render.range";

@@ -58,6 +58,7 @@ std::vector<ReportKeyMetric> key_metrics() {
         {"range_40_80_m/depth_medae_m", "Typical range error far away, m", "from 40 to 80 m; less is better"},
         {"strict/intensity_mae", "Intensity error", "mean over rays that return in both, of intensities from 0 to 1; less is better"},
         {"strict/drop_accuracy", "Rays that return or drop as the real ones", "share of all rays; 1 is best"},
+        {"strict/drop_rmse", "Error of drop probabilities", "root of the mean square over all rays; less is better"},
         {"strict/drop_recall", "Dropped rays that were found", "share of the rays that really did not return; 1 is best"},
         {"points/cd_mean_m", "Distance of the two point clouds, m", "to the nearest point of the other, both ways added; less is better"},
         {"points/f_22cm", "Points with a real one within 22 cm", "and real ones with a simulated one, as F-score; 1 is best"},

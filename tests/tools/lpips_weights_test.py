@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""tools/lpips_weights on files of both formats of torch.save, written here by their description: pickles that name torch's functions, and
+storages beside them. What relidar reads is what was put in.
+
+    lpips_weights_test.py SOURCE_DIR RELIDAR WORK_FOLDER
+"""
+import collections
+import json
+import pathlib
+import pickle
+import random
+import shutil
+import struct
+import subprocess
+import sys
+import types
+import zipfile
+
+SHAPES = [(64, 3, 11), (192, 64, 5), (384, 192, 3), (256, 384, 3), (256, 256, 3)]
+
+torch, utils = types.ModuleType("torch"), types.ModuleType("torch._utils")
+
+
+def _rebuild_tensor_v2(*_):
+    pass
+
+
+class FloatStorage:
+    pass
+
+
+_rebuild_tensor_v2.__module__, FloatStorage.__module__ = "torch._utils", "torch"
+utils._rebuild_tensor_v2, torch.FloatStorage, torch._utils = _rebuild_tensor_v2, FloatStorage, utils
+sys.modules |= {"torch": torch, "torch._utils": utils}
+
+
+class Storage:
+    def __init__(self, key, data):
+        self.key, self.data = key, data
+
+
+class Tensor:
+    """Pickled as torch pickles one: a call that rebuilds it from a storage of another place."""
+
+    def __init__(self, storage, offset, shape):
+        self.storage, self.offset, self.shape = storage, offset, shape
+
+    def __reduce__(self):
+        strides, n = [], 1
+        for extent in reversed(self.shape):
+            strides.insert(0, n)
+            n *= extent
+        return _rebuild_tensor_v2, (self.storage, self.offset, tuple(self.shape), tuple(strides), False, collections.OrderedDict())
+
+
+class Writer(pickle.Pickler):
+    legacy = False
+
+    def persistent_id(self, what):
+        if isinstance(what, Storage):
+            return ("storage", FloatStorage, what.key, "cpu", len(what.data) // 4) + ((None,) if self.legacy else ())
+        return None
+
+
+def write_zip(path, tensors):
+    with zipfile.ZipFile(path, "w") as archive:
+        with archive.open("archive/data.pkl", "w") as file:
+            Writer(file, 2).dump(tensors)
+        for tensor in tensors.values():
+            archive.writestr(f"archive/data/{tensor.storage.key}", tensor.storage.data)
+        archive.writestr("archive/version", "3\n")
+
+
+def write_legacy(path, tensors):
+    with open(path, "wb") as file:
+        for head in (0x1950A86A20F9469CFC6C, 1001, {"protocol_version": 1001, "little_endian": True, "type_sizes": {}}):
+            pickle.dump(head, file, 2)
+        writer = Writer(file, 2)
+        writer.legacy = True
+        writer.dump(tensors)
+        pickle.dump([t.storage.key for t in tensors.values()], file, 2)
+        for tensor in tensors.values():
+            file.write(struct.pack("<q", len(tensor.storage.data) // 4) + tensor.storage.data)
+
+
+def floats(n, seed):
+    draw = random.Random(seed)
+    return struct.pack(f"<{n}f", *(draw.uniform(-1, 1) for _ in range(n)))
+
+
+def main():
+    source, relidar, work = pathlib.Path(sys.argv[1]), sys.argv[2], pathlib.Path(sys.argv[3])
+    shutil.rmtree(work, ignore_errors=True)
+    work.mkdir(parents=True)
+    backbone, heads, truth = collections.OrderedDict(), collections.OrderedDict(), {}
+
+    def add(tensors, name, ours, shape):
+        n, before = 1, 3 * (len(tensors) == 0)   # one starts within its storage
+        for extent in shape:
+            n *= extent
+        data = floats(before + n, ours)
+        tensors[name] = Tensor(Storage(str(len(tensors)), data), before, shape)
+        truth[ours] = (list(shape), data[4 * before:])
+
+    for i, (out, into, edge) in enumerate(SHAPES):
+        add(backbone, f"features.{[0, 3, 6, 8, 10][i]}.weight", f"conv{i}.weight", (out, into, edge, edge))
+        add(backbone, f"features.{[0, 3, 6, 8, 10][i]}.bias", f"conv{i}.bias", (out,))
+        add(heads, f"lin{i}.model.1.weight", f"lin{i}.weight", (1, out, 1, 1))
+    write_zip(work / "new.pth", backbone)
+    write_legacy(work / "old.pth", backbone)
+    write_legacy(work / "heads.pth", heads)
+
+    def convert(*names):
+        return subprocess.run([source / "tools/lpips_weights", *(str(work / name) for name in names)], capture_output=True, text=True)
+
+    for backbone_file in ("new.pth", "old.pth"):
+        done = convert(backbone_file, "heads.pth", "out.safetensors")
+        assert done.returncode == 0, done.stderr
+        data = (work / "out.safetensors").read_bytes()
+        n = struct.unpack("<Q", data[:8])[0]
+        header = json.loads(data[8:8 + n])
+        assert set(header) == set(truth)
+        for name, (shape, numbers) in truth.items():
+            begin, end = header[name]["data_offsets"]
+            assert header[name]["shape"] == shape and data[8 + n + begin:8 + n + end] == numbers, name
+        # weights are looked at before the parts, of which there is none
+        read = subprocess.run([relidar, "tables", "paper", "--parts", "kd1", "--out", work / "none", "--lpips-weights",
+                               work / "out.safetensors"], capture_output=True, text=True)
+        assert read.returncode == 3 and "no --kitti360 given" in read.stderr, read.stderr
+        (work / "out.safetensors").unlink()
+
+    def refused(message, *names):
+        done = convert(*names, "out.safetensors")
+        assert done.returncode == 3 and done.stderr.count("\n") == 1 and message in done.stderr, (message, done.stderr)
+        assert not (work / "out.safetensors").exists()
+
+    refused("heads.pth: features.0.weight is missing", "heads.pth", "heads.pth")
+    refused("No such file", "nowhere.pth", "heads.pth")
+    (work / "cut.pth").write_bytes((work / "old.pth").read_bytes()[:5000])
+    refused("cut.pth: ", "cut.pth", "heads.pth")
+    (work / "text.pth").write_text("weights")
+    refused("text.pth: not a file of torch.save", "text.pth", "heads.pth")
+    with open(work / "evil.pth", "wb") as file:
+        pickle.dump(subprocess.run, file)
+    refused("evil.pth: found subprocess.run in it", "evil.pth", "heads.pth")
+    backbone["features.3.weight"] = Tensor(Storage("99", floats(128 * 64 * 9, "vgg")), 0, (128, 64, 3, 3))
+    write_zip(work / "vgg.pth", backbone)
+    refused("features.3.weight is [128, 64, 3, 3], expected [192, 64, 5, 5]: weights of another network", "vgg.pth", "heads.pth")
+    print("lpips_weights: all checks passed")
+
+
+main()
