@@ -357,8 +357,86 @@ def test_livox():
         expect(not head["lidars"][0]["spins"], f"{name}: it spins")
 
 
+def packets_of(dual, product=0x22, n=170, lost=()):
+    """A VLP-16 that turns in 0.1 s from straight ahead on, by its manual. Truth: firing time, azimuth, laser, range, reflectivity, second."""
+    order = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15]
+    out, truth = [], []
+    firing = 0
+    for k in range(n):
+        body, start_us = bytearray(), firing * 55.296
+        for b in range(0, 12, 2 if dual else 1):
+            az = round(firing * 55.296e-6 * 3600 * 100) % 36000
+            blocks = [bytearray(struct.pack("<HH", 0xEEFF, az)) for _ in range(2 if dual else 1)]
+            for f in (0, 1):
+                for laser in range(16):
+                    seen = (firing + laser) % 3 > 0
+                    mm = 4000 + 20 * laser + 2 * (firing % 500) if seen else 0
+                    two = dual and seen and firing % 5 == 0
+                    # the last return is the brighter one, so that the second block has the next strongest
+                    values = [(mm, 90), (mm - 1500 if two else mm, 40 if two else 90)] if dual else [(mm, 90)]
+                    for block, (value, bright) in zip(blocks, values):
+                        block += struct.pack("<HB", value // 2, bright if value else 0)
+                    if seen:
+                        t_us = firing * 55.296 + laser * 2.304
+                        truth.append((k, t_us * 1e-6, t_us * 1e-6 * 3600, order[laser], mm / 1000, 90, 0))
+                        if two:
+                            truth.append((k, t_us * 1e-6, t_us * 1e-6 * 3600, order[laser], (mm - 1500) / 1000, 40, 1))
+                firing += 1
+            for block in blocks:
+                body += block
+        body += struct.pack("<IBB", round(start_us + 3599_950_000) % 3_600_000_000, 0x39 if dual else 0x37, product)
+        if k not in lost:
+            out.append({"stamp": T0 + round(start_us * 1000), "data": list(body)})
+    return out, np.array([t for t in truth if t[0] not in lost])
+
+
+def test_packets():
+    for dual, lost in ((False, ()), (True, ()), (False, (100, 101))):
+        name = f"packets of a VLP-16, {2 if dual else 1} returns{', two packets lost' if lost else ''}"
+        packets, truth = packets_of(dual, n=340 if dual else 170, lost=lost)
+        messages = [("/velodyne_packets", "velodyne_msgs/VelodyneScan", T0 + i, {"header": {"stamp": T0, "frame_id": "velodyne"}, "packets": packets[i:i + 40]})
+                    for i in range(0, len(packets), 40)]
+        bag = WORK / "packets.mcap"
+        bags.write_mcap(bag, messages, form="ros1" if lost else "cdr")
+        folder, head = converted(bag)
+        # whole turns from behind to behind: of 170 packets, 0.2256 s, the one from 0.05 to 0.15 s
+        expect(len(head["frames"]) == 1, f"{name}: {len(head['frames'])} turns")
+        text = head["conventions"].split("0 s is ")[1].split()[0]
+        zero_s = int(text.split(".")[0]) - T0 // 10**9 + float("0." + text.split(".")[1]) - 1e-9 * (T0 % 10**9)
+        expect(abs(zero_s - 0.1) < 5e-6, f"{name}: it faces forward at {zero_s} s")
+        scan = np.load(folder / head["frames"][0]["scan"])
+        expect(scan["range"].shape[0] == 16 and 1808 <= scan["range"].shape[1] <= 1812, f"{name}: an image of {scan['range'].shape}")
+        rows = []
+        for k in ("", "_2") if dual else ("",):
+            hit = scan["range" + k] > 0
+            d = scan["directions"][hit].astype(float)
+            rows.append(np.column_stack([scan["time"][hit] + zero_s, np.degrees(np.arctan2(d[:, 1], d[:, 0])), np.degrees(np.arcsin(d[:, 2])),
+                                         scan["range" + k][hit], 255 * scan["intensity" + k][hit], np.full(hit.sum(), k != "")]))
+        found = np.concatenate(rows)
+        tick = lambda t: np.rint(t / 2.304e-6).astype(int)   # a firing is 24 of them
+        # a turn of fewer firings than columns repeats some of them
+        found = found[np.unique(np.column_stack([tick(found[:, 0]), found[:, 5]]), axis=0, return_index=True)[1]]
+        firing_s = np.floor(truth[:, 1] / 55.296e-6 + 1e-6) * 55.296e-6
+        turn = truth[(firing_s * 3600 >= 180 - 1e-3) & (firing_s * 3600 < 540 - 1e-3)]
+        turn = turn[np.lexsort((turn[:, 6], tick(turn[:, 1])))]
+        expect(abs(len(found) - len(turn)) <= 40, f"{name}: {len(found)} returns, expected {len(turn)}")
+        both = sorted(set(tick(found[:, 0])) & set(tick(turn[:, 1])))
+        found, turn = [a[np.isin(tick(a[:, c]), both)] for a, c in ((found, 0), (turn, 1))]
+        expect(np.abs(found[:, 0] - turn[:, 1]).max() < 1e-6, f"{name}: times")
+        expect(len(found) == len(turn) > 9000, f"{name}: {len(found)} returns at times of {len(turn)}")
+        expect(np.abs((-found[:, 1] - turn[:, 2] + 180) % 360 - 180).max() < 0.012, f"{name}: azimuths")
+        for c, of, most, what in ((2, 3, 1e-4, "elevations"), (3, 4, 1e-5, "ranges"), (4, 5, 1e-4, "reflectivities"), (5, 6, 0, "returns")):
+            expect(np.abs(found[:, c] - turn[:, of]).max() <= most, f"{name}: {what}")
+        text = "\n".join(head["notes"])
+        expect(("2 packets are missing" in text) == bool(lost), f"{name}: {text}")
+        print(f"{name}: {len(found)} returns as written")
+    packets, _ = packets_of(False, product=0x28, n=5)
+    bags.write_mcap(bag, [("/velodyne_packets", "velodyne_msgs/VelodyneScan", T0, {"header": {"stamp": T0, "frame_id": "velodyne"}, "packets": packets})])
+    expect("VLP-32C" in run("info", bag, code=3), "packets of another product")
+
+
 shutil.rmtree(WORK, ignore_errors=True)
 WORK.mkdir(parents=True)
-for test in (test_mcap, test_db3, test_ros1, test_ends, test_two, test_poses, test_livox):
+for test in (test_mcap, test_db3, test_ros1, test_ends, test_two, test_poses, test_livox, test_packets):
     test()
 print("done")

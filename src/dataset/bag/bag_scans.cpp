@@ -26,7 +26,7 @@ double first_time_of(const folder::PointTable& table) {
 std::string BagScans::name(std::size_t frame) const {
     const FrameCloud& cloud = clouds_[frame];
     return fmt::format("{}: {}, cloud of frame {}", bag_.files().at(cloud.entry.place.file).string(),
-                       bag_.topics()[lidars_[cloud.lidar].topic].name, cloud.number);
+                       bag_.topics()[lidars_[cloud.lidar].clouds->topic].name, cloud.number);
 }
 
 ScanPoints BagScans::points(std::size_t frame) const {
@@ -35,7 +35,7 @@ ScanPoints BagScans::points(std::size_t frame) const {
     const std::string bytes = bag_.read(at.entry.place);
     folder::PointTable table;
     try {
-        table = table_of(read_cloud(bag_.topics()[lidars_[at.lidar].topic], bytes));
+        table = table_of(read_cloud(bag_.topics()[lidars_[at.lidar].clouds->topic], bytes));
     } catch (const DataError& error) {
         throw DataError(fmt::format("{}: {}", name(frame), error.what()));
     }
@@ -47,7 +47,22 @@ ScanPoints BagScans::points(std::size_t frame) const {
     return folder::points_of(table, {{}, units.intensity_max, units.time_unit_s, true}, zero_s, name(frame));
 }
 
+Scan BagScans::rays(std::size_t frame) const {
+    const FrameCloud& at = clouds_[frame];
+    const CloudTopic& clouds = *lidars_[at.lidar].clouds;
+    const PacketTurn& turn = clouds.turns[at.entry.turn];
+    std::vector<std::string> messages;
+    for (const Place& place : clouds.packets.places(turn)) messages.push_back(bag_.read(place));
+    std::vector<PacketView> packets;
+    Header header;
+    for (const std::string& bytes : messages)
+        for (const PacketView& packet : read_packets(bag_.topics()[clouds.topic], bytes, header)) packets.push_back(packet);
+    const auto shift_ns = std::int64_t(std::llround(1e9 * (at.time_s - at.cloud_s)));
+    return clouds.packets.scan(turn, packets, lidars_[at.lidar].sensor, turn.forward_ns + shift_ns);
+}
+
 CloudUnits units_of_topic(const Bag& bag, const CloudTopic& clouds, double step_s) {
+    if (!clouds.packets.empty()) return {};
     std::vector<folder::PointTable> samples;
     std::vector<double> stamps_s;
     const std::size_t n = std::min(kSampleClouds, clouds.clouds.size());

@@ -23,8 +23,9 @@ struct FrameCloud {
 
 /// The topic of a LiDAR.
 struct LidarTopic {
-    std::size_t topic = 0;
+    const CloudTopic* clouds = nullptr;
     CloudUnits units;
+    SpinningSensor sensor = {};  ///< of packets
 };
 
 class BagScans : public folder::ScanSource {
@@ -34,9 +35,9 @@ public:
         : bag_(bag), lidars_(lidars), clouds_(clouds) {}
 
     std::string name(std::size_t frame) const override;
-    bool has_points(std::size_t) const override { return true; }
+    bool has_points(std::size_t frame) const override { return lidars_[clouds_[frame].lidar].clouds->packets.empty(); }
     ScanPoints points(std::size_t frame) const override;
-    Scan rays(std::size_t) const override { return {}; }
+    Scan rays(std::size_t frame) const override;
 
 private:
     const Bag& bag_;

@@ -23,8 +23,17 @@ std::string topics_text(const Bag& bag) {
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
+/// Why messages that might have been clouds are none.
+std::string broken_text(const Bag& bag, const Survey& survey) {
+    std::string text;
+    for (std::size_t t = 0; t < survey.facts.size(); ++t)
+        if (survey.facts[t].n_broken > 0) text += fmt::format(" ({}: {})", excerpt(bag.topics()[t].name), survey.facts[t].broken);
+    return text;
+}
+
 /// How likely a topic's clouds are what a LiDAR measured, and not what was made of them.
 double rawness(const CloudTopic& clouds) {
+    if (!clouds.packets.empty()) return 200.0;
     const bool timed = clouds.has_field({"time", "t", "timestamp", "time_stamp", "offset_time"});
     const bool ringed = clouds.has_field({"ring", "channel", "line"});
     return 100.0 * timed + 50.0 * ringed + std::log10(1.0 + double(clouds.usual_points()));
@@ -86,8 +95,8 @@ CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vecto
     choice.lidars = wanted.empty() ? guessed_clouds(survey) : named_clouds(bag, survey, wanted);
     if (choice.lidars.empty())
         throw DataError(
-            fmt::format("{}: no point clouds, expected a topic of sensor_msgs/PointCloud2 or livox_ros_driver2/CustomMsg; found {}",
-                        bag.files().front().string(), topics_text(bag)));
+            fmt::format("{}: no point clouds{}, expected a topic of sensor_msgs/PointCloud2 or livox_ros_driver2/CustomMsg; found {}",
+                        bag.files().front().string(), broken_text(bag, survey), topics_text(bag)));
     choice.main = main_of(survey, choice.lidars);
     const CloudTopic& main = survey.clouds[choice.lidars[choice.main]];
     std::vector<std::size_t> kept;

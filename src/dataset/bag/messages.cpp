@@ -27,6 +27,7 @@ constexpr TypeUse kTypeUses[] = {
     {"sensor_msgs/PointCloud2", Use::cloud},
     {"livox_ros_driver/CustomMsg", Use::cloud},
     {"livox_ros_driver2/CustomMsg", Use::cloud},
+    {"velodyne_msgs/VelodyneScan", Use::packets},
     {"tf2_msgs/TFMessage", Use::transforms},
     {"tf/tfMessage", Use::transforms},
     {"nav_msgs/Odometry", Use::pose},
@@ -37,15 +38,6 @@ constexpr TypeUse kTypeUses[] = {
 
 MessageReader reader_of(const Topic& topic, std::string_view bytes) {
     return {bytes, topic.encoding == "ros1"};
-}
-
-Header read_header(MessageReader& reader) {
-    if (reader.is_ros1()) reader.number<std::uint32_t>();  // counts messages
-    const std::int64_t seconds = reader.is_ros1() ? std::int64_t(reader.number<std::uint32_t>()) : reader.number<std::int32_t>();
-    const auto nanoseconds = reader.number<std::uint32_t>();
-    std::string frame(reader.text());
-    if (frame.starts_with('/')) frame.erase(0, 1);  // tf of ROS 1 had both
-    return {seconds * 1000000000 + nanoseconds, std::move(frame)};
 }
 
 /// Type of a number by the constants of sensor_msgs/PointField.
@@ -139,6 +131,19 @@ Transform read_transform(MessageReader& reader) {
 }
 
 }  // namespace
+
+std::int64_t read_time(MessageReader& reader) {
+    const std::int64_t seconds = reader.is_ros1() ? std::int64_t(reader.number<std::uint32_t>()) : reader.number<std::int32_t>();
+    return seconds * 1000000000 + reader.number<std::uint32_t>();
+}
+
+Header read_header(MessageReader& reader) {
+    if (reader.is_ros1()) reader.number<std::uint32_t>();  // counts messages
+    const std::int64_t stamp_ns = read_time(reader);
+    std::string frame(reader.text());
+    if (frame.starts_with('/')) frame.erase(0, 1);  // tf of ROS 1 had both
+    return {stamp_ns, std::move(frame)};
+}
 
 Use use_of(const Topic& topic) {
     if (topic.encoding != "cdr" && topic.encoding != "ros1") return Use::nothing;

@@ -46,8 +46,13 @@ struct Transform {
 };
 
 /// What a topic's messages may be used as.
-enum class Use { nothing, cloud, transforms, pose };
+enum class Use { nothing, cloud, packets, transforms, pose };
 Use use_of(const Topic& topic);
+
+class MessageReader;
+/// A time of ROS, in nanoseconds.
+std::int64_t read_time(MessageReader& reader);
+Header read_header(MessageReader& reader);
 
 /// A cloud. @throws DataError naming the field that is wrong
 Cloud read_cloud(const Topic& topic, std::string_view bytes);

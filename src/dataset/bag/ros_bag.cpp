@@ -48,6 +48,7 @@ public:
         for (std::size_t l = 0; l < sequence_.lidars.size(); ++l) {
             head.lidars.emplace_back().lidar = sequence_.lidars[l];
             head.lidars.back().is_guessed = true;
+            head.lidars.back().has_beams = !sequence_.lidars[l].sensor.beams.empty();
             head.motion_compensated = head.motion_compensated || lidars_[l].units.is_deskewed;
         }
         DatasetOptions options = options_;
@@ -161,7 +162,9 @@ private:
 
     void find_units_of(double step_s) {
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
-            lidars_.push_back({topic_of(l).topic, units_of_topic(bag_, topic_of(l), step_s)});
+            const CloudTopic& clouds = topic_of(l);
+            lidars_.push_back({&clouds, units_of_topic(bag_, clouds, step_s)});
+            if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.sensor();
             if (!lidars_.back().units.about.empty()) note(name_of(topic_of(l)) + ": " + lidars_.back().units.about);
         }
     }
@@ -172,8 +175,9 @@ private:
         sequence_.lidars.clear();
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
             Lidar lidar;
-            lidar.sensor.name = name_of(topic_of(l));
-            lidar.sensor.max_range_m = options_.max_range_m;
+            lidar.sensor = lidars_[l].sensor;
+            if (lidar.sensor.beams.empty()) lidar.sensor.name = name_of(topic_of(l));
+            if (lidar.sensor.beams.empty()) lidar.sensor.max_range_m = options_.max_range_m;
             if (!is_one || !options_.lidars.empty()) lidar.name = name_of(topic_of(l));
             if (!is_one) lidar.vehicle_from_sensor = *survey_.frames.fixed(poses_.vehicle, topic_of(l).frame);
             sequence_.lidars.push_back(std::move(lidar));

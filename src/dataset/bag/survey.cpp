@@ -22,6 +22,7 @@ public:
             const Topic& topic = bag_.topics()[message.topic];
             const Use use = use_of(topic);
             if (use == Use::cloud) add_cloud(topic, message);
+            if (use == Use::packets) add_packets(topic, message);
             if (use == Use::transforms) add_transforms(topic, message);
             if (use == Use::pose) add_pose(topic, message);
         } catch (const DataError& error) {
@@ -43,6 +44,14 @@ private:
         }
         const auto n = std::uint32_t(std::min<std::size_t>(cloud.size(), UINT32_MAX));
         clouds.clouds.push_back({cloud.header.stamp_ns, message.log_ns, n, message.place});
+    }
+
+    void add_packets(const Topic& topic, const Message& message) {
+        Header header;
+        const std::vector<PacketView> packets = read_packets(topic, message.bytes, header);
+        CloudTopic& clouds = entry_of(survey_.clouds, message.topic);
+        clouds.frame = header.frame;
+        clouds.packets.add(packets, message.log_ns, message.place);
     }
 
     void add_transforms(const Topic& topic, const Message& message) {
@@ -86,6 +95,13 @@ Survey take_survey(Bag& bag, const Progress& progress) {
     bag.each([](const Topic& topic) { return use_of(topic) != Use::nothing; }, [&](const Message& message) { surveyor.take(message); },
              progress);
     survey.facts.resize(bag.topics().size());
+    for (CloudTopic& clouds : survey.clouds) {
+        clouds.turns = clouds.packets.turns();
+        for (std::size_t t = 0; t < clouds.turns.size(); ++t) {
+            const PacketTurn& turn = clouds.turns[t];
+            clouds.clouds.push_back({turn.forward_ns, turn.log_ns, 0, clouds.packets.places(turn).front(), t});
+        }
+    }
     return survey;
 }
 

@@ -12,6 +12,7 @@
 #include "dataset/bag/bag.hpp"
 #include "dataset/bag/frame_tree.hpp"
 #include "dataset/bag/messages.hpp"
+#include "dataset/bag/velodyne_packets.hpp"
 
 namespace relidar::bag {
 
@@ -28,6 +29,7 @@ struct CloudEntry {
     std::int64_t stamp_ns = 0, log_ns = 0;
     std::uint32_t n_points = 0;
     Place place;
+    std::size_t turn = 0;  ///< of a topic of packets: in CloudTopic::turns
 
     std::int64_t time_ns(Clock clock) const { return clock == Clock::stamps ? stamp_ns : log_ns; }
 };
@@ -38,6 +40,8 @@ struct CloudTopic {
     std::vector<Cloud::Field> fields;  ///< of the first cloud
     std::vector<CloudEntry> clouds;    ///< that have points, as they were recorded
     std::size_t n_empty = 0;
+    PacketLog packets;  ///< of a topic of packets, whose turns are its clouds
+    std::vector<PacketTurn> turns;
 
     bool has_field(std::initializer_list<const char*> names) const;
     std::size_t usual_points() const;  ///< of a cloud: the median
