@@ -77,6 +77,8 @@ ScanPoints points_of(const PointTable& table, const PointUnits& units, double ti
           *time = table.find({"time", "t", "timestamp", "time_stamp", "offset_time"}), *number = table.find({"return", "return_number"}),
           *type = table.find({"return_type"});
     const auto is_return = [&](std::size_t i) { return !std::isnan((*x)[i]) && ((*x)[i] != 0.0 || (*y)[i] != 0.0 || (*z)[i] != 0.0); };
+    // some count from 1, as relidar's own point files do: no scan has second returns alone
+    const double first_number = number && !number->empty() && std::ranges::min(*number) == 1.0 ? 1.0 : 0.0;
     ScanPoints points;
     std::size_t n = 0;
     for (std::size_t i = 0; i < table.n; ++i) n += is_return(i);
@@ -91,7 +93,7 @@ ScanPoints points_of(const PointTable& table, const PointUnits& units, double ti
         points.intensity.push_back(intensity ? unit_intensity((*intensity)[i], units, of_point()) : 0.0f);
         if (ring) points.ring.push_back(ring_number((*ring)[i], of_point()));
         if (time) points.time_offset_s.push_back(time_offset((*time)[i], units, time_s, of_point()));
-        if (number) points.return_number.push_back(return_of((*number)[i], where, i));
+        if (number) points.return_number.push_back(return_of((*number)[i] - first_number, where, i));
         if (type) types.push_back((*type)[i]);
     }
     if (type && ring && time && !number) number_returns(points, types);

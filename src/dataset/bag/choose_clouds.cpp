@@ -36,7 +36,8 @@ double rawness(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) return 200.0;
     const bool timed = clouds.has_field({"time", "t", "timestamp", "time_stamp", "offset_time"});
     const bool ringed = clouds.has_field({"ring", "channel", "line"});
-    return 100.0 * timed + 50.0 * ringed + std::log10(1.0 + double(clouds.usual_points()));
+    const bool numbered = clouds.has_field({"return", "return_number", "return_type"});
+    return 100.0 * timed + 50.0 * ringed + 20.0 * numbered + std::log10(1.0 + double(clouds.usual_points()));
 }
 
 /// Clouds in frames of the vehicle or the world are merged, or maps.

@@ -146,17 +146,25 @@ Header read_header(MessageReader& reader) {
 }
 
 Use use_of(const Topic& topic) {
+    if (topic.encoding == "protobuf")
+        return topic.type == "foxglove.PointCloud" ? Use::cloud : topic.type == "foxglove.FrameTransforms" ? Use::transforms : Use::nothing;
     if (topic.encoding != "cdr" && topic.encoding != "ros1") return Use::nothing;
     const auto known = std::ranges::find_if(kTypeUses, [&](const TypeUse& t) { return topic.type == t.type; });
     return known == std::end(kTypeUses) ? Use::nothing : known->use;
 }
 
 Cloud read_cloud(const Topic& topic, std::string_view bytes) {
+    if (topic.encoding == "protobuf") {
+        Cloud cloud = read_foxglove_cloud(bytes);
+        check_layout(cloud);
+        return cloud;
+    }
     MessageReader reader = reader_of(topic, bytes);
     return topic.type == "sensor_msgs/PointCloud2" ? read_point_cloud(reader) : read_livox(reader);
 }
 
 std::vector<Transform> read_transforms(const Topic& topic, std::string_view bytes) {
+    if (topic.encoding == "protobuf") return read_foxglove_transforms(bytes);
     MessageReader reader = reader_of(topic, bytes);
     std::vector<Transform> transforms;
     if (use_of(topic) == Use::transforms) {

@@ -63,4 +63,8 @@ folder::PointTable table_of(const Cloud& cloud);
 /// Quaternions that have no direction are refused.
 std::vector<Transform> read_transforms(const Topic& topic, std::string_view bytes);
 
+/// The same of foxglove.PointCloud and foxglove.FrameTransforms; foxglove.cpp. The fields' places are not checked yet.
+Cloud read_foxglove_cloud(std::string_view bytes);
+std::vector<Transform> read_foxglove_transforms(std::string_view bytes);
+
 }  // namespace relidar::bag

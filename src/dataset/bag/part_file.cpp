@@ -22,7 +22,7 @@ namespace relidar::bag {
 namespace {
 
 /// A chunk of point clouds is unpacked to three times its size; more than this is no recording, and would be memory for nothing.
-constexpr std::uint64_t kMostUnpacked = 8, kAlwaysUnpacked = std::uint64_t(32) << 20;
+constexpr std::uint64_t kMostUnpacked = 8, kAlwaysUnpacked = std::uint64_t(8) << 20;
 
 void unpack_bz2(std::string_view from, std::string& to) {
     unsigned n = unsigned(to.size());

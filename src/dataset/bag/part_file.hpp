@@ -41,7 +41,7 @@ public:
     Chunk get(std::uint64_t at, const std::function<std::string()>& unpack) const;
 
 private:
-    static constexpr std::size_t kKept = 4;
+    static constexpr std::size_t kKept = 2;
     mutable std::mutex lock_;
     mutable std::deque<std::pair<std::uint64_t, Chunk>> chunks_;
 };
