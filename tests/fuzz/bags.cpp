@@ -256,7 +256,8 @@ void read_message(std::string_view input, const fs::path&) {
                                                 "foxglove.PointCloud",       "foxglove.FrameTransforms"};
     if (input.empty()) return;
     const unsigned kind = static_cast<unsigned char>(input[0]);
-    const bag::Topic topic{"/t", kMessages[kind / 2 % std::size(kMessages)], kind / 2 % std::size(kMessages) >= 6 ? "protobuf" : kind % 2 ? "ros1" : "cdr"};
+    const std::size_t type = kind / 2 % std::size(kMessages);
+    const bag::Topic topic{"/t", kMessages[type], type >= 6 ? "protobuf" : kind % 2 ? "ros1" : "cdr"};
     const std::string_view bytes = input.substr(1);
     if (bag::use_of(topic) == bag::Use::cloud) {
         bag::table_of(bag::read_cloud(topic, bytes));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recordings that relidar writes are logs that it reads: the same points, rings, times and poses, of a sensor that is mounted on a vehicle in a
-// bend, with second returns.
+// Recordings that relidar writes are logs that it reads: the same points, rings, times and poses, of a sensor that is mounted on a vehicle
+// in a bend, with second returns.
 #include <algorithm>
 #include <cmath>
 
