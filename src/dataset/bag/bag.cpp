@@ -16,6 +16,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr const char* kMetadata = "metadata.yaml";
+constexpr std::int64_t kLatest_ns = 4294967296000000000;  // as late as stamps of ROS 1 can be
 constexpr std::array kEndings = {".mcap", ".db3", ".bag"};
 
 bool is_part(const fs::path& file) {
@@ -120,6 +121,8 @@ void Bag::each(const Wanted& wanted, const Take& take, const Progress& progress)
             progress("reading the recording", (double(f) + share) / double(files_.size()));
         };
         const Take of_file = [&](Message message) {
+            if (message.log_ns < 0 || message.log_ns > kLatest_ns)
+                throw DataError(fmt::format("a message recorded at {} ns, expected 0 to {}", message.log_ns, kLatest_ns));
             message.place.file = std::uint32_t(f);
             take(message);
         };

@@ -50,6 +50,7 @@ std::string packed_points(const Cloud& cloud, const std::vector<Cloud::Field>& k
 }  // namespace
 
 folder::PointTable table_of(const Cloud& cloud) {
+    if (cloud.size() == 0) throw DataError("a cloud without points, expected some");
     std::vector<Cloud::Field> known;
     std::ranges::copy_if(cloud.fields, std::back_inserter(known), [](const Cloud::Field& f) { return folder::is_point_field(f.name); });
     std::ranges::sort(known, {}, &Cloud::Field::offset);

@@ -14,6 +14,10 @@ namespace relidar::bag {
 namespace {
 
 using protozero::pbf_reader;
+using protozero::pbf_wire_type;
+using protozero::tag_and_type;
+
+constexpr auto kBytes = pbf_wire_type::length_delimited, kFixed32 = pbf_wire_type::fixed32, kVarint = pbf_wire_type::varint;
 
 std::string_view view_of(const protozero::data_view& view) {
     return {view.data(), view.size()};
@@ -23,8 +27,9 @@ std::string_view view_of(const protozero::data_view& view) {
 glm::dvec4 vector_of(pbf_reader reader) {
     glm::dvec4 v(0.0);
     while (reader.next()) {
-        if (reader.tag() >= 1 && reader.tag() <= 4)
-            v[int(reader.tag()) - 1] = reader.get_double();
+        const int at = int(reader.tag()) - 1;  // reading a value forgets its tag
+        if (at >= 0 && at < 4 && reader.wire_type() == pbf_wire_type::fixed64)
+            v[at] = reader.get_double();
         else
             reader.skip();
     }
@@ -34,14 +39,14 @@ glm::dvec4 vector_of(pbf_reader reader) {
 std::int64_t timestamp_of(pbf_reader reader) {
     std::int64_t seconds = 0, nanoseconds = 0;
     while (reader.next()) {
-        if (reader.tag() == 1)
+        if (reader.tag_and_type() == tag_and_type(1, kVarint))
             seconds = reader.get_int64();
-        else if (reader.tag() == 2)
+        else if (reader.tag_and_type() == tag_and_type(2, kVarint))
             nanoseconds = reader.get_int32();
         else
             reader.skip();
     }
-    constexpr std::int64_t kLatest_s = 9000000000;
+    constexpr std::int64_t kLatest_s = 4294967295;  // as ROS has them
     if (seconds < 0 || seconds > kLatest_s) throw DataError(fmt::format("a time of {} s, expected 0 to {}", seconds, kLatest_s));
     return seconds * 1000000000 + nanoseconds;
 }
@@ -64,11 +69,11 @@ Cloud::Field element_field(pbf_reader reader) {
     Cloud::Field field;
     std::int32_t type = 0;
     while (reader.next()) {
-        if (reader.tag() == 1)
+        if (reader.tag_and_type() == tag_and_type(1, kBytes))
             field.name = reader.get_string();
-        else if (reader.tag() == 2)
+        else if (reader.tag_and_type() == tag_and_type(2, kFixed32))
             field.offset = reader.get_fixed32();
-        else if (reader.tag() == 3)
+        else if (reader.tag_and_type() == tag_and_type(3, kVarint))
             type = reader.get_enum();
         else
             reader.skip();
@@ -82,12 +87,15 @@ Cloud::Field element_field(pbf_reader reader) {
 /// A pose of its own would have to be undone.
 void check_identity(pbf_reader reader) {
     while (reader.next()) {
-        if (reader.tag() == 1 && glm::length(vector_of(reader.get_message())) > 1e-9)
-            throw DataError("a cloud that is moved by a pose of its own, expected points in the frame that it names");
-        else if (reader.tag() == 2 && glm::length(glm::dvec3(vector_of(reader.get_message()))) > 1e-9)
-            throw DataError("a cloud that is turned by a pose of its own, expected points in the frame that it names");
-        else if (reader.tag() > 2)
+        if (reader.tag() > 2 || reader.wire_type() != kBytes) {
             reader.skip();
+            continue;
+        }
+        const bool turns = reader.tag() == 2;
+        const glm::dvec4 v = vector_of(reader.get_message());
+        if (!(glm::length(glm::dvec3(v)) <= 1e-9))
+            throw DataError(fmt::format("a cloud that is {} by a pose of its own, expected points in the frame that it names",
+                                        turns ? "turned" : "moved"));
     }
 }
 
@@ -95,23 +103,23 @@ Cloud cloud_of(std::string_view bytes) {
     Cloud cloud;
     pbf_reader reader(bytes.data(), bytes.size());
     while (reader.next()) {
-        switch (reader.tag()) {
-            case 1:
+        switch (reader.tag_and_type()) {
+            case tag_and_type(1, kBytes):
                 cloud.header.stamp_ns = timestamp_of(reader.get_message());
                 break;
-            case 2:
+            case tag_and_type(2, kBytes):
                 cloud.header.frame = reader.get_string();
                 break;
-            case 3:
+            case tag_and_type(3, kBytes):
                 check_identity(reader.get_message());
                 break;
-            case 4:
+            case tag_and_type(4, kFixed32):
                 cloud.point_step = reader.get_fixed32();
                 break;
-            case 5:
+            case tag_and_type(5, kBytes):
                 cloud.fields.push_back(element_field(reader.get_message()));
                 break;
-            case 6:
+            case tag_and_type(6, kBytes):
                 cloud.data = view_of(reader.get_view());
                 break;
             default:
@@ -128,20 +136,20 @@ Transform transform_of(pbf_reader reader) {
     Transform transform;
     glm::dvec4 translation(0.0), rotation(0.0, 0.0, 0.0, 1.0);
     while (reader.next()) {
-        switch (reader.tag()) {
-            case 1:
+        switch (reader.tag_and_type()) {
+            case tag_and_type(1, kBytes):
                 transform.header.stamp_ns = timestamp_of(reader.get_message());
                 break;
-            case 2:
+            case tag_and_type(2, kBytes):
                 transform.header.frame = reader.get_string();
                 break;
-            case 3:
+            case tag_and_type(3, kBytes):
                 transform.child = reader.get_string();
                 break;
-            case 4:
+            case tag_and_type(4, kBytes):
                 translation = vector_of(reader.get_message());
                 break;
-            case 5:
+            case tag_and_type(5, kBytes):
                 rotation = vector_of(reader.get_message());
                 break;
             default:

@@ -21,7 +21,7 @@ constexpr std::size_t kPacketBytes = 1206, kBlocks = 12, kLasersOfBlock = 32, kL
 constexpr std::size_t kFirings = 2;  // of a block
 constexpr double kFiring_us = 55.296, kLaser_us = 2.304, kRangeUnit_m = 0.002;
 constexpr int kMostFirings = 40000;  // of a turn: one of two seconds
-constexpr std::int64_t kHour_us = 3600000000;
+constexpr std::int64_t kHour_us = 3600000000, kLongestTurn_us = 2000000;
 constexpr std::uint8_t kDual = 0x39, kVlp16 = 0x22;
 constexpr double kBehind_deg = 180.0;
 
@@ -177,6 +177,11 @@ std::vector<PacketTurn> PacketLog::turns() const {
         turn.first = first_behind(begin) - 1;
         turn.last = std::min(first_behind(begin + 360.0), packets_.size()) - 1;
         p = turn.last;
+        if (turn.first == turn.last) {  // none of its packets is there: on to the next one's turn
+            const double next = packets_[std::min(p + 1, packets_.size() - 1)].azimuth_deg;
+            begin = std::max(begin, kBehind_deg + 360.0 * (std::floor((next - kBehind_deg) / 360.0) - 1.0));
+            continue;
+        }
         const std::size_t k = std::min(first_behind(begin + 180.0), packets_.size() - 1);
         const Packet &before = packets_[k - 1], &after = packets_[k];
         const double s = (begin + 180.0 - before.azimuth_deg) / std::max(after.azimuth_deg - before.azimuth_deg, 1e-6);
@@ -186,9 +191,16 @@ std::vector<PacketTurn> PacketLog::turns() const {
         for (std::size_t i = turn.first + 1; i <= turn.last; ++i)
             turn.n_missing +=
                 std::size_t(std::max(0.0, std::round(double(packets_[i].device_us - packets_[i - 1].device_us) / own_us) - 1.0));
-        if (2 * turn.n_missing < turn.last - turn.first) turns.push_back(turn);
+        if (2 * turn.n_missing < turn.last - turn.first && is_even(turn)) turns.push_back(turn);
     }
     return turns;
+}
+
+/// Whether the sensor's clock rises within a turn, and the turn lasts as long as one may.
+bool PacketLog::is_even(const PacketTurn& turn) const {
+    for (std::size_t i = turn.first + 1; i <= turn.last; ++i)
+        if (packets_[i].device_us <= packets_[i - 1].device_us) return false;
+    return packets_[turn.last].device_us - packets_[turn.first].device_us <= kLongestTurn_us;
 }
 
 std::vector<Place> PacketLog::places(const PacketTurn& turn) const {

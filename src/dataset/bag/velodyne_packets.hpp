@@ -67,6 +67,7 @@ private:
     std::vector<Source> messages_;
 
     void add_packet(const PacketView& packet);
+    bool is_even(const PacketTurn& turn) const;
 };
 
 }  // namespace relidar::bag
