@@ -23,10 +23,9 @@ bool is_strongest(double type) {
     return type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0;
 }
 
-void check_coordinate(const glm::dvec3& p, const std::string& where, std::size_t i) {
+void check_coordinate(const glm::dvec3& p, const std::string& where) {
     if (!(std::abs(p.x) <= kFarthestCoordinate_m && std::abs(p.y) <= kFarthestCoordinate_m && std::abs(p.z) <= kFarthestCoordinate_m))
-        throw DataError(
-            fmt::format("{}: point {}: ({}, {}, {}), expected metres within {}", where, i, p.x, p.y, p.z, kFarthestCoordinate_m));
+        throw DataError(fmt::format("{}: ({}, {}, {}), expected metres within {}", where, p.x, p.y, p.z, kFarthestCoordinate_m));
 }
 
 template <class T>
@@ -62,9 +61,8 @@ void number_returns(ScanPoints& points, const std::vector<double>& type) {
     rearrange(points.return_number, order);
 }
 
-std::uint8_t return_of(double number, const std::string& where, std::size_t i) {
-    if (!(number >= 0.0 && number < 8.0))
-        throw DataError(fmt::format("{}: point {}: return {}, expected 0 (the strongest) to 7", where, i, number));
+std::uint8_t return_of(double number, const std::string& where) {
+    if (!(number >= 0.0 && number < 8.0)) throw DataError(fmt::format("{}: return {}, expected 0 (the strongest) to 7", where, number));
     return std::uint8_t(number);
 }
 
@@ -84,17 +82,22 @@ ScanPoints points_of(const PointTable& table, const PointUnits& units, double ti
     for (std::size_t i = 0; i < table.n; ++i) n += is_return(i);
     points.point_m.reserve(n);
     std::vector<double> types;
-    for (std::size_t i = 0; i < table.n; ++i) {
-        if (!is_return(i)) continue;
-        const auto of_point = [&] { return fmt::format("{}: point {}", where, i); };
-        const glm::dvec3 p((*x)[i], (*y)[i], (*z)[i]);
-        check_coordinate(p, where, i);
-        points.point_m.emplace_back(p);
-        points.intensity.push_back(intensity ? unit_intensity((*intensity)[i], units, of_point()) : 0.0f);
-        if (ring) points.ring.push_back(ring_number((*ring)[i], of_point()));
-        if (time) points.time_offset_s.push_back(time_offset((*time)[i], units, time_s, of_point()));
-        if (number) points.return_number.push_back(return_of((*number)[i] - first_number, where, i));
-        if (type) types.push_back((*type)[i]);
+    std::size_t i = 0;
+    const std::string of_point;  // named where something is wrong with it alone: a text for each would take longer than all the rest
+    try {
+        for (; i < table.n; ++i) {
+            if (!is_return(i)) continue;
+            const glm::dvec3 p((*x)[i], (*y)[i], (*z)[i]);
+            check_coordinate(p, of_point);
+            points.point_m.emplace_back(p);
+            points.intensity.push_back(intensity ? unit_intensity((*intensity)[i], units, of_point) : 0.0f);
+            if (ring) points.ring.push_back(ring_number((*ring)[i], of_point));
+            if (time) points.time_offset_s.push_back(time_offset((*time)[i], units, time_s, of_point));
+            if (number) points.return_number.push_back(return_of((*number)[i] - first_number, of_point));
+            if (type) types.push_back((*type)[i]);
+        }
+    } catch (const DataError& error) {
+        throw DataError(fmt::format("{}: point {}{}", where, i, error.what()));
     }
     if (type && ring && time && !number) number_returns(points, types);
     return points;

@@ -21,6 +21,7 @@ namespace {
 
 using namespace bag;
 
+constexpr std::int64_t kSecond_ns = 1000000000;
 constexpr double kLeastStep_s = 2e-3;  // between sweeps
 constexpr double kBeside = 0.6;        // steps: a LiDAR's cloud from the main LiDAR's of the same sweep
 
@@ -214,8 +215,9 @@ private:
         else if (!sequence_.has_poses)
             note("the recording has no poses: they have to be found from the scans, as with dataset.poses=none");
         sequence_.conventions =
-            fmt::format("ROS: x forward, y left, z up; 0 s is {:.9f} s of the {}; frames are numbered by the clouds of {}",
-                        1e-9 * double(poses_.zero_ns), poses_.clock == Clock::stamps ? "stamps" : "recorder's clock", name_of(main()));
+            fmt::format("ROS: x forward, y left, z up; 0 s is {}.{:09} s of the {}; frames are numbered by the clouds of {}",
+                        poses_.zero_ns / kSecond_ns, std::abs(poses_.zero_ns % kSecond_ns),
+                        poses_.clock == Clock::stamps ? "stamps" : "recorder's clock", name_of(main()));
         recentre(sequence_);
     }
 };
