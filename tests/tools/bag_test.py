@@ -433,6 +433,9 @@ def test_packets():
     packets, _ = packets_of(False, product=0x28, n=5)
     bags.write_mcap(bag, [("/velodyne_packets", "velodyne_msgs/VelodyneScan", T0, {"header": {"stamp": T0, "frame_id": "velodyne"}, "packets": packets})])
     expect("VLP-32C" in run("info", bag, code=3), "packets of another product")
+    bags.TYPES["pandar_msgs/PandarScan"] = bags.TYPES["std_msgs/String"]
+    bags.write_mcap(bag, [("/pandar_packets", "pandar_msgs/PandarScan", T0, {"data": "x"})])
+    expect("nebula makes clouds of" in run("info", bag, code=3), "packets that are not decoded")
 
 
 shutil.rmtree(WORK, ignore_errors=True)

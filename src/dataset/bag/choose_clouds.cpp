@@ -23,9 +23,31 @@ std::string topics_text(const Bag& bag) {
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
+/// Packets that relidar does not decode, and what makes clouds of them.
+struct PacketDriver {
+    const char* package;
+    const char* driver;
+};
+constexpr PacketDriver kDrivers[] = {
+    {"pandar_msgs/", "nebula"},
+    {"nebula_msgs/", "nebula"},
+    {"hesai_ros_driver/", "hesai_ros_driver"},
+    {"ouster_ros/PacketMsg", "ouster-ros"},
+    {"ouster_msgs/", "ouster-ros"},
+    {"ouster_sensor_msgs/PacketMsg", "ouster-ros"},
+    {"rslidar_msg/", "rslidar_sdk"},
+    {"robosense_msgs/", "nebula"},
+    {"seyond/", "seyond_ros_driver"},
+};
+
 /// Why messages that might have been clouds are none.
 std::string broken_text(const Bag& bag, const Survey& survey) {
     std::string text;
+    for (const Topic& topic : bag.topics())
+        for (const PacketDriver& known : kDrivers)
+            if (topic.type.starts_with(known.package))
+                text += fmt::format(" ({}: packets that {} makes clouds of: record what it publishes while they are played)",
+                                    excerpt(topic.name), known.driver);
     for (std::size_t t = 0; t < survey.facts.size(); ++t)
         if (survey.facts[t].n_broken > 0) text += fmt::format(" ({}: {})", excerpt(bag.topics()[t].name), survey.facts[t].broken);
     return text;
