@@ -123,6 +123,18 @@ relidar_dependency(flatbuffers APT libflatbuffers-dev BUILD_ONLY HEADER flatbuff
     FETCH https://github.com/google/flatbuffers.git v2.0.8 include)
 relidar_dependency(lz4 APT liblz4-dev HEADER lz4frame.h LIBRARY lz4)
 relidar_dependency(zstd APT libzstd-dev HEADER zstd.h LIBRARY zstd)
+# of the reader of ROS bags: left out where one of them is missing; an installed relidar says whether it was built with it
+if(RELIDAR_BAGS)
+    find_path(RELIDAR_sqlite3_INCLUDE sqlite3.h)
+    find_path(RELIDAR_bzip2_INCLUDE bzlib.h)
+    if(RELIDAR_FOR_PACKAGE OR (RELIDAR_sqlite3_INCLUDE AND RELIDAR_bzip2_INCLUDE))
+        relidar_dependency(sqlite3 APT libsqlite3-dev HEADER sqlite3.h LIBRARY sqlite3)
+        relidar_dependency(bzip2 APT libbz2-dev HEADER bzlib.h LIBRARY bz2)
+    else()
+        message(STATUS "relidar: ROS bags are not read (needs libsqlite3-dev libbz2-dev)")
+        set(RELIDAR_BAGS OFF)
+    endif()
+endif()
 
 # --- the command line tool -------------------------------------------------------------------------------------------
 if(RELIDAR_BUILD_TOOLS AND NOT RELIDAR_FOR_PACKAGE)

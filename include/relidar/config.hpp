@@ -30,6 +30,7 @@ struct DatasetConfig {
     int test_every = 10;
     std::string test_frames;       ///< numbers of the frames held out, with ranges: "13,26,40:45"; empty: test_every decides
     std::string poses;             ///< file with 12 numbers a line; empty = the dataset's own; kNoPoses = none at all
+    std::string poses_from;        ///< of a ROS bag: the frame, or the topic, that poses are taken from; empty: guessed
     bool allow_missing_scans = true;
     bool skip_broken = false;
     double min_range_m = 0.0;

@@ -29,6 +29,7 @@ struct DatasetOptions {
     FrameRange frames;
     /// 12 numbers a line, world_from_sensor of frame i on line i, in the dataset's world; empty = the dataset's own; kNoPoses
     std::filesystem::path poses_file;
+    std::string poses_from = {};    ///< of a ROS bag: the frame, or the topic, that poses are taken from; empty: guessed
     bool allow_missing_scans = true;    ///< leave frames without a scan out; false: a missing scan is an error
     bool skip_broken = false;           ///< leave scans that cannot be read out, with a note each; false: the first is an error
     bool rolling_shutter = true;        ///< false: take all rays of a sweep as fired at its reference time

@@ -181,6 +181,7 @@ struct Sequence {
     std::string conventions;              ///< one line a human reads: frames, units, time reference
     std::vector<std::string> notes;       ///< what the log lacks, as it was read: a line each
     std::vector<int> test_frames = {};    ///< indices of the frames that published results on this part hold out, see split_frames()
+    bool has_poses = true;                ///< false: identity, for a registration of the scans to find
     bool rolling_shutter = true;          ///< rays were fired at their own times (scans are not motion-compensated)
 
     const Lidar& lidar_of(const Frame& frame) const { return lidars[std::size_t(frame.lidar)]; }

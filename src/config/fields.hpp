@@ -57,6 +57,9 @@ void visit_dataset(C& c, Visitor&& f) {
     f("dataset.poses", c.dataset.poses, anything(),
       "file with 12 numbers a line, world_from_sensor of each frame; empty: the dataset's own poses; none: no poses, they are found from "
       "the scans alone");
+    f("dataset.poses_from", c.dataset.poses_from, anything(),
+      "of a ROS bag: frame of /tf, such as map or odom, or topic of odometry or poses that says where the LiDAR was; empty: guessed, info "
+      "says what is used");
     f("dataset.allow_missing_scans", c.dataset.allow_missing_scans, anything(),
       "leave frames without a scan out, with a note; false: a missing scan is an error");
     f("dataset.skip_broken", c.dataset.skip_broken, anything(),

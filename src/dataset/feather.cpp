@@ -8,12 +8,11 @@
 #include <limits>
 
 #include <fmt/format.h>
-#include <lz4frame.h>
-#include <zstd.h>
 #include <glm/gtc/packing.hpp>
 
 #include <relidar/error.hpp>
 #include "core/files.hpp"
+#include "dataset/unpack.hpp"
 
 namespace relidar {
 namespace {
@@ -61,25 +60,6 @@ Batch batch_at(std::string_view bytes, const arrow::Block& block) {
             part(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
 }
 
-void decompress_lz4(std::string_view from, std::string& to) {
-    LZ4F_dctx* context = nullptr;
-    if (LZ4F_isError(LZ4F_createDecompressionContext(&context, LZ4F_VERSION))) throw DataError("lz4 cannot begin");
-    std::size_t read = 0, written = 0, left = 1;
-    while (left != 0) {
-        std::size_t n_to = to.size() - written, n_from = from.size() - read;
-        left = LZ4F_decompress(context, to.data() + written, &n_to, from.data() + read, &n_from, nullptr);
-        read += n_from, written += n_to;
-        if (LZ4F_isError(left) || (n_to == 0 && n_from == 0)) break;
-    }
-    LZ4F_freeDecompressionContext(context);
-    if (left != 0 || written != to.size()) throw DataError(fmt::format("a damaged lz4 frame: {} of {} bytes", written, to.size()));
-}
-
-void decompress_zstd(std::string_view from, std::string& to) {
-    const std::size_t n = ZSTD_decompress(to.data(), to.size(), from.data(), from.size());
-    if (ZSTD_isError(n) || n != to.size()) throw DataError(fmt::format("damaged zstd data, expected {} bytes", to.size()));
-}
-
 /// A buffer of a batch, at least n_bytes. Its uncompressed length must be those, up to padding, before anything is allocated.
 std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
     const arrow::Buffer& place = batch.layout.buffers.at(at);
@@ -98,9 +78,9 @@ std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
     if (!compressed) return std::string(stored.substr(0, n_bytes));
     std::string bytes(std::size_t(n), '\0');
     if (batch.layout.codec == Codec::lz4_frame)
-        decompress_lz4(stored, bytes);
+        unpack_lz4(stored, bytes);
     else
-        decompress_zstd(stored, bytes);
+        unpack_zstd(stored, bytes);
     return bytes;
 }
 

@@ -32,6 +32,7 @@ struct HeadLidar {
     Lidar lidar;
     bool has_beams = false;     ///< they are given, or known by the sensor's name
     bool spins = true;          ///< whether beams may be looked for where none are given
+    bool is_guessed = false;    ///< nobody could say that it does not spin: points that fit no head are no error
     bool lowest_first = false;  ///< how scans count their rings
     std::string scans;          ///< folder, where no frames are listed
 };

@@ -3,6 +3,7 @@
 // and beams, is found from a few scans of each LiDAR first.
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include <fmt/format.h>
 
@@ -11,7 +12,8 @@
 #include "core/progress_blocks.hpp"
 #include "dataset/broken_scans.hpp"
 #include "dataset/folder_head.hpp"
-#include "dataset/point_table.hpp"
+#include "dataset/folder_points.hpp"
+#include "dataset/head_spins.hpp"
 #include "dataset/scan_npz.hpp"
 
 namespace relidar::folder {
@@ -21,7 +23,6 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kSamples = 6;     // scans of a LiDAR from which its beams are found
 constexpr double kUsualPeriod_s = 0.1;  // of a sweep, where there is one frame alone
-constexpr double kFarthestCoordinate_m = 1e6;
 
 /// How the points of a LiDAR become scans.
 struct Plan {
@@ -31,53 +32,45 @@ struct Plan {
     std::vector<std::uint16_t> beam_of_ring;    ///< kNoBeam: points of the ring are left out
 };
 
-std::size_t count_points(const PointTable& table, const std::vector<double>& x) {
-    return table.n - std::size_t(std::count_if(x.begin(), x.end(), [](double v) { return std::isnan(v); }));
-}
+/// Scans of a folder.
+class FileScans : public ScanSource {
+public:
+    FileScans(const Sequence& sequence, const Head& head, const std::vector<fs::path>& files)
+        : sequence_(sequence), head_(head), files_(files) {}
 
-/// Points as a file has them. A point whose x is no number is a ray without a return, as PCD has it.
-ScanPoints points_of(const PointTable& table, const PointUnits& units, double time_s, const std::string& where) {
-    const std::vector<double>*x = table.find({"x"}), *y = table.find({"y"}), *z = table.find({"z"});
-    if (!x || !y || !z) throw DataError(fmt::format("{}: no field {}, expected x, y and z", where, !x ? "x" : !y ? "y" : "z"));
-    const std::vector<double>*intensity = table.find({"intensity"}), *ring = table.find({"ring", "channel"}),
-          *time = table.find({"time", "t", "timestamp", "offset_time"}), *number = table.find({"return", "return_number"});
-    ScanPoints points;
-    points.point_m.reserve(count_points(table, *x));
-    for (std::size_t i = 0; i < table.n; ++i) {
-        if (std::isnan((*x)[i])) continue;
-        const auto of_point = [&] { return fmt::format("{}: point {}", where, i); };
-        const glm::dvec3 p((*x)[i], (*y)[i], (*z)[i]);
-        if (!(std::abs(p.x) <= kFarthestCoordinate_m && std::abs(p.y) <= kFarthestCoordinate_m && std::abs(p.z) <= kFarthestCoordinate_m))
-            throw DataError(fmt::format("{}: ({}, {}, {}), expected metres within {}", of_point(), p.x, p.y, p.z, kFarthestCoordinate_m));
-        points.point_m.emplace_back(p);
-        points.intensity.push_back(intensity ? unit_intensity((*intensity)[i], units, of_point()) : 0.0f);
-        if (ring) points.ring.push_back(ring_number((*ring)[i], of_point()));
-        if (time) points.time_offset_s.push_back(time_offset((*time)[i], units, time_s, of_point()));
-        if (number) {
-            if (!((*number)[i] >= 0.0 && (*number)[i] < 8.0))
-                throw DataError(fmt::format("{}: return {}, expected 0 (the strongest) to 7", of_point(), (*number)[i]));
-            points.return_number.push_back(std::uint8_t((*number)[i]));
-        }
+    std::string name(std::size_t i) const override { return files_[i].string(); }
+    bool has_points(std::size_t i) const override { return !is_image_file(files_[i]); }
+    ScanPoints points(std::size_t i) const override {
+        return points_of(read_point_file(files_[i], head_.units.columns), head_.units, sequence_.frames[i].time_s, name(i));
     }
-    return points;
-}
+    Scan rays(std::size_t i) const override {
+        const Frame& frame = sequence_.frames[i];
+        const ImageSource source{head_, head_.lidars[std::size_t(frame.lidar)], sequence_.lidar_of(frame), frame.time_s};
+        return files_[i].extension() == ".exr" ? read_scan_exr(files_[i], source) : read_scan_npz(files_[i], source);
+    }
+
+private:
+    const Sequence& sequence_;
+    const Head& head_;
+    const std::vector<fs::path>& files_;
+};
 
 class Reader {
 public:
-    Reader(Sequence& sequence, const Head& head, const std::vector<fs::path>& files, bool has_poses, BrokenScans& broken)
+    Reader(Sequence& sequence, const Head& head, const ScanSource& source, bool has_poses, BrokenScans& broken)
         : sequence_(sequence),
           head_(head),
-          files_(files),
+          source_(source),
           has_poses_(has_poses),
           broken_(broken),
           plans_(head.lidars.size()),
-          left_out_(files.size(), 0) {}
+          left_out_(sequence.frames.size(), 0) {}
 
     void find_sensors() {
         for (std::size_t l = 0; l < plans_.size(); ++l) {
             std::vector<std::size_t> with_points;  // frames
-            for (std::size_t i = 0; i < files_.size(); ++i)
-                if (sequence_.frames[i].lidar == int(l) && is_point_file(files_[i])) with_points.push_back(i);
+            for (std::size_t i = 0; i < sequence_.frames.size(); ++i)
+                if (sequence_.frames[i].lidar == int(l) && source_.has_points(i)) with_points.push_back(i);
             if (sequence_.lidars[l].sensor.name.empty()) sequence_.lidars[l].sensor.name = sequence_.name;
             if (with_points.empty())
                 check_rays(l);
@@ -90,9 +83,8 @@ public:
 
     void read(std::size_t i) {
         Frame& frame = sequence_.frames[i];
-        if (is_image_file(files_[i])) {
-            const ImageSource source{head_, head_.lidars[std::size_t(frame.lidar)], sequence_.lidar_of(frame), frame.time_s};
-            frame.scan = files_[i].extension() == ".exr" ? read_scan_exr(files_[i], source) : read_scan_npz(files_[i], source);
+        if (!source_.has_points(i)) {
+            frame.scan = source_.rays(i);
             return;
         }
         const Plan& plan = plans_[std::size_t(frame.lidar)];
@@ -100,7 +92,7 @@ public:
         ScanPoints points = read_points(i, plan.undo);
         if (plan.has_rings == points.ring.empty() || plan.has_times == points.time_offset_s.empty())
             throw DataError(fmt::format("{}: its points {} rings and {} times, expected what the other scans of the LiDAR have",
-                                        files_[i].string(), points.ring.empty() ? "lack" : "have",
+                                        source_.name(i), points.ring.empty() ? "lack" : "have",
                                         points.time_offset_s.empty() ? "lack" : "have"));
         if (!plan.ordered) {
             frame.scan = unordered_scan(points);
@@ -122,7 +114,7 @@ public:
 private:
     Sequence& sequence_;
     const Head& head_;
-    const std::vector<fs::path>& files_;
+    const ScanSource& source_;
     const bool has_poses_;
     BrokenScans& broken_;
     std::vector<Plan> plans_;            ///< [lidars]
@@ -138,7 +130,7 @@ private:
 
     ScanPoints read_points(std::size_t i, bool undo) const {
         const Frame& frame = sequence_.frames[i];
-        ScanPoints points = points_of(read_point_file(files_[i], head_.units.columns), head_.units, frame.time_s, files_[i].string());
+        ScanPoints points = source_.points(i);
         if (undo && !points.time_offset_s.empty()) undo_compensation(points, sequence_.world_from_sensor(frame.lidar), frame.time_s);
         return points;
     }
@@ -216,18 +208,25 @@ private:
             }
             for (ScanPoints& sample : samples) recover_rings(sample, beams);
         }
-        SpinningSensor found = fitted(l, samples, sensor.period_s);
-        found.name = sensor.name;
-        found.min_range_m = sensor.min_range_m;
-        found.max_range_m = sensor.max_range_m;
-        found.divergence_rad = sensor.divergence_rad;
-        sensor = found;
+        const double step_s = sensor.period_s;
+        std::optional<SpinningSensor> found = fitted(l, samples, step_s);
+        if (const std::string why = found ? why_no_head(samples, *found, step_s) : ""; !why.empty()) {
+            note(l, fmt::format("{}: no spinning head, so points are taken as they are, a ray each, and rays that were dropped are unknown",
+                                why));
+            found = std::nullopt;
+        }
+        if (!found) return;
+        found->name = sensor.name;
+        found->min_range_m = sensor.min_range_m;
+        found->max_range_m = sensor.max_range_m;
+        found->divergence_rad = sensor.divergence_rad;
+        sensor = *found;
         plan.ordered = true;
-        note(l, fmt::format("{} beams x {} columns are fitted to its points{}", found.beams.size(), found.columns,
+        note(l, fmt::format("{} beams x {} columns are fitted to its points{}", found->beams.size(), found->columns,
                             plan.has_rings ? "" : ", which have no rings"));
     }
 
-    SpinningSensor fitted(std::size_t l, const std::vector<ScanPoints>& samples, double period_s) {
+    std::optional<SpinningSensor> fitted(std::size_t l, const std::vector<ScanPoints>& samples, double period_s) {
         try {
             const FittedSensor fit = fit_sensor(samples, period_s);
             if (fit.sensor.beams.size() * std::size_t(fit.sensor.columns) > kMaxRays)
@@ -236,6 +235,10 @@ private:
             plans_[l].beam_of_ring = fit.beam_of_ring;
             return fit.sensor;
         } catch (const DataError& error) {
+            if (head_.lidars[l].is_guessed) {
+                note(l, fmt::format("{}: points are taken as they are, a ray each, and rays that were dropped are unknown", error.what()));
+                return std::nullopt;
+            }
             throw DataError(fmt::format("{}: LiDAR '{}': {}; \"spins\": false in sequence.json takes points as they are", sequence_.source,
                                         sequence_.lidars[l].name, error.what()));
         }
@@ -248,7 +251,7 @@ private:
             const std::uint16_t ring = points.ring[p], beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
             if (beam == kNoBeam && head_.lidars[std::size_t(sequence_.frames[i].lidar)].has_beams)
                 throw DataError(
-                    fmt::format("{}: a point of ring {}, expected one of {} beams", files_[i].string(), ring, plan.beam_of_ring.size()));
+                    fmt::format("{}: a point of ring {}, expected one of {} beams", source_.name(i), ring, plan.beam_of_ring.size()));
             if (beam == kNoBeam) {
                 ++left_out_[i];
                 continue;
@@ -265,13 +268,18 @@ private:
 
 }  // namespace
 
-void read_scans(Sequence& sequence, const Head& head, const std::vector<fs::path>& files, const DatasetOptions& options) {
+void read_scans(Sequence& sequence, const Head& head, const ScanSource& source, const DatasetOptions& options) {
     BrokenScans broken(options.skip_broken);
-    Reader reader(sequence, head, files, options.poses_file != kNoPoses, broken);
+    Reader reader(sequence, head, source, options.poses_file != kNoPoses, broken);
     reader.find_sensors();
-    for_each_told(files.size(), options.progress, "reading scans", [&](std::size_t i) { broken.attempt(i, [&] { reader.read(i); }); });
+    for_each_told(sequence.frames.size(), options.progress, "reading scans",
+                  [&](std::size_t i) { broken.attempt(i, [&] { reader.read(i); }); });
     reader.tell_left_out();
     broken.leave_out(sequence);
+}
+
+void read_scans(Sequence& sequence, const Head& head, const std::vector<fs::path>& files, const DatasetOptions& options) {
+    read_scans(sequence, head, FileScans(sequence, head, files), options);
 }
 
 }  // namespace relidar::folder

@@ -25,7 +25,7 @@ using namespace nuscenes;
 
 constexpr std::size_t kBeams = 32, kPointBytes = 20;
 constexpr double kPeriod_s = 0.05;
-constexpr double kNoReturn_m = 1.0;  // nearer than this nothing was measured: files keep such points at the origin
+constexpr double kNoReturn_m = 1.0;  // nearer than this nothing was measured: such points were at the origin before they were compensated
 constexpr double kFarthestOfSweep_m = 1e4;
 constexpr std::size_t kMostColumnsOfSweep = 8192;
 
@@ -72,6 +72,21 @@ struct ReadSweep {
     Sweep sweep;
 };
 
+/// Leaves out what was not measured: points that were at the LiDAR before the dataset moved them.
+/// @param points  in the LiDAR's frame at the moment of each @param numbers  of their columns
+void leave_out_unmeasured(ScanPoints& points, std::vector<int>& numbers) {
+    std::size_t n = 0;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        if (double(glm::length(points.point_m[i])) < kNoReturn_m) continue;
+        points.point_m[n] = points.point_m[i];
+        points.intensity[n] = points.intensity[i];
+        points.ring[n] = points.ring[i];
+        points.time_offset_s[n] = points.time_offset_s[i];
+        numbers[n++] = numbers[i];
+    }
+    points.point_m.resize(n), points.intensity.resize(n), points.ring.resize(n), points.time_offset_s.resize(n), numbers.resize(n);
+}
+
 ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const PoseTrack& world_from_sensor, double time_s) {
     const std::string bytes = read_file(file);
     if (bytes.empty() || bytes.size() % (kBeams * kPointBytes) != 0 || bytes.size() / (kBeams * kPointBytes) > kMostColumnsOfSweep)
@@ -89,7 +104,7 @@ ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const P
                                         v[1], v[2], v[3], kFarthestOfSweep_m));
         if (!(v[4] >= 0.0f && v[4] < float(kBeams)) || v[4] != std::floor(v[4]))
             throw DataError(fmt::format("{}: point {} of ring {}, expected 0 to {}", file.string(), i, v[4], kBeams - 1));
-        if (range_m < kNoReturn_m) continue;
+        if (range_m == 0.0) continue;
         const std::size_t column = i / kBeams;
         read.points.point_m.emplace_back(v[1], -v[0], v[2]);
         read.points.intensity.push_back(v[3] / 255.0f);
@@ -97,8 +112,9 @@ ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const P
         read.points.time_offset_s.push_back(float(-kPeriod_s * (1.0 - double(column) / double(columns))));
         numbers.push_back(int(column));
     }
-    if (read.points.size() == 0) throw DataError(fmt::format("{}: no point beyond {} m, expected some", file.string(), kNoReturn_m));
     undo_compensation(read.points, world_from_sensor, time_s);
+    leave_out_unmeasured(read.points, numbers);
+    if (read.points.size() == 0) throw DataError(fmt::format("{}: no point beyond {} m, expected some", file.string(), kNoReturn_m));
     read.sweep = arrange_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));
     return read;
 }

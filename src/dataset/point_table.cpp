@@ -19,13 +19,6 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kMostPoints = std::size_t(1) << 24;  // as many as a scan may have rays
 
-/// Other fields, colours and normals for instance, are not kept.
-bool is_known(std::string_view name) {
-    static constexpr std::string_view kNames[] = {"x",    "y", "z",         "intensity",   "ring",   "channel",
-                                                  "time", "t", "timestamp", "offset_time", "return", "return_number"};
-    return std::find(std::begin(kNames), std::end(kNames), name) != std::end(kNames);
-}
-
 template <class T>
 double get(const char* bytes) {
     T value;
@@ -81,7 +74,7 @@ PointTable read_npy_points(const fs::path& file, const std::vector<std::string>&
     const std::vector<double> values = array.as_double();
     PointTable table{array.shape[0], {}};
     for (std::size_t c = 0; c < columns.size(); ++c) {
-        if (!is_known(columns[c])) continue;
+        if (!is_point_field(columns[c])) continue;
         std::vector<double>& field = add_field(table, columns[c], file.string());
         for (std::size_t i = 0; i < table.n; ++i) field[i] = values[i * columns.size() + c];
     }
@@ -89,6 +82,13 @@ PointTable read_npy_points(const fs::path& file, const std::vector<std::string>&
 }
 
 }  // namespace
+
+bool is_point_field(std::string_view name) {
+    static constexpr std::string_view kNames[] = {"x",           "y",      "z",             "intensity", "reflectivity", "ring",
+                                                  "channel",     "line",   "time",          "t",         "timestamp",    "time_stamp",
+                                                  "offset_time", "return", "return_number", "return_type"};
+    return std::find(std::begin(kNames), std::end(kNames), name) != std::end(kNames);
+}
 
 const std::vector<double>* PointTable::find(std::initializer_list<const char*> names) const {
     for (const char* name : names)
@@ -107,7 +107,7 @@ PointTable read_packed(std::string_view bytes, const std::vector<PointField>& fi
     std::size_t before = 0;  // bytes of the fields before this one, of a point
     for (const PointField& field : fields) {
         const std::size_t width = field.size * field.count;
-        if (is_known(field.name)) {
+        if (is_point_field(field.name)) {
             const Get get = getter(field, where);
             const char* first = bytes.data() + (packing == Packing::by_point ? before : before * n);
             const std::size_t step = packing == Packing::by_point ? record : width;
@@ -126,7 +126,7 @@ PointTable read_lines(std::string_view text, const std::vector<PointField>& fiel
     std::vector<std::pair<std::size_t, std::vector<double>*>> kept;  // place in the line
     std::size_t width = 0;
     for (const PointField& field : fields) {
-        if (is_known(field.name)) kept.emplace_back(width, &add_field(table, field.name, where));
+        if (is_point_field(field.name)) kept.emplace_back(width, &add_field(table, field.name, where));
         width += field.count;
     }
     for (std::size_t i = 0; i < n; ++i) {

@@ -11,6 +11,9 @@
 
 namespace relidar::folder {
 
+/// Whether relidar reads a field of this name. Others, colours and normals for instance, are not kept.
+bool is_point_field(std::string_view name);
+
 /// Fields of the points by name, those that relidar knows.
 struct PointTable {
     std::size_t n = 0;

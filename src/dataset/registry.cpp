@@ -11,6 +11,7 @@
 #include <relidar/reader.hpp>
 #include "core/files.hpp"
 #include "dataset/argoverse2.hpp"
+#include "dataset/bag/ros_bag.hpp"
 #include "dataset/kitti_360.hpp"
 #include "dataset/kitti_files.hpp"
 #include "dataset/kitti_odometry.hpp"
@@ -29,6 +30,7 @@ namespace fs = std::filesystem;
 struct Kind {
     const char* name;
     /// File or folder that tells the kind; "name*": one whose name begins so; ".ending": a file with it, or a folder of such files.
+    /// Any of several, parted by blanks.
     const char* marker;
     const char* describe;
     Sequence (*load)(const fs::path&, const DatasetOptions&);
@@ -45,6 +47,7 @@ constexpr Kind kKinds[] = {
     {"nuscenes", "v1.0-*", "nuScenes", load_nuscenes, true},
     {"folder", "sequence.json", "a plain folder", load_plain_folder},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
+    {"rosbag", ".mcap .db3 .bag metadata.yaml", "a ROS bag", load_ros_bag},
 };
 
 std::vector<std::string> kind_names() {
@@ -61,8 +64,7 @@ const Kind& find_kind(const std::string& name) {
                                  fmt::join(kind_names(), ", ")));
 }
 
-bool is_kind(const fs::path& path, const Kind& kind) {
-    const std::string_view marker = kind.marker;
+bool has_marker(const fs::path& path, std::string_view marker) {
     if (!marker.starts_with('.') && !marker.ends_with('*')) return path_exists(path / marker);
     const auto matches = [&](const fs::path& file) {
         return marker.starts_with('.') ? file.extension() == marker
@@ -72,6 +74,15 @@ bool is_kind(const fs::path& path, const Kind& kind) {
     if (!fs::is_directory(path)) return marker.starts_with('.') && matches(path);
     const std::vector<fs::path> files = list_folder(path);
     return std::any_of(files.begin(), files.end(), matches);
+}
+
+bool is_kind(const fs::path& path, const Kind& kind) {
+    for (std::string_view left = kind.marker; !left.empty();) {
+        const std::size_t end = std::min(left.find(' '), left.size());
+        if (has_marker(path, left.substr(0, end))) return true;
+        left.remove_prefix(std::min(end + 1, left.size()));
+    }
+    return false;
 }
 
 /// Scans that lack nothing but sequence.json. @throws DataError with the line that would do

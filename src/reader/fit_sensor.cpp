@@ -21,6 +21,7 @@ constexpr double kLargestStep_rad = 0.2;
 constexpr double kTried = 0.03;    // share of the estimated columns to either side that is tried
 constexpr double kCoherent = 0.5;  // of |S_r| by the number of points: below it the head has no even steps
 constexpr std::size_t kFewestSteps = 16;
+constexpr std::size_t kMostRings = 4096;
 
 double azimuth_of(const glm::vec3& p) {
     return std::atan2(double(p.y), double(p.x));
@@ -145,6 +146,8 @@ FittedSensor fit_sensor(const std::vector<ScanPoints>& scans, double period_s) {
         if (!fullest || scan.size() > fullest->size()) fullest = &scan;
     }
     if (n_rings == 0) throw UsageError("fitting a spinning LiDAR: no point, expected a few scans");
+    if (n_rings > kMostRings)
+        throw DataError(fmt::format("fitting a spinning LiDAR: a point of ring {}, expected less than {}", n_rings - 1, kMostRings));
     const Rings rings = rings_of(*fullest, n_rings);
     const Lattice lattice = find_lattice(*fullest, rings);
     const std::vector<std::optional<double>> elevations = elevations_of(scans, n_rings);

@@ -24,6 +24,7 @@ Sequence load_log(const Config& config, const Progress& progress) {
     options.lidars = words_of(config.dataset.lidars);
     options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
     options.poses_file = config.dataset.poses;
+    options.poses_from = config.dataset.poses_from;
     options.allow_missing_scans = config.dataset.allow_missing_scans;
     options.skip_broken = config.dataset.skip_broken;
     options.rolling_shutter = config.sensor.rolling_shutter;
@@ -38,6 +39,9 @@ Sequence load_log(const Config& config, const Progress& progress) {
 }
 
 namespace {
+
+/// Whether poses of the sensor are known before any are found from the scans.
+bool has_poses(const Sequence& sequence, const Config& config) { return config.dataset.poses != kNoPoses && sequence.has_poses; }
 
 /// @param from, to  [poses] of the log, and as registered
 std::string corrections_text(const PoseTrack& from, const PoseTrack& to) {
@@ -97,7 +101,7 @@ Registration registered(const Sequence& sequence, const Split& split, const Conf
     if (!found.done) return found;
     session.tell(fmt::format("scans registered: {:.0f} % of their points lie on common planes, {:.3f} m from them; {}{}",
                              100.0 * found.on_planes, found.rounds.back().residual_m,
-                             config.dataset.poses == kNoPoses ? way_text(found.world_from_vehicle)
+                             !has_poses(sequence, config) ? way_text(found.world_from_vehicle)
                                                               : corrections_text(sequence.world_from_vehicle, found.world_from_vehicle),
                              loops_text(found)));
     tell_lost(sequence, found, config, session);
@@ -233,7 +237,7 @@ void add_rays_behind(Sequence& sequence, const Split& split, const PrepareSessio
 RegisterOptions register_options(const Sequence& sequence, const Config& config) {
     RegisterOptions options;
     options.largest_m = config.train.pose_largest_m;
-    options.given_motion = config.dataset.poses != kNoPoses;
+    options.given_motion = has_poses(sequence, config);
     options.mover_margin_m = config.init.actor_margin_m;
     for (const BoxTrack& box : sequence.boxes)   // without poses nobody knows which boxes move
         if (!options.given_motion || box.mean_step_m() > config.init.actor_min_step_m) options.movers.push_back(box);
@@ -242,9 +246,9 @@ RegisterOptions register_options(const Sequence& sequence, const Config& config)
 
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session) {
     if (!session.tell || !session.team.is_first()) session.tell = [](const std::string&) {};
-    if (config.dataset.poses == kNoPoses && !registers_sensor(config.train))
+    if (!has_poses(sequence, config) && !registers_sensor(config.train))
         throw UsageError(
-            "dataset.poses=none: the poses have to be found from the scans; expected train.refine_poses=sensor and "
+            "the log has no poses, or dataset.poses=none: they have to be found from the scans; expected train.refine_poses=sensor and "
             "train.pose_register=true");
     begin_stage(session.stages, "register");
     if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);

@@ -53,7 +53,8 @@ std::string turn_of(int sweep, int columns, std::vector<NuscenesRay>& rays) {
             ray.origin_m = fired.translation;
             ray.point_m = kMap_m + yard_hit(ray.origin_m - kMap_m, fired.rotation * raw);
             ray.returned = hash64(std::uint64_t(column * 32 + ring), std::uint64_t(sweep)) % 8 != 0 && column % 60 != 7;
-            const glm::dvec3 p = ray.returned ? inverse(map_from_raw) * ray.point_m : glm::dvec3(0.0, 1e-3, 0.0);
+            const glm::dvec3 nothing = fired * glm::dvec3(0.0, 1e-3, 0.0);  // compensated like all others
+            const glm::dvec3 p = inverse(map_from_raw) * (ray.returned ? ray.point_m : nothing);
             const float values[5] = {float(p.x), float(p.y), float(p.z), 51.0f, float(ring)};
             bytes.append(reinterpret_cast<const char*>(values), sizeof values);
             rays.push_back(ray);
@@ -65,7 +66,7 @@ std::string turn_of(int sweep, int columns, std::vector<NuscenesRay>& rays) {
 }  // namespace
 
 Pose NuscenesFolder::vehicle_at(double time_s) {
-    return {glm::angleAxis(0.6 - 0.35 * time_s, glm::dvec3(0, 0, 1)), kMap_m + time_s * glm::dvec3(9.0, 6.0, 0.0)};
+    return {glm::angleAxis(0.6 - 0.35 * time_s, glm::dvec3(0, 0, 1)), kMap_m + time_s * glm::dvec3(24.0, 9.0, 0.0)};
 }
 
 Pose NuscenesFolder::box_at(double time_s) {

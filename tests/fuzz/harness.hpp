@@ -30,6 +30,11 @@ std::vector<Harness> nuscenes_harnesses();
 std::vector<Harness> sensor_harnesses();
 std::vector<Harness> run_harnesses();
 std::vector<Harness> request_harnesses();
+#ifdef RELIDAR_FUZZ_BAGS
+std::vector<Harness> bag_harnesses();
+#else
+inline std::vector<Harness> bag_harnesses() { return {}; }
+#endif
 
 void put(const std::filesystem::path& file, std::string_view bytes);
 std::string contents(const std::filesystem::path& file);

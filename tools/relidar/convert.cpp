@@ -36,7 +36,8 @@ void run_convert(const ConvertOptions& options) {
     catch_interrupts();
     Progress progress(options.quiet);
     const relidar::Progress shown = shown_by(progress);
-    save_folder(sequence, options.out, {options.overwrite, config.dataset.poses != kNoPoses, [&](std::string_view what, double done) {
+    const bool has_poses = config.dataset.poses != kNoPoses && sequence.has_poses;
+    save_folder(sequence, options.out, {options.overwrite, has_poses, [&](std::string_view what, double done) {
                                             stop_if_interrupted();
                                             shown(what, done);
                                         }});

@@ -21,7 +21,7 @@ constexpr const char* kFooter =
     "First run:\n"
     "  relidar demo                                  a synthetic street: train, render, evaluate, report\n"
     "A log of your own:\n"
-    "  relidar train LOG --out run                   LOG: a KITTI raw drive or a synthetic street\n"
+    "  relidar train LOG --out run                   LOG: a ROS bag, KITTI, Waymo, nuScenes ..., a folder of scans\n"
     "  relidar render run --out scans --frames all\n"
     "  relidar eval run\n"
     "  relidar view run                              look at it in the browser, and drive the sensor\n"

@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "dataset/bag/bag_scans.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+namespace relidar::bag {
+namespace {
+
+constexpr std::size_t kSampleClouds = 6;
+
+/// The first time that points have, in the unit of the file.
+double first_time_of(const folder::PointTable& table) {
+    double first = INFINITY;
+    if (const auto* times = times_of(table))
+        for (const double t : *times) first = std::min(first, std::isfinite(t) ? t : INFINITY);
+    return std::isfinite(first) ? first : 0.0;
+}
+
+}  // namespace
+
+std::string BagScans::name(std::size_t frame) const {
+    const FrameCloud& cloud = clouds_[frame];
+    return fmt::format("{}: {}, cloud of frame {}", bag_.files().at(cloud.entry.place.file).string(),
+                       bag_.topics()[lidars_[cloud.lidar].clouds->topic].name, cloud.number);
+}
+
+ScanPoints BagScans::points(std::size_t frame) const {
+    const FrameCloud& at = clouds_[frame];
+    const CloudUnits& units = lidars_[at.lidar].units;
+    const std::string bytes = bag_.read(at.entry.place);
+    folder::PointTable table;
+    try {
+        table = table_of(read_cloud(bag_.topics()[lidars_[at.lidar].clouds->topic], bytes));
+    } catch (const DataError& error) {
+        throw DataError(fmt::format("{}: {}", name(frame), error.what()));
+    }
+    if (units.zero == TimeZero::none)
+        for (const char* field : {"time", "t", "timestamp", "time_stamp", "offset_time"}) table.fields.erase(field);
+    double zero_s = at.time_s - at.cloud_s;  // what counts as 0 s of the frame, in times of points
+    if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(at.entry.stamp_ns);
+    if (units.zero == TimeZero::own_clock) zero_s += units.time_unit_s * first_time_of(table);
+    return folder::points_of(table, {{}, units.intensity_max, units.time_unit_s, true}, zero_s, name(frame));
+}
+
+Scan BagScans::rays(std::size_t frame) const {
+    const FrameCloud& at = clouds_[frame];
+    const CloudTopic& clouds = *lidars_[at.lidar].clouds;
+    const PacketTurn& turn = clouds.turns[at.entry.turn];
+    std::vector<std::string> messages;
+    for (const Place& place : clouds.packets.places(turn)) messages.push_back(bag_.read(place));
+    std::vector<PacketView> packets;
+    Header header;
+    for (const std::string& bytes : messages)
+        for (const PacketView& packet : read_packets(bag_.topics()[clouds.topic], bytes, header)) packets.push_back(packet);
+    const auto shift_ns = std::int64_t(std::llround(1e9 * (at.time_s - at.cloud_s)));
+    return clouds.packets.scan(turn, packets, lidars_[at.lidar].sensor, turn.forward_ns + shift_ns);
+}
+
+CloudUnits units_of_topic(const Bag& bag, const CloudTopic& clouds, double step_s) {
+    if (!clouds.packets.empty()) return {};
+    std::vector<folder::PointTable> samples;
+    std::vector<double> stamps_s;
+    const std::size_t n = std::min(kSampleClouds, clouds.clouds.size());
+    for (std::size_t k = 0; k < n; ++k) {
+        const CloudEntry& entry = clouds.clouds[k * clouds.clouds.size() / n];
+        try {
+            samples.push_back(table_of(read_cloud(bag.topics()[clouds.topic], bag.read(entry.place))));
+        } catch (const DataError&) {
+            continue;  // told where the scan is read
+        }
+        stamps_s.push_back(1e-9 * double(entry.stamp_ns));
+    }
+    return find_units(samples, stamps_s, step_s);
+}
+
+}  // namespace relidar::bag

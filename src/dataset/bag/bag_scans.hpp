@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: Apache-2.0
+// Clouds of a recording as scans of a log's frames.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "dataset/bag/bag.hpp"
+#include "dataset/bag/cloud_units.hpp"
+#include "dataset/bag/survey.hpp"
+#include "dataset/folder_points.hpp"
+
+namespace relidar::bag {
+
+/// One cloud, and when its frame is.
+struct FrameCloud {
+    int number = 0;        ///< of the frame
+    double time_s = 0.0;   ///< of the frame
+    double cloud_s = 0.0;  ///< of the cloud, by the same clock
+    std::size_t lidar = 0;
+    CloudEntry entry;
+};
+
+/// The topic of a LiDAR.
+struct LidarTopic {
+    const CloudTopic* clouds = nullptr;
+    CloudUnits units;
+    SpinningSensor sensor = {};  ///< of packets
+};
+
+class BagScans : public folder::ScanSource {
+public:
+    /// @param clouds  [frames]
+    BagScans(const Bag& bag, const std::vector<LidarTopic>& lidars, const std::vector<FrameCloud>& clouds)
+        : bag_(bag), lidars_(lidars), clouds_(clouds) {}
+
+    std::string name(std::size_t frame) const override;
+    bool has_points(std::size_t frame) const override { return lidars_[clouds_[frame].lidar].clouds->packets.empty(); }
+    ScanPoints points(std::size_t frame) const override;
+    Scan rays(std::size_t frame) const override;
+
+private:
+    const Bag& bag_;
+    const std::vector<LidarTopic>& lidars_;
+    const std::vector<FrameCloud>& clouds_;
+};
+
+/// What numbers of a topic's points mean, by some of its clouds. @param step_s  from cloud to cloud
+CloudUnits units_of_topic(const Bag& bag, const CloudTopic& clouds, double step_s);
+
+}  // namespace relidar::bag

@@ -1,0 +1,147 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/error.hpp>
+
+#include "core/files.hpp"
+#include "dataset/bag/choose.hpp"
+
+namespace relidar::bag {
+namespace {
+
+constexpr double kLeastRate = 0.5, kMostRate = 2.0;  // of a LiDAR that sweeps along with the main one
+
+std::string topics_text(const Bag& bag) {
+    std::vector<std::string> texts;
+    for (const Topic& topic : bag.topics())
+        if (texts.size() < 20) texts.push_back(fmt::format("{} ({})", excerpt(topic.name), excerpt(topic.type)));
+    return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
+}
+
+/// Packets that relidar does not decode, and what makes clouds of them.
+struct PacketDriver {
+    const char* package;
+    const char* driver;
+};
+constexpr PacketDriver kDrivers[] = {
+    {"pandar_msgs/", "nebula"},
+    {"nebula_msgs/", "nebula"},
+    {"hesai_ros_driver/", "hesai_ros_driver"},
+    {"ouster_ros/PacketMsg", "ouster-ros"},
+    {"ouster_msgs/", "ouster-ros"},
+    {"ouster_sensor_msgs/PacketMsg", "ouster-ros"},
+    {"rslidar_msg/", "rslidar_sdk"},
+    {"robosense_msgs/", "nebula"},
+    {"seyond/", "seyond_ros_driver"},
+};
+
+/// Why messages that might have been clouds are none.
+std::string broken_text(const Bag& bag, const Survey& survey) {
+    std::string text;
+    for (const Topic& topic : bag.topics())
+        for (const PacketDriver& known : kDrivers)
+            if (topic.type.starts_with(known.package))
+                text += fmt::format(" ({}: packets that {} makes clouds of: record what it publishes while they are played)",
+                                    excerpt(topic.name), known.driver);
+    for (std::size_t t = 0; t < survey.facts.size(); ++t)
+        if (survey.facts[t].n_broken > 0) text += fmt::format(" ({}: {})", excerpt(bag.topics()[t].name), survey.facts[t].broken);
+    return text;
+}
+
+/// How likely a topic's clouds are what a LiDAR measured, and not what was made of them.
+double rawness(const CloudTopic& clouds) {
+    if (!clouds.packets.empty()) return 200.0;
+    const bool timed = clouds.has_field({"time", "t", "timestamp", "time_stamp", "offset_time"});
+    const bool ringed = clouds.has_field({"ring", "channel", "line"});
+    const bool numbered = clouds.has_field({"return", "return_number", "return_type"});
+    return 100.0 * timed + 50.0 * ringed + 20.0 * numbered + std::log10(1.0 + double(clouds.usual_points()));
+}
+
+/// Clouds in frames of the vehicle or the world are merged, or maps.
+bool is_of_sensor(const CloudTopic& clouds) {
+    static const std::vector<std::string> kOthers = {"map", "odom", "world", "earth", "base_link", "base_footprint"};
+    return std::ranges::find(kOthers, clouds.frame) == kOthers.end();
+}
+
+double rate_of(const Survey& survey, const CloudTopic& clouds) {
+    return survey.facts[clouds.topic].rate_hz();
+}
+
+std::vector<std::size_t> named_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& wanted) {
+    std::vector<std::size_t> lidars;
+    for (const std::string& name : wanted) {
+        const auto found = std::ranges::find_if(survey.clouds, [&](const CloudTopic& c) { return bag.topics()[c.topic].name == name; });
+        if (found == survey.clouds.end() || found->clouds.empty())
+            throw UsageError(fmt::format("dataset.lidars: found '{}', expected a topic of point clouds; the recording has {}",
+                                         excerpt(name), topics_text(bag)));
+        lidars.push_back(std::size_t(found - survey.clouds.begin()));
+    }
+    std::ranges::sort(lidars);
+    lidars.erase(std::unique(lidars.begin(), lidars.end()), lidars.end());
+    return lidars;
+}
+
+/// The rawest topic of each frame.
+std::vector<std::size_t> guessed_clouds(const Survey& survey) {
+    const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
+    const bool any_of_sensor = std::ranges::any_of(survey.clouds, [&](const CloudTopic& c) { return has_clouds(c) && is_of_sensor(c); });
+    std::map<std::string, std::size_t> best;
+    for (std::size_t c = 0; c < survey.clouds.size(); ++c) {
+        const CloudTopic& clouds = survey.clouds[c];
+        if (!has_clouds(clouds) || (any_of_sensor && !is_of_sensor(clouds))) continue;
+        const auto [at, is_new] = best.try_emplace(clouds.frame, c);
+        if (!is_new && rawness(clouds) > rawness(survey.clouds[at->second])) at->second = c;
+    }
+    std::vector<std::size_t> lidars;
+    for (const auto& [frame, c] : best) lidars.push_back(c);
+    std::ranges::sort(lidars);
+    return lidars;
+}
+
+std::size_t main_of(const Survey& survey, const std::vector<std::size_t>& lidars) {
+    const auto most = std::ranges::max_element(lidars, {}, [&](std::size_t c) {
+        const CloudTopic& clouds = survey.clouds[c];
+        return std::pair(rawness(clouds) >= 100.0, double(clouds.usual_points()) * double(clouds.clouds.size()));
+    });
+    return std::size_t(most - lidars.begin());
+}
+
+}  // namespace
+
+CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& wanted) {
+    CloudChoice choice;
+    choice.lidars = wanted.empty() ? guessed_clouds(survey) : named_clouds(bag, survey, wanted);
+    if (choice.lidars.empty())
+        throw DataError(
+            fmt::format("{}: no point clouds{}, expected a topic of sensor_msgs/PointCloud2 or livox_ros_driver2/CustomMsg; found {}",
+                        bag.files().front().string(), broken_text(bag, survey), topics_text(bag)));
+    choice.main = main_of(survey, choice.lidars);
+    const CloudTopic& main = survey.clouds[choice.lidars[choice.main]];
+    std::vector<std::size_t> kept;
+    for (const std::size_t c : choice.lidars) {
+        const CloudTopic& clouds = survey.clouds[c];
+        const std::string& name = bag.topics()[clouds.topic].name;
+        const double rate = rate_of(survey, clouds) / std::max(rate_of(survey, main), 1e-9);
+        std::string why;
+        if (&clouds != &main && !survey.frames.fixed(main.frame, clouds.frame))
+            why = fmt::format("/tf_static does not say where '{}' is mounted beside '{}'", clouds.frame, main.frame);
+        else if (&clouds != &main && !(rate >= kLeastRate && rate <= kMostRate))
+            why = fmt::format("it has {:.3g} clouds for each of {}", rate, bag.topics()[main.topic].name);
+        if (why.empty())
+            kept.push_back(c);
+        else if (wanted.empty())
+            choice.notes.push_back(fmt::format("{} is left out: {}; dataset.lidars={} reads it alone", name, why, name));
+        else
+            throw DataError(fmt::format("{}: {}, expected topics that are read together (dataset.lidars)", name, why));
+    }
+    choice.main = std::size_t(std::ranges::find(kept, choice.lidars[choice.main]) - kept.begin());
+    choice.lidars = std::move(kept);
+    return choice;
+}
+
+}  // namespace relidar::bag

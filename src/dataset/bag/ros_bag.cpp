@@ -1,0 +1,231 @@
+// SPDX-License-Identifier: Apache-2.0
+// Two passes: one that surveys the recording, in bounded memory, and one that reads the clouds of the wanted frames where they lie. What is
+// made of them then is what is made of a plain folder of clouds.
+#include "dataset/bag/ros_bag.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "core/files.hpp"
+#include "dataset/bag/bag_scans.hpp"
+#include "dataset/bag/choose.hpp"
+#include "dataset/bag/describe.hpp"
+#include "dataset/kitti_files.hpp"
+
+namespace relidar {
+namespace {
+
+using namespace bag;
+
+constexpr std::int64_t kSecond_ns = 1000000000;
+constexpr double kLeastStep_s = 2e-3;  // between sweeps
+constexpr double kBeside = 0.6;        // steps: a LiDAR's cloud from the main LiDAR's of the same sweep
+
+class BagLog {
+public:
+    BagLog(const std::filesystem::path& path, const DatasetOptions& options)
+        : options_(options),
+          bag_(path, options.skip_broken),
+          survey_(take_survey(bag_, options.progress)),
+          clouds_(choose_clouds(bag_, survey_, options.lidars)),
+          poses_(choose_poses(bag_, survey_, main(), options.poses_from)) {
+        sequence_.name = path.lexically_normal().filename().empty() ? path.lexically_normal().parent_path().filename().string()
+                                                                    : path.lexically_normal().filename().string();
+        sequence_.source = path.string();
+    }
+
+    Sequence load() {
+        has_poses_ = options_.poses_file.empty() && poses_.path;
+        tell_topics();
+        find_frames();
+        add_lidars();
+        add_frames();
+        folder::Head head;
+        head.name = sequence_.name;
+        for (std::size_t l = 0; l < sequence_.lidars.size(); ++l) {
+            head.lidars.emplace_back().lidar = sequence_.lidars[l];
+            head.lidars.back().is_guessed = true;
+            head.lidars.back().has_beams = !sequence_.lidars[l].sensor.beams.empty();
+            head.motion_compensated = head.motion_compensated || lidars_[l].units.is_deskewed;
+        }
+        DatasetOptions options = options_;
+        if (!sequence_.has_poses) options.poses_file = kNoPoses;
+        folder::read_scans(sequence_, head, BagScans(bag_, lidars_, frames_), options);
+        return std::move(sequence_);
+    }
+
+private:
+    const DatasetOptions& options_;
+    Bag bag_;
+    Survey survey_;
+    CloudChoice clouds_;
+    PoseChoice poses_;
+    Sequence sequence_;
+    std::vector<LidarTopic> lidars_;  ///< [LiDARs]
+    std::vector<FrameCloud> frames_;  ///< [frames]
+    bool has_poses_ = false;          ///< of the recording's own
+
+    const CloudTopic& topic_of(std::size_t lidar) const { return survey_.clouds[clouds_.lidars[lidar]]; }
+    const CloudTopic& main() const { return topic_of(clouds_.main); }
+    const std::string& name_of(const CloudTopic& clouds) const { return bag_.topics()[clouds.topic].name; }
+    double seconds(const CloudEntry& entry) const { return 1e-9 * double(entry.time_ns(poses_.clock) - poses_.zero_ns); }
+
+    void note(const std::string& text) {
+        if (!text.empty()) sequence_.notes.push_back(text);
+    }
+
+    void tell_topics() {
+        std::vector<bool> used(bag_.topics().size(), false);
+        for (const std::size_t c : clouds_.lidars) used[survey_.clouds[c].topic] = true;
+        for (std::size_t t = 0; t < used.size(); ++t)
+            if (has_poses_ && use_of(bag_.topics()[t]) != Use::cloud)
+                used[t] = use_of(bag_.topics()[t]) == Use::transforms || poses_.about.ends_with(" " + bag_.topics()[t].name);
+        for (const std::string& text : bag_.notes()) note(text);
+        for (const std::string& text : topic_lines(bag_, survey_, used)) note(text);
+        for (const std::string& text : clouds_.notes) note(text);
+        for (const std::string& text : poses_.notes) note(text);
+        if (has_poses_) note(poses_.about + "; dataset.poses_from names another frame or topic");
+        for (const std::string& frame : survey_.frames.disputed())
+            note(fmt::format("/tf has '{}' in several parents: the one with the most transforms is taken", frame));
+        for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
+            if (const std::string text = jumps_text(topic_of(l)); !text.empty()) note(name_of(topic_of(l)) + ": " + text);
+    }
+
+    /// Sweeps of the main LiDAR in the order of time, and which clouds of the others belong to each.
+    void find_frames() {
+        std::vector<FrameCloud> sweeps;
+        std::size_t n_late = 0;
+        for (const CloudEntry& entry : main().clouds) {
+            const double t_s = seconds(entry);
+            if (!sweeps.empty() && t_s < sweeps.back().time_s + kLeastStep_s) {
+                ++n_late;
+                continue;
+            }
+            sweeps.push_back({int(sweeps.size()), t_s, t_s, clouds_.main, entry});
+        }
+        if (n_late > 0) note(fmt::format("{} clouds are left out: they are not later than the one before them", n_late));
+        std::vector<double> times_s;
+        for (const FrameCloud& sweep : sweeps) times_s.push_back(sweep.time_s);
+        const double step_s = usual_step_s(times_s);
+        note(gaps_text(times_s, step_s));
+        std::vector<FrameCloud> all = sweeps;
+        for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
+            if (l != clouds_.main) add_beside(all, sweeps, l, kBeside * step_s);
+        std::ranges::stable_sort(
+            all, [](const FrameCloud& a, const FrameCloud& b) { return a.number != b.number ? a.number < b.number : a.lidar < b.lidar; });
+        keep_wanted(all);
+        find_units_of(step_s);
+    }
+
+    void add_beside(std::vector<FrameCloud>& all, const std::vector<FrameCloud>& sweeps, std::size_t lidar, double most_s) {
+        std::vector<const CloudEntry*> taken(sweeps.size(), nullptr);
+        std::size_t n_left = 0;
+        const auto distance = [&](const CloudEntry& entry, std::size_t k) { return std::abs(seconds(entry) - sweeps[k].time_s); };
+        for (const CloudEntry& entry : topic_of(lidar).clouds) {
+            const auto after = std::ranges::lower_bound(sweeps, seconds(entry), {}, &FrameCloud::time_s);
+            std::size_t k = std::min(std::size_t(after - sweeps.begin()), sweeps.size() - 1);
+            if (k > 0 && distance(entry, k - 1) < distance(entry, k)) --k;
+            if (distance(entry, k) > most_s || (taken[k] && distance(*taken[k], k) <= distance(entry, k)))
+                ++n_left;
+            else
+                taken[k] = &entry;
+        }
+        for (std::size_t k = 0; k < sweeps.size(); ++k)
+            if (taken[k]) all.push_back({sweeps[k].number, sweeps[k].time_s, seconds(*taken[k]), lidar, *taken[k]});
+        if (n_left > 0)
+            note(fmt::format("{}: {} clouds are left out: {} has no sweep beside them", name_of(topic_of(lidar)), n_left, name_of(main())));
+    }
+
+    void keep_wanted(const std::vector<FrameCloud>& all) {
+        std::size_t n_unplaced = 0;
+        for (const FrameCloud& cloud : all) {
+            if (cloud.number < options_.frames.begin || (options_.frames.end >= 0 && cloud.number >= options_.frames.end)) continue;
+            if (has_poses_ && !poses_.path->covers(cloud.time_s))
+                ++n_unplaced;
+            else
+                frames_.push_back(cloud);
+        }
+        if (frames_.empty() && n_unplaced > 0)
+            throw DataError(
+                fmt::format("{}: {}: none of the {} clouds is of a time with a pose, expected dataset.poses_from, dataset.poses=FILE, or "
+                            "dataset.poses=none to find poses from the scans",
+                            sequence_.source, poses_.about, n_unplaced));
+        if (frames_.empty())
+            throw UsageError(fmt::format("frames {}:{}: none of the clouds of {} lies in it, which are numbered from 0",
+                                         options_.frames.begin, options_.frames.end < 0 ? "" : std::to_string(options_.frames.end),
+                                         name_of(main())));
+        if (n_unplaced > 0) note(fmt::format("{} clouds are left out: there are no poses at their times", n_unplaced));
+    }
+
+    void find_units_of(double step_s) {
+        for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
+            const CloudTopic& clouds = topic_of(l);
+            lidars_.push_back({&clouds, units_of_topic(bag_, clouds, step_s)});
+            if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.sensor();
+            if (!lidars_.back().units.about.empty()) note(name_of(topic_of(l)) + ": " + lidars_.back().units.about);
+        }
+    }
+
+    /// One LiDAR is the vehicle; several are mounted on it.
+    void add_lidars() {
+        const bool is_one = clouds_.lidars.size() == 1;
+        sequence_.lidars.clear();
+        for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
+            Lidar lidar;
+            lidar.sensor = lidars_[l].sensor;
+            if (lidar.sensor.beams.empty()) lidar.sensor.name = name_of(topic_of(l));
+            if (lidar.sensor.beams.empty()) lidar.sensor.max_range_m = options_.max_range_m;
+            if (!is_one || !options_.lidars.empty()) lidar.name = name_of(topic_of(l));
+            if (!is_one) lidar.vehicle_from_sensor = *survey_.frames.fixed(poses_.vehicle, topic_of(l).frame);
+            sequence_.lidars.push_back(std::move(lidar));
+        }
+    }
+
+    Pose own_pose(double t_s) const {
+        const Pose world_from_vehicle = poses_.path->at(t_s);
+        if (clouds_.lidars.size() > 1) return world_from_vehicle;
+        return world_from_vehicle * *survey_.frames.fixed(poses_.vehicle, main().frame);
+    }
+
+    /// Poses of a file, by frame numbers or by the clock of the recording.
+    std::vector<Pose> given_poses() const {
+        std::vector<folder::HeadFrame> frames;
+        for (const FrameCloud& frame : frames_) frames.push_back({frame.number, frame.time_s + 1e-9 * double(poses_.zero_ns), 0, {}});
+        const auto poses = folder::read_poses(options_.poses_file, frames);
+        if (!poses) throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)", options_.poses_file.string()));
+        return *poses;
+    }
+
+    void add_frames() {
+        std::vector<Pose> given;
+        if (!options_.poses_file.empty() && options_.poses_file != kNoPoses) given = given_poses();
+        sequence_.has_poses = has_poses_ || !given.empty();
+        for (std::size_t i = 0; i < frames_.size(); ++i)
+            add_frame(sequence_, frames_[i].number, frames_[i].time_s,
+                      !given.empty() ? given[i]
+                      : has_poses_   ? own_pose(frames_[i].time_s)
+                                     : Pose{},
+                      int(frames_[i].lidar));
+        if (options_.poses_file == kNoPoses)
+            note(kitti::kNoPosesNote);
+        else if (!sequence_.has_poses)
+            note("the recording has no poses: they have to be found from the scans, as with dataset.poses=none");
+        sequence_.conventions =
+            fmt::format("ROS: x forward, y left, z up; 0 s is {}.{:09} s of the {}; frames are numbered by the clouds of {}",
+                        poses_.zero_ns / kSecond_ns, std::abs(poses_.zero_ns % kSecond_ns),
+                        poses_.clock == Clock::stamps ? "stamps" : "recorder's clock", name_of(main()));
+        recentre(sequence_);
+    }
+};
+
+}  // namespace
+
+Sequence load_ros_bag(const std::filesystem::path& path, const DatasetOptions& options) {
+    return BagLog(path, options).load();
+}
+
+}  // namespace relidar

@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "dataset/bag/survey.hpp"
+
+#include <algorithm>
+
+#include <relidar/error.hpp>
+
+namespace relidar::bag {
+namespace {
+
+class Surveyor {
+public:
+    Surveyor(const Bag& bag, Survey& survey) : bag_(bag), survey_(survey) {}
+
+    void take(const Message& message) {
+        if (survey_.facts.size() <= message.topic) survey_.facts.resize(message.topic + 1);
+        TopicFacts& facts = survey_.facts[message.topic];
+        if (facts.n++ == 0) facts.first_ns = facts.last_ns = message.log_ns;
+        facts.first_ns = std::min(facts.first_ns, message.log_ns);
+        facts.last_ns = std::max(facts.last_ns, message.log_ns);
+        try {
+            const Topic& topic = bag_.topics()[message.topic];
+            const Use use = use_of(topic);
+            if (use == Use::cloud) add_cloud(topic, message);
+            if (use == Use::packets) add_packets(topic, message);
+            if (use == Use::transforms) add_transforms(topic, message);
+            if (use == Use::pose) add_pose(topic, message);
+        } catch (const DataError& error) {
+            if (facts.n_broken++ == 0) facts.broken = error.what();
+        }
+    }
+
+private:
+    const Bag& bag_;
+    Survey& survey_;
+
+    void add_cloud(const Topic& topic, const Message& message) {
+        const Cloud cloud = read_cloud(topic, message.bytes);
+        CloudTopic& clouds = entry_of(survey_.clouds, message.topic);
+        if (clouds.fields.empty()) clouds.fields = cloud.fields, clouds.frame = cloud.header.frame;
+        if (cloud.size() == 0) {
+            ++clouds.n_empty;
+            return;
+        }
+        const auto n = std::uint32_t(std::min<std::size_t>(cloud.size(), UINT32_MAX));
+        clouds.clouds.push_back({cloud.header.stamp_ns, message.log_ns, n, message.place});
+    }
+
+    void add_packets(const Topic& topic, const Message& message) {
+        Header header;
+        const std::vector<PacketView> packets = read_packets(topic, message.bytes, header);
+        CloudTopic& clouds = entry_of(survey_.clouds, message.topic);
+        clouds.frame = header.frame;
+        clouds.packets.add(packets, message.log_ns, message.place);
+    }
+
+    void add_transforms(const Topic& topic, const Message& message) {
+        const bool is_static = topic.name.ends_with("tf_static");
+        for (const Transform& transform : read_transforms(topic, message.bytes)) survey_.frames.add(transform, message.log_ns, is_static);
+    }
+
+    void add_pose(const Topic& topic, const Message& message) {
+        const Transform transform = read_transforms(topic, message.bytes).front();
+        PoseTopic& poses = entry_of(survey_.poses, message.topic);
+        if (poses.samples.empty()) poses.parent = transform.header.frame, poses.child = transform.child;
+        poses.samples.push_back({transform.header.stamp_ns, message.log_ns, transform.parent_from_child});
+    }
+
+    template <class Entry>
+    static Entry& entry_of(std::vector<Entry>& entries, std::size_t topic) {
+        const auto known = std::ranges::find(entries, topic, &Entry::topic);
+        if (known != entries.end()) return *known;
+        entries.emplace_back().topic = topic;
+        return entries.back();
+    }
+};
+
+}  // namespace
+
+bool CloudTopic::has_field(std::initializer_list<const char*> names) const {
+    return std::ranges::any_of(fields, [&](const Cloud::Field& field) { return std::ranges::find(names, field.name) != names.end(); });
+}
+
+std::size_t CloudTopic::usual_points() const {
+    if (clouds.empty()) return 0;
+    std::vector<std::uint32_t> counts;
+    for (const CloudEntry& cloud : clouds) counts.push_back(cloud.n_points);
+    std::ranges::nth_element(counts, counts.begin() + std::ptrdiff_t(counts.size() / 2));
+    return counts[counts.size() / 2];
+}
+
+Survey take_survey(Bag& bag, const Progress& progress) {
+    Survey survey;
+    Surveyor surveyor(bag, survey);
+    bag.each([](const Topic& topic) { return use_of(topic) != Use::nothing; }, [&](const Message& message) { surveyor.take(message); },
+             progress);
+    survey.facts.resize(bag.topics().size());
+    for (CloudTopic& clouds : survey.clouds) {
+        clouds.turns = clouds.packets.turns();
+        for (std::size_t t = 0; t < clouds.turns.size(); ++t) {
+            const PacketTurn& turn = clouds.turns[t];
+            clouds.clouds.push_back({turn.forward_ns, turn.log_ns, 0, clouds.packets.places(turn).front(), t});
+        }
+    }
+    return survey;
+}
+
+}  // namespace relidar::bag

@@ -1,0 +1,288 @@
+// SPDX-License-Identifier: Apache-2.0
+// Recordings of ROS: whole ones of each kind, and single messages. Seeds are written here, by the specifications.
+#include "harness.hpp"
+
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+
+#include <lz4frame.h>
+#include <sqlite3.h>
+#include <zstd.h>
+
+#include <relidar/dataset.hpp>
+#include <relidar/error.hpp>
+
+#include "core/bytes.hpp"
+#include "dataset/bag/messages.hpp"
+#include "dataset/bag/velodyne_packets.hpp"
+
+namespace relidar::fuzz {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::uint64_t kSecond_ns = 1000000000, kStart_ns = 1700000000 * kSecond_ns;
+
+std::string sized(std::string_view bytes) {
+    std::string all;
+    append(all, std::uint32_t(bytes.size()));
+    return all.append(bytes);
+}
+
+/// A message in ROS 1's form, or in CDR.
+class Draft {
+public:
+    explicit Draft(bool is_ros1) : is_ros1_(is_ros1) {}
+    template <class T>
+    Draft& add(T value) {
+        while (!is_ros1_ && bytes_.size() % sizeof(T) != 0) bytes_ += '\0';
+        append(bytes_, value);
+        return *this;
+    }
+    Draft& add_text(std::string_view text) {
+        add(std::uint32_t(text.size() + !is_ros1_));
+        bytes_ += text;
+        if (!is_ros1_) bytes_ += '\0';
+        return *this;
+    }
+    Draft& add_header(std::uint64_t stamp_ns, std::string_view frame) {
+        if (is_ros1_) add(std::uint32_t(0));
+        return add(std::uint32_t(stamp_ns / kSecond_ns)).add(std::uint32_t(stamp_ns % kSecond_ns)).add_text(frame);
+    }
+    std::string take() const { return is_ros1_ ? bytes_ : std::string("\0\1\0\0", 4) + bytes_; }
+
+private:
+    bool is_ros1_;
+    std::string bytes_;
+};
+
+/// Four beams of 24 columns, with rings and times.
+std::string cloud(bool is_ros1, std::uint64_t stamp_ns) {
+    struct Field {
+        const char* name;
+        std::uint32_t offset;
+        std::uint8_t type;
+    };
+    constexpr Field kFields[] = {{"x", 0, 7}, {"y", 4, 7}, {"z", 8, 7}, {"intensity", 12, 2}, {"ring", 14, 4}, {"time", 16, 7}};
+    std::string points;
+    for (int column = 0; column < 24; ++column)
+        for (int ring = 0; ring < 4; ++ring) {
+            const float azimuth = 3.14f - 0.2618f * float(column);
+            for (const float v : {9.0f * std::cos(azimuth), 9.0f * std::sin(azimuth), 0.5f * float(ring)}) append(points, v);
+            append(points, std::uint16_t(7)), append(points, std::uint16_t(ring)), append(points, 0.004f * float(column));
+        }
+    Draft draft(is_ros1);
+    draft.add_header(stamp_ns, "lidar").add(std::uint32_t(1)).add(std::uint32_t(96)).add(std::uint32_t(std::size(kFields)));
+    for (const Field& field : kFields) draft.add_text(field.name).add(field.offset).add(field.type).add(std::uint32_t(1));
+    draft.add(std::uint8_t(0)).add(std::uint32_t(20)).add(std::uint32_t(points.size())).add(std::uint32_t(points.size()));
+    for (const char byte : points) draft.add(byte);
+    return draft.add(std::uint8_t(1)).take();
+}
+
+std::string transform(bool is_ros1, std::uint64_t stamp_ns, double x) {
+    Draft draft(is_ros1);
+    draft.add(std::uint32_t(1)).add_header(stamp_ns, "map").add_text("lidar");
+    for (const double v : {x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0}) draft.add(v);
+    return draft.take();
+}
+
+std::string packets(std::uint64_t stamp_ns) {
+    Draft draft(false);
+    draft.add_header(stamp_ns, "velodyne").add(std::uint32_t(2));
+    for (int k = 0; k < 2; ++k) {
+        std::string bytes;
+        for (int b = 0; b < 12; ++b) {
+            append(bytes, std::uint16_t(0xEEFF)), append(bytes, std::uint16_t(b * 1500 + k * 18000));
+            for (int l = 0; l < 32; ++l) append(bytes, std::uint16_t(2000)), append(bytes, std::uint8_t(9));
+        }
+        append(bytes, std::uint32_t(k * 50000)), append(bytes, std::uint16_t(0x2239));
+        draft.add(std::uint32_t(stamp_ns / kSecond_ns)).add(std::uint32_t(stamp_ns % kSecond_ns));
+        for (const char byte : bytes) draft.add(byte);
+    }
+    return draft.take();
+}
+
+struct SeedMessage {
+    int topic;  ///< 0 /points, 1 /tf, 2 /packets
+    std::uint64_t time_ns;
+    std::string bytes;
+};
+constexpr const char* kTopics[] = {"/points", "/tf", "/packets"};
+constexpr const char* kTypes[] = {"sensor_msgs/PointCloud2", "tf2_msgs/TFMessage", "velodyne_msgs/VelodyneScan"};
+
+std::vector<SeedMessage> seed_messages(bool is_ros1) {
+    std::vector<SeedMessage> messages;
+    for (int k = 0; k < 3; ++k) {
+        const std::uint64_t time_ns = kStart_ns + std::uint64_t(k) * 100000000;
+        messages.push_back({0, time_ns, cloud(is_ros1, time_ns)});
+        messages.push_back({1, time_ns, transform(is_ros1, time_ns, k)});
+    }
+    return messages;
+}
+
+std::string mcap_record(std::uint8_t code, std::string_view body) {
+    std::string bytes(1, char(code));
+    append(bytes, std::uint64_t(body.size()));
+    return bytes.append(body);
+}
+
+std::string mcap(const std::string& compression) {
+    std::string records;
+    for (int t = 0; t < 2; ++t) {
+        std::string id, channel;
+        append(id, std::uint16_t(t + 1));
+        records += mcap_record(3, id + sized(kTypes[t]) + sized("ros2msg") + sized(""));
+        records += mcap_record(4, id + id + sized(kTopics[t]) + sized("cdr") + sized(""));
+    }
+    for (const SeedMessage& message : seed_messages(false)) {
+        std::string body;
+        append(body, std::uint16_t(message.topic + 1)), append(body, std::uint32_t(0));
+        append(body, message.time_ns), append(body, message.time_ns);
+        records += mcap_record(5, body + message.bytes);
+    }
+    const std::string magic("\x89MCAP0\r\n", 8);
+    if (compression == "no chunk") return magic + records + mcap_record(15, std::string(4, '\0'));
+    std::string packed = records;
+    if (compression == "lz4") {
+        packed.resize(LZ4F_compressFrameBound(records.size(), nullptr));
+        packed.resize(LZ4F_compressFrame(packed.data(), packed.size(), records.data(), records.size(), nullptr));
+    } else if (compression == "zstd") {
+        packed.resize(ZSTD_compressBound(records.size()));
+        packed.resize(ZSTD_compress(packed.data(), packed.size(), records.data(), records.size(), 3));
+    }
+    std::string chunk(16, '\0');
+    append(chunk, std::uint64_t(records.size())), append(chunk, std::uint32_t(0));
+    chunk += sized(compression);
+    append(chunk, std::uint64_t(packed.size()));
+    return magic + mcap_record(6, chunk + packed);
+}
+
+std::vector<std::string> mcap_seeds(const fs::path&) {
+    return {mcap("no chunk"), mcap(""), mcap("lz4"), mcap("zstd")};
+}
+
+std::string ros1_record(const std::vector<std::pair<std::string, std::string>>& fields, std::string_view data) {
+    std::string header;
+    for (const auto& [name, value] : fields) header += sized(name + "=" + value);
+    return sized(header) + sized(data);
+}
+
+std::string four(std::uint32_t value) {
+    std::string bytes;
+    append(bytes, value);
+    return bytes;
+}
+
+std::vector<std::string> ros1_seeds(const fs::path&) {
+    std::string records;
+    for (std::uint32_t t = 0; t < 2; ++t) {
+        const std::string about = sized(std::string("topic=") + kTopics[t]) + sized(std::string("type=") + kTypes[t]);
+        records += ros1_record({{"op", "\x07"}, {"conn", four(t)}, {"topic", kTopics[t]}}, about);
+    }
+    for (const SeedMessage& m : seed_messages(true)) {
+        const std::string time = four(std::uint32_t(m.time_ns / kSecond_ns)) + four(std::uint32_t(m.time_ns % kSecond_ns));
+        records += ros1_record({{"op", "\x02"}, {"conn", four(std::uint32_t(m.topic))}, {"time", time}}, m.bytes);
+    }
+    const std::string magic = "#ROSBAG V2.0\n";
+    return {magic + records,
+            magic + ros1_record({{"op", "\x05"}, {"compression", "none"}, {"size", four(std::uint32_t(records.size()))}}, records)};
+}
+
+std::vector<std::string> db3_seeds(const fs::path& folder) {
+    const fs::path file = folder / "seed.db3";
+    fs::remove(file);
+    sqlite3* base = nullptr;
+    sqlite3_open(file.c_str(), &base);
+    sqlite3_exec(base,
+                 "CREATE TABLE topics(id INTEGER PRIMARY KEY,name TEXT,type TEXT,serialization_format TEXT,offered_qos_profiles TEXT);"
+                 "CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER,timestamp INTEGER,data BLOB);"
+                 "INSERT INTO topics VALUES (0,'/points','sensor_msgs/msg/PointCloud2','cdr','');"
+                 "INSERT INTO topics VALUES (1,'/tf','tf2_msgs/msg/TFMessage','cdr','')",
+                 nullptr, nullptr, nullptr);
+    for (const SeedMessage& m : seed_messages(false)) {
+        sqlite3_stmt* row = nullptr;
+        sqlite3_prepare_v2(base, "INSERT INTO messages(topic_id,timestamp,data) VALUES (?,?,?)", -1, &row, nullptr);
+        sqlite3_bind_int(row, 1, m.topic);
+        sqlite3_bind_int64(row, 2, std::int64_t(m.time_ns));
+        sqlite3_bind_blob(row, 3, m.bytes.data(), int(m.bytes.size()), SQLITE_TRANSIENT);
+        sqlite3_step(row);
+        sqlite3_finalize(row);
+    }
+    sqlite3_close(base);
+    const std::string bytes = contents(file);
+    fs::remove(file);
+    return {bytes};
+}
+
+template <class Name>
+void read_bag(std::string_view input, const fs::path& folder, Name name) {
+    put(folder / name, input);
+    load_sequence("rosbag:" + (folder / name).string(), {});
+}
+void read_mcap(std::string_view input, const fs::path& folder) {
+    read_bag(input, folder, "input.mcap");
+}
+void read_ros1(std::string_view input, const fs::path& folder) {
+    read_bag(input, folder, "input.bag");
+}
+void read_db3(std::string_view input, const fs::path& folder) {
+    read_bag(input, folder, "input.db3");
+}
+
+/// The first byte is the type, and whether it is of ROS 1.
+std::vector<std::string> message_seeds(const fs::path&) {
+    std::string livox = Draft(false)
+                            .add_header(kStart_ns, "l")
+                            .add(std::uint64_t(0))
+                            .add(std::uint32_t(1))
+                            .add(std::uint32_t(0))
+                            .add(std::uint32_t(1))
+                            .add(std::uint32_t(5))
+                            .add(1.0f)
+                            .add(2.0f)
+                            .add(3.0f)
+                            .add(std::uint8_t(1))
+                            .add(std::uint8_t(1))
+                            .add(std::uint8_t(1))
+                            .take();
+    return {std::string(1, '\0') + cloud(false, kStart_ns), '\1' + cloud(true, kStart_ns), '\2' + transform(false, kStart_ns, 1.0),
+            '\3' + transform(true, kStart_ns, 1.0),         '\4' + packets(kStart_ns),     '\6' + livox};
+}
+
+void read_message(std::string_view input, const fs::path&) {
+    static constexpr const char* kMessages[] = {"sensor_msgs/PointCloud2",     "tf2_msgs/TFMessage", "velodyne_msgs/VelodyneScan",
+                                                "livox_ros_driver2/CustomMsg", "nav_msgs/Odometry",  "geometry_msgs/PoseStamped",
+                                                "foxglove.PointCloud",       "foxglove.FrameTransforms"};
+    if (input.empty()) return;
+    const unsigned kind = static_cast<unsigned char>(input[0]);
+    const std::size_t type = kind / 2 % std::size(kMessages);
+    const bag::Topic topic{"/t", kMessages[type], type >= 6 ? "protobuf" : kind % 2 ? "ros1" : "cdr"};
+    const std::string_view bytes = input.substr(1);
+    if (bag::use_of(topic) == bag::Use::cloud) {
+        bag::table_of(bag::read_cloud(topic, bytes));
+    } else if (bag::use_of(topic) == bag::Use::packets) {
+        bag::Header header;
+        bag::PacketLog log;
+        const std::vector<bag::PacketView> views = bag::read_packets(topic, bytes, header);
+        for (int k = 0; k < 2; ++k) log.add(views, 0, {});
+        if (log.empty()) return;
+        const SpinningSensor sensor = log.sensor();
+        std::vector<bag::PacketView> twice = views;
+        twice.insert(twice.end(), views.begin(), views.end());
+        for (const bag::PacketTurn& turn : log.turns()) log.scan(turn, twice, sensor, turn.forward_ns);
+    } else {
+        bag::read_transforms(topic, bytes);
+    }
+}
+
+}  // namespace
+
+std::vector<Harness> bag_harnesses() {
+    return {{"mcap", mcap_seeds, read_mcap},
+            {"ros1", ros1_seeds, read_ros1},
+            {"db3", db3_seeds, read_db3},
+            {"message", message_seeds, read_message}};
+}
+
+}  // namespace relidar::fuzz

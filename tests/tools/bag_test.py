@@ -1,0 +1,445 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS bags of every kind, written by bag_writer.py: what a LiDAR of 16 beams measures of a round hall from a car in a bend, as the drivers of
+several makers lay it out. relidar reads each and writes it as npz and text, which have to hold the same points, times, rings and poses.
+
+   bag_test.py RELIDAR WORK        77: numpy, lz4 or zstd are missing
+"""
+import json
+import pathlib
+import shutil
+import struct
+import subprocess
+import sys
+
+try:
+    import numpy as np
+except ImportError as error:
+    print(f"skipped: {error}")
+    sys.exit(77)
+if not (shutil.which("lz4") and shutil.which("zstd")):
+    print("skipped: lz4 or zstd are missing")
+    sys.exit(77)
+
+import bag_writer as bags
+
+RELIDAR, WORK = sys.argv[1], pathlib.Path(sys.argv[2])
+T0, STEP, N, COLUMNS = 1_700_000_000_250_000_000, 100_000_000, 5, 360
+ELEVATIONS = np.radians(np.linspace(15, -15, 16))
+MOUNT = np.array([0.8, 0.0, 1.7])   # in base_link, and turned by 90 degrees to the left
+RADIUS, HEIGHT = 22.0, 7.0
+
+
+def expect(condition, text):
+    if not condition:
+        sys.exit(f"FAILED: {text}")
+
+
+def turned(v, yaw):
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.stack([c * v[..., 0] - s * v[..., 1], s * v[..., 0] + c * v[..., 1], v[..., 2] + 0 * c], -1)
+
+
+def car(t_s):
+    """base_link in map, seconds after T0."""
+    t = np.asarray(t_s, float)
+    return np.stack([3 + 8 * t, 2 + 1 * t, 0 * t], -1), 0.2 + 0.3 * t
+
+
+def lidar(t_s, mount=MOUNT, yaw=np.pi / 2):
+    place, heading = car(t_s)
+    return place + turned(np.broadcast_to(mount, place.shape), heading), heading + yaw
+
+
+def sweep(k, offset_ns=0, mount=MOUNT, yaw=np.pi / 2):
+    """Points [rings, columns, 3] in the sensor's frame at their times, ns from T0; clockwise from the back. NaN: no return."""
+    start = k * STEP + offset_ns
+    t_ns = start + np.arange(COLUMNS) * (STEP // COLUMNS)
+    azimuth = np.pi - 2 * np.pi * np.arange(COLUMNS) / COLUMNS
+    d = np.stack([np.cos(ELEVATIONS)[:, None] * np.cos(azimuth), np.cos(ELEVATIONS)[:, None] * np.sin(azimuth),
+                  np.sin(ELEVATIONS)[:, None] + 0 * azimuth], -1)
+    place, heading = lidar(t_ns * 1e-9, mount, yaw)
+    w = turned(d, heading)
+    b = (w[..., :2] * place[:, :2]).sum(-1)
+    a = (w[..., :2] ** 2).sum(-1)
+    wall = (-b + np.sqrt(b * b - a * ((place[:, :2] ** 2).sum(-1) - RADIUS**2))) / a
+    with np.errstate(divide="ignore"):
+        flat = np.where(w[..., 2] > 0, (HEIGHT - place[:, 2]) / w[..., 2], place[:, 2] / -w[..., 2])
+    points = (d * np.minimum(wall, flat)[..., None]).astype("f4")
+    points[5, 40:60] = np.nan   # a window
+    intensity = (10 + 5 * np.arange(16)[:, None] + np.arange(COLUMNS) % 90).astype("f4")
+    return points, np.broadcast_to(t_ns, (16, COLUMNS)), intensity
+
+
+TYPE_CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+
+
+def cloud(stamp_ns, frame, columns, step, organised=False, big=False, row_pad=0):
+    """columns: name, type, offset, values [rings, columns]. Organised: dropped points stay, as zeros."""
+    x = columns[0][3]
+    keep = np.isfinite(x)
+    shape = x.shape if organised else (1, int(keep.sum()))
+    data = np.zeros((shape[0], shape[1] * step + row_pad), "u1")
+    for name, code, offset, values in columns:
+        v = np.where(keep, values, 0) if organised else np.asarray(values)[keep].reshape(shape)
+        raw = np.ascontiguousarray(v.astype((">" if big else "<") + code)).view("u1").reshape(shape[0], shape[1], -1)
+        for i in range(raw.shape[2]):
+            data[:, offset + i:shape[1] * step:step] = raw[:, :, i]
+    return {"header": {"stamp": stamp_ns, "frame_id": frame}, "height": shape[0], "width": shape[1],
+            "fields": [{"name": n, "offset": o, "datatype": TYPE_CODES[c], "count": 1} for n, c, o, _ in columns],
+            "is_bigendian": int(big), "point_step": step, "row_step": data.shape[1], "data": data.tobytes(), "is_dense": int(not organised)}
+
+
+RINGS = np.broadcast_to(np.arange(16)[:, None], (16, COLUMNS))
+
+
+def xyz(p, order=(0, 4, 8), code="f4"):
+    return [("xyz"[i], code, order[i], p[..., i]) for i in range(3)]
+
+
+def velodyne(k, frame="lidar", **sensor):   # stamped with the last point: times fall to 0
+    p, t, i = sweep(k, **sensor)
+    stamp = t[0, -1]
+    return T0 + int(stamp), cloud(T0 + int(stamp), frame, xyz(p) + [("intensity", "f4", 12, i), ("ring", "u2", 16, 15 - RINGS),
+                                                                   ("time", "f4", 18, (t - stamp) * 1e-9)], 22)
+
+
+def ouster(k, frame="lidar"):
+    p, t, i = sweep(k)
+    stamp = t[0, 0]
+    return T0 + int(stamp), cloud(T0 + int(stamp), frame, xyz(p) + [
+        ("intensity", "f4", 16, i), ("t", "u4", 20, t - stamp), ("reflectivity", "u2", 24, 7 + 0 * i), ("ring", "u2", 26, RINGS),
+        ("ambient", "u2", 28, 0 * i), ("range", "u4", 32, 1000 + 0 * i)], 48, organised=True, row_pad=16)
+
+
+def hesai(k, frame="lidar", big=False):
+    p, t, i = sweep(k)
+    stamp = t[0, 0]
+    return T0 + int(stamp), cloud(T0 + int(stamp), frame, [xyz(p, (4, 8, 0))[j] for j in (2, 0, 1)] + [
+        ("intensity", "u1", 12, i), ("timestamp", "f8", 16, (T0 + t) * 1e-9), ("ring", "u2", 24, RINGS)], 26, big=big)
+
+
+def autoware(k, frame="lidar"):   # every seventh ray has a second return, 1.5 m behind the strongest, listed before it
+    p, t, i = sweep(k)
+    both = lambda v, w: np.concatenate([np.asarray(w)[:, ::7], v], 1)
+    r = np.linalg.norm(p, axis=-1, keepdims=True)
+    far = (p * (r + 1.5) / r).astype("f4")
+    stamp = t[0, 0]
+    strong = both(np.full(i.shape, 3), np.full(i.shape, 1))
+    return T0 + int(stamp), cloud(T0 + int(stamp), frame, [("xyz"[a], "f4", 4 * a, both(p[..., a], far[..., a])) for a in range(3)] + [
+        ("intensity", "u1", 12, both(i, i / 2)), ("return_type", "u1", 13, strong), ("channel", "u2", 14, both(RINGS, RINGS)),
+        ("azimuth", "f4", 16, 0 * both(i, i)), ("elevation", "f4", 20, 0 * both(i, i)), ("distance", "f4", 24, 0 * both(i, i)),
+        ("time_stamp", "u4", 28, both(t - stamp, t - stamp))], 32)
+
+
+def pose_value(place, yaw):
+    return {"position": dict(zip("xyz", place)), "orientation": {"x": 0.0, "y": 0.0, "z": float(np.sin(yaw / 2)), "w": float(np.cos(yaw / 2))}}
+
+
+def transform(stamp, parent, child, place, yaw):
+    return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": pose_value(place, yaw)}
+
+
+def poses(kind, frame="lidar", slash=""):
+    """Every 20 ms from 0.1 s before the first to 0.2 s behind the last sweep."""
+    tf = "tf/tfMessage" if slash else "tf2_msgs/TFMessage"
+    static = [transform(0, "base_link", frame, MOUNT, np.pi / 2), transform(0, "base_link", "camera", MOUNT, 0.3)]
+    out = [("/tf_static", tf, T0 - STEP, {"transforms": static})]
+    for ns in range(-STEP, (N + 2) * STEP, 20_000_000):
+        place, yaw = car(ns * 1e-9)
+        stamp = T0 + ns
+        if kind == "tf":   # map -> odom stays behind by a turn and a shift that base_link makes up for
+            local = turned(place - np.array([1.0, 2.0, 0.0]), -0.1)
+            value = [transform(stamp, slash + "odom", slash + "base_link", local, yaw - 0.1)]
+            out.append(("/tf", tf, stamp, {"transforms": value}))
+            out.append(("/tf", tf, stamp, {"transforms": [transform(stamp, slash + "map", slash + "odom", [1.0, 2.0, 0.0], 0.1)]}))
+        elif kind == "odometry":
+            twist = {"linear": dict(x=0.0, y=0.0, z=0.0), "angular": dict(x=0.0, y=0.0, z=0.0)}
+            out.append(("/odometry", "nav_msgs/Odometry", stamp, {
+                "header": {"stamp": stamp, "frame_id": "odom"}, "child_frame_id": "base_link",
+                "pose": {"pose": pose_value(place, yaw), "covariance": [0.0] * 36}, "twist": {"twist": twist, "covariance": [0.0] * 36}}))
+        elif kind == "pose":
+            out.append(("/localization", "geometry_msgs/PoseStamped", stamp, {"header": {"stamp": stamp, "frame_id": "map"},
+                                                                               "pose": pose_value(place, yaw)}))
+    return out
+
+
+def log(driver, kind="tf", topic="/points", slash="", **given):
+    messages = poses(kind, slash=slash)
+    for k in range(N):
+        stamp, value = driver(k, **given)
+        messages.append((topic, "sensor_msgs/PointCloud2", stamp + 5_000_000, value))
+        messages.append(("/chatter", "std_msgs/String", stamp + 6_000_000, {"data": "hello"}))
+    return sorted(messages, key=lambda m: m[2])
+
+
+def run(*arguments, code=0):
+    done = subprocess.run([RELIDAR, *map(str, arguments)], capture_output=True, text=True)
+    expect(done.returncode == code, f"relidar {' '.join(map(str, arguments))}: exit {done.returncode}\n{done.stdout}{done.stderr}")
+    return done.stdout + done.stderr
+
+
+def converted(bag, *more):
+    folder = WORK / (bag.name + ".log")
+    shutil.rmtree(folder, ignore_errors=True)
+    run("convert", bag, "--out", folder, "--set", "dataset.max_range_m=200", *more)
+    return folder, json.loads((folder / "sequence.json").read_text())
+
+
+def check(name, bag, n_frames=N, second=False, stamps="first", scale=255.0, ordered=True, poses_there=True, more=()):
+    folder, head = converted(bag, *more)
+    frames = head["frames"]
+    expect([f["number"] for f in frames] == list(range(n_frames)), f"{name}: frames {[f['number'] for f in frames]}, expected {n_frames}")
+    rows = np.loadtxt(folder / "poses.txt", ndmin=2) if poses_there else None
+    zero_ns = T0 + (int(sweep(0)[1][0, -1]) if stamps == "last" else 0)
+    for k, frame in enumerate(frames):
+        scan = np.load(folder / frame["scan"])
+        hit = scan["range"] > 0
+        found = (scan["origin"] + scan["range"][..., None] * scan["directions"])[hit]
+        p, t, i = sweep(k)
+        keep = np.isfinite(p[..., 0])
+        truth = p[keep]
+        expect(len(found) == len(truth), f"{name}, frame {k}: {len(found)} points, expected {len(truth)}")
+        key = lambda v: np.round(np.degrees(np.arctan2(v[:, 1], v[:, 0]))).astype(int) % 360 * 100 + np.round(
+            np.degrees(np.arctan2(v[:, 2], np.hypot(v[:, 0], v[:, 1]))) / 2 + 7.5).astype(int)
+        a, b = np.argsort(key(found)), np.argsort(key(truth))
+        apart = np.abs(found[a] - truth[b]).max()
+        expect(apart < 2e-4, f"{name}, frame {k}: points {apart} m apart")
+        time = scan["time"][hit][a] + frame["time_s"] + 1e-9 * (zero_ns - T0)
+        apart = np.abs(time - 1e-9 * t[keep][b]).max()
+        expect(apart < 1e-6, f"{name}, frame {k}: times {apart} s apart")
+        expect(np.abs(scan["intensity"][hit][a] - i[keep][b] / scale).max() < 1e-6, f"{name}, frame {k}: intensities differ")
+        if ordered:
+            expect((scan["ring"][hit][a] == RINGS[keep][b]).all(), f"{name}, frame {k}: rings differ")
+            expect(scan["range"].shape == (16, COLUMNS), f"{name}, frame {k}: an image of {scan['range'].shape}")
+        if second:
+            far = scan["range_2"][hit][a]
+            wanted = (np.arange(COLUMNS) % 7 == 0)[None, :] & keep
+            expect(np.abs(far - np.where(wanted[keep][b], scan["range"][hit][a] + 1.5, 0)).max() < 1e-4, f"{name}, frame {k}: second returns")
+        if rows is not None:
+            place, yaw = lidar(1e-9 * (zero_ns - T0) + frame["time_s"])
+            expect(abs(rows[k, 0] - frame["time_s"]) < 1e-9 and np.abs(rows[k, 1:4] - place).max() < 1e-6, f"{name}, frame {k}: position {rows[k]}")
+            expect(np.abs(rows[k, 4:] - [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]).max() < 1e-7, f"{name}, frame {k}: heading {rows[k]}")
+    print(f"{name}: {n_frames} frames as written")
+    return head
+
+
+def test_mcap():
+    bag = WORK / "velodyne.mcap"
+    bags.write_mcap(bag, log(velodyne), compression="zstd", chunk=7)
+    head = check("MCAP, zstd, Velodyne, /tf", bag, stamps="last")
+    notes = "\n".join(head["notes"])
+    for text in ("topic /points: sensor_msgs/PointCloud2, 5 messages", "frame 'lidar'", "ring U16", "/chatter", "'map' from /tf", ": used",
+                 "times of points in s, from the stamp"):
+        expect(text in notes, f"info does not say '{text}':\n{notes}")
+    bag = WORK / "ouster.mcap"
+    bags.write_mcap(bag, log(ouster, "odometry"), compression="lz4", chunk=3, end=False)
+    check("MCAP, lz4, Ouster organised, Odometry", bag)
+    bag = WORK / "hesai.mcap"
+    bags.write_mcap(bag, log(hesai, "pose", big=True), form="cdr_be")
+    check("MCAP without chunks, big-endian, Hesai, PoseStamped", bag)
+
+
+def test_db3():
+    bag = WORK / "autoware"
+    bag.mkdir()
+    messages = log(autoware)
+    half = len(messages) // 2
+    bags.write_db3(bag / "part_b.db3", messages[half:])
+    bags.write_db3(bag / "part_c.db3", messages[:half])
+    bags.write_metadata(bag, ["part_c.db3", "part_b.db3"])
+    check("split db3, Autoware with second returns", bag, second=True)
+    bag = WORK / "packed"
+    bag.mkdir()
+    bags.write_db3(bag / "packed_0.db3", log(hesai), compressed=True)
+    bags.write_metadata(bag, ["packed_0.db3"], "MESSAGE")
+    check("db3 of compressed messages, Hesai", bag)
+
+
+def test_ros1():
+    for compression in ("none", "bz2", "lz4"):
+        bag = WORK / f"velodyne_{compression}.bag"
+        bags.write_ros1(bag, log(velodyne, slash="/"), compression)
+        check(f"ROS 1, {compression}, Velodyne, frames with a slash", bag, stamps="last")
+
+
+def test_ends():
+    """What a crash leaves: the whole chunks before are the log."""
+    for name, writer in (("cut.mcap", lambda path, m: bags.write_mcap(path, m, compression="zstd", chunk=10)),
+                         ("cut.bag", lambda path, m: bags.write_ros1(path, m, "bz2", chunk=10))):
+        bag = WORK / name
+        writer(bag, log(hesai))
+        bag.write_bytes(bag.read_bytes()[:int(0.8 * bag.stat().st_size)])
+        text = run("info", bag)
+        expect("cut off at byte" in text and "frames      " in text, f"{name}: {text}")
+    bag = WORK / "damaged.mcap"
+    bags.write_mcap(bag, log(hesai), compression="", chunk=10)
+    data = bytearray(bag.read_bytes())
+    data[len(data) // 2] ^= 1
+    bag.write_bytes(data)
+    expect("checksum" in run("info", bag, code=3), "a damaged chunk is not told")
+    expect("left out" in run("info", bag, "--set", "dataset.skip_broken=true"), "a damaged chunk is not left out")
+    data = WORK / "empty.mcap"
+    bags.write_mcap(data, [("/chatter", "std_msgs/String", T0, {"data": "x"})])
+    expect("/chatter (std_msgs/String)" in run("info", data, code=3), "a bag without clouds")
+
+
+def test_two():
+    """Two LiDARs, the second 30 ms later and mounted elsewhere: one sweep has both."""
+    second = {"offset_ns": 30_000_000, "mount": np.array([-1.0, 0.2, 2.0]), "yaw": -0.5}
+    messages = poses("tf") + [("/tf_static", "tf2_msgs/TFMessage", T0, {"transforms": [transform(0, "base_link", "rear", second["mount"], -0.5)]})]
+    for k in range(N):
+        for topic, frame, given in (("/front", "lidar", {}), ("/rear", "rear", second)):
+            stamp, value = velodyne(k, frame, **given)
+            messages.append((topic, "sensor_msgs/PointCloud2", stamp, value))
+    messages.sort(key=lambda m: m[2])
+    bag = WORK / "two.mcap"
+    bags.write_mcap(bag, messages, compression="lz4", chunk=4)
+    folder, head = converted(bag)
+    expect([l["name"] for l in head["lidars"]] == ["/front", "/rear"], f"LiDARs {head['lidars']}")
+    expect([(f["number"], f["lidar"]) for f in head["frames"]] == [(k, l) for k in range(N) for l in ("/front", "/rear")], "frames of two LiDARs")
+    zero_s = 1e-9 * sweep(0)[1][0, -1]
+    for f in head["frames"]:
+        given = {} if f["lidar"] == "/front" else second
+        scan = np.load(folder / f["scan"])
+        hit = scan["range"] > 0
+        p, t, _ = sweep(f["number"], **given)
+        t = np.sort(t[np.isfinite(p[..., 0])])
+        found = np.sort(scan["time"][hit].astype(float) + f["time_s"] + zero_s)
+        expect(len(found) == len(t) and np.abs(found - 1e-9 * t).max() < 1e-6, "times of two LiDARs")
+    mount = head["lidars"][1]["vehicle_from_sensor"]
+    expect(np.abs(np.array(mount["translation"]) - second["mount"]).max() < 1e-9, f"mounting {mount}")
+    check("one of two by dataset.lidars", bag, stamps="last", more=("--set", "dataset.lidars=/front"))
+    expect("/middle" in run("info", bag, "--set", "dataset.lidars=/middle", code=2), "a topic that is not there")
+
+
+def test_poses():
+    bag = WORK / "nowhere.mcap"
+    bags.write_mcap(bag, [m for m in log(hesai) if m[0] != "/tf"])
+    check("no poses", bag, poses_there=False)
+    expect("found from the scans" in run("info", bag), "a bag without poses")
+    bag = WORK / "choice.mcap"
+    bags.write_mcap(bag, log(hesai) + poses("odometry")[1:])
+    check("poses of a topic", bag, more=("--set", "dataset.poses_from=/odometry"))
+    expect("/odometry" in run("info", bag, "--set", "dataset.poses_from=/gps", code=2), "poses of a topic that is not there")
+    shifted = [(m[0], m[1], m[2], dict(m[3])) for m in log(hesai)]
+    for m in shifted:   # the sensor's clock is an hour behind
+        if m[0] == "/points":
+            m[3]["header"] = {"stamp": m[3]["header"]["stamp"] - 3600 * 10**9, "frame_id": "lidar"}
+    bags.write_mcap(WORK / "clocks.mcap", shifted)
+    expect("different clocks" in run("info", WORK / "clocks.mcap"), "clocks that do not go together")
+
+
+def test_livox():
+    """Petals of a Livox have lines, but none of one elevation."""
+    rng, messages = np.random.default_rng(1), poses("tf")
+    kept = []
+    for k in range(N):
+        az, el = rng.uniform(-0.6, 0.6, 3000), rng.uniform(-0.4, 0.4, 3000)
+        d = np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)], -1)
+        p = (d * rng.uniform(5, 30, 3000)[:, None]).astype("f4")
+        kept.append(p)
+        stamp = T0 + k * STEP
+        points = [{"offset_time": 33_000 * n, "x": q[0], "y": q[1], "z": q[2], "reflectivity": n % 256, "tag": 0, "line": n % 6}
+                  for n, q in enumerate(p)]
+        messages.append(("/livox/lidar", "livox_ros_driver2/CustomMsg", stamp, {
+            "header": {"stamp": stamp, "frame_id": "lidar"}, "timebase": stamp, "point_num": 3000, "lidar_id": 1, "rsvd": [0] * 3,
+            "points": points}))
+    messages.sort(key=lambda m: m[2])
+    for name, write in (("livox.mcap", lambda path: bags.write_mcap(path, messages)), ("livox.bag", lambda path: bags.write_ros1(path, messages))):
+        write(WORK / name)
+        folder, head = converted(WORK / name)
+        for k, f in enumerate(head["frames"]):
+            scan = np.load(folder / f["scan"])
+            expect(scan["range"].size == 3000, f"{name}: {scan['range'].size} rays")
+            found = (scan["origin"] + scan["range"][..., None] * scan["directions"]).reshape(-1, 3)
+            expect(np.abs(found - kept[k]).max() < 1e-4, f"{name}: points differ")
+            expect(np.abs(scan["time"].ravel() - 33e-6 * np.arange(3000)).max() < 1e-6, f"{name}: times differ")
+        expect(not head["lidars"][0]["spins"], f"{name}: it spins")
+
+
+def packets_of(dual, product=0x22, n=170, lost=()):
+    """A VLP-16 that turns in 0.1 s from straight ahead on, by its manual. Truth: firing time, azimuth, laser, range, reflectivity, second."""
+    order = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15]
+    out, truth = [], []
+    firing = 0
+    for k in range(n):
+        body, start_us = bytearray(), firing * 55.296
+        for b in range(0, 12, 2 if dual else 1):
+            az = round(firing * 55.296e-6 * 3600 * 100) % 36000
+            blocks = [bytearray(struct.pack("<HH", 0xEEFF, az)) for _ in range(2 if dual else 1)]
+            for f in (0, 1):
+                for laser in range(16):
+                    seen = (firing + laser) % 3 > 0
+                    mm = 4000 + 20 * laser + 2 * (firing % 500) if seen else 0
+                    two = dual and seen and firing % 5 == 0
+                    # the last return is the brighter one, so that the second block has the next strongest
+                    values = [(mm, 90), (mm - 1500 if two else mm, 40 if two else 90)] if dual else [(mm, 90)]
+                    for block, (value, bright) in zip(blocks, values):
+                        block += struct.pack("<HB", value // 2, bright if value else 0)
+                    if seen:
+                        t_us = firing * 55.296 + laser * 2.304
+                        truth.append((k, t_us * 1e-6, t_us * 1e-6 * 3600, order[laser], mm / 1000, 90, 0))
+                        if two:
+                            truth.append((k, t_us * 1e-6, t_us * 1e-6 * 3600, order[laser], (mm - 1500) / 1000, 40, 1))
+                firing += 1
+            for block in blocks:
+                body += block
+        body += struct.pack("<IBB", round(start_us + 3599_950_000) % 3_600_000_000, 0x39 if dual else 0x37, product)
+        if k not in lost:
+            out.append({"stamp": T0 + round(start_us * 1000), "data": list(body)})
+    return out, np.array([t for t in truth if t[0] not in lost])
+
+
+def test_packets():
+    for dual, lost in ((False, ()), (True, ()), (False, (100, 101))):
+        name = f"packets of a VLP-16, {2 if dual else 1} returns{', two packets lost' if lost else ''}"
+        packets, truth = packets_of(dual, n=340 if dual else 170, lost=lost)
+        messages = [("/velodyne_packets", "velodyne_msgs/VelodyneScan", T0 + i, {"header": {"stamp": T0, "frame_id": "velodyne"}, "packets": packets[i:i + 40]})
+                    for i in range(0, len(packets), 40)]
+        bag = WORK / "packets.mcap"
+        bags.write_mcap(bag, messages, form="ros1" if lost else "cdr")
+        folder, head = converted(bag)
+        # whole turns from behind to behind: of 170 packets, 0.2256 s, the one from 0.05 to 0.15 s
+        expect(len(head["frames"]) == 1, f"{name}: {len(head['frames'])} turns")
+        text = head["conventions"].split("0 s is ")[1].split()[0]
+        zero_s = int(text.split(".")[0]) - T0 // 10**9 + float("0." + text.split(".")[1]) - 1e-9 * (T0 % 10**9)
+        expect(abs(zero_s - 0.1) < 5e-6, f"{name}: it faces forward at {zero_s} s")
+        scan = np.load(folder / head["frames"][0]["scan"])
+        expect(scan["range"].shape[0] == 16 and 1808 <= scan["range"].shape[1] <= 1812, f"{name}: an image of {scan['range'].shape}")
+        rows = []
+        for k in ("", "_2") if dual else ("",):
+            hit = scan["range" + k] > 0
+            d = scan["directions"][hit].astype(float)
+            rows.append(np.column_stack([scan["time"][hit] + zero_s, np.degrees(np.arctan2(d[:, 1], d[:, 0])), np.degrees(np.arcsin(d[:, 2])),
+                                         scan["range" + k][hit], 255 * scan["intensity" + k][hit], np.full(hit.sum(), k != "")]))
+        found = np.concatenate(rows)
+        tick = lambda t: np.rint(t / 2.304e-6).astype(int)   # a firing is 24 of them
+        # a turn of fewer firings than columns repeats some of them
+        found = found[np.unique(np.column_stack([tick(found[:, 0]), found[:, 5]]), axis=0, return_index=True)[1]]
+        firing_s = np.floor(truth[:, 1] / 55.296e-6 + 1e-6) * 55.296e-6
+        turn = truth[(firing_s * 3600 >= 180 - 1e-3) & (firing_s * 3600 < 540 - 1e-3)]
+        turn = turn[np.lexsort((turn[:, 6], tick(turn[:, 1])))]
+        expect(abs(len(found) - len(turn)) <= 40, f"{name}: {len(found)} returns, expected {len(turn)}")
+        both = sorted(set(tick(found[:, 0])) & set(tick(turn[:, 1])))
+        found, turn = [a[np.isin(tick(a[:, c]), both)] for a, c in ((found, 0), (turn, 1))]
+        expect(np.abs(found[:, 0] - turn[:, 1]).max() < 1e-6, f"{name}: times")
+        expect(len(found) == len(turn) > 9000, f"{name}: {len(found)} returns at times of {len(turn)}")
+        expect(np.abs((-found[:, 1] - turn[:, 2] + 180) % 360 - 180).max() < 0.012, f"{name}: azimuths")
+        for c, of, most, what in ((2, 3, 1e-4, "elevations"), (3, 4, 1e-5, "ranges"), (4, 5, 1e-4, "reflectivities"), (5, 6, 0, "returns")):
+            expect(np.abs(found[:, c] - turn[:, of]).max() <= most, f"{name}: {what}")
+        text = "\n".join(head["notes"])
+        expect(("2 packets are missing" in text) == bool(lost), f"{name}: {text}")
+        print(f"{name}: {len(found)} returns as written")
+    packets, _ = packets_of(False, product=0x28, n=5)
+    bags.write_mcap(bag, [("/velodyne_packets", "velodyne_msgs/VelodyneScan", T0, {"header": {"stamp": T0, "frame_id": "velodyne"}, "packets": packets})])
+    expect("VLP-32C" in run("info", bag, code=3), "packets of another product")
+    bags.TYPES["pandar_msgs/PandarScan"] = bags.TYPES["std_msgs/String"]
+    bags.write_mcap(bag, [("/pandar_packets", "pandar_msgs/PandarScan", T0, {"data": "x"})])
+    expect("nebula makes clouds of" in run("info", bag, code=3), "packets that are not decoded")
+
+
+shutil.rmtree(WORK, ignore_errors=True)
+WORK.mkdir(parents=True)
+for test in (test_mcap, test_db3, test_ros1, test_ends, test_two, test_poses, test_livox, test_packets):
+    test()
+print("done")

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of ROS by their specifications (mcap.dev/spec, rosbag2's tables, wiki.ros.org/Bags/Format/2.0, CDR of the OMG), for tests: nothing
+of relidar is in them. A message is (topic, type, time in ns, value); values are nested dicts as the definitions have them."""
+import bz2
+import sqlite3
+import struct
+import subprocess
+
+HEADER = [("stamp", "time"), ("frame_id", "string")]
+POSE = [("position", [("x", "d"), ("y", "d"), ("z", "d")]), ("orientation", [("x", "d"), ("y", "d"), ("z", "d"), ("w", "d")])]
+TRANSFORM = [("header", HEADER), ("child_frame_id", "string"), ("transform", POSE)]
+COVARIANCE = ("covariance", ("d", 36))
+TWIST = [("linear", POSE[0][1]), ("angular", POSE[0][1])]
+FIELD = [("name", "string"), ("offset", "I"), ("datatype", "B"), ("count", "I")]
+LIVOX = [("offset_time", "I"), ("x", "f"), ("y", "f"), ("z", "f"), ("reflectivity", "B"), ("tag", "B"), ("line", "B")]
+PACKET = [("stamp", "time"), ("data", ("B", 1206))]
+TYPES = {
+    "sensor_msgs/PointCloud2": [("header", HEADER), ("height", "I"), ("width", "I"), ("fields", [FIELD]), ("is_bigendian", "B"),
+                                ("point_step", "I"), ("row_step", "I"), ("data", "bytes"), ("is_dense", "B")],
+    "tf2_msgs/TFMessage": [("transforms", [TRANSFORM])],
+    "nav_msgs/Odometry": [("header", HEADER), ("child_frame_id", "string"), ("pose", [("pose", POSE), COVARIANCE]),
+                          ("twist", [("twist", TWIST), COVARIANCE])],
+    "geometry_msgs/PoseStamped": [("header", HEADER), ("pose", POSE)],
+    "livox_ros_driver2/CustomMsg": [("header", HEADER), ("timebase", "Q"), ("point_num", "I"), ("lidar_id", "B"), ("rsvd", ("B", 3)),
+                                    ("points", [LIVOX])],
+    "velodyne_msgs/VelodyneScan": [("header", HEADER), ("packets", [PACKET])],
+    "std_msgs/String": [("data", "string")],
+}
+TYPES["tf/tfMessage"] = TYPES["tf2_msgs/TFMessage"]
+
+
+class Serial:
+    """CDR in either order of bytes, or what ROS 1 packs."""
+
+    def __init__(self, form):
+        self.form, self.out = form, bytearray()
+        self.order = ">" if form == "cdr_be" else "<"
+
+    def number(self, code, value):
+        size = struct.calcsize(code)
+        if self.form != "ros1":
+            self.out += bytes(-len(self.out) % size)
+        self.out += struct.pack(self.order + code, value)
+
+    def put(self, kind, value, name=""):
+        if kind == "string":
+            text = value.encode() + (b"" if self.form == "ros1" else b"\0")
+            self.number("I", len(text))
+            self.out += text
+        elif kind == "bytes":
+            self.number("I", len(value))
+            self.out += value
+        elif kind == "time":
+            self.number("I", value // 10**9)
+            self.number("I", value % 10**9)
+        elif isinstance(kind, str):
+            self.number(kind, value)
+        elif isinstance(kind, tuple):       # a list of fixed length
+            for item in value:
+                self.number(kind[0], item)
+        elif isinstance(kind[0], list):     # a list of any length
+            self.number("I", len(value))
+            for item in value:
+                self.put(kind[0], item)
+        else:
+            if kind is HEADER and self.form == "ros1":
+                self.number("I", 7)         # seq
+            for field, of in kind:
+                self.put(of, value[field], field)
+
+
+def message_bytes(type_name, value, form):
+    serial = Serial(form)
+    serial.put(TYPES[type_name], value)
+    head = {"cdr": b"\0\1\0\0", "cdr_be": b"\0\0\0\0", "ros1": b""}[form]
+    return head + bytes(serial.out)
+
+
+def packed(compression, data):
+    """By the programs of their makers, or bz2 of Python."""
+    if compression in ("", "none"):
+        return data
+    if compression == "bz2":
+        return bz2.compress(data)
+    return subprocess.run([compression, "-c", "-q"], input=data, capture_output=True, check=True).stdout
+
+
+def text(value):
+    value = value.encode()
+    return struct.pack("<I", len(value)) + value
+
+
+def long_name(type_name):
+    return type_name.replace("/", "/msg/")
+
+
+def write_mcap(path, messages, form="cdr", compression="", chunk=None, crc=True, end=True):
+    """chunk: messages in one; None: no chunks. end: a data end and a footer, neither index nor summary."""
+    import zlib
+    encoding = "ros1" if form == "ros1" else "cdr"
+    record = lambda code, body: struct.pack("<BQ", code, len(body)) + body
+    out = bytearray(b"\x89MCAP0\r\n" + record(1, text("ros2") + text("test")))
+    channels, pending = {}, bytearray()
+    held = 0
+
+    def flush():
+        nonlocal pending, held
+        data = bytes(pending)
+        body = packed(compression, data)
+        out.extend(record(6, struct.pack("<QQQI", 0, 0, len(data), zlib.crc32(data) if crc else 0) + text(compression) +
+                          struct.pack("<Q", len(body)) + body))
+        out.extend(record(7, struct.pack("<HI", 1, 0)))   # an index of nothing: to be passed over
+        pending, held = bytearray(), 0
+
+    for topic, type_name, time_ns, value in messages:
+        records = bytearray()
+        if topic not in channels:
+            number = channels[topic] = len(channels) + 1
+            records += record(3, struct.pack("<H", number) + text(long_name(type_name)) + text("ros2msg") + text("string data"))
+            records += record(4, struct.pack("<HH", number, number) + text(topic) + text(encoding) + struct.pack("<I", 0))
+        records += record(5, struct.pack("<HIQQ", channels[topic], 0, time_ns, time_ns) + message_bytes(type_name, value, form))
+        if chunk is None:
+            out.extend(records)
+            continue
+        pending += records
+        held += 1
+        if held == chunk:
+            flush()
+    if held:
+        flush()
+    if end:
+        out.extend(record(15, struct.pack("<I", 0)) + record(2, struct.pack("<QQI", 0, 0, 0)) + b"\x89MCAP0\r\n")
+    path.write_bytes(out)
+
+
+def write_db3(path, messages, form="cdr", compressed=False):
+    path.unlink(missing_ok=True)
+    base = sqlite3.connect(path)
+    base.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY,name TEXT NOT NULL,type TEXT NOT NULL,serialization_format TEXT NOT NULL,"
+                 "offered_qos_profiles TEXT NOT NULL)")
+    base.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER NOT NULL,timestamp INTEGER NOT NULL, data BLOB NOT NULL)")
+    topics = {}
+    for topic, type_name, time_ns, value in messages:
+        if topic not in topics:
+            topics[topic] = len(topics) + 1
+            base.execute("INSERT INTO topics VALUES (?,?,?,'cdr','')", (topics[topic], topic, long_name(type_name)))
+        data = message_bytes(type_name, value, form)
+        if compressed:
+            data = subprocess.run(["zstd", "-c", "-q", f"--stream-size={len(data)}"], input=data, capture_output=True, check=True).stdout
+        base.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (?,?,?)", (topics[topic], time_ns, data))
+    base.commit()
+    base.close()
+
+
+def write_metadata(folder, files, mode=""):
+    lines = ["rosbag2_bagfile_information:", "  version: 5", "  storage_identifier: sqlite3", "  relative_file_paths:"]
+    lines += [f"    - {name}" for name in files]
+    lines += ["  duration:", "    nanoseconds: 1", f'  compression_format: "{"zstd" if mode else ""}"', f'  compression_mode: "{mode}"']
+    (folder / "metadata.yaml").write_text("\n".join(lines) + "\n")
+
+
+def write_ros1(path, messages, compression="none", chunk=5):
+    """Neither index nor counts: as `rosbag record` leaves a bag that was interrupted."""
+    def fields(**values):
+        out = bytearray()
+        for name, value in values.items():
+            item = name.encode() + b"=" + value
+            out += struct.pack("<I", len(item)) + item
+        return struct.pack("<I", len(out)) + out
+
+    sized = lambda data: struct.pack("<I", len(data)) + data
+    out = bytearray(b"#ROSBAG V2.0\n")
+    out += fields(op=b"\3", index_pos=struct.pack("<Q", 0), conn_count=struct.pack("<I", 0), chunk_count=struct.pack("<I", 0)) + sized(b" " * 4027)
+    connections, pending, held = {}, bytearray(), 0
+
+    def flush():
+        nonlocal pending, held
+        data = bytes(pending)
+        out.extend(fields(op=b"\5", compression=compression.encode(), size=struct.pack("<I", len(data))) + sized(packed(compression, data)))
+        pending, held = bytearray(), 0
+
+    for topic, type_name, time_ns, value in messages:
+        if topic not in connections:
+            connections[topic] = len(connections)
+            number = struct.pack("<I", connections[topic])
+            about = fields(topic=topic.encode(), type=type_name.encode(), md5sum=b"0" * 32, message_definition=b"string data")
+            pending += fields(op=b"\7", conn=number, topic=topic.encode()) + about
+        number = struct.pack("<I", connections[topic])
+        time = struct.pack("<II", time_ns // 10**9, time_ns % 10**9)
+        pending += fields(op=b"\2", conn=number, time=time) + sized(message_bytes(type_name, value, "ros1"))
+        held += 1
+        if held == chunk:
+            flush()
+    if held:
+        flush()
+    path.write_bytes(out)
