@@ -35,6 +35,25 @@ void remove_temporaries(const std::filesystem::path& folder);
 /// Writes a text through write_atomically.
 void write_text(const std::filesystem::path& path, const std::string& text);
 
+/// A folder that is filled beside its name and gets it when it is complete; what has the name goes away then. Where finish() is not reached
+/// nothing is left; what a killed process left of the same name is removed by the next one.
+class StagedFolder {
+public:
+    /// @throws DataError where the folder cannot be made
+    explicit StagedFolder(const std::filesystem::path& wanted);
+    ~StagedFolder();
+    StagedFolder(const StagedFolder&) = delete;
+    StagedFolder& operator=(const StagedFolder&) = delete;
+
+    const std::filesystem::path& path() const { return path_; }     ///< to write into, until it is finished
+    const std::filesystem::path& wanted() const { return wanted_; }  ///< its name, absolute
+    /// @throws DataError where it cannot be renamed; what had the name stays
+    void finish() const;
+
+private:
+    std::filesystem::path wanted_, path_;
+};
+
 /// An n-dimensional array of an npz or safetensors file, row-major, little-endian.
 struct NamedArray {
     std::string name;

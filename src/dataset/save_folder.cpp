@@ -1,11 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A log as a plain folder. It is written beside its name and then renamed, so that no partial one ever has it.
+// A log as a plain folder.
 #include <relidar/dataset.hpp>
 
 #include <cmath>
-#include <system_error>
-
-#include <unistd.h>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
@@ -160,40 +157,6 @@ std::string boxes_text(const Sequence& sequence) {
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
-/// A folder beside the wanted one, removed unless it got its name.
-class UnfinishedFolder {
-public:
-    explicit UnfinishedFolder(const fs::path& wanted)
-        : path_(wanted.parent_path() / fmt::format(".{}.tmp-{}", wanted.filename().string(), ::getpid())) {
-        std::error_code failed;
-        fs::remove_all(path_, failed);
-        fs::create_directories(path_ / "scans", failed);
-        if (failed) throw DataError(fmt::format("{}: cannot be made a folder: {}", path_.string(), failed.message()));
-    }
-    ~UnfinishedFolder() {
-        std::error_code failed;
-        fs::remove_all(path_, failed);
-    }
-    UnfinishedFolder(const UnfinishedFolder&) = delete;
-    UnfinishedFolder& operator=(const UnfinishedFolder&) = delete;
-
-    const fs::path& path() const { return path_; }
-
-    /// What has the name goes away once the new one is in its place.
-    void finish(const fs::path& wanted) {
-        const fs::path old = path_.string() + "-old";
-        std::error_code failed, ignored;
-        if (path_exists(wanted)) fs::rename(wanted, old, failed);
-        if (!failed) fs::rename(path_, wanted, failed);
-        if (failed) fs::rename(old, wanted, ignored);
-        if (failed) throw DataError(fmt::format("{}: renaming what was written: {}", wanted.string(), failed.message()));
-        fs::remove_all(old, ignored);
-    }
-
-private:
-    fs::path path_;
-};
-
 void check_place(const fs::path& folder, bool overwrite) {
     if (!path_exists(folder) || (fs::is_directory(folder) && list_folder(folder).empty())) return;
     if (!fs::is_directory(folder) || !path_exists(folder / folder::kHeadFile))
@@ -207,18 +170,19 @@ void check_place(const fs::path& folder, bool overwrite) {
 void save_folder(const Sequence& sequence, const fs::path& given, const FolderOptions& options) {
     const fs::path wanted = (fs::absolute(given) / "").lexically_normal().parent_path();
     check_place(wanted, options.overwrite);
-    UnfinishedFolder unfinished(wanted);
+    const StagedFolder staged(wanted);
+    fs::create_directory(staged.path() / "scans");
     for_each_told(sequence.frames.size(), options.progress, "writing scans", [&](std::size_t i) {
         const Frame& frame = sequence.frames[i];
-        folder::write_scan_npz(unfinished.path() / scan_name(sequence, frame), frame.scan);
+        folder::write_scan_npz(staged.path() / scan_name(sequence, frame), frame.scan);
     });
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
         if (const Lidar& lidar = sequence.lidars[l]; lidar.pattern)
-            write_text(unfinished.path() / pattern_name(l), pattern_json(*lidar.pattern, lidar.sensor.range_limits()).dump(1) + "\n");
-    if (options.poses) write_text(unfinished.path() / folder::kPosesFile, poses_text(sequence));
-    if (!sequence.boxes.empty()) write_text(unfinished.path() / folder::kBoxesFile, boxes_text(sequence));
-    write_text(unfinished.path() / folder::kHeadFile, head_text(sequence));
-    unfinished.finish(wanted);
+            write_text(staged.path() / pattern_name(l), pattern_json(*lidar.pattern, lidar.sensor.range_limits()).dump(1) + "\n");
+    if (options.poses) write_text(staged.path() / folder::kPosesFile, poses_text(sequence));
+    if (!sequence.boxes.empty()) write_text(staged.path() / folder::kBoxesFile, boxes_text(sequence));
+    write_text(staged.path() / folder::kHeadFile, head_text(sequence));
+    staged.finish();
 }
 
 }  // namespace relidar

@@ -5,6 +5,10 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
 #include "../support/file_size_limit.hpp"
 #include "temporary_folder.hpp"
 
@@ -96,7 +100,7 @@ TEST_F(AtomicFile, NamesAFolderThatCannotBeWritten) {
 
 TEST_F(AtomicFile, NamesAFileSystemThatCannotBeWritten) {
     if (!fs::is_directory("/proc/self")) GTEST_SKIP() << "no /proc";
-    const std::string message = data_error([&] { write_text("/proc/relidar.txt", "x"); });   // refused to root as well
+    const std::string message = data_error([&] { write_text("/proc/relidar.txt", "x"); });  // refused to root as well
     EXPECT_NE(message.find("/proc/relidar.txt"), std::string::npos) << message;
 }
 
@@ -106,7 +110,7 @@ TEST_F(AtomicFile, LeftoversOfAKilledProcessAreRemoved) {
     remove_temporaries(folder);
     remove_temporaries(folder / "nowhere");
     EXPECT_EQ(files().size(), 5u);
-    pid_t child = ::fork();   // the names are those that really are left behind
+    pid_t child = ::fork();  // the names are those that really are left behind
     if (child == 0) write_atomically(folder / "b.txt", [](const fs::path& temporary) { put(temporary, "half"), ::_exit(0); });
     ::waitpid(child, nullptr, 0);
     EXPECT_EQ(files().size(), 6u);
@@ -114,22 +118,72 @@ TEST_F(AtomicFile, LeftoversOfAKilledProcessAreRemoved) {
     EXPECT_EQ(files().size(), 5u);
 }
 
+using StagedFolders = TemporaryFolder;
+
+TEST_F(StagedFolders, AppearWhenTheyAreFinished) {
+    {
+        const StagedFolder staged(folder / "log" / "");
+        write_text(staged.path() / "a.txt", "first");
+        EXPECT_FALSE(fs::exists(folder / "log"));
+        staged.finish();
+    }
+    EXPECT_EQ(contents(folder / "log/a.txt"), "first");
+    {
+        const StagedFolder staged(folder / "log");
+        write_text(staged.path() / "b.txt", "second");
+        EXPECT_EQ(contents(folder / "log/a.txt"), "first");
+        staged.finish();
+    }
+    EXPECT_EQ(contents(folder / "log/b.txt"), "second");
+    EXPECT_FALSE(fs::exists(folder / "log/a.txt")) << "the new one is in the place of the old one";
+    EXPECT_EQ(files(), std::vector<std::string>{"log"});
+}
+
+TEST_F(StagedFolders, LeaveNothingWhereTheyAreNotFinished) {
+    fs::create_directory(folder / "log");
+    put(folder / "log/a.txt", "first");
+    {
+        const StagedFolder staged(folder / "log");
+        write_text(staged.path() / "b.txt", "second");
+    }
+    EXPECT_EQ(files(), std::vector<std::string>{"log"});
+    EXPECT_EQ(contents(folder / "log/a.txt"), "first");
+    put(folder / "file", "");
+    EXPECT_THROW(StagedFolder(folder / "file" / "log"), DataError);
+}
+
+TEST_F(StagedFolders, OfKilledProcessesAreRemovedByTheNextOfTheName) {
+    const pid_t child = ::fork();
+    if (child == 0) {
+        new StagedFolder(folder / "log");  // as a process that is killed: its destructor does not run
+        ::_exit(0);
+    }
+    ::waitpid(child, nullptr, 0);
+    EXPECT_EQ(files().size(), 1u);
+    fs::create_directory(folder / fmt::format(".log.tmp-{}", ::getppid()));  // of one that runs
+    fs::create_directory(folder / fmt::format(".other.tmp-{}", child));
+    { const StagedFolder staged(folder / "log"); }
+    EXPECT_EQ(files().size(), 2u);
+}
+
 TEST_F(AtomicFile, NoticesAFullDiskInEveryWriter) {
     std::vector<float> noise(64 * 64);
-    for (std::size_t i = 0; i < noise.size(); ++i) noise[i] = float(i * 2654435761u % 65537u) / 65537.0f;   // does not compress
+    for (std::size_t i = 0; i < noise.size(); ++i) noise[i] = float(i * 2654435761u % 65537u) / 65537.0f;  // does not compress
     const NamedArray array = make_array("noise", {64, 64}, noise.data(), noise.size());
     PointCloud cloud{std::vector<glm::vec3>(4096), std::vector<float>(4096), {}, {}};
     Report report;
     report.summary = std::string(20'000, 'x');
     const std::vector<std::function<void(const fs::path&)>> writers = {
-        [&](const fs::path& path) { write_text(path, std::string(5000, 'x')); },         // fails in the last flush
-        [&](const fs::path& path) { write_text(path, std::string(5'000'000, 'x')); },    // fails in the write
+        [&](const fs::path& path) { write_text(path, std::string(5000, 'x')); },       // fails in the last flush
+        [&](const fs::path& path) { write_text(path, std::string(5'000'000, 'x')); },  // fails in the write
         [&](const fs::path& path) { write_npz(path, {array}); },
         [&](const fs::path& path) { write_safetensors(path, {array}, {}); },
         [&](const fs::path& path) { write_ply(path, cloud); },
         [&](const fs::path& path) { write_pcd(path, cloud); },
         [&](const fs::path& path) { write_kitti_bin(path, cloud); },
-        [&](const fs::path& path) { write_exr(path, 64, 64, {{"noise", noise}}); },
+        [&](const fs::path& path) {
+            write_exr(path, 64, 64, {{"noise", noise}});
+        },
         [&](const fs::path& path) { write_png(path, colour_map(noise, 64, 64, 0, 1, "turbo")); },
         [&](const fs::path& path) { write_report(path, report); },
     };

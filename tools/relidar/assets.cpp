@@ -5,8 +5,6 @@
 #include <set>
 #include <system_error>
 
-#include <unistd.h>
-
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
@@ -15,6 +13,7 @@
 #include "console.hpp"
 #include "options.hpp"
 #include <relidar/assets.hpp>
+#include <relidar/export.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -29,34 +28,12 @@ struct AssetOptions {
     bool quiet = false;
 };
 
-/// A folder that gets its name when all that belongs in it is there, and goes away where that does not come to pass.
-class StagedFolder {
-public:
-    explicit StagedFolder(const std::string& out) : final_(fs::absolute(out).lexically_normal()) {
-        if (!final_.has_filename()) final_ = final_.parent_path();
-        std::error_code failed;
-        if (fs::exists(final_, failed) && !fs::is_empty(final_, failed))
-            throw UsageError(fmt::format("--out {}: there is something of that name, expected a new folder", out));
-        staged_ = final_.parent_path() / fmt::format(".{}.tmp-{}", final_.filename().string(), ::getpid());
-        check_writable(staged_);
-    }
-    ~StagedFolder() {
-        std::error_code failed;
-        fs::remove_all(staged_, failed);
-    }
-    StagedFolder(const StagedFolder&) = delete;
-    StagedFolder& operator=(const StagedFolder&) = delete;
-
-    const fs::path& path() const { return staged_; }
-    void finish() const {
-        std::error_code failed;
-        fs::rename(staged_, final_, failed);
-        if (failed) throw DataError(fmt::format("writing {}: {}", final_.string(), failed.message()));
-    }
-
-private:
-    fs::path final_, staged_;
-};
+/// @throws UsageError for a folder that is not new
+void check_new(const std::string& out) {
+    std::error_code failed;
+    if (fs::exists(out, failed) && !fs::is_empty(out, failed))
+        throw UsageError(fmt::format("--out {}: there is something of that name, expected a new folder", out));
+}
 
 std::string sides_text(const AssetFacts& facts) {
     std::string text;
@@ -102,6 +79,7 @@ std::vector<std::string> row_of(const AssetFacts& facts) {
 void run_assets(const AssetOptions& options) {
     if (!(options.least >= 0.0 && options.least <= 1.0))
         throw UsageError(fmt::format("--least: found {}, expected 0 to 1", options.least));
+    check_new(options.out);
     const StagedFolder folder(options.out);
     const Run run = load_run(options.run);
     const std::vector<std::string> tracks = actors_of(run);
