@@ -25,7 +25,8 @@ ChannelValues normals(const Rendering& rendering, const RenderedScan& scan) { re
 
 ChannelValues incidence(const Rendering& rendering, const RenderedScan& scan) {
     std::vector<float> cosine;
-    for (const glm::vec3& normal : seen_normals(rendering, scan)) cosine.push_back(-glm::dot(normal, scan.image.direction[cosine.size()]));
+    for (const glm::vec3& normal : seen_normals(rendering, scan))
+        cosine.push_back(0.0f - glm::dot(normal, scan.image.direction[cosine.size()]));
     return cosine;
 }
 

@@ -43,6 +43,7 @@ constexpr PacketDriver kDrivers[] = {
 /// Why messages that might have been clouds are none.
 std::string broken_text(const Bag& bag, const Survey& survey) {
     std::string text;
+    for (const std::string& note : bag.notes()) text += fmt::format(" ({})", note);
     for (const Topic& topic : bag.topics())
         for (const PacketDriver& known : kDrivers)
             if (topic.type.starts_with(known.package))
