@@ -85,7 +85,7 @@ def check_scan(folder, summary, scan):
     for name, cloud in (("ply", ply), ("pcd", pcd)):
         of_normals = NORMAL_FIELDS[name] if "normal" in npz else ()
         of_spread = ("spread",) if "spread" in npz else ()
-        check(f"{stem}.{name}: fields", cloud.dtype.names == ("x", "y", "z", "intensity", "ring", "time", "instance") + of_spread + of_normals)
+        check(f"{stem}.{name}: fields", cloud.dtype.names == ("x", "y", "z", "intensity", "ring", "time", "instance") + of_normals + of_spread)
         for axis, field in enumerate(of_normals):
             check(f"{stem}.{name}: {field}", np.array_equal(cloud[field], npz["normal"][kept][:, axis]))
         check(f"{stem}.{name}: points", np.allclose(xyz(cloud), points, atol=1e-5))

@@ -111,10 +111,10 @@ goes_on() {
 
 # Told to stop in the middle of a training, it goes on from the checkpoint.
 interrupted() {
-    local long=(tables paper --waymo waymo --out told --parts ws1 "${tiny[@]}" --set train.iterations=100 --set train.log_every=1)
+    local long=(tables paper --waymo waymo --out told --parts ws1 "${tiny[@]}" --set train.iterations=400 --set train.log_every=1)
     "$relidar" "${long[@]}" >out 2>err &
     for _ in $(seq 300); do
-        ! grep -Eq '^iteration [0-9]+/100' told/ws1-quick/batch.log 2>/dev/null || break
+        ! grep -Eq '^iteration [0-9]+/400' told/ws1-quick/batch.log 2>/dev/null || break
         sleep 0.1
     done
     kill -TERM $!
