@@ -82,6 +82,15 @@ std::vector<ChannelNumber> numbers_of(const std::vector<ScanChannel>& channels, 
 /// Appends what the channels say of one ray or point, 4 bytes a number, as they lie in memory.
 void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t at);
 
+/// What a channel says where nothing was met, or nothing is known.
+template <class T>
+T nothing_of(const ChannelInfo& channel) {
+    return T(static_cast<float>(channel.none));
+}
+
+/// Appends what a channel of rays says of a return: of a second one what is known of the ray. @param number  of the return, from 1
+void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size_t ray, int number);
+
 /// @throws DataError where a channel has no name that files can have, one that another has, or another number of values than there are
 /// @param what  the rays or points, for the message
 void check_channels(const std::vector<ScanChannel>& channels, std::size_t n, const std::string& what);

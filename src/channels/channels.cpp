@@ -109,6 +109,14 @@ void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, st
     for (const ScanChannel& channel : channels) std::visit([&](const auto& values) { append(bytes, values[at]); }, channel.values);
 }
 
+void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size_t ray, int number) {
+    const ChannelInfo& channel = of_rays.info;
+    const auto append_one = [&]<class T>(const std::vector<T>& values) {
+        std::get<std::vector<T>>(of_points.values).push_back(number == 1 || channel.of_ray ? values[ray] : nothing_of<T>(channel));
+    };
+    std::visit(append_one, of_rays.values);
+}
+
 void check_channels(const std::vector<ScanChannel>& channels, std::size_t n, const std::string& what) {
     std::set<std::string> taken = {"range_2", "intensity_2", "return", "x", "y", "z"};
     for (const ChannelInfo& basic : file_channels()) taken.insert(basic.name);

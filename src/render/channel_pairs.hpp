@@ -37,10 +37,4 @@ void for_each_pair(const RenderedScan& from, RenderedScan& to, Visit&& visit) {
     }
 }
 
-/// What a channel says where there is nothing to say. @param values  of the channel, for the type
-template <class T>
-T nothing_of(const ChannelInfo& channel, const std::vector<T>& /*values*/) {
-    return T(static_cast<float>(channel.none));
-}
-
 }  // namespace relidar

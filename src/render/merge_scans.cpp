@@ -25,7 +25,8 @@ void add_channels(RenderedScan& merged, const RenderedScan& scan) {
             std::ranges::find(merged.channels, channel.info.name, [](const ScanChannel& c) -> const std::string& { return c.info.name; });
         if (known == merged.channels.end()) {
             merged.channels.push_back(channel);
-            std::visit([&](auto& values) { values.assign(merged.image.range_m.size(), nothing_of(channel.info, values)); },
+            std::visit(
+                [&]<class T>(std::vector<T>& values) { values.assign(merged.image.range_m.size(), nothing_of<T>(channel.info)); },
                        merged.channels.back().values);
         } else if (known->values.index() != channel.values.index()) {
             throw UsageError(fmt::format("merging scans: found channel {} of two types, expected one", channel.info.name));
@@ -39,7 +40,7 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, std::size_t
     for (auto& [info, values] : merged.channels) {
         const auto add = [&]<class T>(std::vector<T>& all) {
             const std::vector<T>* own = find_values<T>(scan.channels, info.name);
-            for (std::size_t i = 0; i < n; ++i) all.push_back(own ? (*own)[i] : nothing_of(info, all));
+            for (std::size_t i = 0; i < n; ++i) all.push_back(own ? (*own)[i] : nothing_of<T>(info));
             if constexpr (std::is_same_v<T, glm::vec3>)
                 for (std::size_t i = 0; own && info.turns && i < n; ++i) {
                     const glm::dquat turn =

@@ -106,8 +106,9 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     const std::size_t n = cells.size();
     check_channels(scan.channels, scan.median_range_m.size(), "a scan that is binned");
     RenderedScan result = empty_scan(cells, scan);
-    for_each_pair(scan, result,
-                  [n](const ChannelInfo& channel, const auto&, auto& of_cells) { of_cells.assign(n, nothing_of(channel, of_cells)); });
+    for_each_pair(scan, result, [n]<class T>(const ChannelInfo& channel, const std::vector<T>&, std::vector<T>& of_cells) {
+        of_cells.assign(n, nothing_of<T>(channel));
+    });
     result.time_offset_s.assign(n, 0.0f);
     std::vector<float> winner_drop(n, 2.0f);  // of the ray that owns a cell so far; 2 = none
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {

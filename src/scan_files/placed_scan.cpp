@@ -19,14 +19,7 @@ void add_point(PointCloud& cloud, const PlacedScan& placed, std::size_t ray, flo
     cloud.ring->push_back(scan.ring[ray]);
     cloud.time->push_back(scan.time_offset_s[ray]);
     cloud.instance->push_back(number == 1 ? scan.instance[ray] : -1);
-    for (std::size_t k = 0; k < cloud.channels.size(); ++k) {
-        auto& [info, values] = cloud.channels[k];
-        const bool is_known = number == 1 || info.of_ray;
-        const auto add = [&, none = static_cast<float>(info.none)]<class T>(std::vector<T>& of_points) {
-            of_points.push_back(is_known ? std::get<std::vector<T>>(placed.channels[k].values)[ray] : T(none));
-        };
-        std::visit(add, values);
-    }
+    for (std::size_t k = 0; k < cloud.channels.size(); ++k) append_return(cloud.channels[k], placed.channels[k], ray, number);
     if (cloud.return_number) cloud.return_number->push_back(static_cast<std::uint8_t>(number));
 }
 

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <bit>
 #include <cstring>
-#include <type_traits>
 
 #include <fmt/format.h>
 
@@ -62,16 +61,10 @@ void write_channels(const std::vector<ScanChannel>& channels, Messages& messages
     }
 }
 
-/// What a channel says of a return. @param number  of the return, from 1
-void add_value(ScanChannel& of_points, const ScanChannel& of_rays, const Deskew& deskew, std::size_t ray, std::uint8_t number) {
-    const ChannelInfo& info = of_rays.info;
-    const auto add = [&]<class T>(const std::vector<T>& values) {
-        T value = number == 1 || info.of_ray ? values[ray] : T(static_cast<float>(info.none));
-        if constexpr (std::is_same_v<T, glm::vec3>)
-            if (info.turns) value = deskew.direction(ray, value);
-        std::get<std::vector<T>>(of_points.values).push_back(value);
-    };
-    std::visit(add, of_rays.values);
+/// Turns the last value of a channel of points into their frame, where it is a direction.
+void turn_last(ScanChannel& of_points, const Deskew& deskew, std::size_t ray) {
+    auto* vectors = std::get_if<std::vector<glm::vec3>>(&of_points.values);
+    if (vectors && of_points.info.turns) vectors->back() = deskew.direction(ray, vectors->back());
 }
 
 void write_points(const RenderedScan& scan, const Pose& dataset_from_points, const Config& config, v1::Points& points) {
@@ -86,7 +79,10 @@ void write_points(const RenderedScan& scan, const Pose& dataset_from_points, con
         append(*points.mutable_time_s(), scan.time_offset_s[ray]);
         append(*points.mutable_return_number(), number);
         append(*points.mutable_instance(), number == 1 ? scan.instance[ray] : std::int32_t(-1));
-        for (std::size_t k = 0; k < channels.size(); ++k) add_value(channels[k], scan.channels[k], deskew, ray, number);
+        for (std::size_t k = 0; k < channels.size(); ++k) {
+            append_return(channels[k], scan.channels[k], ray, number);
+            turn_last(channels[k], deskew, ray);
+        }
         ++n;
     };
     for (std::size_t ray = 0; ray < range_m.size(); ++ray) {
