@@ -73,6 +73,11 @@ struct SceneBlock {
     std::uint32_t count = 0;      ///< of them
     glm::vec3 low_m{0.0f};        ///< [3] corners of the box around them, three standard deviations of each included; world
     glm::vec3 high_m{0.0f};
+
+    /// From a point of the world to the box; 0 inside.
+    double distance_m(const glm::dvec3& point_m) const {
+        return glm::distance(point_m, glm::clamp(point_m, glm::dvec3(low_m), glm::dvec3(high_m)));
+    }
 };
 
 /// Everything that can be rendered.

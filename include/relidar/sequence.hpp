@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include <relidar/math.hpp>
@@ -194,6 +195,10 @@ struct Sequence {
     /// Number of a beam where those of all LiDARs are counted through, in the order of `lidars`; nothing where the LiDAR has no such beam.
     std::optional<std::uint16_t> beam_number(int lidar, std::uint16_t channel) const;
 };
+
+/// The box of an id; null where there is none, and for the empty id, which is the background's.
+const BoxTrack* find_box(const Sequence& sequence, std::string_view id);
+BoxTrack* find_box(Sequence& sequence, std::string_view id);
 
 /// All of a log but its frames.
 Sequence without_frames(const Sequence& sequence);

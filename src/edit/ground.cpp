@@ -175,7 +175,7 @@ Footprint footprint_of(const glm::dvec2& centre_m, double yaw_rad, const glm::dv
 
 const BoxTrack& box_of_actor(const DrivingView& owner, const std::string& track) {
     (void)move_track(DrivingScene{layout_of(owner.scene), owner.sequence}, track, {});   // says what is wrong with the name
-    return *std::ranges::find_if(owner.sequence.boxes, [&](const BoxTrack& b) { return b.id == track; });
+    return *find_box(owner.sequence, track);
 }
 
 /// A rotation that faces in a direction on a plane.

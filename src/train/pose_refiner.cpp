@@ -56,10 +56,8 @@ PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& 
     }
     if (!config.refines("actors")) return;
     for (std::size_t i = 0; i < layout_.instances.size(); ++i) {
-        const auto box = std::find_if(sequence.boxes.begin(), sequence.boxes.end(),
-                                      [&](const BoxTrack& b) { return b.id == layout_.instances[i].track; });
-        if (box != sequence.boxes.end())
-            actors_.push_back({i, std::size_t(box - sequence.boxes.begin()), TrackCorrection(box->world_from_box)});
+        if (const BoxTrack* box = find_box(sequence, layout_.instances[i].track))
+            actors_.push_back({i, std::size_t(box - sequence.boxes.data()), TrackCorrection(box->world_from_box)});
     }
     if (actors_.empty()) return;
     floats_of_instances_ = 6 * layout_.instances.size();

@@ -49,8 +49,7 @@ struct SightedFrame {
     std::vector<Sight> sights;
 
     bool reaches(const SceneBlock& block) const {
-        const glm::dvec3 nearest = glm::clamp(sensor_m, glm::dvec3(block.low_m), glm::dvec3(block.high_m));
-        return block.count > 0 && glm::distance(nearest, sensor_m) <= reach_m + kAlong_m;
+        return block.count > 0 && block.distance_m(sensor_m) <= reach_m + kAlong_m;
     }
 };
 
@@ -75,9 +74,8 @@ SightedFrame sighted(const Run& run, int position, const std::vector<PoseTrack>&
     SightedFrame result{position, world_from_sensor.at(frame.time_s).translation, 0.0, {}};
     for (const float range_m : frame.scan.range_m) result.reach_m = std::max(result.reach_m, double(range_m));
     for (std::size_t i = 0; i < placed.size(); ++i) {
-        const auto box = std::find_if(run.sequence.boxes.begin(), run.sequence.boxes.end(),
-                                      [&](const BoxTrack& b) { return b.id == run.scene.instances[i].track; });
-        if (box == run.sequence.boxes.end() || !placed[i].present) continue;
+        const BoxTrack* box = find_box(run.sequence, run.scene.instances[i].track);
+        if (!box || !placed[i].present) continue;
         const Sight sight{world_from_sensor.at(placed[i].time_s).translation, {inverse(placed[i].world_from_model), 0.5 * box->size_m}};
         if (glm::distance(sight.sensor_m, placed[i].world_from_model.translation) < result.reach_m + 0.5 * glm::length(box->size_m))
             result.sights.push_back(sight);

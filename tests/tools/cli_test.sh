@@ -693,7 +693,7 @@ interruption() {
     absent stopped/.lock
     flock --no-fork stopped/.lock sleep 600 &   # another process, killed: nothing of it stays
     pid=$!
-    sleep 0.2
+    while flock --nonblock stopped/.lock true; do sleep 0.05; done
     bad 3 "stopped: another relidar is writing this run" eval stopped
     kill -KILL $pid
     wait $pid 2>/dev/null

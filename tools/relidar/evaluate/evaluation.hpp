@@ -4,6 +4,8 @@
 
 #include <string>
 
+#include <nlohmann/json_fwd.hpp>
+
 #include <relidar/evaluation.hpp>
 
 namespace relidar::cli {
@@ -25,6 +27,9 @@ std::string metric_table(const Evaluation& evaluation, const Evaluation* baselin
 /// The evaluation of all frames, where each process has scored its share of them: on the first one; elsewhere what was given. Frames of
 /// other processes come without their images.
 Evaluation joined(const Evaluation& mine, const Ranks& ranks);
+
+/// Each scored frame as an object: its number, LiDAR, time, rays, tracing time and metrics. In metrics.json, and from process to process.
+nlohmann::ordered_json frames_json(const Evaluation& evaluation);
 
 /// What a metrics.json needs beside the numbers.
 struct MetricsOrigin {

@@ -55,14 +55,6 @@ Json protocol_json(const Config& config) {
         {"drop_threshold", {{"peer", 0.4}, {"strict", 0.5}, {"regions", 0.5}}}};
 }
 
-Json frames_json(const Evaluation& evaluation) {
-    Json frames = Json::array();
-    for (const ScoredFrame& f : evaluation.frames)
-        frames.push_back(
-            {{"frame", f.frame}, {"lidar", f.lidar}, {"time_s", f.time_s}, {"trace_ms", f.rendered.trace_ms}, {"metrics", f.metrics}});
-    return frames;
-}
-
 bool of_protocol(const std::string& name) {
     return name.starts_with("peer/") || name.starts_with("strict/") || name.starts_with("points/") || name.starts_with("actors/");
 }
@@ -137,6 +129,18 @@ std::string metric_table(const Evaluation& evaluation, const Evaluation* baselin
     if (baseline) text += "\n" + table(region_rows(*baseline));
     return text +
            fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n", kPeer, kStrict, kPoints, kRegions, kActors);
+}
+
+Json frames_json(const Evaluation& evaluation) {
+    Json frames = Json::array();
+    for (const ScoredFrame& f : evaluation.frames)
+        frames.push_back({{"frame", f.frame},
+                          {"lidar", f.lidar},
+                          {"time_s", f.time_s},
+                          {"n_rays", f.n_rays},
+                          {"trace_ms", f.rendered.trace_ms},
+                          {"metrics", f.metrics}});
+    return frames;
 }
 
 std::string metrics_json(const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin) {

@@ -13,18 +13,6 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-std::string to_text(const Evaluation& evaluation) {
-    Json frames = Json::array();
-    for (const ScoredFrame& f : evaluation.frames)
-        frames.push_back({{"frame", f.frame},
-                          {"lidar", f.lidar},
-                          {"time_s", f.time_s},
-                          {"n_rays", f.n_rays},
-                          {"trace_ms", f.rendered.trace_ms},
-                          {"metrics", f.metrics}});
-    return frames.dump();
-}
-
 void add_frames(std::vector<ScoredFrame>& frames, const std::string& text) {
     for (const Json& json : Json::parse(text)) {
         ScoredFrame& frame = frames.emplace_back();
@@ -41,7 +29,7 @@ void add_frames(std::vector<ScoredFrame>& frames, const std::string& text) {
 
 Evaluation joined(const Evaluation& mine, const Ranks& ranks) {
     if (ranks.size() == 1) return mine;
-    const std::vector<std::string> all = ranks.gather(to_text(mine));
+    const std::vector<std::string> all = ranks.gather(frames_json(mine).dump());
     if (!ranks.is_first()) return mine;
     std::vector<ScoredFrame> frames = mine.frames;
     for (std::size_t r = 1; r < all.size(); ++r) add_frames(frames, all[r]);

@@ -36,9 +36,7 @@ std::size_t car_of(const Model& model, const std::string& track) {
 std::vector<StreetCar> cars_of(const Run& run) {
     std::vector<StreetCar> cars;
     for (const Instance& instance : run.scene.instances) {
-        const auto box = std::find_if(run.sequence.boxes.begin(), run.sequence.boxes.end(),
-                                      [&](const BoxTrack& b) { return !instance.track.empty() && b.id == instance.track; });
-        if (box != run.sequence.boxes.end()) cars.push_back({car_of(run.scene.models[instance.model], instance.track), *box});
+        if (const BoxTrack* box = find_box(run.sequence, instance.track)) cars.push_back({car_of(run.scene.models[instance.model], instance.track), *box});
     }
     return cars;
 }

@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include "../../network/loopback.hpp"
 #include "../../serve/server.hpp"
 #include "command.hpp"
 #include "console.hpp"
@@ -42,16 +43,18 @@ serve::ServerOptions server_options(const ServeOptions& options) {
     return server;
 }
 
+std::string host_of(const std::string& listen) { return listen.substr(0, listen.rfind(':')); }
+
 void run_serve(const ServeOptions& options) {
     const serve::ServerOptions wanted = server_options(options);
-    if (!serve::is_loopback(wanted.listen))
+    if (!is_loopback(host_of(wanted.listen)))
         note(fmt::format("--listen {}: whoever reaches this address can render and upload, there is no authentication{}", wanted.listen,
                          wanted.tls_cert.empty() ? ", and nothing is encrypted (--tls-cert, --tls-key)" : ""));
     catch_interrupts();
     serve::ScanServer server(wanted);
     if (!options.quiet) {
-        const std::string host = wanted.listen.substr(0, wanted.listen.rfind(':'));
-        print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.scenes(), ", "), host, server.port(), server.device_name()));
+        print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.scenes(), ", "), host_of(wanted.listen), server.port(),
+                          server.device_name()));
         std::fflush(stdout);   // for who waits for the line through a pipe
     }
     while (!interrupted()) std::this_thread::sleep_for(kLook);

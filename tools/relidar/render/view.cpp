@@ -8,6 +8,7 @@
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
+#include "../../network/loopback.hpp"
 #include "../../view/page.hpp"
 #include "../../view/server.hpp"
 #include "../../view/session.hpp"
@@ -61,7 +62,8 @@ view::ServerOptions server_options(const ViewOptions& options) {
     server.address = options.address;
     server.port = options.port;
     server.assets = view::page_assets();
-    if (!view::is_loopback(options.address)) server.token = view::random_token();
+    view::check_address(options.address);
+    if (!is_loopback(options.address)) server.token = view::random_token();
     return server;
 }
 
