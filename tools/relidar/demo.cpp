@@ -8,13 +8,13 @@
 
 #include "command.hpp"
 #include "console.hpp"
-#include "evaluation.hpp"
+#include "evaluate/evaluation.hpp"
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
-#include "pictures.hpp"
-#include "run_report.hpp"
-#include "training.hpp"
+#include "evaluate/pictures.hpp"
+#include "evaluate/run_report.hpp"
+#include "train/training.hpp"
 #include <relidar/run.hpp>
 #include <relidar/scan_files.hpp>
 
