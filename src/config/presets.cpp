@@ -40,7 +40,7 @@ Config released() {
     return config;
 }
 
-/// What measured best on a real log (KITTI raw 0005; the numbers are in README.md): a dense start from smoothed points, so that
+/// What measured best on a real log (KITTI raw 0005; the numbers are in docs/results.md): a dense start from smoothed points, so that
 /// training refines surfaces instead of finding them, and no densification is needed.
 Config standard() {
     Config config;

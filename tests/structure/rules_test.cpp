@@ -170,5 +170,40 @@ TEST(Rules, ReadmeCallingNothingIsFound) {
     EXPECT_THAT(check_readme({}), ElementsAre(HasSubstr("missing")));
 }
 
+/// What is wrong in a document of a small checkout.
+Violations wrong_in(const std::string& document) {
+    return check_documents(make_tree({{"docs/a.md", document},
+                                      {"docs/b.md", "# Two words, and `code`\n"},
+                                      {"README.md", ""},
+                                      {"src/config/fields.hpp", "f(\"train.iterations\", c.n);"},
+                                      {"include/relidar/shared/loss_terms.h", "TERM(0u, ssim, intensity_ssim, 0.1f)"},
+                                      {"shaders/loss/bce.comp", ""},
+                                      {"tools/bench/card.sh", "case $1 in --quick) ;; esac"},
+                                      {"tools/relidar/train.cpp", "add_subcommand(\"train\", x); add(\"--out\"); getenv(\"RELIDAR_X\")"}}));
+}
+
+TEST(Documents, NamesThatExistAreRight) {
+    EXPECT_THAT(wrong_in("See [b](b.md#two-words-and-code), [here](../README.md), b.md and `src/config/fields.{hpp,h}`\n").size(), 1u);
+    EXPECT_THAT(wrong_in("`train.iterations=3`, `loss.intensity_ssim`, `loss.*`, `train.csv`, `config.train.iterations`\n"), IsEmpty());
+    EXPECT_THAT(wrong_in("`relidar train LOG --out\nrun`, `tools/bench/card.sh --quick`, `loss/bce`, `<relidar/shared/loss_terms.h>`\n"),
+                IsEmpty());
+    EXPECT_THAT(wrong_in("```sh\nmpirun --np 2 relidar train LOG \\\n  --out run   # --like this\nRELIDAR_X=1 cmake --build x\n```\n"),
+                IsEmpty());
+    EXPECT_THAT(wrong_in("`src/<kind>/*.cpp`, `RUN/a.cpp`, `shaders/*/*.comp`\n"), IsEmpty());
+}
+
+TEST(Documents, NamesThatDoNotExistAreFound) {
+    EXPECT_THAT(wrong_in("\n[b](c.md) [b](b.md#three)\n"),
+                ElementsAre(HasSubstr("docs/a.md:2: no file docs/c.md"), HasSubstr("no heading for b.md#three")));
+    EXPECT_THAT(wrong_in("see formats.md, `src/conf`, `config.hpp`\n").size(), 3u);
+    EXPECT_THAT(wrong_in("`loss/mse` and `shaders/*/mse.comp`\n"),
+                ElementsAre(HasSubstr("no kernel loss/mse"), HasSubstr("no file shaders/*/mse.comp")));
+    EXPECT_THAT(wrong_in("`train.steps`, `loss.ssim`, `loss.x=0`\n").size(), 3u);
+    EXPECT_THAT(wrong_in("```sh\nx && relidar run\nrelidar train --in LOG \\\n--outs run\n```\n"),
+                ElementsAre(HasSubstr("a.md:2: no command relidar run"), HasSubstr("a.md:3: no option --in"), HasSubstr("--outs")));
+    EXPECT_THAT(wrong_in("`train --outs`, `--in`, `tools/bench/card.sh --slow`, `relidar_bench_x`, `RELIDAR_Y`\n").size(), 5u);
+    EXPECT_THAT(check_documents(make_tree({{"a.md", ""}})), ElementsAre(HasSubstr("settings or commands were not found")));
+}
+
 }  // namespace
 }  // namespace relidar::structure

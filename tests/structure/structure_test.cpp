@@ -26,6 +26,7 @@ TEST(Structure, FacesAreCommented) { expect_none(check_face_comments(checkout())
 TEST(Structure, LicenceIsNamed) { expect_none(check_licence_lines(checkout())); }
 TEST(Structure, NoMirrorIsNamed) { expect_none(check_mirror_names(checkout())); }
 TEST(Structure, ReadmeCommandsExist) { expect_none(check_readme(checkout())); }
+TEST(Structure, WhatDocumentsNameExists) { expect_none(check_documents(checkout())); }
 
 TEST(Structure, CheckoutWasRead) {
     EXPECT_TRUE(checkout().contains("LICENSE"));
