@@ -5,7 +5,6 @@
 #include <cstdint>
 #include <optional>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include <relidar/math.hpp>
@@ -197,8 +196,7 @@ struct Sequence {
 };
 
 /// The box of an id; null where there is none, and for the empty id, which is the background's.
-const BoxTrack* find_box(const Sequence& sequence, std::string_view id);
-BoxTrack* find_box(Sequence& sequence, std::string_view id);
+const BoxTrack* find_box(const Sequence& sequence, const std::string& id);
 
 /// All of a log but its frames.
 Sequence without_frames(const Sequence& sequence);
@@ -226,8 +224,7 @@ struct WorldRay {
 
 /// Where a ray of a frame starts and points, the sensor pose interpolated to the ray's own firing time where the
 /// sequence has a rolling shutter.
-/// @param time_s        reference time of the sweep
-/// @param ray           index into rays
+/// @param time_s  reference time of the sweep @param ray  index into rays
 WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter);
 
 /// When the head of a LiDAR faces a point: the moment of the sweep at which a static or moving thing there is seen. A window's mirrors face
@@ -274,10 +271,9 @@ struct IntensityCalibration {
     bool beams = false;        ///< whether the beams have gains and offsets now
 };
 /// Finds how intensities fall with range and incidence (Sequence::intensity_response), and gain and offset of each beam (Beam), from
-/// returns of the given frames that fall into the same 0.1 m of a surface, by least squares. Of the two, and of both together, only what
-/// brings the error down by 5 % more is adopted: beams that agree have no gains, intensities that the sensor has compensated no fall. The
-/// mean beam has gain 1 and offset 0, and so has one that shares no place. (Not in the paper.)
-/// @param positions  of the frames to look at, in Sequence::frames
+/// returns of the frames at `positions` that fall into the same 0.1 m of a surface, by least squares. Of the two, and of both together,
+/// only what brings the error down by 5 % more is adopted: beams that agree have no gains, intensities that the sensor has compensated no
+/// fall. The mean beam has gain 1 and offset 0, and so has one that shares no place. (Not in the paper.)
 IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions);
 /// Measures how the ranges of each LiDAR scatter (Lidar::range_noise), from second differences between neighbouring firings of a beam, in
 /// the given frames: scans need the order of an image. Where a bin has seen fewer than 200 returns its neighbour's value stands; a LiDAR of
@@ -296,8 +292,7 @@ struct Split {
 };
 /// Holds out sweeps, each with the frames of all LiDARs that share its index: every `test_every`-th but the first (10, 20, ... of 0:50 with
 /// 10), or those that are named. Every tenth of a published part is what is published (Sequence::test_frames).
-/// @param test_every  0 holds out nothing
-/// @param test_frames  instead of every so many: indices and ranges without their ends, "13,26,40:45"; empty: test_every decides
+/// @param test_every  0: none @param test_frames  where not empty, instead of it: indices and ranges without their ends, "13,26,40:45"
 /// @throws UsageError for a test_every of 1, for a list with something else in it, a frame that is not there or named twice, and where
 /// nothing is left to train on
 Split split_frames(const Sequence& sequence, int test_every, const std::string& test_frames = "");

@@ -40,7 +40,8 @@ std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
 
 BoxTrack& box_of(DrivingScene& driving, const std::string& track) {
     find_actor(driving, track);
-    if (BoxTrack* box = find_box(driving.sequence, track)) return *box;
+    std::vector<BoxTrack>& boxes = driving.sequence.boxes;
+    if (const BoxTrack* box = find_box(driving.sequence, track)) return boxes[std::size_t(box - boxes.data())];
     throw DataError(fmt::format("editing track \"{}\": an instance has it, but the log has no box of it, expected one", track));
 }
 

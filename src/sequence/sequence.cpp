@@ -7,7 +7,6 @@
 #include <cmath>
 #include <complex>
 #include <numeric>
-#include <utility>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -135,13 +134,11 @@ std::optional<std::uint16_t> Sequence::beam_number(int lidar, std::uint16_t chan
     return static_cast<std::uint16_t>(number);
 }
 
-const BoxTrack* find_box(const Sequence& sequence, std::string_view id) {
+const BoxTrack* find_box(const Sequence& sequence, const std::string& id) {
     if (id.empty()) return nullptr;
     const auto box = std::ranges::find(sequence.boxes, id, &BoxTrack::id);
     return box == sequence.boxes.end() ? nullptr : &*box;
 }
-
-BoxTrack* find_box(Sequence& sequence, std::string_view id) { return const_cast<BoxTrack*>(find_box(std::as_const(sequence), id)); }
 
 Sequence without_frames(const Sequence& all) {
     return {all.name,

@@ -36,7 +36,8 @@ std::size_t car_of(const Model& model, const std::string& track) {
 std::vector<StreetCar> cars_of(const Run& run) {
     std::vector<StreetCar> cars;
     for (const Instance& instance : run.scene.instances) {
-        if (const BoxTrack* box = find_box(run.sequence, instance.track)) cars.push_back({car_of(run.scene.models[instance.model], instance.track), *box});
+        const BoxTrack* box = find_box(run.sequence, instance.track);
+        if (box) cars.push_back({car_of(run.scene.models[instance.model], instance.track), *box});
     }
     return cars;
 }
