@@ -85,8 +85,10 @@ std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config
 }
 
 void add_tail_shares(std::vector<ScoredFrame>& frames, const Sequence& sequence) {
-    for (ScoredFrame& frame : frames)
-        frame.metrics.merge(tail_shares(frame.rendered.image, frame.real, sequence, {frame.time_s, frame.lidar, frame.start}, kMovingStep_m));
+    for (ScoredFrame& frame : frames) {
+        const SweepMoment sweep{frame.time_s, frame.lidar, frame.start};
+        frame.metrics.merge(tail_shares(frame.rendered.image, frame.real, sequence, sweep, kMovingStep_m));
+    }
 }
 
 RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage& real) {

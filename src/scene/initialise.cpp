@@ -51,7 +51,8 @@ std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame, 
                                   const InitialiseOptions& options) {
     std::vector<Sample> samples;
     for_each_return(sequence, frame, options.second_returns, [&](const WorldReturn& w) {
-        if (std::any_of(separate.begin(), separate.end(), [&](const BoxTrack& box) { return box.present(w.time_s) && box.holds(w.point_m, w.time_s, kMoverMargin_m); })) return;
+        const auto is_in = [&](const BoxTrack& box) { return box.present(w.time_s) && box.holds(w.point_m, w.time_s, kMoverMargin_m); };
+        if (std::ranges::any_of(separate, is_in)) return;
         samples.push_back({glm::vec3(w.point_m), w.intensity, glm::vec3(w.direction)});
     });
     return samples;

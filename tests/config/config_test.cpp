@@ -154,7 +154,8 @@ TEST_F(ConfigFile, WhatLivesOnInAnotherSettingIsTakenOver) {
         return config;
     };
     const auto movers = [&](const char* discovered, const char* removed) {
-        return read(fmt::format("[init]\nremove_unlabelled_movers = {}\ndiscover_actors = {}\n", removed, discovered)).init.unlabelled_movers;
+        const std::string text = fmt::format("[init]\nremove_unlabelled_movers = {}\ndiscover_actors = {}\n", removed, discovered);
+        return read(text).init.unlabelled_movers;
     };
     EXPECT_EQ(movers("false", "false"), UnlabelledMovers::background);
     EXPECT_EQ(movers("false", "true"), UnlabelledMovers::removed);

@@ -35,7 +35,7 @@ struct DensifyOptions {
     int every = 100;
     double gradient_threshold = 2e-4;     ///< mean norm of dL/d(mean), 1/m, above which a surfel grows; L is a mean over a frame's rays
     double clone_extent_share = 2e-4;     ///< of the extent: below, a growing surfel is cloned, above, it is split
-    double min_opacity = 0.003;           ///< fainter ones are removed; never less than ImageModel::alpha_min, below which they are not traced
+    double min_opacity = 0.003;           ///< fainter ones are removed; at least ImageModel::alpha_min, below which none is traced
     double max_extent_share = 0.01;       ///< of the extent: larger ones are removed ...
     int large_from = 3000;                ///< ... after this step
     int opacity_reset_every = 3000;       ///< adaptive, until `until`; 0 = never
