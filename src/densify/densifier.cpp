@@ -176,13 +176,16 @@ DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& a
 
 Densifier::Densifier(Device& device, const Scene& initial, const DensifyOptions& options, float alpha_min, std::uint32_t n_frames,
                      std::uint64_t seed)
-    : impl_(std::make_unique<Impl>(device, initial, options, alpha_min, n_frames, seed)) {}
+    : impl_(options.strategy == DensifyStrategy::none ? nullptr
+                                                      : std::make_unique<Impl>(device, initial, options, alpha_min, n_frames, seed)) {}
 Densifier::~Densifier() = default;
+bool Densifier::is_active() const { return impl_ != nullptr; }
 SurfelStatistics& Densifier::statistics() { return impl_->arrays.statistics; }
 std::vector<double>& Densifier::extents_m() { return impl_->extents_m; }
 const std::vector<double>& Densifier::extents_m() const { return impl_->extents_m; }
 
 void Densifier::observe(Stream& stream, const DeviceScene& scene, const ObservedBatch& batch) {
+    if (!impl_) return;
     const SurfelStatistics& s = impl_->arrays.statistics;
     RELIDAR_ASSERT_LE(batch.frame / 32 + 1, s.n_words);
     RELIDAR_ASSERT_LE(std::size_t(scene.size()) * s.n_words, s.frames.size());
@@ -199,8 +202,9 @@ void Densifier::observe(Stream& stream, const DeviceScene& scene, const Observed
 }
 
 bool Densifier::due(int step) const {
+    if (!impl_) return false;
     const DensifyOptions& o = impl_->options;
-    return o.strategy != DensifyStrategy::none && step >= o.from && step < o.until && step % std::max(1, o.every) == 0;
+    return step >= o.from && step < o.until && step % std::max(1, o.every) == 0;
 }
 
 DensifyReport Densifier::run(Stream& stream, DeviceScene& scene, Adam& adam, int step, double others_bytes) {
@@ -208,6 +212,7 @@ DensifyReport Densifier::run(Stream& stream, DeviceScene& scene, Adam& adam, int
 }
 
 void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step, double rate_share) {
+    if (!impl_) return;
     const DensifyOptions& o = impl_->options;
     if (o.strategy == DensifyStrategy::mcmc && o.noise > 0.0)
         relidar::run(stream, impl_->jitter, scene.size(),

@@ -14,7 +14,7 @@
 #include <relidar/registration.hpp>
 
 #include "core/list_text.hpp"
-#include "train/register_options.hpp"
+#include "train/poses/register_options.hpp"
 
 namespace relidar {
 

@@ -11,8 +11,8 @@
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
 
-#include "train/checkpoint_keeper.hpp"
-#include "train/resume.hpp"
+#include "train/checkpoints/checkpoint_keeper.hpp"
+#include "train/checkpoints/resume.hpp"
 #include "train/train_loop.hpp"
 
 namespace relidar {

@@ -10,7 +10,7 @@
 #include <relidar/run.hpp>
 
 #include "core/parallel.hpp"
-#include "train/placed_box.hpp"
+#include "train/poses/placed_box.hpp"
 #include "train/train_loop.hpp"
 
 namespace relidar {

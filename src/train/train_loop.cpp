@@ -104,12 +104,6 @@ std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
 /// Terms of the surfels themselves reach those that no ray has met.
 bool all_have_gradients(const Config& config) { return config.loss.box > 0.0f && !config.train.only_touched; }
 
-std::optional<PoseRefiner> make_refiner(Device& device, const Sequence& sequence, const Scene& initial, const TrainConfig& config,
-                                        const TrainingFrames& frames) {
-    if (config.refine_poses == "none") return std::nullopt;
-    return std::optional<PoseRefiner>(std::in_place, device, sequence, initial, config, frames);
-}
-
 Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
     Unknown masks{config.init, {}, config.train.sensor_drop ? observed_drops(sequence, split.train) : DropTable{}};
     for (const Instance& instance : scene.instances)
@@ -145,12 +139,14 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       n_fixed_(n_fixed),
       frames_(device, sequence, split.train, frame_use(sequence, split, initial, config)),
       batches_(device, config, frames_.all()),
-      refiner_(make_refiner(device, sequence, initial, config.train, frames_)),
+      refiner_(device, sequence, initial, config.train, frames_),
       renderer_(device, initial, config.image, renderer_options(config, frames_, n_fixed),
-                {backward_options(config), refiner_ ? refiner_->wanted() : WantedGradients{}, all_have_gradients(config)}),
+                {backward_options(config), refiner_.wanted(), all_have_gradients(config)}),
       stream_(renderer_.stream()),
       losses_(make_losses(device, config.loss, most_rays(frames_.all()))),
       adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed}, initial.surfels.primitive()),
+      densifier_(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.all().size()),
+                 config.train.seed),
       reports_(device),
       extent_m_(extent_m ? *extent_m : background_extent(initial)),
       sampler_(frames_.all().size(), config.train.seed) {
@@ -158,9 +154,6 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
         frames_[i].placed = place_instances(initial, sequence, moment_of(sequence.frames[std::size_t(frames_[i].position)]));
     if (config.densify.strategy == DensifyStrategy::none)   // else there are others soon, and large ones are split
         adam_.bound_scales(device, scale_bounds(initial.surfels, config.train.max_growth));
-    if (config.densify.strategy != DensifyStrategy::none)
-        densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.all().size()),
-                           config.train.seed);
 }
 
 TrainLoop::~TrainLoop() {
@@ -173,7 +166,7 @@ TrainLoop::~TrainLoop() {
 
 const FrameData& TrainLoop::place(std::size_t frame_index, int step) {
     FrameData& frame = frames_.bring(stream_, frame_index);
-    if (refiner_) refiner_->place(stream_, frame);
+    refiner_.place(stream_, frame);
     renderer_.set_sh_degree(sh_degree_at(config_.train, step));
     // without harmonics per surfel, move() would leave the records of hits as they were
     const bool fits = n_fixed_ == 0 || config_.image.sh_direction == ShDirection::ray || step % kFitEvery == 1;
@@ -190,7 +183,7 @@ void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, con
 
 void TrainLoop::iterate(int step, bool ends_line) {
     look_at_reports(step - kReadbackLag);
-    if (refiner_) refiner_->take_steps(stream_, step - kReadbackLag);
+    refiner_.take_steps(stream_, step - kReadbackLag);
     const std::size_t frame_index = sampler_.next();
     DeviceScene& scene = renderer_.scene();
 
@@ -200,21 +193,20 @@ void TrainLoop::iterate(int step, bool ends_line) {
     const TermRow terms = reports_.row();
     learn_from(batch.rays, batch.targets, terms);
     Gradients& gradients = renderer_.gradients();
-    if (refiner_) refiner_->record(stream_, frame_index, frame, batch, gradients, step);
+    refiner_.record(stream_, frame_index, frame, batch, gradients, step);
     for (const std::unique_ptr<Loss>& loss : losses_)
         loss->regularise(stream_, scene, {&gradients.surfels, config_.train.only_touched ? &gradients.touched : nullptr}, terms);
     const bool whole_frame = batch.rays.n_rays == frame.n_rays;
-    if (densifier_)
-        densifier_->observe(stream_, scene, {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), whole_frame});
+    densifier_.observe(stream_, scene, {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), whole_frame});
     LearningRates rates = rates_at(config_.train, extent_m_, step);
     if (config_.densify.strategy == DensifyStrategy::adaptive)
         rates.models = &scene.models(), rates.mean_factors = mean_factors(scene.layout(), extent_m_);
     const Array<std::uint32_t>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
     adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree);
     reports_.add(step, frame.index, renderer_.rendered().rays.n_rays);
-    if (densifier_ && densifier_->due(step))
-        change_surfels([&](double others_bytes) { return densifier_->run(stream_, scene, adam_, step, others_bytes); });
-    if (densifier_) densifier_->after_step(stream_, scene, adam_, step, rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
+    if (densifier_.due(step))
+        change_surfels([&](double others_bytes) { return densifier_.run(stream_, scene, adam_, step, others_bytes); });
+    densifier_.after_step(stream_, scene, adam_, step, rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
     if (ends_line || reports_.is_full()) close_report(step, ends_line);
     if (step % kGrowthEvery == 0) renderer_.accel().check_growth(stream_);
     submitted_ = stream_.submit();
@@ -267,13 +259,13 @@ void TrainLoop::settle() {
     close_report(last_step_, false);
     submitted_ = stream_.submit();
     look_at_reports(last_step_);
-    if (refiner_) refiner_->fetch(stream_);
+    refiner_.fetch(stream_);
     stream_.wait(submitted_);
 }
 
 void TrainLoop::finish() {
     settle();
-    if (refiner_) refiner_->take_steps(stream_, last_step_);
+    refiner_.take_steps(stream_, last_step_);
 }
 
 void TrainLoop::save(Checkpoint& checkpoint) {
@@ -291,7 +283,7 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
         throw DataError(
             fmt::format("resuming from iteration {}: the order of frames or the sums of losses are not those of {} frames and {} terms",
                         checkpoint.iteration, frames_.all().size(), kLossTerms));
-    if (refiner_ && !refiner_->take_over())
+    if (!refiner_.take_over())
         throw DataError(
             fmt::format("resuming from iteration {}: the corrections of poses are not those of this log", checkpoint.iteration));
 }

@@ -15,11 +15,11 @@
 #include <relidar/train.hpp>
 
 #include "core/random.hpp"
-#include "train/batch.hpp"
+#include "train/frames/batch.hpp"
 #include "train/iteration_reports.hpp"
-#include "train/pose_refiner.hpp"
-#include "train/sensor_drop.hpp"
-#include "train/training_frames.hpp"
+#include "train/poses/pose_refiner.hpp"
+#include "train/drops/sensor_drop.hpp"
+#include "train/frames/training_frames.hpp"
 
 namespace relidar {
 
@@ -75,7 +75,7 @@ public:
     /// Sensor-level ray-drop, from rays for which the scene as it is now expects a return. Blocks.
     DropTable estimate_sensor_drop(const Sequence& sequence);
     /// Poses as they are now, where they are refined.
-    std::optional<RefinedPoses> refined_poses() const { return refiner_ ? std::optional(refiner_->poses()) : std::nullopt; }
+    std::optional<RefinedPoses> refined_poses() const { return refiner_.is_active() ? std::optional(refiner_.poses()) : std::nullopt; }
     /// The scene as it is now. Blocks.
     Scene download() { return renderer_.download(); }
     const KernelTimes& times() { return renderer_.stream().times(); }
@@ -88,12 +88,12 @@ private:
     const std::uint32_t n_fixed_;
     TrainingFrames frames_;
     BatchSampler batches_;
-    std::optional<PoseRefiner> refiner_;   ///< where the config wants one
+    PoseRefiner refiner_;
     DifferentiableRenderer renderer_;
     Stream& stream_;                       ///< the renderer's
     std::vector<std::unique_ptr<Loss>> losses_;
     Adam adam_;
-    std::optional<Densifier> densifier_;   ///< where the config wants one
+    Densifier densifier_;
     DensifyReport densified_;              ///< since the last log line
     IterationReports reports_;
     double extent_m_;
@@ -112,10 +112,10 @@ private:
         visit("extent_m", extent_m_);
         reports_.visit_state(visit);
         sampler_.visit_state(visit);
-        if (refiner_) refiner_->visit_state(visit);
-        if (!densifier_) return;
-        visit("densify/extents_m", densifier_->extents_m());
-        SurfelStatistics& s = densifier_->statistics();
+        refiner_.visit_state(visit);
+        if (!densifier_.is_active()) return;
+        visit("densify/extents_m", densifier_.extents_m());
+        SurfelStatistics& s = densifier_.statistics();
         visit("densify/gradient_sum", FirstOf<float>{s.gradient_sum, renderer_.scene().size()});
         visit("densify/n_seen", FirstOf<std::uint32_t>{s.n_seen, renderer_.scene().size()});
         visit("densify/frames", FirstOf<std::uint32_t>{s.frames, std::size_t(renderer_.scene().size()) * s.n_words});

@@ -29,7 +29,7 @@ struct Observed {
     Observed(Device& d, const Scene& initial, std::uint32_t n_frames)
         : device(d),
           scene(d, initial),
-          densifier(d, initial, {}, 0.0f, n_frames, 1),
+          densifier(d, initial, {.strategy = DensifyStrategy::adaptive}, 0.0f, n_frames, 1),
           gradients(d, scene.size(), "gradients"),
           touched(d, scene.size(), "touched"),
           stream(d),

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Batches (train/gather_columns): every n-th column, or a window of whole columns, with their rays and targets, wrapping around; every
 // n-th ray where there is no image order; targets with the rays; refused where structural similarity has no image.
-#include "train/batch.hpp"
+#include "train/frames/batch.hpp"
 
 #include <set>
 
@@ -11,7 +11,7 @@
 
 #include "../export/temporary_folder.hpp"
 #include "../support/device.hpp"
-#include "train/frame_data.hpp"
+#include "train/frames/frame_data.hpp"
 
 namespace relidar {
 namespace {

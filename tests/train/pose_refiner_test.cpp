@@ -15,9 +15,9 @@
 
 #include "../registration/street_poses.hpp"
 #include "../support/device.hpp"
-#include "train/moved_rays.hpp"
-#include "train/pose_refiner.hpp"
-#include "train/training_frames.hpp"
+#include "train/poses/moved_rays.hpp"
+#include "train/poses/pose_refiner.hpp"
+#include "train/frames/training_frames.hpp"
 
 namespace relidar {
 namespace {

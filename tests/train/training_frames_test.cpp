@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Training frames that stay on the device and frames that come in their turn: the same rays and targets, whatever comes when; the same
 // training, bit by bit; and memory that does not grow with the log.
-#include "train/training_frames.hpp"
+#include "train/frames/training_frames.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -15,7 +15,7 @@
 #include "../export/temporary_folder.hpp"
 #include "../support/device.hpp"
 #include "core/random.hpp"
-#include "train/grid_frame.hpp"
+#include "train/frames/grid_frame.hpp"
 
 namespace relidar {
 namespace {

@@ -95,6 +95,8 @@ public:
               std::uint64_t seed);
     ~Densifier();
 
+    /// False with DensifyStrategy::none: nothing is recorded, due or kept then, and there are no statistics.
+    bool is_active() const;
     /// Records one batch into the statistics.
     void observe(Stream& stream, const DeviceScene& scene, const ObservedBatch& batch);
     /// Whether surfels are added or removed after this step.

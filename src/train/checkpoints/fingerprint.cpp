@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "train/fingerprint.hpp"
+#include "train/checkpoints/fingerprint.hpp"
 
 #include <cstring>
 #include <optional>

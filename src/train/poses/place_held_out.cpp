@@ -11,7 +11,7 @@
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
 
-#include "train/register_options.hpp"
+#include "train/poses/register_options.hpp"
 
 namespace relidar {
 namespace {

@@ -13,7 +13,7 @@
 #include <relidar/stages/gpu.hpp>
 #include <relidar/scene.hpp>
 
-#include "train/track_correction.hpp"
+#include "train/poses/track_correction.hpp"
 
 namespace relidar {
 
@@ -29,9 +29,11 @@ struct WantedGradients;
 class PoseRefiner {
 public:
     /// @param layout of the scene: the tracks of its instances are those corrected
+    /// @param config  train.refine_poses says what is corrected; with "none" this does nothing
     PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config, const TrainingFrames& frames);
     ~PoseRefiner();
 
+    bool is_active() const { return config_.refine_poses != "none"; }
     /// What record() needs of a backward pass.
     WantedGradients wanted() const;
     /// Rays, actors and view origin of a frame that is on the device, as corrected so far. Records.
@@ -48,6 +50,7 @@ public:
 
     template <class Visitor>
     void visit_state(Visitor&& visit) {
+        if (!is_active()) return;
         if (sensor_) sensor_->visit_state("poses/sensor", visit);
         for (Actor& actor : actors_) actor.correction.visit_state("poses/actor " + poses_.boxes[actor.box].id, visit);
         visit("poses/coming/step", coming_.step);

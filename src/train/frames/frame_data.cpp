@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Training rays and targets from scans.
-#include "train/frame_data.hpp"
+#include "train/frames/frame_data.hpp"
 
 #include <algorithm>
 
-#include "train/placed_box.hpp"
-#include "train/sensor_drop.hpp"
+#include "train/poses/placed_box.hpp"
+#include "train/drops/sensor_drop.hpp"
 
 namespace relidar {
 

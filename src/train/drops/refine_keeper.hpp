@@ -11,7 +11,7 @@
 #include <relidar/run.hpp>
 #include <relidar/train.hpp>
 
-#include "train/checkpoint_keeper.hpp"
+#include "train/checkpoints/checkpoint_keeper.hpp"
 
 namespace relidar {
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Which frames stay is fixed: in random order any choice of as many serves as well, and this one needs no bookkeeping. A copy is part of
 // the stream, between the iteration that uses the place before it and the one that wants the frame, so that one place is enough.
-#include "train/training_frames.hpp"
+#include "train/frames/training_frames.hpp"
 
 #include <algorithm>
 #include <utility>
@@ -12,7 +12,7 @@
 
 #include "core/parallel.hpp"
 #include "gpu/stream.hpp"
-#include "train/grid_frame.hpp"
+#include "train/frames/grid_frame.hpp"
 
 namespace relidar {
 namespace {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Which settings must be equal where training continues, and the log and times so far.
-#include "train/resume.hpp"
+#include "train/checkpoints/resume.hpp"
 
 #include <algorithm>
 #include <limits>
@@ -11,7 +11,7 @@
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
 
-#include "train/fingerprint.hpp"
+#include "train/checkpoints/fingerprint.hpp"
 
 namespace relidar {
 namespace {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "train/grid_frame.hpp"
+#include "train/frames/grid_frame.hpp"
 
 namespace relidar {
 

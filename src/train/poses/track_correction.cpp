@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Adam (Kingma and Ba 2015) on a few poses, on the host. The second moment forgets faster than usual: a pose is seen tens of times in a
 // training, not thousands.
-#include "train/track_correction.hpp"
+#include "train/poses/track_correction.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "train/placed_box.hpp"
+#include "train/poses/placed_box.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Counting ray-drop by beam and azimuth.
-#include "train/sensor_drop.hpp"
+#include "train/drops/sensor_drop.hpp"
 
 #include <algorithm>
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Binding of train/gather_columns: the ways to take some rays of a frame.
-#include "train/batch.hpp"
+#include "train/frames/batch.hpp"
 
 #include <algorithm>
 
@@ -10,7 +10,7 @@
 
 #include "gpu/stream.hpp"
 #include "shared/train.h"
-#include "train/frame_data.hpp"
+#include "train/frames/frame_data.hpp"
 
 namespace relidar {
 

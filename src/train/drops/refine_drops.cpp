@@ -13,8 +13,8 @@
 #include <relidar/run.hpp>
 #include <relidar/train.hpp>
 
-#include "train/frame_data.hpp"
-#include "train/refine_keeper.hpp"
+#include "train/frames/frame_data.hpp"
+#include "train/drops/refine_keeper.hpp"
 
 namespace relidar {
 namespace {

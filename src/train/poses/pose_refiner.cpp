@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Pose refinement: gradients of rays and of instances become steps of the poses between which they are interpolated.
-#include "train/pose_refiner.hpp"
+#include "train/poses/pose_refiner.hpp"
 
 #include <algorithm>
 #include <cstring>
@@ -9,9 +9,9 @@
 #include <relidar/stages/optimizer.hpp>
 #include <relidar/train.hpp>
 
-#include "train/moved_rays.hpp"
+#include "train/poses/moved_rays.hpp"
 #include "train/readback_lag.hpp"
-#include "train/training_frames.hpp"
+#include "train/frames/training_frames.hpp"
 
 namespace relidar {
 namespace {
@@ -77,6 +77,7 @@ RefinedPoses PoseRefiner::poses() const { return {poses_.world_from_vehicle, pos
 WantedGradients PoseRefiner::wanted() const { return {.rays = sensor_.has_value(), .poses = !actors_.empty()}; }
 
 void PoseRefiner::place(Stream& stream, FrameData& frame) {
+    if (!is_active()) return;
     if (rays_) rays_->move(stream, *sensor_, frame);
     const Frame& sweep = poses_.frames[std::size_t(frame.position)];
     frame.placed = place_instances(layout_, poses_, moment_of(sweep));
@@ -85,6 +86,7 @@ void PoseRefiner::place(Stream& stream, FrameData& frame) {
 
 void PoseRefiner::record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch,
                          const Gradients& gradients, int step) {
+    if (!is_active()) return;
     const std::size_t slot = std::size_t(step) % kReadbackLag;
     if (rays_) {
         rays_->sum_gradients(stream, frame, batch, gradients.rays);

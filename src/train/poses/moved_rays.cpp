@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Binding of train/move_rays and train/knot_gradients.
-#include "train/moved_rays.hpp"
+#include "train/poses/moved_rays.hpp"
 
 #include <algorithm>
 

@@ -11,9 +11,9 @@
 
 #include "gpu/kernel.hpp"
 #include "shared/train.h"
-#include "train/batch.hpp"
-#include "train/frame_data.hpp"
-#include "train/track_correction.hpp"
+#include "train/frames/batch.hpp"
+#include "train/frames/frame_data.hpp"
+#include "train/poses/track_correction.hpp"
 
 namespace relidar {
 

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // When the training of a ray-drop network writes a checkpoint, and what must be as it was where it goes on: the scene and the log by
 // hashes, and the settings that images and network depend on.
-#include "train/refine_keeper.hpp"
+#include "train/drops/refine_keeper.hpp"
 
 #include <algorithm>
 #include <array>
 
 #include <fmt/format.h>
 
-#include "train/fingerprint.hpp"
+#include "train/checkpoints/fingerprint.hpp"
 
 namespace relidar {
 namespace {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checkpoints of a training: due by count or time, written without ever stopping it.
-#include "train/checkpoint_keeper.hpp"
+#include "train/checkpoints/checkpoint_keeper.hpp"
 
 #include <new>
 #include <utility>
@@ -10,7 +10,7 @@
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
 
-#include "train/resume.hpp"
+#include "train/checkpoints/resume.hpp"
 #include "train/train_loop.hpp"
 
 namespace relidar {

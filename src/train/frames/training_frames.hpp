@@ -11,7 +11,7 @@
 
 #include <relidar/stages/gpu.hpp>
 
-#include "train/frame_data.hpp"
+#include "train/frames/frame_data.hpp"
 
 namespace relidar {
 
