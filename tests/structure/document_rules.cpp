@@ -323,14 +323,28 @@ Code documents_named_in(const Code& line) {
     return names;
 }
 
+/// Documents that comments of sources and scripts name.
+void check_comments(const Known& known, const SourceFile& file, Violations& violations) {
+    static const std::regex kComment(R"(^\s*(//|#))");
+    for (std::size_t i = 0; i < file.lines.size(); ++i) {
+        if (file.lines[i].find(".md") == std::string::npos || !std::regex_search(file.lines[i], kComment)) continue;
+        const Document document{file.path, {}, {}, {}};
+        check_paths(known, document, documents_named_in({file.lines[i], i + 1, false}), [&](const std::string& what) {
+            violations.push_back(file.path + ":" + std::to_string(i + 1) + ": " + what);
+        });
+    }
+}
+
 }  // namespace
 
 Violations check_documents(const SourceTree& tree) {
     const Known known = names_of(tree);
     std::map<std::string, Document> documents;
-    for (const auto& [path, file] : tree)
-        if (has_extension(path, {".md"})) documents.emplace(path, read_document(file));
     Violations violations;
+    for (const auto& [path, file] : tree) {
+        if (has_extension(path, {".md"})) documents.emplace(path, read_document(file));
+        else check_comments(known, file, violations);
+    }
     if (known.settings.empty() || known.commands.empty()) violations.push_back("src/config:1: settings or commands were not found");
     for (const auto& [path, document] : documents) {
         const auto reporter = [&](const Code& code) {

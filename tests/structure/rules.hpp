@@ -36,7 +36,8 @@ Violations check_licence_lines(const SourceTree& tree);
 Violations check_mirror_names(const SourceTree& tree);
 /// README.md has blocks marked runnable, and the scripts they call exist.
 Violations check_readme(const SourceTree& tree);
-/// Links, files, folders, headers, kernels, settings, commands, options and variables that documents (*.md) name exist.
+/// Links, files, folders, headers, kernels, settings, commands, options and variables that documents (*.md) name exist, and documents that
+/// comments name.
 Violations check_documents(const SourceTree& tree);
 
 }  // namespace relidar::structure

@@ -202,7 +202,8 @@ TEST(Documents, NamesThatDoNotExistAreFound) {
     EXPECT_THAT(wrong_in("```sh\nx && relidar run\nrelidar train --in LOG \\\n--outs run\n```\n"),
                 ElementsAre(HasSubstr("a.md:2: no command relidar run"), HasSubstr("a.md:3: no option --in"), HasSubstr("--outs")));
     EXPECT_THAT(wrong_in("`train --outs`, `--in`, `tools/bench/card.sh --slow`, `relidar_bench_x`, `RELIDAR_Y`\n").size(), 5u);
-    EXPECT_THAT(check_documents(make_tree({{"a.md", ""}})), ElementsAre(HasSubstr("settings or commands were not found")));
+    EXPECT_THAT(check_documents(make_tree({{"a.md", ""}, {"src/a.cpp", "int a;\n/// as b.md and a.md say\n"}})),
+                ElementsAre(HasSubstr("src/a.cpp:2: no file b.md"), HasSubstr("settings or commands were not found")));
 }
 
 }  // namespace
