@@ -220,8 +220,8 @@ void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const Accel
     if (a.reach.size()) stream.fill(a.reach);
     run(stream, a.proxies, scene.size(),
         {.records = scene.records().address(),
-         .vertices = a.geometry.address(),
-         .boxes = a.geometry.address(),
+         .vertices = a.geometry.address_as<float, shared::ProxyVertices>(),
+         .boxes = a.geometry.address_as<float, shared::SurfelBoxes>(),
          .reach = a.reach.address(),
          .alpha_min = scene.alpha_min(),
          .margin_m = options.margin_m,
@@ -253,7 +253,9 @@ void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
 
 shared::TlasHandle HardwareAccel::tlas() const { return {impl_->tlas->address}; }
 
-Address<float> HardwareAccel::reach_address() const { return impl_->reach.address_as<float>(); }   // of bits that grow as the float does
+Address<float, shared::ProxyReach> HardwareAccel::reach_address() const {
+    return impl_->reach.address_as<float, shared::ProxyReach>();   // of bits that grow as the float does
+}
 
 std::uint64_t HardwareAccel::memory_bytes() const {
     std::uint64_t bytes = impl_->geometry.buffer().size_bytes() + impl_->indices.buffer().size_bytes() + impl_->scratch.size_bytes() +

@@ -45,7 +45,7 @@ struct Densifier::Impl {
     std::uint64_t seed;
     std::vector<double> extents_m;
     Rearrangement arrays;
-    Array<std::uint32_t> counters;   ///< [n_models, RELIDAR_DENSIFY_COUNTERS]
+    Array<std::uint32_t, shared::DensifyCounters> counters;   ///< [n_models, RELIDAR_DENSIFY_COUNTERS]
     Kernel<shared::ObserveParams> observe;
     Kernel<shared::ClassifyParams> classify;
     Kernel<shared::SpawnParams> spawn;
@@ -90,7 +90,7 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
                   .weight = arrays.weight.address(),
                   .counters = counters.address(),
                   .models = scene.models().address(),
-                  .extents = impl_of(stream).values(extents),
+                  .extents = impl_of(stream).values(extents).as<shared::ModelExtents>(),
                   .min_opacity = rules.min_opacity,
                   .max_extent_share = rules.max_extent_share,
                   .clone_extent_share = static_cast<float>(options.clone_extent_share),

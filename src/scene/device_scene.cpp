@@ -103,7 +103,7 @@ struct DeviceScene::Impl {
     Scene layout;
     Placements placements;
     Array<shared::ModelEntry> models;
-    Array<std::uint32_t> more_rows;
+    Array<std::uint32_t, shared::FurtherRows> more_rows;
     SurfelArrays parameters;
     Array<shared::SurfelRecord> records;
     Array<shared::InstanceEntry> instances;

@@ -84,7 +84,8 @@ void Footprints::spread(Stream& stream, const RenderedBatch& parts) {
 
 void Footprints::sum_ray_gradients(Stream& stream, const Array<float>& d_rays) {
     run(stream, split_vjp_, std::size_t(6) * n_beams_,
-        {.d_parts = d_rays.address(), .d_beams = ray_gradients_.address(), .n_beams = n_beams_, .n_parts = n_parts()});
+        {.d_parts = d_rays.address_as<float, shared::PartRayGradients>(), .d_beams = ray_gradients_.address(),
+         .n_beams = n_beams_, .n_parts = n_parts()});
     stream.copy(ray_gradients_.buffer(), d_rays.buffer(), std::size_t(6) * n_beams_ * sizeof(float));
 }
 

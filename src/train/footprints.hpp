@@ -40,7 +40,7 @@ private:
     Array<shared::RenderedRay> rendered_;
     Array<shared::RayGradient> upstream_;
     RayGeometry geometry_;
-    Array<float> ray_gradients_;
+    Array<float, shared::DeviceRayGradients> ray_gradients_;
     Kernel<shared::SplitBeamsParams> split_;
     Kernel<shared::SplitBeamsVjpParams> split_vjp_;
     Kernel<shared::JoinBeamsParams> join_, join_vjp_;

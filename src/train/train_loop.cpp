@@ -236,7 +236,7 @@ void TrainLoop::iterate(int step, bool ends_line) {
         densifier_->observe(stream_, scene, {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), whole_frame});
     LearningRates rates = rates_at(config_.train, extent_m_, step);
     if (config_.train.own_extents) rates.models = &scene.models(), rates.mean_factors = mean_factors(scene.layout(), extent_m_);
-    const Array<std::uint32_t>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
+    const Array<std::uint32_t, shared::TouchedSurfels>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
     adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree);
     reports_.add(step, frame.index, renderer_.rendered().rays.n_rays);
     if (densifier_ && densifier_->due(step))

@@ -46,7 +46,7 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddre
 }
 
 inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model,
-                                      const TraceOptions& options, Address<std::uint32_t> pass_cap_count) {
+                                      const TraceOptions& options, Address<std::uint32_t, shared::PassCapCount> pass_cap_count) {
     shared::TraceScene traced = trace_scene(scene, accel.addresses(), model);
     traced.rays = batch.rays->address();
     traced.pass_cap_count = pass_cap_count;

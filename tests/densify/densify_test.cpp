@@ -300,7 +300,7 @@ TEST_F(Densify, NothingToDoChangesNothing) {
     for (float& x : scene.surfels.opacity_logit) x = 1.0f;
     for (Model& m : scene.models) m.half_size_m = glm::vec3(0.0f);
     Case c(device(), scene, options);
-    const Address<float> address = c.device_scene.parameters().mean.address();
+    const auto address = c.device_scene.parameters().mean.address();
     const DensifyReport r = expect_reference(c, 600);
     EXPECT_EQ(r.removed() + r.added, 0u);
     EXPECT_EQ(c.device_scene.parameters().mean.address(), address);

@@ -52,7 +52,7 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
         SurfelArrays d(device(), static_cast<std::uint32_t>(n), "gradient", scene.surfels.primitive());
         d.fill_zero(stream);
         stream.fill(d.mean, 0x3e800000u);   // 0.25
-        const Array<std::uint32_t> rows(device(), std::span<const std::uint32_t>(touched), "touched");
+        const Array<std::uint32_t, shared::TouchedSurfels> rows(device(), std::span<const std::uint32_t>(touched), "touched");
         const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
         SurfelLoss loss(device(), weights);
         loss.regularise(stream, on_device, {&d, all ? nullptr : &rows}, terms);

@@ -131,6 +131,12 @@ TEST(Rules, KernelWithoutCompanyIsFound) {
     EXPECT_THAT(check_kernels(complete), IsEmpty());
 }
 
+TEST(Rules, TwoBarePointersOfOneKindAreFound) {
+    const SourceTree tree = make_tree({{"shaders/shared/a.h", "struct P {\n    Floats x;   // input\n    Uints n;\n    Floats y;\n};\n"
+                                                              "struct Q {\n    Floats z;\n    RELIDAR_OF(Floats, Tangents) t;\n};\n"}});
+    EXPECT_THAT(check_bare_pointers(tree), ElementsAre(HasSubstr("a.h:4: P::y takes what x is given")));
+}
+
 TEST(Rules, BudgetsAreCounted) {
     std::string body;
     for (int i = 0; i < 60; ++i) body += "    step();\n";
