@@ -119,7 +119,7 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       n_models(static_cast<std::uint32_t>(scene.layout().models.size())),
       n_instances(static_cast<std::uint32_t>(scene.layout().instances.size())),
       bound(node_bound(n, n_models)),
-      proxies(d, "accel/proxies", {{ConstantId::BOXES, 2u}, {ConstantId::GAUSSIANS, scene.primitive() == Primitive::gaussian ? 1u : 0u}}),
+      proxies(d, "accel/proxies", {{ConstantId::BOXES, 2u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}}),
       bounds_kernel(d, "accel/bvh_bounds", {kShares}, Subgroups::full),
       keys_kernel(d, "accel/bvh_keys"),
       sort(d, n, 2),

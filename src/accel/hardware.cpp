@@ -113,12 +113,12 @@ struct HardwareAccel::Impl {
     Buffer scratch;
     std::uint64_t scratch_address = 0;
 
-    Impl(Device& device, Proxy p, bool gaussians)
+    Impl(Device& device, Proxy p, Primitive primitive)
         : proxy(p),
-          mesh(gaussians ? kIcosahedron : kRectangle),
+          mesh(kind_of(primitive).mesh == ProxyMesh::icosahedron ? kIcosahedron : kRectangle),
           proxies(device, "accel/proxies",
-                  {{ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u}, {ConstantId::GAUSSIANS, gaussians ? 1u : 0u}}) {
-        if (gaussians && proxy == Proxy::triangles) reach = Array<std::uint32_t>(device, 1, "reach of proxies");
+                  {{ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}) {
+        if (&mesh == &kIcosahedron && proxy == Proxy::triangles) reach = Array<std::uint32_t>(device, 1, "reach of proxies");
     }
 
     void describe_model(const Model& model);
@@ -172,7 +172,7 @@ std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const D
 }
 
 HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy)
-    : impl_(std::make_unique<Impl>(device, proxy, scene.primitive() == Primitive::gaussian)) {
+    : impl_(std::make_unique<Impl>(device, proxy, scene.primitive())) {
     Impl& a = *impl_;
     const Scene& layout = scene.layout();
     std::uint32_t largest = 0;

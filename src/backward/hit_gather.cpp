@@ -14,7 +14,7 @@ namespace {
 std::vector<Constant> constants(const ImageModel& model, const TraceOptions& options) {
     return {{ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
             {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
-            {ConstantId::GAUSSIANS, model.primitive == Primitive::gaussian ? 1u : 0u},
+            {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
             {ConstantId::GEOMETRY, options.geometry ? 1u : 0u},
             {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u}};
 }

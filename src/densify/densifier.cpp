@@ -55,7 +55,7 @@ struct Densifier::Impl {
 
     Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames, std::uint64_t random_seed)
         : device(d), options(o), min_opacity(std::max(float(o.min_opacity), alpha_min)), seed(random_seed),
-          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames, scene.surfels.primitive()),
+          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames, scene.surfels.primitive),
           counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
           observe(d, "densify/observe"), classify(d, "densify/classify"), spawn(d, "densify/spawn"),
           reset_opacity(d, "densify/reset_opacity"), jitter(d, "densify/jitter") {

@@ -6,6 +6,7 @@
 #include <limits>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <relidar/error.hpp>
 
@@ -21,6 +22,17 @@ std::vector<std::size_t> ParameterGroup::shape(std::size_t n) const {
     return {n};
 }
 
+Primitive stored_primitive(const std::map<std::string, std::string>& texts, const std::string& key,
+                           const std::function<bool(const char*)>& has_array) {
+    std::vector<std::string> names;
+    for (const PrimitiveKind& kind : kPrimitives) names.emplace_back(kind.name);
+    const auto text = texts.find(key);
+    const bool third_scale = has_array(kParameterGroups.back().name);
+    for (const PrimitiveKind& kind : kPrimitives)
+        if (text == texts.end() ? kind.third_scale == third_scale : kind.name == text->second) return kind.primitive;
+    throw DataError(fmt::format("{}: found \"{}\", expected one of {}", key, text->second.substr(0, 40), fmt::join(names, ", ")));
+}
+
 SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& what, Primitive kind) : n(count), primitive(kind) {
     for (const ParameterGroup& group : groups_of(kind))
         group.mutable_device(*this) = Array<float>(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
@@ -28,8 +40,9 @@ SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::strin
 
 void SurfelArrays::upload(const Surfels& s) {
     s.check_shapes();
-    if (s.size() > 0 && s.primitive() != primitive)
-        throw DataError("uploading surfels: found another primitive than the arrays are for, expected the same");
+    if (s.size() > 0 && s.primitive != primitive)
+        throw DataError(fmt::format("uploading surfels: found {}, expected {} as in the arrays", kind_of(s.primitive).label,
+                                    kind_of(primitive).label));
     for (const ParameterGroup& group : groups_of(primitive)) group.mutable_device(*this).upload(group.values(s));
 }
 

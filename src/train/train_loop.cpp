@@ -90,7 +90,7 @@ std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
     std::vector<float> bounds;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         float largest = std::max(surfels.log_scale[i].x, surfels.log_scale[i].y);
-        if (!surfels.log_scale_w.empty()) largest = std::max(largest, surfels.log_scale_w[i]);
+        if (kind_of(surfels.primitive).third_scale) largest = std::max(largest, surfels.log_scale_w[i]);
         bounds.push_back(largest + static_cast<float>(std::log(max_growth)));
     }
     return bounds;
@@ -166,7 +166,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       stream_(renderer_.stream()),
       footprints_(make_footprints(device, config, frames_)),
       losses_(make_losses(device, config.loss, most_rays(frames_.all()))),
-      adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed}, initial.surfels.primitive()),
+      adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed}, initial.surfels.primitive),
       reports_(device),
       extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
       sampler_(frames_.all().size(), config.train.seed) {

@@ -81,7 +81,7 @@ inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, 
             {ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
             {ConstantId::TOGETHER, walks_together(device, options) ? 1u : 0u},
             {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
-            {ConstantId::GAUSSIANS, model.primitive == Primitive::gaussian ? 1u : 0u},
+            {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
             {ConstantId::GEOMETRY, options.geometry ? 1u : 0u},
             {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
             {ConstantId::MODE, options.mode_gap_m ? 1u : 0u}};

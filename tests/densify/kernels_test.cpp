@@ -70,7 +70,7 @@ struct Trained {
     Trained(Device& device, Scene initial, const DensifyOptions& options)
         : scene(std::move(initial)),
           device_scene(device, scene),
-          adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive()),
+          adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive),
           densifier(device, scene, options, 1.0f / 255.0f, 3, 9) {}
 };
 
@@ -109,7 +109,7 @@ TEST_P(Jitter, MovesFaintSurfelsInTheirPlaneAndGaussiansAlongAllAxes) {
     options.strategy = DensifyStrategy::mcmc;
     options.noise = 0.4;
     Scene scene = test::random_model_scene({300}, 5);
-    if (GetParam() == Primitive::gaussian) make_gaussians(scene.surfels, 0.7);
+    if (GetParam() == Primitive::gaussian) make_primitive(scene.surfels, Primitive::gaussian, 0.7);
     Trained t(device(), scene, options);
     const Surfels before = t.scene.surfels;
     Stream stream(device());

@@ -68,4 +68,17 @@ Violations check_bare_pointers(const SourceTree& tree) {
     return violations;
 }
 
+Violations check_primitive_questions(const SourceTree& tree) {
+    static const std::regex question(R"(.*([=!]= *Primitive::\w+|\bPrimitive::\w+ *[=!]=|case Primitive::|log_scale_w\.empty\(\)).*)");
+    Violations violations;
+    for (const auto& [path, file] : tree) {
+        const std::string top = folder(path, 0);
+        if ((top != "src" && top != "include" && top != "tools") || !has_extension(path, {".cpp", ".hpp"})) continue;
+        for (std::size_t i = 0; i < file.lines.size(); ++i)
+            if (std::regex_match(file.lines[i], question))
+                violations.push_back(path + ":" + std::to_string(i + 1) + ": asks which primitive it is, expected a column of kind_of()");
+    }
+    return violations;
+}
+
 }  // namespace relidar::structure

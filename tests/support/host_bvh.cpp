@@ -123,7 +123,7 @@ private:
 std::vector<Box> surfel_boxes(Device& device, const DeviceScene& scene) {
     Stream stream(device);
     const std::vector<Constant> constants{{ConstantId::BOXES, 1u},
-                                          {ConstantId::GAUSSIANS, scene.primitive() == Primitive::gaussian ? 1u : 0u}};
+                                          {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}};
     const Kernel<shared::ProxyParams> proxies(device, "accel/proxies", constants);
     const Array<float, shared::SurfelBoxes> boxes(device, 6 * std::size_t(scene.size()), "boxes");
     const AccelOptions margin;
