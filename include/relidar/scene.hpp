@@ -3,6 +3,7 @@
 // Gaussians, with a third scale; what is said of surfels holds for them too.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <map>
@@ -16,6 +17,7 @@
 #include <relidar/math.hpp>
 #include <relidar/progress.hpp>
 #include <relidar/sequence.hpp>
+#include <relidar/shared/primitives.h>
 #include <relidar/team.hpp>
 
 namespace relidar {
@@ -24,8 +26,34 @@ inline constexpr int kShCoefficients = 16;   ///< real SH basis of degree 3
 inline constexpr int kShChannels = 3;        ///< intensity, hit logit, drop logit
 inline constexpr int kShFloats = kShChannels * kShCoefficients;
 
-/// What a scene is made of: surfels, or 3D Gaussians (docs/method.md section 2).
-enum class Primitive { surfel, gaussian };
+/// What a scene is made of: surfels, or 3D Gaussians (docs/method.md section 2). Whoever treats them differently asks their row below.
+enum class Primitive {
+#define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) name = number,
+    RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)   // a value each
+#undef RELIDAR_PRIMITIVE
+};
+
+/// Triangles that stand for one in a driver's tree: two that share the plane of a surfel, or twenty around an ellipsoid.
+enum class ProxyMesh { rectangle, icosahedron };
+
+/// A row of RELIDAR_PRIMITIVES, which says what each means.
+struct PrimitiveKind {
+    Primitive primitive;
+    const char* name;
+    const char* label;
+    bool third_scale;
+    bool has_normals;
+    ProxyMesh mesh;
+};
+
+inline constexpr std::array kPrimitives{
+#define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) \
+    PrimitiveKind{Primitive::name, #name, label, third_scale, normals, ProxyMesh::proxy},
+    RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)   // a row each
+#undef RELIDAR_PRIMITIVE
+};
+/// The row of a primitive.
+constexpr const PrimitiveKind& kind_of(Primitive primitive) { return kPrimitives[static_cast<std::size_t>(primitive)]; }
 
 /// Surfels as they are stored and optimised (structure of arrays). All frames are the model's own.
 struct Surfels {
@@ -34,12 +62,12 @@ struct Surfels {
     std::vector<glm::vec2> log_scale;     ///< [n,2] ln metres, standard deviations along a_u, a_v
     std::vector<float> opacity_logit;     ///< [n]
     std::vector<float> sh;                ///< [n,3,16] channel-major: value = 0.5 + basis(direction) . coefficients
-    std::vector<float> log_scale_w;       ///< [n] ln metres along the normal of 3D Gaussians; empty: surfels
+    std::vector<float> log_scale_w;       ///< [n] ln metres along the third axis of primitives with a third scale; empty for others
+    Primitive primitive = Primitive::surfel;
 
     std::size_t size() const { return mean.size(); }
-    Primitive primitive() const { return log_scale_w.empty() ? Primitive::surfel : Primitive::gaussian; }
-    void resize(std::size_t n) { resize(n, primitive()); }
-    void resize(std::size_t n, Primitive primitive);
+    void resize(std::size_t n) { resize(n, primitive); }
+    void resize(std::size_t n, Primitive of);
     /// Appends the surfels of another set; an empty set takes its primitive. @throws DataError where the primitives differ
     void append(const Surfels& other);
     /// Reorders: surfel i of the result is surfel order[i] of this set.
@@ -50,8 +78,8 @@ struct Surfels {
     void check_shapes() const;
 };
 
-/// Makes 3D Gaussians of surfels: the standard deviation along the normal is `thickness` times the geometric mean of the two in the plane.
-void make_gaussians(Surfels& surfels, double thickness);
+/// Makes another primitive of surfels. Where it has a third scale, that is `thickness` times the geometric mean of the two in the plane.
+void make_primitive(Surfels& surfels, Primitive primitive, double thickness);
 
 /// A contiguous range of a scene's surfels with a frame of its own.
 struct Model {

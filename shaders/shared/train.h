@@ -49,15 +49,16 @@ struct MoveRaysParams {
 /// Gradients of rays as gradients of the knots' corrections. Ray k of the batch is entry first_ray + k * ray_stride of `moved`, and of
 /// `places` too unless it was gathered from a window of columns.
 struct KnotGradientsParams {
-    Rays moved;          // input
-    RayPlaces places;    // input, of the whole frame
-    PoseKnots knots;     // input
-    Floats d_rays;       // input [n_rays,6]
-    Floats rows;         // output [n_rows,n_knots,6]: dL/d(translation), dL/d(rotation), sums over the rays of a workgroup
+    Rays moved;                                      // input
+    RayPlaces places;                                // input, of the whole frame
+    PoseKnots knots;                                 // input
+    RELIDAR_OF(Floats, DeviceRayGradients) d_rays;   // input [n_rays,6]
+    // output [n_rows,n_knots,6]: dL/d(translation), dL/d(rotation), sums over the rays of a workgroup
+    RELIDAR_OF(Floats, KnotGradientRows) rows;
     uint n_rays;
     uint first_ray;
     uint ray_stride;
-    uint columns;        // of the frame; 0 = the batch is no copy of columns
+    uint columns;                                    // of the frame; 0 = the batch is no copy of columns
     uint first_column;
     uint column_stride;
     uint n_columns;

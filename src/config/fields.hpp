@@ -32,6 +32,12 @@ inline Accepts one_of(std::vector<std::string> names) {
     return accepts;
 }
 
+inline std::vector<std::string> primitive_names() {
+    std::vector<std::string> names;
+    for (const PrimitiveKind& kind : kPrimitives) names.emplace_back(kind.name);
+    return names;
+}
+
 inline Accepts some_of(std::vector<std::string> names) {
     Accepts accepts = one_of(std::move(names));
     accepts.several = true;
@@ -146,7 +152,7 @@ void visit_scene(C& c, Visitor&& f) {
       expert("spherical harmonics are evaluated per hit along the ray, or once a surfel along sensor to mean"));
     f("image.single_drop_logit", c.image.single_drop_logit, anything(),
       expert("ray-drop is the sigmoid of one blended logit, hit logits stay 0; false: the softmax of two (paper)"));
-    f("image.primitive", c.image.primitive, one_of({"surfel", "gaussian"}),
+    f("image.primitive", c.image.primitive, one_of(primitive_names()),
       expert("what the scene is made of: 2D Gaussians (paper), or 3D Gaussians, in ray query over triangles with icosahedra as proxies"));
 }
 

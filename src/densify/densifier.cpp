@@ -44,7 +44,7 @@ struct Densifier::Impl {
     std::uint64_t seed;
     std::vector<double> extents_m;
     Rearrangement arrays;
-    Array<std::uint32_t> counters;   ///< [n_models, RELIDAR_DENSIFY_COUNTERS]
+    Array<std::uint32_t, shared::DensifyCounters> counters;   ///< [n_models, RELIDAR_DENSIFY_COUNTERS]
     Kernel<shared::ObserveParams> observe;
     Kernel<shared::ClassifyParams> classify;
     Kernel<shared::SpawnParams> spawn;
@@ -54,7 +54,7 @@ struct Densifier::Impl {
 
     Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames, std::uint64_t random_seed)
         : device(d), options(o), min_opacity(std::max(float(o.min_opacity), alpha_min)), seed(random_seed),
-          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames, scene.surfels.primitive()),
+          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames, scene.surfels.primitive),
           counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
           observe(d, "densify/observe"), classify(d, "densify/classify"), spawn(d, "densify/spawn"),
           reset_opacity(d, "densify/reset_opacity"), jitter(d, "densify/jitter") {
@@ -88,7 +88,7 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
                   .weight = arrays.weight.address(),
                   .counters = counters.address(),
                   .models = scene.models().address(),
-                  .extents = impl_of(stream).values(extents),
+                  .extents = impl_of(stream).values(extents).as<shared::ModelExtents>(),
                   .min_opacity = rules.min_opacity,
                   .max_extent_share = rules.max_extent_share,
                   .clone_extent_share = static_cast<float>(options.clone_extent_share),

@@ -106,7 +106,7 @@ public:
 
 private:
     void add(const Surfels& surfels, std::size_t n) {
-        const bool has_normals = surfels.primitive() == Primitive::surfel;
+        const bool has_normals = kind_of(surfels.primitive).has_normals;
         for (std::size_t i = 0; i < n; ++i)
             if (surfels.opacity_logit[i] > kFaintLogit &&
                 (!has_normals || std::abs(surfel_normal(surfels.rotation[i]).z) > kLevelSurfel))

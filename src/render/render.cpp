@@ -39,10 +39,10 @@ float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f 
 
 TraceOptions traced_with(const Config& config) {
     for (const ChannelInfo& channel : wanted_channels(config.render.channels))
-        if (channel.needs_normals && config.image.primitive == Primitive::gaussian)
-            throw UsageError(fmt::format("setting render.channels: found {} with image.primitive=gaussian, which has no normals, "
+        if (channel.needs_normals && !kind_of(config.image.primitive).has_normals)
+            throw UsageError(fmt::format("setting render.channels: found {} with image.primitive={}, which has no normals, "
                                          "expected surfels, or other channels",
-                                         channel.name));
+                                         channel.name, kind_of(config.image.primitive).name));
     return rendering_trace_options(config);
 }
 

@@ -133,11 +133,9 @@ Run load_run(const fs::path& folder, const std::function<void(const std::string&
         throw DataError(fmt::format("{}: counts.surfels: found {}, but {} holds {}", scene_path.string(), scene.n_surfels, kModelFile,
                                     run.scene.surfels.size()));
     }
-    if (run.scene.surfels.size() > 0 && run.scene.surfels.primitive() != run.config.image.primitive) {
-        const bool is_gaussian = run.scene.surfels.primitive() == Primitive::gaussian;
+    if (run.scene.surfels.size() > 0 && run.scene.surfels.primitive != run.config.image.primitive)
         throw DataError(fmt::format("{}: image.primitive: found {}, but {} holds {}", (folder / kConfigFile).string(),
-                                    is_gaussian ? "surfel" : "gaussian", kModelFile, is_gaussian ? "3D Gaussians" : "surfels"));
-    }
+                                    kind_of(run.config.image.primitive).name, kModelFile, kind_of(run.scene.surfels.primitive).label));
     return run;
 }
 

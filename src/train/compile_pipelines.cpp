@@ -23,7 +23,6 @@ struct Setting {
 // What is tried on top of the preset `default`, one at a time. A new specialisation constant is a line here.
 constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
                                  {"image.sh_direction", "surfel"},
-                                 {"image.primitive", "gaussian"},
                                  {"image.single_drop_logit", "true"},
                                  {"train.deterministic", "true"},
                                  {"train.refine_poses", "sensor,actors"},
@@ -75,7 +74,9 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         tell(preset);
         compile(device, street, make_preset(preset));
     }
-    for (const Setting& setting : kSettings) {
+    std::vector<Setting> settings(std::begin(kSettings), std::end(kSettings));
+    for (const PrimitiveKind& kind : kPrimitives) settings.push_back({"image.primitive", kind.name});
+    for (const Setting& setting : settings) {
         tell(std::string(setting.key) + "=" + setting.value);
         Config config = make_preset("default");
         set_key(config, setting.key, setting.value);

@@ -33,7 +33,7 @@ InitialiseOptions start_options(const Config& config) {
 /// What training starts from.
 Scene start_scene(const Sequence& sequence, const Split& split, const Config& config, const Progress& progress) {
     Scene scene = initialise_scene(sequence, split.train, start_options(config), progress);
-    if (config.image.primitive == Primitive::gaussian) make_gaussians(scene.surfels, config.init.thickness);
+    make_primitive(scene.surfels, config.image.primitive, config.init.thickness);
     return scene;
 }
 

@@ -95,7 +95,7 @@ std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
     std::vector<float> bounds;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         float largest = std::max(surfels.log_scale[i].x, surfels.log_scale[i].y);
-        if (!surfels.log_scale_w.empty()) largest = std::max(largest, surfels.log_scale_w[i]);
+        if (kind_of(surfels.primitive).third_scale) largest = std::max(largest, surfels.log_scale_w[i]);
         bounds.push_back(largest + static_cast<float>(std::log(max_growth)));
     }
     return bounds;
@@ -144,7 +144,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
                 {backward_options(config), refiner_.wanted(), all_have_gradients(config)}),
       stream_(renderer_.stream()),
       losses_(make_losses(device, config.loss, most_rays(frames_.all()))),
-      adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed}, initial.surfels.primitive()),
+      adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed}, initial.surfels.primitive),
       densifier_(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.all().size()),
                  config.train.seed),
       reports_(device),
@@ -201,7 +201,7 @@ void TrainLoop::iterate(int step, bool ends_line) {
     LearningRates rates = rates_at(config_.train, extent_m_, step);
     if (config_.densify.strategy == DensifyStrategy::adaptive)
         rates.models = &scene.models(), rates.mean_factors = mean_factors(scene.layout(), extent_m_);
-    const Array<std::uint32_t>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
+    const Array<std::uint32_t, shared::TouchedSurfels>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
     adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree);
     reports_.add(step, frame.index, renderer_.rendered().rays.n_rays);
     if (densifier_.due(step))

@@ -410,8 +410,8 @@ TEST_F(GeometryGradient, GatheredTheSameBitsInEveryRun) {
         DevicePasses passes(device(), p, 0, {.reduction = Reduction::gather});
         passes.run_all();
         std::vector<float> all;
-        for (const Array<float>* array :
-             {&passes.gradients().records, &passes.gradients().surfels.rotation, &passes.gradients().rays, &passes.gradients().poses})
+        const Gradients& g = passes.gradients();
+        for (const Array<float>* array : std::initializer_list<const Array<float>*>{&g.records, &g.surfels.rotation, &g.rays, &g.poses})
             for (const float x : array->download()) all.push_back(x);
         if (i == 0) first = all;
         EXPECT_EQ(all, first);

@@ -38,7 +38,7 @@ struct Case {
     Case(Device& device, Scene initial, const DensifyOptions& o, bool with_poison = false)
         : scene(std::move(initial)),
           device_scene(device, scene),
-          adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive()),
+          adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive),
           options(o),
           densifier(device, scene, options, kAlphaMin, kFrames, kSeed),
           stream(device) {
@@ -169,7 +169,7 @@ void expect_state(Case& c, const std::vector<Row>& rows) {
         ASSERT_EQ(m1.mean[i], fresh ? glm::vec3(0.0f) : c.moment1.mean[from]);
         ASSERT_EQ(m2.rotation[i], fresh ? glm::vec4(0.0f) : c.moment2.rotation[from]);
         ASSERT_EQ(m1.log_scale[i], fresh ? glm::vec2(0.0f) : c.moment1.log_scale[from]);
-        if (m1.primitive() == Primitive::gaussian) {
+        if (m1.primitive == Primitive::gaussian) {
             ASSERT_EQ(m1.log_scale_w[i], fresh ? 0.0f : c.moment1.log_scale_w[from]);
         }
         ASSERT_EQ(m2.sh[i * kShFloats + 16], fresh ? 0.0f : c.moment2.sh[from * kShFloats + 16]);
@@ -242,7 +242,7 @@ TEST_F(Densify, AdaptiveAgreesWithTheReference) {
 /// The third scale is the largest of some, and takes part in every decision.
 TEST_F(Densify, GaussiansAgreeWithTheReference) {
     Scene scene = test::random_model_scene({500, 300}, 21);
-    make_gaussians(scene.surfels, 1.5);
+    make_primitive(scene.surfels, Primitive::gaussian, 1.5);
     for (std::size_t i = 0; i < scene.surfels.size(); i += 3) scene.surfels.log_scale_w[i] -= 2.0f;
     DensifyOptions options = adaptive();
     options.clone_extent_share = 3e-3;
@@ -290,7 +290,7 @@ TEST_F(Densify, NothingToDoChangesNothing) {
     for (float& x : scene.surfels.opacity_logit) x = 1.0f;
     for (Model& m : scene.models) m.half_size_m = glm::vec3(0.0f);
     Case c(device(), scene, options);
-    const Address<float> address = c.device_scene.parameters().mean.address();
+    const auto address = c.device_scene.parameters().mean.address();
     const DensifyReport r = expect_reference(c, 600);
     EXPECT_EQ(r.removed() + r.added, 0u);
     EXPECT_EQ(c.device_scene.parameters().mean.address(), address);

@@ -20,7 +20,7 @@ struct Observed {
     DeviceScene scene;
     Densifier densifier;
     SurfelArrays gradients;
-    Array<std::uint32_t> touched;
+    Array<std::uint32_t, shared::TouchedSurfels> touched;
     Stream stream;
     std::uint32_t n;
 

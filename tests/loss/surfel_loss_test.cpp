@@ -43,16 +43,16 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
     weights.box = 0.3f;
     const std::size_t n = scene.surfels.size();
     for (const bool all : {true, false}) {
-        if (!all) make_gaussians(scene.surfels, 3.0);
+        if (!all) make_primitive(scene.surfels, Primitive::gaussian, 3.0);
         const bool is_gaussian = !all;
         std::vector<std::uint32_t> touched(n);
         for (std::size_t i = 0; i < n; ++i) touched[i] = i % 3 != 0;
         Stream stream(device());
         DeviceScene on_device(device(), scene);
-        SurfelArrays d(device(), static_cast<std::uint32_t>(n), "gradient", scene.surfels.primitive());
+        SurfelArrays d(device(), static_cast<std::uint32_t>(n), "gradient", scene.surfels.primitive);
         d.fill_zero(stream);
         stream.fill(d.mean, 0x3e800000u);   // 0.25
-        const Array<std::uint32_t> rows(device(), std::span<const std::uint32_t>(touched), "touched");
+        const Array<std::uint32_t, shared::TouchedSurfels> rows(device(), std::span<const std::uint32_t>(touched), "touched");
         const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
         SurfelLoss loss(device(), weights);
         loss.regularise(stream, on_device, {&d, all ? nullptr : &rows}, terms);

@@ -131,6 +131,20 @@ TEST(Rules, KernelWithoutCompanyIsFound) {
     EXPECT_THAT(check_kernels(complete), IsEmpty());
 }
 
+TEST(Rules, TwoBarePointersOfOneKindAreFound) {
+    const SourceTree tree = make_tree({{"shaders/shared/a.h", "struct P {\n    Floats x;   // input\n    Uints n;\n    Floats y;\n};\n"
+                                                              "struct Q {\n    Floats z;\n    RELIDAR_OF(Floats, Tangents) t;\n};\n"}});
+    EXPECT_THAT(check_bare_pointers(tree), ElementsAre(HasSubstr("a.h:4: P::y takes what x is given")));
+}
+
+TEST(Rules, QuestionForAPrimitiveIsFound) {
+    const SourceTree tree = make_tree({{"src/edit/a.cpp", "Primitive p = Primitive::surfel;\nif (p == Primitive::gaussian) f();\n"},
+                                       {"tools/relidar/b.cpp", "return s.log_scale_w.empty();\n"},
+                                       {"src/edit/c.cpp", "if (kind_of(p).has_normals) f();\n"},
+                                       {"tests/edit/d.cpp", "EXPECT_TRUE(p == Primitive::gaussian);\n"}});
+    EXPECT_THAT(check_primitive_questions(tree), ElementsAre(HasSubstr("a.cpp:2:"), HasSubstr("b.cpp:1:")));
+}
+
 TEST(Rules, BudgetsAreCounted) {
     std::string body;
     for (int i = 0; i < 60; ++i) body += "    step();\n";

@@ -105,7 +105,7 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
         const SampledBatch batch = sampler.sample(stream, frames[f], draw);
         std::vector<float> upstream(6 * std::size_t(batch.rays.n_rays));
         for (float& x : upstream) x = normal(random);
-        const Array<float> d_rays(device(), std::span<const float>(upstream), "ray gradients");
+        const Array<float, shared::DeviceRayGradients> d_rays(device(), std::span<const float>(upstream), "ray gradients");
         rays.sum_gradients(stream, frames[f], batch, d_rays);
         stream.finish();
         const std::vector<PoseGradient> actual = rays.gradients_in(rays.gradient_rows().download(), frames[f]);

@@ -18,7 +18,12 @@ namespace {
 
 class Train : public test::DeviceTest {};
 class TrainEither : public Train, public testing::WithParamInterface<Primitive> {};
-INSTANTIATE_TEST_SUITE_P(Primitives, TrainEither, testing::Values(Primitive::surfel, Primitive::gaussian));
+std::vector<Primitive> all_primitives() {
+    std::vector<Primitive> all;
+    for (const PrimitiveKind& kind : kPrimitives) all.push_back(kind.primitive);
+    return all;
+}
+INSTANTIATE_TEST_SUITE_P(Primitives, TrainEither, testing::ValuesIn(all_primitives()));
 
 SyntheticOptions small_street() { return {.n_frames = 11, .rows = 16, .columns = 256}; }
 
@@ -54,7 +59,7 @@ TEST_P(TrainEither, LearnsTheStreet) {
     EXPECT_LT(result.log.back().loss, 0.7 * result.log.front().loss);
     EXPECT_EQ(result.log.back().iteration, 60);
     EXPECT_FALSE(result.interrupted);
-    EXPECT_EQ(result.scene.surfels.primitive(), GetParam());
+    EXPECT_EQ(result.scene.surfels.primitive, GetParam());
     config.train.iterations = 1;
     config.train.mean_rate = config.train.rotation_rate = config.train.scale_rate = config.train.opacity_rate = config.train.sh_rate =
         1e-12;
@@ -101,7 +106,7 @@ TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
     ASSERT_EQ(first.size(), last.size());
     std::size_t at_the_bound = 0;
     for (std::size_t i = 0; i < last.size(); ++i) {
-        const bool has_three = !first.log_scale_w.empty();
+        const bool has_three = kind_of(first.primitive).third_scale;
         const float began = std::max({first.log_scale[i].x, first.log_scale[i].y, has_three ? first.log_scale_w[i] : -100.0f});
         const float ended = std::max({last.log_scale[i].x, last.log_scale[i].y, has_three ? last.log_scale_w[i] : -100.0f});
         EXPECT_LE(ended - began, std::log(1.3f) + 1e-5f);

@@ -28,7 +28,7 @@ struct HeldRenderer {
 std::unique_ptr<HeldRenderer> make(const Scene& scene, const std::optional<Config>& config, bool poses, bool rays, SharedDevice device) {
     const Config settings = config.value_or(make_preset("default"));
     ImageModel image = settings.image;
-    image.primitive = scene.surfels.primitive();
+    image.primitive = scene.surfels.primitive;
     const RendererOptions options{{}, trace_options(settings), 0,
                                   static_cast<std::uint32_t>(settings.trace.keep_hits)};
     const GradientOptions gradients{backward_options(settings), {.rays = rays, .poses = poses}};

@@ -71,18 +71,26 @@ inline constexpr std::array<std::pair<const char*, std::uint32_t DensifyReport::
      {"large", &DensifyReport::large},
      {"outside", &DensifyReport::outside}}};
 
+namespace shared {   // what arrays hold, as kernels tell them apart
+struct GradientSums;
+struct SeenBatches;
+struct SeenFrames;
+struct TouchedSurfels;
+}  // namespace shared
+
 /// Statistics since the last densification, kept with the surfels; the arrays may have room for more than n. A checkpoint holds them.
 struct SurfelStatistics {
-    Array<float> gradient_sum;        ///< [n] sum over batches of the norm of the gradient
-    Array<std::uint32_t> n_seen;      ///< [n] batches whose frame shows the surfel
-    Array<std::uint32_t> frames;  ///< [n, n_words] bit f: the surfel, or what it was copied from, has had a gradient in training frame f
+    Array<float, shared::GradientSums> gradient_sum;   ///< [n] sum over batches of the norm of the gradient
+    Array<std::uint32_t, shared::SeenBatches> n_seen;  ///< [n] batches whose frame shows the surfel
+    /// [n, n_words] bit f: the surfel, or what it was copied from, has had a gradient in training frame f
+    Array<std::uint32_t, shared::SeenFrames> frames;
     std::uint32_t n_words = 1;
 };
 
 /// A batch whose gradients are there.
 struct ObservedBatch {
     const SurfelArrays* gradients = nullptr;
-    const Array<std::uint32_t>* touched = nullptr;   ///< [n] where the gradients are defined and not zero
+    const Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;   ///< [n] where the gradients are defined and not zero
     std::uint32_t frame = 0;                         ///< place among the training frames
     bool whole_frame = true;                         ///< false: every s-th of its rays
 };

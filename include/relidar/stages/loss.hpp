@@ -69,19 +69,26 @@ RELIDAR_LOSS_TERMS(RELIDAR_TERM)   // a constant each
 #undef RELIDAR_TERM
 }  // namespace loss_term
 
+namespace shared {   // what arrays hold, as kernels tell them apart
+struct LossTerms;
+struct TouchedSurfels;
+}  // namespace shared
+
 /// Where the terms of a batch are added up: a row of an array that may hold those of several batches.
 struct TermRow {
     const Array<float>& terms;   ///< [rows, kLossTerms] weighted
     std::uint32_t row = 0;
 
     TermRow(const Array<float>& array, std::uint32_t at = 0) : terms(array), row(at) {}
-    Address<float> address() const { return terms.address(std::size_t(row) * kLossTerms); }
+    Address<float, shared::LossTerms> address() const {
+        return terms.address_as<float, shared::LossTerms>(std::size_t(row) * kLossTerms);
+    }
 };
 
 /// Gradients of a scene's parameters, as the backward pass leaves them.
 struct SurfelGradients {
-    SurfelArrays* d_surfels = nullptr;               ///< accumulated
-    const Array<std::uint32_t>* touched = nullptr;   ///< rows that hold a gradient; null = all do
+    SurfelArrays* d_surfels = nullptr;                                       ///< accumulated
+    const Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;   ///< rows that hold a gradient; null = all do
 };
 
 /// A loss: one term or several, recorded together. One of your own derives from it, overrides one of the two, and joins the list.

@@ -42,7 +42,8 @@ void MovedRays::move(Stream& stream, const TrackCorrection& sensor, FrameData& f
     frame.moved_rays = &moved_;
 }
 
-void MovedRays::sum_gradients(Stream& stream, const FrameData& frame, const SampledBatch& batch, const Array<float>& d_rays) {
+void MovedRays::sum_gradients(Stream& stream, const FrameData& frame, const SampledBatch& batch,
+                              const Array<float, shared::DeviceRayGradients>& d_rays) {
     RELIDAR_ASSERT_LE(std::size_t(6) * batch.rays.n_rays, d_rays.size());
     run(stream, gradients_, std::size_t(RELIDAR_KNOT_WORKGROUP) * kRows * most_knots_,
         {.moved = batch.rays.rays->address(),

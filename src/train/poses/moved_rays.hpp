@@ -30,7 +30,8 @@ public:
     void move(Stream& stream, const TrackCorrection& sensor, FrameData& frame);
     /// Records gradients of the poses between which the batch's rays were fired, from dL/d(ray) of a backward pass; the frame was moved
     /// last. The direction from which spherical harmonics are seen is taken as fixed.
-    void sum_gradients(Stream& stream, const FrameData& frame, const SampledBatch& batch, const Array<float>& d_rays);
+    void sum_gradients(Stream& stream, const FrameData& frame, const SampledBatch& batch,
+                       const Array<float, shared::DeviceRayGradients>& d_rays);
     /// [kRows, poses of a frame at most, 6] of the last sum_gradients().
     const Array<float>& gradient_rows() const { return rows_; }
     /// What they mean, of a frame.
@@ -42,7 +43,7 @@ private:
     std::uint32_t most_knots_;
     Array<DeviceRay> moved_;                 ///< [rays of a frame at most] of the frame moved last
     Array<shared::PoseKnot> knots_;          ///< [most_knots] of the frame moved last
-    Array<float> rows_;
+    Array<float, shared::KnotGradientRows> rows_;
     Kernel<shared::MoveRaysParams> move_;
     Kernel<shared::KnotGradientsParams> gradients_;
 };

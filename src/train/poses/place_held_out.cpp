@@ -61,7 +61,7 @@ HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& se
     HeldOutPlacement result;
     const Config& config = run.config;
     if (!config.train.place_held_out || !registers_sensor(config.train) ||
-        config.image.primitive == Primitive::gaussian)   // which have no normals
+        !kind_of(config.image.primitive).has_normals)
         return result;
     const RegisterOptions options = register_options(run.sequence, config);
     RunView view(device, run);

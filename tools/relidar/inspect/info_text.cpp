@@ -222,7 +222,7 @@ RunSummary summarise(const Run& run) {
     summary.n_surfels = count_surfels(run.scene);
     summary.n_drop_parameters = run.drop_network.parameters.size();
     summary.drop_image = run.drop_network.image;
-    summary.is_gaussian = run.scene.surfels.primitive() == Primitive::gaussian;
+    summary.primitive = run.scene.surfels.primitive;
     summary.n_instances = run.scene.instances.size();
     summary.edits = run.edits;
     for (BoxSummary& box : summary.log.boxes) {
@@ -247,7 +247,8 @@ RunSummary summarise(const Run& run) {
 std::string to_text(const LogSummary& log) { return text_of(log, false); }
 
 std::string to_text(const RunSummary& run) {
-    std::string text = line("surfels", fmt::format("{}{}", run.n_surfels, run.is_gaussian ? " 3D Gaussians" : ""));
+    const std::string other = run.primitive == ImageModel{}.primitive ? "" : fmt::format(" {}", kind_of(run.primitive).label);
+    std::string text = line("surfels", fmt::format("{}{}", run.n_surfels, other));
     if (run.n_blocks > 0) text += line("blocks", fmt::format("{} of the background, read as scans need them", run.n_blocks));
     for (const auto& [name, count] : run.models) text += line("  model", fmt::format("{}: {} surfels", name, count));
     text += line("instances", fmt::format("{}, the background is 0", run.n_instances));
@@ -267,7 +268,7 @@ std::string to_json(const LogSummary& log) { return dumped(json_of(log)); }
 
 std::string to_json(const RunSummary& run) {
     Json json = {{"preset", run.preset},           {"iterations", run.iterations},
-                 {"surfels", run.n_surfels},       {"primitive", run.is_gaussian ? "gaussian" : "surfel"},
+                 {"surfels", run.n_surfels},       {"primitive", kind_of(run.primitive).name},
                  {"models", Json::array()},        {"train_frames", run.n_train},
                  {"test_frames", run.test_frames}, {"files", Json::object()},
                  {"log", json_of(run.log)}};

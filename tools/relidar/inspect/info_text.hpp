@@ -61,7 +61,7 @@ struct RunSummary {
     std::size_t n_drop_parameters = 0;   ///< of the ray-drop network; 0: there is none
     std::string drop_image = {};         ///< what it looks at
     std::size_t n_surfels = 0;
-    bool is_gaussian = false;                                        ///< they are 3D Gaussians
+    Primitive primitive = Primitive::surfel;                         ///< what they are
     std::vector<std::pair<std::string, std::size_t>> models;         ///< name, surfels
     std::size_t n_blocks = 0;                                        ///< of the background; 0: it is in one piece
     std::size_t n_instances = 0;
