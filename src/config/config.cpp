@@ -167,9 +167,12 @@ void load_config(Config& config, const std::filesystem::path& path, const std::f
         throw UsageError(fmt::format("{}: {}", path.string(), error.what()));
     }
     config = std::move(result);
-    if (note && !former.empty())
-        note(fmt::format("{}: {} settings of an earlier version say what is done now without them: {}", path.string(), former.size(),
-                         fmt::join(former, ", ")));
+    if (!note || former.empty()) return;
+    constexpr std::size_t kNamed = 3;
+    const std::size_t n = former.size();
+    former.resize(std::min(n, kNamed));
+    note(fmt::format("{}: {} settings of an earlier version, whose values are what the program does now: {}{}", path.string(), n,
+                     fmt::join(former, ", "), n > kNamed ? fmt::format(" and {} more", n - kNamed) : ""));
 }
 
 void update_settings(std::map<std::string, std::string>& settings) {

@@ -66,11 +66,15 @@ const MovedKey kMoved[] = {
     {"sensor.calibrate_range", "sensor.calibrate", [](Config& c, const std::string& v) { calibrate(c, "range", as_bool(v)); }},
 };
 
-/// Always the same value.
-#define RELIDAR_ALWAYS(text) [](const Config&) -> std::string { return text; }
+/// Always the same value, and one that follows from the settings `c`.
+#define RELIDAR_ALWAYS(text) [](const Config&, const std::string&) -> std::string { return text; }
+#define RELIDAR_FOLLOWS(text) [](const Config& c, const std::string&) -> std::string { return text; }
 
 std::string true_or_false(bool value) { return value ? "true" : "false"; }
-std::string batch_now(const Config& c) { return c.needs_images() ? "columns" : "rays"; }
+std::string batch_now(const Config& c, const std::string& found) {
+    if (c.train.rays_per_iteration == 0) return found;   // whole frames, whichever it was
+    return c.needs_images() ? "columns" : "rays";
+}
 bool is_paper(const Config& c) { return c.refine.network == "paper"; }
 
 constexpr const char* kGainedNothing = "it gained nothing beyond noise (docs/results.md)";
@@ -97,19 +101,19 @@ const RemovedKey kRemoved[] = {
     {"init.actor_points", RELIDAR_ALWAYS("8000"), kConstant},
     {"init.actor_symmetry", RELIDAR_ALWAYS("false"), "actors keep the sides they were seen from; `relidar assets` mirrors them"},
     {"init.actors", RELIDAR_ALWAYS("models"), "init.actor_classes and init.mask_others say which boxes are actors, masked or background"},
-    {"init.drop_logit", [](const Config& c) { return number_text(0.5 * (1.0 - c.init.hit_margin)); }, "init.hit_margin says it"},
+    {"init.drop_logit", RELIDAR_FOLLOWS(number_text(0.5 * (1.0 - c.init.hit_margin))), "init.hit_margin says it"},
     {"init.mask_beyond_labels_s", RELIDAR_ALWAYS("0"), kGainedNothing},
-    {"init.seed", [](const Config& c) { return fmt::format("{}", c.train.seed); }, "train.seed is that of the initialisation too"},
-    {"init.smooth", [](const Config& c) { return true_or_false(c.init.flatness < 1.0); }, "init.flatness below 1 does it"},
+    {"init.seed", RELIDAR_FOLLOWS(fmt::format("{}", c.train.seed)), "train.seed is that of the initialisation too"},
+    {"init.smooth", RELIDAR_FOLLOWS(true_or_false(c.init.flatness < 1.0)), "init.flatness below 1 does it"},
     {"loss.box_scale_share", RELIDAR_ALWAYS("0.2"), kConstant},
     {"loss.likelihood_floor", RELIDAR_ALWAYS("0.01"), kConstant},
     {"loss.likelihood_scale_m", RELIDAR_ALWAYS("0.05"), kConstant},
     {"loss.likelihood_scale_share", RELIDAR_ALWAYS("0"), kGainedNothing},
     {"loss.log_range", RELIDAR_ALWAYS("0"), kGainedNothing},
     {"loss.opacity_entropy", RELIDAR_ALWAYS("0"), kGainedNothing},
-    {"refine.dropout", [](const Config& c) -> std::string { return is_paper(c) ? "0.1" : "0"; }, "refine.network=paper has it"},
+    {"refine.dropout", RELIDAR_FOLLOWS(is_paper(c) ? "0.1" : "0"), "refine.network=paper has it"},
     {"refine.levels", RELIDAR_ALWAYS("-1"), "each refine.network has its own"},
-    {"refine.turn", [](const Config& c) { return true_or_false(is_paper(c)); }, "refine.network=paper has it; others lost by it"},
+    {"refine.turn", RELIDAR_FOLLOWS(true_or_false(is_paper(c))), "refine.network=paper has it; others lost by it"},
     {"refine.width", RELIDAR_ALWAYS("0"), "each refine.network has its own"},
     {"sensor.second_return_share", RELIDAR_ALWAYS("0.1"), kConstant},
     {"trace.proxy", nullptr, kDevice},
@@ -117,24 +121,25 @@ const RemovedKey kRemoved[] = {
     {"trace.rebuild_growth", nullptr, kConstant},
     {"trace.walk", nullptr, kDevice},
     {"train.batch", batch_now, "steps see windows of columns where a loss compares neighbours, else every n-th column"},
-    {"train.box_rate_m", [](const Config& c) { return number_text(10.0 * c.train.pose_rate_m); }, "it is ten times train.pose_rate_m"},
-    {"train.box_rate_rad", [](const Config& c) { return number_text(c.train.pose_rate_m); }, "it is train.pose_rate_m, in radians"},
+    {"train.box_rate_m", RELIDAR_FOLLOWS(number_text(10.0 * c.train.pose_rate_m)), "it is ten times train.pose_rate_m"},
+    {"train.box_rate_rad", RELIDAR_FOLLOWS(number_text(c.train.pose_rate_m)), "it is train.pose_rate_m, in radians"},
     {"train.checkpoint_keep", nullptr, "the newest two are kept"},
     {"train.extent_m", RELIDAR_ALWAYS("0"), "it is measured"},
     {"train.gather_hits", nullptr, kConstant},
     {"train.gradient_sums", RELIDAR_ALWAYS("automatic"), "the device decides, or train.deterministic"},
-    {"train.own_extents", [](const Config& c) { return true_or_false(c.densify.strategy == DensifyStrategy::adaptive); },
+    {"train.own_extents", RELIDAR_FOLLOWS(true_or_false(c.densify.strategy == DensifyStrategy::adaptive)),
      "densify.strategy=adaptive does it"},
     {"train.pose_from", RELIDAR_ALWAYS("0"), kGainedNothing},
     {"train.pose_largest_m", RELIDAR_ALWAYS("1"), kConstant},
     {"train.pose_prior_per_m2", RELIDAR_ALWAYS("0.01"), kConstant},
     {"train.pose_prior_per_rad2", RELIDAR_ALWAYS("0.1"), kConstant},
-    {"train.pose_rate_rad", [](const Config& c) { return number_text(c.train.pose_rate_m / 10.0); }, "it is a tenth of train.pose_rate_m"},
+    {"train.pose_rate_rad", RELIDAR_FOLLOWS(number_text(c.train.pose_rate_m / 10.0)), "it is a tenth of train.pose_rate_m"},
     {"train.second_returns", RELIDAR_ALWAYS("false"), kGainedNothing},
     {"train.sh_rest_factor", RELIDAR_ALWAYS("0.05"), kConstant},
     {"train.sub_rays", RELIDAR_ALWAYS("1"), kGainedNothing},
 };
 #undef RELIDAR_ALWAYS
+#undef RELIDAR_FOLLOWS
 
 template <class Key, std::size_t n>
 const Key* find(const Key (&keys)[n], const std::string& name) {
@@ -149,7 +154,7 @@ const MovedKey* find_moved(const std::string& key) { return find(kMoved, key); }
 
 void check_removed(const Config& config, const RemovedKey& removed, const std::string& found) {
     if (!removed.now) return;
-    const std::string now = removed.now(config);
+    const std::string now = removed.now(config, found);
     const std::optional<double> a = parse_number(found), b = parse_number(now);
     if (a && b ? *a == *b : found == now) return;
     throw UsageError(fmt::format("setting {}: found {}, expected {}: it was removed: {}", removed.key, excerpt(found), now, removed.why));

@@ -11,7 +11,8 @@ namespace relidar::config_detail {
 /// A setting that is gone, and what it would have to be to say what the program does now.
 struct RemovedKey {
     const char* key;
-    std::string (*now)(const Config& config);   ///< null: it changed nothing that is trained or rendered, any value will do
+    /// Null: it changed nothing that is trained or rendered, any value will do.
+    std::string (*now)(const Config& config, const std::string& found);
     const char* why;                            ///< a sentence's end: "it was removed: ..."
 };
 

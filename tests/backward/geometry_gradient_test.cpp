@@ -391,7 +391,7 @@ TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
         test::Passes passes(device(), {}, scene, upstream,
                             {.accel = {.proxy = Proxy::boxes}, .trace = {.likelihood = RangeKernel{0.1f}}});
         passes.run();
-        const double scale = 0.1 + 0.001 * t[1], d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6, w1 = 0.4 * 0.5;
+        const double scale = double(0.1f), d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6, w1 = 0.4 * 0.5;
         const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;   // of a range, by a float
         EXPECT_NEAR(passes.renderer.rendered().geometry->rendered.download()[0].likelihood, w0 * k + w1, 1e-6 + w0 * slope * resolved);
         const Surfels found = passes.gradients().surfels.download();

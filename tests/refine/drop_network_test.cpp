@@ -60,7 +60,7 @@ RefineOptions short_training() {
 TEST_F(DropNetworkTest, LearnsWhatNeighboursSay) {
     RefineOptions options = short_training();
     options.epochs = 20;
-    const DropNetwork network = train_drop_network(device(), some_images(options, 16), options, 1, {});
+    const DropNetwork network = train_drop_network(device(), some_images(options, 32), options, 1, {});
     DropRefiner refiner(device(), network);
     const DropImage seen_first_now = dark_neighbours(16, 40, options, 99), larger = dark_neighbours(25, 61, options, 98);
     EXPECT_GT(accuracy_of(refiner.refine(seen_first_now), seen_first_now), 0.97);   // 0.7 by always saying "returned"

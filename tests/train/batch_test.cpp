@@ -156,7 +156,7 @@ TEST_F(Batch, SimilarityAndNormalsSeeWindows) {
         const SampledBatch batch = BatchSampler(device(), config, image).sample(stream, image[0], random);
         stream.finish();
         EXPECT_EQ(batch.targets.image.columns, 10u) << setting;
-        EXPECT_EQ(batch.window.column_stride, 1u) << setting;
+        EXPECT_EQ(batch.window.stride, 1u) << setting;
         EXPECT_EQ(error_message<UsageError>([&] { BatchSampler(device(), config, cloud); }),
                   "setting " + setting + ": found a sensor without image order, expected rows and columns, or 0");
     }

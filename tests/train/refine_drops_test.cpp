@@ -221,7 +221,7 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
     relidar::Run other = run;
     other.config.refine.rate = 0.5;
     EXPECT_EQ(message(other),
-              "2 resuming the ray-drop network from step 2: setting refine.rate: found 0.5, expected 0.002 as in the checkpoint");
+              "2 resuming the ray-drop network from step 2: setting refine.rate: found 0.5, expected 0.01 as in the checkpoint");
     take_refine_settings(checkpoint, other.config);
     EXPECT_EQ(other.config.refine.rate, run.config.refine.rate);
     other.config.train.log_every = 7, other.config.train.checkpoint_minutes = 3.0, other.config.refine.enabled = false;
