@@ -123,6 +123,15 @@ done
 grep -q 'actors\[0\].asset: found "car-7", expected one that is there, as "car-' loop.out || fail "an unknown asset: $(cat loop.out)"
 stop
 
+# The interface of another renderer beside ours, by a client that knows its wire alone.
+bad 2 "api: found 'alpasim', expected sensorsim" serve run --api alpasim
+bad 2 "sensorsim-poses: found it without --api sensorsim" serve run --sensorsim-poses rotation-first
+bad 2 "sensorsim-poses: found 'xyz', expected rotation-first or translation-first" serve run --api sensorsim --sensorsim-poses xyz
+serve town=run --api sensorsim
+"$python" -B "$root/tests/tools/sensorsim_client.py" "$root" "$address" town >sensorsim.out 2>&1 \
+    || fail "a client of SensorsimService: $(cat sensorsim.out)"
+stop
+
 # A certificate of our own, which the client is told to trust.
 if command -v openssl >/dev/null; then
     openssl req -x509 -newkey rsa:2048 -nodes -keyout key.pem -out cert.pem -days 2 -subj /CN=localhost -addext subjectAltName=IP:127.0.0.1 2>/dev/null
