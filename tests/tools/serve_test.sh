@@ -122,6 +122,7 @@ done
 "$python" -B "$root/tools/examples/closed_loop_client.py" "$address" "" car-7 >loop.out 2>&1
 grep -q 'actors\[0\].asset: found "car-7", expected one that is there, as "car-' loop.out || fail "an unknown asset: $(cat loop.out)"
 "$python" -B "$root/tests/tools/carla_test.py" "$root" "$address" carla_scans >carla.out 2>&1 || fail "carla_lidar.py: $(cat carla.out)"
+"$python" -B "$root/tests/tools/ros2_test.py" "$root" "$relidar" "$address" ros2 >ros2.out 2>&1 || fail "ros2_lidar.py: $(cat ros2.out)"
 stop
 
 # The interface of another renderer beside ours, by a client that knows its wire alone.
