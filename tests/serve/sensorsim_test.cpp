@@ -167,11 +167,16 @@ TEST_F(Sensorsim, AggregatesLidarScansAlone) {
     EXPECT_EQ(answer.lidar(0).SerializeAsString(), render(request.lidar(0)).SerializeAsString());
     EXPECT_EQ(answer.lidar(1).SerializeAsString(), render(request.lidar(1)).SerializeAsString());
     EXPECT_NE(answer.lidar(0).count(), answer.lidar(1).count());
+    const auto refused = [&] {
+        grpc::ClientContext context;
+        return calls->render_aggregated(&context, request, &answer);
+    };
+    for (int i = 2; i < 65; ++i) request.add_lidar();
+    EXPECT_EQ(refused().error_code(), Code::INVALID_ARGUMENT);
+    EXPECT_THAT(refused().error_message(), HasSubstr("reading lidar: found 65 scans, expected at most 64"));
     request.add_rgb();
-    grpc::ClientContext context;
-    const grpc::Status status = calls->render_aggregated(&context, request, &answer);
-    EXPECT_EQ(status.error_code(), Code::UNIMPLEMENTED);
-    EXPECT_THAT(status.error_message(), HasSubstr("found 1 images wanted, expected LiDAR scans alone"));
+    EXPECT_EQ(refused().error_code(), Code::UNIMPLEMENTED);
+    EXPECT_THAT(refused().error_message(), HasSubstr("found 1 images wanted, expected LiDAR scans alone"));
 }
 
 TEST_F(Sensorsim, IsOfferedWhereItIsWantedAlone) {

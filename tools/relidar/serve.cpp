@@ -112,7 +112,8 @@ void add_serve(CLI::App& app, Call& call) {
     command->add_flag("--quiet", options->quiet, "print errors and warnings only");
     command->footer(
         "The calls are in tools/serve/relidar/v1/render.proto, described in docs/service.md; gRPC's health service and reflection are\n"
-        "there too. Ctrl-C finishes calls in work, a second one ends at once.\n"
+        "there too; what other simulators call, CARLA and ROS 2 are in docs/simulators.md. Ctrl-C finishes calls in work, a second one\n"
+        "ends at once.\n"
         "Examples:\n"
         "  relidar serve run\n"
         "  relidar serve run --assets assets\n"

@@ -11,6 +11,8 @@
 namespace relidar::serve {
 namespace {
 
+constexpr int kMostScans = 64;   // of one call, as of a rig
+
 [[noreturn]] void refuse_images(const std::string& call, const std::string& found) {
     throw Refusal(
         grpc::StatusCode::UNIMPLEMENTED,
@@ -73,6 +75,8 @@ grpc::Status SensorsimService::render_aggregated(grpc::ServerContext* context, c
                                                  sensorsim::AggregatedRenderReturn* answer) {
     return answered([&] {
         if (request->rgb_size() > 0) refuse_images("render_aggregated", fmt::format("{} images wanted", request->rgb_size()));
+        if (request->lidar_size() > kMostScans)
+            refuse("lidar", fmt::format("{} scans", request->lidar_size()), fmt::format("at most {} in a call", kMostScans));
         RenderQueue::Place place = enter(queue_);   // for all of them
         std::vector<WantedScan> wanted;
         for (const sensorsim::LidarRenderRequest& lidar : request->lidar()) wanted.push_back(reader_->read(lidar));
