@@ -63,8 +63,11 @@ std::vector<std::string> actor_names(const Run& run) {
     return names;
 }
 
-RequestReader::RequestReader(SceneSet& scenes)
-    : outlines_(scenes.outlines()), sources_(scenes.sources()), assets_(scenes.assets()), spawned_(scenes.spawned()) {}
+RequestReader::RequestReader(SceneSet& scenes) : RequestReader(scenes.outlines(), scenes.sources(), scenes.assets(), scenes.spawned()) {}
+
+RequestReader::RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources, const AssetShelf& assets,
+                             const SpawnedActors& spawned)
+    : outlines_(outlines), sources_(sources), assets_(assets), spawned_(spawned) {}
 
 std::size_t RequestReader::find_scene(const std::string& name, const std::string& field) const {
     if (name.empty() && sources_.size() == 1) return 0;

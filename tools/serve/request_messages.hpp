@@ -57,6 +57,9 @@ class RequestReader {
 public:
     /// @param scenes  of which what is for all threads is looked at
     explicit RequestReader(SceneSet& scenes);
+    /// The same without a device behind it.
+    RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources, const AssetShelf& assets,
+                  const SpawnedActors& spawned);
 
     /// Index of a scene. @param field  its name in the request, for messages @throws Refusal
     std::size_t find_scene(const std::string& name, const std::string& field = "scene") const;

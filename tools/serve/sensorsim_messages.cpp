@@ -12,7 +12,6 @@
 #include "answer_messages.hpp"
 #include "geometry_messages.hpp"
 #include "refusal.hpp"
-#include "scenes.hpp"
 #include "sensor_messages.hpp"
 
 namespace relidar::serve {
@@ -66,8 +65,6 @@ void write_track(const PoseTrack& track, PoseOrder order, sensorsim::Trajectory&
 }
 
 }  // namespace
-
-SensorsimReader::SensorsimReader(SceneSet& scenes, PoseOrder order) : outlines_(scenes.outlines()), order_(order), reader_(scenes) {}
 
 std::shared_ptr<const SensorChoice> SensorsimReader::sensor(const sensorsim::LidarRenderRequest& message) {
     const WireLidar& lidar = find_wire_lidar(message.lidar().lidar_type());

@@ -21,8 +21,9 @@ namespace sensorsim = nre::grpc::protos::sensorsim;
 /// For any thread.
 class SensorsimReader {
 public:
-    /// @param scenes  of which what is for all threads is looked at; it outlives this @param order  of the parts of every pose
-    SensorsimReader(SceneSet& scenes, PoseOrder order);
+    /// @param outlines  of the scenes that `reader` knows; both outlive this @param order  of the parts of every pose
+    SensorsimReader(const std::vector<Run>& outlines, const RequestReader& reader, PoseOrder order)
+        : outlines_(outlines), reader_(reader), order_(order) {}
 
     /// Index of a scene. @throws Refusal
     std::size_t find_scene(const std::string& scene_id) const { return reader_.find_scene(scene_id, "scene_id"); }
@@ -32,8 +33,8 @@ public:
 
 private:
     const std::vector<Run>& outlines_;
+    const RequestReader& reader_;
     const PoseOrder order_;
-    RequestReader reader_;
     SensorShelf sensors_;
 
     struct Frame {

@@ -22,7 +22,11 @@ constexpr int kMostScans = 64;   // of one call, as of a rig
 }  // namespace
 
 SensorsimService::SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseOrder order)
-    : queue_(queue), scenes_(scenes), order_(order), reader_(std::make_unique<SensorsimReader>(scenes, order)) {}
+    : queue_(queue),
+      scenes_(scenes),
+      order_(order),
+      scene_reader_(std::make_unique<RequestReader>(scenes)),
+      reader_(std::make_unique<SensorsimReader>(scenes.outlines(), *scene_reader_, order)) {}
 
 SensorsimService::~SensorsimService() = default;
 

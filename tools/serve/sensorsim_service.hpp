@@ -11,6 +11,7 @@
 namespace relidar::serve {
 
 namespace sensorsim = nre::grpc::protos::sensorsim;
+class RequestReader;
 class SceneSet;
 class SensorsimReader;
 struct WantedScan;
@@ -41,7 +42,8 @@ private:
     RenderQueue& queue_;
     SceneSet& scenes_;
     const PoseOrder order_;
-    std::unique_ptr<SensorsimReader> reader_;
+    const std::unique_ptr<RequestReader> scene_reader_;
+    const std::unique_ptr<SensorsimReader> reader_;
 
     void render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context,
                 sensorsim::LidarRenderReturn& answer);
