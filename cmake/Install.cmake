@@ -20,6 +20,8 @@ install(FILES ${PROJECT_SOURCE_DIR}/LICENSE DESTINATION ${CMAKE_INSTALL_DOCDIR})
 
 if(TARGET relidar_serve)   # clients make their stubs of it
     install(FILES ${PROJECT_SOURCE_DIR}/tools/serve/relidar/v1/render.proto DESTINATION ${CMAKE_INSTALL_DATADIR}/relidar/proto/relidar/v1)
+    install(FILES ${PROJECT_SOURCE_DIR}/tools/serve/sensorsim/sensorsim.proto
+            DESTINATION ${CMAKE_INSTALL_DATADIR}/relidar/proto/sensorsim)
 endif()
 
 if(RELIDAR_BUILD_TOOLS)

@@ -7,6 +7,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <vector>
 
 #include <glm/glm.hpp>
 
@@ -95,5 +96,24 @@ ActorDetail actor_detail(std::span<const glm::vec3> origin, std::span<const glm:
 /// A trajectory as CSV: time_s, x, y, z, yaw_deg[, pitch_deg, roll_deg] a line, R = Rz(yaw) Ry(pitch) Rx(roll); the first line may be
 /// a header (write_trajectory() in export.hpp writes one). @throws DataError naming line and column, and for fewer than two poses
 PoseTrack read_trajectory(const std::filesystem::path& path);
+
+/// An entity of an OpenSCENARIO, and the trajectory that it follows.
+struct ScenarioEntity {
+    std::string name;
+    PoseTrack world_from_reference;   ///< its reference point, at seconds of the scenario; empty where it follows no trajectory
+    glm::dvec3 centre_m{0.0};                ///< [3] of its bounding box, from the reference point: x forward, y left, z up
+    glm::dvec3 size_m{0.0};                  ///< [3] length, width, height of that box
+    std::vector<std::string> ignored;        ///< its other actions, by the names of their elements
+};
+
+/// The entities of an OpenSCENARIO XML 1.x with what they follow: FollowTrajectoryActions of Init or of a Story's events, along polylines
+/// of WorldPositions at times of the simulation (Timing absolute, or relative to an event that a SimulationTimeCondition starts), one an
+/// entity; "$name" for parameters of the scenario. Missing z, h, p, r are 0; R = Rz(h) Ry(p) Rx(r).
+/// @throws DataError naming entity and element where a trajectory is anything else, and for an entity with one and without a BoundingBox
+std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path);
+
+/// The way of an actor that stands for an entity: the middles of their boxes lie above each other, and both stand on the same ground.
+/// @param begin_s  when the scenario begins @param size_m [3] of the actor's box
+PoseTrack box_track(const ScenarioEntity& entity, double begin_s, const glm::dvec3& size_m);
 
 }  // namespace relidar

@@ -36,11 +36,12 @@ constexpr Tabled kTabled[] = {
     {"HDL-64E-KITTI", 2083, 0.9, 120.0, 2.0e-3}, {"HDL-32E", 2170, 1.0, 100.0, 2.8e-3},
     {"VLP-16", 1808, 0.5, 100.0, 3.0e-3},        {"VLP-32C", 1808, 1.0, 200.0, 3.0e-3},
     {"VLS-128", 1876, 0.5, 245.0, 0.0},          {"Pandar40P", 1800, 0.3, 200.0, 0.0},
-    {"Pandar64", 1800, 0.3, 200.0, 0.0},         {"OT128", 1800, 0.3, 200.0, 0.0},
-    {"QT128", 900, 0.05, 50.0, 0.0},             {"XT32", 2000, 0.05, 120.0, 0.0},
-    {"OS0-32", 1024, 0.3, 50.0, 0.0},            {"OS0-128", 1024, 0.3, 50.0, 0.0},
-    {"OS1-64", 1024, 0.8, 120.0, 2.3e-3},        {"OS1-128", 1024, 0.8, 120.0, 3.1e-3},
-    {"OS2-128", 1024, 1.0, 240.0, 0.0},          {"waymo-top", 2650, 0.0, 75.0, 0.0},
+    {"Pandar64", 1800, 0.3, 200.0, 0.0},         {"Pandar128", 1800, 0.3, 200.0, 0.0},
+    {"OT128", 1800, 0.3, 200.0, 0.0},            {"QT128", 900, 0.05, 50.0, 0.0},
+    {"XT32", 2000, 0.05, 120.0, 0.0},            {"OS0-32", 1024, 0.3, 50.0, 0.0},
+    {"OS0-128", 1024, 0.3, 50.0, 0.0},           {"OS1-64", 1024, 0.8, 120.0, 2.3e-3},
+    {"OS1-128", 1024, 0.8, 120.0, 3.1e-3},       {"OS2-128", 1024, 1.0, 240.0, 0.0},
+    {"waymo-top", 2650, 0.0, 75.0, 0.0},
 };
 
 SpinningSensor spinning(const std::string& name, int columns, double rate_hz) {
@@ -101,6 +102,9 @@ std::string table_of(const std::string& name) {
     return std::string(table->second);
 }
 
+/// What a table says of itself.
+std::string about(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
+
 SensorModel tabled(const Tabled& row, int columns, double rate_hz) {
     const std::string table = table_of(row.name);
     SpinningSensor sensor = parse_beam_table(table, row.name, columns ? columns : row.columns, rate_hz);
@@ -108,7 +112,25 @@ SensorModel tabled(const Tabled& row, int columns, double rate_hz) {
     sensor.min_range_m = row.min_range_m;
     sensor.max_range_m = row.max_range_m;
     sensor.divergence_rad = row.divergence_rad;
-    return model(std::move(sensor), table.substr(2, table.find('\n') - 2));
+    return model(std::move(sensor), about(table));
+}
+
+/// Hesai's AT128: mirrors sweep 120 degrees from left to right in 0.1 s, each beam off the mirror's azimuth by its own angle.
+SensorModel at128() {
+    constexpr int kColumns = 1200;
+    constexpr double period_s = 0.1, step_deg = 0.1;
+    const std::string table = table_of("AT128");
+    const std::vector<Beam> beams = parse_beam_table(table, "AT128", kColumns, 1.0 / period_s).beams;
+    RayTable rays{.rows = int(beams.size()), .columns = kColumns, .origin = {}, .direction = {}, .time_offset_s = {}, .channel = {}};
+    for (std::size_t row = 0; row < beams.size(); ++row)
+        for (int column = 0; column < kColumns; ++column) {
+            const double left_of_middle = 0.5 * (kColumns - 1) - column;
+            rays.direction.emplace_back(beam_ray(beams[row], left_of_middle * step_deg * kDegree).direction);
+            rays.origin.emplace_back(0.0f);
+            rays.time_offset_s.push_back(float(-left_of_middle / kColumns * period_s));
+            rays.channel.push_back(std::uint16_t(row));
+        }
+    return {"AT128", about(table), {0.5, 200.0}, std::move(rays)};
 }
 
 /// As Hesai's AT128 is specified: 128 rows in a window of 120 x 25.4 degrees, 0.1 degrees a column, mirrors that sweep it at 10 Hz.
@@ -130,7 +152,7 @@ SensorModel rosette() {
 std::vector<std::string> sensor_names() {
     std::vector<std::string> names{"kitti360", "HDL-64E"};
     for (const Tabled& row : kTabled) names.emplace_back(row.name);
-    for (const char* name : {"waymo-side", "window-128", "rosette"}) names.emplace_back(name);
+    for (const char* name : {"waymo-side", "AT128", "window-128", "rosette"}) names.emplace_back(name);
     return names;
 }
 
@@ -138,13 +160,14 @@ std::optional<SensorModel> known_sensor(const std::string& name, int columns, do
     const auto known = known_name(name, sensor_names());
     if (!known) return {};
     const double rate = rate_hz > 0.0 ? rate_hz : 10.0;
-    const bool spins = *known != "window-128" && *known != "rosette";
+    const bool spins = *known != "AT128" && *known != "window-128" && *known != "rosette";
     if (!spins && (columns > 0 || rate_hz > 0.0)) {
         throw UsageError(fmt::format("sensor '{}': found columns and a rate, expected the name alone: it does not spin", name));
     }
     if (*known == "kitti360") return kitti360(columns, rate);
     if (*known == "HDL-64E") return hdl64e(columns, rate);
     if (*known == "waymo-side") return waymo_side(columns, rate);
+    if (*known == "AT128") return at128();
     if (*known == "window-128") return window_128();
     if (*known == "rosette") return rosette();
     return tabled(*std::ranges::find(kTabled, *known, [](const Tabled& row) { return std::string(row.name); }), columns, rate);

@@ -16,8 +16,11 @@
 #endif
 #ifdef RELIDAR_FUZZ_SERVE
 #include "../../tools/serve/answer_messages.hpp"
+#include "../../tools/serve/asset_shelf.hpp"
 #include "../../tools/serve/refusal.hpp"
 #include "../../tools/serve/request_messages.hpp"
+#include "../../tools/serve/sensorsim_messages.hpp"
+#include "../../tools/serve/spawned.hpp"
 #endif
 
 namespace relidar::fuzz {
@@ -64,6 +67,8 @@ void read_head(std::string_view input, const fs::path&) {
 struct Served {
     std::vector<Run> outlines;
     std::vector<serve::SceneSource> sources;
+    serve::AssetShelf assets{{}};
+    serve::SpawnedActors spawned{1};
 
     explicit Served(const fs::path& folder) : sources{{"town", folder}} {
         Run run = example_run(folder);
@@ -84,15 +89,29 @@ Message message_of(std::string_view bytes) {
     return message;
 }
 
-/// The first byte says which call the rest is of. A refusal names a client's fault in one line.
-void read_call(std::string_view input, const fs::path& folder) {
-    static const Served served(folder);
+void silence_protobuf() {
 #if GOOGLE_PROTOBUF_VERSION < 4022000
     static const auto silenced = google::protobuf::SetLogHandler(nullptr);   // a line for each text that is no UTF-8
     (void)silenced;
 #endif
+}
+
+/// A refusal names a client's fault in one line.
+void check_status(const grpc::Status& status) {
+    if (status.ok()) return;
+    const grpc::StatusCode code = status.error_code();
+    const bool of_client = code == grpc::StatusCode::INVALID_ARGUMENT || code == grpc::StatusCode::NOT_FOUND ||
+                           status.error_message() == "no message of that kind";
+    throw Error(of_client ? ExitCode::usage : ExitCode::bug, status.error_message());
+}
+
+/// The first byte says which call the rest is of.
+void read_call(std::string_view input, const fs::path& folder) {
+    static const Served served(folder);
+    silence_protobuf();
     if (input.empty()) return;
-    serve::RequestReader reader(served.outlines, served.sources);   // what is uploaded is forgotten with it
+    // what is uploaded is forgotten with it
+    serve::RequestReader reader(served.outlines, served.sources, served.assets, served.spawned);
     const unsigned call = static_cast<unsigned char>(input[0]) % 4u;
     input.remove_prefix(1);
     const grpc::Status status = serve::answered([&] {
@@ -106,11 +125,30 @@ void read_call(std::string_view input, const fs::path& folder) {
             serve::write_tracks(served.outlines[scene], reader.find_lidar(scene, request.lidar()), request.actors(), answer);
         }
     });
-    if (status.ok()) return;
-    const grpc::StatusCode code = status.error_code();
-    const bool of_client = code == grpc::StatusCode::INVALID_ARGUMENT || code == grpc::StatusCode::NOT_FOUND ||
-                           status.error_message() == "no message of that kind";
-    throw Error(of_client ? ExitCode::usage : ExitCode::bug, status.error_message());
+    check_status(status);
+}
+
+/// A frame of SensorsimService.
+void read_frame(std::string_view input, const fs::path& folder) {
+    static const Served served(folder);
+    static const serve::RequestReader scenes(served.outlines, served.sources, served.assets, served.spawned);
+    static serve::SensorsimReader reader(served.outlines, scenes, serve::PoseOrder::translation_first);
+    silence_protobuf();
+    check_status(serve::answered([&] { (void)reader.read(message_of<serve::sensorsim::LidarRenderRequest>(input)); }));
+}
+
+std::vector<std::string> frame_seeds(const fs::path&) {
+    serve::sensorsim::LidarRenderRequest request;
+    request.set_scene_id("town");
+    request.mutable_lidar()->set_lidar_type(serve::sensorsim::AT128);
+    request.set_frame_start_us(1'000'000), request.set_frame_end_us(1'100'000);
+    serve::sensorsim::Pose& pose = *request.mutable_sensor_pose()->mutable_start();
+    pose.mutable_translation()->set_x(2.0f), pose.mutable_rotation()->set_w(1.0f);
+    *request.mutable_sensor_pose()->mutable_end() = pose;
+    serve::sensorsim::DynamicObject& object = *request.add_dynamic_objects();
+    object.set_track_id("7");
+    *object.mutable_pose() = request.sensor_pose();
+    return {request.SerializeAsString()};
 }
 
 void add_pose(v1::TimedPose& timed, double time_s) {
@@ -183,7 +221,8 @@ std::vector<Harness> request_harnesses() {
             {"head", head_seeds, read_head},
 #endif
 #ifdef RELIDAR_FUZZ_SERVE
-            {"call", call_seeds, read_call}
+            {"call", call_seeds, read_call},
+            {"frame", frame_seeds, read_frame}
 #endif
     };
 }

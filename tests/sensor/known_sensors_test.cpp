@@ -50,6 +50,37 @@ TEST(KnownSensors, EveryNameMakesRaysHighestBeamFirst) {
     EXPECT_EQ(make_rays(find_sensor("kitti360")).direction, make_rays(kitti360_grid()).direction);
 }
 
+/// What the data sheets say of the field of view and the resolution.
+TEST(KnownSensors, Pandar128LooksAsItsDataSheetSays) {
+    const SpinningSensor sensor = spinning("Pandar128");
+    ASSERT_EQ(sensor.beams.size(), 128u);
+    EXPECT_NEAR((sensor.beams.front().elevation_rad - sensor.beams.back().elevation_rad) * 180 / kPi, 40.0, 0.6);
+    int fine = 0;   // beams 26 to 90 lie an eighth of a degree apart
+    for (std::size_t b = 1; b < 128; ++b)
+        fine += std::abs((sensor.beams[b - 1].elevation_rad - sensor.beams[b].elevation_rad) * 180 / kPi - 0.125) < 0.015;
+    EXPECT_EQ(fine, 64);
+    EXPECT_LT(sensor.beams[0].azimuth_offset_rad, 0.0) << "the maker counts azimuths clockwise: 3.257 is to the right";
+}
+
+TEST(KnownSensors, At128SweepsAWindowFromLeftToRight) {
+    const SensorModel model = find_sensor("AT128");
+    const RayTable rays = make_rays(model);
+    ASSERT_EQ(rays.rows, 128);
+    ASSERT_EQ(rays.columns, 1200);
+    const auto azimuth_deg = [&](std::size_t ray) { return std::atan2(rays.direction[ray].y, rays.direction[ray].x) * 180 / kPi; };
+    const auto elevation_deg = [&](std::size_t ray) { return std::asin(rays.direction[ray].z) * 180 / kPi; };
+    EXPECT_NEAR(elevation_deg(0) - elevation_deg(127 * 1200), 25.4, 1e-4);
+    for (const std::size_t row : {0u, 1u, 16u, 17u, 127u}) {
+        const std::size_t first = row * 1200, last = first + 1199;
+        EXPECT_NEAR(azimuth_deg(first) - azimuth_deg(last), 119.9, 1e-4) << row;
+        EXPECT_NEAR(azimuth_deg(first) - azimuth_deg(first + 1), 0.1, 1e-4) << row;
+        EXPECT_NEAR(rays.time_offset_s[last] - rays.time_offset_s[first], 0.1 * 1199 / 1200, 1e-7) << row;
+    }
+    EXPECT_NEAR(azimuth_deg(0), 59.95 - 2.4, 1e-4) << "the maker counts azimuths clockwise: 2.4 is to the right";
+    EXPECT_NEAR(azimuth_deg(1200), 59.95 + 0.65, 1e-4);
+    EXPECT_THROW(find_sensor("AT128:600x10"), UsageError);
+}
+
 TEST(KnownSensors, UnknownNameNamesTheNearestAndTheCsvWay) {
     EXPECT_EQ(find_sensor("vlp-16").name, "VLP-16") << "in any case";
     EXPECT_EQ(spinning("KITTI360").columns, 1030);

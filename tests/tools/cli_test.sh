@@ -466,6 +466,28 @@ editing() {
     good edit run --out path --trajectory 1:way.csv
     good info path
     says "^ +1 +Car .* 2-9 "
+    cat >cut_in.xosc <<'XOSC'
+<OpenSCENARIO><Entities><ScenarioObject name="Van"><Vehicle><BoundingBox><Center x="1.5" y="0" z="1"/>
+<Dimensions width="2" length="5" height="2"/></BoundingBox></Vehicle></ScenarioObject><ScenarioObject name="Ego"/></Entities>
+<Storyboard><Init><Actions><Private entityRef="Van"><PrivateAction><RoutingAction><FollowTrajectoryAction><Trajectory><Shape><Polyline>
+<Vertex time="0"><Position><WorldPosition x="12" y="-1" z="0" h="0"/></Position></Vertex>
+<Vertex time="0.4"><Position><WorldPosition x="16" y="-1" z="0" h="0"/></Position></Vertex>
+</Polyline></Shape></Trajectory><TimeReference><Timing domainAbsoluteRelative="absolute" scale="1" offset="0"/></TimeReference>
+</FollowTrajectoryAction></RoutingAction></PrivateAction></Private></Actions></Init></Storyboard></OpenSCENARIO>
+XOSC
+    good edit run --out cut_in --scenario cut_in.xosc@Van=1,Ego=-
+    says "1 follows Van of cut_in.xosc"
+    good info cut_in
+    says "^ *1 +Car .* 13\.50,-1\.00,"
+    good edit run --out van_too --scenario cut_in.xosc@Van=run#0
+    says "0-insert-1 follows Van of cut_in.xosc"
+    bad 2 'expected Van=TRACK, Van=RUN#TRACK, Van=ASSET or Van=- too' edit run --out x --scenario cut_in.xosc
+    bad 2 'expected entities of the file, which Bus is not' edit run --out x --scenario cut_in.xosc@Van=1,Bus=0
+    bad 2 'an entity that follows a trajectory, which Ego does not' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
+    bad 2 'expected Van=TRACK of the run, RUN#TRACK or ASSET' edit run --out x --scenario cut_in.xosc@Van=7
+    bad 2 'scenario in which somebody follows' edit run --out x --scenario cut_in.xosc@Van=-
+    bad 2 'expected FILE.xosc\[@ENTITY=TRACK' edit run --out x --scenario cut_in.xosc@Van
+    bad 3 'none.xosc' edit run --out x --scenario none.xosc
     good edit run --out late --retime 0:100
     says "note: track 0 is there at no frame of the log now"
     sed 's/"name": "synthetic"/"name": "other"/' -i removed/scene.json

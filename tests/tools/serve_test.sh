@@ -121,6 +121,17 @@ for round in first second; do
 done
 "$python" -B "$root/tools/examples/closed_loop_client.py" "$address" "" car-7 >loop.out 2>&1
 grep -q 'actors\[0\].asset: found "car-7", expected one that is there, as "car-' loop.out || fail "an unknown asset: $(cat loop.out)"
+"$python" -B "$root/tests/tools/carla_test.py" "$root" "$address" carla_scans >carla.out 2>&1 || fail "carla_lidar.py: $(cat carla.out)"
+"$python" -B "$root/tests/tools/ros2_test.py" "$root" "$relidar" "$address" ros2 >ros2.out 2>&1 || fail "ros2_lidar.py: $(cat ros2.out)"
+stop
+
+# The interface of another renderer beside ours, by a client that knows its wire alone.
+bad 2 "api: found 'alpasim', expected sensorsim" serve run --api alpasim
+bad 2 "sensorsim-poses: found it without --api sensorsim" serve run --sensorsim-poses rotation-first
+bad 2 "sensorsim-poses: found 'xyz', expected rotation-first or translation-first" serve run --api sensorsim --sensorsim-poses xyz
+serve town=run --api sensorsim
+"$python" -B "$root/tests/tools/sensorsim_client.py" "$root" "$address" town >sensorsim.out 2>&1 \
+    || fail "a client of SensorsimService: $(cat sensorsim.out)"
 stop
 
 # A certificate of our own, which the client is told to trust.

@@ -14,6 +14,12 @@ void refuse(const std::string& field, const std::string& found, const std::strin
     throw Refusal(grpc::StatusCode::INVALID_ARGUMENT, fmt::format("reading {}: found {}, expected {}", field, found, expected));
 }
 
+void refuse_unknown(const std::string& field, const std::string& name, const std::vector<std::string>& known) {
+    const std::string nearest = nearest_name(name.substr(0, 80), known);
+    const std::string expected = nearest.empty() ? "none: there is none" : fmt::format("one that is there, as \"{}\"", nearest);
+    throw Refusal(grpc::StatusCode::NOT_FOUND, fmt::format("reading {}: found {}, expected {}", field, quoted(name), expected));
+}
+
 std::string quoted(const std::string& word) {
     constexpr std::size_t kMost = 80;
     std::size_t n = std::min(word.size(), kMost);

@@ -23,13 +23,6 @@ constexpr int kMostSensors = 64;         // of a rig
 constexpr std::size_t kLongestSpawnName = 200;   // bytes, of spawned actors
 constexpr double kBeyondPath_s = 60.0;   // a longer way to extrapolate is a slip, of microseconds for seconds say
 
-/// @param known  where there is anything to be meant instead
-[[noreturn]] void refuse_unknown(const std::string& field, const std::string& name, const std::vector<std::string>& known) {
-    const std::string nearest = nearest_name(name.substr(0, 80), known);
-    const std::string expected = nearest.empty() ? "none: there is none" : fmt::format("one that is there, as \"{}\"", nearest);
-    throw Refusal(grpc::StatusCode::NOT_FOUND, fmt::format("reading {}: found {}, expected {}", field, quoted(name), expected));
-}
-
 /// A moment on the sensor's path, or not far beyond it.
 double read_moment(double time_s, const PoseTrack& path, const std::string& field) {
     read_time(time_s, field);
@@ -44,6 +37,15 @@ std::vector<std::string> names_of_placed(const std::vector<PlacedActor>& actors)
     std::vector<std::string> names;
     for (const PlacedActor& actor : actors) names.push_back(actor.name);
     return names;
+}
+
+std::vector<ActorWish> read_actors(const v1::ActorTracks& message) {
+    std::vector<ActorWish> wishes;
+    for (int i = 0; i < message.actors_size(); ++i) {
+        const std::string field = fmt::format("actors.actors[{}]", i);
+        wishes.push_back({field + ".name", message.actors(i).name(), read_track(message.actors(i).poses(), field + ".poses")});
+    }
+    return wishes;
 }
 
 std::vector<std::string> asset_names(const AssetShelf& assets) {
@@ -61,17 +63,20 @@ std::vector<std::string> actor_names(const Run& run) {
     return names;
 }
 
-RequestReader::RequestReader(SceneSet& scenes)
-    : outlines_(scenes.outlines()), sources_(scenes.sources()), assets_(scenes.assets()), spawned_(scenes.spawned()) {}
+RequestReader::RequestReader(SceneSet& scenes) : RequestReader(scenes.outlines(), scenes.sources(), scenes.assets(), scenes.spawned()) {}
 
-std::size_t RequestReader::find_scene(const std::string& name) const {
+RequestReader::RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources, const AssetShelf& assets,
+                             const SpawnedActors& spawned)
+    : outlines_(outlines), sources_(sources), assets_(assets), spawned_(spawned) {}
+
+std::size_t RequestReader::find_scene(const std::string& name, const std::string& field) const {
     if (name.empty() && sources_.size() == 1) return 0;
     std::vector<std::string> known;
     for (const SceneSource& source : sources_) {
         if (source.name == name) return known.size();
         known.push_back(source.name);
     }
-    refuse_unknown("scene", name, known);
+    refuse_unknown(field, name, known);
 }
 
 int RequestReader::find_lidar(std::size_t scene, const std::string& name) const {
@@ -139,18 +144,16 @@ std::vector<PlacedActor> RequestReader::known_actors(std::size_t scene) const {
     return known;
 }
 
-void RequestReader::read_actors(const v1::ActorTracks& message, WantedScan& wanted) const {
+void RequestReader::place_actors(const std::vector<ActorWish>& wishes, WantedScan& wanted) const {
     const std::vector<PlacedActor> known = known_actors(wanted.scene);
     std::map<std::string_view, const PlacedActor*> by_name;   // there may be thousands
     for (const PlacedActor& actor : known) by_name.emplace(actor.name, &actor);
     ActorPoses& poses = wanted.request.dataset_from_actor.emplace();
-    for (int i = 0; i < message.actors_size(); ++i) {
-        const v1::ActorTrack& actor = message.actors(i);
-        const std::string field = fmt::format("actors.actors[{}]", i);
-        const auto found = by_name.find(actor.name());
-        if (found == by_name.end()) refuse_unknown(field + ".name", actor.name(), names_of_placed(known));
-        if (!poses.emplace(found->second->track, read_track(actor.poses(), field + ".poses")).second)
-            refuse(field + ".name", quoted(actor.name()) + " again", "each actor once");
+    for (const ActorWish& wish : wishes) {
+        const auto found = by_name.find(wish.name);
+        if (found == by_name.end()) refuse_unknown(wish.field, wish.name, names_of_placed(known));
+        if (!poses.emplace(found->second->track, wish.dataset_from_actor).second)
+            refuse(wish.field, quoted(wish.name) + " again", "each actor once");
         wanted.placed.push_back(*found->second);
     }
 }
@@ -193,7 +196,7 @@ WantedScan RequestReader::read_scan(const v1::RenderLidarRequest& message, const
                                                  : path.time_s.front() - firing_span(*wanted.sensor).first_s;
     wanted.points_at_s = message.has_points_at_s() ? read_moment(message.points_at_s(), path, "points_at_s") : path.time_s.back();
     wanted.request.dataset_from_sensor = path_from_sensor ? moved_track(std::move(path), *path_from_sensor) : std::move(path);
-    if (message.has_actors()) read_actors(message.actors(), wanted);
+    if (message.has_actors()) place_actors(read_actors(message.actors()), wanted);
     if (message.has_sample_seed()) wanted.sample = message.sample_seed();
     if (message.has_wanted()) {
         wanted.points = message.wanted().points();

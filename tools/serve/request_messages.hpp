@@ -31,6 +31,13 @@ struct PlacedActor {
     std::size_t surfels = 0;
 };
 
+/// An actor as a request names it, and where it wants it.
+struct ActorWish {
+    std::string field;   ///< of its name, for messages
+    std::string name;
+    PoseTrack dataset_from_actor;
+};
+
 /// A scan that is wanted and can be rendered.
 struct WantedScan {
     std::size_t scene = 0;   ///< index into the outlines
@@ -50,9 +57,12 @@ class RequestReader {
 public:
     /// @param scenes  of which what is for all threads is looked at
     explicit RequestReader(SceneSet& scenes);
+    /// The same without a device behind it.
+    RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources, const AssetShelf& assets,
+                  const SpawnedActors& spawned);
 
-    /// Index of a scene. @throws Refusal
-    std::size_t find_scene(const std::string& name) const;
+    /// Index of a scene. @param field  its name in the request, for messages @throws Refusal
+    std::size_t find_scene(const std::string& name, const std::string& field = "scene") const;
     int find_lidar(std::size_t scene, const std::string& name) const;
     /// Keeps a sensor that a client describes. @return its handle, and what it is @throws Refusal
     std::pair<std::string, std::shared_ptr<const SensorChoice>> upload(const v1::SensorSpec& spec);
@@ -62,6 +72,8 @@ public:
     WantedScan read(const v1::RenderLidarRequest& message);
     /// One for each sensor.
     std::vector<WantedScan> read(const v1::RenderRigRequest& message);
+    /// Has these actors in a scan, and no others. @throws Refusal for one that is not there, or that is there twice
+    void place_actors(const std::vector<ActorWish>& wishes, WantedScan& wanted) const;
 
 private:
     const std::vector<Run>& outlines_;
@@ -78,7 +90,6 @@ private:
     std::shared_ptr<const SensorChoice> find_sensor(const SensorWish& wish, std::size_t scene, int lidar);
     std::shared_ptr<const SensorChoice> known_sensor(const std::string& name, std::size_t scene, int lidar);
     std::vector<PlacedActor> known_actors(std::size_t scene) const;
-    void read_actors(const v1::ActorTracks& message, WantedScan& wanted) const;
     /// @param path_from_sensor  of a sensor of a rig; none: the path is the sensor's own, and keeps every bit
     WantedScan read_scan(const v1::RenderLidarRequest& message, const SensorWish& wish, const std::optional<Pose>& path_from_sensor);
 };

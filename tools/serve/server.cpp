@@ -17,6 +17,7 @@
 #include <relidar/error.hpp>
 
 #include "asset_shelf.hpp"
+#include "sensorsim_service.hpp"
 #include "service.hpp"
 
 namespace relidar::serve {
@@ -63,6 +64,7 @@ struct ScanServer::Impl {
     std::optional<Device> device;      ///< this and the scenes: made, used and destroyed on the queue's thread
     std::optional<SceneSet> scenes;
     std::optional<RenderService> service;
+    std::optional<SensorsimService> sensorsim;
     std::unique_ptr<grpc::Server> server;
     int port = 0;
 
@@ -90,11 +92,13 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
     builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, kKeepalive_ms);
     builder.AddListeningPort(options.listen, credentials(options), &port);
     builder.RegisterService(&*service);
+    if (sensorsim) builder.RegisterService(&*sensorsim);
     server = builder.BuildAndStart();
     if (!server || port == 0)
         throw UsageError(fmt::format("listening at {}: it is taken, or no address of this machine, expected a free HOST:PORT{}",
                                      options.listen, options.tls_cert.empty() ? "" : ", and a certificate that fits its key"));
     server->GetHealthCheckService()->SetServingStatus(v1::RenderService::service_full_name(), true);
+    if (sensorsim) server->GetHealthCheckService()->SetServingStatus(sensorsim::SensorsimService::service_full_name(), true);
 }
 
 ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Impl>(options.waiting)) {
@@ -105,6 +109,7 @@ ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Im
         impl_->scenes.emplace(*impl_->device, std::move(sources), memory_bytes(options, *impl_->device), *impl_->assets);
     });
     impl_->service.emplace(impl_->queue, *impl_->scenes);
+    if (options.sensorsim) impl_->sensorsim.emplace(impl_->queue, *impl_->scenes, *options.sensorsim);
     impl_->listen(options);
 }
 

@@ -14,10 +14,17 @@
 
 namespace relidar::serve {
 
+/// How a pose of SensorsimService takes a point p of the child's frame to its parent's.
+enum class PoseOrder {
+    rotation_first,      ///< R p + t, as everywhere else
+    translation_first,   ///< R (p + t)
+};
+
 struct ServerOptions {
     std::vector<std::string> runs;           ///< "RUN" or "NAME=RUN"
     std::vector<std::string> assets;         ///< folders of `relidar assets`
     std::optional<std::string> channels;     ///< of scans, in place of each run's own setting render.channels
+    std::optional<PoseOrder> sensorsim;      ///< of SensorsimService, which is offered too; none: it is not
     std::string listen = "127.0.0.1:50051";  ///< port 0: a free one
     std::uint64_t memory_mib = 0;            ///< device memory that scenes may hold together; 0: half of the device's
     std::size_t waiting = 64;                ///< requests that may wait, beside the one that is served

@@ -1,33 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "service.hpp"
 
-#include <chrono>
-
-#include <fmt/format.h>
-
-#include <relidar/error.hpp>
-
 #include "answer_messages.hpp"
 #include "asset_shelf.hpp"
+#include "render_work.hpp"
 #include "sensor_messages.hpp"
 #include "spawn_messages.hpp"
 
 namespace relidar::serve {
 namespace {
-
-using Clock = std::chrono::steady_clock;
-
-double ms_between(Clock::time_point begin, Clock::time_point end) { return std::chrono::duration<double, std::milli>(end - begin).count(); }
-
-bool is_late(const grpc::ServerContext& context) { return std::chrono::system_clock::now() >= context.deadline(); }
-
-bool is_wanted(const grpc::ServerContext& context) { return !context.IsCancelled() && !is_late(context); }
-
-[[noreturn]] void give_up(const grpc::ServerContext& context) {
-    if (is_late(context))
-        throw Refusal(grpc::StatusCode::DEADLINE_EXCEEDED, "answering a request: found the deadline passed, expected a later one");
-    throw Refusal(grpc::StatusCode::CANCELLED, "answering a request: the client has left");
-}
 
 std::vector<std::string> names_of_spawned(const std::vector<SpawnedActors::Place>& places) {
     std::vector<std::string> names;
@@ -37,34 +18,13 @@ std::vector<std::string> names_of_spawned(const std::vector<SpawnedActors::Place
 
 }  // namespace
 
-RenderQueue::Place RenderService::enter() {
-    std::optional<RenderQueue::Place> place = queue_.enter();
-    if (!place)
-        throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
-                      fmt::format("queueing a request: found all {} places taken, expected a free one: try again later", queue_.places()));
-    return std::move(*place);
-}
-
 void RenderService::render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context,
                            v1::LidarScan& answer) {
-    const Clock::time_point asked = Clock::now();
-    Clock::time_point begun = asked, rendered = asked;
-    RenderedScan scan;
-    const auto work = [&] {
-        begun = Clock::now();
-        try {
-            scan = scenes_.render(wanted.scene, *wanted.sensor, wanted.request, wanted.sample);
-        } catch (const DataError& error) {   // the request has been looked at: the run's folder is at fault
-            throw Refusal(grpc::StatusCode::INTERNAL, error.what());
-        }
-        rendered = Clock::now();
-    };
-    const WorkEnd end = place.run(work, [&] { return is_wanted(context); });
-    if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
-    write_scan(scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
-    write_sparse_actors(scan, wanted, answer);
-    answer.set_queued_ms(ms_between(asked, begun));
-    answer.set_rendered_ms(ms_between(begun, rendered));
+    const TimedScan timed = render_scan(place, scenes_, wanted, context);
+    write_scan(timed.scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
+    write_sparse_actors(timed.scan, wanted, answer);
+    answer.set_queued_ms(timed.queued_ms);
+    answer.set_rendered_ms(timed.rendered_ms);
 }
 
 grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScenesRequest*, v1::ListScenesResponse* answer) {
@@ -90,7 +50,7 @@ grpc::Status RenderService::GetTracks(grpc::ServerContext*, const v1::GetTracksR
 grpc::Status RenderService::SpawnActors(grpc::ServerContext* context, const v1::SpawnActorsRequest* request,
                                         v1::SpawnActorsResponse* answer) {
     return answered([&] {
-        RenderQueue::Place in_line = enter();
+        RenderQueue::Place in_line = enter(queue_);
         const std::size_t scene = reader_.find_scene(request->scene());
         const std::vector<SpawnWish> wishes = reader_.read_spawns(*request, scene);
         std::vector<SpawnedActors::Place> places;
@@ -127,7 +87,7 @@ grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadS
 
 grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::RenderLidarRequest* request, v1::LidarScan* answer) {
     return answered([&] {
-        RenderQueue::Place place = enter();
+        RenderQueue::Place place = enter(queue_);
         render(place, reader_.read(*request), *context, *answer);
     });
 }
@@ -135,7 +95,7 @@ grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::
 grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::RenderRigRequest* request,
                                       grpc::ServerWriter<v1::RigScan>* writer) {
     return answered([&] {
-        RenderQueue::Place place = enter();   // for all of them: a rig that has begun is not turned away in the middle
+        RenderQueue::Place place = enter(queue_);   // for all of them: a rig that has begun is not turned away in the middle
         const std::vector<WantedScan> wanted = reader_.read(*request);
         for (std::size_t i = 0; i < wanted.size(); ++i) {
             v1::RigScan scan;

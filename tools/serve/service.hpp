@@ -34,7 +34,6 @@ private:
     SceneSet& scenes_;
     RequestReader reader_;
 
-    RenderQueue::Place enter();
     void render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context, v1::LidarScan& answer);
 };
 

@@ -64,7 +64,8 @@ std::string sparse_actors(const DrivingScene& driving, const std::vector<BoxTrac
 void run_edit(const EditOptions& options) {
     if (options.edits.empty())
         throw UsageError(
-            "found no edit, expected --remove, --move, --retime, --trajectory, --copy, --insert or --keep (see `relidar edit --help`)");
+            "found no edit, expected --remove, --move, --retime, --trajectory, --copy, --insert, --scenario or --keep (see `relidar edit "
+            "--help`)");
     check_other_folder(options);
     const RunFolder folder(options.out, options.force ? Existing::replace : Existing::refuse);
     Run run = load_run(options.run, note);
@@ -121,11 +122,19 @@ void add_edit(CLI::App& app, Call& call) {
         "A trajectory's times are those of the log; poses between its lines are interpolated, position linearly, rotation by slerp; actors "
         "are absent\n"
         "outside their interval. Actors may overlap: rays meet whichever surface comes first.\n"
+        "Of an OpenSCENARIO (XML 1.x) are read: FollowTrajectoryActions of Init and of a Story's events, their Polyline of vertices with "
+        "time and\n"
+        "WorldPosition (x, y, z, h, p, r), Timing absolute or relative (scale, offset), SimulationTimeConditions that start acts and "
+        "events, $parameters\n"
+        "and BoundingBoxes; a trajectory with anything else is refused, all other actions are named and left out. Its world is the "
+        "dataset's, its time 0\n"
+        "the log's first frame; an actor stands where the entity's box does, on the same ground.\n"
         "Examples:\n"
         "  relidar edit run --out empty --remove 0\n"
         "  relidar edit run --out lane --move 0:0,3.5,0 --retime 1:-0.5\n"
         "  relidar edit run --out more --copy 0@12,3.5,0.9,180:8 --insert other#3@30,0,0.8,0:10\n"
-        "  relidar edit run --out parked --copy 0@12,3.5,ground");
+        "  relidar edit run --out parked --copy 0@12,3.5,ground\n"
+        "  relidar edit run --out cut_in --scenario cut_in.xosc@Ego=-,Car1=0,Van=assets/van-0");
     command->callback([&call, options] { call.run = [options] { run_edit(*options); }; });
 }
 

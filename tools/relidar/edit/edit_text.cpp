@@ -3,11 +3,15 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
+#include <map>
 #include <optional>
+#include <sstream>
 #include <string_view>
 #include <utility>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include "options.hpp"
 #include <relidar/assets.hpp>
@@ -137,23 +141,107 @@ AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
     return {driving, fmt::format("copied {} as {}{}", track, last_track(driving), standing(start, place)), ""};
 }
 
-AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
-    const auto [what, place] = cut(edit, edit.value, edit.value.rfind('@'));
+/// An actor of another run, or the one of an asset.
+struct Foreigner {
+    std::string folder, track;
+    Run run;
+    DrivingScene owner;
+};
+
+/// From "RUN#TRACK" or "ASSET".
+Foreigner foreigner_of(const TypedEdit& edit, const std::string& what) {
     const bool named = what.find('#') != std::string::npos;
     const auto [folder, named_track] = named ? cut(edit, what, what.rfind('#')) : std::pair(what, std::string());
-    const Run other = load_run(folder);
-    const std::string track = named ? named_track : only_track(other);
-    const DrivingScene owner = other.driving();
-    const Start start = start_of(edit, place, driving, {owner, track, asset_clearance(other)});
-    const SpinningSensor &theirs = other.sequence.lidars[0].sensor, &ours = driving.sequence.lidars[0].sensor;
-    const bool same = theirs.name == ours.name && theirs.beams.size() == ours.beams.size();
-    const std::string note = same ? ""
-                                  : fmt::format(
-                                        "{} was recorded by another sensor ({}, {} beams; here {}, {} beams): shape and motion of {} are "
-                                        "right, its intensities and ray-drop are those of that sensor",
-                                        folder, theirs.name, theirs.beams.size(), ours.name, ours.beams.size(), track);
-    driving = insert_track(std::move(driving), owner, track, start);
-    return {driving, fmt::format("inserted {} of {} as {}{}", track, folder, last_track(driving), standing(start, place)), note};
+    Run run = load_run(folder);
+    const std::string track = named ? named_track : only_track(run);
+    DrivingScene owner = run.driving();
+    return {folder, track, std::move(run), std::move(owner)};
+}
+
+/// Where an actor's own log was recorded by another sensor.
+std::string sensor_note(const Foreigner& actor, const DrivingScene& driving) {
+    const SpinningSensor &theirs = actor.run.sequence.lidars[0].sensor, &ours = driving.sequence.lidars[0].sensor;
+    if (theirs.name == ours.name && theirs.beams.size() == ours.beams.size()) return "";
+    return fmt::format("{} was recorded by another sensor ({}, {} beams; here {}, {} beams): shape and motion of {} are right, its "
+                       "intensities and ray-drop are those of that sensor",
+                       actor.folder, theirs.name, theirs.beams.size(), ours.name, ours.beams.size(), actor.track);
+}
+
+AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
+    const auto [what, place] = cut(edit, edit.value, edit.value.rfind('@'));
+    const Foreigner actor = foreigner_of(edit, what);
+    const Start start = start_of(edit, place, driving, {actor.owner, actor.track, asset_clearance(actor.run)});
+    const std::string note = sensor_note(actor, driving);
+    driving = insert_track(std::move(driving), actor.owner, actor.track, start);
+    const std::string placed = standing(start, place);
+    return {driving, fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, last_track(driving), placed), note};
+}
+
+bool has_track(const DrivingScene& driving, const std::string& track) {
+    return std::ranges::any_of(driving.scene.instances, [&](const Instance& i) { return !track.empty() && i.track == track; });
+}
+
+glm::dvec3 size_of(const DrivingScene& driving, const std::string& track) {
+    const auto box = std::ranges::find(driving.sequence.boxes, track, &BoxTrack::id);
+    return box == driving.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m;
+}
+
+/// Who stands for the entities of a scenario: "ENTITY=WHAT,ENTITY=WHAT".
+std::map<std::string, std::string> roles_of(const TypedEdit& edit, const std::string& text) {
+    std::map<std::string, std::string> roles;
+    std::istringstream words(text);
+    for (std::string word; std::getline(words, word, ',');) {
+        auto [entity, what] = cut(edit, word, word.find('='));
+        if (!roles.emplace(entity, what).second) refuse(edit, fmt::format("{} once", entity));
+    }
+    return roles;
+}
+
+void join_note(std::string& note, const std::string& more) {
+    if (!more.empty()) note += (note.empty() ? "" : "; ") + more;
+}
+
+/// Has an actor of the run, or one that is put into it, follow what an entity follows.
+void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::string& what, AppliedEdit& applied) {
+    DrivingScene& driving = applied.driving;
+    std::string track = what;
+    if (!has_track(driving, what)) {
+        if (what.find('#') == std::string::npos && !std::filesystem::exists(what))
+            refuse(edit, fmt::format("{}=TRACK of the run, RUN#TRACK or ASSET", entity.name));
+        const Foreigner actor = foreigner_of(edit, what);
+        join_note(applied.note, sensor_note(actor, driving));
+        driving = insert_track(std::move(driving), actor.owner, actor.track, {});
+        track = last_track(driving);
+    }
+    const double begin_s = driving.sequence.frames.front().time_s;
+    driving = replace_trajectory(std::move(driving), track, box_track(entity, begin_s, size_of(driving, track)));
+    applied.said += fmt::format("{}{} follows {} of {}", applied.said.empty() ? "" : "\n", track, entity.name,
+                                edit.value.substr(0, edit.value.find('@')));
+    join_note(applied.note, absence_note(driving, track));
+    if (!entity.ignored.empty())
+        join_note(applied.note, fmt::format("{} of {} is not read", fmt::join(entity.ignored, ", "), entity.name));
+}
+
+AppliedEdit scenario(DrivingScene driving, const TypedEdit& edit) {
+    const std::size_t at = edit.value.find('@');
+    const std::string file = edit.value.substr(0, at);
+    std::map<std::string, std::string> roles;
+    if (at != std::string::npos) roles = roles_of(edit, cut(edit, edit.value, at).second);
+    AppliedEdit applied{std::move(driving), "", ""};
+    for (const ScenarioEntity& entity : read_scenario(file)) {
+        const auto role = roles.extract(entity.name);
+        const bool follows = !entity.world_from_reference.pose.empty();
+        const std::string what = role ? role.mapped() : has_track(applied.driving, entity.name) ? entity.name : "";
+        if (role && what != "-" && !follows)
+            refuse(edit, fmt::format("an entity that follows a trajectory, which {} does not", entity.name));
+        if (what.empty() && follows)
+            refuse(edit, fmt::format("{0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=- too: the run has no actor of that name", entity.name));
+        if (follows && what != "-") follow(edit, entity, what, applied);
+        else join_note(applied.note, fmt::format("{} {}", entity.name, follows ? "is left out" : "follows no trajectory"));
+    }
+    if (!roles.empty()) refuse(edit, fmt::format("entities of the file, which {} is not", roles.begin()->first));
+    if (applied.said.empty()) refuse(edit, "a scenario in which somebody follows a trajectory");
+    return applied;
 }
 
 AppliedEdit keep(DrivingScene driving, const TypedEdit& edit) {
@@ -176,6 +264,10 @@ const std::vector<EditOption>& edit_options() {
         {"--insert",
          "RUN#TRACK@PLACE|ASSET@PLACE",
          "the same with an actor of another run, or an asset of `relidar assets`; PLACE as of --copy"},
+        {"--scenario",
+         "FILE.xosc[@ENTITY=TRACK,ENTITY=RUN#TRACK,ENTITY=ASSET,ENTITY=-]",
+         "let actors follow the timed polylines of an OpenSCENARIO's entities: those of the same name, those that are named here, or "
+         "inserted ones; -: leave it out"},
         {"--keep", "background|actors", "drop the other"}};
     return options;
 }
@@ -184,7 +276,7 @@ AppliedEdit apply(DrivingScene driving, const TypedEdit& edit) {
     using Apply = AppliedEdit (*)(DrivingScene, const TypedEdit&);
     static const std::vector<std::pair<std::string, Apply>> functions{
         {"--remove", remove_one}, {"--move", move},     {"--retime", retime}, {"--trajectory", trajectory},
-        {"--copy", copy},         {"--insert", insert}, {"--keep", keep}};
+        {"--copy", copy},         {"--insert", insert}, {"--scenario", scenario}, {"--keep", keep}};
     const auto function = std::find_if(functions.begin(), functions.end(), [&](const auto& f) { return f.first == edit.option; });
     try {
         return function->second(std::move(driving), edit);

@@ -20,6 +20,7 @@ namespace {
 
 struct ServeOptions {
     serve::ServerOptions server;
+    std::string api, pose_order;
     int queue = 64;
     int memory_mib = 0;
     DeviceChoice device;
@@ -30,6 +31,18 @@ constexpr int kLongestQueue = 10'000;
 constexpr std::chrono::seconds kPatience{30};   // for calls in work when Ctrl-C comes
 constexpr std::chrono::milliseconds kLook{100};
 
+/// Of the interface beside ours, where one is wanted.
+std::optional<serve::PoseOrder> sensorsim_poses(const ServeOptions& options) {
+    const bool offered = options.api == "sensorsim";
+    if (!offered && !options.api.empty()) throw UsageError(fmt::format("--api: found '{}', expected sensorsim", options.api));
+    if (!offered && !options.pose_order.empty())
+        throw UsageError("--sensorsim-poses: found it without --api sensorsim, expected both or none");
+    if (!offered) return {};
+    if (options.pose_order.empty() || options.pose_order == "rotation-first") return serve::PoseOrder::rotation_first;
+    if (options.pose_order == "translation-first") return serve::PoseOrder::translation_first;
+    throw UsageError(fmt::format("--sensorsim-poses: found '{}', expected rotation-first or translation-first", options.pose_order));
+}
+
 serve::ServerOptions server_options(const ServeOptions& options) {
     if (options.queue < 1 || options.queue > kLongestQueue)
         throw UsageError(fmt::format("--queue: found {}, expected 1 to {}", options.queue, kLongestQueue));
@@ -39,6 +52,7 @@ serve::ServerOptions server_options(const ServeOptions& options) {
     serve::ServerOptions server = options.server;
     server.waiting = std::size_t(options.queue);
     server.memory_mib = std::uint64_t(options.memory_mib);
+    server.sensorsim = sensorsim_poses(options);
     server.device = device_options(options.device);
     return server;
 }
@@ -82,6 +96,16 @@ void add_serve(CLI::App& app, Call& call) {
                      "folders of `relidar assets`: what is in them can be put into any scene by clients (repeatable)")
         ->type_name("FOLDER")
         ->allow_extra_args(false);
+    command
+        ->add_option("--api", options->api,
+                     "sensorsim: answer, beside our own calls and at the same port, the LiDAR calls of SensorsimService, by which AlpaSim "
+                     "and CARLA call NVIDIA's renderer")
+        ->type_name("NAME");
+    command
+        ->add_option("--sensorsim-poses", options->pose_order,
+                     "what a pose of SensorsimService does to a point first: rotation-first (R p + t, the default) or translation-first "
+                     "(R (p + t))")
+        ->type_name("ORDER");
     add_channels_option(*command, options->server.channels);
     command->add_option("--queue", options->queue, "calls that may wait; more are turned away with RESOURCE_EXHAUSTED (default: 64)")
         ->type_name("N");
@@ -91,10 +115,12 @@ void add_serve(CLI::App& app, Call& call) {
     command->add_flag("--quiet", options->quiet, "print errors and warnings only");
     command->footer(
         "The calls are in tools/serve/relidar/v1/render.proto, described in docs/service.md; gRPC's health service and reflection are\n"
-        "there too. Ctrl-C finishes calls in work, a second one ends at once.\n"
+        "there too; what other simulators call, CARLA and ROS 2 are in docs/simulators.md. Ctrl-C finishes calls in work, a second one\n"
+        "ends at once.\n"
         "Examples:\n"
         "  relidar serve run\n"
         "  relidar serve run --assets assets\n"
+        "  relidar serve run --api sensorsim\n"
         "  relidar serve town=runs/17 motorway=runs/18 --listen 0.0.0.0:50051 --tls-cert cert.pem --tls-key key.pem\n"
         "  relidar bench --serve 127.0.0.1:50051");
     command->callback([&call, options] { call.run = [options] { run_serve(*options); }; });

@@ -1,0 +1,254 @@
+// SPDX-License-Identifier: Apache-2.0
+// SensorsimService in front of the wall and the plate of small_service.hpp: where their points have to lie follows from the poses alone.
+#include <functional>
+
+#include <gmock/gmock.h>
+
+#include <relidar/sensor_files.hpp>
+
+#include "sensorsim/sensorsim.grpc.pb.h"
+#include "small_service.hpp"
+
+namespace relidar::serve {
+namespace {
+
+namespace wire = nre::grpc::protos::sensorsim;
+using testing::HasSubstr;
+using Code = grpc::StatusCode;
+
+void set_pose(wire::Pose& message, const Pose& pose) {
+    message.mutable_translation()->set_x(float(pose.translation.x));
+    message.mutable_translation()->set_y(float(pose.translation.y));
+    message.mutable_translation()->set_z(float(pose.translation.z));
+    message.mutable_rotation()->set_w(float(pose.rotation.w));
+    message.mutable_rotation()->set_x(float(pose.rotation.x));
+    message.mutable_rotation()->set_y(float(pose.rotation.y));
+    message.mutable_rotation()->set_z(float(pose.rotation.z));
+}
+
+void set_pair(wire::PosePair& message, const Pose& start, const Pose& end) {
+    set_pose(*message.mutable_start(), start);
+    set_pose(*message.mutable_end(), end);
+}
+
+/// One and a half metres ahead and a quarter of a radian to the left in 0.1 s, looking down the x axis first. World of the wire.
+const Pose kStart{{1, 0, 0, 0}, {-1.5, 0.0, 0.0}};
+const Pose kEnd{rotation_of(0.25, 0.0, 0.0), {0.0, 0.5, 0.0}};
+
+wire::LidarRenderRequest moving() {
+    wire::LidarRenderRequest request;
+    request.set_scene_id("small");
+    request.set_frame_start_us(400'000), request.set_frame_end_us(500'000);
+    set_pair(*request.mutable_sensor_pose(), kStart, kEnd);
+    return request;
+}
+
+void add_car(wire::LidarRenderRequest& request, const Pose& start, const Pose& end) {
+    wire::DynamicObject& car = *request.add_dynamic_objects();
+    car.set_track_id("car");
+    set_pair(*car.mutable_pose(), start, end);
+}
+
+class Sensorsim : public ServiceTest {
+protected:
+    std::unique_ptr<wire::SensorsimService::Stub> calls;
+
+    void start_sensorsim(PoseOrder order = PoseOrder::rotation_first) {
+        sensorsim = order;
+        start();
+        calls = wire::SensorsimService::NewStub(connect(address()));
+    }
+    wire::LidarRenderReturn render(const wire::LidarRenderRequest& request) {
+        grpc::ClientContext context;
+        wire::LidarRenderReturn answer;
+        const grpc::Status status = calls->render_lidar(&context, request, &answer);
+        EXPECT_TRUE(status.ok()) << status.error_message();
+        return answer;
+    }
+    grpc::Status refused(const wire::LidarRenderRequest& request) {
+        grpc::ClientContext context;
+        wire::LidarRenderReturn answer;
+        return calls->render_lidar(&context, request, &answer);
+    }
+    /// x of each point in the world of the wire, by a sensor that stands at `end`.
+    static std::vector<double> world_x(const wire::LidarRenderReturn& scan, const Pose& end) {
+        std::vector<double> x_m;
+        for (const glm::vec3& point : values<glm::vec3>(scan.xyz_buffer())) x_m.push_back((end * glm::dvec3(point)).x);
+        return x_m;
+    }
+};
+
+MATCHER_P(LiesAt, x_m, "") { return std::abs(arg - x_m) < 2e-3; }
+
+TEST_F(Sensorsim, PointsLieOnTheWallSeenFromTheEndOfTheSpin) {
+    start_sensorsim();
+    const wire::LidarRenderReturn scan = render(moving());
+    ASSERT_GT(scan.count(), 1000u);
+    EXPECT_THAT(world_x(scan, kEnd), testing::Each(LiesAt(10.0))) << "no actor is named: the plate ahead of the wall is not there";
+    EXPECT_EQ(scan.xyz_size(), 3 * int(scan.count()));
+    EXPECT_EQ(scan.intensities_size(), int(scan.count()));
+    EXPECT_EQ(values<float>(scan.xyz_buffer()), std::vector<float>(scan.xyz().begin(), scan.xyz().end()));
+    EXPECT_EQ(values<float>(scan.intensity_buffer()), std::vector<float>(scan.intensities().begin(), scan.intensities().end()));
+    EXPECT_THAT(scan.intensities(), testing::Each(testing::AllOf(testing::Ge(0.0f), testing::Le(1.0f))));
+}
+
+/// How far off its beam a point on the wall is, radians, if that fired it: the head turns with the clock, from looking back at the start
+/// of the frame to looking back at its end, and the sensor has gone so far as its azimuth says.
+double off_beam(const Beam& beam, const glm::dvec3& on_wall, double way_m) {
+    double at_x_m = 0.5 * way_m, elevation = 0.0;
+    for (int round = 0; round < 8; ++round) {
+        const double ahead_m = on_wall.x - at_x_m;
+        elevation = std::atan2(on_wall.z, std::hypot(ahead_m, on_wall.y));
+        at_x_m = (kPi - (std::atan2(on_wall.y, ahead_m) - beam.azimuth_offset_rad)) / (2.0 * kPi) * way_m;
+    }
+    return std::abs(elevation - beam.elevation_rad);
+}
+
+TEST_F(Sensorsim, SweepFillsTheFrameFromItsStartToItsEnd) {
+    start_sensorsim();
+    const std::vector<Beam> beams = std::get<SpinningSensor>(find_sensor("Pandar128").pattern).beams;
+    constexpr double kWay_m = 8.0;
+    for (const std::uint64_t frame_us : {100'000u, 3'000'000u}) {
+        wire::LidarRenderRequest request = moving();
+        request.set_frame_end_us(400'000 + frame_us);
+        set_pair(*request.mutable_sensor_pose(), {}, {{1, 0, 0, 0}, {kWay_m, 0.0, 0.0}});
+        const auto points = values<glm::vec3>(render(request).xyz_buffer());
+        ASSERT_GT(points.size(), 1000u);
+        double worst = 0.0;
+        for (const glm::vec3& point : points) {
+            const glm::dvec3 on_wall = glm::dvec3(point) + glm::dvec3(kWay_m, 0.0, 0.0);
+            double least = kPi;
+            for (const Beam& beam : beams) least = std::min(least, off_beam(beam, on_wall, kWay_m));
+            worst = std::max(worst, least);
+        }
+        EXPECT_LT(worst, 1e-4) << "beams are 2e-3 apart";
+    }
+}
+
+TEST_F(Sensorsim, ObjectsMoveFromTheirFirstPoseToTheirLast) {
+    start_sensorsim();
+    const Pose still{};
+    wire::LidarRenderRequest request = moving();
+    set_pair(*request.mutable_sensor_pose(), still, still);
+    add_car(request, {{1, 0, 0, 0}, {3.0, 0.0, 0.0}}, {{1, 0, 0, 0}, {7.0, 0.0, 0.0}});
+    const std::vector<glm::vec3> points = values<glm::vec3>(render(request).xyz_buffer());
+    std::vector<glm::vec3> plate;
+    for (const glm::vec3& point : points)
+        if (point.x < 9.0f) plate.push_back(point);
+    ASSERT_GT(plate.size(), 100u);
+    for (const glm::vec3& point : plate) {   // a ray to azimuth a is fired (pi - a) / (2 pi) of the frame after its start
+        const double azimuth = std::atan2(double(point.y), double(point.x));
+        const double share = (kPi - azimuth) / (2.0 * kPi);
+        EXPECT_NEAR(point.x, 3.0 + 4.0 * share, 0.1) << "beams are up to 7.8 degrees off the head";
+    }
+}
+
+TEST_F(Sensorsim, TranslationFirstIsASwitch) {
+    start_sensorsim(PoseOrder::translation_first);
+    const auto other = [](const Pose& pose) { return Pose{pose.rotation, glm::inverse(pose.rotation) * pose.translation}; };
+    wire::LidarRenderRequest request = moving();
+    set_pair(*request.mutable_sensor_pose(), other(kStart), other(kEnd));
+    const wire::LidarRenderReturn scan = render(request);
+    ASSERT_GT(scan.count(), 1000u);
+    EXPECT_THAT(world_x(scan, kEnd), testing::Each(LiesAt(10.0)));
+}
+
+TEST_F(Sensorsim, AggregatesLidarScansAlone) {
+    start_sensorsim();
+    wire::AggregatedRenderRequest request;
+    *request.add_lidar() = moving(), *request.add_lidar() = moving();
+    request.mutable_lidar(1)->mutable_lidar()->set_lidar_type(wire::AT128);
+    wire::AggregatedRenderReturn answer;
+    {
+        grpc::ClientContext context;
+        ASSERT_TRUE(calls->render_aggregated(&context, request, &answer).ok());
+    }
+    ASSERT_EQ(answer.lidar_size(), 2);
+    EXPECT_EQ(answer.lidar(0).SerializeAsString(), render(request.lidar(0)).SerializeAsString());
+    EXPECT_EQ(answer.lidar(1).SerializeAsString(), render(request.lidar(1)).SerializeAsString());
+    EXPECT_NE(answer.lidar(0).count(), answer.lidar(1).count());
+    const auto refused = [&] {
+        grpc::ClientContext context;
+        return calls->render_aggregated(&context, request, &answer);
+    };
+    for (int i = 2; i < 65; ++i) request.add_lidar();
+    EXPECT_EQ(refused().error_code(), Code::INVALID_ARGUMENT);
+    EXPECT_THAT(refused().error_message(), HasSubstr("reading lidar: found 65 scans, expected at most 64"));
+    request.add_rgb();
+    EXPECT_EQ(refused().error_code(), Code::UNIMPLEMENTED);
+    EXPECT_THAT(refused().error_message(), HasSubstr("found 1 images wanted, expected LiDAR scans alone"));
+}
+
+TEST_F(Sensorsim, IsOfferedWhereItIsWantedAlone) {
+    start();
+    calls = wire::SensorsimService::NewStub(connect(address()));
+    EXPECT_EQ(refused(moving()).error_code(), Code::UNIMPLEMENTED);
+}
+
+struct Case {
+    const char* name;
+    std::function<void(wire::LidarRenderRequest&)> spoil;
+    Code code;
+    const char* says;
+};
+
+TEST_F(Sensorsim, SaysWhatMakesNoSense) {
+    start_sensorsim();
+    const Pose here{};
+    const std::vector<Case> cases = {
+        {"unknown scene", [](auto& r) { r.set_scene_id("smal"); }, Code::NOT_FOUND,
+         "reading scene_id: found \"smal\", expected one that is there, as \"small\""},
+        {"no pose", [](auto& r) { r.clear_sensor_pose(); }, Code::INVALID_ARGUMENT, "reading sensor_pose: found no pose at the start"},
+        {"half a pair", [](auto& r) { r.mutable_sensor_pose()->clear_end(); }, Code::INVALID_ARGUMENT, "found no pose at the end"},
+        {"no rotation", [](auto& r) { r.mutable_sensor_pose()->mutable_end()->clear_rotation(); }, Code::INVALID_ARGUMENT,
+         "reading sensor_pose.end: found no rotation, expected both"},
+        {"empty rotation", [](auto& r) { r.mutable_sensor_pose()->mutable_end()->mutable_rotation()->Clear(); }, Code::INVALID_ARGUMENT,
+         "reading sensor_pose.end.rotation: found a quaternion of length 0"},
+        {"not a number", [](auto& r) { r.mutable_sensor_pose()->mutable_start()->mutable_translation()->set_z(NAN); },
+         Code::INVALID_ARGUMENT, "reading sensor_pose.start.translation.z: found nan"},
+        {"times that fall", [](auto& r) { r.set_frame_end_us(399'999); }, Code::INVALID_ARGUMENT,
+         "reading frame_end_us: found 399999 with frame_start_us 400000"},
+        {"nanoseconds", [](auto& r) { r.set_frame_end_us(400'000 + 100'000'000); }, Code::INVALID_ARGUMENT, "reading frame_end_us"},
+        {"a moment of two poses", [](auto& r) { r.set_frame_end_us(400'000); }, Code::INVALID_ARGUMENT,
+         "reading sensor_pose: found two poses in a frame that takes no time"},
+        {"unknown sensor", [](auto& r) { r.mutable_lidar()->set_lidar_type(wire::LidarType(7)); }, Code::INVALID_ARGUMENT,
+         "reading lidar.lidar_type: found 7, expected 0 (PANDAR128) or 1 (AT128)"},
+        {"unknown object", [&](auto& r) { add_car(r, here, here), r.mutable_dynamic_objects(0)->set_track_id("cat"); }, Code::NOT_FOUND,
+         "reading dynamic_objects[0].track_id: found \"cat\", expected one that is there, as \"car\""},
+        {"object without a pose", [&](auto& r) { add_car(r, here, here), r.mutable_dynamic_objects(0)->clear_pose(); },
+         Code::INVALID_ARGUMENT, "reading dynamic_objects[0].pose: found no pose at the start"},
+        {"object twice", [&](auto& r) { add_car(r, here, here), add_car(r, here, here); }, Code::INVALID_ARGUMENT,
+         "reading dynamic_objects[1].track_id: found \"car\" again"},
+    };
+    for (const Case& wrong : cases) {
+        wire::LidarRenderRequest request = moving();
+        wrong.spoil(request);
+        const grpc::Status status = refused(request);
+        EXPECT_EQ(status.error_code(), wrong.code) << wrong.name;
+        EXPECT_THAT(status.error_message(), HasSubstr(wrong.says)) << wrong.name;
+    }
+    EXPECT_GT(render(moving()).count(), 1000u) << "and the next one is answered";
+    wire::LidarRenderRequest moment = moving();
+    moment.set_frame_end_us(400'000);
+    set_pair(*moment.mutable_sensor_pose(), kEnd, kEnd);
+    EXPECT_THAT(world_x(render(moment), kEnd), testing::Each(LiesAt(10.0))) << "a sensor that stands may take no time";
+}
+
+TEST_F(Sensorsim, TellsTheWaysOfTheLog) {
+    start_sensorsim();
+    wire::SceneRequest which;
+    which.set_scene_id("small");
+    wire::AvailableTrajectories answer;
+    grpc::ClientContext context;
+    ASSERT_TRUE(calls->get_available_trajectories(&context, which, &answer).ok());
+    ASSERT_EQ(answer.trajectories_size(), 2) << "the vehicle's and that of its LiDAR";
+    for (const wire::AvailableTrajectory& way : answer.trajectories()) {
+        ASSERT_EQ(way.trajectory().poses_size(), 3);
+        EXPECT_EQ(way.trajectory().poses(1).timestamp_us(), 500'000u);
+        EXPECT_EQ(way.trajectory().poses(1).pose().translation().x(), 0.0f) << "relidar's world, near the log";
+        EXPECT_EQ(way.trajectory().poses(1).pose().rotation().w(), 1.0f);
+    }
+}
+
+}  // namespace
+}  // namespace relidar::serve

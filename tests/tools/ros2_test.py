@@ -1,0 +1,132 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""tools/examples/ros2_lidar.py in front of a stub of rclpy and a running server. What it publishes is written into an MCAP by
+bag_writer.py, which knows nothing of relidar, and read back by `relidar convert`: the clouds are those of the service, where /tf has them.
+
+  ros2_test.py SOURCE_ROOT RELIDAR HOST:PORT WORK
+
+Prints what is wrong; exit code 1 where anything is.
+"""
+import json
+import pathlib
+import subprocess
+import sys
+import types
+
+import grpc
+import numpy as np
+
+root, relidar, address, work = pathlib.Path(sys.argv[1]), sys.argv[2], sys.argv[3], pathlib.Path(sys.argv[4])
+sys.path[:0] = [str(root / "tests/tools"), str(root / "tools/examples")]
+import bag_writer   # noqa: E402
+
+failures, published = [], []
+START_NS = 1_700_000_000_250_000_000
+
+
+def check(what, condition):
+    if not condition:
+        failures.append(what)
+
+
+def message_type(**constants):
+    """A message is what was said of it."""
+    return type("Message", (), {"__init__": lambda self, **fields: self.__dict__.update(fields), **constants})
+
+
+def module(name, **content):
+    sys.modules[name] = types.ModuleType(name)
+    sys.modules[name].__dict__.update(content)
+
+
+class Node:
+    def create_publisher(self, kind, topic, depth):
+        return types.SimpleNamespace(publish=lambda message: published.append((topic, kind, message)))
+
+    def get_clock(self):
+        return types.SimpleNamespace(now=lambda: types.SimpleNamespace(nanoseconds=START_NS))
+
+    def get_logger(self):
+        return types.SimpleNamespace(warning=print)
+
+    def destroy_node(self):
+        pass
+
+
+for package, names in (("builtin_interfaces", ["Time"]), ("std_msgs", ["Header"]), ("tf2_msgs", ["TFMessage"]),
+                       ("sensor_msgs", ["PointCloud2"]), ("geometry_msgs", ["Quaternion", "Transform", "TransformStamped", "Vector3"])):
+    module(package)
+    module(package + ".msg", **{name: message_type() for name in names})
+sys.modules["sensor_msgs.msg"].PointField = message_type(UINT16=4, FLOAT32=7)   # numbers of the message's definition
+module("rclpy", init=lambda: None, ok=lambda: True, shutdown=lambda: None, create_node=lambda name: Node())
+
+import ros2_lidar   # noqa: E402
+from closed_loop_client import v1, v1_grpc   # noqa: E402
+
+ros2_lidar.main([address, "--sensor", "VLP-16", "--topic", "/front/points", "--frame", "front"])
+
+
+def plain(message):
+    """As bag_writer has them: stamps are ns, what is called by position or translation in a pose is so."""
+    if isinstance(message, list):
+        return [plain(item) for item in message]
+    if not hasattr(message, "__dict__"):
+        return message
+    fields = {name: plain(value) for name, value in vars(message).items()}
+    if set(fields) == {"sec", "nanosec"}:
+        return fields["sec"] * 10**9 + fields["nanosec"]
+    if set(fields) == {"translation", "rotation"}:
+        return {"position": fields["translation"], "orientation": fields["rotation"]}
+    return fields
+
+
+types_of = {"/tf": "tf2_msgs/TFMessage", "/front/points": "sensor_msgs/PointCloud2"}
+messages = []
+for topic, _, message in published:
+    value = plain(message)
+    header = value["header"] if "header" in value else value["transforms"][0]["header"]
+    messages.append((topic, types_of[topic], header["stamp"], value))
+work.mkdir(parents=True, exist_ok=True)
+bag_writer.write_mcap(work / "published.mcap", messages)
+
+service = v1_grpc.RenderServiceStub(grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", -1)]))
+way = service.GetTracks(v1.GetTracksRequest()).dataset_from_sensor
+clouds = [value for topic, _, _, value in messages if topic == "/front/points"]
+frames = [value["transforms"][0] for topic, _, _, value in messages if topic == "/tf"]
+sweeps = round((way[-1].time_s - way[0].time_s) * 10)
+check(f"{len(clouds)} clouds and {len(frames)} transforms, expected {sweeps}", len(clouds) == len(frames) == sweeps > 5)
+
+done = subprocess.run([relidar, "convert", str(work / "published.mcap"), "--out", str(work / "read"), "--set", "dataset.max_range_m=200"],
+                      capture_output=True, text=True)
+check(f"relidar convert: {done.stdout}{done.stderr}", done.returncode == 0)
+read = json.loads((work / "read/sequence.json").read_text())["frames"] if done.returncode == 0 else []
+check(f"{len(read)} frames read, expected {len(clouds)}", len(read) == len(clouds))
+poses = np.loadtxt(work / "read/poses.txt", ndmin=2) if read else []
+
+for k, (cloud, frame, entry) in enumerate(zip(clouds, frames, read)):
+    stamp = START_NS + (k + 1) * 100_000_000
+    check(f"cloud {k}: stamped {cloud['header']}, expected {stamp}", cloud["header"] == {"stamp": stamp, "frame_id": "front"})
+    check(f"transform {k}: {frame['header']}", frame["header"] == {"stamp": stamp, "frame_id": "map"} and frame["child_frame_id"] == "front")
+    end_s = way[0].time_s + 0.1 * (k + 1)
+    truth = service.RenderLidar(v1.RenderLidarRequest(sensor=v1.Sensor(name="VLP-16"), path=way, time_s=end_s - 0.05, points_at_s=end_s))
+    points = np.frombuffer(truth.points.xyz_m, "<f4").reshape(-1, 3)
+    rows = np.frombuffer(cloud["data"], "u1").reshape(cloud["width"], cloud["point_step"])
+    for field in cloud["fields"]:   # by the definition of the message
+        size, code = {7: (4, "<f4"), 4: (2, "<u2")}[field["datatype"]]
+        values = np.ascontiguousarray(rows[:, field["offset"]:field["offset"] + size]).view(code)[:, 0]
+        expected = {"x": points[:, 0], "y": points[:, 1], "z": points[:, 2], "intensity": np.frombuffer(truth.points.intensity, "<f4"),
+                    "ring": np.frombuffer(truth.points.ring, "<u2")}[field["name"]]
+        check(f"cloud {k}: {field['name']} differs", np.array_equal(values, expected))
+    scan = np.load(work / "read" / entry["scan"])
+    hit = scan["range"] > 0
+    found = (scan["origin"] + scan["range"][..., None] * scan["directions"])[hit]
+    # the reader puts a cloud into an image, where the nearer one of two points of a pixel stays
+    check(f"cloud {k}: {len(found)} of {len(points)} points read", 0.95 * len(points) < len(found) <= len(points))
+    apart = max(np.linalg.norm(points - point, axis=1).min() for point in found[::100])
+    check(f"cloud {k}: points were read {apart} m off", apart < 1e-3)
+    at, t = truth.dataset_from_points.translation, frame["transform"]["position"]
+    check(f"transform {k}: {t}, expected {at}", np.allclose([t[axis] for axis in "xyz"], [at.x, at.y, at.z], atol=1e-9))
+    check(f"pose {k}: {poses[k]}, expected {at}", np.allclose(poses[k][1:4], [at.x, at.y, at.z], atol=1e-5))
+
+print("\n".join(failures))
+sys.exit(1 if failures else 0)

@@ -1,0 +1,256 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""A client of SensorsimService that knows its wire alone: field numbers and types, encoded here byte by byte, no stubs. It drives past the
+traffic of a served street and looks at what comes back:
+
+  - against relidar's own service, asked for the same scan in the frame of its *first* pose and taken to the last one here;
+  - against the log's boxes: points on the actor that is named, where its poses put it; none where it is not named.
+
+  sensorsim_client.py SOURCE_ROOT HOST:PORT SCENE [PICTURE.png]
+
+Prints what is wrong; exit code 1 where anything is.
+"""
+import struct
+import sys
+
+import grpc
+import numpy as np
+
+root, address, scene = sys.argv[1:4]
+channel = grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", -1)])
+failures = []
+
+
+def check(what, condition):
+    if not condition:
+        failures.append(what)
+
+
+# The wire. Every message is a list of (field number, value); a value is bytes, str, float (fixed32), Fixed64, int (varint) or a message.
+
+class Fixed64(int):
+    pass
+
+
+def varint(n):
+    parts = []
+    while n > 0x7f:
+        parts.append(n & 0x7f | 0x80)
+        n >>= 7
+    return bytes(parts + [n])
+
+
+def encode(message):
+    out = b""
+    for number, value in message:
+        if isinstance(value, Fixed64):
+            out += varint(number << 3 | 1) + struct.pack("<Q", value)
+        elif isinstance(value, float):
+            out += varint(number << 3 | 5) + struct.pack("<f", value)
+        elif isinstance(value, int):
+            out += varint(number << 3) + varint(value)
+        else:
+            data = value if isinstance(value, bytes) else value.encode() if isinstance(value, str) else encode(value)
+            out += varint(number << 3 | 2) + varint(len(data)) + data
+    return out
+
+
+def decode(data):
+    """{field number: [raw values]}; packed arrays stay bytes."""
+    fields, at = {}, 0
+
+    def read_varint():
+        nonlocal at
+        n = shift = 0
+        while True:
+            byte = data[at]
+            at += 1
+            n |= (byte & 0x7f) << shift
+            shift += 7
+            if byte < 0x80:
+                return n
+    while at < len(data):
+        key = read_varint()
+        if key & 7 == 0:
+            value = read_varint()
+        else:
+            size = {1: 8, 5: 4}.get(key & 7) or read_varint()
+            value = data[at:at + size]
+            at += size
+        fields.setdefault(key >> 3, []).append(value)
+    return fields
+
+
+def call(name, message=()):
+    return decode(channel.unary_unary(f"/nre.grpc.protos.sensorsim.SensorsimService/{name}")(encode(message), timeout=120))
+
+
+def status(name, message=()):
+    try:
+        call(name, message)
+    except grpc.RpcError as error:
+        return error.code(), error.details()
+    return grpc.StatusCode.OK, ""
+
+
+# Poses: (rotation matrix, translation), p' = R p + t.
+
+def pose_of(q, t):
+    w, x, y, z = q
+    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                     [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]]), np.array(t, float)
+
+
+def pose_message(q, t):
+    return [(1, [(i + 1, float(t[i])) for i in range(3)]), (2, [(i + 1, float(q[i])) for i in range(4)])]
+
+
+def apply(pose, points):
+    return points @ pose[0].T + pose[1]
+
+
+def undo(pose, points):
+    return (points - pose[1]) @ pose[0]
+
+
+def read_pose(message):
+    f = decode(message)
+    t, q = decode(f[1][0]), decode(f[2][0])
+    number = lambda fields, i: struct.unpack("<f", fields[i][0])[0] if i in fields else 0.0   # 0 does not travel
+    return [number(q, i) for i in (1, 2, 3, 4)], [number(t, i) for i in (1, 2, 3)]
+
+
+# What is served.
+
+check("version", b"relidar" in call("get_version")[1][0])
+check("scenes", scene.encode() in call("get_available_scenes")[1])
+check("cameras", call("get_available_cameras", [(1, scene)]) == {})
+check("ego masks", call("get_available_ego_masks") == {})
+code, line = status("render_rgb", [(1, scene)])
+check(f"render_rgb: {code} {line}", code == grpc.StatusCode.UNIMPLEMENTED and "relidar renders no cameras" in line)
+ways = [decode(decode(way)[2][0]) for way in call("get_available_trajectories", [(1, scene)])[1]]
+log = []   # of the LiDAR, after the vehicle's; time 0 does not travel
+for entry in map(decode, ways[1][1]):
+    log.append((struct.unpack("<Q", entry.get(2, [bytes(8)])[0])[0], read_pose(entry[1][0])))
+check("times rise", all(a[0] < b[0] for a, b in zip(log, log[1:])))
+
+# A frame of the log's own, driven faster than the log did and turning, and its traffic. Relidar's own service tells where that is.
+
+sys.path.insert(0, f"{root}/tools/examples")
+from closed_loop_client import v1, v1_grpc   # noqa: E402  makes the stubs
+own = v1_grpc.RenderServiceStub(channel)
+middle = len(log) // 2
+time_us, (q0, t0) = log[middle]
+tracks = own.GetTracks(v1.GetTracksRequest(scene=scene))
+dataset = tracks.dataset_from_sensor[middle].pose.translation
+offset = np.array([dataset.x, dataset.y, dataset.z]) - t0     # from the wire's world to the dataset's
+half = np.radians(5.0)   # ten degrees to the left in the frame
+turn = [np.cos(half), 0.0, 0.0, np.sin(half)]
+q1 = [turn[0] * q0[0] - turn[3] * q0[3], turn[0] * q0[1] - turn[3] * q0[2],
+      turn[0] * q0[2] + turn[3] * q0[1], turn[0] * q0[3] + turn[3] * q0[0]]
+t1 = list(np.array(t0) + pose_of(q0, t0)[0] @ [2.5, 0.0, 0.0])
+start, end = pose_of(q0, t0), pose_of(q1, t1)
+
+
+def actor_at(track, time_s):
+    """Pose of the log's, nearest in time; the wire's world."""
+    near = min(track.poses, key=lambda p: abs(p.time_s - time_s)).pose
+    r, t = near.rotation, near.translation
+    return [r.w, r.x, r.y, r.z], list(np.array([t.x, t.y, t.z]) - offset)
+
+
+actors = {}   # name: (size, pose)
+for track in tracks.actors:
+    box = next(a for a in own.ListScenes(v1.ListScenesRequest()).scenes[0].actors if a.name == track.name)
+    actors[track.name] = (np.array([box.size_m.x, box.size_m.y, box.size_m.z]), actor_at(track, time_us * 1e-6))
+nearest = min(actors, key=lambda name: np.linalg.norm(np.array(actors[name][1][1]) - t0))
+
+
+def request(lidar, objects, duration_us=100_000, scene_id=scene):
+    pair = lambda first, last: [(1, pose_message(*first)), (2, pose_message(*last))]
+    message = [(1, scene_id), (2, [(2, lidar)]), (3, Fixed64(time_us)), (4, Fixed64(time_us + duration_us)), (5, pair((q0, t0), (q1, t1)))]
+    return message + [(6, [(1, name), (2, pair(first, last))]) for name, (first, last) in objects.items()]
+
+
+def floats(fields, number):
+    return np.frombuffer(b"".join(fields.get(number, [])), "<f4")
+
+
+def points_of(answer):
+    n = answer.get(3, [0])[0]
+    xyz, intensity = floats(answer, 4).reshape(-1, 3), floats(answer, 5)
+    check(f"{n} points, buffers of {len(xyz)} and {len(intensity)}", n == len(xyz) == len(intensity))
+    check("repeated floats are not the buffer's", np.array_equal(floats(answer, 1), xyz.ravel()) and
+          np.array_equal(floats(answer, 2), intensity))
+    check("intensities outside 0..1", len(intensity) and intensity.min() >= 0 and intensity.max() <= 1)
+    return xyz.astype(float)
+
+
+def own_points(sensor, objects, duration_s=0.1):
+    """By relidar's own service, in the frame of the first pose."""
+    t = time_us * 1e-6
+    pose = lambda q, p: v1.Pose(translation=v1.Vector(x=p[0], y=p[1], z=p[2]), rotation=v1.Quaternion(w=q[0], x=q[1], y=q[2], z=q[3]))
+    wide = lambda q, p: pose(np.float32(q).astype(float), np.float32(p).astype(float) + offset)   # what has travelled, to the bit
+    path = lambda first, last: [v1.TimedPose(time_s=t, pose=wide(*first)), v1.TimedPose(time_s=t + duration_s, pose=wide(*last))]
+    asked = v1.RenderLidarRequest(scene=scene, path=path((q0, t0), (q1, t1)), time_s=t + 0.5 * duration_s, points_at_s=t,
+                                  sensor=v1.Sensor(name=sensor), wanted=v1.Wanted(points=True))
+    asked.actors.SetInParent()
+    for name, (first, last) in objects.items():
+        asked.actors.actors.add(name=name, poses=path(first, last))
+    return np.frombuffer(own.RenderLidar(asked, timeout=120).points.xyz_m, "<f4").reshape(-1, 3).astype(float)
+
+
+def inside(points, size, pose):
+    """How many points of the wire's world lie in a box, the lowest 0.3 m left out: there is the road."""
+    local = undo(pose_of(*pose), points)
+    return int((np.all(abs(local) < 0.5 * size + 0.1, axis=1) & (local[:, 2] > 0.3 - 0.5 * size[2])).sum())
+
+
+size, there = actors[nearest]
+elsewhere = (there[0], list(np.array(t1) + end[0] @ [9.0, 0.0, 0.5 * size[2] - 1.7]))   # 9 m ahead of where the sensor ends
+cases = [("PANDAR128", 0, "Pandar128", {nearest: (there, there)}, 0.1), ("AT128", 1, "AT128", {nearest: (elsewhere, elsewhere)}, 0.1),
+         ("nobody", 0, "Pandar128", {}, 0.1), ("20 Hz", 0, "Pandar128:1800x20", {nearest: (there, elsewhere)}, 0.05)]
+clouds = {}
+for what, lidar, sensor, objects, duration_s in cases:
+    points = points_of(call("render_lidar", request(lidar, objects, round(duration_s * 1e6))))
+    first = own_points(sensor, objects, duration_s)
+    check(f"{what}: {len(points)} points, {len(first)} of relidar's own service", len(points) == len(first) > 1000)
+    if len(points) == len(first):
+        off = np.linalg.norm(points - undo(end, apply(start, first)), axis=1)
+        # single precision of numbers in the dataset's world, and few rays that graze
+        check(f"{what}: points are {off.max():.4f} m off", off.max() < 2e-3)
+        wrong = np.median(np.linalg.norm(points - first, axis=1))
+        check(f"{what}: the two frames differ by {wrong} m only: nothing is tested", wrong > 0.5)
+    clouds[what] = apply(end, points)
+
+counts = {what: (inside(cloud, size, there), inside(cloud, size, elsewhere)) for what, cloud in clouds.items()}
+check(f"actor {nearest} where the log has it: {counts['PANDAR128'][0]} points, without it {counts['nobody'][0]}",
+      counts["PANDAR128"][0] > 20 and counts["nobody"][0] == 0)
+check(f"actor {nearest} 9 m ahead: {counts['AT128'][1]} points, without it {counts['nobody'][1]}",
+      counts["AT128"][1] > 100 and counts["nobody"][1] == 0)
+
+# Several at once, and what makes no sense.
+
+both = call("render_aggregated", [(2, request(0, {})), (2, request(1, {}))])
+check("render_aggregated", len(both.get(2, [])) == 2 and 1 not in both and
+      np.array_equal(apply(end, points_of(decode(both[2][0]))), clouds["nobody"]))
+code, line = status("render_lidar", request(0, {"nobody there": (there, there)}))
+check(f"an unknown object: {code} {line}", code == grpc.StatusCode.NOT_FOUND and '"nobody there"' in line)
+code, line = status("render_lidar", request(0, {}, scene_id="elsewhere"))
+check(f"an unknown scene: {code} {line}", code == grpc.StatusCode.NOT_FOUND and '"elsewhere"' in line)
+
+if len(sys.argv) > 4:
+    import matplotlib
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+    figure, axes = pyplot.subplots(1, len(clouds), figsize=(6 * len(clouds), 6))
+    for axis, (what, cloud) in zip(axes, clouds.items()):
+        axis.scatter(cloud[:, 0], cloud[:, 1], s=0.05, c=cloud[:, 2], cmap="viridis", vmin=-2, vmax=4)
+        axis.plot([t0[0], t1[0]], [t0[1], t1[1]], "r-", linewidth=2)
+        for centre in (there[1], elsewhere[1]):
+            axis.plot(centre[0], centre[1], "kx")
+        axis.set(title=what, aspect="equal", xlim=(t1[0] - 40, t1[0] + 40), ylim=(t1[1] - 40, t1[1] + 40))
+    figure.savefig(sys.argv[4], dpi=80)
+print("\n".join(failures))
+sys.exit(1 if failures else 0)

@@ -1,0 +1,129 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""Drives the log's way through a trained scene and publishes what a LiDAR sees there: sensor_msgs/PointCloud2 from `relidar serve`, and the
+pose of the sensor on /tf.
+
+    relidar serve RUN &
+    tools/examples/ros2_lidar.py 127.0.0.1:50051 [--sensor OS1-128] [--topic /points] [--loop]
+
+A cloud is of one sweep and motion-compensated: its points (x, y, z, intensity as float32, ring as uint16) are in the sensor's frame at the
+header's stamp, which is the end of the sweep, and /tf has that frame's pose for the same stamp. So there is no time field: who compensates
+by one would do it twice. Stamps begin with the node's clock and go on as the log's do; a server that is slower than the sensor lets them
+fall behind, which is said once.
+
+Needs rclpy with sensor_msgs, geometry_msgs, tf2_msgs, and what closed_loop_client.py needs.
+"""
+import argparse
+import time
+
+import grpc
+import numpy as np
+import rclpy
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from closed_loop_client import v1, v1_grpc
+
+POINT = np.dtype({"names": ["x", "y", "z", "intensity", "ring"], "formats": ["<f4", "<f4", "<f4", "<f4", "<u2"],
+                  "offsets": [0, 4, 8, 12, 16], "itemsize": 20})
+ROS_TYPES = {"<f4": PointField.FLOAT32, "<u2": PointField.UINT16}
+
+
+def time_message(stamp_ns):
+    return Time(sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+
+
+def cloud_message(points, stamp_ns, frame):
+    """A v1.Points as a PointCloud2."""
+    rows = np.zeros(points.count, POINT)
+    rows["x"], rows["y"], rows["z"] = np.frombuffer(points.xyz_m, "<f4").reshape(-1, 3).T
+    rows["intensity"] = np.frombuffer(points.intensity, "<f4")
+    rows["ring"] = np.frombuffer(points.ring, "<u2")
+    fields = [PointField(name=name, offset=POINT.fields[name][1], datatype=ROS_TYPES[POINT.fields[name][0].str], count=1)
+              for name in POINT.names]
+    return PointCloud2(header=Header(stamp=time_message(stamp_ns), frame_id=frame), height=1, width=len(rows), fields=fields,
+                       is_bigendian=False, point_step=POINT.itemsize, row_step=POINT.itemsize * len(rows), data=rows.tobytes(),
+                       is_dense=True)
+
+
+def transform_message(pose, stamp_ns, parent, child):
+    """A v1.Pose on /tf."""
+    t, q = pose.translation, pose.rotation
+    moved = Transform(translation=Vector3(x=t.x, y=t.y, z=t.z), rotation=Quaternion(x=q.x, y=q.y, z=q.z, w=q.w))
+    return TFMessage(transforms=[TransformStamped(header=Header(stamp=time_message(stamp_ns), frame_id=parent), child_frame_id=child,
+                                                  transform=moved)])
+
+
+class Sweeps:
+    """Scans along the log's way, one sweep after the other."""
+
+    def __init__(self, service, options):
+        self.service, self.options = service, options
+        scenes = service.ListScenes(v1.ListScenesRequest()).scenes
+        self.scene = next((s for s in scenes if s.name == options.scene), scenes[0] if not options.scene else None)
+        if self.scene is None:
+            raise SystemExit(f"--scene: found {options.scene}, expected one of {', '.join(s.name for s in scenes)}")
+        self.path = list(service.GetTracks(v1.GetTracksRequest(scene=self.scene.name, lidar=options.lidar)).dataset_from_sensor)
+        self.times_s = [pose.time_s for pose in self.path]
+        self.period_s = 1.0 / options.rate
+        self.count = int((self.path[-1].time_s - self.path[0].time_s) * options.rate + 1e-6)
+        if self.count < 1:
+            raise SystemExit(f"the log of {self.scene.name} is shorter than a sweep of {self.period_s:g} s")
+
+    def scan(self, number):
+        """@return v1.LidarScan, and the moment of its points in the log's time"""
+        begin_s = self.path[0].time_s + number * self.period_s
+        end_s = begin_s + self.period_s
+        first = max(0, np.searchsorted(self.times_s, begin_s, "right") - 1)   # from the pose before the sweep to the one after it
+        last = np.searchsorted(self.times_s, end_s, "left")
+        request = v1.RenderLidarRequest(scene=self.scene.name, lidar=self.options.lidar, sensor=v1.Sensor(name=self.options.sensor),
+                                        path=self.path[first:last + 1], time_s=0.5 * (begin_s + end_s), points_at_s=end_s)
+        return self.service.RenderLidar(request, timeout=60), end_s
+
+
+def main(arguments=None):
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("address", nargs="?", default="127.0.0.1:50051", help="of relidar serve")
+    parser.add_argument("--scene", default="", help="of the server (default: its first)")
+    parser.add_argument("--lidar", default="", help="of the log, whose way is driven (default: its first)")
+    parser.add_argument("--sensor", default="", help="a name of `relidar sensors` (default: that LiDAR itself)")
+    parser.add_argument("--rate", type=float, default=10.0, help="sweeps a second; that of the sensor")
+    parser.add_argument("--topic", default="/points")
+    parser.add_argument("--frame", default="lidar", help="of the points")
+    parser.add_argument("--world", default="map", help="frame of the dataset's world")
+    parser.add_argument("--loop", action="store_true", help="begin again where the log ends")
+    options = parser.parse_args(arguments)
+    channel = grpc.insecure_channel(options.address, options=[("grpc.max_receive_message_length", -1)])
+    sweeps = Sweeps(v1_grpc.RenderServiceStub(channel), options)
+    rclpy.init()
+    node = rclpy.create_node("relidar")
+    clouds = node.create_publisher(PointCloud2, options.topic, 5)
+    transforms = node.create_publisher(TFMessage, "/tf", 100)
+    log = node.get_logger()
+    begin_ns = node.get_clock().now().nanoseconds
+    begin, done, late = time.monotonic(), 0, False
+    try:
+        while rclpy.ok() and (options.loop or done < sweeps.count):
+            scan, _ = sweeps.scan(done % sweeps.count)
+            done += 1
+            stamp_ns = begin_ns + round(done * sweeps.period_s * 1e9)
+            wait_s = begin + done * sweeps.period_s - time.monotonic()
+            if wait_s > 0:
+                time.sleep(wait_s)
+            elif not late:
+                late = True
+                log.warning(f"a sweep of {1e3 * sweeps.period_s:.0f} ms takes longer than that: stamps fall behind the clock")
+            transforms.publish(transform_message(scan.dataset_from_points, stamp_ns, options.world, options.frame))
+            clouds.publish(cloud_message(scan.points, stamp_ns, options.frame))
+    except KeyboardInterrupt:
+        pass
+    node.destroy_node()
+    if rclpy.ok():
+        rclpy.shutdown()
+
+
+if __name__ == "__main__":
+    main()

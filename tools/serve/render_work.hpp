@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// How a call gets its scans: a place in the line, work on the render thread, and a refusal where the client has left.
+#pragma once
+
+#include <grpcpp/server_context.h>
+
+#include "render_queue.hpp"
+#include "request_messages.hpp"
+
+namespace relidar::serve {
+
+class SceneSet;
+
+/// Whether anybody still waits for the answer.
+bool is_wanted(const grpc::ServerContext& context);
+/// Of a call that nobody waits for. @throws Refusal, always
+[[noreturn]] void give_up(const grpc::ServerContext& context);
+
+/// A place in the line. @throws Refusal where all are taken
+RenderQueue::Place enter(RenderQueue& queue);
+
+/// A scan, and what it took.
+struct TimedScan {
+    RenderedScan scan;
+    double queued_ms = 0.0, rendered_ms = 0.0;
+};
+
+/// Renders a scan on the queue's thread. @throws Refusal where nobody waits for it any more, or the run's folder cannot be read
+TimedScan render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context);
+
+}  // namespace relidar::serve

@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "sensorsim_messages.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include <relidar/sensor_files.hpp>
+
+#include "answer_messages.hpp"
+#include "geometry_messages.hpp"
+#include "refusal.hpp"
+#include "sensor_messages.hpp"
+
+namespace relidar::serve {
+namespace {
+
+constexpr double kMicrosecond = 1e-6;
+constexpr std::uint64_t kLongestFrame_us = 60'000'000;
+
+/// A LiDAR of the wire as relidar knows it.
+struct WireLidar {
+    sensorsim::LidarType type;
+    const char* name;
+    double period_s;   ///< of its sweep, as find_sensor() has it
+};
+constexpr WireLidar kLidars[] = {{sensorsim::PANDAR128, "Pandar128", 0.1}, {sensorsim::AT128, "AT128", 0.1}};
+
+const WireLidar& find_wire_lidar(sensorsim::LidarType type) {
+    const auto found = std::ranges::find(kLidars, type, &WireLidar::type);
+    if (found == std::end(kLidars)) refuse("lidar.lidar_type", fmt::format("{}", int(type)), "0 (PANDAR128) or 1 (AT128)");
+    return *found;
+}
+
+bool same(const Pose& a, const Pose& b) { return a.translation == b.translation && a.rotation == b.rotation; }
+
+void add_floats(const std::string& bytes, google::protobuf::RepeatedField<float>& values) {
+    values.Resize(int(bytes.size() / sizeof(float)), 0.0f);
+    std::memcpy(values.mutable_data(), bytes.data(), bytes.size());
+}
+
+void write_pose(const Pose& pose, PoseOrder order, sensorsim::Pose& message) {
+    const glm::dvec3 t = order == PoseOrder::rotation_first ? pose.translation : glm::inverse(pose.rotation) * pose.translation;
+    message.mutable_translation()->set_x(float(t.x));
+    message.mutable_translation()->set_y(float(t.y));
+    message.mutable_translation()->set_z(float(t.z));
+    message.mutable_rotation()->set_w(float(pose.rotation.w));
+    message.mutable_rotation()->set_x(float(pose.rotation.x));
+    message.mutable_rotation()->set_y(float(pose.rotation.y));
+    message.mutable_rotation()->set_z(float(pose.rotation.z));
+}
+
+void write_track(const PoseTrack& track, PoseOrder order, sensorsim::Trajectory& message) {
+    for (std::size_t i = 0; i < track.pose.size(); ++i) {
+        if (!(track.time_s[i] >= 0.0))
+            throw Refusal(grpc::StatusCode::FAILED_PRECONDITION,
+                          fmt::format("writing a trajectory: found a pose at {} s, expected times from 0: the wire has no others",
+                                      track.time_s[i]));
+        sensorsim::PoseAtTime& pose = *message.add_poses();
+        write_pose(track.pose[i], order, *pose.mutable_pose());
+        pose.set_timestamp_us(std::uint64_t(std::llround(track.time_s[i] / kMicrosecond)));
+    }
+}
+
+}  // namespace
+
+std::shared_ptr<const SensorChoice> SensorsimReader::sensor(const sensorsim::LidarRenderRequest& message) {
+    const WireLidar& lidar = find_wire_lidar(message.lidar().lidar_type());
+    const std::uint64_t frame_us = message.frame_end_us() - message.frame_start_us();
+    const std::string key = fmt::format("{} {}", lidar.name, frame_us);
+    if (auto sensor = sensors_.find(key)) return sensor;
+    SensorChoice sensor = sensor_choice(find_sensor(lidar.name));
+    const float stretch = float(double(frame_us) * kMicrosecond / lidar.period_s);
+    for (float& time_s : sensor.rays.time_offset_s) time_s *= stretch;
+    return sensors_.put(key, std::move(sensor));
+}
+
+Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::string& field) const {
+    if (!message.has_translation() || !message.has_rotation())
+        refuse(field, message.has_translation() ? "no rotation" : "no translation", "both");
+    v1::Pose wide;
+    wide.mutable_translation()->set_x(double(message.translation().x()));
+    wide.mutable_translation()->set_y(double(message.translation().y()));
+    wide.mutable_translation()->set_z(double(message.translation().z()));
+    wide.mutable_rotation()->set_w(double(message.rotation().w()));
+    wide.mutable_rotation()->set_x(double(message.rotation().x()));
+    wide.mutable_rotation()->set_y(double(message.rotation().y()));
+    wide.mutable_rotation()->set_z(double(message.rotation().z()));
+    Pose pose = serve::read_pose(wide, field);
+    if (order_ == PoseOrder::translation_first) pose.translation = pose.rotation * pose.translation;
+    return pose;
+}
+
+PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const Frame& frame, const std::string& field) const {
+    if (!message.has_start() || !message.has_end())
+        refuse(field, message.has_start() ? "no pose at the end" : "no pose at the start", "both");
+    Pose start = read_pose(message.start(), field + ".start"), end = read_pose(message.end(), field + ".end");
+    start.translation += frame.world_offset_m;
+    end.translation += frame.world_offset_m;
+    if (frame.end_s > frame.start_s) return {{frame.start_s, frame.end_s}, {start, end}};
+    if (!same(start, end)) refuse(field, "two poses in a frame that takes no time", "one pose, or a frame_end_us after frame_start_us");
+    return {{frame.start_s}, {start}};
+}
+
+WantedScan SensorsimReader::read(const sensorsim::LidarRenderRequest& message) {
+    const std::uint64_t start_us = message.frame_start_us(), end_us = message.frame_end_us();
+    if (end_us < start_us || end_us - start_us > kLongestFrame_us)
+        refuse("frame_end_us", fmt::format("{} with frame_start_us {}", end_us, start_us),
+               fmt::format("microseconds, that or up to {} later", kLongestFrame_us));
+    WantedScan wanted;
+    wanted.scene = find_scene(message.scene_id());
+    const Frame frame{read_time(double(start_us) * kMicrosecond, "frame_start_us"),
+                      read_time(double(end_us) * kMicrosecond, "frame_end_us"), outlines_[wanted.scene].sequence.world_offset_m};
+    wanted.sensor = sensor(message);
+    wanted.request.time_s = 0.5 * (frame.start_s + frame.end_s);   // the middle of the sweep is time 0 of the rays
+    wanted.request.dataset_from_sensor = read_track(message.sensor_pose(), frame, "sensor_pose");
+    wanted.points_at_s = frame.end_s;
+    std::vector<ActorWish> actors;
+    for (int i = 0; i < message.dynamic_objects_size(); ++i) {
+        const sensorsim::DynamicObject& object = message.dynamic_objects(i);
+        const std::string field = fmt::format("dynamic_objects[{}]", i);
+        actors.push_back({field + ".track_id", object.track_id(), read_track(object.pose(), frame, field + ".pose")});
+    }
+    reader_.place_actors(actors, wanted);
+    return wanted;
+}
+
+void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config, sensorsim::LidarRenderReturn& message) {
+    v1::LidarScan ours;
+    write_scan(scan, wanted, config, ours);
+    message.set_count(ours.points().count());
+    *message.mutable_xyz_buffer() = std::move(*ours.mutable_points()->mutable_xyz_m());
+    *message.mutable_intensity_buffer() = std::move(*ours.mutable_points()->mutable_intensity());
+    add_floats(message.xyz_buffer(), *message.mutable_xyz());
+    add_floats(message.intensity_buffer(), *message.mutable_intensities());
+}
+
+void write_trajectories(const Run& run, PoseOrder order, sensorsim::AvailableTrajectories& message) {
+    write_track(run.sequence.world_from_vehicle, order, *message.add_trajectories()->mutable_trajectory());
+    for (std::size_t i = 0; i < run.sequence.lidars.size(); ++i)
+        write_track(run.sequence.world_from_sensor(int(i)), order, *message.add_trajectories()->mutable_trajectory());
+}
+
+}  // namespace relidar::serve
