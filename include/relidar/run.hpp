@@ -58,8 +58,9 @@ void save_run(const Run& run);
 Run load_run(const std::filesystem::path& folder, const std::function<void(const std::string&)>& note = {});
 
 /// Saves a scene as safetensors: mean [n,3], rotation [n,4], log_scale [n,2], opacity_logit [n], sh [n,3,16], log_scale_w [n] of 3D
-/// Gaussians alone, models and instances in the metadata. @throws DataError where an array is misshapen or not finite, or the file cannot
-/// be written. Files of its blocks, which lie below the same folder, are named in the metadata and not written.
+/// Gaussians alone; in the metadata the name of the primitive, models and instances. Files of its blocks, which lie below the same
+/// folder, are named in the metadata and not written.
+/// @throws DataError where an array is misshapen or not finite, or the file cannot be written
 void save_model(const std::filesystem::path& path, const Scene& scene);
 /// Reads it back. @throws DataError for missing, misshapen or non-finite arrays, naming array and row
 Scene load_model(const std::filesystem::path& path);
