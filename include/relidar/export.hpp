@@ -29,6 +29,8 @@ enum class Primitive;
 /// @throws DataError where the folder cannot be written or the disk is full; the temporary file is removed. A DataError or
 /// standard exception of `write` comes out as a DataError naming the path, other relidar errors as they are.
 void write_atomically(const std::filesystem::path& path, const std::function<void(const std::filesystem::path&)>& write);
+/// A name beside a file, for what becomes that file once it is complete; never the same twice. remove_temporaries() knows it.
+std::filesystem::path temporary_path(const std::filesystem::path& path);
 /// Removes what write_atomically leaves in a folder where the process is killed: files named .NAME.tmp-PID-COUNT. Only for folders that
 /// nobody else writes to now.
 void remove_temporaries(const std::filesystem::path& folder);

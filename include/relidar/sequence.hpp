@@ -129,6 +129,8 @@ RayTable shifted_azimuths(RayTable rays, const SpinningSensor& sensor, const std
 
 /// Category of boxes that no dataset labelled (discover_tracks() in scene.hpp).
 inline constexpr const char* kDiscoveredCategory = "Discovered";
+inline constexpr double kMovingStep_m = 0.01;    ///< a box whose mean step is longer moves: 0.1 m/s at ten frames a second
+inline constexpr double kMoverMargin_m = 0.2;    ///< moving boxes are grown by this where their points are left out: labels fit loosely
 
 /// One tracked box. The box frame has x along the length, y along the width, z up, origin at the centre.
 struct BoxTrack {
@@ -142,14 +144,12 @@ struct BoxTrack {
     /// Mean motion of the box's centre from one observation to the next, metres: from the mean position in the first half of the track
     /// to that in the second, so that the jitter of labels on a parked car (9 cm a frame on KITTI) is no motion. 0 for one observation.
     double mean_step_m() const;
+    bool moves() const { return mean_step_m() > kMovingStep_m; }
     /// Whether the thing stands still as far as labels and poses can tell: its positions, averaged over a second (half of a shorter track),
     /// stay within 0.2 m of the first, or within 2 m at less than 0.5 m/s, since a log's poses drift while a parked car is seen.
     bool is_parked() const;
     /// Whether the box was observed at a time, or half a mean step beside it: a sweep takes that long to either side of its label.
     bool present(double t_s) const;
-    /// Where the box is while it is present, and for beyond_s before its first and after its last observation where the mean velocity of
-    /// its first or last second would take it. Nothing farther out.
-    std::optional<Pose> pose_near(double t_s, double beyond_s) const;
     /// The same box as the dataset labelled it, without n_before and n_after poses at its ends.
     BoxTrack labelled_part() const;
     /// Whether a world point lies in the box, grown by margin_m, at a time.
@@ -195,6 +195,9 @@ struct Sequence {
     std::optional<std::uint16_t> beam_number(int lidar, std::uint16_t channel) const;
 };
 
+/// The box of an id; null where there is none, and for the empty id, which is the background's.
+const BoxTrack* find_box(const Sequence& sequence, const std::string& id);
+
 /// All of a log but its frames.
 Sequence without_frames(const Sequence& sequence);
 
@@ -221,8 +224,7 @@ struct WorldRay {
 
 /// Where a ray of a frame starts and points, the sensor pose interpolated to the ray's own firing time where the
 /// sequence has a rolling shutter.
-/// @param time_s        reference time of the sweep
-/// @param ray           index into rays
+/// @param time_s  reference time of the sweep @param ray  index into rays
 WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter);
 
 /// When the head of a LiDAR faces a point: the moment of the sweep at which a static or moving thing there is seen. A window's mirrors face
@@ -269,10 +271,9 @@ struct IntensityCalibration {
     bool beams = false;        ///< whether the beams have gains and offsets now
 };
 /// Finds how intensities fall with range and incidence (Sequence::intensity_response), and gain and offset of each beam (Beam), from
-/// returns of the given frames that fall into the same 0.1 m of a surface, by least squares. Of the two, and of both together, only what
-/// brings the error down by 5 % more is adopted: beams that agree have no gains, intensities that the sensor has compensated no fall. The
-/// mean beam has gain 1 and offset 0, and so has one that shares no place. (Not in the paper.)
-/// @param positions  of the frames to look at, in Sequence::frames
+/// returns of the frames at `positions` that fall into the same 0.1 m of a surface, by least squares. Of the two, and of both together,
+/// only what brings the error down by 5 % more is adopted: beams that agree have no gains, intensities that the sensor has compensated no
+/// fall. The mean beam has gain 1 and offset 0, and so has one that shares no place. (Not in the paper.)
 IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions);
 /// Measures how the ranges of each LiDAR scatter (Lidar::range_noise), from second differences between neighbouring firings of a beam, in
 /// the given frames: scans need the order of an image. Where a bin has seen fewer than 200 returns its neighbour's value stands; a LiDAR of
@@ -291,8 +292,7 @@ struct Split {
 };
 /// Holds out sweeps, each with the frames of all LiDARs that share its index: every `test_every`-th but the first (10, 20, ... of 0:50 with
 /// 10), or those that are named. Every tenth of a published part is what is published (Sequence::test_frames).
-/// @param test_every  0 holds out nothing
-/// @param test_frames  instead of every so many: indices and ranges without their ends, "13,26,40:45"; empty: test_every decides
+/// @param test_every  0: none @param test_frames  where not empty, instead of it: indices and ranges without their ends, "13,26,40:45"
 /// @throws UsageError for a test_every of 1, for a list with something else in it, a frame that is not there or named twice, and where
 /// nothing is left to train on
 Split split_frames(const Sequence& sequence, int test_every, const std::string& test_frames = "");

@@ -8,8 +8,8 @@
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
 #include "../shared/accel.h"
+#include "../gaussian/kinds.glsl"
 RELIDAR_CONSTANT(uint, BOXES, 0u);
-RELIDAR_CONSTANT(uint, GAUSSIANS, 0u);
 RELIDAR_PARAMS(ProxyParams);
 
 const float kPhi = 1.618033988749895;               // corners of an icosahedron: even permutations of (0, +-1, +-phi)
@@ -46,7 +46,7 @@ void main() {
         float k = sqrt(2.0 * log(s.opacity / params.alpha_min));
         u = half_axis(s.axis_u, k);
         v = half_axis(s.axis_v, k);
-        if (GAUSSIANS != 0u) w = half_axis(s.normal, k);
+        if (has_third_scale()) w = half_axis(s.normal, k);
     }
     if (BOXES != 0u) {
         // The box of the ellipse or ellipsoid, not of the rectangle: half size along x is |(u.x, v.x, w.x)|, the tightest there is.
@@ -59,7 +59,7 @@ void main() {
         }
         return;
     }
-    if (GAUSSIANS != 0u) {
+    if (proxy_triangles() == kProxy_icosahedron) {
         write_icosahedron(i, s.mean, u, v, w);
         return;
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What becomes of each surfel (docs/method.md section 6): dropped where it is no surfel, faint, too large, outside its
-// actor's box or never seen; else it grows by its gradient (clone or split) or by its opacity (share), or stays.
+// What becomes of each surfel (docs/method.md section 6): dropped where it is no surfel, faint, too large or outside
+// its actor's box; else it grows by its gradient (clone or split) or by its opacity (share), or stays.
 // One thread a surfel of any model. Input: surfels, statistics, models, extents. Output: action, weight. Accumulated: counters.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -20,7 +20,7 @@ float magnitude(Floats array, uint first, uint n) {
     return sum;
 }
 
-bool is_gaussian() { return !is_null(params.surfels.log_scale_w); }
+bool has_third_scale() { return !is_null(params.surfels.log_scale_w); }
 
 /// @param scale  the third is a 3D Gaussian's; 1 for surfels
 bool is_surfel(uint i, vec4 q, vec3 scale) {
@@ -39,17 +39,10 @@ bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
     for (uint draw = 0u; draw < 2u; ++draw) {
         vec2 z = scale.xy * random_normal2(params.key, i, draw);
         vec3 p = mean + z.x * r[0] + z.y * r[1];
-        if (is_gaussian()) p += scale.z * random_normal2(params.key, i, 4u + draw).x * r[2];   // 2 and 3 are spawn's
+        if (has_third_scale()) p += scale.z * random_normal2(params.key, i, 4u + draw).x * r[2];   // 2 and 3 are spawn's
         if (!any(greaterThan(abs(p), half_size))) return false;
     }
     return true;
-}
-
-bool is_unseen(uint i) {
-    if (params.drop_unseen == 0u) return false;
-    uint any_frame = 0u;
-    for (uint k = 0u; k < params.n_words; ++k) any_frame |= params.frames.at[i * params.n_words + k];
-    return any_frame == 0u;
 }
 
 /// Clone, split or keep, by the mean norm of the gradient.
@@ -65,7 +58,7 @@ uint verdict(uint i, uint model, vec4 q, vec3 scale, float opacity, float max_sc
     if (opacity < params.min_opacity) return RELIDAR_DENSIFY_FAINT;
     if (max_scale > params.max_extent_share * params.extents.at[model]) return RELIDAR_DENSIFY_LARGE;
     if (is_outside(i, q, scale, params.models.at[model].half_size)) return RELIDAR_DENSIFY_OUTSIDE;
-    return is_unseen(i) ? RELIDAR_DENSIFY_UNSEEN : RELIDAR_DENSIFY_KEPT;
+    return RELIDAR_DENSIFY_KEPT;
 }
 
 void main() {
@@ -75,10 +68,10 @@ void main() {
     vec4 q = vec4(params.surfels.rotation.at[4 * i], params.surfels.rotation.at[4 * i + 1], params.surfels.rotation.at[4 * i + 2],
                   params.surfels.rotation.at[4 * i + 3]);
     vec3 scale = exp(vec3(params.surfels.log_scale.at[2 * i], params.surfels.log_scale.at[2 * i + 1],
-                          is_gaussian() ? params.surfels.log_scale_w.at[i] : 0.0));
+                          has_third_scale() ? params.surfels.log_scale_w.at[i] : 0.0));
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[i]));
     float max_scale = max(scale.x, scale.y);
-    if (is_gaussian()) max_scale = max(max_scale, scale.z);
+    if (has_third_scale()) max_scale = max(max_scale, scale.z);
     bool by_gradient = params.growth == RELIDAR_DENSIFY_BY_GRADIENT;
     uint action = by_gradient ? grow_by_gradient(i, max_scale, params.extents.at[model]) : RELIDAR_DENSIFY_KEEP;
     if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;   // its halves are judged, as if the split came first

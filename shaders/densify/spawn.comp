@@ -15,11 +15,11 @@
 #include "../gaussian/quaternion.glsl"
 RELIDAR_PARAMS(SpawnParams);
 
-bool is_gaussian() { return !is_null(params.surfels.log_scale_w); }
+bool has_third_scale() { return !is_null(params.surfels.log_scale_w); }
 
 void add_to_scales(uint row, float amount) {
     for (uint k = 0u; k < 2u; ++k) params.surfels.log_scale.at[2 * row + k] += amount;
-    if (is_gaussian()) params.surfels.log_scale_w.at[row] += amount;
+    if (has_third_scale()) params.surfels.log_scale_w.at[row] += amount;
 }
 
 void split(uint row) {
@@ -28,7 +28,7 @@ void split(uint row) {
     mat3 r = rotation_matrix(q);
     vec2 z = random_normal2(params.key, row, 2u);   // 0 and 1 are classify's
     vec3 offset = z.x * exp(params.surfels.log_scale.at[2 * row]) * r[0] + z.y * exp(params.surfels.log_scale.at[2 * row + 1]) * r[1];
-    if (is_gaussian()) offset += random_normal2(params.key, row, 3u).x * exp(params.surfels.log_scale_w.at[row]) * r[2];
+    if (has_third_scale()) offset += random_normal2(params.key, row, 3u).x * exp(params.surfels.log_scale_w.at[row]) * r[2];
     for (uint k = 0u; k < 3u; ++k) params.surfels.mean.at[3 * row + k] += offset[k];
     add_to_scales(row, -log(1.6));
 }

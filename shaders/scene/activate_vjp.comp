@@ -56,13 +56,13 @@ bool load_row(uint surfel, ModelEntry model, out float row[16]) {
     return any_gradient;
 }
 
-bool is_gaussian() { return !is_null(params.surfels.log_scale_w); }
+bool has_third_scale() { return !is_null(params.surfels.log_scale_w); }
 
 void store_zero(uint surfel) {
     for (uint k = 0u; k < 3u; ++k) params.d_surfels.mean.at[3 * surfel + k] = 0.0;
     for (uint k = 0u; k < 4u; ++k) params.d_surfels.rotation.at[4 * surfel + k] = 0.0;
     for (uint k = 0u; k < 2u; ++k) params.d_surfels.log_scale.at[2 * surfel + k] = 0.0;
-    if (is_gaussian()) params.d_surfels.log_scale_w.at[surfel] = 0.0;
+    if (has_third_scale()) params.d_surfels.log_scale_w.at[surfel] = 0.0;
     params.d_surfels.opacity_logit.at[surfel] = 0.0;
     if (STAGED || params.sh_per_surfel == 0u) return;
     for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k) params.d_surfels.sh.at[surfel * RELIDAR_SH_FLOATS + k] = 0.0;
@@ -77,14 +77,14 @@ void store_geometry(uint surfel, vec3 d_mean, float row[16]) {
                   params.surfels.rotation.at[4 * surfel + 2], params.surfels.rotation.at[4 * surfel + 3]);
     mat3 r = rotation_matrix(q);
     vec3 inverse_scale = exp(-vec3(params.surfels.log_scale.at[2 * surfel], params.surfels.log_scale.at[2 * surfel + 1],
-                                   is_gaussian() ? params.surfels.log_scale_w.at[surfel] : 0.0));
+                                   has_third_scale() ? params.surfels.log_scale_w.at[surfel] : 0.0));
     vec4 d_q = rotation_matrix_vjp(q, mat3(d_axis_u * inverse_scale.x, d_axis_v * inverse_scale.y, d_normal * inverse_scale.z));
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     for (uint k = 0u; k < 3u; ++k) params.d_surfels.mean.at[3 * surfel + k] = d_mean[k];
     for (uint k = 0u; k < 4u; ++k) params.d_surfels.rotation.at[4 * surfel + k] = d_q[k];
     params.d_surfels.log_scale.at[2 * surfel] = -dot(d_axis_u, r[0]) * inverse_scale.x;   // axis_u = a_u exp(-log_scale)
     params.d_surfels.log_scale.at[2 * surfel + 1] = -dot(d_axis_v, r[1]) * inverse_scale.y;
-    if (is_gaussian()) params.d_surfels.log_scale_w.at[surfel] = -dot(d_normal, r[2]) * inverse_scale.z;
+    if (has_third_scale()) params.d_surfels.log_scale_w.at[surfel] = -dot(d_normal, r[2]) * inverse_scale.z;
     params.d_surfels.opacity_logit.at[surfel] = row[3] * opacity * (1.0 - opacity);
 }
 

@@ -8,14 +8,15 @@
 RELIDAR_SHARED_BEGIN
 
 struct ProxyParams {
-    Records records;     // input [n_surfels of the scene]
-    Floats vertices;     // output m: four corners [n,4,3] of a surfel, twelve [n,12,3] of a 3D Gaussian (proxy = triangles), or
-    Floats boxes;        // output [n,6] m: min, max (proxy = boxes)
+    Records records;                         // input [n_surfels of the scene]
+    // output m: four corners [n,4,3] of a surfel, twelve [n,12,3] of a 3D Gaussian (proxy = triangles), or
+    RELIDAR_OF(Floats, ProxyVertices) vertices;
+    RELIDAR_OF(Floats, SurfelBoxes) boxes;   // output [n,6] m: min, max (proxy = boxes)
     // maximum [1], bits of a float, m: no point of a 3D Gaussian's icosahedron is farther from a hit in it (proxy = triangles)
     Uints reach;
-    float alpha_min;     // the proxy ends where sigma G = alpha_min
-    float margin_m;      // grown by this, so that rounding in a traversal loses no hit
-    float margin_scale;  // and by this factor
+    float alpha_min;                         // the proxy ends where sigma G = alpha_min
+    float margin_m;                          // grown by this, so that rounding in a traversal loses no hit
+    float margin_scale;                      // and by this factor
     uint n_surfels;
 };
 

@@ -14,7 +14,7 @@
     X(GATHER, 6u)              /* 1: write a record of each hit, for backward/gather; 0: add its gradient with atomics */    \
     X(COALESCED_ATOMICS, 7u)   /* 1: neighbouring lanes add the floats of one hit; 0: each lane those of its own */          \
     X(SINGLE_DROP_LOGIT, 8u)   /* 1: hit logits are 0, whatever the scene holds */                                           \
-    X(GAUSSIANS, 9u)           /* 0: surfels; 1: 3D Gaussians */                                                             \
+    X(PRIMITIVE, 9u)           /* number of a row of relidar/shared/primitives.h */                                          \
     X(GEOMETRY, 10u)           /* 1: blended normal and distortion too */                                                    \
     X(KEY_WORDS, 11u)          /* 32-bit words of a sort key */                                                              \
     X(UNTIL_DONE, 12u)         /* 1: a single workgroup goes on until nothing is left */                                     \

@@ -14,10 +14,11 @@ RELIDAR_SHARED_BEGIN
 
 /// Exclusive prefix sum (gpu/scan_sums.comp, scan_write.comp).
 struct ScanParams {
-    Uints counts;       // input: element i is counts[offset + i * stride]
-    Uints tile_sums;    // scan_sums: output [tiles]; scan_write: input, prefix sums of them, or address 0 = one tile
-    Uints prefix;       // output [n] of scan_write; may be `counts` where stride is 1
-    Uints total;        // output [1] of scan_write: sum of all; address 0 = not wanted
+    RELIDAR_OF(Uints, ScanCounts) counts;   // input: element i is counts[offset + i * stride]
+    // scan_sums: output [tiles]; scan_write: input, prefix sums of them, or address 0 = one tile
+    RELIDAR_OF(Uints, ScanTileSums) tile_sums;
+    RELIDAR_OF(Uints, ScanPrefix) prefix;   // output [n] of scan_write; may be `counts` where stride is 1
+    RELIDAR_OF(Uints, ScanTotal) total;     // output [1] of scan_write: sum of all; address 0 = not wanted
     uint n;
     uint offset;
     uint stride;
@@ -25,15 +26,15 @@ struct ScanParams {
 
 /// One pass of a stable sort by a digit (gpu/radix_count.comp, radix_scan.comp, radix_scatter.comp).
 struct RadixSortParams {
-    Uints n_keys;         // input [1]: how many there are, at most capacity count; address 0 = capacity
-    Uints keys;           // input [n,KEY_WORDS] low word first
-    Uints order;          // input [n], or address 0 = 0, 1, 2, ...
-    Uints sorted_keys;    // output
-    Uints sorted_order;   // output
-    Uints counts;         // [digits,tiles] keys of a digit in a tile; after radix_scan: those in the tiles before
-    Uints totals;         // [digits] keys of a digit
+    RELIDAR_OF(Uints, SortCount) n_keys;         // input [1]: how many there are, at most capacity count; address 0 = capacity
+    RELIDAR_OF(Uints, SortKeys) keys;            // input [n,KEY_WORDS] low word first
+    RELIDAR_OF(Uints, SortOrder) order;          // input [n], or address 0 = 0, 1, 2, ...
+    RELIDAR_OF(Uints, SortKeys) sorted_keys;     // output
+    RELIDAR_OF(Uints, SortOrder) sorted_order;   // output
+    RELIDAR_OF(Uints, DigitCounts) counts;       // [digits,tiles] keys of a digit in a tile; after radix_scan: those in the tiles before
+    RELIDAR_OF(Uints, DigitTotals) totals;       // [digits] keys of a digit
     uint capacity;
-    uint shift;           // of the digit, a multiple of RELIDAR_SORT_BITS
+    uint shift;                                  // of the digit, a multiple of RELIDAR_SORT_BITS
 };
 
 RELIDAR_SHARED_END

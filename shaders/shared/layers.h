@@ -15,23 +15,23 @@
 RELIDAR_SHARED_BEGIN
 
 struct ConvParams {
-    ImageSlice from;       // input [n_images, n_in, rows, columns]
-    ImageSlice to;         // output, or accumulated [n_images, n_out, rows, columns]
-    Floats weights;        // input [n_out,n_in,TAPS]; with `transposed` [n_in,n_out,TAPS]
-    Floats bias;           // input [n_out], or address 0
+    ImageSlice from;                           // input [n_images, n_in, rows, columns]
+    ImageSlice to;                             // output, or accumulated [n_images, n_out, rows, columns]
+    RELIDAR_OF(Floats, ConvWeights) weights;   // input [n_out,n_in,TAPS]; with `transposed` [n_in,n_out,TAPS]
+    RELIDAR_OF(Floats, ConvBias) bias;         // input [n_out], or address 0
     uint n_images;
     uint rows;
     uint columns;
     uint n_in;
     uint n_out;
-    uint transposed;       // 1: the derivative by the input: channels change places, taps are mirrored
-    uint accumulate;       // 1: adds to what is there
+    uint transposed;                           // 1: the derivative by the input: channels change places, taps are mirrored
+    uint accumulate;                           // 1: adds to what is there
 };
 
 struct ConvWeightsParams {
-    ImageSlice from;       // input [n_images, n_in, rows, columns]
-    ImageSlice d_to;       // input [n_images, n_out, rows, columns]
-    Floats partial;        // output [n_parts, n_out, n_in, TAPS] sums over the rows of a part
+    ImageSlice from;                        // input [n_images, n_in, rows, columns]
+    ImageSlice d_to;                        // input [n_images, n_out, rows, columns]
+    RELIDAR_OF(Floats, PartSums) partial;   // output [n_parts, n_out, n_in, TAPS] sums over the rows of a part
     uint n_images;
     uint rows;
     uint columns;
@@ -41,8 +41,8 @@ struct ConvWeightsParams {
 };
 
 struct SumPartsParams {
-    Floats partial;        // input [n_parts, n]
-    Floats sum;            // output [n] scale times the sum of the parts
+    RELIDAR_OF(Floats, PartSums) partial;   // input [n_parts, n]
+    RELIDAR_OF(Floats, SumOfParts) sum;     // output [n] scale times the sum of the parts
     uint n_parts;
     uint n;
     float scale;
@@ -50,16 +50,16 @@ struct SumPartsParams {
 
 // Sums over the pixels of channels, in parts of the pixels.
 struct ChannelSumsParams {
-    ImageSlice from;       // input
-    ImageSlice d_to;       // input, for kSums_norm_vjp: gradient of what refine/norm has written
-    Floats partial;        // output [n_parts, channels, 2], for kSums_plain [n_parts, channels]
-    Vec2s scale_shift;     // input [channels], for kSums_norm_vjp
-    Vec2s moments;         // input [channels], for kSums_norm_vjp
+    ImageSlice from;                             // input
+    ImageSlice d_to;                             // input, for kSums_norm_vjp: gradient of what refine/norm has written
+    RELIDAR_OF(Floats, PartSums) partial;        // output [n_parts, channels, 2], for kSums_plain [n_parts, channels]
+    RELIDAR_OF(Vec2s, ScaleShift) scale_shift;   // input [channels], for kSums_norm_vjp
+    RELIDAR_OF(Vec2s, NormMoments) moments;      // input [channels], for kSums_norm_vjp
     uint kind;
     uint n_images;
-    uint n_pixels;         // of an image
+    uint n_pixels;                               // of an image
     uint n_channels;
-    uint n_parts;          // a multiple of n_images: a part lies in one of them
+    uint n_parts;                                // a multiple of n_images: a part lies in one of them
     uint dropout_key;
     float dropout;
 };
@@ -72,45 +72,45 @@ const uint kSums_moments = 0u, kSums_norm_vjp = 1u, kSums_plain = 2u;
 #endif
 
 struct NormFinishParams {
-    Floats partial;        // input [n_parts, channels, 2] of kSums_moments
-    Vec2s beta_gamma;      // input [channels]
-    Vec2s running;         // in place [channels] mean and variance; input where `training` is 0
-    Vec2s moments;         // output [channels] mean and 1 / deviation
-    Vec2s scale_shift;     // output [channels]: gamma * normalised + beta = scale x + shift
+    RELIDAR_OF(Floats, PartSums) partial;        // input [n_parts, channels, 2] of kSums_moments
+    RELIDAR_OF(Vec2s, BetaGamma) beta_gamma;     // input [channels]
+    RELIDAR_OF(Vec2s, RunningMoments) running;   // in place [channels] mean and variance; input where `training` is 0
+    RELIDAR_OF(Vec2s, NormMoments) moments;      // output [channels] mean and 1 / deviation
+    RELIDAR_OF(Vec2s, ScaleShift) scale_shift;   // output [channels]: gamma * normalised + beta = scale x + shift
     uint n_channels;
-    uint n_parts;          // of all images
+    uint n_parts;                                // of all images
     uint n_images;
-    uint n_pixels;         // of an image
+    uint n_pixels;                               // of an image
     uint training;
-    float momentum;        // share of the new batch in `running`
+    float momentum;                              // share of the new batch in `running`
     float epsilon;
 };
 
 struct NormParams {
-    ImageSlice from;       // input
-    ImageSlice to;         // output
-    Vec2s scale_shift;     // input [channels]
+    ImageSlice from;                             // input
+    ImageSlice to;                               // output
+    RELIDAR_OF(Vec2s, ScaleShift) scale_shift;   // input [channels]
     uint n_images;
-    uint n_pixels;         // of an image
+    uint n_pixels;                               // of an image
     uint n_channels;
-    uint dropout_key;      // what is dropped depends on it and on the place alone
-    float dropout;         // share that is; 0: nothing
+    uint dropout_key;                            // what is dropped depends on it and on the place alone
+    float dropout;                               // share that is; 0: nothing
 };
 
 struct NormVjpParams {
-    ImageSlice from;       // input: what was normalised
-    ImageSlice d_to;       // input
-    ImageSlice d_from;     // output, or accumulated
-    Vec2s d_beta_gamma;    // input [channels]
-    Vec2s scale_shift;     // input [channels]
-    Vec2s moments;         // input [channels]
+    ImageSlice from;                             // input: what was normalised
+    ImageSlice d_to;                             // input
+    ImageSlice d_from;                           // output, or accumulated
+    RELIDAR_OF(Vec2s, BetaGamma) d_beta_gamma;   // input [channels]
+    RELIDAR_OF(Vec2s, ScaleShift) scale_shift;   // input [channels]
+    RELIDAR_OF(Vec2s, NormMoments) moments;      // input [channels]
     uint n_images;
     uint n_pixels;
     uint n_channels;
     uint dropout_key;
     float dropout;
-    uint accumulate;       // 1: adds to what is there
-    float scale;           // of d_to over that of d_beta_gamma
+    uint accumulate;                             // 1: adds to what is there
+    float scale;                                 // of d_to over that of d_beta_gamma
 };
 
 struct ResampleParams {

@@ -31,37 +31,38 @@ struct MatmulParams {
 };
 
 struct SoftmaxParams {
-    Values values;         // in place [n_rows, n]: softmax of each row; vjp: input, the softmax
-    Values d_values;       // in place [n_rows, n]: d_softmax becomes the derivative by what it was taken of; else address 0
+    RELIDAR_OF(Values, SoftmaxValues) values;   // in place [n_rows, n]: softmax of each row; vjp: input, the softmax
+    // in place [n_rows, n]: d_softmax becomes the derivative by what it was taken of; else address 0
+    RELIDAR_OF(Values, SoftmaxGradients) d_values;
     uint n_rows;
     uint n;
 };
 
 struct DropLossParams {
-    Values logit;          // input [n]
-    Floats start;          // input [n], or address 0: added to logit
-    Floats target;         // input [n] 1 dropped, 0 returned, negative: not known; address 0: none is
-    Values d_logit;        // output [n] derivative of `weight` times the sum over known pixels
-    Floats probability;    // output [n], or address 0
-    Floats partial;        // output [n_parts, 2] sum of the cross-entropies of a part, and pixels that are right
+    RELIDAR_OF(Values, DropLogits) logit;                // input [n]
+    RELIDAR_OF(Floats, StartLogits) start;               // input [n], or address 0: added to logit
+    RELIDAR_OF(Floats, DropTargets) target;              // input [n] 1 dropped, 0 returned, negative: not known; address 0: none is
+    RELIDAR_OF(Values, DropLogitGradients) d_logit;      // output [n] derivative of `weight` times the sum over known pixels
+    RELIDAR_OF(Floats, DropProbabilities) probability;   // output [n], or address 0
+    RELIDAR_OF(Floats, PartSums) partial;   // output [n_parts, 2] sum of the cross-entropies of a part, and pixels that are right
     uint n;
     uint n_parts;
-    float weight;          // of a pixel
+    float weight;                                        // of a pixel
 };
 
 // A batch of images from the samples that are kept on the device.
 struct DropInputsParams {
-    Floats samples;        // input [n_samples, channels, n_pixels] as they were rendered
-    Floats targets;        // input [n_samples, n_pixels], or address 0
-    Uints chosen;          // input [n_images] sample
-    Uints turn;            // input [n_images] columns by which what is seen moves
-    Vec2s scale_shift;     // input [channels] of the normalisation
-    Values images;         // output [n_images, channels, n_pixels]
-    Floats start;          // output [n_images, n_pixels] the rendered logit, as it is
-    Floats target;         // output [n_images, n_pixels]
+    RELIDAR_OF(Floats, DropSamples) samples;     // input [n_samples, channels, n_pixels] as they were rendered
+    RELIDAR_OF(Floats, SampleTargets) targets;   // input [n_samples, n_pixels], or address 0
+    RELIDAR_OF(Uints, ChosenSamples) chosen;     // input [n_images] sample
+    RELIDAR_OF(Uints, SampleTurns) turn;         // input [n_images] columns by which what is seen moves
+    Vec2s scale_shift;                           // input [channels] of the normalisation
+    Values images;                               // output [n_images, channels, n_pixels]
+    RELIDAR_OF(Floats, StartLogits) start;       // output [n_images, n_pixels] the rendered logit, as it is
+    RELIDAR_OF(Floats, DropTargets) target;      // output [n_images, n_pixels]
     uint n_images;
     uint n_channels;
-    uint n_fixed;          // channels, the last ones, that belong to the sensor's pixels and do not move
+    uint n_fixed;                                // channels, the last ones, that belong to the sensor's pixels and do not move
     uint logit_channel;
     uint rows;
     uint columns;

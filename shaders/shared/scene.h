@@ -9,12 +9,12 @@ RELIDAR_SHARED_BEGIN
 
 /// Parameters, gradients or moments of all surfels: one array a group.
 struct SurfelPointers {
-    Floats mean;            // [n,3]
-    Floats rotation;        // [n,4]
-    Floats log_scale;       // [n,2]
-    Floats opacity_logit;   // [n]
-    Floats sh;              // [n,3,16]
-    Floats log_scale_w;     // [n] of 3D Gaussians, else address 0
+    RELIDAR_OF(Floats, Means) mean;                    // [n,3]
+    RELIDAR_OF(Floats, Rotations) rotation;            // [n,4]
+    RELIDAR_OF(Floats, LogScales) log_scale;           // [n,2]
+    RELIDAR_OF(Floats, OpacityLogits) opacity_logit;   // [n]
+    RELIDAR_OF(Floats, Harmonics) sh;                  // [n,3,16]
+    RELIDAR_OF(Floats, ThirdLogScales) log_scale_w;    // [n] of 3D Gaussians, else address 0
 };
 
 /// Records of all surfels from their parameters (scene/activate.comp).
@@ -32,19 +32,20 @@ struct ActivateParams {
 
 /// Parameter gradients from record gradients (scene/activate_vjp.comp).
 struct ActivateVjpParams {
-    SurfelPointers surfels;     // input
-    Floats d_records;           // input [n_rows,16], laid out as SurfelRecord
-    Models models;              // input [n_models]
-    Uints more_rows;            // input first row of each further placement, model by model
-    Vec3s view_origins;         // input [n_models] as of the activation
-    SurfelPointers d_surfels;   // output; sh is accumulated where SH are evaluated a hit
-    Uints touched;              // output [n] 1 where any record gradient is not zero
-    Floats d_view;              // output [n,3] dL/d(view origin) by way of each surfel (SH a surfel only), or address 0
+    SurfelPointers surfels;                          // input
+    RELIDAR_OF(Floats, RecordGradients) d_records;   // input [n_rows,16], laid out as SurfelRecord
+    Models models;                                   // input [n_models]
+    RELIDAR_OF(Uints, FurtherRows) more_rows;        // input first row of each further placement, model by model
+    Vec3s view_origins;                              // input [n_models] as of the activation
+    SurfelPointers d_surfels;                        // output; sh is accumulated where SH are evaluated a hit
+    RELIDAR_OF(Uints, TouchedSurfels) touched;       // output [n] 1 where any record gradient is not zero
+    // output [n,3] dL/d(view origin) by way of each surfel (SH a surfel only), or address 0
+    RELIDAR_OF(Floats, ViewGradients) d_view;
     uint n_surfels;
     uint n_models;
     uint sh_degree;
     uint sh_per_surfel;
-    uint zero_untouched;        // 1: write zeros where touched is 0
+    uint zero_untouched;                             // 1: write zeros where touched is 0
 };
 
 RELIDAR_SHARED_END

@@ -12,47 +12,48 @@ RELIDAR_SHARED_BEGIN
 
 /// What every tracing kernel needs. Ray k of the batch is entry first_ray + k * ray_stride of `rays`.
 struct TraceScene {
-    TlasHandle tlas;        // acceleration structure (ray query)
-    Floats proxy_reach;     // input [1] m: how far behind a hit its icosahedron may end (ray query, 3D Gaussians), else address 0
-    BvhPointers bvh;        // the tree (software traversal)
-    Rays rays;              // input
-    Records records;        // input
-    Instances instances;    // input
-    Floats sh;              // input [n,3,16], read where SH are evaluated a hit
-    Uints pass_cap_count;   // accumulated [1]: rays that reached the cap of passes
-    Uints visits;           // accumulated [2]: nodes opened, surfels tested, where the kernel counts them (software traversal)
-    Targets targets;        // input, as `rays`: what they measured, where the kernel is built for likelihoods; or address 0: nothing
+    TlasHandle tlas;                                  // acceleration structure (ray query)
+    // input [1] m: how far behind a hit its icosahedron may end (ray query, 3D Gaussians), else address 0
+    RELIDAR_OF(Floats, ProxyReach) proxy_reach;
+    BvhPointers bvh;                                  // the tree (software traversal)
+    Rays rays;                                        // input
+    Records records;                                  // input
+    Instances instances;                              // input
+    RELIDAR_OF(Floats, Harmonics) sh;                 // input [n,3,16], read where SH are evaluated a hit
+    RELIDAR_OF(Uints, PassCapCount) pass_cap_count;   // accumulated [1]: rays that reached the cap of passes
+    // accumulated [2]: nodes opened, surfels tested, where the kernel counts them (software traversal)
+    RELIDAR_OF(Uints, VisitCounters) visits;
+    Targets targets;   // input, as `rays`: what they measured, where the kernel is built for likelihoods; or address 0: nothing
     float near_m;
     float alpha_min;
     float alpha_max;
     float transmittance_min;
-    float likelihood_scale_m;       // s of a ray that measured z: the first and z times the second
-    float likelihood_scale_share;
+    float likelihood_scale_m;                         // of the kernel about a measured range
     uint n_instances;
     uint sh_degree;
     uint n_rays;
     uint first_ray;
     uint ray_stride;
-    uint columns;           // of the image that the batch is, traced in tiles; 0: rays as they come
+    uint columns;                                     // of the image that the batch is, traced in tiles; 0: rays as they come
 };
 
 struct ForwardParams {
     TraceScene scene;
-    RenderedRays rendered;   // output [n_rays]
-    KeptHits kept;           // output [n_rays,n_kept] the first hits of each ray
-    Uints n_overfull;        // accumulated [1] rays with more hits than are kept; not touched where n_kept is 0
-    RenderedGeometries geometry;   // output [n_rays], where the kernel is built for it
+    RenderedRays rendered;                         // output [n_rays]
+    KeptHits kept;                                 // output [n_rays,n_kept] the first hits of each ray
+    RELIDAR_OF(Uints, OverfullCount) n_overfull;   // accumulated [1] rays with more hits than are kept; not touched where n_kept is 0
+    RenderedGeometries geometry;                   // output [n_rays], where the kernel is built for it
     uint n_kept;
-    float surface_gap_m;     // between the hits of two surfaces, where the kernel is built for modes
+    float surface_gap_m;                           // between the hits of two surfaces, where the kernel is built for modes
 };
 
 /// Ordered hits of each ray, for tests of the traversal contract.
 struct CollectHitsParams {
     TraceScene scene;
-    Uints counts;        // output [n_rays] hits found, also beyond max_hits
-    Floats t;            // output [n_rays,max_hits] m
-    Uints instance;      // output [n_rays,max_hits]
-    Uints surfel;        // output [n_rays,max_hits]
+    RELIDAR_OF(Uints, HitCounts) counts;        // output [n_rays] hits found, also beyond max_hits
+    RELIDAR_OF(Floats, HitDistances) t;         // output [n_rays,max_hits] m
+    RELIDAR_OF(Uints, HitInstances) instance;   // output [n_rays,max_hits]
+    RELIDAR_OF(Uints, HitSurfels) surfel;       // output [n_rays,max_hits]
     uint max_hits;
 };
 

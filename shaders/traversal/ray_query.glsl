@@ -15,12 +15,12 @@ void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
     rayQueryEXT query;
     rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT, 0xffu,
                           ray.origin + start * ray.direction, 0.0, ray.direction, 1e30);
-    float reach = BOXES == 0u && GAUSSIANS != 0u ? scene.proxy_reach.at[0] : 0.0;
+    float reach = BOXES == 0u && proxy_triangles() == kProxy_icosahedron ? scene.proxy_reach.at[0] : 0.0;
     float end = 1e30;   // where the query has been told to stop
     while (rayQueryProceedEXT(query)) {
         uint instance = uint(rayQueryGetIntersectionInstanceCustomIndexEXT(query, false));
         uint primitive = uint(rayQueryGetIntersectionPrimitiveIndexEXT(query, false));
-        offer(scene, ray, after, instance, BOXES != 0u ? primitive : primitive / (GAUSSIANS != 0u ? 20u : 2u));
+        offer(scene, ray, after, instance, BOXES != 0u ? primitive : primitive / proxy_triangles());
         if (!hits_closed) continue;
         float bound = hit_t[n_hits - 1u] - start;
         bound += 1e-4 + 1e-5 * hit_t[n_hits - 1u];

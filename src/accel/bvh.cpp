@@ -73,30 +73,34 @@ struct Bvh::Impl {
     Kernel<shared::BvhRefitParams> refit_kernel;
     Kernel<shared::BvhTopParams> top;
     Kernel<shared::BvhCostParams> cost_kernel;
-    Array<std::uint32_t> model_of;          ///< [n_instances]
-    Array<float> boxes;                     ///< [n,6] of surfels
-    Array<std::uint32_t> bounds;            ///< [n_models,6]
-    Array<std::uint32_t> scratch;           ///< binary trees, and the keys being sorted
-    Array<std::uint32_t> queue;             ///< [bound] binary nodes that become wide
-    Array<std::uint32_t> level_sizes;       ///< of the queue
-    Array<glm::uvec2> tiles;
-    Array<shared::BvhNode> nodes;           ///< [bound]
-    Array<std::uint32_t> order;             ///< [n]
-    Array<glm::uvec2> links;                ///< [bound]
-    Array<float> node_boxes;                ///< [bound,6]
-    Array<std::uint32_t> arrivals, count;   ///< [bound], [1]
-    Array<std::uint32_t> roots, top_order;  ///< [n_instances]
+    Array<std::uint32_t, shared::InstanceModels> model_of;   ///< [n_instances]
+    Array<float, shared::SurfelBoxes> boxes;                 ///< [n,6]
+    Array<std::uint32_t, shared::ModelBounds> bounds;        ///< [n_models,6]
+    Array<std::uint32_t> scratch;                            ///< binary trees, and the keys being sorted
+    Array<std::uint32_t, shared::BinaryRoots> queue;         ///< [bound] binary nodes that become wide
+    Array<std::uint32_t, shared::LevelSizes> level_sizes;    ///< of the queue
+    Array<glm::uvec2, shared::SumsOfTiles> tiles;
+    Array<shared::BvhNode> nodes;                            ///< [bound]
+    Array<std::uint32_t, shared::LeafOrder> order;           ///< [n]
+    Array<glm::uvec2, shared::WideLinks> links;              ///< [bound]
+    Array<float, shared::WideBoxes> node_boxes;              ///< [bound,6]
+    Array<std::uint32_t, shared::Arrivals> arrivals;         ///< [bound]
+    Array<std::uint32_t, shared::WideCount> count;           ///< [1]
+    Array<std::uint32_t, shared::InstanceRoots> roots;       ///< [n_instances]
+    Array<std::uint32_t, shared::TopOrder> top_order;        ///< [n_instances]
     Array<shared::BvhNode> top_node_array;
-    Array<float> top_boxes;
+    Array<float, shared::InstanceBoxes> top_boxes;
     Array<glm::uvec2> top_keys;
-    Array<float> cost_sums;                 ///< of workgroups
+    Array<float, shared::CostSums> cost_sums;                ///< of workgroups
     Readback costs;
 
     Impl(Device& device, const DeviceScene& scene);
     shared::BvhBinary binary() const;
     shared::BvhWide wide() const;
-    template <class T>
-    Address<T> at(std::uint32_t words_a_surfel) const { return scratch.address_as<T>(words_a_surfel * std::size_t(padded(n))); }
+    template <class T, class Meaning>
+    Address<T, Meaning> at(std::uint32_t words_a_surfel) const {
+        return scratch.address_as<T, Meaning>(words_a_surfel * std::size_t(padded(n)));
+    }
     /// Where keys are sorted: set 0 keeps the result, set 1 is overwritten by the costs of the binary nodes.
     std::uint32_t keys_at(int set) const { return set == 0 ? kKeysAt : kCostsAt; }
     SortSet sort_set(int set) const;
@@ -115,7 +119,7 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       n_models(static_cast<std::uint32_t>(scene.layout().models.size())),
       n_instances(static_cast<std::uint32_t>(scene.layout().instances.size())),
       bound(node_bound(n, n_models)),
-      proxies(d, "accel/proxies", {{ConstantId::BOXES, 2u}, {ConstantId::GAUSSIANS, scene.primitive() == Primitive::gaussian ? 1u : 0u}}),
+      proxies(d, "accel/proxies", {{ConstantId::BOXES, 2u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}}),
       bounds_kernel(d, "accel/bvh_bounds", {kShares}, Subgroups::full),
       keys_kernel(d, "accel/bvh_keys"),
       sort(d, n, 2),
@@ -159,11 +163,11 @@ std::uint32_t Bvh::Impl::levels() const {
 }
 
 shared::BvhBinary Bvh::Impl::binary() const {
-    return {.children = at<glm::uvec2>(kChildrenAt),
-            .boxes = at<float>(kBoxesAt),
-            .costs = at<float>(kCostsAt),
-            .decisions = at<std::uint32_t>(kDecisionsAt),
-            .spares = at<std::uint32_t>(kSparesAt)};
+    return {.children = at<glm::uvec2, shared::BinaryChildren>(kChildrenAt),
+            .boxes = at<float, shared::BinaryBoxes>(kBoxesAt),
+            .costs = at<float, shared::BinaryCosts>(kCostsAt),
+            .decisions = at<std::uint32_t, shared::BinaryDecisions>(kDecisionsAt),
+            .spares = at<std::uint32_t, shared::SpareNodes>(kSparesAt)};
 }
 
 shared::BvhWide Bvh::Impl::wide() const {
@@ -176,7 +180,8 @@ shared::BvhWide Bvh::Impl::wide() const {
 }
 
 SortSet Bvh::Impl::sort_set(int set) const {
-    return {.keys = at<std::uint32_t>(keys_at(set)), .order = at<std::uint32_t>(set == 0 ? kValuesAt : kCostsAt + 2)};
+    return {.keys = at<std::uint32_t, shared::SortKeys>(keys_at(set)),
+            .order = at<std::uint32_t, shared::SortOrder>(set == 0 ? kValuesAt : kCostsAt + 2)};
 }
 
 void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
@@ -200,9 +205,9 @@ SortSet Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
         {.records = scene.records().address(),
          .models = scene.models().address(),
          .bounds = bounds.address(),
-         .keys = at<glm::uvec2>(keys_at(first_set)),
-         .other_ends = at<std::uint32_t>(kOtherEndsAt),
-         .demands = at<std::uint32_t>(kDemandsAt),
+         .keys = at<glm::uvec2, shared::MortonKeys>(keys_at(first_set)),
+         .other_ends = at<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
+         .demands = at<std::uint32_t, shared::SlotDemands>(kDemandsAt),
          .n_surfels = n,
          .n_models = n_models});
     return sort.run(stream, sort_set(first_set), sort_set(1 - first_set), key_bits());
@@ -213,13 +218,13 @@ void Bvh::Impl::collapse(Stream& stream, const DeviceScene& scene) {
     shared::BvhWideParams params{.tree = binary(),
                                  .wide = wide(),
                                  .queue = queue.address(),
-                                 .slots = at<std::uint32_t>(kSlotsAt),
+                                 .slots = at<std::uint32_t, shared::WideSlots>(kSlotsAt),
                                  .level_sizes = level_sizes.address(),
-                                 .demands = at<std::uint32_t>(kDemandsAt),
-                                 .offsets = at<glm::uvec2>(kOffsetsAt),
+                                 .demands = at<std::uint32_t, shared::SlotDemands>(kDemandsAt),
+                                 .offsets = at<glm::uvec2, shared::TileOffsets>(kOffsetsAt),
                                  .tiles = tiles.address(),
-                                 .places = at<std::uint32_t>(kPlacesAt),
-                                 .surfels = at<std::uint32_t>(kValuesAt),
+                                 .places = at<std::uint32_t, shared::WidePlaces>(kPlacesAt),
+                                 .surfels = at<std::uint32_t, shared::SortedSurfels>(kValuesAt),
                                  .models = scene.models().address(),
                                  .n_surfels = n,
                                  .n_tiles = tiles_of(n),
@@ -258,11 +263,11 @@ void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& op
     run(stream, b.cluster, b.n,
         {.tree = b.binary(),
          .boxes = b.boxes.address(),
-         .keys = b.at<glm::uvec2>(kKeysAt),
-         .surfels = sorted.order,
+         .keys = b.at<glm::uvec2, shared::MortonKeys>(kKeysAt),
+         .surfels = sorted.order.as<shared::SortedSurfels>(),
          .models = scene.models().address(),
-         .other_ends = b.at<std::uint32_t>(kOtherEndsAt),
-         .clusters = b.at<std::uint32_t>(kClustersAt),
+         .other_ends = b.at<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
+         .clusters = b.at<std::uint32_t, shared::BinaryClusters>(kClustersAt),
          .roots = b.queue.address(),
          .n_surfels = b.n,
          .n_models = b.n_models});

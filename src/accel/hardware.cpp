@@ -113,12 +113,12 @@ struct HardwareAccel::Impl {
     Buffer scratch;
     std::uint64_t scratch_address = 0;
 
-    Impl(Device& device, Proxy p, bool gaussians)
+    Impl(Device& device, Proxy p, Primitive primitive)
         : proxy(p),
-          mesh(gaussians ? kIcosahedron : kRectangle),
+          mesh(kind_of(primitive).mesh == ProxyMesh::icosahedron ? kIcosahedron : kRectangle),
           proxies(device, "accel/proxies",
-                  {{ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u}, {ConstantId::GAUSSIANS, gaussians ? 1u : 0u}}) {
-        if (gaussians && proxy == Proxy::triangles) reach = Array<std::uint32_t>(device, 1, "reach of proxies");
+                  {{ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}) {
+        if (&mesh == &kIcosahedron && proxy == Proxy::triangles) reach = Array<std::uint32_t>(device, 1, "reach of proxies");
     }
 
     void describe_model(const Model& model);
@@ -172,7 +172,7 @@ std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const D
 }
 
 HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy)
-    : impl_(std::make_unique<Impl>(device, proxy, scene.primitive() == Primitive::gaussian)) {
+    : impl_(std::make_unique<Impl>(device, proxy, scene.primitive())) {
     Impl& a = *impl_;
     const Scene& layout = scene.layout();
     std::uint32_t largest = 0;
@@ -220,8 +220,8 @@ void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const Accel
     if (a.reach.size()) stream.fill(a.reach);
     run(stream, a.proxies, scene.size(),
         {.records = scene.records().address(),
-         .vertices = a.geometry.address(),
-         .boxes = a.geometry.address(),
+         .vertices = a.geometry.address_as<float, shared::ProxyVertices>(),
+         .boxes = a.geometry.address_as<float, shared::SurfelBoxes>(),
          .reach = a.reach.address(),
          .alpha_min = scene.alpha_min(),
          .margin_m = options.margin_m,
@@ -253,7 +253,9 @@ void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
 
 shared::TlasHandle HardwareAccel::tlas() const { return {impl_->tlas->address}; }
 
-Address<float> HardwareAccel::reach_address() const { return impl_->reach.address_as<float>(); }   // of bits that grow as the float does
+Address<float, shared::ProxyReach> HardwareAccel::reach_address() const {
+    return impl_->reach.address_as<float, shared::ProxyReach>();   // of bits that grow as the float does
+}
 
 std::uint64_t HardwareAccel::memory_bytes() const {
     std::uint64_t bytes = impl_->geometry.buffer().size_bytes() + impl_->indices.buffer().size_bytes() + impl_->scratch.size_bytes() +

@@ -24,7 +24,7 @@ public:
 
     shared::TlasHandle tlas() const;
     /// Of how far behind a hit an icosahedron may end (shared::TraceScene); nowhere where there is none.
-    Address<float> reach_address() const;
+    Address<float, shared::ProxyReach> reach_address() const;
     std::uint64_t memory_bytes() const;
 
 private:

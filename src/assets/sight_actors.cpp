@@ -24,10 +24,7 @@ std::vector<SensorChoice> sensors_of(const Run& run) {
 /// By instance; null for the background and for one without a box.
 std::vector<const BoxTrack*> boxes_of(const Run& run) {
     std::vector<const BoxTrack*> boxes;
-    for (const Instance& instance : run.scene.instances) {
-        const auto box = std::ranges::find_if(run.sequence.boxes, [&](const BoxTrack& b) { return b.id == instance.track; });
-        boxes.push_back(instance.track.empty() || box == run.sequence.boxes.end() ? nullptr : &*box);
-    }
+    for (const Instance& instance : run.scene.instances) boxes.push_back(find_box(run.sequence, instance.track));
     return boxes;
 }
 

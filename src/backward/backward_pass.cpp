@@ -39,7 +39,7 @@ struct BackwardPass::Impl {
     Kernel<shared::BackwardParams> trace;
     PoseGradients poses;
     std::unique_ptr<HitGather> gather;   ///< null: atomics
-    Array<std::uint32_t> pass_cap;       ///< the forward pass reports; here it only must not be null
+    Array<std::uint32_t, shared::PassCapCount> pass_cap;   ///< the forward pass reports; here it only must not be null
 
     static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options,
                                            const BackwardOptions& backward) {

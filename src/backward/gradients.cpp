@@ -8,10 +8,10 @@ Gradients::Gradients(Device& device, const DeviceScene& scene, const WantedGradi
     : surfels(device, scene.size(), "gradient", scene.primitive()),
       records(device, 16 * std::size_t(scene.gradient_rows()), "record gradient"),
       touched(device, scene.size(), "touched surfels") {
-    if (wanted.rays) rays = Array<float>(device, 6 * std::size_t(n_rays), "ray gradient");
+    if (wanted.rays) rays = {device, 6 * std::size_t(n_rays), "ray gradient"};
     if (!wanted.poses) return;
-    poses = Array<float>(device, 6 * scene.layout().instances.size(), "pose gradient");
-    sensor = Array<float>(device, 6, "sensor pose gradient");
+    poses = {device, 6 * scene.layout().instances.size(), "pose gradient"};
+    sensor = {device, 6, "sensor pose gradient"};
     pose_sums = std::make_unique<PoseSums>(device, scene);
 }
 

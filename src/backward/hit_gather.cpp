@@ -14,7 +14,7 @@ namespace {
 std::vector<Constant> constants(const ImageModel& model, const TraceOptions& options) {
     return {{ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
             {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
-            {ConstantId::GAUSSIANS, model.primitive == Primitive::gaussian ? 1u : 0u},
+            {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
             {ConstantId::GEOMETRY, options.geometry ? 1u : 0u},
             {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u}};
 }
@@ -38,25 +38,25 @@ void HitGather::reserve(std::uint64_t n_hits) {
     sort_.reset();
     sort_ = std::make_unique<RadixSort>(device_, capacity, 1);
     for (int set : {0, 1}) {
-        rows_[set] = Array<std::uint32_t>(device_, capacity, "rows of hits");
-        slots_[set] = Array<std::uint32_t>(device_, capacity, "sorted hits");
+        rows_[set] = {device_, capacity, "rows of hits"};
+        slots_[set] = {device_, capacity, "sorted hits"};
     }
     hits_ = Array<shared::HitRecord>(device_, capacity, "hit records");
-    parts_ = Array<float>(device_, 2 * std::size_t(part_floats_) * (capacity / RELIDAR_GATHER_BLOCK + 1), "sums of hit records");
+    parts_ = {device_, 2 * std::size_t(part_floats_) * (capacity / RELIDAR_GATHER_BLOCK + 1), "sums of hit records"};
 }
 
 void HitGather::assign_slots(Stream& stream, const RenderedBatch& batch) {
     n_rays_ = batch.rays.n_rays;
     if (n_rays_ > first_hit_.size()) {
         stream.finish();
-        first_hit_ = Array<std::uint32_t>(device_, n_rays_, "slots of rays");
+        first_hit_ = {device_, n_rays_, "slots of rays"};
         prefix_sum_.reserve(device_, n_rays_);
         reserve(std::uint64_t(n_rays_) * hits_per_ray_);
     }
-    const StridedCounts hits{.address = batch.rendered->address_as<std::uint32_t>(),
+    const StridedCounts hits{.address = batch.rendered->address_as<std::uint32_t, shared::ScanCounts>(),
                              .offset = offsetof(shared::RenderedRay, n_hits) / 4,
                              .stride = sizeof(shared::RenderedRay) / 4};
-    prefix_sum_.run(stream, hits, first_hit_.address(), n_rays_, n_hits_.address());
+    prefix_sum_.run(stream, hits, first_hit_.address().as<shared::ScanPrefix>(), n_rays_, n_hits_.address().as<shared::ScanTotal>());
 }
 
 void HitGather::fill(shared::BackwardParams& params) const {
@@ -67,13 +67,16 @@ void HitGather::fill(shared::BackwardParams& params) const {
 }
 
 void HitGather::run(Stream& stream, const shared::BackwardParams& params) {
-    const auto set = [&](int i) { return SortSet{.keys = rows_[i].address(), .order = slots_[i].address()}; };
-    const SortSet sorted = sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)), n_hits_.address());
+    const auto set = [&](int i) {
+        return SortSet{.keys = rows_[i].address().as<shared::SortKeys>(), .order = slots_[i].address().as<shared::SortOrder>()};
+    };
+    const SortSet sorted = sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)),
+                                      n_hits_.address().as<shared::SortCount>());
     const shared::GatherParams gather{.scene = params.scene,
                                       .upstream = params.upstream,
                                       .hits = hits_.address(),
-                                      .rows = sorted.keys,
-                                      .slots = sorted.order,
+                                      .rows = sorted.keys.as<shared::HitRows>(),
+                                      .slots = sorted.order.as<shared::HitSlots>(),
                                       .n_hits = n_hits_.address(),
                                       .parts = parts_.address(),
                                       .d_records = params.d_records,

@@ -33,10 +33,13 @@ private:
     Device& device_;
     std::uint32_t hits_per_ray_, part_floats_;
     Kernel<shared::GatherParams> gather_, heads_kernel_;
-    Array<std::uint32_t> most_hits_, n_hits_, first_hit_;
+    Array<std::uint32_t, shared::MostHits> most_hits_;
+    Array<std::uint32_t, shared::HitCount> n_hits_;
+    Array<std::uint32_t, shared::FirstHits> first_hit_;
     Array<shared::HitRecord> hits_;
-    Array<float> parts_;
-    Array<std::uint32_t> rows_[2], slots_[2];   ///< sort keys, and where the hits lie
+    Array<float, shared::RowParts> parts_;
+    Array<std::uint32_t, shared::HitRows> rows_[2];     ///< sort keys
+    Array<std::uint32_t, shared::HitSlots> slots_[2];   ///< where the hits lie
     PrefixSum prefix_sum_;                      ///< over rays
     std::unique_ptr<RadixSort> sort_;           ///< by row
     std::uint32_t n_rays_ = 0;                  ///< of the present batch

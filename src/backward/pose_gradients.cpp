@@ -40,8 +40,8 @@ Gradients::PoseSums::PoseSums(Device& device, const DeviceScene& scene) {
     const BlockTable table = block_table(scene);
     blocks = Array<shared::PoseBlock>(device, table.blocks, "pose blocks");
     first_block = Array<std::uint32_t>(device, table.first, "first pose blocks");
-    sums = Array<float>(device, RELIDAR_POSE_SUMS * table.blocks.size(), "pose sums");
-    d_view = Array<float>(device, 3 * std::size_t(scene.size()), "view gradient");
+    sums = {device, RELIDAR_POSE_SUMS * table.blocks.size(), "pose sums"};
+    d_view = {device, 3 * std::size_t(scene.size()), "view gradient"};
 }
 
 PoseGradients::PoseGradients(Device& device)

@@ -12,9 +12,9 @@ namespace relidar {
 /// Surfels of all instances in blocks, and the sums over each.
 struct Gradients::PoseSums {
     Array<shared::PoseBlock> blocks;
-    Array<std::uint32_t> first_block;   ///< [instances + 1]
-    Array<float> sums;                  ///< [blocks, RELIDAR_POSE_SUMS]
-    Array<float> d_view;                ///< [n,3] of activate_vjp
+    Array<std::uint32_t> first_block;             ///< [instances + 1]
+    Array<float, shared::PoseSums> sums;          ///< [blocks, RELIDAR_POSE_SUMS]
+    Array<float, shared::ViewGradients> d_view;   ///< [n,3] of activate_vjp
 
     PoseSums(Device& device, const DeviceScene& scene);
 };

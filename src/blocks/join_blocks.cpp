@@ -68,9 +68,8 @@ struct Candidate {
 void take_actors(const Run& part, const Sequence& sequence, const Block& block, std::map<std::string, Candidate>& best) {
     for (const Instance& instance : part.scene.instances) {
         if (instance.track.empty()) continue;
-        const auto box = std::find_if(part.sequence.boxes.begin(), part.sequence.boxes.end(),
-                                      [&](const BoxTrack& b) { return b.id == instance.track; });
-        if (box == part.sequence.boxes.end())
+        const BoxTrack* box = find_box(part.sequence, instance.track);
+        if (!box)
             throw DataError(fmt::format("{}: instance \"{}\" has no box, expected one", part.folder.string(), instance.track));
         const std::size_t sightings = count_sightings(*box, sequence, block);
         Candidate& candidate = best[instance.track];

@@ -10,6 +10,7 @@
 #include <relidar/error.hpp>
 
 #include "blocks/way.hpp"
+#include "core/nearest_place.hpp"
 
 namespace relidar {
 namespace {
@@ -59,12 +60,12 @@ std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, con
 void keep_own_surfels(Scene& scene, const Sequence& sequence, const std::vector<Block>& blocks, std::size_t block) {
     std::vector<bool> is_own(sequence.frames.size(), false);
     for (const int position : blocks[block].own) is_own[std::size_t(position)] = true;
-    const NearestPlace nearest(frame_places(sequence));
+    const NearestPlace<double> nearest(frame_places(sequence));
     const std::uint32_t n = scene.models.front().count;
     std::vector<glm::vec3> means;
     std::vector<std::uint32_t> kept;
     for (std::uint32_t i = 0; i < n; ++i) {
-        if (!is_own[nearest.of(scene.surfels.mean[i])]) continue;
+        if (!is_own[nearest.of(glm::dvec3(scene.surfels.mean[i]))]) continue;
         kept.push_back(i);
         means.push_back(scene.surfels.mean[i]);
     }

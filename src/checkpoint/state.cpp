@@ -50,6 +50,7 @@ void StateWriter::operator()(const std::string& name, const SurfelArrays& surfel
     const Surfels host = surfels.download();
     for (const ParameterGroup& group : groups_of(surfels.primitive))
         put(name + "/" + group.name, "f4", group.shape(host.size()), group.values(host).data());
+    checkpoint_.texts[name + "/" + kPrimitiveKey] = kind_of(surfels.primitive).name;
 }
 
 const NamedArray& StateReader::find(const std::string& name, const char* dtype, const std::vector<std::size_t>& shape) const {
@@ -70,8 +71,9 @@ Surfels StateReader::surfels(const std::string& name) const {
 }
 
 Surfels StateReader::surfels_of(const std::string& name, std::size_t n) const {
-    const Primitive primitive =
-        primitive_of([&](const char* group) { return find_array(checkpoint_.arrays, name + "/" + group) != nullptr; });
+    const Primitive primitive = stored_primitive(checkpoint_.texts, name + "/" + kPrimitiveKey, [&](const char* group) {
+        return find_array(checkpoint_.arrays, name + "/" + group) != nullptr;
+    });
     for (const ParameterGroup& group : groups_of(primitive))   // before anything is allocated
         find(name + "/" + group.name, "f4", group.shape(n));
     Surfels host;

@@ -10,17 +10,17 @@
 #include <relidar/error.hpp>
 #include <relidar/reader.hpp>
 #include "core/files.hpp"
-#include "dataset/argoverse2.hpp"
+#include "dataset/argoverse2/argoverse2.hpp"
 #include "dataset/bag/ros_bag.hpp"
-#include "dataset/kitti_360.hpp"
-#include "dataset/kitti_files.hpp"
-#include "dataset/kitti_odometry.hpp"
-#include "dataset/kitti_raw.hpp"
-#include "dataset/nuscenes.hpp"
-#include "dataset/plain_folder.hpp"
-#include "dataset/point_table.hpp"
-#include "dataset/synthetic.hpp"
-#include "dataset/waymo.hpp"
+#include "dataset/kitti/kitti_360.hpp"
+#include "dataset/kitti/kitti_files.hpp"
+#include "dataset/kitti/kitti_odometry.hpp"
+#include "dataset/kitti/kitti_raw.hpp"
+#include "dataset/nuscenes/nuscenes.hpp"
+#include "dataset/folder/plain_folder.hpp"
+#include "dataset/folder/point_table.hpp"
+#include "dataset/street/synthetic.hpp"
+#include "dataset/waymo/waymo.hpp"
 
 namespace relidar {
 namespace {

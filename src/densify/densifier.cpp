@@ -30,7 +30,6 @@ struct Rules {
     float min_opacity = 0.0f;
     float max_extent_share = kUnbounded;
     bool boxes = false;
-    bool drop_unseen = false;
 };
 
 /// What each use of random numbers is mixed with.
@@ -45,7 +44,7 @@ struct Densifier::Impl {
     std::uint64_t seed;
     std::vector<double> extents_m;
     Rearrangement arrays;
-    Array<std::uint32_t> counters;   ///< [n_models, RELIDAR_DENSIFY_COUNTERS]
+    Array<std::uint32_t, shared::DensifyCounters> counters;   ///< [n_models, RELIDAR_DENSIFY_COUNTERS]
     Kernel<shared::ObserveParams> observe;
     Kernel<shared::ClassifyParams> classify;
     Kernel<shared::SpawnParams> spawn;
@@ -55,7 +54,7 @@ struct Densifier::Impl {
 
     Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames, std::uint64_t random_seed)
         : device(d), options(o), min_opacity(std::max(float(o.min_opacity), alpha_min)), seed(random_seed),
-          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames, scene.surfels.primitive()),
+          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames, scene.surfels.primitive),
           counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
           observe(d, "densify/observe"), classify(d, "densify/classify"), spawn(d, "densify/spawn"),
           reset_opacity(d, "densify/reset_opacity"), jitter(d, "densify/jitter") {
@@ -70,7 +69,7 @@ struct Densifier::Impl {
 };
 
 Rules Densifier::Impl::rules_at(int step) const {
-    Rules rules{RELIDAR_DENSIFY_BY_NOTHING, min_opacity, kUnbounded, true, false};
+    Rules rules{RELIDAR_DENSIFY_BY_NOTHING, min_opacity, kUnbounded, true};
     if (options.strategy == DensifyStrategy::adaptive) rules.growth = RELIDAR_DENSIFY_BY_GRADIENT;
     if (options.strategy == DensifyStrategy::mcmc) rules.growth = RELIDAR_DENSIFY_BY_OPACITY;
     else if (step > options.large_from) rules.max_extent_share = static_cast<float>(options.max_extent_share);
@@ -85,22 +84,19 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
                  {.surfels = pointers_of(scene.parameters()),
                   .gradient_sum = s.gradient_sum.address(),
                   .n_seen = s.n_seen.address(),
-                  .frames = s.frames.address(),
                   .action = arrays.action.address(),
                   .weight = arrays.weight.address(),
                   .counters = counters.address(),
                   .models = scene.models().address(),
-                  .extents = impl_of(stream).values(extents),
+                  .extents = impl_of(stream).values(extents).as<shared::ModelExtents>(),
                   .min_opacity = rules.min_opacity,
                   .max_extent_share = rules.max_extent_share,
                   .clone_extent_share = static_cast<float>(options.clone_extent_share),
                   .gradient_threshold = static_cast<float>(options.gradient_threshold),
                   .growth = rules.growth,
                   .bounded = rules.boxes ? 1u : 0u,
-                  .drop_unseen = rules.drop_unseen ? 1u : 0u,
                   .n_surfels = scene.size(),
                   .n_models = static_cast<std::uint32_t>(extents.size()),
-                  .n_words = s.n_words,
                   .key = static_cast<std::uint32_t>(random(Draw::classify, step))});
     stream.finish();
     const std::vector<std::uint32_t> values = counters.download();
@@ -151,7 +147,7 @@ DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& a
     if (room < plan.size()) {
         memory_limit = room;
         plan = limited_to(plan, room);
-        note = fmt::format("densification ends at {} surfels, as with densify.max_surfels={}: {}", room, room, why);
+        note = fmt::format("densification ends at {} surfels: {}", room, why);
     }
     DensifyReport report = report_of(counted, plan);
     report.note = note;
@@ -180,13 +176,16 @@ DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& a
 
 Densifier::Densifier(Device& device, const Scene& initial, const DensifyOptions& options, float alpha_min, std::uint32_t n_frames,
                      std::uint64_t seed)
-    : impl_(std::make_unique<Impl>(device, initial, options, alpha_min, n_frames, seed)) {}
+    : impl_(options.strategy == DensifyStrategy::none ? nullptr
+                                                      : std::make_unique<Impl>(device, initial, options, alpha_min, n_frames, seed)) {}
 Densifier::~Densifier() = default;
+bool Densifier::is_active() const { return impl_ != nullptr; }
 SurfelStatistics& Densifier::statistics() { return impl_->arrays.statistics; }
 std::vector<double>& Densifier::extents_m() { return impl_->extents_m; }
 const std::vector<double>& Densifier::extents_m() const { return impl_->extents_m; }
 
 void Densifier::observe(Stream& stream, const DeviceScene& scene, const ObservedBatch& batch) {
+    if (!impl_) return;
     const SurfelStatistics& s = impl_->arrays.statistics;
     RELIDAR_ASSERT_LE(batch.frame / 32 + 1, s.n_words);
     RELIDAR_ASSERT_LE(std::size_t(scene.size()) * s.n_words, s.frames.size());
@@ -203,8 +202,9 @@ void Densifier::observe(Stream& stream, const DeviceScene& scene, const Observed
 }
 
 bool Densifier::due(int step) const {
+    if (!impl_) return false;
     const DensifyOptions& o = impl_->options;
-    return o.strategy != DensifyStrategy::none && step >= o.from && step < o.until && step % std::max(1, o.every) == 0;
+    return step >= o.from && step < o.until && step % std::max(1, o.every) == 0;
 }
 
 DensifyReport Densifier::run(Stream& stream, DeviceScene& scene, Adam& adam, int step, double others_bytes) {
@@ -212,6 +212,7 @@ DensifyReport Densifier::run(Stream& stream, DeviceScene& scene, Adam& adam, int
 }
 
 void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step, double rate_share) {
+    if (!impl_) return;
     const DensifyOptions& o = impl_->options;
     if (o.strategy == DensifyStrategy::mcmc && o.noise > 0.0)
         relidar::run(stream, impl_->jitter, scene.size(),
@@ -227,17 +228,6 @@ void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int s
                   .n_surfels = scene.size()});
     stream.fill(adam.moment1().opacity_logit);
     stream.fill(adam.moment2().opacity_logit);
-}
-
-void Densifier::forget(Stream& stream) {
-    stream.fill(impl_->arrays.statistics.frames);
-    impl_->arrays.start_over(stream);
-}
-
-DensifyReport Densifier::prune_unseen(Stream& stream, DeviceScene& scene, Adam& adam) {
-    Rules rules;
-    rules.drop_unseen = true;
-    return impl_->apply(stream, scene, adam, rules, 0, 0.0);
 }
 
 }  // namespace relidar

@@ -29,7 +29,8 @@ void Rearrangement::reserve(std::uint32_t n) {
     statistics.n_seen.reserve(device_, n, "seen batches");
     statistics.frames.reserve(device_, n_words, "seen frames");
     spare_frames_.reserve(device_, n_words, "spare seen frames");
-    for (Array<std::uint32_t>* array : {&action, &weight, &starts, &n_rows}) array->reserve(device_, n, "densification");
+    for (Array<std::uint32_t>* array : std::initializer_list<Array<std::uint32_t>*>{&action, &weight, &starts, &n_rows})
+        array->reserve(device_, n, "densification");
 }
 
 std::uint32_t Rearrangement::capacity() const {
@@ -44,24 +45,24 @@ std::size_t Rearrangement::bytes_per_surfel() const { return 4 * (floats_per_sur
 void Rearrangement::allot(Stream& stream, const GrowthPlan& plan, std::uint32_t before) {
     RELIDAR_ASSERT_LE(std::max(before, plan.size()), capacity());
     before_ = before;
-    prefix_sum_.run(stream, {.address = weight.address()}, starts.address(), before);
+    prefix_sum_.run(stream, {.address = weight.address().as<shared::ScanCounts>()}, starts.address().as<shared::ScanPrefix>(), before);
     run(stream, allot_, before,
         {.weight = weight.address(),
-         .cumulative = starts.address(),
+         .cumulative = starts.address().as<shared::WeightsBefore>(),
          .action = action.address(),
          .n_rows = n_rows.address(),
          .n_surfels = before,
          .n_new = plan.n_new,
          .total_weight = plan.total_weight,
          .phase = plan.phase});
-    prefix_sum_.run(stream, {.address = n_rows.address()}, starts.address(), before);
+    prefix_sum_.run(stream, {.address = n_rows.address().as<shared::ScanCounts>()}, starts.address().as<shared::ScanPrefix>(), before);
 }
 
 template <class T>
 void Rearrangement::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, std::uint32_t stride, bool fresh) {
     run(stream, move_, before_,
-        {.from = rows.template address_as<std::uint32_t>(),
-         .to = spare.template address_as<std::uint32_t>(),
+        {.from = rows.template address_as<std::uint32_t, shared::OldRows>(),
+         .to = spare.template address_as<std::uint32_t, shared::NewRows>(),
          .action = action.address(),
          .n_rows = n_rows.address(),
          .starts = starts.address(),
@@ -73,12 +74,12 @@ void Rearrangement::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, s
 
 void Rearrangement::move(Stream& stream, SurfelArrays& set, bool fresh, std::uint32_t after) {
     for (const ParameterGroup& group : groups_of(set.primitive))
-        move_rows(stream, set.*group.device, spare_.*group.device, group.floats(), fresh);
+        move_rows(stream, group.mutable_device(set), group.mutable_device(spare_), group.floats(), fresh);
     set.n = after;
 }
 
 void Rearrangement::move_statistics(Stream& stream) {
-    move_rows(stream, statistics.frames, spare_frames_, statistics.n_words, false);
+    move_rows<std::uint32_t>(stream, statistics.frames, spare_frames_, statistics.n_words, false);
     start_over(stream);
 }
 

@@ -29,7 +29,11 @@ public:
     void start_over(Stream& stream);
 
     SurfelStatistics statistics;
-    Array<std::uint32_t> action, weight, starts, n_rows;   ///< [n] before; `starts` holds the cumulative weights first
+    // [n] before
+    Array<std::uint32_t, shared::DensifyActions> action;
+    Array<std::uint32_t, shared::GrowthWeights> weight;
+    Array<std::uint32_t, shared::RowStarts> starts;   ///< holds the cumulative weights first
+    Array<std::uint32_t, shared::RowCounts> n_rows;
 
 private:
     Device& device_;

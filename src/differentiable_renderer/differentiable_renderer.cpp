@@ -76,7 +76,7 @@ RenderedBatch DifferentiableRenderer::batch() {
     if (impl_->upstream.size() < n_rays) {   // the renderer has made room for more rays
         stream().finish();
         impl_->upstream = Array<shared::RayGradient>(device, n_rays, "loss gradients");
-        if (impl_->options.wanted.rays) impl_->gradients->rays = Array<float>(device, 6 * n_rays, "ray gradient");
+        if (impl_->options.wanted.rays) impl_->gradients->rays = {device, 6 * n_rays, "ray gradient"};
     }
     RenderedBatch result = rendered();
     result.upstream = &impl_->upstream;

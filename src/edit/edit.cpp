@@ -32,9 +32,7 @@ std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
         if (!name.empty() && name == track) return i;
         if (!name.empty()) known.push_back(name);
     }
-    const std::vector<BoxTrack>& boxes = driving.sequence.boxes;
-    const bool labelled = std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& b) { return b.id == track; });
-    if (labelled) throw UsageError(without_surfels(track, known));
+    if (find_box(driving.sequence, track)) throw UsageError(without_surfels(track, known));
     const std::string found = fmt::format("editing track \"{}\": found no such track", track);
     if (known.empty()) throw UsageError(found + ", and the scene has no actor at all");
     throw UsageError(fmt::format("{}{} (actors: {})", found, did_you_mean(track, known, "\""), fmt::join(known, ", ")));
@@ -43,10 +41,8 @@ std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
 BoxTrack& box_of(DrivingScene& driving, const std::string& track) {
     find_actor(driving, track);
     std::vector<BoxTrack>& boxes = driving.sequence.boxes;
-    const auto box = std::find_if(boxes.begin(), boxes.end(), [&](const BoxTrack& b) { return b.id == track; });
-    if (box == boxes.end())
-        throw DataError(fmt::format("editing track \"{}\": an instance has it, but the log has no box of it, expected one", track));
-    return *box;
+    if (const BoxTrack* box = find_box(driving.sequence, track)) return boxes[std::size_t(box - boxes.data())];
+    throw DataError(fmt::format("editing track \"{}\": an instance has it, but the log has no box of it, expected one", track));
 }
 
 /// Leaves out models that no instance places; the background stays.

@@ -106,7 +106,7 @@ public:
 
 private:
     void add(const Surfels& surfels, std::size_t n) {
-        const bool has_normals = surfels.primitive() == Primitive::surfel;
+        const bool has_normals = kind_of(surfels.primitive).has_normals;
         for (std::size_t i = 0; i < n; ++i)
             if (surfels.opacity_logit[i] > kFaintLogit &&
                 (!has_normals || std::abs(surfel_normal(surfels.rotation[i]).z) > kLevelSurfel))
@@ -175,7 +175,7 @@ Footprint footprint_of(const glm::dvec2& centre_m, double yaw_rad, const glm::dv
 
 const BoxTrack& box_of_actor(const DrivingView& owner, const std::string& track) {
     (void)move_track(DrivingScene{layout_of(owner.scene), owner.sequence}, track, {});   // says what is wrong with the name
-    return *std::ranges::find_if(owner.sequence.boxes, [&](const BoxTrack& b) { return b.id == track; });
+    return *find_box(owner.sequence, track);
 }
 
 /// A rotation that faces in a direction on a plane.

@@ -56,11 +56,6 @@ fs::path final_path(const fs::path& path) {
     return folder / path.filename();
 }
 
-fs::path temporary_path(const fs::path& path) {
-    static std::atomic<unsigned> count{0};   // two threads may write the same name
-    return path.parent_path() / fmt::format(".{}.tmp-{}-{}", path.filename().string(), ::getpid(), count++);
-}
-
 void call_writer(const fs::path& path, const fs::path& temporary, const std::function<void(const fs::path&)>& write) {
     try {
         write(temporary);
@@ -93,6 +88,11 @@ void flush_folder(const fs::path& path) {
 }
 
 }  // namespace
+
+fs::path temporary_path(const fs::path& path) {
+    static std::atomic<unsigned> count{0};   // two threads may write the same name
+    return path.parent_path() / fmt::format(".{}.tmp-{}-{}", path.filename().string(), ::getpid(), count++);
+}
 
 void write_atomically(const fs::path& path, const std::function<void(const fs::path&)>& write) {
     const fs::path target = final_path(path);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Point clouds as files: PLY (binary little-endian), PCD 0.7 (binary) and KITTI .bin; formats.md, sections a and h.
+// Point clouds as files: PLY (binary little-endian), PCD 0.7 (binary) and KITTI .bin.
 // PLY and PCD hold the same packed records under different headers; KITTI has neither header nor extra fields.
 // Names and types of fields are those that readers of spinning LiDARs look for: intensity, ring (uint16), time (float32, seconds).
 #include <relidar/export.hpp>

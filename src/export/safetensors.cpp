@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // safetensors: u64 header size, JSON header (type, shape and byte range of each array, and string metadata), then the data
-// without gaps (formats.md, section h). A reader trusts nothing: sizes, ranges and coverage are all checked, so that a file
+// without gaps. A reader trusts nothing: sizes, ranges and coverage are all checked, so that a file
 // cut anywhere is refused. Whether values are finite is for the caller to judge.
 #include <relidar/export.hpp>
 

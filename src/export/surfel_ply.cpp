@@ -53,7 +53,7 @@ std::vector<Property> properties(Primitive primitive) {
     for (std::uint32_t k = 0; k < kColours * kRest; ++k) list.push_back({fmt::format("f_rest_{}", k), &kSh, k % kRest + 1, k < kRest});
     list.push_back({"opacity", &kOpacityLogit});
     add("scale_", 2, kLogScale, 0);
-    if (primitive == Primitive::gaussian) list.push_back({"scale_2", &kLogScaleW});
+    if (kind_of(primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
     else list.push_back({"scale_2", nullptr, 0, false, Property::thickness});
     add("rot_", 4, kRotation, 0);
     add("hit_", kShCoefficients, kSh, kShCoefficients);
@@ -231,8 +231,8 @@ Scene parse(const std::vector<std::byte>& file, const Scene& scene_layout, Primi
 
 std::string header_of(const Scene& scene, const std::vector<Property>& list) {
     std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";
-    text += scene.surfels.primitive() == Primitive::gaussian ? "3D Gaussians: metres, frame of each model\n"
-                                                             : "surfels: metres, frame of each model; scale_2 only makes them flat\n";
+    const PrimitiveKind& kind = kind_of(scene.surfels.primitive);
+    text += fmt::format("{}: metres, frame of each model{}\n", kind.label, kind.third_scale ? "" : "; scale_2 only makes them flat");
     text += fmt::format("element vertex {}\n", scene.surfels.size());
     for (const Property& p : list) text += fmt::format("property float {}\n", p.name);
     return text + "end_header\n";
@@ -255,7 +255,7 @@ void write_surfel_ply(const std::filesystem::path& path, const Scene& scene) {
     write_atomically(path, [&](const std::filesystem::path& temporary) {
         scene.surfels.check_shapes();
         check_models(scene);
-        const std::vector<Property> list = properties(scene.surfels.primitive());
+        const std::vector<Property> list = properties(scene.surfels.primitive);
         export_detail::OutputFile file(temporary);
         file.write(header_of(scene, list));
         std::vector<float> record(list.size());

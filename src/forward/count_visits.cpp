@@ -14,8 +14,8 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
     constants.push_back({ConstantId::COUNT_VISITS, 1u});
     const Kernel<shared::ForwardParams> trace(device, "forward/trace", KernelVariant("@software_bvh"), constants);
     const Array<shared::RenderedRay> rendered(device, batch.n_rays, "rendered rays");
-    const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"),
-        visits(device, std::vector<std::uint32_t>{0u, 0u}, "visits");
+    const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
+    const Array<std::uint32_t, shared::VisitCounters> visits(device, std::vector<std::uint32_t>{0u, 0u}, "visits");
     shared::TraceScene traced = trace_scene(scene, accel, batch, model, options, pass_cap.address());
     traced.visits = visits.address();
     Stream stream(device);

@@ -16,7 +16,8 @@ struct ForwardPass::Impl {
     ImageModel model;
     TraceOptions options;
     Kernel<shared::ForwardParams> trace;
-    Array<std::uint32_t> pass_cap, n_overfull;
+    Array<std::uint32_t, shared::PassCapCount> pass_cap;
+    Array<std::uint32_t, shared::OverfullCount> n_overfull;
 
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o)
         : model(m),

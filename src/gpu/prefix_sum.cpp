@@ -20,8 +20,8 @@ void PrefixSum::reserve(Device& device, std::size_t n) {
     }
 }
 
-void PrefixSum::run(Stream& stream, const StridedCounts& counts, Address<std::uint32_t> prefix, std::uint32_t n,
-                    Address<std::uint32_t> total) const {
+void PrefixSum::run(Stream& stream, const StridedCounts& counts, Address<std::uint32_t, shared::ScanPrefix> prefix, std::uint32_t n,
+                    Address<std::uint32_t, shared::ScanTotal> total) const {
     run_level(stream,
               {.counts = counts.address,
                .tile_sums = {},
@@ -41,11 +41,10 @@ void PrefixSum::run_level(Stream& stream, shared::ScanParams params, std::size_t
         RELIDAR_ASSERT_LE(n_tiles, levels_[level].size());
         params.tile_sums = levels_[level].address();
         relidar::run(stream, sums_, n_threads, params);
-        const Address<std::uint32_t> sums = params.tile_sums;
         run_level(stream,
-                  {.counts = sums,
+                  {.counts = params.tile_sums.as<shared::ScanCounts>(),
                    .tile_sums = {},
-                   .prefix = sums,
+                   .prefix = params.tile_sums.as<shared::ScanPrefix>(),
                    .total = {},
                    .n = static_cast<std::uint32_t>(n_tiles),
                    .offset = 0,

@@ -36,12 +36,13 @@ RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_w
                         device.info().name));
 }
 
-SortSet RadixSort::run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits, Address<std::uint32_t> n_keys) const {
+SortSet RadixSort::run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits,
+                       Address<std::uint32_t, shared::SortCount> n_keys) const {
     const std::size_t n_threads = tiles_of(capacity_) * RELIDAR_TILE_THREADS;
     for (std::uint32_t pass = 0; pass < passes(key_bits); ++pass) {
         const shared::RadixSortParams params{.n_keys = n_keys,
                                              .keys = from.keys,
-                                             .order = pass == 0 ? Address<std::uint32_t>() : from.order,
+                                             .order = pass == 0 ? Address<std::uint32_t, shared::SortOrder>() : from.order,
                                              .sorted_keys = other.keys,
                                              .sorted_order = other.order,
                                              .counts = counts_.address(),

@@ -10,8 +10,8 @@ namespace relidar {
 
 /// Addresses of one set of keys.
 struct SortSet {
-    Address<std::uint32_t> keys;    ///< [n,key_words] low word first
-    Address<std::uint32_t> order;   ///< [n] the place each key had before
+    Address<std::uint32_t, shared::SortKeys> keys;     ///< [n,key_words] low word first
+    Address<std::uint32_t, shared::SortOrder> order;   ///< [n] the place each key had before
 };
 
 class RadixSort {
@@ -27,14 +27,15 @@ public:
     /// @param from    its order is not read
     /// @param n_keys  where their number is; nowhere = the capacity; keys beyond the capacity are left out
     /// @return the set that holds the sorted keys
-    SortSet run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits, Address<std::uint32_t> n_keys = {}) const;
+    SortSet run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits,
+                Address<std::uint32_t, shared::SortCount> n_keys = {}) const;
     std::uint64_t memory_bytes() const { return counts_.buffer().size_bytes() + totals_.buffer().size_bytes(); }
 
 private:
     std::uint32_t capacity_;
     Kernel<shared::RadixSortParams> count_, scan_, scatter_;
-    Array<std::uint32_t> counts_;   ///< [RELIDAR_SORT_DIGITS, tiles]
-    Array<std::uint32_t> totals_;   ///< [RELIDAR_SORT_DIGITS]
+    Array<std::uint32_t, shared::DigitCounts> counts_;   ///< [RELIDAR_SORT_DIGITS, tiles]
+    Array<std::uint32_t, shared::DigitTotals> totals_;   ///< [RELIDAR_SORT_DIGITS]
 };
 
 }  // namespace relidar

@@ -28,7 +28,11 @@ struct Levels {
 
 /// A cloud and the boxes over it.
 struct Cloud {
-    Array<glm::vec3> points, tile_low, tile_high, group_low, group_high;
+    Array<glm::vec3, shared::CloudPoints> points;
+    Array<glm::vec3, shared::TileLows> tile_low;
+    Array<glm::vec3, shared::TileHighs> tile_high;
+    Array<glm::vec3, shared::GroupLows> group_low;
+    Array<glm::vec3, shared::GroupHighs> group_high;
 
     /// Most tiles has an image of one column: ceil(n / 4); so have groups of tiles.
     Cloud(Device& device, std::size_t n, const std::string& what)
@@ -51,8 +55,10 @@ struct Cloud {
 struct ChamferLoss::Impl {
     LossWeights weights;
     Cloud simulated, measured;
-    Array<std::uint32_t> nearest_measured, nearest_simulated, d_found;
-    Array<float> counts;
+    Array<std::uint32_t, shared::NearestMeasured> nearest_measured;
+    Array<std::uint32_t, shared::NearestSimulated> nearest_simulated;
+    Array<std::uint32_t, shared::FoundGradients> d_found;
+    Array<float, shared::PointCounts> counts;
     Kernel<shared::ChamferPointsParams> points;
     Kernel<shared::ChamferBoxesParams> boxes;
     Kernel<shared::ChamferNearestParams> nearest;
@@ -76,8 +82,8 @@ struct ChamferLoss::Impl {
     void bound_tiles(Stream& stream, const Cloud& cloud, const Levels& l) const {
         RELIDAR_ASSERT_LE(std::size_t(l.tiles.x) * l.tiles.y, cloud.tile_low.size());
         relidar::run(stream, boxes, std::size_t(l.tiles.x) * l.tiles.y,
-                     {.low = cloud.points.address(),
-                      .high = cloud.points.address(),
+                     {.low = cloud.points.address().as<shared::LowCorners>(),
+                      .high = cloud.points.address().as<shared::HighCorners>(),
                       .tile_low = cloud.tile_low.address(),
                       .tile_high = cloud.tile_high.address(),
                       .rows = l.points.x,
@@ -88,10 +94,10 @@ struct ChamferLoss::Impl {
     void bound_groups(Stream& stream, const Cloud& cloud, const Levels& l) const {
         RELIDAR_ASSERT_LE(std::size_t(l.groups.x) * l.groups.y, cloud.group_low.size());
         relidar::run(stream, boxes, std::size_t(l.groups.x) * l.groups.y,
-                     {.low = cloud.tile_low.address(),
-                      .high = cloud.tile_high.address(),
-                      .tile_low = cloud.group_low.address(),
-                      .tile_high = cloud.group_high.address(),
+                     {.low = cloud.tile_low.address().as<shared::LowCorners>(),
+                      .high = cloud.tile_high.address().as<shared::HighCorners>(),
+                      .tile_low = cloud.group_low.address().as<shared::TileLows>(),
+                      .tile_high = cloud.group_high.address().as<shared::TileHighs>(),
                       .rows = l.tiles.x,
                       .columns = l.tiles.y,
                       .tile_rows = l.tile.x,
@@ -99,7 +105,7 @@ struct ChamferLoss::Impl {
     }
     void search(Stream& stream, const Cloud& from, const Cloud& to, const Array<std::uint32_t>& found, const Levels& l) const {
         relidar::run(stream, nearest, n_rays,
-                     {.queries = from.points.address(),
+                     {.queries = from.points.address().as<shared::QueryPoints>(),
                       .cloud = to.pointers(),
                       .nearest = found.address(),
                       .rows = l.points.x,
@@ -147,8 +153,8 @@ void ChamferLoss::compare(Stream& stream, const RenderedBatch& batch_rendered, c
                  {.rays = rays.rays->address(),
                   .rendered = rendered.address(),
                   .targets = batch.targets->address(),
-                  .simulated = c.simulated.points.address(),
-                  .measured = c.measured.points.address(),
+                  .simulated = c.simulated.points.address().as<shared::SimulatedPoints>(),
+                  .measured = c.measured.points.address().as<shared::MeasuredPoints>(),
                   .counts = c.counts.address(),
                   .n_rays = batch.n_rays,
                   .first_ray = batch.first,
@@ -157,8 +163,8 @@ void ChamferLoss::compare(Stream& stream, const RenderedBatch& batch_rendered, c
     c.search(stream, levels);
     const shared::ChamferParams chamfer{.rays = rays.rays->address(),
                                         .rendered = rendered.address(),
-                                        .simulated = c.simulated.points.address(),
-                                        .measured = c.measured.points.address(),
+                                        .simulated = c.simulated.points.address().as<shared::SimulatedPoints>(),
+                                        .measured = c.measured.points.address().as<shared::MeasuredPoints>(),
                                         .nearest_measured = c.nearest_measured.address(),
                                         .nearest_simulated = c.nearest_simulated.address(),
                                         .counts = c.counts.address(),

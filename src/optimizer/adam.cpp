@@ -35,7 +35,7 @@ struct Adam::Impl {
     AdamOptions options;
     bool per_float;
     SurfelArrays moment1, moment2;
-    Array<float> max_log_scale;
+    Array<float, shared::ScaleBounds> max_log_scale;
     Kernel<shared::AdamParams> kernel;
 
     Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, Primitive primitive)
@@ -60,11 +60,11 @@ SurfelArrays& Adam::moment2() { return impl_->moment2; }
 Array<float>& Adam::max_log_scale() { return impl_->max_log_scale; }
 
 void Adam::bound_scales(Device& device, const std::vector<float>& max_log_scale) {
-    impl_->max_log_scale = Array<float>(device, std::span<const float>(max_log_scale), "bounds of scales");
+    impl_->max_log_scale = {device, std::span<const float>(max_log_scale), "bounds of scales"};
 }
 
-void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t>* touched, const LearningRates& rates,
-                int step, int sh_degree) {
+void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t, shared::TouchedSurfels>* touched,
+                const LearningRates& rates, int step, int sh_degree) {
     Impl& a = *impl_;
     const std::uint32_t first = std::min(a.options.n_fixed, p.n), n_rows = p.n - first;
     RELIDAR_ASSERT_LE(n_rows, a.moment1.n);
@@ -79,13 +79,13 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
         const std::size_t from = std::size_t(first) * stride;
         const bool by_model = group.rate == &LearningRates::mean && !rates.mean_factors.empty();
         run(stream, a.kernel, std::size_t(n_rows) * (a.per_float ? stride : 1u),
-            {.values = (p.*group.device).address(from),
-             .gradients = (g.*group.device).address(from),
-             .moment1 = (a.moment1.*group.device).address(),
-             .moment2 = (a.moment2.*group.device).address(),
-             .touched = touched ? touched->address(first) : Address<std::uint32_t>{},
-             .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first) : Address<float>{},
-             .model_scale = by_model ? impl_of(stream).values(rates.mean_factors) : Address<float>{},
+            {.values = group.device(p).address_as<float, shared::AdamValues>(from),
+             .gradients = group.device(g).address_as<float, shared::AdamGradients>(from),
+             .moment1 = group.device(a.moment1).address_as<float, shared::FirstMoments>(),
+             .moment2 = group.device(a.moment2).address_as<float, shared::SecondMoments>(),
+             .touched = touched ? touched->address(first) : Address<std::uint32_t, shared::TouchedSurfels>{},
+             .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first) : Address<float, shared::ScaleBounds>{},
+             .model_scale = (by_model ? impl_of(stream).values(rates.mean_factors) : Address<float>{}).as<shared::ModelRates>(),
              .models = by_model ? rates.models->address() : Address<shared::ModelEntry>{},
              .learning_rate = static_cast<float>(rates.*group.rate * rest_factor),
              .beta1 = static_cast<float>(a.options.beta1),
@@ -107,7 +107,8 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
 
 struct ArrayAdam::Impl {
     AdamOptions options;
-    Array<float> moment1, moment2;
+    Array<float, shared::FirstMoments> moment1;
+    Array<float, shared::SecondMoments> moment2;
     Kernel<shared::AdamParams> kernel;
 
     Impl(Device& device, std::size_t n, const AdamOptions& o)
@@ -132,8 +133,8 @@ void ArrayAdam::step(Stream& stream, const Array<float>& values, const Array<flo
     RELIDAR_ASSERT_LE(a.moment1.size(), values.size());
     RELIDAR_ASSERT_LE(a.moment1.size(), gradients.size());
     run(stream, a.kernel, a.moment1.size(),
-        {.values = values.address(),
-         .gradients = gradients.address(),
+        {.values = values.address_as<float, shared::AdamValues>(),
+         .gradients = gradients.address_as<float, shared::AdamGradients>(),
          .moment1 = a.moment1.address(),
          .moment2 = a.moment2.address(),
          .touched = {},

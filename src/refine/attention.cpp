@@ -54,7 +54,8 @@ void Attention::multiply(Stream& stream, shared::MatmulParams params, const Grid
 void Attention::run_softmax(Stream& stream, AttentionState& state, const Grid& grid, bool derive) const {
     const auto pixels = std::uint32_t(grid.pixels()), rows = grid.n * heads_ * pixels;
     run(stream, softmax_, std::size_t(tiles(rows, kAttentionThreads / lanes_)) * kAttentionThreads,
-        {.values = state.share.address(), .d_values = derive ? state.d_share.address() : Address<shared::ImageValue>(), .n_rows = rows,
+        {.values = state.share.address().as<shared::SoftmaxValues>(),
+         .d_values = (derive ? state.d_share.address() : Address<shared::ImageValue>()).as<shared::SoftmaxGradients>(), .n_rows = rows,
          .n = pixels});
 }
 

@@ -113,14 +113,14 @@ std::size_t Conv::weights_threads(const shared::ConvWeightsParams& params) const
 
 void Conv::run_conv(Stream& stream, const shared::ConvParams& params) const { run(stream, conv_, conv_threads(params), params); }
 
-void Conv::forward(Stream& stream, const Slice& from, Address<float> weights, Address<float> bias, const Slice& to, bool accumulate) {
+void Conv::forward(Stream& stream, const Slice& from, Weights weights, Bias bias, const Slice& to, bool accumulate) {
     RELIDAR_ASSERT_EQ(from.grid.all_pixels(), to.grid.all_pixels());
     run_conv(stream, {.from = from.view, .to = to.view, .weights = weights, .bias = bias, .n_images = from.grid.n,
                       .rows = from.grid.rows, .columns = from.grid.columns, .n_in = from.channels, .n_out = to.channels,
                       .transposed = 0, .accumulate = accumulate ? 1u : 0u});
 }
 
-void Conv::input_vjp(Stream& stream, const Slice& d_to, Address<float> weights, const Slice& d_from, bool accumulate) {
+void Conv::input_vjp(Stream& stream, const Slice& d_to, Weights weights, const Slice& d_from, bool accumulate) {
     RELIDAR_ASSERT_EQ(d_from.grid.all_pixels(), d_to.grid.all_pixels());
     run_conv(stream, {.from = d_to.view, .to = d_from.view, .weights = weights, .bias = {}, .n_images = d_to.grid.n,
                       .rows = d_to.grid.rows, .columns = d_to.grid.columns, .n_in = d_to.channels, .n_out = d_from.channels,
@@ -132,7 +132,7 @@ std::size_t Conv::partial_floats(const Grid& grid, std::uint32_t n_in, std::uint
     return parts_of(grid, n) * n;
 }
 
-void Conv::weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Address<float> d_weights) {
+void Conv::weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Weights d_weights) {
     RELIDAR_ASSERT_EQ(from.grid.all_pixels(), d_to.grid.all_pixels());
     const std::uint32_t n = from.channels * d_to.channels * taps_, n_parts = parts_of(from.grid, n);
     RELIDAR_ASSERT_LE(std::size_t(n_parts) * n, partial_.size());
@@ -140,7 +140,8 @@ void Conv::weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Add
         .from = from.view, .d_to = d_to.view, .partial = partial_.address(), .n_images = from.grid.n, .rows = from.grid.rows,
         .columns = from.grid.columns, .n_in = from.channels, .n_out = d_to.channels, .n_parts = n_parts};
     run(stream, conv_weights_, weights_threads(params), params);
-    run(stream, sum_parts_, n, {.partial = partial_.address(), .sum = d_weights, .n_parts = n_parts, .n = n, .scale = 1.0f / scale_});
+    run(stream, sum_parts_, n,
+        {.partial = partial_.address(), .sum = d_weights.as<shared::SumOfParts>(), .n_parts = n_parts, .n = n, .scale = 1.0f / scale_});
 }
 
 }  // namespace relidar::refine

@@ -23,6 +23,9 @@ float gradient_scale(std::size_t n);
 /// Kernels of all convolutions of one size, and room for their partial sums.
 class Conv {
 public:
+    using Weights = Address<float, shared::ConvWeights>;
+    using Bias = Address<float, shared::ConvBias>;
+
     /// @param taps  1 (1x1) or 9 (3x3) @throws DeviceError naming what device or build lack
     Conv(Device& device, std::uint32_t taps, Precision precision = Precision::fp32, Storage storage = Storage::fp32);
 
@@ -31,11 +34,11 @@ public:
 
     /// to = bias + weights * from. @param weights [to.channels, from.channels, taps] @param bias [to.channels], or nowhere
     /// @param accumulate adds to what `to` holds
-    void forward(Stream& stream, const Slice& from, Address<float> weights, Address<float> bias, const Slice& to, bool accumulate = false);
+    void forward(Stream& stream, const Slice& from, Weights weights, Bias bias, const Slice& to, bool accumulate = false);
     /// dL/d(from), from dL/d(to). @param accumulate adds to what d_from holds
-    void input_vjp(Stream& stream, const Slice& d_to, Address<float> weights, const Slice& d_from, bool accumulate = false);
+    void input_vjp(Stream& stream, const Slice& d_to, Weights weights, const Slice& d_from, bool accumulate = false);
     /// dL/d(weights) [to.channels, from.channels, taps]. Summed in a fixed order.
-    void weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Address<float> d_weights);
+    void weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Weights d_weights);
     /// Floats that weights_vjp needs for its partial sums.
     std::size_t partial_floats(const Grid& grid, std::uint32_t n_in, std::uint32_t n_out) const;
     void reserve(Device& device, std::size_t floats) { partial_.reserve(device, floats, "partial sums of weights"); }
@@ -50,7 +53,7 @@ private:
     Kernel<shared::ConvParams> conv_;
     Kernel<shared::ConvWeightsParams> conv_weights_;
     Kernel<shared::SumPartsParams> sum_parts_;
-    Array<float> partial_;
+    Array<float, shared::PartSums> partial_;
 
     void run_conv(Stream& stream, const shared::ConvParams& params) const;
     std::size_t conv_threads(const shared::ConvParams& params) const;

@@ -10,11 +10,11 @@
 namespace relidar::refine {
 namespace {
 
-template <class Values>
-Array<float> joined(Device& device, std::span<const DropImage> images, const Values& values, const std::string& what) {
+template <class Joined, class Values>
+Joined joined(Device& device, std::span<const DropImage> images, const Values& values, const std::string& what) {
     std::size_t n = 0;
     for (const DropImage& image : images) n += values(image).size();
-    Array<float> all(device, n, what);
+    Joined all(device, n, what);
     std::size_t first = 0;
     for (const DropImage& image : images) {
         all.upload(std::span<const float>(values(image)), first);
@@ -59,9 +59,9 @@ DropInputs::DropInputs(Device& device, const DropNetwork& network, Storage stora
       scale_shift_(pairs(device, network.normalisation)) {}
 
 void DropInputs::keep(Device& device, std::span<const DropImage> images) {
-    samples_ = joined(
+    samples_ = joined<decltype(samples_)>(
         device, images, [](const DropImage& image) -> const std::vector<float>& { return image.channels; }, "scans to refine");
-    targets_ = joined(
+    targets_ = joined<decltype(targets_)>(
         device, images, [](const DropImage& image) -> const std::vector<float>& { return image.dropped; }, "measured drops");
     known_.clear();
     for (const DropImage& image : images)
@@ -78,11 +78,13 @@ void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, const Tens
     start_.reserve(device, images.grid.all_pixels(), "rendered logits");
     target_.reserve(device, images.grid.all_pixels(), "targets");
     run(stream, kernel_, images.grid.all_pixels(),
-        {.samples = samples_.address(), .targets = has_targets() ? targets_.address() : Address<float>(),
-         .chosen = impl_of(stream).values(samples), .turn = impl_of(stream).values(turns), .scale_shift = scale_shift_.address(),
+        {.samples = samples_.address(), .targets = has_targets() ? targets_.address() : Address<float, shared::SampleTargets>(),
+         .chosen = impl_of(stream).values(samples).as<shared::ChosenSamples>(),
+         .turn = impl_of(stream).values(turns).as<shared::SampleTurns>(), .scale_shift = scale_shift_.address(),
          .images = images.address(), .start = start_.address(),
-         .target = has_targets() ? target_.address() : Address<float>(), .n_images = images.grid.n, .n_channels = n_channels_,
-         .n_fixed = n_fixed_, .logit_channel = logit_channel_, .rows = images.grid.rows, .columns = images.grid.columns});
+         .target = has_targets() ? target_.address() : Address<float, shared::DropTargets>(), .n_images = images.grid.n,
+         .n_channels = n_channels_, .n_fixed = n_fixed_, .logit_channel = logit_channel_, .rows = images.grid.rows,
+         .columns = images.grid.columns});
 }
 
 }  // namespace relidar::refine

@@ -30,15 +30,18 @@ public:
     /// Records the making of a batch. @param images [n, channels, rows, columns] output
     void make(Stream& stream, std::span<const Chosen> chosen, const Tensor& images);
 
-    const Array<float>& start() const { return start_; }     ///< [n, rows, columns] rendered logits of the last batch
-    const Array<float>& target() const { return target_; }   ///< [n, rows, columns]; as DropImage::dropped
+    const Array<float, shared::StartLogits>& start() const { return start_; }     ///< [n, rows, columns] rendered logits of the last batch
+    const Array<float, shared::DropTargets>& target() const { return target_; }   ///< [n, rows, columns]; as DropImage::dropped
     bool has_targets() const { return targets_.size() > 0; }
     std::size_t known(std::uint32_t sample) const { return known_[sample]; }   ///< pixels of an image whose target is known
 
 private:
     std::uint32_t n_channels_, n_fixed_, logit_channel_;
     Kernel<shared::DropInputsParams> kernel_;
-    Array<float> samples_, targets_, start_, target_;
+    Array<float, shared::DropSamples> samples_;
+    Array<float, shared::SampleTargets> targets_;
+    Array<float, shared::StartLogits> start_;
+    Array<float, shared::DropTargets> target_;
     Array<glm::vec2> scale_shift_;
     std::vector<std::size_t> known_;
 };

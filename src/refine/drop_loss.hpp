@@ -15,11 +15,11 @@ struct DropScore {
 
 /// What DropLoss reads and writes, [n]; all but the logits may be nowhere.
 struct DropLossArrays {
-    Address<shared::ImageValue> logit;
-    Address<float> start = {};         ///< added to the logits
-    Address<float> target = {};        ///< 1 dropped, 0 returned, negative: not known
-    Address<shared::ImageValue> d_logit = {};   ///< output
-    Address<float> probability = {};   ///< output
+    Address<shared::ImageValue, shared::DropLogits> logit;
+    Address<float, shared::StartLogits> start = {};                         ///< added to the logits
+    Address<float, shared::DropTargets> target = {};                        ///< 1 dropped, 0 returned, negative: not known
+    Address<shared::ImageValue, shared::DropLogitGradients> d_logit = {};   ///< output
+    Address<float, shared::DropProbabilities> probability = {};             ///< output
 };
 
 class DropLoss {
@@ -35,7 +35,7 @@ public:
 private:
     std::uint32_t lanes_, n_parts_;
     Kernel<shared::DropLossParams> kernel_;
-    Array<float> partial_;
+    Array<float, shared::PartSums> partial_;
 };
 
 }  // namespace relidar::refine

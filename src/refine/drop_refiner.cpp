@@ -49,7 +49,7 @@ struct DropRefiner::Impl {
     refine::Unet unet;
     Stream stream;
     std::optional<refine::DropLoss> loss;
-    Array<float> probability;
+    Array<float, shared::DropProbabilities> probability;
 
     Impl(Device& d, const DropNetwork& n, refine::Precision precision)
         : device(d), network(checked(n)), inputs(d, n), unet(d, n, precision), stream(d, d.info().timestamps) {}
@@ -70,7 +70,7 @@ std::vector<float> DropRefiner::refine(const DropImage& image) {
     const refine::Grid grid{1, std::uint32_t(image.rows), std::uint32_t(image.columns)};
     r.unet.reserve(r.device, grid, false);
     if (r.probability.size() != grid.pixels()) {
-        r.probability = Array<float>(r.device, grid.pixels(), "drop probabilities");
+        r.probability = {r.device, grid.pixels(), "drop probabilities"};
         r.loss.emplace(r.device, grid.pixels());
     }
     r.inputs.keep(r.device, {&image, 1});
@@ -78,8 +78,8 @@ std::vector<float> DropRefiner::refine(const DropImage& image) {
     r.inputs.make(r.stream, {&whole, 1}, r.unet.inputs());
     r.unet.evaluate(r.stream);
     r.loss->run(r.stream, grid.pixels(),
-                {.logit = r.unet.logit().address(),
-                 .start = r.network.residual ? r.inputs.start().address() : Address<float>(),
+                {.logit = r.unet.logit().address().as<shared::DropLogits>(),
+                 .start = r.network.residual ? r.inputs.start().address() : Address<float, shared::StartLogits>(),
                  .probability = r.probability.address()},
                 0);
     r.stream.finish();

@@ -16,8 +16,8 @@ std::vector<float> numbers(std::size_t n) {
     return values;
 }
 
-Array<float> filled(Device& device, std::size_t n, const char* what) {
-    return Array<float>(device, std::span<const float>(numbers(n)), what);
+Array<float, shared::ConvWeights> filled(Device& device, std::size_t n, const char* what) {
+    return {device, std::span<const float>(numbers(n)), what};
 }
 
 refine::Tensor images(Device& device, const ConvolutionSize& size, std::uint32_t channels) {
@@ -31,7 +31,7 @@ refine::Tensor images(Device& device, const ConvolutionSize& size, std::uint32_t
 struct MeasuredConvolution::Impl {
     refine::Conv conv;
     refine::Tensor from, to;
-    Array<float> weights, d_weights;
+    Array<float, shared::ConvWeights> weights, d_weights;
     Stream stream;
 
     Impl(Device& device, const ConvolutionSize& size, const std::string& precision)

@@ -86,22 +86,24 @@ void Norm::vjp(Stream& stream, const Slice& from, const NormState& state, const 
                       .moments = state.moments.address(), .kind = shared::kSums_norm_vjp, .n_images = from.grid.n, .n_pixels = n_pixels,
                       .n_channels = from.channels, .n_parts = n_parts, .dropout_key = state.dropout_key, .dropout = state.dropout});
     run(stream, sum_parts_, 2 * from.channels,
-        {.partial = partial_.address(), .sum = gradient.all.address(gradient.first), .n_parts = n_parts, .n = 2 * from.channels,
-         .scale = 1.0f / scale_});
+        {.partial = partial_.address(), .sum = gradient.all.address_as<float, shared::SumOfParts>(gradient.first), .n_parts = n_parts,
+         .n = 2 * from.channels, .scale = 1.0f / scale_});
     run(stream, norm_vjp_, threads_of(from),
-        {.from = from.view, .d_to = d_to.view, .d_from = d_from.view, .d_beta_gamma = gradient.all.address_as<glm::vec2>(gradient.first),
+        {.from = from.view, .d_to = d_to.view, .d_from = d_from.view,
+         .d_beta_gamma = gradient.all.address_as<glm::vec2, shared::BetaGamma>(gradient.first),
          .scale_shift = state.scale_shift.address(), .moments = state.moments.address(), .n_images = from.grid.n, .n_pixels = n_pixels,
          .n_channels = from.channels, .dropout_key = state.dropout_key, .dropout = state.dropout,
          .accumulate = accumulate ? 1u : 0u, .scale = scale_});
 }
 
-void Norm::bias_vjp(Stream& stream, const Slice& d_to, Address<float> d_bias) {
+void Norm::bias_vjp(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias) {
     const std::uint32_t n_parts = norm_parts(d_to.grid);
     run_sums(stream, {.from = d_to.view, .d_to = d_to.view, .partial = partial_.address(), .scale_shift = {}, .moments = {},
                       .kind = shared::kSums_plain, .n_images = d_to.grid.n, .n_pixels = std::uint32_t(d_to.grid.pixels()),
                       .n_channels = d_to.channels, .n_parts = n_parts, .dropout_key = 0, .dropout = 0.0f});
     run(stream, sum_parts_, d_to.channels,
-        {.partial = partial_.address(), .sum = d_bias, .n_parts = n_parts, .n = d_to.channels, .scale = 1.0f / scale_});
+        {.partial = partial_.address(), .sum = d_bias.as<shared::SumOfParts>(), .n_parts = n_parts, .n = d_to.channels,
+         .scale = 1.0f / scale_});
 }
 
 }  // namespace relidar::refine

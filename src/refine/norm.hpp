@@ -9,8 +9,8 @@ namespace relidar::refine {
 
 /// Parameters of a normalisation.
 struct NormWeights {
-    Address<glm::vec2> beta_gamma;   ///< [channels]
-    Address<glm::vec2> running;      ///< [channels] mean and variance of the batches seen, for evaluation
+    Address<glm::vec2, shared::BetaGamma> beta_gamma;     ///< [channels]
+    Address<glm::vec2, shared::RunningMoments> running;   ///< [channels] mean and variance of the batches seen, for evaluation
 };
 
 /// Where the derivatives by beta and gamma go: [channels, 2] from `first` on.
@@ -21,7 +21,8 @@ struct NormGradient {
 
 /// What a pass of one layer keeps for the way back.
 struct NormState {
-    Array<glm::vec2> moments, scale_shift;   ///< [channels]
+    Array<glm::vec2, shared::NormMoments> moments;       ///< [channels]
+    Array<glm::vec2, shared::ScaleShift> scale_shift;    ///< [channels]
     std::uint32_t dropout_key = 0;
     float dropout = 0.0f;
 
@@ -47,7 +48,7 @@ public:
     void vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to, const Slice& d_from,
              const NormGradient& gradient, bool accumulate = false);
     /// Sum of each channel over all images [channels]: derivative by a bias.
-    void bias_vjp(Stream& stream, const Slice& d_to, Address<float> d_bias);
+    void bias_vjp(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias);
     /// Makes room for images of so many channels and pixels.
     void reserve(Device& device, std::uint32_t channels, const Grid& grid);
 
@@ -59,7 +60,7 @@ private:
     Kernel<shared::NormParams> norm_;
     Kernel<shared::NormVjpParams> norm_vjp_;
     Kernel<shared::SumPartsParams> sum_parts_;
-    Array<float> partial_;
+    Array<float, shared::PartSums> partial_;
 
     void run_sums(Stream& stream, shared::ChannelSumsParams params) const;
     void apply(Stream& stream, const Slice& from, const NormState& state, const Slice& to, bool training) const;

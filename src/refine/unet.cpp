@@ -96,10 +96,11 @@ void Unet::reserve_attention(Device& device) {
 }
 
 void Unet::run_block(Stream& stream, const Block& block, BlockState& state, const Slice& from, const Slice& to, Mode mode) {
-    const NormWeights weights{parameters_.address_as<glm::vec2>(block.beta_gamma), running_.address_as<glm::vec2>(block.running)};
-    if (mode == Mode::train) norm_.forward(stream, from, weights, state.norm, state.active.all());
-    else norm_.evaluate(stream, from, weights, state.norm, state.active.all());
-    conv_of(block.conv).forward(stream, state.active.all(), parameters_.address(block.conv.weights), {}, to);
+    const NormWeights norm_weights{parameters_.address_as<glm::vec2, shared::BetaGamma>(block.beta_gamma),
+                                   running_.address_as<glm::vec2, shared::RunningMoments>(block.running)};
+    if (mode == Mode::train) norm_.forward(stream, from, norm_weights, state.norm, state.active.all());
+    else norm_.evaluate(stream, from, norm_weights, state.norm, state.active.all());
+    conv_of(block.conv).forward(stream, state.active.all(), weights(block.conv.weights), {}, to);
 }
 
 void Unet::attend(Stream& stream, Mode mode) {
@@ -107,12 +108,12 @@ void Unet::attend(Stream& stream, Mode mode) {
     run_block(stream, *plan_.query, query_state_, bottom.all(), qkv_.all(), mode);
     attention_->forward(stream, qkv_.all(), attention_state_, attended_.all());
     stream.copy(bottom.buffer(), mixed_.buffer(), bottom.size_bytes());
-    conv1_.forward(stream, attended_.all(), parameters_.address(plan_.project.weights), parameters_.address(*plan_.project.bias),
+    conv1_.forward(stream, attended_.all(), weights(plan_.project.weights), bias(*plan_.project.bias),
                    mixed_.all(), true);
 }
 
 void Unet::run(Stream& stream, Mode mode) {
-    conv1_.forward(stream, inputs_.all(), parameters_.address(plan_.head.weights), parameters_.address(*plan_.head.bias), skip(0));
+    conv1_.forward(stream, inputs_.all(), weights(plan_.head.weights), bias(*plan_.head.bias), skip(0));
     const std::size_t n_levels = widths_.size() - 1;
     for (std::size_t l = 1; l <= n_levels; ++l) {
         const Slice pooled = levels_[l].pooled.all(), between = levels_[l].down_between.all();
@@ -130,7 +131,7 @@ void Unet::run(Stream& stream, Mode mode) {
         run_block(stream, plan_.up[2 * l], up_states_[2 * l], level.joined.all(), level.up_between.all(), mode);
         run_block(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], level.up_between.all(), level.up.all(), mode);
     }
-    conv1_.forward(stream, levels_[0].up.all(), parameters_.address(plan_.tail.weights), parameters_.address(*plan_.tail.bias),
+    conv1_.forward(stream, levels_[0].up.all(), weights(plan_.tail.weights), bias(*plan_.tail.bias),
                    logit_.all());
 }
 
@@ -147,22 +148,22 @@ void Unet::forward(Stream& stream, std::uint32_t dropout_key, float dropout) {
 void Unet::evaluate(Stream& stream) { run(stream, Mode::evaluate); }
 
 void Unet::conv_vjp(Stream& stream, const ConvLayer& layer, const Slice& from, const Slice& d_to) {
-    conv_of(layer).weights_vjp(stream, from, d_to, gradients_.address(layer.weights));
-    if (layer.bias) norm_.bias_vjp(stream, d_to, gradients_.address(*layer.bias));
+    conv_of(layer).weights_vjp(stream, from, d_to, gradients_.address_as<float, shared::ConvWeights>(layer.weights));
+    if (layer.bias) norm_.bias_vjp(stream, d_to, gradients_.address_as<float, shared::ConvBias>(*layer.bias));
 }
 
 void Unet::block_vjp(Stream& stream, const Block& block, BlockState& state, const Slice& from, const Slice& d_to, const Slice& d_from,
                      bool accumulate) {
     const Slice d_active{{scratch_.address(), block.conv.n_in, 0}, block.conv.n_in, from.grid};
     conv_vjp(stream, block.conv, state.active.all(), d_to);
-    conv_of(block.conv).input_vjp(stream, d_to, parameters_.address(block.conv.weights), d_active);
+    conv_of(block.conv).input_vjp(stream, d_to, weights(block.conv.weights), d_active);
     norm_.vjp(stream, from, state.norm, d_active, d_from, {gradients_, block.beta_gamma}, accumulate);
 }
 
 void Unet::attend_vjp(Stream& stream) {
     const Level& smallest = levels_.back();
     conv_vjp(stream, plan_.project, attended_.all(), d_mixed_.all());
-    conv1_.input_vjp(stream, d_mixed_.all(), parameters_.address(plan_.project.weights), d_attended_.all());
+    conv1_.input_vjp(stream, d_mixed_.all(), weights(plan_.project.weights), d_attended_.all());
     attention_->vjp(stream, qkv_.all(), attention_state_, d_attended_.all(), d_qkv_.all());
     stream.copy(d_mixed_.buffer(), smallest.d_up.buffer(), d_mixed_.size_bytes());
     block_vjp(stream, *plan_.query, query_state_, smallest.up.all(), d_qkv_.all(), smallest.d_up.all(), true);
@@ -174,7 +175,7 @@ void Unet::backward(Stream& stream, float scale) {
     norm_.scale_gradients(scale);
     const std::size_t n_levels = widths_.size() - 1;
     conv_vjp(stream, plan_.tail, levels_[0].up.all(), d_logit_.all());
-    conv1_.input_vjp(stream, d_logit_.all(), parameters_.address(plan_.tail.weights), levels_[0].d_up.all());
+    conv1_.input_vjp(stream, d_logit_.all(), weights(plan_.tail.weights), levels_[0].d_up.all());
     for (std::size_t l = 0; l < plan_.up.size() / 2; ++l) {
         const Level& level = levels_[l];
         const Slice between = level.up_between.all(), d_between = level.d_up_between.all();

@@ -105,6 +105,8 @@ private:
     std::size_t most_active_ = 0;   ///< values behind a norm, of the largest block
     Tensor scratch_;                ///< their gradients
 
+    Conv::Weights weights(std::size_t first) const { return parameters_.address_as<float, shared::ConvWeights>(first); }
+    Conv::Bias bias(std::size_t first) const { return parameters_.address_as<float, shared::ConvBias>(first); }
     Conv& conv_of(const ConvLayer& layer) { return layer.taps == 1 ? conv1_ : conv3_; }
     Slice skip(std::size_t level) const;
     Slice d_skip(std::size_t level) const;

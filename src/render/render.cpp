@@ -39,10 +39,10 @@ float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f 
 
 TraceOptions traced_with(const Config& config) {
     for (const ChannelInfo& channel : wanted_channels(config.render.channels))
-        if (channel.needs_normals && config.image.primitive == Primitive::gaussian)
-            throw UsageError(fmt::format("setting render.channels: found {} with image.primitive=gaussian, which has no normals, "
+        if (channel.needs_normals && !kind_of(config.image.primitive).has_normals)
+            throw UsageError(fmt::format("setting render.channels: found {} with image.primitive={}, which has no normals, "
                                          "expected surfels, or other channels",
-                                         channel.name));
+                                         channel.name, kind_of(config.image.primitive).name));
     return rendering_trace_options(config);
 }
 
@@ -178,7 +178,7 @@ struct ScanRenderer::Impl {
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
     : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_vehicle, first_origin(sequence),
                      shifted_sweeps(sequence), wanted_channels(config.render.channels),
-                     ResidentScene(device, scene, config, {.accel = accel_options(config), .trace = traced_with(config)}),
+                     ResidentScene(device, scene, config, {.accel = {}, .trace = traced_with(config)}),
                      std::vector<bool>(scene.instances.size(), true), device}) {}
 ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {
     if (run.config.refine.enabled && !run.drop_network.empty()) refine_drops(run.drop_network);

@@ -13,10 +13,6 @@ constexpr double kSweep_m = 10.0;   // that a sensor may come along while it swe
 constexpr double kMiB = 1024.0 * 1024.0;
 constexpr std::ptrdiff_t kMostLaunches = 4096;   // of a kernel, as KernelTimes has it: a server loads blocks for as long as it runs
 
-double distance_to(const SceneBlock& block, const glm::vec3& point_m) {
-    return double(glm::distance(point_m, glm::clamp(point_m, block.low_m, block.high_m)));
-}
-
 void add_times(KernelTimes& sum, const KernelTimes& times) {
     for (const auto& [kernel, milliseconds] : times.milliseconds) {
         std::vector<double>& all = sum.milliseconds[kernel];
@@ -70,7 +66,7 @@ void ResidentScene::bring(const glm::vec3& sensor_m, double reach_m) {
     ++scans_;
     std::vector<std::size_t> needed;
     for (std::size_t i = 0; i < scene_.blocks.size(); ++i) {
-        if (scene_.blocks[i].count == 0 || distance_to(scene_.blocks[i], sensor_m) > reach_m + kSweep_m) continue;
+        if (scene_.blocks[i].count == 0 || scene_.blocks[i].distance_m(sensor_m) > reach_m + kSweep_m) continue;
         needed.push_back(i);
         last_needed_[i] = scans_;
     }

@@ -157,7 +157,7 @@ void read_layout_json(const std::string& text, const std::string& where, Scene& 
 void save_model(const std::filesystem::path& path, const Scene& scene) {
     scene.surfels.check_shapes();
     std::vector<NamedArray> arrays;
-    for (const ParameterGroup& group : groups_of(scene.surfels.primitive())) {
+    for (const ParameterGroup& group : groups_of(scene.surfels.primitive)) {
         check_finite(group, scene.surfels, path.string());
         const std::span<const float> values = group.values(scene.surfels);
         arrays.push_back(make_array(group.name, group.shape(scene.surfels.size()), values.data(), values.size()));
@@ -167,7 +167,8 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
         arrays.push_back(make_array(kSensorDrop, {std::size_t(drop.channels), std::size_t(drop.bins)}, drop.probability.data(),
                                     drop.probability.size()));
     std::map<std::string, std::string> metadata{
-        {"format", kModelFormat}, {"version", kModelVersion}, {"relidar", RELIDAR_VERSION}, {"layout", layout_to_json(scene)}};
+        {"format", kModelFormat}, {"version", kModelVersion}, {"relidar", RELIDAR_VERSION},
+        {kPrimitiveKey, kind_of(scene.surfels.primitive).name}, {"layout", layout_to_json(scene)}};
     if (!scene.blocks.empty()) metadata[kBlocks] = blocks_to_json(scene, path.parent_path());
     write_safetensors(path, arrays, metadata);
 }
@@ -181,7 +182,8 @@ Scene load_model(const std::filesystem::path& path) {
     const NamedArray& mean = array_of(arrays, "mean", file);
     if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
         throw DataError(fmt::format("{}: array mean: found shape [{}], expected [n, 3]", file, fmt::join(mean.shape, ", ")));
-    const Primitive primitive = primitive_of([&](const char* name) { return find_array(arrays, name) != nullptr; });
+    const Primitive primitive =
+        stored_primitive(metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
     for (const ParameterGroup& group : groups_of(primitive)) {   // row counts first: nothing is allocated for a file that lies
         const NamedArray& array = array_of(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])

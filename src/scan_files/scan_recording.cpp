@@ -2,32 +2,20 @@
 #include "scan_recording.hpp"
 
 #include <algorithm>
-#include <atomic>
 #include <map>
 #include <system_error>
 #include <utility>
-
-#include <unistd.h>
 
 #include <fmt/format.h>
 
 #include <relidar/export.hpp>
 
 namespace relidar::scan_files {
-namespace {
 
 namespace fs = std::filesystem;
 
-/// As write_atomically() names its own, so that remove_temporaries() finds what a killed process leaves.
-fs::path temporary_name(const fs::path& path) {
-    static std::atomic<unsigned> count{0};
-    return path.parent_path() / fmt::format(".{}.tmp-{}-{}", path.filename().string(), ::getpid(), count++);
-}
-
-}  // namespace
-
 ScanRecording::ScanRecording(fs::path path, const RecordingFormat& format, const RecordedRig& rig, const FileNotes& notes)
-    : path_(std::move(path)), temporary_(temporary_name(path_)), notes_(notes), writer_(temporary_, format.profile) {
+    : path_(std::move(path)), temporary_(temporary_path(path_)), notes_(notes), writer_(temporary_, format.profile) {
     std::map<std::string, std::uint16_t> schemas;
     for (RecordedTopic& topic : format.topics(rig)) {
         if (!schemas.contains(topic.type))

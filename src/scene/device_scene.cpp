@@ -21,11 +21,9 @@ namespace {
 
 void check_primitive(Primitive found, const ImageModel& model) {
     if (found == model.primitive) return;
-    const bool is_gaussian = found == Primitive::gaussian;
-    throw UsageError(
-        fmt::format("image.primitive={}: the scene is made of {}, expected {}: a scene keeps the primitive it was trained with",
-                    is_gaussian ? "surfel" : "gaussian", is_gaussian ? "3D Gaussians" : "surfels",
-                    is_gaussian ? "image.primitive=gaussian" : "image.primitive=surfel"));
+    throw UsageError(fmt::format(
+        "image.primitive={}: the scene is made of {}, expected image.primitive={}: a scene keeps the primitive it was trained with",
+        kind_of(model.primitive).name, kind_of(found).label, kind_of(found).name));
 }
 
 void check_layout(const Scene& scene) {
@@ -103,7 +101,7 @@ struct DeviceScene::Impl {
     Scene layout;
     Placements placements;
     Array<shared::ModelEntry> models;
-    Array<std::uint32_t> more_rows;
+    Array<std::uint32_t, shared::FurtherRows> more_rows;
     SurfelArrays parameters;
     Array<shared::SurfelRecord> records;
     Array<shared::InstanceEntry> instances;
@@ -117,7 +115,7 @@ struct DeviceScene::Impl {
           placements(scene, static_cast<std::uint32_t>(scene.surfels.size())),
           models(device, model_table(scene, placements), "model table"),
           more_rows(device, placements.more, "rows of further placements"),
-          parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel", scene.surfels.primitive()),
+          parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel", scene.surfels.primitive),
           records(device, scene.surfels.size(), "surfel records"),
           instances(device, scene.instances.size(), "instance table"),
           activate(device, "scene/activate", activation_constants(stage_harmonics)),

@@ -9,10 +9,10 @@
 #include <unordered_map>
 
 #include <fmt/format.h>
-#include <nanoflann.hpp>
 
 #include <relidar/error.hpp>
 
+#include "core/nearest_place.hpp"
 #include "core/parallel.hpp"
 #include "core/random.hpp"
 #include "scene/point_surfels.hpp"
@@ -46,60 +46,33 @@ struct CellHash {
     }
 };
 
-/// Whether a point lies in a box, or where the box would be beside its labels.
-bool is_in(const BoxTrack& box, const WorldReturn& w, const InitialiseOptions& options) {
-    if (box.present(w.time_s)) return box.holds(w.point_m, w.time_s, options.actor_margin_m);
-    const std::optional<Pose> pose = box.pose_near(w.time_s, options.mask_beyond_labels_s);
-    return pose && glm::all(glm::lessThanEqual(glm::abs(inverse(*pose) * w.point_m), 0.5 * box.size_m + options.actor_margin_m));
-}
-
 /// Points of one frame in the world, each from where the sensor was when it fired.
 std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& separate,
                                   const InitialiseOptions& options) {
     std::vector<Sample> samples;
-    for_each_return(sequence, frame, options.further_returns, [&](const WorldReturn& w) {
-        if (std::any_of(separate.begin(), separate.end(), [&](const BoxTrack& box) { return is_in(box, w, options); })) return;
+    for_each_return(sequence, frame, options.second_returns, [&](const WorldReturn& w) {
+        const auto is_in = [&](const BoxTrack& box) { return box.present(w.time_s) && box.holds(w.point_m, w.time_s, kMoverMargin_m); };
+        if (std::ranges::any_of(separate, is_in)) return;
         samples.push_back({glm::vec3(w.point_m), w.intensity, glm::vec3(w.direction)});
     });
     return samples;
 }
 
-/// Where the sensor was, to ask for the nearest place.
-class SensorPlaces {
-public:
-    SensorPlaces(const Sequence& sequence, const std::vector<int>& positions) {
-        for (const int position : positions) {
-            const Frame& frame = sequence.frames[std::size_t(position)];
-            places_.m.push_back(
-                glm::vec3(sequence.world_from_vehicle.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation));
-        }
-        tree_.emplace(3, places_, nanoflann::KDTreeSingleIndexAdaptorParams(8));
+/// Where the sensors were at some frames. @return [positions] world
+std::vector<glm::vec3> sensor_places(const Sequence& sequence, const std::vector<int>& positions) {
+    std::vector<glm::vec3> places;
+    for (const int position : positions) {
+        const Frame& frame = sequence.frames[std::size_t(position)];
+        places.emplace_back(sequence.world_from_vehicle.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation);
     }
-    float nearest2(const glm::vec3& p) const {
-        std::size_t place = 0;
-        float distance2 = 1e30f;
-        tree_->knnSearch(&p.x, 1, &place, &distance2);
-        return distance2;
-    }
-
-private:
-    struct Places {
-        std::vector<glm::vec3> m;
-        std::size_t kdtree_get_point_count() const { return m.size(); }
-        float kdtree_get_pt(std::size_t i, std::size_t axis) const { return m[i][static_cast<int>(axis)]; }
-        template <class Box>
-        bool kdtree_get_bbox(Box&) const { return false; }
-    };
-    Places places_;
-    // of places_
-    std::optional<nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Places>, Places, 3, std::size_t>> tree_;
-};
+    return places;
+}
 
 /// Voxel edge at a point: voxel_m, doubled where the point is far from every sensor position (voxel_growth > 0).
-Cell cell_of(const glm::vec3& p, const SensorPlaces& sensors, const InitialiseOptions& options) {
+Cell cell_of(const glm::vec3& p, const NearestPlace<float>& sensors, const InitialiseOptions& options) {
     int level = 0;
     if (options.voxel_growth > 0.0) {
-        const float nearest2 = sensors.nearest2(p);
+        const float nearest2 = sensors.squared_distance(p);
         const double edge = std::max(options.voxel_m, options.voxel_growth * std::sqrt(double(nearest2)));
         level = std::max(0, static_cast<int>(std::floor(std::log2(edge / options.voxel_m) + 0.5)));
     }
@@ -114,7 +87,7 @@ struct Placed {
 };
 
 std::vector<Placed> placed_samples(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& separate,
-                                   const SensorPlaces& sensors, const InitialiseOptions& options) {
+                                   const NearestPlace<float>& sensors, const InitialiseOptions& options) {
     std::vector<Placed> placed;
     for (const Sample& s : frame_samples(sequence, frame, separate, options)) placed.push_back({s, cell_of(s.position, sensors, options)});
     return placed;
@@ -125,7 +98,7 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
                                 const Progress& progress) {
     constexpr std::size_t kFrames = 16;
     const std::vector<BoxTrack> separate = separate_boxes(sequence, options);
-    const SensorPlaces sensors(sequence, train);
+    const NearestPlace<float> sensors(sensor_places(sequence, train));
     std::unordered_map<Cell, std::size_t, CellHash> index;
     std::vector<Voxel> voxels;
     for (std::size_t begin = 0; begin < train.size(); begin += kFrames) {
@@ -175,7 +148,7 @@ std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Seq
 Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
                               const Progress& progress) {
     std::vector<Sample> samples = voxel_means(sequence, train_positions, options, progress);
-    if (options.remove_unlabelled_movers) samples = without_movers(samples, sequence, train_positions, progress);
+    if (options.unlabelled_movers != UnlabelledMovers::background) samples = without_movers(samples, sequence, train_positions, progress);
     if (samples.empty())
         throw DataError(fmt::format(
             "initialising the background of {}: found no return outside moving boxes in {} training frames, expected at least one",

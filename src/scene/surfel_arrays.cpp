@@ -6,6 +6,7 @@
 #include <limits>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <relidar/error.hpp>
 
@@ -21,16 +22,28 @@ std::vector<std::size_t> ParameterGroup::shape(std::size_t n) const {
     return {n};
 }
 
+Primitive stored_primitive(const std::map<std::string, std::string>& texts, const std::string& key,
+                           const std::function<bool(const char*)>& has_array) {
+    std::vector<std::string> names;
+    for (const PrimitiveKind& kind : kPrimitives) names.emplace_back(kind.name);
+    const auto text = texts.find(key);
+    const bool third_scale = has_array(kParameterGroups.back().name);
+    for (const PrimitiveKind& kind : kPrimitives)
+        if (text == texts.end() ? kind.third_scale == third_scale : kind.name == text->second) return kind.primitive;
+    throw DataError(fmt::format("{}: found \"{}\", expected one of {}", key, text->second.substr(0, 40), fmt::join(names, ", ")));
+}
+
 SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& what, Primitive kind) : n(count), primitive(kind) {
     for (const ParameterGroup& group : groups_of(kind))
-        this->*group.device = Array<float>(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
+        group.mutable_device(*this) = Array<float>(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
 }
 
 void SurfelArrays::upload(const Surfels& s) {
     s.check_shapes();
-    if (s.size() > 0 && s.primitive() != primitive)
-        throw DataError("uploading surfels: found another primitive than the arrays are for, expected the same");
-    for (const ParameterGroup& group : groups_of(primitive)) (this->*group.device).upload(group.values(s));
+    if (s.size() > 0 && s.primitive != primitive)
+        throw DataError(fmt::format("uploading surfels: found {}, expected {} as in the arrays", kind_of(s.primitive).label,
+                                    kind_of(primitive).label));
+    for (const ParameterGroup& group : groups_of(primitive)) group.mutable_device(*this).upload(group.values(s));
 }
 
 Surfels SurfelArrays::download() const {
@@ -38,24 +51,24 @@ Surfels SurfelArrays::download() const {
     s.resize(n, primitive);
     for (const ParameterGroup& group : groups_of(primitive)) {
         const std::span<float> values = group.mutable_values(s);
-        if (n > 0) (this->*group.device).buffer().download(values.data(), values.size_bytes());
+        if (n > 0) group.device(*this).buffer().download(values.data(), values.size_bytes());
     }
     return s;
 }
 
 std::uint32_t SurfelArrays::capacity() const {
     std::size_t least = std::numeric_limits<std::uint32_t>::max();
-    for (const ParameterGroup& group : groups_of(primitive)) least = std::min(least, (this->*group.device).size() / group.floats());
+    for (const ParameterGroup& group : groups_of(primitive)) least = std::min(least, group.device(*this).size() / group.floats());
     return static_cast<std::uint32_t>(least);
 }
 
 void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::string& what) {
     for (const ParameterGroup& group : groups_of(primitive))
-        (this->*group.device).reserve(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
+        group.mutable_device(*this).reserve(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
 }
 
 void SurfelArrays::fill_zero(Stream& stream) {
-    for (const ParameterGroup& group : groups_of(primitive)) stream.fill(this->*group.device);
+    for (const ParameterGroup& group : groups_of(primitive)) stream.fill(group.device(*this));
 }
 
 shared::SurfelPointers pointers_of(const SurfelArrays& a) {

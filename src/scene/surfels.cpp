@@ -13,26 +13,39 @@
 
 namespace relidar {
 
-void Surfels::resize(std::size_t n, Primitive primitive) {
+namespace {
+
+constexpr bool are_in_order() {
+    for (std::size_t i = 0; i < kPrimitives.size(); ++i)
+        if (kPrimitives[i].primitive != static_cast<Primitive>(i)) return false;
+    return true;
+}
+static_assert(are_in_order(), "the numbers of primitives count up from 0");
+
+}  // namespace
+
+void Surfels::resize(std::size_t n, Primitive of) {
+    primitive = of;
     const std::span<const ParameterGroup> groups = groups_of(primitive);
     for (const ParameterGroup& group : groups) group.resize(*this, n * group.floats());
     for (const ParameterGroup& group : std::span(kParameterGroups).subspan(groups.size())) group.resize(*this, 0);  // not of this primitive
 }
 
 void Surfels::check_shapes() const {
-    for (const ParameterGroup& group : groups_of(primitive())) {
-        const std::size_t found = group.values(*this).size(), expected = size() * group.floats();
+    for (const ParameterGroup& group : kParameterGroups) {
+        const bool is_there = !group.third_scale || kind_of(primitive).third_scale;
+        const std::size_t found = group.values(*this).size(), expected = is_there ? size() * group.floats() : 0;
         if (found != expected)
-            throw DataError(fmt::format("reading surfels: {} has {} values, expected {}: {} for each of the {} means", group.name, found,
-                                        expected, group.floats(), size()));
+            throw DataError(fmt::format("reading {}: {} has {} values, expected {}: {} for each of the {} means", kind_of(primitive).label,
+                                        group.name, found, expected, is_there ? group.floats() : 0, size()));
     }
 }
 
 void Surfels::append(const Surfels& other) {
-    if (size() > 0 && other.size() > 0 && primitive() != other.primitive())
-        throw DataError(
-            fmt::format("joining {} surfels and {}: found 3D Gaussians beside surfels, expected one primitive (image.primitive)", size(),
-                        other.size()));
+    if (size() > 0 && other.size() > 0 && primitive != other.primitive)
+        throw DataError(fmt::format("joining {} surfels and {}: found {} beside {}, expected one primitive (image.primitive)", size(),
+                                    other.size(), kind_of(primitive).label, kind_of(other.primitive).label));
+    if (other.size() > 0) primitive = other.primitive;
     for (const ParameterGroup& group : kParameterGroups) {
         const std::size_t before = group.values(*this).size();
         const std::span<const float> more = group.values(other);
@@ -43,8 +56,8 @@ void Surfels::append(const Surfels& other) {
 
 Surfels Surfels::permuted(const std::vector<std::uint32_t>& order) const {
     Surfels result;
-    result.resize(order.size(), primitive());
-    for (const ParameterGroup& group : groups_of(primitive())) {
+    result.resize(order.size(), primitive);
+    for (const ParameterGroup& group : groups_of(primitive)) {
         const std::span<const float> from = group.values(*this);
         const std::span<float> to = group.mutable_values(result);
         const std::size_t n = group.floats();
@@ -59,8 +72,10 @@ Surfels Surfels::slice(std::size_t first, std::size_t count) const {
     return permuted(order);
 }
 
-void make_gaussians(Surfels& surfels, double thickness) {
+void make_primitive(Surfels& surfels, Primitive primitive, double thickness) {
+    surfels.primitive = primitive;
     surfels.log_scale_w.clear();
+    if (!kind_of(primitive).third_scale) return;
     for (const glm::vec2& s : surfels.log_scale)
         surfels.log_scale_w.push_back(0.5f * (s.x + s.y) + static_cast<float>(std::log(thickness)));
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What each frame says about a point: seen (a return lies there), seen through (the returns above and below it lie well behind it), or
-// nothing. Points that frames see through belong to something that moved without a label (docs/method.md section 6: better).
+// nothing. Points that frames see through belong to something that moved without a label (docs/method.md section 6).
 #pragma once
 
 #include <cstdint>

@@ -10,7 +10,7 @@
 #include <relidar/run.hpp>
 
 #include "core/parallel.hpp"
-#include "train/placed_box.hpp"
+#include "train/poses/placed_box.hpp"
 #include "train/train_loop.hpp"
 
 namespace relidar {
@@ -49,8 +49,7 @@ struct SightedFrame {
     std::vector<Sight> sights;
 
     bool reaches(const SceneBlock& block) const {
-        const glm::dvec3 nearest = glm::clamp(sensor_m, glm::dvec3(block.low_m), glm::dvec3(block.high_m));
-        return block.count > 0 && glm::distance(nearest, sensor_m) <= reach_m + kAlong_m;
+        return block.count > 0 && block.distance_m(sensor_m) <= reach_m + kAlong_m;
     }
 };
 
@@ -75,9 +74,8 @@ SightedFrame sighted(const Run& run, int position, const std::vector<PoseTrack>&
     SightedFrame result{position, world_from_sensor.at(frame.time_s).translation, 0.0, {}};
     for (const float range_m : frame.scan.range_m) result.reach_m = std::max(result.reach_m, double(range_m));
     for (std::size_t i = 0; i < placed.size(); ++i) {
-        const auto box = std::find_if(run.sequence.boxes.begin(), run.sequence.boxes.end(),
-                                      [&](const BoxTrack& b) { return b.id == run.scene.instances[i].track; });
-        if (box == run.sequence.boxes.end() || !placed[i].present) continue;
+        const BoxTrack* box = find_box(run.sequence, run.scene.instances[i].track);
+        if (!box || !placed[i].present) continue;
         const Sight sight{world_from_sensor.at(placed[i].time_s).translation, {inverse(placed[i].world_from_model), 0.5 * box->size_m}};
         if (glm::distance(sight.sensor_m, placed[i].world_from_model.translation) < result.reach_m + 0.5 * glm::length(box->size_m))
             result.sights.push_back(sight);
@@ -176,7 +174,7 @@ StretchScene scene_of(const Run& run, const Stretch& stretch) {
 }
 
 /// The schedule of training once more, on all rays there are, without what changes poses or the number of surfels.
-Config settings_of(const Config& config, double extent_m, std::size_t n_frames) {
+Config settings_of(const Config& config, std::size_t n_frames) {
     Config c = config;
     TrainConfig& t = c.train;
     t.iterations = static_cast<int>(std::min<std::size_t>(std::size_t(config.blocks.actor_epochs) * n_frames, 1'000'000'000));
@@ -185,9 +183,7 @@ Config settings_of(const Config& config, double extent_m, std::size_t n_frames) 
     t.sensor_drop = false;   // such rays are left out before
     t.refine_poses = "none";
     t.sh_degree_start = c.image.sh_degree;
-    if (!(t.extent_m > 0.0)) t.extent_m = extent_m;
     c.densify.strategy = DensifyStrategy::none;
-    c.densify.prune_unseen = false;
     c.loss.intensity_ssim = c.loss.normal = 0.0f;   // compare neighbours in an image
     return c;
 }
@@ -208,8 +204,8 @@ bool train_actors(Device& device, Run& run, const ActorSession& session) {
         Split split;
         for (std::size_t i = 0; i < log.frames.size(); ++i) split.train.push_back(static_cast<int>(i));
         const auto [scene, extent_m] = scene_of(run, stretch);
-        const Config config = settings_of(run.config, extent_m, log.frames.size());
-        TrainLoop loop(device, log, split, scene, config, scene.models.front().count);
+        const Config config = settings_of(run.config, log.frames.size());
+        TrainLoop loop(device, log, split, scene, config, scene.models.front().count, extent_m);
         for (int step = 1; step <= config.train.iterations; ++step) {
             loop.iterate(step);
             if (session.step) session.step(static_cast<int>(done) + step, run.config.blocks.actor_epochs * static_cast<int>(n_frames));

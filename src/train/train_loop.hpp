@@ -15,12 +15,11 @@
 #include <relidar/train.hpp>
 
 #include "core/random.hpp"
-#include "train/batch.hpp"
-#include "train/footprints.hpp"
+#include "train/frames/batch.hpp"
 #include "train/iteration_reports.hpp"
-#include "train/pose_refiner.hpp"
-#include "train/sensor_drop.hpp"
-#include "train/training_frames.hpp"
+#include "train/poses/pose_refiner.hpp"
+#include "train/drops/sensor_drop.hpp"
+#include "train/frames/training_frames.hpp"
 
 namespace relidar {
 
@@ -50,9 +49,10 @@ private:
 
 class TrainLoop {
 public:
-    /// @param n_fixed  the first so many surfels stay as they are
+    /// @param n_fixed   the first so many surfels stay as they are
+    /// @param extent_m  of the background, metres; nothing: the initial scene's
     TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial, const Config& config,
-              std::uint32_t n_fixed = 0);
+              std::uint32_t n_fixed = 0, std::optional<double> extent_m = std::nullopt);
     ~TrainLoop();
     TrainLoop(const TrainLoop&) = delete;
     TrainLoop& operator=(const TrainLoop&) = delete;
@@ -72,12 +72,10 @@ public:
     void save(Checkpoint& checkpoint);
     /// Takes it back. The loop must have been made for the checkpoint's scene and log. @throws DataError for what does not fit
     void restore(const Checkpoint& checkpoint);
-    /// Removes surfels that get no gradient from any ray of any training frame (densify.prune_unseen). Blocks.
-    void prune_unseen();
     /// Sensor-level ray-drop, from rays for which the scene as it is now expects a return. Blocks.
     DropTable estimate_sensor_drop(const Sequence& sequence);
     /// Poses as they are now, where they are refined.
-    std::optional<RefinedPoses> refined_poses() const { return refiner_ ? std::optional(refiner_->poses()) : std::nullopt; }
+    std::optional<RefinedPoses> refined_poses() const { return refiner_.is_active() ? std::optional(refiner_.poses()) : std::nullopt; }
     /// The scene as it is now. Blocks.
     Scene download() { return renderer_.download(); }
     const KernelTimes& times() { return renderer_.stream().times(); }
@@ -90,13 +88,12 @@ private:
     const std::uint32_t n_fixed_;
     TrainingFrames frames_;
     BatchSampler batches_;
-    std::optional<PoseRefiner> refiner_;   ///< where the config wants one
+    PoseRefiner refiner_;
     DifferentiableRenderer renderer_;
     Stream& stream_;                       ///< the renderer's
-    std::optional<Footprints> footprints_;   ///< where the config wants beams as several rays
     std::vector<std::unique_ptr<Loss>> losses_;
     Adam adam_;
-    std::optional<Densifier> densifier_;   ///< where the config wants one
+    Densifier densifier_;
     DensifyReport densified_;              ///< since the last log line
     IterationReports reports_;
     double extent_m_;
@@ -115,10 +112,10 @@ private:
         visit("extent_m", extent_m_);
         reports_.visit_state(visit);
         sampler_.visit_state(visit);
-        if (refiner_) refiner_->visit_state(visit);
-        if (!densifier_) return;
-        visit("densify/extents_m", densifier_->extents_m());
-        SurfelStatistics& s = densifier_->statistics();
+        refiner_.visit_state(visit);
+        if (!densifier_.is_active()) return;
+        visit("densify/extents_m", densifier_.extents_m());
+        SurfelStatistics& s = densifier_.statistics();
         visit("densify/gradient_sum", FirstOf<float>{s.gradient_sum, renderer_.scene().size()});
         visit("densify/n_seen", FirstOf<std::uint32_t>{s.n_seen, renderer_.scene().size()});
         visit("densify/frames", FirstOf<std::uint32_t>{s.frames, std::size_t(renderer_.scene().size()) * s.n_words});
@@ -129,8 +126,6 @@ private:
     const FrameData& place(std::size_t frame_index, int step);
     /// Records the image of a batch, its losses, and the gradients of those.
     void learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
-    /// The same with each ray as the beam that it is.
-    void learn_from_beams(const RayBatch& beams, double divergence_rad, const TargetBatch& targets, const TermRow& terms);
     /// Looks at the reports of the iterations up to `last`.
     void look_at_reports(int last);
     void close_report(int step, bool ends_line);

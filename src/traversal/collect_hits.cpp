@@ -33,10 +33,11 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
                                                    trace_constants(device, accel.proxy(), placed.trace, placed.model));
     const std::size_t n = rays.size();
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
-    const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
-    const Array<std::uint32_t> counts(device, n, "hit counts"), instance(device, n * max_hits, "hit instances"),
-        surfel(device, n * max_hits, "hit surfels");
-    const Array<float> t(device, n * max_hits, "hit distances");
+    const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
+    const Array<std::uint32_t, shared::HitCounts> counts(device, n, "hit counts");
+    const Array<std::uint32_t, shared::HitInstances> instance(device, n * max_hits, "hit instances");
+    const Array<std::uint32_t, shared::HitSurfels> surfel(device, n * max_hits, "hit surfels");
+    const Array<float, shared::HitDistances> t(device, n * max_hits, "hit distances");
     on_device.activate(stream, placed.model, glm::vec3(0.0f));
     accel.update(stream, on_device);
     run(stream, kernel, n,

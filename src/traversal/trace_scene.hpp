@@ -36,7 +36,6 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddre
             .alpha_max = model.alpha_max,
             .transmittance_min = model.transmittance_min,
             .likelihood_scale_m = 1.0f,
-            .likelihood_scale_share = 0.0f,
             .n_instances = static_cast<std::uint32_t>(scene.instances().size()),
             .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
             .n_rays = 0,
@@ -46,7 +45,7 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddre
 }
 
 inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model,
-                                      const TraceOptions& options, Address<std::uint32_t> pass_cap_count) {
+                                      const TraceOptions& options, Address<std::uint32_t, shared::PassCapCount> pass_cap_count) {
     shared::TraceScene traced = trace_scene(scene, accel.addresses(), model);
     traced.rays = batch.rays->address();
     traced.pass_cap_count = pass_cap_count;
@@ -57,7 +56,6 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& acc
     if (options.likelihood) {
         traced.targets = address_of(batch.targets);
         traced.likelihood_scale_m = options.likelihood->scale_m;
-        traced.likelihood_scale_share = options.likelihood->scale_share;
     }
     return traced;
 }
@@ -81,7 +79,7 @@ inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, 
             {ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
             {ConstantId::TOGETHER, walks_together(device, options) ? 1u : 0u},
             {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
-            {ConstantId::GAUSSIANS, model.primitive == Primitive::gaussian ? 1u : 0u},
+            {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
             {ConstantId::GEOMETRY, options.geometry ? 1u : 0u},
             {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
             {ConstantId::MODE, options.mode_gap_m ? 1u : 0u}};

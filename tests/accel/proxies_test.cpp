@@ -32,6 +32,7 @@ Surfels one_gaussian(float opacity) {
     s.rotation[0] = {1.0f, 0.0f, 0.0f, 0.0f};
     s.log_scale[0] = {std::log(2.0f), std::log(0.25f)};
     s.log_scale_w = {std::log(0.5f)};
+    s.primitive = Primitive::gaussian;
     return s;
 }
 

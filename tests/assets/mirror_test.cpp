@@ -20,7 +20,7 @@ glm::dmat3 covariance(const Surfels& surfels, std::size_t i) {
     const glm::vec4 q = surfels.rotation[i];
     const glm::dmat3 axes = glm::mat3_cast(glm::normalize(glm::dquat(q[0], q[1], q[2], q[3])));
     glm::dvec3 sigma(std::exp(surfels.log_scale[i].x), std::exp(surfels.log_scale[i].y), 0.0);
-    if (!surfels.log_scale_w.empty()) sigma.z = std::exp(surfels.log_scale_w[i]);
+    if (kind_of(surfels.primitive).third_scale) sigma.z = std::exp(surfels.log_scale_w[i]);
     const glm::dmat3 scaled(sigma.x * axes[0], sigma.y * axes[1], sigma.z * axes[2]);
     return scaled * glm::transpose(scaled);
 }
@@ -34,7 +34,7 @@ double difference(const glm::dmat3& a, const glm::dmat3& b) {
 
 TEST(Mirror, CovarianceIsMirrored) {
     Surfels discs = anywhere(50), ellipsoids = discs;
-    make_gaussians(ellipsoids, 0.3);
+    make_primitive(ellipsoids, Primitive::gaussian, 0.3);
     for (const Surfels* surfels : {&discs, &ellipsoids}) {
         const Surfels other = mirrored_left_right(*surfels);
         for (std::size_t i = 0; i < surfels->size(); ++i) {

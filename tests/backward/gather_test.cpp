@@ -16,8 +16,10 @@ using test::Passes;
 
 std::vector<float> all_gradients(const Gradients& g) {
     std::vector<float> all;
-    for (const Array<float>* array : {&g.records, &g.surfels.mean, &g.surfels.rotation, &g.surfels.log_scale, &g.surfels.opacity_logit,
-                                      &g.surfels.log_scale_w, &g.surfels.sh, &g.rays, &g.poses, &g.sensor})
+    const std::initializer_list<const Array<float>*> arrays{&g.records, &g.surfels.mean, &g.surfels.rotation, &g.surfels.log_scale,
+                                                            &g.surfels.opacity_logit, &g.surfels.log_scale_w, &g.surfels.sh, &g.rays,
+                                                            &g.poses, &g.sensor};
+    for (const Array<float>* array : arrays)
         for (const float x : array->download()) all.push_back(x);
     return all;
 }

@@ -82,7 +82,7 @@ TEST_F(DeviceState, SurfelsAndArraysComeBack) {
 TEST_F(DeviceState, GaussiansComeBackAndNothingElseInTheirPlace) {
     constexpr std::uint32_t n = 5;
     Surfels gaussians = example_surfels(n);
-    make_gaussians(gaussians, 0.3);
+    make_primitive(gaussians, Primitive::gaussian, 0.3);
     SurfelArrays arrays(device(), n, "state", Primitive::gaussian), back(device(), n, "state read back", Primitive::gaussian),
         of_surfels(device(), n, "surfels");
     arrays.upload(gaussians);
@@ -93,9 +93,16 @@ TEST_F(DeviceState, GaussiansComeBackAndNothingElseInTheirPlace) {
     EXPECT_EQ(back.download().log_scale_w, gaussians.log_scale_w);
     EXPECT_EQ(read.surfels("parameters").log_scale_w, gaussians.log_scale_w);
     data_error([&] { read("parameters", of_surfels); });
+    EXPECT_EQ(checkpoint.text("parameters/primitive"), "gaussian");
+    checkpoint.texts.clear();   // as the first checkpoints were
+    EXPECT_EQ(read.surfels("parameters").primitive, Primitive::gaussian);
     checkpoint.arrays.pop_back();
-    EXPECT_EQ(read.surfels("parameters").primitive(), Primitive::surfel);
+    EXPECT_EQ(read.surfels("parameters").primitive, Primitive::surfel);
     data_error([&] { read("parameters", back); });
+    checkpoint.texts["parameters/primitive"] = "gaussian";
+    EXPECT_NE(data_error([&] { read.surfels("parameters"); }).find("array parameters/log_scale_w: missing"), std::string::npos);
+    checkpoint.texts["parameters/primitive"] = "cube";
+    EXPECT_NE(data_error([&] { read.surfels("parameters"); }).find("found \"cube\", expected one of surfel, gaussian"), std::string::npos);
 }
 
 }  // namespace

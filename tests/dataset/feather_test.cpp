@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Feather files: what the tests' writer was given comes back, and so do the values of files that pyarrow wrote (../shared/data/fixtures,
 // skipped where RELIDAR_SHARED does not hold them). Damage of any byte is an error or changes values, never a crash.
-#include "dataset/feather.hpp"
+#include "dataset/argoverse2/feather.hpp"
 
 #include <cmath>
 #include <cstdlib>

@@ -11,7 +11,7 @@
 
 #include <relidar/error.hpp>
 #include "dataset/kitti_drive.hpp"
-#include "dataset/tfrecord.hpp"
+#include "dataset/waymo/tfrecord.hpp"
 #include "dataset/waymo_segment.hpp"
 
 namespace relidar {

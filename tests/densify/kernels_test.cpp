@@ -36,9 +36,10 @@ void expect_allotted(Device& device, std::uint32_t largest) {
     const Kernel<shared::AllotParams> allot(device, "densify/allot");
     for (const std::uint32_t n_new : {0u, 1u, 300u, 5000u}) {
         GrowthPlan plan{0, total, n_new, static_cast<std::uint32_t>(random() % total)};
-        const Array<std::uint32_t> w(device, std::span<const std::uint32_t>(weight), "weight"),
-            c(device, std::span<const std::uint32_t>(cumulative), "cumulative");
-        const Array<std::uint32_t> a(device, std::span<const std::uint32_t>(action), "action"), rows(device, n, "rows");
+        const Array<std::uint32_t, shared::GrowthWeights> w(device, std::span<const std::uint32_t>(weight), "weight");
+        const Array<std::uint32_t, shared::WeightsBefore> c(device, std::span<const std::uint32_t>(cumulative), "cumulative");
+        const Array<std::uint32_t, shared::DensifyActions> a(device, std::span<const std::uint32_t>(action), "action");
+        const Array<std::uint32_t, shared::RowCounts> rows(device, n, "rows");
         Stream stream(device);
         run(stream, allot, n,
             {.weight = w.address(), .cumulative = c.address(), .action = a.address(), .n_rows = rows.address(),
@@ -69,7 +70,7 @@ struct Trained {
     Trained(Device& device, Scene initial, const DensifyOptions& options)
         : scene(std::move(initial)),
           device_scene(device, scene),
-          adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive()),
+          adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive),
           densifier(device, scene, options, 1.0f / 255.0f, 3, 9) {}
 };
 
@@ -108,7 +109,7 @@ TEST_P(Jitter, MovesFaintSurfelsInTheirPlaneAndGaussiansAlongAllAxes) {
     options.strategy = DensifyStrategy::mcmc;
     options.noise = 0.4;
     Scene scene = test::random_model_scene({300}, 5);
-    if (GetParam() == Primitive::gaussian) make_gaussians(scene.surfels, 0.7);
+    if (GetParam() == Primitive::gaussian) make_primitive(scene.surfels, Primitive::gaussian, 0.7);
     Trained t(device(), scene, options);
     const Surfels before = t.scene.surfels;
     Stream stream(device());

@@ -40,13 +40,12 @@ void poison(Surfels& surfels) {
 reference::DensifiedSurfel densified(const Surfels& s, std::size_t i) {
     bool finite = std::isfinite(s.mean[i].x + s.mean[i].y + s.mean[i].z + s.opacity_logit[i]);
     for (std::size_t k = 0; k < kShFloats; ++k) finite = finite && std::isfinite(s.sh[i * kShFloats + k]);
-    const bool is_gaussian = s.primitive() == Primitive::gaussian;
     return {glm::dvec3(s.mean[i]),
             glm::dvec4(s.rotation[i]),
             glm::exp(glm::dvec2(s.log_scale[i])),
             1.0 / (1.0 + std::exp(-double(s.opacity_logit[i]))),
             finite,
-            is_gaussian ? std::optional(std::exp(double(s.log_scale_w[i]))) : std::nullopt};
+            kind_of(s.primitive).third_scale ? std::optional(std::exp(double(s.log_scale_w[i]))) : std::nullopt};
 }
 
 std::uint32_t tag_of(const Surfels& surfels, std::size_t i) { return static_cast<std::uint32_t>(surfels.sh[i * kShFloats]); }

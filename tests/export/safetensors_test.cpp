@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// safetensors files: round trips, the layout byte by byte (formats.md, section h), and refusal of every cut and of headers
+// safetensors files: round trips, the layout byte by byte, and refusal of every cut and of headers
 // whose sizes, ranges or types do not hold.
 #include <relidar/export.hpp>
 

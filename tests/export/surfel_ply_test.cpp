@@ -97,6 +97,7 @@ TEST_F(SurfelPly, ComesBackBitEqual) {
 /// As splatting stores them: three scales.
 TEST_F(SurfelPly, GaussiansHaveTheirThirdScale) {
     Scene scene = some_scene();
+    scene.surfels.primitive = Primitive::gaussian;
     for (std::size_t i = 0; i < 7; ++i) scene.surfels.log_scale_w.push_back(-0.1f - float(i) / 7.0f);
     write_surfel_ply(folder / "a.ply", scene);
     expect_equal(read_surfel_ply(folder / "a.ply", layout_of(scene), Primitive::gaussian), scene);

@@ -148,7 +148,7 @@ TEST_F(Forward, ThinGaussiansApproachSurfels) {
     const WorldRays rays = test::to_world_rays(random.rays);
     const auto rendered = [&](const Scene& scene) {
         ImageModel model;
-        model.primitive = scene.surfels.primitive();
+        model.primitive = scene.surfels.primitive;
         Renderer renderer(device(), scene, model);
         renderer.scene().set_poses(placed.world_from_instance);
         renderer.place(glm::vec3(0.0f));
@@ -159,7 +159,7 @@ TEST_F(Forward, ThinGaussiansApproachSurfels) {
     std::vector<double> error;
     for (const double thickness : {1.0, 0.1, 1e-3, 1e-5}) {   // the last: 1.5e-6 m and more
         Scene thin = placed.scene;
-        make_gaussians(thin.surfels, thickness);
+        make_primitive(thin.surfels, Primitive::gaussian, thickness);
         const Rendering r = rendered(thin);
         error.push_back(std::max(nmse(r.depth, depth), nmse(r.weight, weight)));
         std::printf("thickness %g: error %.2e\n", thickness, error.back());
@@ -176,7 +176,7 @@ TEST_F(Forward, SceneOfAnotherPrimitiveIsRefused) {
     gaussians.primitive = Primitive::gaussian;
     const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
     EXPECT_THROW(render_once(device(), scene, gaussians, ray), UsageError);
-    make_gaussians(scene.surfels, 1.0);
+    make_primitive(scene.surfels, Primitive::gaussian, 1.0);
     EXPECT_THROW(render_once(device(), scene, {}, ray), UsageError);
     EXPECT_NO_THROW(render_once(device(), scene, gaussians, ray));
 }
@@ -213,7 +213,7 @@ TEST_F(Forward, EmptySceneIsBackground) {
 
 /// Copies of some surfels of a set, each made unusable in its own way.
 Surfels poisoned_copies(const Surfels& good, float bad) {
-    const bool is_gaussian = good.primitive() == Primitive::gaussian;
+    const bool is_gaussian = good.primitive == Primitive::gaussian;
     Surfels extra =
         test::take(good, is_gaussian ? std::vector<std::uint32_t>{0, 1, 2, 3, 4, 5} : std::vector<std::uint32_t>{0, 1, 2, 3, 4});
     extra.mean[0].x = bad, extra.rotation[1].y = bad, extra.log_scale[2].x = bad, extra.opacity_logit[3] = -std::abs(bad);
@@ -229,7 +229,7 @@ void expect_unharmed(Device& device, const Surfels& good, const WorldRays& rays)
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         ImageModel model;
         model.sh_direction = direction;
-        model.primitive = good.primitive();
+        model.primitive = good.primitive;
         const Rendering expected = render_once(device, make_background_scene(good), model, rays);
         const Rendering actual = render_once(device, make_background_scene(poisoned), model, rays);
         EXPECT_EQ(actual.hits, expected.hits);
@@ -244,7 +244,7 @@ TEST_F(Forward, PoisonedSurfelsNeverReachTheImage) {
     reference::Settings settings;
     const test::RandomScene scene = test::make_random_scene(options, settings);
     Surfels good = test::to_surfels(scene.world.surfels), thick = good;
-    make_gaussians(thick, 0.5);
+    make_primitive(thick, Primitive::gaussian, 0.5);
     for (const Surfels& sound : {good, thick}) expect_unharmed(device(), sound, test::to_world_rays(scene.rays));
 }
 

@@ -8,7 +8,7 @@
 #include <relidar/error.hpp>
 #include "changed_files.hpp"
 #include "dataset/argoverse2_log.hpp"
-#include "dataset/feather.hpp"
+#include "dataset/argoverse2/feather.hpp"
 
 namespace relidar::fuzz {
 namespace {

@@ -13,9 +13,9 @@
 #include "changed_files.hpp"
 #include "dataset/kitti_360_folder.hpp"
 #include "dataset/kitti_drive.hpp"
-#include "dataset/hdl64_rings.hpp"
-#include "dataset/kitti_360.hpp"
-#include "dataset/kitti_files.hpp"
+#include "dataset/kitti/hdl64_rings.hpp"
+#include "dataset/kitti/kitti_360.hpp"
+#include "dataset/kitti/kitti_files.hpp"
 
 namespace relidar::fuzz {
 namespace {

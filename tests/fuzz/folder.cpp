@@ -11,7 +11,7 @@
 #include <relidar/export.hpp>
 #include <relidar/math.hpp>
 
-#include "dataset/point_table.hpp"
+#include "dataset/folder/point_table.hpp"
 #include "dataset/point_writers.hpp"
 
 namespace relidar::fuzz {

@@ -12,8 +12,8 @@
 #include <relidar/run.hpp>
 #include <relidar/sensor_files.hpp>
 
-#include "../../tools/relidar/batch_manifest.hpp"
-#include "../../tools/relidar/batch_state.hpp"
+#include "../../tools/relidar/batch/manifest.hpp"
+#include "../../tools/relidar/batch/state.hpp"
 #include "run/example_run.hpp"
 
 namespace relidar::fuzz {

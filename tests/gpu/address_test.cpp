@@ -8,7 +8,15 @@
 
 #include "../support/device.hpp"
 #include "gpu/kernel.hpp"
+#include "shared/accel.h"
+#include "shared/backward.h"
+#include "shared/bvh_build.h"
+#include "shared/densify.h"
+#include "shared/gpu.h"
 #include "shared/loss.h"
+#include "shared/optimizer.h"
+#include "shared/refine.h"
+#include "shared/train.h"
 
 namespace relidar {
 namespace {
@@ -35,6 +43,48 @@ static_assert(!std::is_constructible_v<Address<float>, std::uint64_t> && !std::i
 static_assert(std::same_as<decltype(Array<float>().address()), Address<float>>);
 static_assert(sizeof(Address<float>) == 8 && std::is_trivially_copyable_v<Address<float>> && std::is_standard_layout_v<Address<float>>);
 
+/// Whether one member of a parameter struct takes what another one is given, so that nobody notices when they are swapped.
+template <class Struct, class A, class B>
+consteval bool take_each_other(A Struct::*, B Struct::*) {
+    return std::is_assignable_v<A&, B> || std::is_assignable_v<B&, A>;
+}
+
+// Of each header of parameters two pointers to the same kind of number. That no struct has two of which this is not true is a rule of
+// tests/structure.
+static_assert(!take_each_other(&shared::ProxyParams::vertices, &shared::ProxyParams::boxes));
+static_assert(!take_each_other(&shared::GatherParams::parts, &shared::GatherParams::d_records));
+static_assert(!take_each_other(&shared::GatherParams::d_sh, &shared::GatherParams::d_records));
+static_assert(!take_each_other(&shared::GatherParams::rows, &shared::GatherParams::slots));
+static_assert(!take_each_other(&shared::PoseBlocksParams::d_view, &shared::PoseBlocksParams::sums));
+static_assert(!take_each_other(&shared::BvhPointers::order, &shared::BvhPointers::roots));
+static_assert(!take_each_other(&shared::BvhWideParams::queue, &shared::BvhWideParams::slots));
+static_assert(!take_each_other(&shared::ClassifyParams::action, &shared::ClassifyParams::weight));
+static_assert(!take_each_other(&shared::MoveParams::from, &shared::MoveParams::to));
+static_assert(!take_each_other(&shared::ScanParams::counts, &shared::ScanParams::prefix));
+static_assert(!take_each_other(&shared::RadixSortParams::keys, &shared::RadixSortParams::order));
+static_assert(!take_each_other(&shared::ConvParams::weights, &shared::ConvParams::bias));
+static_assert(!take_each_other(&shared::NormFinishParams::moments, &shared::NormFinishParams::scale_shift));
+static_assert(!take_each_other(&shared::SsimParams::statistics, &shared::SsimParams::terms));
+static_assert(!take_each_other(&shared::ChamferParams::simulated, &shared::ChamferParams::measured));
+static_assert(!take_each_other(&shared::ChamferBoxesParams::low, &shared::ChamferBoxesParams::high));
+static_assert(!take_each_other(&shared::AdamParams::values, &shared::AdamParams::gradients));
+static_assert(!take_each_other(&shared::AdamParams::moment1, &shared::AdamParams::moment2));
+static_assert(!take_each_other(&shared::DropLossParams::start, &shared::DropLossParams::target));
+static_assert(!take_each_other(&shared::DropLossParams::logit, &shared::DropLossParams::d_logit));
+static_assert(!take_each_other(&shared::SurfelPointers::log_scale, &shared::SurfelPointers::log_scale_w));
+static_assert(!take_each_other(&shared::ActivateVjpParams::d_records, &shared::ActivateVjpParams::d_view));
+static_assert(!take_each_other(&shared::TraceScene::pass_cap_count, &shared::TraceScene::visits));
+static_assert(!take_each_other(&shared::CollectHitsParams::instance, &shared::CollectHitsParams::surfel));
+static_assert(!take_each_other(&shared::SplitBeamsVjpParams::d_parts, &shared::SplitBeamsVjpParams::d_beams));
+static_assert(take_each_other(&shared::ActivateVjpParams::surfels, &shared::ActivateVjpParams::d_surfels), "gradients are arranged alike");
+
+// What an array holds is said where it is made; by address_as() or as() where one memory serves several purposes, and in no other way.
+static_assert(std::same_as<decltype(Array<float, shared::LossTerms>().address()), Address<float, shared::LossTerms>>);
+static_assert(!std::is_convertible_v<Address<float>, Address<float, shared::LossTerms>> &&
+              !std::is_convertible_v<Address<float, shared::LossTerms>, Address<float>> &&
+              !std::is_constructible_v<Address<float, shared::LossTerms>, Address<float>>);
+static_assert(!std::is_constructible_v<Array<float, shared::LossTerms>, Array<float>>, "nor by way of a bare array");
+
 class AddressTest : public test::DeviceTest {};
 
 TEST_F(AddressTest, NowhereIsWhatNoArrayHas) {
@@ -42,10 +92,13 @@ TEST_F(AddressTest, NowhereIsWhatNoArrayHas) {
     const Address<glm::vec3> nowhere;
     EXPECT_NE(array.address(), nowhere);
     EXPECT_EQ(address_of(&array), array.address());
-    EXPECT_EQ(address_of<glm::vec3>(nullptr), nowhere);
+    const Array<glm::vec3>* none = nullptr;
+    EXPECT_EQ(address_of(none), nowhere);
     EXPECT_EQ(Array<glm::vec3>().address(), nowhere);
     EXPECT_EQ(array.address_as<float>(1), array.address_as<float>(1));
     EXPECT_NE(array.address_as<float>(1), array.address_as<float>()) << "a part";
+    const Array<float, shared::LossTerms> terms(device(), 4, "test");
+    EXPECT_EQ(terms.address(1).as<shared::SsimStatistics>(), (terms.address_as<float, shared::SsimStatistics>(1)));
 }
 
 }  // namespace

@@ -35,8 +35,9 @@ TEST_F(PrefixSums, OfEverySize) {
     for (const std::uint32_t n : {1u, 2u, 255u, 256u, 257u, 4095u, 4096u, 4097u, 200'000u, 4096u * 4096u + 1u}) {   // one to three levels
         const std::uint32_t stride = n < 1'000'000 ? 3 : 1;
         const Words counts = numbers(std::size_t(stride) * n + 1, 50);
-        const Array<std::uint32_t> in(device(), std::span<const std::uint32_t>(counts), "counts"),
-            out(device(), Words(n + 64, kGuard), "prefix"), total(device(), Words(2, kGuard), "total");
+        const Array<std::uint32_t, shared::ScanCounts> in(device(), std::span<const std::uint32_t>(counts), "counts");
+        const Array<std::uint32_t, shared::ScanPrefix> out(device(), Words(n + 64, kGuard), "prefix");
+        const Array<std::uint32_t, shared::ScanTotal> total(device(), Words(2, kGuard), "total");
         prefix_sum.reserve(device(), n);
         prefix_sum.run(stream, {in.address(), 1, stride}, out.address(), n, total.address());
         stream.finish();
@@ -56,8 +57,8 @@ TEST_F(PrefixSums, InPlace) {
     PrefixSum prefix_sum(device());
     prefix_sum.reserve(device(), n);
     Words counts = numbers(n, 9);
-    const Array<std::uint32_t> array(device(), std::span<const std::uint32_t>(counts), "counts");
-    prefix_sum.run(stream, {array.address()}, array.address(), n);
+    const Array<std::uint32_t, shared::ScanCounts> array(device(), std::span<const std::uint32_t>(counts), "counts");
+    prefix_sum.run(stream, {array.address()}, array.address().as<shared::ScanPrefix>(), n);
     stream.finish();
     std::exclusive_scan(counts.begin(), counts.end(), counts.begin(), 0u);
     EXPECT_EQ(array.download(), counts);
@@ -79,15 +80,15 @@ protected:
         Words words;
         for (const std::uint64_t key : keys)
             for (std::uint32_t w = 0; w < key_words; ++w) words.push_back(static_cast<std::uint32_t>(key >> 32 * w));
-        const Array<std::uint32_t> count(device(), Words{n_keys.value_or(0)}, "count");
-        const Array<std::uint32_t> first(device(), std::span<const std::uint32_t>(words), "keys"),
+        const Array<std::uint32_t, shared::SortCount> count(device(), Words{n_keys.value_or(0)}, "count");
+        const Array<std::uint32_t, shared::SortKeys> first(device(), std::span<const std::uint32_t>(words), "keys"),
             second(device(), Words(words.size(), kGuard), "keys");
-        const Array<std::uint32_t> first_order(device(), Words(capacity, kGuard), "order"),
+        const Array<std::uint32_t, shared::SortOrder> first_order(device(), Words(capacity, kGuard), "order"),
             second_order(device(), Words(capacity, kGuard), "order");
         const RadixSort sort(device(), capacity, key_words);
         Stream stream(device());
         const SortSet result = sort.run(stream, {first.address(), first_order.address()}, {second.address(), second_order.address()},
-                                        key_bits, n_keys ? count.address() : Address<std::uint32_t>());
+                                        key_bits, n_keys ? count.address() : Address<std::uint32_t, shared::SortCount>());
         stream.finish();
 
         const std::uint64_t mask = key_bits == 64 ? ~std::uint64_t(0) : (std::uint64_t(1) << (key_bits + 7) / 8 * 8) - 1;

@@ -20,8 +20,9 @@ class StreamTest : public test::DeviceTest {};
 /// Each launch has its own parameters: launch i copies word i, as the sum of that one word (gpu/scan_write).
 TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     constexpr std::uint32_t kWords = 1 << 18, kLaunches = 5000, kSubmissions = 5;   // more than slots: memory is used again
-    const Array<std::uint32_t> words(device(), kWords, "words"), prefix(device(), 1, "prefix");
-    std::vector<Array<std::uint32_t>> sums;
+    const Array<std::uint32_t, shared::ScanCounts> words(device(), kWords, "words");
+    const Array<std::uint32_t, shared::ScanPrefix> prefix(device(), 1, "prefix");
+    std::vector<Array<std::uint32_t, shared::ScanTotal>> sums;
     PrefixSum prefix_sum(device());
     Stream stream(device(), true);
     for (std::uint32_t s = 0; s < kSubmissions; ++s) {

@@ -101,7 +101,7 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
             gradients.upload(g.back());
             std::vector<std::uint32_t> touched(n);
             for (std::uint32_t i = 0; i < n; ++i) touched[i] = is_touched(i, t);
-            const Array<std::uint32_t> on_device(device(), std::span<const std::uint32_t>(touched), "touched");
+            const Array<std::uint32_t, shared::TouchedSurfels> on_device(device(), std::span<const std::uint32_t>(touched), "touched");
             adam.step(stream, parameters, gradients, untouched == Untouched::none ? nullptr : &on_device, rates, t, 2);
             stream.finish();
         }
@@ -140,9 +140,12 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
 TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
     const std::uint32_t n = 2200000;
     const Kernel<shared::AdamParams> kernel(device(), "optimizer/adam");
-    Array<float> value(device(), n, "value"), gradient(device(), n, "gradient"), m(device(), n, "m"), v(device(), n, "v");
+    Array<float, shared::AdamValues> value(device(), n, "value");
+    Array<float, shared::AdamGradients> gradient(device(), n, "gradient");
+    Array<float, shared::FirstMoments> m(device(), n, "m");
+    Array<float, shared::SecondMoments> v(device(), n, "v");
     Stream stream(device());
-    for (Array<float>* array : {&value, &m, &v}) stream.fill(*array);
+    for (const Buffer* array : {&value.buffer(), &m.buffer(), &v.buffer()}) stream.fill(*array);
     stream.fill(gradient, 0x3f800000u);   // 1
     run(stream, kernel, n,
         {.values = value.address(), .gradients = gradient.address(), .moment1 = m.address(), .moment2 = v.address(), .touched = {},

@@ -69,7 +69,8 @@ TEST_P(MatrixSizes, Forward) {
     Conv conv(device(), c.taps, Precision::fp16);
     Stream stream(device());
     const OnDevice from(device(), layer.from), to = OnDevice::unwritten(device(), c.grid, c.n_out), sum(device(), layer.d_to);
-    const Array<float> weights = test::to_device(device(), layer.weights), bias = test::to_device(device(), layer.bias);
+    const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
+    const auto bias = test::to_device<shared::ConvBias>(device(), layer.bias);
     conv.forward(stream, from.slice(), weights.address(), bias.address(), to.slice());
     conv.forward(stream, from.slice(), weights.address(), {}, sum.slice(), true);
     stream.finish();
@@ -87,11 +88,12 @@ void expect_derivatives(Device& device, const Case& c, float scale) {
     conv.reserve(device, conv.partial_floats(c.grid, std::uint32_t(c.n_in), std::uint32_t(c.n_out)));
     Stream stream(device);
     const OnDevice from(device, layer.from), d_to(device, layer.d_to), d_from = OnDevice::unwritten(device, c.grid, c.n_in);
-    const Array<float> weights = test::to_device(device, layer.weights);
+    const auto weights = test::to_device<shared::ConvWeights>(device, layer.weights);
     std::vector<double> guarded(layer.weights.size() + 1, std::nan(""));
-    const Array<float> d_weights = test::to_device(device, guarded), again = test::to_device(device, guarded);
+    const auto d_weights = test::to_device<shared::ConvWeights>(device, guarded),
+               again = test::to_device<shared::ConvWeights>(device, guarded);
     conv.input_vjp(stream, d_to.slice(), weights.address(), d_from.slice());
-    for (const Array<float>* d : {&d_weights, &again}) conv.weights_vjp(stream, from.slice(), d_to.slice(), d->address());
+    for (const auto* d : {&d_weights, &again}) conv.weights_vjp(stream, from.slice(), d_to.slice(), d->address());
     stream.finish();
     EXPECT_LT(worst_error(d_from.read(), reference::convolve_input_vjp(layer.d_to, layer.weights, c.n_in, int(c.taps))), test::kLayer);
     std::vector<double> actual = test::doubles(d_weights), repeated = test::doubles(again);
@@ -113,7 +115,7 @@ TEST_F(MatrixTest, InputGradientsAreAdded) {
     conv.scale_gradients(64.0f);
     Stream stream(device());
     const OnDevice d_to(device(), layer.d_to), sum(device(), layer.from);
-    const Array<float> weights = test::to_device(device(), layer.weights);
+    const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
     conv.input_vjp(stream, d_to.slice(), weights.address(), sum.slice(), true);
     stream.finish();
     test::ImageBatch expected = reference::convolve_input_vjp(layer.d_to, layer.weights, c.n_in, int(c.taps));
@@ -129,7 +131,7 @@ TEST_F(MatrixTest, OperandsAreRounded) {
     Conv conv(device(), 9, Precision::fp16);
     Stream stream(device());
     const OnDevice from(device(), images), to = OnDevice::unwritten(device(), c.grid, c.n_out);
-    const Array<float> weights = test::to_device(device(), values);
+    const auto weights = test::to_device<shared::ConvWeights>(device(), values);
     conv.forward(stream, from.slice(), weights.address(), {}, to.slice());
     stream.finish();
     const double error = worst_error(to.read(), reference::convolve(images, values, {}, c.n_out, 9));
@@ -143,7 +145,7 @@ TEST_F(MatrixTest, LargeNumbersSaturateAndWhatIsNoNumberStaysNone) {
     Conv conv(device(), 1, Precision::fp16);
     Stream stream(device());
     const OnDevice from(device(), images), to = OnDevice::unwritten(device(), test::grid_of(images), 1);
-    const Array<float> weights = test::to_device(device(), {0.5});
+    const auto weights = test::to_device<shared::ConvWeights>(device(), {0.5});
     conv.forward(stream, from.slice(), weights.address(), {}, to.slice());
     stream.finish();
     const test::ImageBatch seen = to.read();

@@ -42,7 +42,8 @@ TEST_P(ConvSizes, Forward) {
     Stream stream(device());
     const OnDevice from(device(), layer.from), to = OnDevice::unwritten(device(), c.grid, c.n_out),
                                                plain = OnDevice::unwritten(device(), c.grid, c.n_out, 0, 0);
-    const Array<float> weights = test::to_device(device(), layer.weights), bias = test::to_device(device(), layer.bias);
+    const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
+    const auto bias = test::to_device<shared::ConvBias>(device(), layer.bias);
     conv.forward(stream, from.slice(), weights.address(), bias.address(), to.slice());
     conv.forward(stream, from.slice(), weights.address(), {}, plain.slice());
     stream.finish();
@@ -56,7 +57,7 @@ TEST_P(ConvSizes, DerivativeByTheInputAndItsSum) {
     Conv conv(device(), c.taps);
     Stream stream(device());
     const OnDevice d_to(device(), layer.d_to), d_from = OnDevice::unwritten(device(), c.grid, c.n_in), sum(device(), layer.from);
-    const Array<float> weights = test::to_device(device(), layer.weights);
+    const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
     conv.input_vjp(stream, d_to.slice(), weights.address(), d_from.slice());
     conv.input_vjp(stream, d_to.slice(), weights.address(), sum.slice(), true);
     stream.finish();
@@ -73,9 +74,10 @@ TEST_P(ConvSizes, DerivativeByTheWeights) {
     Stream stream(device());
     const OnDevice from(device(), layer.from), d_to(device(), layer.d_to);
     std::vector<double> guarded(layer.weights.size() + 1, std::nan(""));
-    const Array<float> d_weights = test::to_device(device(), guarded), again = test::to_device(device(), guarded);
+    const auto d_weights = test::to_device<shared::ConvWeights>(device(), guarded),
+               again = test::to_device<shared::ConvWeights>(device(), guarded);
     conv.reserve(device(), conv.partial_floats(c.grid, std::uint32_t(c.n_in), std::uint32_t(c.n_out)));
-    for (const Array<float>* d : {&d_weights, &again}) {
+    for (const auto* d : {&d_weights, &again}) {
         conv.weights_vjp(stream, from.slice(), d_to.slice(), d->address());
         stream.finish();
     }
@@ -94,8 +96,8 @@ TEST_F(ConvTest, ForwardAndBackwardAreTransposes) {
     Stream stream(device());
     const OnDevice from(device(), layer.from), d_to(device(), layer.d_to), to = OnDevice::unwritten(device(), c.grid, c.n_out),
                    d_from = OnDevice::unwritten(device(), c.grid, c.n_in);
-    const Array<float> weights = test::to_device(device(), layer.weights),
-                       d_weights = test::to_device(device(), std::vector<double>(layer.weights.size(), 0.0));
+    const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights),
+               d_weights = test::to_device<shared::ConvWeights>(device(), std::vector<double>(layer.weights.size(), 0.0));
     conv.reserve(device(), conv.partial_floats(c.grid, 9, 17));
     conv.forward(stream, from.slice(), weights.address(), {}, to.slice());
     conv.input_vjp(stream, d_to.slice(), weights.address(), d_from.slice());
@@ -116,7 +118,7 @@ TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
         Stream stream(device());
         const OnDevice from(device(), one), to = OnDevice::unwritten(device(), test::grid_of(one), 1),
                        back = OnDevice::unwritten(device(), test::grid_of(one), 1);
-        const Array<float> weights = test::to_device(device(), taps);
+        const auto weights = test::to_device<shared::ConvWeights>(device(), taps);
         conv.forward(stream, from.slice(), weights.address(), {}, to.slice());
         conv.input_vjp(stream, from.slice(), weights.address(), back.slice());
         stream.finish();
@@ -154,7 +156,8 @@ TEST_P(ConvVariants, Agree) {
                                                 Subgroups::full);
         Stream stream(device());
         const OnDevice from(device(), layer.from), to = OnDevice::unwritten(device(), c.grid, c.n_out);
-        const Array<float> weights = test::to_device(device(), layer.weights), bias = test::to_device(device(), layer.bias);
+        const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
+        const auto bias = test::to_device<shared::ConvBias>(device(), layer.bias);
         const std::uint32_t segments = c.grid.n * c.grid.rows * tiles(c.grid.columns, lanes * GetParam().pixels);
         run(stream, kernel, std::size_t(tiles(segments, 64 / lanes)) * tiles(std::uint32_t(c.n_out), RELIDAR_CONV_OUT) * 64,
             {.from = from.slice().view, .to = to.slice().view, .weights = weights.address(), .bias = bias.address(), .n_images = c.grid.n,

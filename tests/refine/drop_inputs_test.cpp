@@ -49,14 +49,16 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
             const Batch expected = turned(values, known, turn, n_fixed);
             const Kernel<shared::DropInputsParams> kernel(device(), "refine/drop_inputs");
             Stream stream(device());
-            const Array<float> samples = test::to_device(device(), values.values), targets = test::to_device(device(), known);
-            const Array<std::uint32_t> chosen(device(), std::span<const std::uint32_t>(kChosen), "chosen"),
-                turns(device(), std::span<const std::uint32_t>(turn), "turn");
+            const auto samples = test::to_device<shared::DropSamples>(device(), values.values);
+            const auto targets = test::to_device<shared::SampleTargets>(device(), known);
+            const Array<std::uint32_t, shared::ChosenSamples> chosen(device(), std::span<const std::uint32_t>(kChosen), "chosen");
+            const Array<std::uint32_t, shared::SampleTurns> turns(device(), std::span<const std::uint32_t>(turn), "turn");
             const Array<glm::vec2> affine = test::pairs_to_device(device(), scale(), shift());
             const std::size_t n = kImages * grid.pixels();
-            const Array<float> images(device(), n * kChannels + 1, "images"), start(device(), n + 1, "start"),
-                target(device(), n + 1, "target");
-            const auto launch = [&](Address<float> to_target) {
+            const Array<float> images(device(), n * kChannels + 1, "images");
+            const Array<float, shared::StartLogits> start(device(), n + 1, "start");
+            const Array<float, shared::DropTargets> target(device(), n + 1, "target");
+            const auto launch = [&](Address<float, shared::DropTargets> to_target) {
                 run(stream, kernel, n,
                     {.samples = samples.address(), .targets = targets.address(), .chosen = chosen.address(), .turn = turns.address(),
                      .scale_shift = affine.address(), .images = test::as_image(images), .start = start.address(), .target = to_target,
@@ -70,7 +72,7 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
                 result.pop_back();
                 return result;
             };
-            for (const Array<float>* array : {&images, &start, &target}) stream.fill(*array, 0x7fc00000u);
+            for (const Buffer* array : {&images.buffer(), &start.buffer(), &target.buffer()}) stream.fill(*array, 0x7fc00000u);
             launch({});   // no target: none is written
             for (const double x : test::doubles(target)) EXPECT_TRUE(std::isnan(x));
             EXPECT_LT(test::worst_error(written(images), expected.images), 1e-6);

@@ -40,16 +40,18 @@ TEST_F(DropLossTest, AgreesWithReference) {
         const Data d = random_data(n);
         DropLoss loss(device(), n);
         Stream stream(device());
-        const Array<float> logit = test::to_device(device(), d.logit), start = test::to_device(device(), d.start),
-                           target = test::to_device(device(), d.target);
-        Array<float> d_logit(device(), n + 1, "gradient"), probability(device(), n + 1, "probability");   // a guard behind
+        const Array<float> logit = test::to_device(device(), d.logit);
+        const auto start = test::to_device<shared::StartLogits>(device(), d.start);
+        const auto target = test::to_device<shared::DropTargets>(device(), d.target);
+        Array<float> d_logit(device(), n + 1, "gradient");   // a guard behind
+        Array<float, shared::DropProbabilities> probability(device(), n + 1, "probability");
         for (const bool with_start : {true, false}) {
             const reference::DropEntropy expected = reference::drop_entropy(with_start ? d.sum : d.logit, d.target);
             stream.fill(d_logit, 0x7fc00000u);
             stream.fill(probability, 0x7fc00000u);
             loss.run(stream, n,
-                     {test::as_image(logit), with_start ? start.address() : Address<float>(), target.address(), test::as_image(d_logit),
-                      probability.address()},
+                     {test::as_image<shared::DropLogits>(logit), with_start ? start.address() : Address<float, shared::StartLogits>(),
+                      target.address(), test::as_image<shared::DropLogitGradients>(d_logit), probability.address()},
                      d.known);
             stream.finish();
             const DropScore score = loss.score(d.known);
@@ -71,10 +73,13 @@ TEST_F(DropLossTest, DerivativeIsThatOfTheScore) {
     const Data d = random_data(n);
     DropLoss loss(device(), n);
     Stream stream(device());
-    const Array<float> target = test::to_device(device(), d.target), d_logit(device(), n, "gradient");
+    const auto target = test::to_device<shared::DropTargets>(device(), d.target);
+    const Array<float> d_logit(device(), n, "gradient");
     const auto entropy = [&](const std::vector<double>& logits) {
         const Array<float> logit = test::to_device(device(), logits);
-        loss.run(stream, n, {test::as_image(logit), {}, target.address(), test::as_image(d_logit), {}}, d.known);
+        loss.run(stream, n,
+                 {test::as_image<shared::DropLogits>(logit), {}, target.address(), test::as_image<shared::DropLogitGradients>(d_logit), {}},
+                 d.known);
         stream.finish();
         return loss.score(d.known).entropy;
     };
@@ -92,19 +97,23 @@ TEST_F(DropLossTest, NothingKnown) {
     const Data d = random_data(n);
     DropLoss loss(device(), n);
     Stream stream(device());
-    const Array<float> logit = test::to_device(device(), d.logit), none = test::to_device(device(), std::vector<double>(n, -1.0));
-    Array<float> d_logit(device(), n, "gradient"), probability(device(), n, "probability");
+    const Array<float> logit = test::to_device(device(), d.logit);
+    const auto none = test::to_device<shared::DropTargets>(device(), std::vector<double>(n, -1.0));
+    Array<float> d_logit(device(), n, "gradient");
+    Array<float, shared::DropProbabilities> probability(device(), n, "probability");
     for (const bool no_target : {true, false}) {
         stream.fill(d_logit, 0x7fc00000u);
-        const Address<float> target = no_target ? Address<float>() : none.address();
-        loss.run(stream, n, {test::as_image(logit), {}, target, test::as_image(d_logit), probability.address()}, 0);
+        loss.run(stream, n,
+                 {test::as_image<shared::DropLogits>(logit), {}, no_target ? Address<float, shared::DropTargets>() : none.address(),
+                  test::as_image<shared::DropLogitGradients>(d_logit), probability.address()},
+                 0);
         stream.finish();
         for (const double x : test::doubles(d_logit)) EXPECT_EQ(x, 0.0);
         EXPECT_EQ(loss.score(0).entropy, 0.0);
         EXPECT_EQ(loss.score(0).accuracy, 0.0);
     }
     // no derivative is asked for: probabilities alone
-    loss.run(stream, n, {.logit = test::as_image(logit), .probability = probability.address()}, 0);
+    loss.run(stream, n, {.logit = test::as_image<shared::DropLogits>(logit), .probability = probability.address()}, 0);
     stream.finish();
     const std::vector<double> p = test::doubles(probability);
     const reference::DropEntropy expected = reference::drop_entropy(d.logit, std::vector<double>(n, -1.0));

@@ -74,8 +74,8 @@ TEST_P(HalvesTest, Convolutions) {
     std::vector<std::pair<std::uint32_t, Precision>> layers{{1u, Precision::fp32}, {9u, Precision::fp32}};
     if (device().info().why_not_matrices.empty()) layers.insert(layers.end(), {{1u, Precision::fp16}, {9u, Precision::fp16}});
     for (const auto& [taps, precision] : layers) {
-        const Array<float> weights = test::to_device(device(), test::random_floats(std::size_t(n_in * n_out) * taps, 3));
-        const Array<float> bias = test::to_device(device(), test::random_floats(std::size_t(n_out), 4));
+        const auto weights = test::to_device<shared::ConvWeights>(device(), test::random_floats(std::size_t(n_in * n_out) * taps, 3));
+        const auto bias = test::to_device<shared::ConvBias>(device(), test::random_floats(std::size_t(n_out), 4));
         expect_rounded([&](Storage storage, Stream& stream) -> Made {
             refine::Conv conv(device(), taps, precision, storage);
             conv.reserve(device(), conv.partial_floats(grid, n_in, n_out));
@@ -83,7 +83,7 @@ TEST_P(HalvesTest, Convolutions) {
             const OnDevice to = OnDevice::unwritten(device(), grid, n_out, 1, 2, storage);
             const OnDevice sum(device(), half_images(grid, n_out, 5), storage);
             const OnDevice d_from = OnDevice::unwritten(device(), grid, n_in, 0, 1, storage);
-            const Array<float> d_weights = test::to_device(device(), std::vector<double>(weights.size()));
+            const auto d_weights = test::to_device<shared::ConvWeights>(device(), std::vector<double>(weights.size()));
             conv.forward(stream, from.slice(), weights.address(), bias.address(), to.slice());
             conv.forward(stream, from.slice(), weights.address(), {}, sum.slice(), true);
             conv.input_vjp(stream, d_to.slice(), weights.address(), d_from.slice());
@@ -104,13 +104,13 @@ TEST_P(HalvesTest, Normalisations) {
         refine::NormState state(device(), channels);
         state.dropout = 0.3f;
         state.dropout_key = 7;
-        const Array<glm::vec2> beta_gamma = test::pairs_to_device(device(), beta, gamma),
-                               running = test::pairs_to_device(device(), beta, beta);
+        const auto beta_gamma = test::pairs_to_device<shared::BetaGamma>(device(), beta, gamma);
+        const auto running = test::pairs_to_device<shared::RunningMoments>(device(), beta, beta);
         const OnDevice from(device(), half_images(grid, channels, 1), storage), d_to(device(), half_images(grid, channels, 2), storage);
         const OnDevice to = OnDevice::unwritten(device(), grid, channels, 1, 2, storage);
         const OnDevice d_from(device(), half_images(grid, channels, 3), storage);
-        const Array<float> d_parameters = test::to_device(device(), std::vector<double>(2 * channels)),
-                           d_bias = test::to_device(device(), std::vector<double>(channels));
+        const Array<float> d_parameters = test::to_device(device(), std::vector<double>(2 * channels));
+        const auto d_bias = test::to_device<shared::ConvBias>(device(), std::vector<double>(channels));
         norm.forward(stream, from.slice(), {beta_gamma.address(), running.address()}, state, to.slice());
         norm.vjp(stream, from.slice(), state, d_to.slice(), d_from.slice(), {d_parameters, 0}, true);
         norm.bias_vjp(stream, d_to.slice(), d_bias.address());
@@ -193,15 +193,15 @@ TEST_P(HalvesTest, LossAndItsScale) {
     const ImageBatch logits = half_images(grid, 1, 1);
     std::vector<double> targets(grid.all_pixels());
     for (std::size_t i = 0; i < targets.size(); ++i) targets[i] = double(i % 3) - 1.0;   // a third is not known
-    const Array<float> target = test::to_device(device(), targets);
+    const auto target = test::to_device<shared::DropTargets>(device(), targets);
     const float scale = refine::gradient_scale(grid.all_pixels());
     expect_rounded([&](Storage storage, Stream& stream) -> Made {
         refine::DropLoss loss(device(), grid.all_pixels(), storage);
         const OnDevice logit(device(), logits, 0, 0, storage), d_logit = OnDevice::unwritten(device(), grid, 1, 0, 0, storage);
-        const Array<float> probability = test::to_device(device(), targets);
+        const auto probability = test::to_device<shared::DropProbabilities>(device(), targets);
         loss.run(stream, grid.all_pixels(),
-                 {.logit = logit.slice().view.values, .target = target.address(), .d_logit = d_logit.slice().view.values,
-                  .probability = probability.address()},
+                 {.logit = logit.slice().view.values.as<shared::DropLogits>(), .target = target.address(),
+                  .d_logit = d_logit.slice().view.values.as<shared::DropLogitGradients>(), .probability = probability.address()},
                  grid.all_pixels() * 2 / 3, scale);
         stream.finish();
         const refine::DropScore score = loss.score(grid.all_pixels());
@@ -216,7 +216,7 @@ TEST_P(HalvesTest, LargeNumbersSaturateAndWhatIsNoNumberStaysNone) {
     Stream stream(device());
     refine::Conv conv(device(), 1, Precision::fp32, Storage::fp16);
     const OnDevice from(device(), images, Storage::fp16), to = OnDevice::unwritten(device(), test::grid_of(images), 1, 1, 2, Storage::fp16);
-    const Array<float> weights = test::to_device(device(), {2.0});
+    const auto weights = test::to_device<shared::ConvWeights>(device(), {2.0});
     conv.forward(stream, from.slice(), weights.address(), {}, to.slice());
     stream.finish();
     const ImageBatch seen = to.read();

@@ -38,19 +38,22 @@ inline refine::Grid grid_of(const ImageBatch& images) {
     return {std::uint32_t(images.n), std::uint32_t(images.rows), std::uint32_t(images.columns)};
 }
 
-inline Array<float> to_device(Device& device, const std::vector<double>& values) {
+template <class Meaning = void>
+Array<float, Meaning> to_device(Device& device, const std::vector<double>& values) {
     const std::vector<float> floats(values.begin(), values.end());
-    return Array<float>(device, std::span<const float>(floats), "values");
+    return {device, std::span<const float>(floats), "values"};
 }
 
-inline Array<glm::vec2> pairs_to_device(Device& device, const std::vector<double>& x, const std::vector<double>& y) {
+template <class Meaning = void>
+Array<glm::vec2, Meaning> pairs_to_device(Device& device, const std::vector<double>& x, const std::vector<double>& y) {
     std::vector<glm::vec2> pairs;
     for (std::size_t i = 0; i < x.size(); ++i) pairs.emplace_back(float(x[i]), float(y[i]));
-    return Array<glm::vec2>(device, std::span<const glm::vec2>(pairs), "pairs");
+    return {device, std::span<const glm::vec2>(pairs), "pairs"};
 }
 
 /// Floats as values of images.
-inline Address<shared::ImageValue> as_image(const Array<float>& values) { return values.address_as<shared::ImageValue>(); }
+template <class Meaning = void>
+Address<shared::ImageValue, Meaning> as_image(const Array<float>& values) { return values.address_as<shared::ImageValue, Meaning>(); }
 
 inline std::vector<double> doubles(const Array<float>& values) {
     const std::vector<float> floats = values.download();

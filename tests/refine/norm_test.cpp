@@ -31,15 +31,17 @@ struct OnePass {
     Norm norm;
     NormState state;
     reference::NormLayer layer;
-    Array<glm::vec2> beta_gamma, running;
+    Array<glm::vec2, shared::BetaGamma> beta_gamma;
+    Array<glm::vec2, shared::RunningMoments> running;
     Stream stream;
 
     OnePass(Device& device, const Case& c)
         : norm(device),
           state(device, std::uint32_t(c.channels)),
           layer{test::random_floats(std::size_t(c.channels), 5, 0.5), test::random_floats(std::size_t(c.channels), 6), {}, 1e-5},
-          beta_gamma(test::pairs_to_device(device, layer.beta, layer.gamma)),
-          running(test::pairs_to_device(device, std::vector<double>(layer.beta.size(), 0.5), std::vector<double>(layer.beta.size(), 2.0))),
+          beta_gamma(test::pairs_to_device<shared::BetaGamma>(device, layer.beta, layer.gamma)),
+          running(test::pairs_to_device<shared::RunningMoments>(device, std::vector<double>(layer.beta.size(), 0.5),
+                                                                std::vector<double>(layer.beta.size(), 2.0))),
           stream(device) {
         norm.reserve(device, std::uint32_t(c.channels), c.grid);
     }
@@ -56,7 +58,8 @@ struct OnePass {
 std::vector<double> gate_of(Device& device, const Case& c, float dropout, std::uint32_t key) {
     OnePass pass(device, c);
     const std::size_t n = std::size_t(c.channels);
-    pass.beta_gamma = test::pairs_to_device(device, std::vector<double>(n, 1.0), std::vector<double>(n, 0.0));   // all become 1
+    pass.beta_gamma =   // all become 1
+        test::pairs_to_device<shared::BetaGamma>(device, std::vector<double>(n, 1.0), std::vector<double>(n, 0.0));
     pass.state.dropout = dropout;
     pass.state.dropout_key = key;
     return pass.forward(device, OnDevice(device, test::random_images(c.grid, c.channels, 1)), c).values;
@@ -141,7 +144,7 @@ TEST_P(NormSizes, DerivativeByABias) {
     const test::ImageBatch asked = test::random_images(c.grid, c.channels, 2, 1.0, 0.5);
     OnePass pass(device(), c);
     const OnDevice d_to(device(), asked);
-    const Array<float> d_bias = test::to_device(device(), std::vector<double>(std::size_t(c.channels) + 1, -7.0));
+    const auto d_bias = test::to_device<shared::ConvBias>(device(), std::vector<double>(std::size_t(c.channels) + 1, -7.0));
     pass.norm.bias_vjp(pass.stream, d_to.slice(), d_bias.address());
     pass.stream.finish();
     std::vector<double> actual = test::doubles(d_bias);

@@ -132,8 +132,10 @@ TEST_P(OneDnnConv, Agrees) {
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), asked), to = OnDevice::unwritten(device(), size.grid, size.n_out),
                        d_from = OnDevice::unwritten(device(), size.grid, size.n_in);
-        const Array<float> w = test::to_device(device(), weights), b = test::to_device(device(), bias),
-                           d_w(device(), weights.size(), "gradient"), d_b(device(), bias.size(), "gradient");
+        const auto w = test::to_device<shared::ConvWeights>(device(), weights);
+        const auto b = test::to_device<shared::ConvBias>(device(), bias);
+        const Array<float, shared::ConvWeights> d_w(device(), weights.size(), "gradient");
+        const Array<float, shared::ConvBias> d_b(device(), bias.size(), "gradient");
         conv.forward(stream, from.slice(), w.address(), b.address(), to.slice());
         conv.input_vjp(stream, d_to.slice(), w.address(), d_from.slice());
         conv.weights_vjp(stream, from.slice(), d_to.slice(), d_w.address());
@@ -197,8 +199,8 @@ TEST_F(OneDnnNorm, Agrees) {
         refine::Norm norm(device());
         norm.reserve(device(), channels, grid);
         refine::NormState state(device(), channels);
-        const Array<glm::vec2> parameters = test::pairs_to_device(device(), beta, gamma),
-                               running = test::pairs_to_device(device(), beta, gamma);
+        const auto parameters = test::pairs_to_device<shared::BetaGamma>(device(), beta, gamma);
+        const auto running = test::pairs_to_device<shared::RunningMoments>(device(), beta, gamma);
         const Array<float> d_parameters(device(), 2 * channels, "gradient");
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), asked), to = OnDevice::unwritten(device(), grid, channels),

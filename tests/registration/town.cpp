@@ -6,7 +6,7 @@
 
 #include "core/parallel.hpp"
 #include "core/random.hpp"
-#include "dataset/street.hpp"
+#include "dataset/street/street.hpp"
 
 namespace relidar::test {
 namespace {

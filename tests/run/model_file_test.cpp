@@ -72,17 +72,42 @@ TEST_F(ModelFile, HasTheDocumentedArrays) {
 }
 
 TEST_F(ModelFile, GaussiansHaveASixthArray) {
-    make_gaussians(scene.surfels, 0.3);
+    make_primitive(scene.surfels, Primitive::gaussian, 0.3);
     save_model(path, scene);
     arrays = read_safetensors(path, &metadata);
     EXPECT_EQ(array("log_scale_w").shape, std::vector<std::size_t>{4});
     EXPECT_EQ(load_model(path).surfels.log_scale_w, scene.surfels.log_scale_w);
+    EXPECT_EQ(metadata.at("primitive"), "gaussian");
+    metadata.erase("primitive");   // as the first models were
+    write_safetensors(path, arrays, metadata);
+    EXPECT_EQ(load_model(path).surfels.primitive, Primitive::gaussian);
     array("log_scale_w").shape = {2, 2};
     write_safetensors(path, arrays, metadata);
     EXPECT_NE(load_error().find("array log_scale_w"), std::string::npos);
     arrays.pop_back();
     write_safetensors(path, arrays, metadata);
-    EXPECT_EQ(load_model(path).surfels.primitive(), Primitive::surfel);
+    EXPECT_EQ(load_model(path).surfels.primitive, Primitive::surfel);
+    metadata["primitive"] = "gaussian";
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array log_scale_w: missing"), std::string::npos);
+    metadata["primitive"] = "cube";
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("primitive: found \"cube\", expected one of surfel, gaussian"), std::string::npos);
+}
+
+/// A row of relidar/shared/primitives.h is all that files need to know of a primitive.
+TEST_F(ModelFile, EveryPrimitiveComesBack) {
+    for (const PrimitiveKind& kind : kPrimitives) {
+        make_primitive(scene.surfels, kind.primitive, 0.3);
+        save_model(path, scene);
+        EXPECT_EQ(load_model(path).surfels.primitive, kind.primitive) << kind.name;
+        EXPECT_EQ(load_model(path).surfels.log_scale_w.size(), kind.third_scale ? 4u : 0u) << kind.name;
+        write_safetensors(path, read_safetensors(path, &metadata), metadata);
+        EXPECT_EQ(metadata.at("primitive"), kind.name);
+        Config config;
+        set_key(config, "image.primitive", kind.name);
+        EXPECT_EQ(config.image.primitive, kind.primitive);
+    }
 }
 
 TEST_F(ModelFile, SensorDropRoundTripsAndIsChecked) {

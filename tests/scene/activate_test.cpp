@@ -139,9 +139,9 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
     for (const int degree : {3, 1}) {
         Stream stream(device());
         SurfelArrays d_surfels(device(), n, "gradient", primitive());
-        Array<std::uint32_t> touched(device(), n, "touched");
-        Array<float> d_view(device(), 3 * surfels.size(), "view gradient");
-        const Array<float> upstream(device(), std::span<const float>(d_records), "record gradient");
+        Array<std::uint32_t, shared::TouchedSurfels> touched(device(), n, "touched");
+        Array<float, shared::ViewGradients> d_view(device(), 3 * surfels.size(), "view gradient");
+        const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records), "record gradient");
         scene.activate_vjp(stream, image_model(degree), view, {&upstream, &d_surfels, &touched, &d_view});
         stream.finish();
         const Surfels actual = d_surfels.download();
@@ -189,8 +189,8 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     std::fill(before.sh.begin(), before.sh.end(), 7.0f);
     std::fill(before.mean.begin(), before.mean.end(), glm::vec3(7.0f));
     d_surfels.upload(before);
-    Array<std::uint32_t> touched(device(), n, "touched");
-    const Array<float> upstream(device(), std::span<const float>(d_records), "record gradient");
+    Array<std::uint32_t, shared::TouchedSurfels> touched(device(), n, "touched");
+    const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records), "record gradient");
     Stream stream(device());
     scene.activate_vjp(stream, image_model(3), glm::vec3(0.0f), {&upstream, &d_surfels, &touched, nullptr, false});
     stream.finish();

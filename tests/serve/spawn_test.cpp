@@ -32,7 +32,7 @@ Asset plate_asset(const std::string& name, std::size_t n_surfels = 1, Primitive 
     surfels.sh[0] = 1.0f;
     const Surfels one = surfels;
     for (std::size_t i = 1; i < n_surfels; ++i) surfels.append(one);
-    if (primitive == Primitive::gaussian) make_gaussians(surfels, 0.1);
+    if (primitive == Primitive::gaussian) make_primitive(surfels, Primitive::gaussian, 0.1);
     run.scene.models = {{"background", 0, 0}, {name, 0, std::uint32_t(n_surfels)}};
     run.scene.instances = {{0, ""}, {1, name}};
     run.sequence.boxes[0].id = name;

@@ -9,6 +9,7 @@ function(relidar_write_shared_layouts out)
         string(APPEND includes "#include \"${header}\"\n")
         file(READ ${header} lines)
         string(REGEX REPLACE "//[^\n]*" "" lines "${lines}")
+        string(REGEX REPLACE "RELIDAR_OF\\(([A-Za-z0-9_]+), [A-Za-z0-9_]+\\)" "\\1" lines "${lines}")
         string(REPLACE ";" "!" lines "${lines}")   # a semicolon would split a list
         string(REPLACE "\n" ";" lines "${lines}")
         set(struct "")

@@ -95,6 +95,7 @@ std::string judge(const std::string& from_path, const std::string& to_path) {
                                                                                                    : "";
     if (from_path.starts_with("shaders/")) return shader_may_include(from, to) ? "" : from + " may not include " + to;
     if (from == "tools/relidar" && (to == "tools/view" || to == "tools/serve")) return "";   // commands on top of their servers
+    if (from.starts_with("tools/") && to == "tools/network") return "";   // what servers share
     if (from.starts_with("tools/")) return to_face ? "" : "tools see only include/relidar";
     const bool is_test = stem(from_path).ends_with("_test");
     if (from == "tests/reference" && is_test && to == "tests/support") return "";

@@ -1,4 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <map>
+#include <regex>
+
 #include "rules.hpp"
 
 namespace relidar::structure {
@@ -38,6 +41,42 @@ Violations check_kernels(const SourceTree& tree) {
         if (readme == tree.end() || !contains_word(readme->second.text, stage + "/" + word)) {
             violations.push_back(path + ":1: no row '" + stage + "/" + word + "' in shaders/README.md");
         }
+    }
+    return violations;
+}
+
+Violations check_bare_pointers(const SourceTree& tree) {
+    static const std::regex begin(R"(struct (\w+) \{.*)"), member(R"(    (Floats|Uints|U?[Vv]ec\ds) (\w+);.*)");
+    Violations violations;
+    for (const auto& [path, file] : tree) {
+        if (!path.starts_with("shaders/shared/") && !path.starts_with("include/relidar/shared/")) continue;
+        std::map<std::string, std::string> first_of;   // kind -> the struct's first pointer of it
+        std::string owner;
+        for (std::size_t i = 0; i < file.lines.size(); ++i) {
+            std::smatch match;
+            if (std::regex_match(file.lines[i], match, begin)) {
+                owner = match[1];
+                first_of.clear();
+            } else if (std::regex_match(file.lines[i], match, member)) {
+                const auto [first, is_first] = first_of.try_emplace(match[1], match[2]);
+                if (!is_first)
+                    violations.push_back(path + ":" + std::to_string(i + 1) + ": " + owner + "::" + std::string(match[2]) + " takes what " +
+                                         first->second + " is given: both are bare " + std::string(match[1]) + ", expected RELIDAR_OF");
+            }
+        }
+    }
+    return violations;
+}
+
+Violations check_primitive_questions(const SourceTree& tree) {
+    static const std::regex question(R"(.*([=!]= *Primitive::\w+|\bPrimitive::\w+ *[=!]=|case Primitive::|log_scale_w\.empty\(\)).*)");
+    Violations violations;
+    for (const auto& [path, file] : tree) {
+        const std::string top = folder(path, 0);
+        if ((top != "src" && top != "include" && top != "tools") || !has_extension(path, {".cpp", ".hpp"})) continue;
+        for (std::size_t i = 0; i < file.lines.size(); ++i)
+            if (std::regex_match(file.lines[i], question))
+                violations.push_back(path + ":" + std::to_string(i + 1) + ": asks which primitive it is, expected a column of kind_of()");
     }
     return violations;
 }

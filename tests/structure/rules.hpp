@@ -23,6 +23,13 @@ bool is_stage(const std::string& name);
 /// Each kernel shaders/<stage>/<stem>.comp has a binding in src/<stage>, a test, and a row in shaders/README.md.
 Violations check_kernels(const SourceTree& tree);
 
+/// No struct that C++ and shaders share has two pointers of one bare kind (Floats, Uints, ...): RELIDAR_OF says what each holds.
+Violations check_bare_pointers(const SourceTree& tree);
+
+/// No source of the library or its tools asks which primitive something is: what differs is a column of relidar/shared/primitives.h, so
+/// that a new row changes no question.
+Violations check_primitive_questions(const SourceTree& tree);
+
 /// Lengths of files, functions and lines, numbers of arguments.
 Violations check_budgets(const SourceTree& tree);
 
@@ -36,5 +43,8 @@ Violations check_licence_lines(const SourceTree& tree);
 Violations check_mirror_names(const SourceTree& tree);
 /// README.md has blocks marked runnable, and the scripts they call exist.
 Violations check_readme(const SourceTree& tree);
+/// Links, files, folders, headers, kernels, settings, commands, options and variables that documents (*.md) name exist, and documents that
+/// comments name.
+Violations check_documents(const SourceTree& tree);
 
 }  // namespace relidar::structure

@@ -131,6 +131,20 @@ TEST(Rules, KernelWithoutCompanyIsFound) {
     EXPECT_THAT(check_kernels(complete), IsEmpty());
 }
 
+TEST(Rules, TwoBarePointersOfOneKindAreFound) {
+    const SourceTree tree = make_tree({{"shaders/shared/a.h", "struct P {\n    Floats x;   // input\n    Uints n;\n    Floats y;\n};\n"
+                                                              "struct Q {\n    Floats z;\n    RELIDAR_OF(Floats, Tangents) t;\n};\n"}});
+    EXPECT_THAT(check_bare_pointers(tree), ElementsAre(HasSubstr("a.h:4: P::y takes what x is given")));
+}
+
+TEST(Rules, QuestionForAPrimitiveIsFound) {
+    const SourceTree tree = make_tree({{"src/edit/a.cpp", "Primitive p = Primitive::surfel;\nif (p == Primitive::gaussian) f();\n"},
+                                       {"tools/relidar/b.cpp", "return s.log_scale_w.empty();\n"},
+                                       {"src/edit/c.cpp", "if (kind_of(p).has_normals) f();\n"},
+                                       {"tests/edit/d.cpp", "EXPECT_TRUE(p == Primitive::gaussian);\n"}});
+    EXPECT_THAT(check_primitive_questions(tree), ElementsAre(HasSubstr("a.cpp:2:"), HasSubstr("b.cpp:1:")));
+}
+
 TEST(Rules, BudgetsAreCounted) {
     std::string body;
     for (int i = 0; i < 60; ++i) body += "    step();\n";
@@ -168,6 +182,42 @@ TEST(Rules, ReadmeCallingNothingIsFound) {
     EXPECT_THAT(check_readme(make_tree({{"README.md", block}, {"tools/demo", ""}})), IsEmpty());
     EXPECT_THAT(check_readme(make_tree({{"README.md", "text"}})), ElementsAre(HasSubstr("no block")));
     EXPECT_THAT(check_readme({}), ElementsAre(HasSubstr("missing")));
+}
+
+/// What is wrong in a document of a small checkout.
+Violations wrong_in(const std::string& document) {
+    return check_documents(make_tree({{"docs/a.md", document},
+                                      {"docs/b.md", "# Two words, and `code`\n"},
+                                      {"README.md", ""},
+                                      {"src/config/fields.hpp", "f(\"train.iterations\", c.n);"},
+                                      {"include/relidar/shared/loss_terms.h", "TERM(0u, ssim, intensity_ssim, 0.1f)"},
+                                      {"shaders/loss/bce.comp", ""},
+                                      {"tools/bench/card.sh", "case $1 in --quick) ;; esac"},
+                                      {"tools/relidar/train.cpp", "add_subcommand(\"train\", x); add(\"--out\"); getenv(\"RELIDAR_X\")"}}));
+}
+
+TEST(Documents, NamesThatExistAreRight) {
+    EXPECT_THAT(wrong_in("See [b](b.md#two-words-and-code), [here](../README.md), b.md and `src/config/fields.{hpp,h}`\n").size(), 1u);
+    EXPECT_THAT(wrong_in("`train.iterations=3`, `loss.intensity_ssim`, `loss.*`, `train.csv`, `config.train.iterations`\n"), IsEmpty());
+    EXPECT_THAT(wrong_in("`relidar train LOG --out\nrun`, `tools/bench/card.sh --quick`, `loss/bce`, `<relidar/shared/loss_terms.h>`\n"),
+                IsEmpty());
+    EXPECT_THAT(wrong_in("```sh\nmpirun --np 2 relidar train LOG \\\n  --out run   # --like this\nRELIDAR_X=1 cmake --build x\n```\n"),
+                IsEmpty());
+    EXPECT_THAT(wrong_in("`src/<kind>/*.cpp`, `RUN/a.cpp`, `shaders/*/*.comp`\n"), IsEmpty());
+}
+
+TEST(Documents, NamesThatDoNotExistAreFound) {
+    EXPECT_THAT(wrong_in("\n[b](c.md) [b](b.md#three)\n"),
+                ElementsAre(HasSubstr("docs/a.md:2: no file docs/c.md"), HasSubstr("no heading for b.md#three")));
+    EXPECT_THAT(wrong_in("see formats.md, `src/conf`, `config.hpp`\n").size(), 3u);
+    EXPECT_THAT(wrong_in("`loss/mse` and `shaders/*/mse.comp`\n"),
+                ElementsAre(HasSubstr("no kernel loss/mse"), HasSubstr("no file shaders/*/mse.comp")));
+    EXPECT_THAT(wrong_in("`train.steps`, `loss.ssim`, `loss.x=0`\n").size(), 3u);
+    EXPECT_THAT(wrong_in("```sh\nx && relidar run\nrelidar train --in LOG \\\n--outs run\n```\n"),
+                ElementsAre(HasSubstr("a.md:2: no command relidar run"), HasSubstr("a.md:3: no option --in"), HasSubstr("--outs")));
+    EXPECT_THAT(wrong_in("`train --outs`, `--in`, `tools/bench/card.sh --slow`, `relidar_bench_x`, `RELIDAR_Y`\n").size(), 5u);
+    EXPECT_THAT(check_documents(make_tree({{"a.md", ""}, {"src/a.cpp", "int a;\n/// as b.md and a.md say\n"}})),
+                ElementsAre(HasSubstr("src/a.cpp:2: no file b.md"), HasSubstr("settings or commands were not found")));
 }
 
 }  // namespace

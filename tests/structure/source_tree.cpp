@@ -259,7 +259,8 @@ std::vector<Include> includes_of(const SourceTree& tree, const SourceFile& file)
         std::smatch match;
         if (!std::regex_search(file.lines[i], match, kInclude)) continue;
         std::vector<fs::path> bases = {"include"};
-        if (match[1] == "\"") bases = {fs::path(file.path).parent_path(), "src", "shaders", "include", "tests", "tests/support", ""};
+        if (match[1] == "\"")
+            bases = {fs::path(file.path).parent_path(), "src", "shaders", "include", "tests", "tests/support", "tools/relidar", ""};
         for (const fs::path& base : bases) {
             const std::string target = (base / match[2].str()).lexically_normal().generic_string();
             if (!tree.contains(target)) continue;

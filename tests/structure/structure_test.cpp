@@ -20,12 +20,15 @@ TEST(Structure, LayerTableHasNoCycle) { expect_none(check_layer_table()); }
 TEST(Structure, IncludesFollowTheLayers) { expect_none(check_include_edges(checkout())); }
 TEST(Structure, IncludeChainsAreShortAndAcyclic) { expect_none(check_include_chains(checkout())); }
 TEST(Structure, KernelsHaveBindingTestAndRow) { expect_none(check_kernels(checkout())); }
+TEST(Structure, PointersSayWhatTheyHold) { expect_none(check_bare_pointers(checkout())); }
+TEST(Structure, PrimitivesAreAskedByTheirRow) { expect_none(check_primitive_questions(checkout())); }
 TEST(Structure, BudgetsAreKept) { expect_none(check_budgets(checkout())); }
 TEST(Structure, VulkanStaysInGpuAndAccel) { expect_none(check_vulkan_names(checkout())); }
 TEST(Structure, FacesAreCommented) { expect_none(check_face_comments(checkout())); }
 TEST(Structure, LicenceIsNamed) { expect_none(check_licence_lines(checkout())); }
 TEST(Structure, NoMirrorIsNamed) { expect_none(check_mirror_names(checkout())); }
 TEST(Structure, ReadmeCommandsExist) { expect_none(check_readme(checkout())); }
+TEST(Structure, WhatDocumentsNameExists) { expect_none(check_documents(checkout())); }
 
 TEST(Structure, CheckoutWasRead) {
     EXPECT_TRUE(checkout().contains("LICENSE"));

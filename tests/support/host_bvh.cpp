@@ -123,9 +123,9 @@ private:
 std::vector<Box> surfel_boxes(Device& device, const DeviceScene& scene) {
     Stream stream(device);
     const std::vector<Constant> constants{{ConstantId::BOXES, 1u},
-                                          {ConstantId::GAUSSIANS, scene.primitive() == Primitive::gaussian ? 1u : 0u}};
+                                          {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}};
     const Kernel<shared::ProxyParams> proxies(device, "accel/proxies", constants);
-    const Array<float> boxes(device, 6 * std::size_t(scene.size()), "boxes");
+    const Array<float, shared::SurfelBoxes> boxes(device, 6 * std::size_t(scene.size()), "boxes");
     const AccelOptions margin;
     run(stream, proxies, scene.size(),
         {.records = scene.records().address(),
@@ -187,9 +187,9 @@ HostBvh::HostBvh(Device& device, const DeviceScene& scene) {
     Builder(instance_box, top_nodes, top_order).build(placed);
     nodes_ = Array<shared::BvhNode>(device, std::span<const shared::BvhNode>(nodes), "nodes");
     top_nodes_ = Array<shared::BvhNode>(device, std::span<const shared::BvhNode>(top_nodes), "top nodes");
-    order_ = Array<std::uint32_t>(device, std::span<const std::uint32_t>(order), "order");
-    roots_ = Array<std::uint32_t>(device, std::span<const std::uint32_t>(roots), "roots");
-    top_order_ = Array<std::uint32_t>(device, std::span<const std::uint32_t>(top_order), "top order");
+    order_ = {device, std::span<const std::uint32_t>(order), "order"};
+    roots_ = {device, std::span<const std::uint32_t>(roots), "roots"};
+    top_order_ = {device, std::span<const std::uint32_t>(top_order), "top order"};
 }
 
 shared::BvhPointers HostBvh::pointers() const {

@@ -18,7 +18,9 @@ public:
 
 private:
     Array<shared::BvhNode> nodes_, top_nodes_;
-    Array<std::uint32_t> order_, roots_, top_order_;
+    Array<std::uint32_t, shared::LeafOrder> order_;
+    Array<std::uint32_t, shared::InstanceRoots> roots_;
+    Array<std::uint32_t, shared::TopOrder> top_order_;
 };
 
 }  // namespace relidar::test

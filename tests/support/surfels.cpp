@@ -12,7 +12,7 @@ std::vector<reference::Surfel> to_reference(const Surfels& surfels) {
         s.rotation = glm::dvec4(surfels.rotation[i]);
         s.log_scale = glm::dvec2(surfels.log_scale[i]);
         s.opacity_logit = double(surfels.opacity_logit[i]);
-        if (surfels.primitive() == Primitive::gaussian) s.log_scale_w = double(surfels.log_scale_w[i]);
+        if (kind_of(surfels.primitive).third_scale) s.log_scale_w = double(surfels.log_scale_w[i]);
         for (int k = 0; k < kShFloats; ++k) s.sh[k] = double(surfels.sh[i * kShFloats + k]);
     }
     return result;
@@ -26,7 +26,9 @@ Surfels to_surfels(const std::vector<reference::Surfel>& surfels) {
         result.log_scale.emplace_back(s.log_scale);
         result.opacity_logit.push_back(float(s.opacity_logit));
         result.sh.insert(result.sh.end(), s.sh.begin(), s.sh.end());
-        if (s.log_scale_w) result.log_scale_w.push_back(float(*s.log_scale_w));
+        if (!s.log_scale_w) continue;
+        result.primitive = Primitive::gaussian;
+        result.log_scale_w.push_back(float(*s.log_scale_w));
     }
     return result;
 }
@@ -47,12 +49,13 @@ WorldRays to_world_rays(const RayTable& table) { return {to_vector(table.origin)
 
 Surfels take(const Surfels& surfels, const std::vector<std::uint32_t>& order) {
     Surfels result;
+    result.primitive = surfels.primitive;
     for (const std::uint32_t i : order) {
         result.mean.push_back(surfels.mean[i]);
         result.rotation.push_back(surfels.rotation[i]);
         result.log_scale.push_back(surfels.log_scale[i]);
         result.opacity_logit.push_back(surfels.opacity_logit[i]);
-        if (surfels.primitive() == Primitive::gaussian) result.log_scale_w.push_back(surfels.log_scale_w[i]);
+        if (kind_of(surfels.primitive).third_scale) result.log_scale_w.push_back(surfels.log_scale_w[i]);
         const auto sh = surfels.sh.begin() + std::ptrdiff_t(i) * kShFloats;
         result.sh.insert(result.sh.end(), sh, sh + kShFloats);
     }

@@ -25,8 +25,7 @@ inline double exp_error(double x) { return (3.0 + 2.0 * (x < 0.0 ? -x : x)) * kU
 inline double sigmoid_error(double sigmoid, double x) { return sigmoid * ((1.0 - sigmoid) * exp_error(x) + kRounding + kDivision); }
 /// Kernel values against the double reference, normalised mean squared error.
 inline constexpr double kKernelNmse = 1e-7;
-/// The released implementation (float, GPU) against a double renderer: 2.4e-4 m was measured on 256 rays, 7e-4 m here on a ray of 68 m;
-/// 1 mm is also where ../shared/bench/README.md draws the line.
+/// The released implementation (float, GPU) against a double renderer: 2.4e-4 m was measured on 256 rays, 7e-4 m here on a ray of 68 m.
 inline constexpr double kPeerDepth_m = 1e-3;
 inline constexpr double kPeerChannel = 2e-5;
 

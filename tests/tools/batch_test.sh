@@ -36,7 +36,7 @@ preset = "quick"
 [defaults.settings]
 train = { pose_register = false, iterations = 2, log_every = 1 }
 refine.enabled = false
-init = { actor_min_points = 10, discover_actors = false }
+init = { actor_min_points = 10, unlabelled_movers = "removed" }
 dataset.test_every = 5
 '
 
@@ -288,9 +288,10 @@ killed() {
     check "a batch after one that was killed: exit code $?, expected 0" test $? = 0
     went_on killed
     long_batch lost
+    training=$(pgrep -P $batch)
     kill -KILL -- -$batch
     wait $batch 2>/dev/null
-    sleep 0.5
+    while grep -q '^State:[[:space:]]*[^ZX]' "/proc/$training/status" 2>/dev/null; do sleep 0.05; done   # its lock goes with it
     good batch long.toml --out lost --status
     says "^long +lost +0/1 +1 "
     says "^2 jobs, 1 lost, 1 waiting, "

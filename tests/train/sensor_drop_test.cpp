@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What a sensor never sees, from few sweeps and from many: a blind sector of its own vehicle, and rays that are dropped now and then.
-#include "train/sensor_drop.hpp"
+#include "train/drops/sensor_drop.hpp"
 
 #include <cmath>
 #include <numeric>

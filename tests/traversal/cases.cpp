@@ -203,6 +203,7 @@ TraversalCase as_gaussians(TraversalCase c, std::uint64_t seed) {
         const auto thickness = static_cast<float>(uniform(random, std::log(0.03), std::log(0.5)));
         c.surfels.log_scale_w.push_back(i % 20 == 19 ? unusable[i / 20 % 3] : thickness);
     }
+    c.surfels.primitive = Primitive::gaussian;
     c.name += " as 3D Gaussians";
     return c;
 }

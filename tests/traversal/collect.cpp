@@ -13,9 +13,11 @@ CollectedHits collect(Device& device, const KernelVariant& variant, const std::v
     const Kernel<shared::CollectHitsParams> collect_hits(device, "traversal/collect_hits", variant, constants);
     const std::size_t n = rays.size(), n_slots = n * max_hits;
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
-    const Array<std::uint32_t> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
-    const Array<std::uint32_t> counts(device, n, "counts"), instance(device, n_slots, "instances"), surfel(device, n_slots, "surfels");
-    const Array<float> t(device, n_slots, "distances");
+    const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
+    const Array<std::uint32_t, shared::HitCounts> counts(device, n, "counts");
+    const Array<std::uint32_t, shared::HitInstances> instance(device, n_slots, "instances");
+    const Array<std::uint32_t, shared::HitSurfels> surfel(device, n_slots, "surfels");
+    const Array<float, shared::HitDistances> t(device, n_slots, "distances");
     scene.rays = device_rays.address();
     scene.pass_cap_count = pass_cap.address();
     scene.n_rays = static_cast<std::uint32_t>(n);

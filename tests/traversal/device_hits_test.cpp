@@ -17,7 +17,7 @@ protected:
     CollectedHits collect(const TraversalCase& c, const AccelOptions& accel, const TraceOptions& trace) {
         const test::SceneAndPoses placed = test::to_scene(c.surfels, c.instances);
         ImageModel model;
-        model.primitive = c.surfels.primitive();
+        model.primitive = c.surfels.primitive;
         return test::in_world(collect_hits(device(), {&placed.scene, placed.world_from_instance, model, accel, trace}, c.rays, kMaxHits),
                               placed);
     }

@@ -42,7 +42,7 @@ void disturb(Surfels& s, std::mt19937& random) {
         s.mean[i] += 0.3f * glm::vec3(normal(random), normal(random), normal(random));
         s.rotation[i] += 0.2f * glm::vec4(normal(random), normal(random), normal(random), normal(random));
         s.log_scale[i] += 0.2f * glm::vec2(normal(random), normal(random));
-        if (s.primitive() == Primitive::gaussian) s.log_scale_w[i] += 0.2f * normal(random);
+        if (s.primitive == Primitive::gaussian) s.log_scale_w[i] += 0.2f * normal(random);
     }
 }
 

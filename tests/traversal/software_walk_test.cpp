@@ -19,14 +19,14 @@ protected:
         DeviceScene scene(device(), placed.scene);
         scene.set_poses(placed.world_from_instance);
         ImageModel model;
-        model.primitive = c.surfels.primitive();
+        model.primitive = c.surfels.primitive;
         scene.activate(stream, model, glm::vec3(0.0f));
         stream.finish();
         const test::HostBvh bvh(device(), scene);
         const shared::TraceScene trace = trace_scene(scene, {.tlas = {}, .proxy_reach = {}, .bvh = bvh.pointers()}, model);
-        const std::uint32_t gaussians = c.surfels.primitive() == Primitive::gaussian ? 1u : 0u;
+        const auto primitive = static_cast<std::uint32_t>(c.surfels.primitive);
         const std::vector<Constant> constants{
-            {ConstantId::CHUNK, chunk}, {ConstantId::TOGETHER, packet}, {ConstantId::GAUSSIANS, gaussians}};
+            {ConstantId::CHUNK, chunk}, {ConstantId::TOGETHER, packet}, {ConstantId::PRIMITIVE, primitive}};
         return test::in_world(test::collect(device(), KernelVariant("@software_bvh"), constants, trace, c.rays, test::kMaxHits),
                               placed);
     }

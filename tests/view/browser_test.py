@@ -9,7 +9,6 @@ import os
 import pathlib
 import subprocess
 import sys
-import time
 
 from browser_page import Page, Viewer, need, train_street   # before selenium: says what is missing
 from selenium.webdriver.common.by import By
@@ -41,13 +40,14 @@ FIRST_BLUE = 0xFF000000 | 235 << 16 | 111 << 8 | 31      # the first actor's col
 COPY_GREEN = 0xFF000000 | 107 << 16 | 150 << 8 | 18    # the third's: the copy of a street with two
 
 
+def coloured_pixels(page, canvas):
+    return page.driver.execute_async_script(COLOURED, canvas.screenshot_as_base64)
+
+
 def shows_points(page):
     page.wait("more than 10,000 points", lambda: page.points() > 10_000)
     assert page.find("#image-size").text == "32 × 512", page.find("#image-size").text
-    time.sleep(0.5)
-    picture = page.find("#view").screenshot_as_base64
-    coloured = page.driver.execute_async_script(COLOURED, picture)
-    assert coloured > 5_000, f"{coloured} coloured pixels in the view, expected points"
+    page.wait("more than 5,000 coloured pixels in the view", lambda: coloured_pixels(page, page.find("#view")) > 5_000)
 
 
 def share_of_changes(before, after):
@@ -123,8 +123,9 @@ def shows_the_log(page):
 
 
 def stays_responsive(page):
+    before = page.find("#time").get_attribute("value")
     page.click("#play")
-    time.sleep(0.5)
+    page.wait("time going on", lambda: page.find("#time").get_attribute("value") != before)
     pause_ms = page.driver.execute_async_script(LONGEST_PAUSE)
     print(f"longest pause of the page while it plays: {pause_ms:.0f} ms")
     assert pause_ms < 1000, pause_ms
@@ -146,14 +147,12 @@ def shows_a_report(page, relidar, work):
     file = work / "scored/evaluation.html"
     assert file.stat().st_size < 8e6, file.stat().st_size
     page.driver.get(file.as_uri())
-    time.sleep(2)
-    pictures = [canvas.screenshot_as_base64 for canvas in page.driver.find_elements(By.CSS_SELECTOR, ".pair canvas")]
-    coloured = [page.driver.execute_async_script(COLOURED, picture) for picture in pictures]
-    assert len(coloured) == 2 and min(coloured) > 3_000, f"coloured pixels of the two clouds: {coloured}"
+    clouds = lambda: page.driver.find_elements(By.CSS_SELECTOR, ".pair canvas")
+    page.wait("two clouds", lambda: len(clouds()) == 2 and all(coloured_pixels(page, canvas) > 3_000 for canvas in clouds()))
+    pictures = [canvas.screenshot_as_base64 for canvas in clouds()]
     page.find(".pair canvas").send_keys(Keys.ARROW_LEFT)
-    time.sleep(1)
-    turned = [canvas.screenshot_as_base64 for canvas in page.driver.find_elements(By.CSS_SELECTOR, ".pair canvas")]
-    assert all(a != b for a, b in zip(pictures, turned)), "an arrow key turns both clouds"
+    page.wait("both clouds turned by an arrow key",
+              lambda: all(a != canvas.screenshot_as_base64 for a, canvas in zip(pictures, clouds())))
 
 
 def check(page, url, relidar, work):

@@ -282,7 +282,7 @@ TEST(ViewServer, SendsTheNewestToWhoReadsSlowly) {
     socket.receive(12);
     constexpr std::size_t kSize = std::size_t(1) << 22;   // more than the system's buffers hold
     for (char c = 'a'; c <= 'z'; ++c) echo.server.send_newest(echo.last, std::string(kSize, c));
-    std::this_thread::sleep_for(milliseconds(300));
+    EXPECT_TRUE(echo.lives());   // an answer of the same thread: it has taken all that was sent before
     const std::string all = socket.receive(SIZE_MAX, milliseconds(500));
     EXPECT_EQ(all.size(), 2 * (kSize + 10));   // the one that was on its way, and the last
     EXPECT_EQ(all.back(), 'z');
@@ -294,7 +294,7 @@ TEST(ViewServer, GivesUpOnWhoNeverReads) {
     socket.send(text_frame("hello"));
     socket.receive(12);
     for (int i = 0; i < 200; ++i) echo.server.send_text(echo.last, std::string(1 << 20, 'x'));
-    std::this_thread::sleep_for(milliseconds(300));
+    EXPECT_TRUE(echo.lives());   // it has taken all of them
     EXPECT_LT(socket.receive(SIZE_MAX, milliseconds(500)).size(), std::size_t(100) << 20);
     EXPECT_TRUE(echo.lives());
 }
@@ -308,10 +308,8 @@ TEST(ViewServer, SaysWhereItCannotListen) {
     ServerOptions nowhere;
     nowhere.address = "example.com";
     EXPECT_THROW(listen(nowhere), UsageError);
-    EXPECT_THROW(is_loopback("x"), UsageError);
-    EXPECT_TRUE(is_loopback("127.1.2.3"));
-    EXPECT_TRUE(is_loopback("::1"));
-    EXPECT_FALSE(is_loopback("0.0.0.0"));
+    EXPECT_THROW(check_address("x"), UsageError);
+    EXPECT_NO_THROW(check_address("::1"));
     EXPECT_NE(random_token(), random_token());
     EXPECT_EQ(random_token().size(), 32u);
 }

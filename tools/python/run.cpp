@@ -99,7 +99,7 @@ std::vector<std::string> track_names(const Run& run) {
 }
 
 std::unique_ptr<LoadedRun> load(const fs::path& folder, const py::dict& settings, const SharedDevice& device) {
-    Run run = load_run(folder);
+    Run run = load_run(folder, warn);
     set_values(run.config, settings);
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
@@ -109,7 +109,7 @@ std::unique_ptr<LoadedRun> with_surfels(const LoadedRun& loaded, const py::dict&
     Surfels surfels = surfels_of(arrays);
     Scene& scene = changed->run.scene;
     scene = whole_scene(scene);
-    if (surfels.size() != scene.surfels.size() || surfels.primitive() != scene.surfels.primitive())
+    if (surfels.size() != scene.surfels.size() || surfels.primitive != scene.surfels.primitive)
         throw DataError(fmt::format("with_surfels: found {} surfels, expected {} of the same primitive, as the run has", surfels.size(),
                                     scene.surfels.size()));
     scene.surfels = std::move(surfels);

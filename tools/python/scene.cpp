@@ -8,11 +8,14 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include <relidar/stages/scene.hpp>
 #include "arrays.hpp"
 #include "module.hpp"
 
 namespace relidar::python {
 namespace {
+
+constexpr std::string_view kThirdScale = "log_scale_w";
 
 /// The groups of Surfels with their shapes: calls take(name, vector, number of floats a surfel as a shape).
 template <class Set, class Take>
@@ -22,7 +25,7 @@ void for_each_group(Set& surfels, Take&& take) {
     take("log_scale", surfels.log_scale, Shape{2});
     take("opacity_logit", surfels.opacity_logit, Shape{});
     take("sh", surfels.sh, Shape{kShChannels, kShCoefficients});
-    take("log_scale_w", surfels.log_scale_w, Shape{});
+    take(kThirdScale.data(), surfels.log_scale_w, Shape{});
 }
 
 Shape rows_of(py::ssize_t n, const Shape& row) {
@@ -36,7 +39,7 @@ py::dict view_of(const py::object& scene_object) {
     const Surfels& surfels = scene_object.cast<const Scene&>().surfels;
     py::dict dict;
     for_each_group(surfels, [&](const char* name, const auto& values, const Shape& row) {
-        if (name == std::string("log_scale_w") && values.empty()) return;
+        if (name == kThirdScale && !kind_of(surfels.primitive).third_scale) return;
         dict[name] = view<float>(values, rows_of(static_cast<py::ssize_t>(surfels.size()), row), scene_object);
     });
     return dict;
@@ -90,7 +93,7 @@ Surfels surfels_of(const py::dict& arrays) {
         names.emplace_back(name);
         if (arrays.contains(name))
             values = copied<float, Element>(arrays[name], fmt::format("surfels: {}", name), rows_of(kAny, row));
-        else if (name != std::string("log_scale_w"))
+        else if (name != kThirdScale)
             throw DataError(fmt::format("surfels: found no array \"{}\", expected mean, rotation, log_scale, opacity_logit and sh", name));
     });
     for (const auto& [name, array] : arrays) {
@@ -99,15 +102,18 @@ Surfels surfels_of(const py::dict& arrays) {
             throw UsageError(fmt::format("surfels: found an array \"{}\"{} (known: {})", text, did_you_mean(text, names, "\""),
                                          fmt::join(names, ", ")));
     }
+    // a dict says what it is made of by the arrays it has, as files did that had no word for it
+    surfels.primitive = stored_primitive({}, "", [&](const char* name) { return arrays.contains(name); });
     surfels.check_shapes();
     return surfels;
 }
 
 py::dict to_dict(Surfels&& surfels) {
     const auto n = static_cast<py::ssize_t>(surfels.size());
+    const bool third_scale = kind_of(surfels.primitive).third_scale;
     py::dict dict;
     for_each_group(surfels, [&](const char* name, auto& values, const Shape& row) {
-        if (name == std::string("log_scale_w") && values.empty()) return;
+        if (name == kThirdScale && !third_scale) return;
         dict[name] = owned<float>(std::move(values), rows_of(n, row));
     });
     return dict;

@@ -109,15 +109,9 @@ double length_m(const PoseTrack& track) {
     return length;
 }
 
-const BoxTrack* find_box(const Run& run, const std::string& name) {
-    const std::vector<BoxTrack>& boxes = run.sequence.boxes;
-    const auto box = std::find_if(boxes.begin(), boxes.end(), [&](const BoxTrack& b) { return b.id == name; });
-    return box == boxes.end() ? nullptr : &*box;
-}
-
 void write_actor(const Run& run, const std::string& name, v1::Actor& message) {
     message.set_name(name);
-    const BoxTrack* box = find_box(run, name);
+    const BoxTrack* box = find_box(run.sequence, name);
     if (!box) return;
     const PoseTrack& track = box->world_from_box;
     message.set_category(box->category);
@@ -181,7 +175,7 @@ void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtr
     std::vector<std::string> names(actors.begin(), actors.end());
     if (names.empty()) names = actor_names(run);
     for (const std::string& name : names) {
-        const BoxTrack* box = find_box(run, name);
+        const BoxTrack* box = find_box(run.sequence, name);
         if (!box)
             throw Refusal(grpc::StatusCode::NOT_FOUND,
                           fmt::format("reading actors: found {}, expected an actor of the log that ListScenes gives", quoted(name)));

@@ -129,10 +129,4 @@ void ScanServer::stop(std::chrono::milliseconds patience) {
     impl_->server->Shutdown(std::chrono::system_clock::now() + patience);
 }
 
-bool is_loopback(const std::string& listen) {
-    const std::string host = listen.substr(0, listen.rfind(':'));
-    const bool is_number = host.find_first_not_of("0123456789.") == std::string::npos;   // 127.example.com is somebody else's
-    return host == "localhost" || host == "[::1]" || (is_number && host.starts_with("127."));
-}
-
 }  // namespace relidar::serve

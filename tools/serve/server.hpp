@@ -53,7 +53,4 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Whether an address is reached from this machine alone.
-bool is_loopback(const std::string& listen);
-
 }  // namespace relidar::serve

@@ -51,8 +51,7 @@ std::string identity_of(const Run& run) {
 Json actors_json(const Run& run) {
     Json actors = Json::array();
     for (const Instance& instance : run.scene.instances) {
-        const auto box = std::ranges::find_if(run.sequence.boxes, [&](const BoxTrack& b) { return b.id == instance.track; });
-        if (!instance.track.empty() && box != run.sequence.boxes.end())
+        if (const BoxTrack* box = find_box(run.sequence, instance.track))
             actors.push_back({{"track", box->id}, {"category", box->category}});
     }
     return actors;

@@ -133,7 +133,7 @@ std::string Server::url() const {
 void Server::send_text(ClientId client, std::string text) { impl_->send(client, std::move(text), true); }
 void Server::send_newest(ClientId client, std::string bytes) { impl_->send(client, std::move(bytes), false); }
 
-bool is_loopback(const std::string& address) { return parse_address(address).is_loopback(); }
+void check_address(const std::string& address) { (void)parse_address(address); }
 
 std::string random_token() {
     std::random_device source;   // the system's own

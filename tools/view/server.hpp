@@ -75,8 +75,8 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Whether an address is one that only this machine reaches. @throws UsageError where it is no literal address
-bool is_loopback(const std::string& address);
+/// @throws UsageError where it is no literal address, as ServerOptions::address must be
+void check_address(const std::string& address);
 
 /// A secret that nobody guesses: 32 hexadecimal digits.
 std::string random_token();

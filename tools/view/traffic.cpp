@@ -122,9 +122,8 @@ ActorPoses Traffic::placed(double time_s) const {
 nlohmann::json Traffic::describe(double time_s) const {
     nlohmann::json actors = nlohmann::json::array();
     for (const Instance& instance : instances()) {
-        const auto box = std::find_if(driving_.sequence.boxes.begin(), driving_.sequence.boxes.end(),
-                                      [&](const BoxTrack& b) { return !instance.track.empty() && b.id == instance.track; });
-        if (box == driving_.sequence.boxes.end()) continue;
+        const BoxTrack* box = find_box(driving_.sequence, instance.track);
+        if (!box) continue;
         actors.push_back({{"track", box->id},
                           {"category", box->category},
                           {"size", {box->size_m.x, box->size_m.y, box->size_m.z}},

@@ -33,11 +33,12 @@ RELIDAR_HANDLE(TlasHandle);   // of the driver's top level
 
 /// A two-level structure as a traversal reads it.
 struct BvhPointers {
-    BvhNodes nodes;        // of all models
-    Uints order;           // surfels in leaf order, counted from the first of their model
-    Uints roots;           // [n_instances] root of the instance's model in `nodes`; RELIDAR_BVH_NO_NODE: no surfels, or not placed
-    BvhNodes top_nodes;    // over the instances; root 0
-    Uints top_order;       // instances in leaf order
+    BvhNodes nodes;                          // of all models
+    RELIDAR_OF(Uints, LeafOrder) order;      // surfels in leaf order, counted from the first of their model
+    // [n_instances] root of the instance's model in `nodes`; RELIDAR_BVH_NO_NODE: no surfels, or not placed
+    RELIDAR_OF(Uints, InstanceRoots) roots;
+    BvhNodes top_nodes;                      // over the instances; root 0
+    RELIDAR_OF(Uints, TopOrder) top_order;   // instances in leaf order
 };
 
 RELIDAR_SHARED_END

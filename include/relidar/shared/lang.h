@@ -10,21 +10,31 @@
 #define RELIDAR_SHARED_END }
 #define RELIDAR_POINTER(name, type) using name = Address<type>
 #define RELIDAR_HANDLE(name) struct name { std::uint64_t value = 0; }
+// Where a struct has two pointers of one kind, each says what it holds: RELIDAR_OF(Floats, LossTerms) terms. In GLSL that is Floats.
+#define RELIDAR_OF(pointer, meaning) pointer::Of<struct meaning>
 namespace relidar {
-template <class T>
+template <class T, class Meaning = void>
 class Array;
 class Stream;
 
-/// Where entries of an array of T begin on the device: nothing but 8 bytes, and nowhere unless an Array<T> has made it. Addresses of
-/// different types are not each other, so that a kernel never gets one array for another of another type.
-template <class T>
+/// Where entries of an array of T begin on the device: nothing but 8 bytes, and nowhere unless an Array<T, Meaning> has made it. Addresses
+/// of different types, or of different meanings, are not each other, so that a kernel never gets one array for another.
+template <class T, class Meaning = void>
 class Address {
 public:
+    template <class Other>
+    using Of = Address<T, Other>;
+
     Address() = default;
     friend bool operator==(const Address&, const Address&) = default;
+    /// The same place under another meaning: the only way from one to the other.
+    template <class Other>
+    Of<Other> as() const { return Of<Other>(value_); }
 
 private:
-    template <class>
+    template <class, class>
+    friend class Address;
+    template <class, class>
     friend class Array;
     friend class Stream;   // parameters of its own, for one submission
     explicit Address(std::uint64_t value) : value_(value) {}
@@ -49,6 +59,7 @@ using uint = std::uint32_t;
     layout(buffer_reference, scalar, buffer_reference_align = 16) buffer name { type at[]; }
 // What the driver alone reads through.
 #define RELIDAR_HANDLE(name) RELIDAR_POINTER(name, uint)
+#define RELIDAR_OF(pointer, meaning) pointer
 // Addresses are never numbers here: not every device has 64-bit integers. A pointer becomes one of another type through uvec2, as not
 // every compiler (SwiftShader's) casts pointers.
 /// Whether a pointer is address 0: how the host says that there is no such array.

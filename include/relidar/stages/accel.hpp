@@ -12,6 +12,9 @@
 namespace relidar {
 
 class DeviceScene;
+namespace shared {
+struct ProxyReach;   // what an array holds, as kernels tell it from others
+}
 
 /// What stands for a surfel in the driver's tree. Both propose the same hits; `boxes` are faster on lavapipe, `triangles` (two a surfel, an
 /// icosahedron a 3D Gaussian) on ray-tracing hardware. The software tree is always over boxes.
@@ -30,9 +33,9 @@ struct AccelOptions {
 
 /// The structure that a device's traversal searches; the others are nowhere.
 struct AccelAddresses {
-    shared::TlasHandle tlas;       ///< ray query
-    Address<float> proxy_reach;    ///< [1] ray query over icosahedra: how far behind a hit one may end
-    shared::BvhPointers bvh;       ///< software
+    shared::TlasHandle tlas;                          ///< ray query
+    Address<float, shared::ProxyReach> proxy_reach;   ///< [1] ray query over icosahedra: how far behind a hit one may end
+    shared::BvhPointers bvh;                          ///< software
 };
 
 /// Proxy that suits a device where none is chosen.

@@ -13,6 +13,12 @@
 
 namespace relidar {
 
+namespace shared {   // what arrays hold, as kernels tell them apart
+struct DeviceRayGradients;
+struct InstancePoseGradients;
+struct SensorPoseGradient;
+}  // namespace shared
+
 /// What is wanted beside the gradients of the surfels.
 struct WantedGradients {
     bool rays = false;    ///< of every ray
@@ -21,21 +27,21 @@ struct WantedGradients {
 
 /// Gradients of everything the image depends on.
 struct Gradients {
-    SurfelArrays surfels;                ///< dL/d(parameter), layout of Surfels
-    Array<float> records;                ///< [DeviceScene::gradient_rows,16] dL/d(record) of each placed surfel
-    Array<std::uint32_t> touched;        ///< [n] 1 where a surfel has a gradient in this batch
-    bool zero_untouched = true;          ///< false: parameter gradients of the other surfels are left undefined (Adam takes them for zero)
-    Array<float> rays;                   ///< [n_rays,6] dL/d(origin), dL/d(direction), world; empty unless asked for
+    SurfelArrays surfels;                                    ///< dL/d(parameter), layout of Surfels
+    Array<float, shared::RecordGradients> records;           ///< [DeviceScene::gradient_rows,16] dL/d(record) of each placed surfel
+    Array<std::uint32_t, shared::TouchedSurfels> touched;    ///< [n] 1 where a surfel has a gradient in this batch
+    bool zero_untouched = true;   ///< false: parameter gradients of the other surfels are left undefined (Adam takes them for zero)
+    Array<float, shared::DeviceRayGradients> rays;           ///< [n_rays,6] dL/d(origin), dL/d(direction), world; empty unless asked for
 
     /// [instances,6] dL/d(v, w) at 0, v metres, w radians, both in the world's axes: world_from_model becomes (exp([w]x) R, T + v), so w
     /// turns the model about its own origin. Row 0 is the background's: a refinement keeps that where it is. Exactly 0 for instances that
     /// no ray with a gradient meets, and for absent ones. With ShDirection::surfel a model is viewed from its first placement: further ones
     /// have no share in what its SH directions do. Empty unless asked for.
-    Array<float> poses;
+    Array<float, shared::InstancePoseGradients> poses;
     /// [6] dL/d(v, w) at 0: every ray of the batch moves as one body, origin' = c + exp([w]x) (origin - c) + v and direction' = exp([w]x)
     /// direction, c = view_origin_m, which moves along. With a rolling shutter that is one correction for the whole frame. Empty unless
     /// asked for.
-    Array<float> sensor;
+    Array<float, shared::SensorPoseGradient> sensor;
 
     /// @param n_rays  of the largest batch
     Gradients(Device& device, const DeviceScene& scene, const WantedGradients& wanted = {}, std::uint32_t n_rays = 0);

@@ -36,7 +36,7 @@ public:
 
 private:
     friend Impl& impl_of(const Buffer& buffer);   ///< what the library itself works with
-    template <class T>
+    template <class, class>
     friend class Array;
     std::unique_ptr<Impl> impl_;
 
@@ -45,7 +45,7 @@ private:
 
 /// Device array of trivially copyable values.
 template <class T>
-class Array {
+class Array<T, void> {
 public:
     Array() = default;
     Array(Device& device, std::size_t n, const std::string& what) : buffer_(device, (n ? n : 1) * sizeof(T), what), n_(n) {}
@@ -56,11 +56,11 @@ public:
     /// that kernels load a record in pieces of 16 bytes; a part that begins elsewhere is indexed at run time, or by atomics, and
     /// nothing else.
     Address<T> address(std::size_t first = 0) const { return address_as<T>(first); }
-    /// The same memory for a kernel that takes it for entries of another type. `first` counts entries of T.
-    template <class U>
-    Address<U> address_as(std::size_t first = 0) const {
+    /// The same memory for a kernel that takes it for entries of another type or meaning. `first` counts entries of T.
+    template <class U, class Meaning = void>
+    Address<U, Meaning> address_as(std::size_t first = 0) const {
         static_assert(sizeof(T) % sizeof(U) == 0 || sizeof(U) % sizeof(T) == 0);
-        return Address<U>(buffer_.address() + first * sizeof(T));
+        return Address<U, Meaning>(buffer_.address() + first * sizeof(T));
     }
     const Buffer& buffer() const { return buffer_; }
     void upload(std::span<const T> values, std::size_t first = 0) {
@@ -87,9 +87,18 @@ private:
     std::size_t n_ = 0;
 };
 
+/// Device array of which kernels that take several of its type know what it holds: the Meaning is the name that their parameters give by
+/// RELIDAR_OF, as in Array<float, shared::LossTerms>. For all others, and on the host, it is an Array<T>.
+template <class T, class Meaning>
+class Array : public Array<T> {
+public:
+    using Array<T>::Array;
+    Address<T, Meaning> address(std::size_t first = 0) const { return this->template address_as<T, Meaning>(first); }
+};
+
 /// Of an array that need not be there: null is nowhere.
-template <class T>
-Address<T> address_of(const Array<T>* array) { return array ? array->address() : Address<T>(); }
+template <class T, class Meaning>
+Address<T, Meaning> address_of(const Array<T, Meaning>* array) { return array ? array->address() : Address<T, Meaning>(); }
 
 /// Records kernels and submits them. Each launch sees the results of all earlier ones, but of the same Concurrent scope.
 class Stream {

@@ -32,8 +32,8 @@ public:
     /// Records one step. @param step counts from 1
     /// @param touched [n] 1 where a surfel has a gradient, that of the others counts as zero whatever it is; null: all have
     /// @param sh_degree active degree: higher coefficients are left alone
-    void step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients, const Array<std::uint32_t>* touched,
-              const LearningRates& rates, int step, int sh_degree);
+    void step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
+              const Array<std::uint32_t, shared::TouchedSurfels>* touched, const LearningRates& rates, int step, int sh_degree);
     SurfelArrays& moment1();
     SurfelArrays& moment2();
     /// From now on no standard deviation is stepped beyond these. Their number must stay what it is.

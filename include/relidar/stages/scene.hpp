@@ -4,6 +4,8 @@
 
 #include <array>
 #include <cstdint>
+#include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <span>
@@ -18,11 +20,27 @@
 
 namespace relidar {
 
+namespace shared {   // what arrays hold, as kernels tell them apart
+struct Means;
+struct Rotations;
+struct LogScales;
+struct OpacityLogits;
+struct Harmonics;
+struct ThirdLogScales;
+struct RecordGradients;
+struct TouchedSurfels;
+struct ViewGradients;
+}  // namespace shared
+
 /// Parameters, gradients or moments of all surfels on a device, one array a group in the layout of Surfels.
 struct SurfelArrays {
-    Array<float> mean, rotation, log_scale, opacity_logit, sh;
-    Array<float> log_scale_w;   ///< of 3D Gaussians; not allocated for surfels
-    std::uint32_t n = 0;        ///< surfels; the arrays may hold more
+    Array<float, shared::Means> mean;
+    Array<float, shared::Rotations> rotation;
+    Array<float, shared::LogScales> log_scale;
+    Array<float, shared::OpacityLogits> opacity_logit;
+    Array<float, shared::Harmonics> sh;
+    Array<float, shared::ThirdLogScales> log_scale_w;   ///< of 3D Gaussians; not allocated for surfels
+    std::uint32_t n = 0;                                ///< surfels; the arrays may hold more
     Primitive primitive = Primitive::surfel;
 
     SurfelArrays() = default;
@@ -58,7 +76,9 @@ struct ParameterGroup {
     double LearningRates::*rate;
     bool harmonics;                                      ///< the last dimension is the coefficients of the SH basis
     bool scales;                                         ///< standard deviations, which may be bounded
-    Array<float> SurfelArrays::*device;                  ///< [n, floats()]
+    bool third_scale;                                    ///< of primitives that have one alone
+    const Array<float>& (*device)(const SurfelArrays&);  ///< [n, floats()]
+    Array<float>& (*mutable_device)(SurfelArrays&);      ///< the same, to be written
     std::span<const float> (*values)(const Surfels&);    ///< [n * floats()] on the host
     std::span<float> (*mutable_values)(Surfels&);        ///< the same, to be written
     void (*resize)(Surfels&, std::size_t n_floats);      ///< of the host's array
@@ -68,37 +88,42 @@ struct ParameterGroup {
 };
 
 /// A group that the host keeps in the member kHost of Surfels.
-template <auto kHost>
-constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row, Array<float> SurfelArrays::*device,
-                                        double LearningRates::*rate, bool harmonics = false, bool scales = false) {
+template <auto kHost, auto kDevice>
+constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row, double LearningRates::*rate,
+                                        bool harmonics = false, bool scales = false, bool third_scale = false) {
     using Element = typename std::remove_reference_t<decltype(std::declval<Surfels&>().*kHost)>::value_type;
     constexpr std::size_t kFloats = sizeof(Element) / sizeof(float);
-    return {name, row, rate, harmonics, scales, device,
+    return {name, row, rate, harmonics, scales, third_scale,
+            [](const SurfelArrays& arrays) -> const Array<float>& { return arrays.*kDevice; },
+            [](SurfelArrays& arrays) -> Array<float>& { return arrays.*kDevice; },
             [](const Surfels& s) { return std::span(reinterpret_cast<const float*>((s.*kHost).data()), kFloats * (s.*kHost).size()); },
             [](Surfels& s) { return std::span(reinterpret_cast<float*>((s.*kHost).data()), kFloats * (s.*kHost).size()); },
             [](Surfels& s, std::size_t n_floats) { (s.*kHost).resize(n_floats / kFloats); }};
 }
 
-/// Every group there is; those that 3D Gaussians alone have come last. A new parameter is a member of Surfels and of SurfelArrays, a
+/// Every group there is; those that not all primitives have come last. A new parameter is a member of Surfels and of SurfelArrays, a
 /// pointer for kernels (shaders/shared/scene.h), and a row here.
 inline constexpr std::array<ParameterGroup, 6> kParameterGroups{{
-    describe_group<&Surfels::mean>("mean", {3, 1}, &SurfelArrays::mean, &LearningRates::mean),
-    describe_group<&Surfels::rotation>("rotation", {4, 1}, &SurfelArrays::rotation, &LearningRates::rotation),
-    describe_group<&Surfels::log_scale>("log_scale", {2, 1}, &SurfelArrays::log_scale, &LearningRates::log_scale, false, true),
-    describe_group<&Surfels::opacity_logit>("opacity_logit", {1, 1}, &SurfelArrays::opacity_logit, &LearningRates::opacity_logit),
-    describe_group<&Surfels::sh>("sh", {kShChannels, kShCoefficients}, &SurfelArrays::sh, &LearningRates::sh, true),
-    describe_group<&Surfels::log_scale_w>("log_scale_w", {1, 1}, &SurfelArrays::log_scale_w, &LearningRates::log_scale, false, true),
+    describe_group<&Surfels::mean, &SurfelArrays::mean>("mean", {3, 1}, &LearningRates::mean),
+    describe_group<&Surfels::rotation, &SurfelArrays::rotation>("rotation", {4, 1}, &LearningRates::rotation),
+    describe_group<&Surfels::log_scale, &SurfelArrays::log_scale>("log_scale", {2, 1}, &LearningRates::log_scale, false, true),
+    describe_group<&Surfels::opacity_logit, &SurfelArrays::opacity_logit>("opacity_logit", {1, 1}, &LearningRates::opacity_logit),
+    describe_group<&Surfels::sh, &SurfelArrays::sh>("sh", {kShChannels, kShCoefficients}, &LearningRates::sh, true),
+    describe_group<&Surfels::log_scale_w, &SurfelArrays::log_scale_w>("log_scale_w", {1, 1}, &LearningRates::log_scale, false, true, true),
 }};
 
 /// The groups of a primitive.
 constexpr std::span<const ParameterGroup> groups_of(Primitive primitive) {
-    return std::span(kParameterGroups).first(kParameterGroups.size() - (primitive == Primitive::gaussian ? 0 : 1));
+    return std::span(kParameterGroups).first(kParameterGroups.size() - (kind_of(primitive).third_scale ? 0 : 1));
 }
-/// What the arrays of a file describe, by whether an array of that name is there.
-template <class HasArray>
-Primitive primitive_of(const HasArray& has_array) {
-    return has_array(kParameterGroups.back().name) ? Primitive::gaussian : Primitive::surfel;
-}
+
+/// Where models and checkpoints say what they are made of.
+inline constexpr const char* kPrimitiveKey = "primitive";
+/// What a file says that it is made of. The first files did not say it: theirs is the first primitive that has the arrays there are.
+/// @param texts  of the file @param key  of the one that says it @param has_array  whether the file has an array of a group of this name
+/// @throws DataError for a name that is none
+Primitive stored_primitive(const std::map<std::string, std::string>& texts, const std::string& key,
+                           const std::function<bool(const char*)>& has_array);
 /// Parameters of a surfel.
 constexpr std::uint32_t floats_per_surfel(Primitive primitive) {
     std::uint32_t sum = 0;
@@ -114,11 +139,11 @@ shared::SurfelPointers pointers_of(const SurfelArrays& arrays);
 
 /// What the activation's derivative reads and writes.
 struct ActivationGradients {
-    const Array<float>* d_records = nullptr;       ///< [gradient_rows,16] input
-    SurfelArrays* d_surfels = nullptr;             ///< output
-    Array<std::uint32_t>* touched = nullptr;       ///< [n] output: 1 where any record gradient is not zero
+    const Array<float, shared::RecordGradients>* d_records = nullptr;   ///< [gradient_rows,16] input
+    SurfelArrays* d_surfels = nullptr;                                  ///< output
+    Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;    ///< [n] output: 1 where any record gradient is not zero
     /// [n,3] output with ShDirection::surfel: dL/d(view origin) by way of each surfel, model frame; null where not wanted
-    Array<float>* d_view = nullptr;
+    Array<float, shared::ViewGradients>* d_view = nullptr;
     bool zero_untouched = true;                    ///< write zeros for surfels without a gradient
 };
 

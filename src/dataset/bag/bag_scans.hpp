@@ -8,7 +8,7 @@
 #include "dataset/bag/bag.hpp"
 #include "dataset/bag/cloud_units.hpp"
 #include "dataset/bag/survey.hpp"
-#include "dataset/folder_points.hpp"
+#include "dataset/folder/folder_points.hpp"
 
 namespace relidar::bag {
 

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "dataset/bag/survey.hpp"
-#include "dataset/folder_head.hpp"
+#include "dataset/folder/folder_head.hpp"
 
 namespace relidar::bag {
 

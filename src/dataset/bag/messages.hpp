@@ -10,7 +10,7 @@
 #include <relidar/math.hpp>
 
 #include "dataset/bag/bag.hpp"
-#include "dataset/point_table.hpp"
+#include "dataset/folder/point_table.hpp"
 
 namespace relidar::bag {
 

@@ -14,7 +14,7 @@
 #include "dataset/bag/bag_scans.hpp"
 #include "dataset/bag/choose.hpp"
 #include "dataset/bag/describe.hpp"
-#include "dataset/kitti_files.hpp"
+#include "dataset/kitti/kitti_files.hpp"
 
 namespace relidar {
 namespace {

@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: Apache-2.0
+// The nearest of some places, such as those where a sensor was.
+#pragma once
+
+#include <cstddef>
+#include <utility>
+#include <vector>
+
+#include <glm/glm.hpp>
+#include <nanoflann.hpp>
+
+namespace relidar {
+
+/// May be asked by any thread. @tparam Scalar  of coordinates and distances
+template <class Scalar>
+class NearestPlace {
+public:
+    using Point = glm::vec<3, Scalar>;
+
+    /// @param places  at least one
+    explicit NearestPlace(std::vector<Point> places)
+        : places_{std::move(places)}, tree_(3, places_, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
+    NearestPlace(const NearestPlace&) = delete;   // the tree refers to the places
+    NearestPlace& operator=(const NearestPlace&) = delete;
+
+    std::size_t of(const Point& point) const { return find(point).first; }
+    Scalar squared_distance(const Point& point) const { return find(point).second; }
+
+private:
+    /// What the tree asks of a container; the member names are nanoflann's.
+    struct Places {
+        std::vector<Point> all;
+        std::size_t kdtree_get_point_count() const { return all.size(); }
+        Scalar kdtree_get_pt(std::size_t i, std::size_t axis) const { return all[i][static_cast<int>(axis)]; }
+        template <class Box>
+        bool kdtree_get_bbox(Box&) const {
+            return false;
+        }
+    };
+
+    std::pair<std::size_t, Scalar> find(const Point& point) const {
+        std::pair<std::size_t, Scalar> found{0, Scalar(0)};
+        tree_.knnSearch(&point.x, 1, &found.first, &found.second);
+        return found;
+    }
+
+    Places places_;
+    nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<Scalar, Places>, Places, 3, std::size_t> tree_;
+};
+
+}  // namespace relidar

@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+// Checkpoints of a training: due by count or time, written without ever stopping it.
+#include "train/checkpoints/checkpoint_keeper.hpp"
+
+#include <new>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include <relidar/run.hpp>
+
+#include "train/checkpoints/resume.hpp"
+#include "train/train_loop.hpp"
+
+namespace relidar {
+
+namespace {
+constexpr int kKept = 2;   // checkpoints: the newest, and the one before where a machine fails while it is written
+}
+
+CheckpointFolder::CheckpointFolder(std::filesystem::path folder, int newest, std::string count,
+                                   const std::function<void(const std::string&)>& note)
+    : folder_(std::move(folder)), newest_(newest), count_(std::move(count)), note_(note) {}
+
+void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& fill) {
+    const int iteration = checkpoint.iteration;
+    const auto failed = [&](const std::string& why) {
+        const std::string safe = newest_ > 0 ? fmt::format("the last one is of {} {}", count_, newest_) : "there is none yet";
+        if (note_) note_(fmt::format("checkpoint of {} {} not written, {}: {}", count_, iteration, safe, why));
+    };
+    try {
+        fill(checkpoint);
+    } catch (const std::bad_alloc&) {
+        return failed("out of memory");
+    }
+    try {
+        check_finite(checkpoint);
+    } catch (const DataError& error) {
+        throw DataError(fmt::format("training, {} {}: {}", count_, iteration, error.what()));
+    }
+    try {
+        save_checkpoint(folder_, checkpoint, kKept);
+        newest_ = iteration;
+    } catch (const DataError& error) {
+        failed(error.what());
+    }
+}
+
+CheckpointKeeper::CheckpointKeeper(const Sequence& sequence, const Split& split, const Config& config, const TrainSession& session)
+    : config_(config.train),
+      folder_(session.checkpoints, session.start ? session.start->iteration : 0, "iteration", session.note) {
+    if (folder_.wanted()) texts_ = training_texts(sequence, split, config);
+}
+
+bool CheckpointKeeper::due(int step) const {
+    if (!folder_.wanted()) return false;
+    const std::chrono::duration<double> since_last = Clock::now() - last_;
+    const bool by_count = config_.checkpoint_every > 0 && step % config_.checkpoint_every == 0;
+    const bool by_time = config_.checkpoint_minutes > 0.0 && since_last.count() >= 60.0 * config_.checkpoint_minutes;
+    return by_count || by_time || (step == config_.iterations && folder_.newest() > 0);
+}
+
+void CheckpointKeeper::save(TrainLoop& loop, const TrainResult& result, double train_s) {
+    last_ = Clock::now();   // a full disk is tried again when the next one is due
+    if (!folder_.wanted()) return;
+    folder_.save({result.iterations, texts_, {}}, [&](Checkpoint& checkpoint) {
+        StateWriter write(checkpoint);
+        loop.save(checkpoint);
+        write_result(write, result, train_s);
+    });
+}
+
+}  // namespace relidar

@@ -1,0 +1,150 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "train/checkpoints/fingerprint.hpp"
+
+#include <cstring>
+#include <optional>
+#include <span>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include <relidar/run.hpp>
+
+#include "core/files.hpp"
+#include "core/random.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr const char* kSetting = "setting/";
+
+/// Hash of everything added, in order.
+class Hash {
+public:
+    template <class T, class Allocator>
+    void add(const std::vector<T, Allocator>& values) { add(values.data(), values.size() * sizeof(T)); }
+    void add(const std::string& text) { add(text.data(), text.size()); }
+    void add(const PoseTrack& track) {
+        add(track.time_s);
+        for (const Pose& pose : track.pose) add(&pose.rotation, sizeof pose.rotation), add(&pose.translation, sizeof pose.translation);
+    }
+    void add(const void* bytes, std::size_t n) {
+        for (std::size_t i = 0; i < n; i += 8) {
+            std::uint64_t word = 0;
+            std::memcpy(&word, static_cast<const std::byte*>(bytes) + i, std::min<std::size_t>(8, n - i));
+            state_ = hash64(state_, word);
+        }
+        state_ = hash64(state_, n);
+    }
+    std::string hex() const { return fmt::format("{:016x}", state_); }
+
+private:
+    std::uint64_t state_ = 0;
+};
+
+std::string describe_frames(const Sequence& sequence, const std::vector<int>& positions) {
+    std::vector<int> indices;
+    for (const int position : positions) indices.push_back(sequence.frames[std::size_t(position)].index);
+    Hash hash;
+    hash.add(indices);
+    return fmt::format("{} frames from {} to {} ({})", indices.size(), indices.empty() ? -1 : indices.front(),
+                       indices.empty() ? -1 : indices.back(), hash.hex());
+}
+
+std::string hash_scans(const Sequence& sequence, const std::vector<int>& positions) {
+    Hash hash;
+    for (const int position : positions) {
+        const Scan& scan = sequence.frames[std::size_t(position)].scan;
+        hash.add(scan.rays.direction);
+        hash.add(scan.range_m);
+        hash.add(scan.intensity);
+    }
+    return hash.hex();
+}
+
+std::string hash_boxes(const Sequence& sequence) {
+    Hash hash;
+    for (const BoxTrack& box : sequence.boxes) {
+        hash.add(box.id);
+        hash.add(box.category);
+        hash.add(&box.size_m, sizeof box.size_m);
+        hash.add(box.world_from_box);
+    }
+    return hash.hex();
+}
+
+std::string hash_poses(const Sequence& sequence) {
+    Hash hash;
+    hash.add(sequence.world_from_vehicle);
+    return hash.hex();
+}
+
+void add(Hash& hash, const Surfels& surfels) {
+    if (surfels.size() == 0) return;
+    for (const ParameterGroup& group : groups_of(surfels.primitive)) {
+        const std::span<const float> values = group.values(surfels);
+        hash.add(values.data(), values.size_bytes());
+    }
+}
+
+std::string hash_scene(const Scene& scene) {
+    Hash hash;
+    hash.add(layout_to_json(scene));
+    hash.add(scene.sensor_drop.probability);
+    add(hash, scene.surfels);
+    for (const SceneBlock& block : scene.blocks) add(hash, read_block(block));
+    return hash.hex();
+}
+
+std::string found_in(const Checkpoint& checkpoint, const std::string& key) {
+    const auto it = checkpoint.texts.find(key);
+    return it == checkpoint.texts.end() ? "nothing" : it->second;
+}
+
+std::string differs(const std::string& doing, const std::string& what, const std::string& found, const std::string& expected) {
+    return fmt::format("{}: {}: found {}, expected {} as in the checkpoint", doing, what, found, expected);
+}
+
+}  // namespace
+
+bool same_value(const std::string& a, const std::string& b) {
+    const std::optional<double> x = parse_number(a), y = parse_number(b);
+    return x && y ? *x == *y : a == b;
+}
+
+std::vector<Mark> marks_of(const Sequence& sequence, const Split& split) {
+    return {{"log/training frames", "the log's training frames", describe_frames(sequence, split.train)},
+            {"log/scans", "the log's scans", hash_scans(sequence, split.train)},
+            {"log/sensor poses", "the log's sensor poses", hash_poses(sequence)},
+            {"log/boxes", "the log's boxes", hash_boxes(sequence)}};
+}
+
+Mark mark_of(const Scene& scene) { return {"scene", "the scene", hash_scene(scene)}; }
+
+void put(const ConfigKey& setting, std::map<std::string, std::string>& texts) { texts[kSetting + setting.key] = setting.value; }
+void put(const Mark& mark, std::map<std::string, std::string>& texts) { texts[mark.key] = mark.value; }
+
+void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint, const std::string& doing) {
+    const std::map<std::string, std::string> saved = settings_in(checkpoint);
+    for (const ConfigKey& setting : settings) {
+        const auto it = saved.find(setting.key);
+        const std::string was = it == saved.end() ? "nothing" : it->second;
+        if (!same_value(was, setting.value)) throw UsageError(differs(doing, "setting " + setting.key, setting.value, was));
+    }
+}
+
+void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::string& doing) {
+    const std::string saved = found_in(checkpoint, mark.key);
+    if (saved != mark.value) throw DataError(differs(doing, mark.what, mark.value, saved));
+}
+
+std::map<std::string, std::string> settings_in(const Checkpoint& checkpoint) {
+    const std::string prefix = kSetting;
+    std::map<std::string, std::string> settings;
+    for (const auto& [key, value] : checkpoint.texts)
+        if (key.starts_with(prefix)) settings.emplace(key.substr(prefix.size()), value);
+    update_settings(settings);
+    return settings;
+}
+
+}  // namespace relidar

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a checkpoint says of the training it belongs to, and whether it is the same one: settings by value, logs and scenes by hashes.
+// Private to train.
+#pragma once
+
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <relidar/config.hpp>
+#include <relidar/scene.hpp>
+#include <relidar/sequence.hpp>
+#include <relidar/stages/checkpoint.hpp>
+
+namespace relidar {
+
+/// Something that must be as it was: its name in a checkpoint, what messages call it, and what it is now.
+struct Mark {
+    std::string key, what, value;
+};
+
+/// Of a log with the scans of its training frames, in the order in which a difference is explained best.
+std::vector<Mark> marks_of(const Sequence& sequence, const Split& split);
+/// Of every surfel of a scene, those of its blocks too. @throws DataError as read_block()
+Mark mark_of(const Scene& scene);
+
+/// Puts them among the texts of a checkpoint.
+void put(const ConfigKey& setting, std::map<std::string, std::string>& texts);
+void put(const Mark& mark, std::map<std::string, std::string>& texts);
+/// @param doing  how the message begins @throws UsageError for a setting, DataError for a mark that the checkpoint has otherwise
+void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint, const std::string& doing);
+void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::string& doing);
+/// The settings that were put into it, by key; those of an earlier version by the keys of this one. @throws UsageError as update_settings()
+std::map<std::string, std::string> settings_in(const Checkpoint& checkpoint);
+
+/// Whether two values of a setting are the same: earlier versions wrote 8 where this one writes 8.0.
+bool same_value(const std::string& a, const std::string& b);
+
+}  // namespace relidar

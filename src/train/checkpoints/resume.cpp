@@ -1,0 +1,155 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which settings must be equal where training continues, and the log and times so far.
+#include "train/checkpoints/resume.hpp"
+
+#include <algorithm>
+#include <limits>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include <relidar/run.hpp>
+
+#include "train/checkpoints/fingerprint.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr std::array kFollows{"refine.", "render.", "eval."};   // settings of what begins where the steps end
+/// Settings that change where training ends, what it reports, or where the log lies, but not a step of it. Paths are free because the log
+/// itself is compared.
+constexpr std::array kFree{"preset",
+                           "dataset.path",
+                           "dataset.sequence",
+                           "dataset.poses",
+                           "dataset.memory_mib",
+                           "train.frame_memory_mib",
+                           "train.iterations",
+                           "train.place_held_out",
+                           "train.log_every",
+                           "train.checkpoint_every",
+                           "train.checkpoint_minutes",
+                           "sensor.grid",
+                           "sensor.grid_method",
+                           "trace.chunk"};
+
+bool is_free(const std::string& key) {
+    return std::find(kFree.begin(), kFree.end(), key) != kFree.end() ||
+           std::ranges::any_of(kFollows, [&](const char* group) { return key.starts_with(group); });
+}
+
+/// The log so far, column by column.
+struct LogColumns {
+    std::vector<std::int32_t> iteration;
+    std::vector<double> seconds;
+    std::vector<std::uint32_t> surfels;
+    std::array<std::vector<double>, kLossTerms> terms;
+    std::array<std::vector<std::uint32_t>, kDensifyCounts.size()> densified;
+
+    template <class Visitor>
+    void visit_state(Visitor&& visit) {
+        visit("log/iteration", iteration);
+        visit("log/seconds", seconds);
+        visit("log/surfels", surfels);
+        for (std::size_t k = 0; k < terms.size(); ++k) visit(std::string("log/") + kLossTermNames[k], terms[k]);
+        for (std::size_t k = 0; k < densified.size(); ++k) visit(std::string("log/densified/") + kDensifyCounts[k].first, densified[k]);
+    }
+};
+
+TrainProgress progress_at(int step, const Config& config, double seconds, const std::array<double, kLossTerms>& terms,
+                          std::uint32_t n_surfels) {
+    TrainProgress p;
+    p.iteration = step;
+    p.n_iterations = config.train.iterations;
+    p.seconds = seconds;
+    p.iterations_per_second = step / std::max(seconds, 1e-9);
+    p.terms = terms;
+    p.loss = std::accumulate(terms.begin(), terms.end(), 0.0);
+    p.n_surfels = n_surfels;
+    return p;
+}
+
+}  // namespace
+
+std::map<std::string, std::string> training_texts(const Sequence& sequence, const Split& split, const Config& config) {
+    std::map<std::string, std::string> texts;
+    for (const ConfigKey& key : config_keys(config)) put(key, texts);
+    for (const Mark& mark : marks_of(sequence, split)) put(mark, texts);
+    return texts;
+}
+
+std::string differing_setting(const Config& config, const Config& other) {
+    const std::vector<ConfigKey> a = config_keys(config), b = config_keys(other);
+    for (std::size_t i = 0; i < a.size(); ++i)
+        if (!is_free(a[i].key) && !same_value(a[i].value, b[i].value)) return a[i].key;
+    return "";
+}
+
+void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split, const Config& config) {
+    const std::string doing = fmt::format("resuming from iteration {}", checkpoint.iteration);
+    std::vector<ConfigKey> settings = config_keys(config);
+    std::erase_if(settings, [](const ConfigKey& key) { return is_free(key.key); });
+    check_same(settings, checkpoint, doing);
+    if (config.train.iterations < checkpoint.iteration)
+        throw UsageError(fmt::format("{}: setting train.iterations: found {}, expected at least as many", doing, config.train.iterations));
+    for (const Mark& mark : marks_of(sequence, split)) check_same(checkpoint, mark, doing);
+}
+
+void add_line(std::vector<TrainProgress>& log, const LogLine& line, const Config& config, double seconds) {
+    TrainProgress p = progress_at(line.step, config, seconds, line.terms, line.n_surfels);
+    const int left = p.n_iterations - p.iteration, done = log.empty() ? 0 : p.iteration - log.front().iteration;
+    p.eta_s = left == 0 ? 0.0 : std::numeric_limits<double>::infinity();
+    if (left > 0 && done > 0) p.eta_s = left * (p.seconds - log.front().seconds) / done;
+    p.densified = line.densified;
+    log.push_back(std::move(p));
+}
+
+void write_result(StateWriter& write, const TrainResult& result, double train_s) {
+    LogColumns log;
+    for (const TrainProgress& p : result.log) {
+        log.iteration.push_back(p.iteration);
+        log.seconds.push_back(p.seconds);
+        log.surfels.push_back(p.n_surfels);
+        for (std::size_t k = 0; k < p.terms.size(); ++k) log.terms[k].push_back(p.terms[k]);
+        for (std::size_t k = 0; k < kDensifyCounts.size(); ++k) log.densified[k].push_back(p.densified.*kDensifyCounts[k].second);
+    }
+    log.visit_state(write);
+    write("initialise_s", result.initialise_s);
+    write("train_s", train_s);
+}
+
+std::vector<TrainProgress> resumed_log(const Checkpoint& checkpoint, const Config& config) {
+    LogColumns log;
+    log.visit_state(StateReader(checkpoint));
+    const std::size_t n = log.iteration.size();
+    const auto as_long = [n](const auto& column) { return column.size() == n; };
+    const bool even = as_long(log.seconds) && as_long(log.surfels) && std::ranges::all_of(log.terms, as_long) &&
+                      std::ranges::all_of(log.densified, as_long);
+    if (!even) throw DataError(fmt::format("resuming from iteration {}: the columns of the log differ in length", checkpoint.iteration));
+    std::vector<TrainProgress> lines;
+    for (std::size_t i = 0; i < n; ++i) {
+        std::array<double, kLossTerms> terms{};
+        for (std::size_t k = 0; k < terms.size(); ++k) terms[k] = log.terms[k][i];
+        lines.push_back(progress_at(log.iteration[i], config, log.seconds[i], terms, log.surfels[i]));
+        for (std::size_t k = 0; k < kDensifyCounts.size(); ++k) lines.back().densified.*kDensifyCounts[k].second = log.densified[k][i];
+    }
+    return lines;
+}
+
+void read_result(const Checkpoint& checkpoint, const Config& config, TrainResult& result) {
+    const StateReader read(checkpoint);
+    result.log = resumed_log(checkpoint, config);
+    result.iterations = checkpoint.iteration;
+    read("initialise_s", result.initialise_s);
+    read("train_s", result.train_s);
+}
+
+Scene scene_of(const Checkpoint& checkpoint) {
+    Scene scene;
+    scene.surfels = StateReader(checkpoint).surfels("parameters");
+    read_layout_json(checkpoint.text("layout"), fmt::format("checkpoint of iteration {}: layout", checkpoint.iteration), scene);
+    return scene;
+}
+
+}  // namespace relidar

@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: Apache-2.0
+// The last stage of training (paper, section 3.5): training frames rendered once, and a network that learns from them what the sensor
+// dropped. Rays are the sensor's nominal ones: those of a scan have jitter where they returned and none where they did not, which would
+// tell the answer.
+#include <algorithm>
+#include <map>
+#include <optional>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include <relidar/render.hpp>
+#include <relidar/run.hpp>
+#include <relidar/train.hpp>
+
+#include "train/frames/frame_data.hpp"
+#include "train/drops/refine_keeper.hpp"
+
+namespace relidar {
+namespace {
+
+bool looks_at_grid(const Config& config) { return config.refine.image == "grid" && config.sensor.grid != "native"; }
+
+/// Rays of a frame's LiDAR, the nominal ones where they are in the order of its scan; with refine.image = grid, binned.
+SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
+    if (looks_at_grid(config)) return configured_sensor(config, sequence, frame.lidar);
+    SensorChoice sensor = choose_sensor("native", config, sequence, frame.lidar);
+    if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns)
+        sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
+    return sensor;
+}
+
+/// Rays between a sensor's own: each turned towards the next column by a share of the way. Surfels have been fitted to the sensor's own
+/// rays, and what they make of those is better than what they make of held-out ones.
+RayTable turned_rays(RayTable rays, float share) {
+    const RayTable own = rays;
+    constexpr float kNear = 0.9f;   // cosine: the next column of a window's last one lies at its other end
+    for (std::size_t i = 0; i < own.size(); ++i) {
+        const std::size_t row = i / std::size_t(own.columns), next = (i + 1) % std::size_t(own.columns);
+        const glm::vec3& towards = own.direction[row * std::size_t(own.columns) + next % std::size_t(own.columns)];
+        if (glm::dot(own.direction[i], towards) > kNear) rays.direction[i] = glm::normalize(glm::mix(own.direction[i], towards, share));
+    }
+    return rays;
+}
+
+Unknown masks_of(const Config& config, const Scene& scene) {
+    Unknown masks{config.init, {}, {}};
+    for (const Instance& instance : scene.instances)
+        if (!instance.track.empty()) masks.actors.push_back(instance.track);
+    return masks;
+}
+
+/// What came back of a frame, 1 dropped, -1 where a moving thing that is not in the scene was or may have been.
+std::vector<float> measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks) {
+    std::vector<DeviceRay> rays;
+    std::vector<DeviceTarget> targets;
+    make_targets(sequence, frame, masks, rays, targets);
+    std::vector<float> dropped;
+    for (std::size_t i = 0; i < targets.size(); ++i)
+        dropped.push_back(!(targets[i].weight > 0.0f) ? -1.0f : frame.scan.range_m[i] > 0.0f ? 0.0f : 1.0f);
+    return dropped;
+}
+
+/// The same of the cells of config.sensor.grid. A cell is not known where something returned that is not.
+std::vector<float> measured_cell_drops(const Config& config, const Frame& frame, const std::vector<float>& dropped) {
+    std::vector<float> cells = real_image(config, frame.scan).drop_prob;
+    const RangeGrid grid = find_grid(config.sensor.grid);
+    for (std::size_t i = 0; i < dropped.size(); ++i) {
+        if (dropped[i] >= 0.0f || !(frame.scan.range_m[i] > 0.0f)) continue;
+        if (const std::optional<int> cell = project(grid, glm::dvec3(frame.scan.point(i)))) cells[std::size_t(*cell)] = -1.0f;
+    }
+    return cells;
+}
+
+/// The training frames that have an image, of the shape that most of them share.
+std::vector<int> images_of(const Config& config, const Sequence& sequence, const std::vector<int>& train) {
+    if (looks_at_grid(config)) return train;
+    std::map<std::pair<int, int>, std::vector<int>> by_shape;
+    for (const int position : train) {
+        const RayTable& rays = sequence.frames[std::size_t(position)].scan.rays;
+        if (rays.rows > 1) by_shape[{rays.rows, rays.columns}].push_back(position);
+    }
+    const auto most = std::max_element(by_shape.begin(), by_shape.end(),
+                                       [](const auto& a, const auto& b) { return a.second.size() < b.second.size(); });
+    return most == by_shape.end() ? std::vector<int>{} : most->second;
+}
+
+/// At most n of them, spread over all; 0: all.
+std::vector<int> spread(const std::vector<int>& positions, int n) {
+    if (n <= 0 || positions.size() <= std::size_t(n)) return positions;
+    std::vector<int> chosen;
+    for (std::size_t i = 0; i < std::size_t(n); ++i) chosen.push_back(positions[i * positions.size() / std::size_t(n)]);
+    return chosen;
+}
+
+/// What a network sees of the training frames and what came of it. @return nothing where stopped
+std::vector<DropImage> training_images(Device& device, const Run& run, const Config& config, const RefineSession& session) {
+    const std::vector<int> positions = spread(images_of(run.config, run.sequence, run.split.train), run.config.refine.frames);
+    if (positions.empty())
+        throw DataError(
+            fmt::format("training the ray-drop network of {}: no training frame has an image of rows and columns, expected one",
+                        run.sequence.name));
+    ScanRenderer renderer(device, run.scene, config, run.sequence);
+    const Unknown masks = masks_of(config, run.scene);
+    const std::vector<std::string> channels = drop_channel_names(config.refine);
+    std::vector<DropImage> images;
+    for (const int position : positions) {
+        if (session.progress) session.progress("rendering training frames", double(images.size()) / double(positions.size()));
+        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        SensorChoice sensor = rays_of(config, run.sequence, frame);
+        sensor.rays = turned_rays(std::move(sensor.rays), 0.5f);
+        const RenderedScan scan = renderer.render(sensor, frame.time_s);
+        images.push_back(drop_image(scan, channels, first_origin(run.sequence)));
+        images.back().dropped = measured_drops(run.sequence, frame, masks);
+        if (looks_at_grid(config)) images.back().dropped = measured_cell_drops(config, frame, images.back().dropped);
+        if (session.stop && session.stop()) return {};
+    }
+    if (session.progress) session.progress("rendering training frames", 1.0);
+    return images;
+}
+
+}  // namespace
+
+DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& session) {
+    if (session.start) check_refine_resumable(*session.start, run);
+    Config config = run.config;
+    config.sensor.sub_rays = config.sensor.returns = 1;
+    begin_stage(session.stages, "network's images");
+    const std::vector<DropImage> images = training_images(device, run, config, session);
+    begin_stage(session.stages, "network");
+    if (images.empty()) return {};
+    RefineKeeper checkpoints(run, session);
+    const std::optional<RefineState> start = session.start ? std::optional(refine_state(*session.start)) : std::nullopt;
+    bool stopped = false;
+    const auto after_step = [&](const RefineProgress& progress, const std::function<RefineState()>& state) {
+        if (session.step) session.step(progress);
+        stopped = session.stop && session.stop();
+        checkpoints.after_step(progress, stopped, state);
+        return !stopped;
+    };
+    DropNetwork network = train_drop_network(device, images, config.refine, config.train.seed, after_step, start ? &*start : nullptr);
+    if (looks_at_grid(config)) network.image = config.sensor.grid;
+    return stopped ? DropNetwork{} : network;
+}
+
+}  // namespace relidar

@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+// When the training of a ray-drop network writes a checkpoint, and what must be as it was where it goes on: the scene and the log by
+// hashes, and the settings that images and network depend on.
+#include "train/drops/refine_keeper.hpp"
+
+#include <algorithm>
+#include <array>
+
+#include <fmt/format.h>
+
+#include "train/checkpoints/fingerprint.hpp"
+
+namespace relidar {
+namespace {
+
+/// What images and network depend on beside the scene and the log.
+bool matters(const std::string& key) {
+    constexpr std::array kGroups{"refine.", "image.", "sensor.", "init.", "render.range", "train.seed"};
+    return key != "refine.enabled" && std::ranges::any_of(kGroups, [&](const char* group) { return key.starts_with(group); });
+}
+
+std::vector<Mark> marks_of(const Run& run) {
+    std::vector<Mark> marks = marks_of(run.sequence, run.split);
+    marks.push_back(mark_of(run.scene));
+    return marks;
+}
+
+}  // namespace
+
+RefineKeeper::RefineKeeper(const Run& run, const RefineSession& session)
+    : minutes_(run.config.train.checkpoint_minutes),
+      folder_(session.checkpoints, session.start ? session.start->iteration : 0,
+              "the ray-drop network's step", session.note) {
+    if (!folder_.wanted()) return;
+    for (const ConfigKey& key : config_keys(run.config))
+        if (matters(key.key)) put(key, texts_);
+    for (const Mark& mark : marks_of(run)) put(mark, texts_);
+}
+
+void RefineKeeper::after_step(const RefineProgress& progress, bool stops, const std::function<RefineState()>& state) {
+    const bool ends_epoch = progress.step % (progress.n_steps / progress.n_epochs) == 0;
+    const std::chrono::duration<double> since_last = Clock::now() - last_;
+    const bool by_time = minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
+    if (!folder_.wanted() || !(ends_epoch || by_time || stops)) return;
+    last_ = Clock::now();   // a full disk is tried again when the next one is due
+    folder_.save({progress.step, texts_, {}}, [&](Checkpoint& checkpoint) { state().visit_state(StateWriter(checkpoint)); });
+}
+
+RefineState refine_state(const Checkpoint& checkpoint) {
+    RefineState state;
+    state.visit_state(StateReader(checkpoint));
+    return state;
+}
+
+void check_refine_resumable(const Checkpoint& checkpoint, const Run& run) {
+    const std::string doing = fmt::format("resuming the ray-drop network from step {}", checkpoint.iteration);
+    std::vector<ConfigKey> settings = config_keys(run.config);
+    std::erase_if(settings, [](const ConfigKey& key) { return !matters(key.key); });
+    check_same(settings, checkpoint, doing);
+    for (const Mark& mark : marks_of(run)) check_same(checkpoint, mark, doing);
+    refine_state(checkpoint);   // it is whole
+}
+
+void take_refine_settings(const Checkpoint& checkpoint, Config& config) {
+    for (const auto& [key, value] : settings_in(checkpoint)) set_key(config, key, value);
+}
+
+}  // namespace relidar

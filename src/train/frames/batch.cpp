@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of train/gather_columns: the ways to take some rays of a frame.
+#include "train/frames/batch.hpp"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "gpu/stream.hpp"
+#include "shared/train.h"
+#include "train/frames/frame_data.hpp"
+
+namespace relidar {
+
+struct BatchSampler::Impl {
+    TrainConfig config;
+    bool windows;   ///< batches are windows of neighbouring columns
+    Array<DeviceRay> rays;
+    Array<DeviceTarget> targets;
+    Kernel<shared::GatherColumnsParams> gather;
+};
+
+namespace {
+
+/// Columns first + k * stride of an image, k < n.
+struct Columns {
+    std::uint32_t stride = 1;
+    std::uint32_t n = 0;   ///< 0 = the batch is no choice of columns
+};
+
+std::uint32_t stride_over_rays(const FrameData& frame, const TrainConfig& config) {
+    const std::uint32_t wanted = static_cast<std::uint32_t>(config.rays_per_iteration);
+    return wanted == 0 ? 1u : std::max(1u, frame.n_rays / wanted);
+}
+
+/// Image of a whole frame; one without image order is a row of rays.
+ImageShape frame_image(const FrameData& frame) { return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false}; }
+
+Columns window(const FrameData& frame, const TrainConfig& config) {
+    const ImageShape image = frame_image(frame);
+    const std::uint32_t n =
+        std::clamp((static_cast<std::uint32_t>(config.rays_per_iteration) + image.rows / 2) / image.rows, 1u, image.columns);
+    return n < image.columns ? Columns{1, n} : Columns{};
+}
+
+/// Every n-th ray by columns, so that neighbours of the batch are near each other in both directions whatever the number of columns.
+Columns every_nth(const FrameData& frame, const TrainConfig& config) {
+    const std::uint32_t stride = std::min(stride_over_rays(frame, config), frame.image.columns);
+    return frame.image.is_image() && stride > 1 ? Columns{stride, frame.image.columns / stride} : Columns{};
+}
+
+Columns columns_of_batch(const FrameData& frame, const TrainConfig& config, bool windows) {
+    if (config.rays_per_iteration == 0) return {};
+    return windows ? window(frame, config) : every_nth(frame, config);
+}
+
+/// Rays of the largest batch of columns.
+std::size_t largest_gathered(const std::vector<FrameData>& frames, const Config& config) {
+    std::size_t largest = 0;
+    for (const FrameData& frame : frames)
+        largest = std::max(largest, std::size_t(frame_image(frame).rows) * columns_of_batch(frame, config.train, config.needs_images()).n);
+    return largest;
+}
+
+/// @param setting  that compares neighbouring pixels
+void check_images(const char* setting, const std::vector<FrameData>& frames) {
+    for (const FrameData& frame : frames)
+        if (!frame.image.is_image())
+            throw UsageError(fmt::format("setting {}: found a sensor without image order, expected rows and columns, or 0", setting));
+}
+
+}  // namespace
+
+BatchSampler::BatchSampler(Device& device, const Config& config, const std::vector<FrameData>& frames)
+    : impl_(new Impl{config.train,
+                     config.needs_images(),
+                     {device, largest_gathered(frames, config), "batch rays"},
+                     {device, largest_gathered(frames, config), "batch targets"},
+                     {device, "train/gather_columns"}}) {
+    if (config.loss.intensity * config.loss.intensity_ssim > 0.0f) check_images("loss.intensity_ssim", frames);
+    if (config.loss.normal > 0.0f) check_images("loss.normal", frames);
+    if (config.loss.normal > 0.0f && !kind_of(config.image.primitive).has_normals)
+        throw UsageError(fmt::format("setting loss.normal: found image.primitive={}, which has no normal, expected surfel, or 0",
+                                     kind_of(config.image.primitive).name));
+}
+BatchSampler::~BatchSampler() = default;
+
+SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random& random) {
+    Impl& b = *impl_;
+    const Columns columns = columns_of_batch(frame, b.config, b.windows);
+    if (columns.n > 0) {
+        const ImageShape image = frame_image(frame);
+        const bool wraps = image.circular || columns.stride > 1;   // only a window must not jump
+        const std::uint32_t first = static_cast<std::uint32_t>(random.next() % (wraps ? image.columns : image.columns - columns.n + 1));
+        const std::uint32_t n = image.rows * columns.n;
+        run(stream, b.gather, n,
+            {.rays = frame.rays().address(),
+             .targets = frame.targets().address(),
+             .batch_rays = b.rays.address(),
+             .batch_targets = b.targets.address(),
+             .rows = image.rows,
+             .columns = image.columns,
+             .first_column = first,
+             .column_stride = columns.stride,
+             .n_columns = columns.n});
+        const double share = double(n) / frame.n_rays;   // of the whole frame's count: unbiased, and no sector counts more for being empty
+        return {{&b.rays, 0, 1, n, columns.n, &b.targets},
+                {&b.targets, 0, 1, n, share * frame.n_returned, share * frame.n_known, {image.rows, columns.n, false}},
+                {image.columns, first, columns.stride, columns.n}};
+    }
+    const std::uint32_t stride = b.windows ? 1u : stride_over_rays(frame, b.config);
+    const std::uint32_t first = static_cast<std::uint32_t>(random.next() % stride);
+    const RayBatch rays = frame.batch(first, stride);
+    return {rays,
+            {&frame.targets(), first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride,
+             stride == 1 ? frame.image : ImageShape{}},
+            {}};
+}
+
+}  // namespace relidar

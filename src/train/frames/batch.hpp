@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which rays of a frame one iteration looks at.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include <relidar/stages/loss.hpp>
+#include <relidar/stages/traversal.hpp>
+
+#include "core/random.hpp"
+
+namespace relidar {
+
+struct Config;
+struct FrameData;
+
+/// Columns of a frame, whole, copied into a batch of their own: column k is first + k stride, wrapping around.
+struct ColumnWindow {
+    std::uint32_t columns = 0;     ///< of the frame; 0 = the batch points into the frame's own rays
+    std::uint32_t first = 0;
+    std::uint32_t stride = 1;
+    std::uint32_t n_columns = 0;
+};
+
+/// Rays of one iteration and what they measured.
+struct SampledBatch {
+    RayBatch rays;
+    TargetBatch targets;
+    ColumnWindow window{};
+};
+
+/// Samples about train.rays_per_iteration rays of a frame: all of them (0); every n-th column, the first drawn from all of them; or, where
+/// structural similarity or normal consistency want it (Config::needs_images), a window of neighbouring columns. Both are images, so that
+/// rays which run together open the same nodes. Of a frame without image order every n-th ray is taken.
+class BatchSampler {
+public:
+    /// @throws UsageError where structural similarity or normal consistency is wanted of batches or frames that are no images
+    BatchSampler(Device& device, const Config& config, const std::vector<FrameData>& frames);
+    ~BatchSampler();
+    /// Records what is needed to have the batch on the device; valid until the next call.
+    SampledBatch sample(Stream& stream, const FrameData& frame, Random& random);
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace relidar

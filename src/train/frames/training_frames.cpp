@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which frames stay is fixed: in random order any choice of as many serves as well, and this one needs no bookkeeping. A copy is part of
+// the stream, between the iteration that uses the place before it and the one that wants the frame, so that one place is enough.
+#include "train/frames/training_frames.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "core/parallel.hpp"
+#include "gpu/stream.hpp"
+#include "train/frames/grid_frame.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr std::size_t kPreparedAtOnce = 32;   // frames whose rays are on the host together on their way to where they stay
+
+double firing_time(const Sequence& sequence, const Frame& frame, float offset_s) {
+    return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
+}
+
+/// A frame as it is trained on: one of the log, or made from it.
+struct TrainedFrame {
+    std::optional<Frame> binned;
+    const Frame& frame;
+
+    TrainedFrame(const Sequence& sequence, int position, const std::optional<RangeGrid>& grid)
+        : binned(grid ? std::optional(on_grid(sequence, sequence.frames[std::size_t(position)], *grid)) : std::nullopt),
+          frame(binned ? *binned : sequence.frames[std::size_t(position)]) {}
+};
+
+FrameData describe(const Sequence& sequence, int position, const std::optional<RangeGrid>& grid) {
+    const TrainedFrame trained(sequence, position, grid);
+    const Frame& frame = trained.frame;
+    const RayTable& table = frame.scan.rays;
+    if (frame.scan.range_m.empty())
+        throw DataError(fmt::format("preparing frame {} of {}: it has no rays, expected at least one", frame.index, sequence.name));
+    FrameData data;
+    data.position = position;
+    data.index = frame.index;
+    data.n_rays = static_cast<std::uint32_t>(frame.scan.range_m.size());
+    const bool spins = !sequence.lidar_of(frame).sensor.beams.empty();
+    if (table.rows > 1) data.image = {static_cast<std::uint32_t>(table.rows), static_cast<std::uint32_t>(table.columns), spins};
+    const PoseTrack& track = sequence.world_from_vehicle;
+    const auto [first, last] = std::minmax_element(table.time_offset_s.begin(), table.time_offset_s.end());
+    data.first_knot = track.place(firing_time(sequence, frame, *first)).left;
+    const std::size_t last_knot = std::min(track.place(firing_time(sequence, frame, *last)).left + 1, track.pose.size() - 1);
+    data.n_knots = static_cast<std::uint32_t>(last_knot + 1 - data.first_knot);
+    data.sensor_position_m = glm::vec3(track.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation);
+    return data;
+}
+
+void count(FrameData& data, const std::vector<DeviceTarget>& targets) {
+    data.n_known = data.n_returned = 0.0;
+    for (const DeviceTarget& t : targets) {
+        data.n_known += t.weight > 0.0f;
+        data.n_returned += t.weight > 0.0f && t.range_m > 0.0f;
+    }
+}
+
+template <class T>
+void write(Stream& stream, const Array<T>& to, const std::vector<T>& values) {
+    impl_of(stream).write(to.buffer(), values.data(), values.size() * sizeof(T));
+}
+
+}  // namespace
+
+std::size_t TrainingFrames::bytes_per_ray() const {
+    return sizeof(DeviceRay) + sizeof(DeviceTarget) + (use_.moves_rays ? sizeof(shared::RayPlace) : 0);
+}
+
+TrainingFrames::TrainingFrames(Device& device, const Sequence& sequence, const std::vector<int>& positions, FrameUse use)
+    : sequence_(sequence), use_(std::move(use)) {
+    for (const int position : positions) frames_.push_back(describe(sequence, position, use_.grid));
+    std::uint64_t bytes = 0;
+    for (const FrameData& frame : frames_) {
+        bytes += std::uint64_t(frame.n_rays) * bytes_per_ray();
+        if (bytes > use_.stay_bytes) break;
+        ++n_staying_;
+    }
+    keep_on_device(device);
+    const std::uint32_t n = most_rays(std::span(frames_).subspan(n_staying_));
+    if (n == 0) return;
+    shared_ = std::make_shared<FrameArrays>(FrameArrays{{device, n, "training rays"},
+                                                        {device, n, "training targets"},
+                                                        {device, use_.moves_rays ? n : 0, "places of rays"}});
+    for (std::size_t i = n_staying_; i < frames_.size(); ++i) frames_[i].arrays = shared_;
+}
+
+TrainingFrames::~TrainingFrames() = default;
+
+void TrainingFrames::keep_on_device(Device& device) {
+    for (std::size_t first = 0; first < n_staying_; first += kPreparedAtOnce) {
+        std::vector<HostFrame> some(std::min(kPreparedAtOnce, n_staying_ - first));
+        run_parallel(static_cast<int>(some.size()), [&](int k) { some[std::size_t(k)] = prepare(first + std::size_t(k)); });
+        for (std::size_t k = 0; k < some.size(); ++k) {
+            FrameData& frame = frames_[first + k];
+            frame.arrays = std::make_shared<FrameArrays>(
+                FrameArrays{{device, std::span<const DeviceRay>(some[k].rays), "training rays"},
+                            {device, std::span<const DeviceTarget>(some[k].targets), "training targets"},
+                            {device, std::span<const shared::RayPlace>(some[k].places), "places of rays"}});
+            count(frame, some[k].targets);
+        }
+    }
+}
+
+TrainingFrames::HostFrame TrainingFrames::prepare(std::size_t i) const {
+    const FrameData& data = frames_[i];
+    const TrainedFrame trained(sequence_, data.position, use_.grid);
+    const Frame& frame = trained.frame;
+    HostFrame host;
+    make_targets(sequence_, frame, use_.unknown, host.rays, host.targets);
+    if (use_.moves_rays)
+        for (const float offset_s : frame.scan.rays.time_offset_s) {
+            const TrackPlace place = sequence_.world_from_vehicle.place(firing_time(sequence_, frame, offset_s));
+            host.places.push_back({static_cast<std::uint32_t>(place.left - data.first_knot), static_cast<float>(place.s)});
+        }
+    return host;
+}
+
+TrainingFrames::HostFrame TrainingFrames::take(std::size_t i) {
+    if (coming_.valid()) {
+        HostFrame host = coming_.get();
+        if (coming_frame_ == i) return host;
+    }
+    return prepare(i);
+}
+
+FrameData& TrainingFrames::bring(Stream& stream, std::size_t i) {
+    FrameData& frame = frames_[i];
+    if (i < n_staying_) return frame;
+    const HostFrame host = take(i);
+    write(stream, frame.arrays->rays, host.rays);
+    write(stream, frame.arrays->targets, host.targets);
+    write(stream, frame.arrays->places, host.places);
+    count(frame, host.targets);
+    return frame;
+}
+
+void TrainingFrames::expect(std::size_t i) {
+    if (i < n_staying_ || (coming_.valid() && coming_frame_ == i)) return;
+    if (coming_.valid()) coming_.wait();
+    coming_frame_ = i;
+    coming_ = std::async(std::launch::async, [this, i] { return prepare(i); });
+}
+
+}  // namespace relidar

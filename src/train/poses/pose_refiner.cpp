@@ -1,0 +1,159 @@
+// SPDX-License-Identifier: Apache-2.0
+// Pose refinement: gradients of rays and of instances become steps of the poses between which they are interpolated.
+#include "train/poses/pose_refiner.hpp"
+
+#include <algorithm>
+#include <cstring>
+
+#include <relidar/stages/backward.hpp>
+#include <relidar/stages/optimizer.hpp>
+#include <relidar/train.hpp>
+
+#include "train/poses/moved_rays.hpp"
+#include "train/readback_lag.hpp"
+#include "train/frames/training_frames.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kFinalShare = 0.1;   // of the rates, at the end of training
+/// Rates follow train.pose_rate_m, the sensor's in metres. A turn moves what is 10 m away, where most returns are, as far as a shift does
+/// at a tenth of the rate a metre; boxes start ten times as far off as a sensor that registration has placed.
+constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
+/// Weights of the squares of every correction in the loss, per square metre and per square radian: so small that they only hold what no
+/// ray tells.
+constexpr double kPriorPerM2 = 0.01, kPriorPerRad2 = 0.1;
+
+Sequence without_scans(const Sequence& sequence) {
+    Sequence result;
+    result.lidars = sequence.lidars;
+    result.world_from_vehicle = sequence.world_from_vehicle;
+    result.boxes = sequence.boxes;
+    result.rolling_shutter = sequence.rolling_shutter;
+    for (const Frame& frame : sequence.frames) result.frames.push_back(without_scan(frame));
+    return result;
+}
+
+/// Room for an array of the last kReadbackLag iterations.
+void make_room(std::vector<Readback>& readbacks, Device& device, std::size_t n_floats, const char* what) {
+    while (readbacks.size() < kReadbackLag) readbacks.emplace_back(device, n_floats * sizeof(float), what);
+}
+
+template <class T>
+void drop_first(std::vector<T>& values, std::size_t n) {
+    values.erase(values.begin(), values.begin() + std::ptrdiff_t(n));
+}
+
+PoseStep step_at(const TrainConfig& c, double rate_m, int step) {
+    const double decay = exponential_schedule(1.0, kFinalShare, step, c.iterations);
+    return {rate_m * decay, rate_m / kMetresPerRadian * decay, kPriorPerM2, kPriorPerRad2};
+}
+
+}  // namespace
+
+PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config,
+                         const TrainingFrames& frames)
+    : config_(config), frames_(frames), layout_(layout_of(layout)), poses_(without_scans(sequence)) {
+    if (config.refines("sensor")) {
+        sensor_.emplace(sequence.world_from_vehicle);
+        rays_ = std::make_unique<MovedRays>(device, frames.all());
+        floats_of_rays_ = rays_->gradient_rows().size();
+        make_room(of_rays_, device, floats_of_rays_, "pose gradients of rays");
+    }
+    if (!config.refines("actors")) return;
+    for (std::size_t i = 0; i < layout_.instances.size(); ++i) {
+        if (const BoxTrack* box = find_box(sequence, layout_.instances[i].track))
+            actors_.push_back({i, std::size_t(box - sequence.boxes.data()), TrackCorrection(box->world_from_box)});
+    }
+    if (actors_.empty()) return;
+    floats_of_instances_ = 6 * layout_.instances.size();
+    make_room(of_instances_, device, floats_of_instances_, "pose gradients of instances");
+}
+
+PoseRefiner::~PoseRefiner() = default;
+
+RefinedPoses PoseRefiner::poses() const { return {poses_.world_from_vehicle, poses_.boxes}; }
+
+WantedGradients PoseRefiner::wanted() const { return {.rays = sensor_.has_value(), .poses = !actors_.empty()}; }
+
+void PoseRefiner::place(Stream& stream, FrameData& frame) {
+    if (!is_active()) return;
+    if (rays_) rays_->move(stream, *sensor_, frame);
+    const Frame& sweep = poses_.frames[std::size_t(frame.position)];
+    frame.placed = place_instances(layout_, poses_, moment_of(sweep));
+    frame.sensor_position_m = glm::vec3(poses_.world_from_vehicle.at(sweep.time_s, poses_.lidar_of(sweep).vehicle_from_sensor).translation);
+}
+
+void PoseRefiner::record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch,
+                         const Gradients& gradients, int step) {
+    if (!is_active()) return;
+    const std::size_t slot = std::size_t(step) % kReadbackLag;
+    if (rays_) {
+        rays_->sum_gradients(stream, frame, batch, gradients.rays);
+        of_rays_[slot].record(stream, rays_->gradient_rows().buffer(), floats_of_rays_ * sizeof(float));
+    }
+    if (!actors_.empty()) of_instances_[slot].record(stream, gradients.poses.buffer(), floats_of_instances_ * sizeof(float));
+    coming_.step.push_back(std::uint64_t(step));
+    coming_.frame.push_back(frame_index);
+    for (const Actor& actor : actors_) coming_.actor_time_s.push_back(frame.placed[actor.instance].time_s);
+    coming_.gradient.resize(coming_.gradient.size() + floats_of_rays_ + floats_of_instances_);
+}
+
+std::span<float> PoseRefiner::fetch(Stream& stream, std::size_t i) {
+    const std::size_t n = floats_of_rays_ + floats_of_instances_, slot = coming_.step[i] % kReadbackLag;
+    const std::span<float> gradient(coming_.gradient.data() + i * n, n);
+    if (rays_ && of_rays_[slot].pending()) std::memcpy(gradient.data(), of_rays_[slot].wait(stream), floats_of_rays_ * sizeof(float));
+    if (!actors_.empty() && of_instances_[slot].pending())
+        std::memcpy(gradient.data() + floats_of_rays_, of_instances_[slot].wait(stream), floats_of_instances_ * sizeof(float));
+    return gradient;
+}
+
+void PoseRefiner::fetch(Stream& stream) {
+    for (std::size_t i = 0; i < coming_.step.size(); ++i) fetch(stream, i);
+}
+
+void PoseRefiner::take_oldest_step(Stream& stream) {
+    const std::span<const float> gradient = fetch(stream, 0);
+    const int step = static_cast<int>(coming_.step.front());
+    if (rays_) {
+        for (const PoseGradient& g : rays_->gradients_in(gradient.first(floats_of_rays_), frames_.all()[coming_.frame.front()]))
+            sensor_->add_gradient(g.pose, 1.0, g.gradient);
+        sensor_->step(step_at(config_, config_.pose_rate_m, step));
+        sensor_->remove_common_motion();
+    }
+    for (std::size_t k = 0; k < actors_.size(); ++k) {
+        Twist twist;
+        std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6, twist.begin());
+        actors_[k].correction.add_gradient(coming_.actor_time_s[k], twist);   // zeros where it was absent, which count as not seen
+        actors_[k].correction.step(step_at(config_, kBoxFactor * config_.pose_rate_m, step));
+    }
+    drop_first(coming_.step, 1);
+    drop_first(coming_.frame, 1);
+    drop_first(coming_.actor_time_s, actors_.size());
+    drop_first(coming_.gradient, floats_of_rays_ + floats_of_instances_);
+}
+
+void PoseRefiner::take_steps(Stream& stream, int last) {
+    if (coming_.step.empty() || int(coming_.step.front()) > last) return;
+    while (!coming_.step.empty() && int(coming_.step.front()) <= last) take_oldest_step(stream);
+    update_poses();
+}
+
+void PoseRefiner::update_poses() {
+    if (sensor_) poses_.world_from_vehicle = sensor_->corrected();
+    for (const Actor& actor : actors_) poses_.boxes[actor.box].world_from_box = actor.correction.corrected();
+}
+
+bool PoseRefiner::take_over() {
+    const std::size_t n = coming_.step.size();
+    const bool sound = (!sensor_ || sensor_->is_sound()) &&
+                       std::all_of(actors_.begin(), actors_.end(), [](const Actor& a) { return a.correction.is_sound(); }) &&
+                       n <= kReadbackLag && coming_.frame.size() == n && coming_.actor_time_s.size() == n * actors_.size() &&
+                       coming_.gradient.size() == n * (floats_of_rays_ + floats_of_instances_) &&
+                       std::all_of(coming_.frame.begin(), coming_.frame.end(),
+                                   [this](std::uint64_t frame) { return frame < frames_.all().size(); });
+    if (sound) update_poses();
+    return sound;
+}
+
+}  // namespace relidar

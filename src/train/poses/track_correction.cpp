@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: Apache-2.0
+// Adam (Kingma and Ba 2015) on a few poses, on the host. The second moment forgets faster than usual: a pose is seen tens of times in a
+// training, not thousands.
+#include "train/poses/track_correction.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace relidar {
+namespace {
+
+constexpr double kBeta1 = 0.9, kBeta2 = 0.99, kEpsilon = 1e-15;
+
+glm::dvec3 vector(const Twist& twist, std::size_t first) { return {twist[first], twist[first + 1], twist[first + 2]}; }
+
+}  // namespace
+
+TrackCorrection::TrackCorrection(PoseTrack track)
+    : track_(std::move(track)),
+      values_(6 * track_.pose.size(), 0.0),
+      moment1_(values_),
+      moment2_(values_),
+      n_steps_(track_.pose.size(), 0),
+      gradient_(values_),
+      visited_(track_.pose.size(), false) {}
+
+Twist TrackCorrection::value(std::size_t pose) const {
+    Twist twist;
+    std::copy_n(values_.begin() + std::ptrdiff_t(6 * pose), 6, twist.begin());
+    return twist;
+}
+
+Twist TrackCorrection::at(std::size_t pose) const {
+    const auto is_known = [this](std::size_t k) { return n_steps_[k] > 0; };
+    std::size_t before = pose, after = pose;
+    while (before > 0 && !is_known(before)) --before;
+    while (after + 1 < n_steps_.size() && !is_known(after)) ++after;
+    if (!is_known(before) && !is_known(after)) return {};
+    if (before == after || !is_known(after)) return value(before);
+    if (!is_known(before)) return value(after);
+    const double s = (track_.time_s[pose] - track_.time_s[before]) / (track_.time_s[after] - track_.time_s[before]);
+    Twist twist;
+    for (std::size_t i = 0; i < 6; ++i) twist[i] = (1.0 - s) * value(before)[i] + s * value(after)[i];
+    return twist;
+}
+
+PoseTrack TrackCorrection::corrected() const {
+    PoseTrack result = track_;
+    for (std::size_t k = 0; k < result.pose.size(); ++k) result.pose[k] = moved(track_.pose[k], at(k));
+    return result;
+}
+
+void TrackCorrection::add_gradient(double t_s, const Twist& gradient) {
+    const auto [left, s] = track_.place(t_s);
+    add_gradient(left, 1.0 - s, gradient);
+    if (s != 0.0) add_gradient(left + 1, s, gradient);
+}
+
+void TrackCorrection::add_gradient(std::size_t pose, double share, const Twist& gradient) {
+    if (std::all_of(gradient.begin(), gradient.end(), [share](double g) { return share * g == 0.0; })) return;
+    for (std::size_t i = 0; i < 6; ++i) gradient_[6 * pose + i] += share * gradient[i];
+    visited_[pose] = true;
+}
+
+void TrackCorrection::step(const PoseStep& step) {
+    for (std::size_t k = 0; k < visited_.size(); ++k) {
+        if (!visited_[k]) continue;
+        const double n = double(++n_steps_[k]), bias1 = 1.0 - std::pow(kBeta1, n), bias2 = 1.0 - std::pow(kBeta2, n);
+        for (std::size_t i = 6 * k; i < 6 * k + 6; ++i) {
+            const bool is_translation = i < 6 * k + 3;
+            const double g = gradient_[i] + 2.0 * (is_translation ? step.prior_per_m2 : step.prior_per_rad2) * values_[i];
+            moment1_[i] += (1.0 - kBeta1) * (g - moment1_[i]);
+            moment2_[i] += (1.0 - kBeta2) * (g * g - moment2_[i]);
+            values_[i] -=
+                (is_translation ? step.rate_m : step.rate_rad) * (moment1_[i] / bias1) / (std::sqrt(moment2_[i] / bias2) + kEpsilon);
+            gradient_[i] = 0.0;
+        }
+        visited_[k] = false;
+    }
+}
+
+void TrackCorrection::remove_common_motion() {
+    const auto n = double(track_.pose.size());
+    glm::dvec3 centre(0.0), v(0.0), w(0.0);
+    for (std::size_t k = 0; k < track_.pose.size(); ++k) {
+        centre += track_.pose[k].translation / n;
+        v += vector(value(k), 0) / n;
+        w += vector(value(k), 3) / n;
+    }
+    for (std::size_t k = 0; k < track_.pose.size(); ++k) {
+        const glm::dvec3 carried = v + glm::cross(w, track_.pose[k].translation - centre);
+        for (int i = 0; i < 3; ++i) {
+            values_[6 * k + std::size_t(i)] -= carried[i];
+            values_[6 * k + 3 + std::size_t(i)] -= w[i];
+        }
+    }
+}
+
+bool TrackCorrection::is_sound() const {
+    const std::size_t n = track_.pose.size();
+    return values_.size() == 6 * n && moment1_.size() == 6 * n && moment2_.size() == 6 * n && n_steps_.size() == n;
+}
+
+}  // namespace relidar

@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "bench/actors.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include "bench/case.hpp"
+#include "bench/measure.hpp"
+#include "console.hpp"
+#include "interrupt.hpp"
+#include <relidar/error.hpp>
+#include <relidar/stages/accel.hpp>
+#include <relidar/measure/scene.hpp>
+#include <relidar/stages/scene.hpp>
+
+namespace relidar::cli {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr int kImageRows = 64, kImageColumns = 1024;
+
+/// An actor of some 4 m: the benchmark street made smaller.
+Surfels actor_surfels() {
+    constexpr float kHalfLength_m = 2.0f;
+    Surfels actor = make_benchmark_street(kActorSurfels);
+    float longest = 0.0f;
+    for (const glm::vec3& mean : actor.mean) longest = std::max(longest, glm::length(mean));
+    for (glm::vec3& mean : actor.mean) mean *= kHalfLength_m / longest;
+    return actor.permuted(kd_order(actor.mean));
+}
+
+Scene scene_of_actors(int n_actors, bool own_models) {
+    Scene scene = make_background_scene({});
+    scene.models.push_back({"actor", 0, kActorSurfels});
+    scene.surfels = actor_surfels();
+    for (int i = 0; i < n_actors; ++i) scene.instances.push_back({1, fmt::format("{}", i)});
+    return own_models ? relidar::own_models(std::move(scene)) : scene;
+}
+
+/// The first actor is 8 m ahead, the others on a spiral that leaves some 5 m between neighbours; at each step all are a centimetre further.
+std::vector<InstancePose> poses_at(int n_actors, int step) {
+    constexpr double kGoldenAngle_rad = 2.39996323;
+    std::vector<InstancePose> placed{InstancePose{}};
+    for (int i = 0; i < n_actors; ++i) {
+        const double radius_m = 8.0 + 3.0 * std::sqrt(double(i)), azimuth_rad = kGoldenAngle_rad * i;
+        placed.push_back(
+            {Pose{{1.0, 0.0, 0.0, 0.0}, {radius_m * std::cos(azimuth_rad) + 0.01 * step, radius_m * std::sin(azimuth_rad), 0.0}}});
+    }
+    return placed;
+}
+
+BenchCase case_of_actors(int n_actors, bool own_models) {
+    BenchCase bench;
+    bench.name = fmt::format("{} actors", n_actors);
+    const RayTable table = make_benchmark_rays(kImageRows, kImageColumns, 2.0, -24.9);
+    bench.rows = table.rows;
+    bench.columns = table.columns;
+    bench.rays = {to_vector(table.origin), to_vector(table.direction)};
+    bench.scene = scene_of_actors(n_actors, own_models);
+    bench.config = make_preset("paper");
+    bench.config.image.sh_direction = own_models ? ShDirection::surfel : ShDirection::ray;
+    bench.placed = poses_at(n_actors, 0);
+    return bench;
+}
+
+void measure_moves(Device& device, const BenchCase& bench, int repeat, ActorTimes& times) {
+    constexpr int kWarmUp = 3;
+    DeviceScene on_device(device, bench.scene);
+    Accel accel(device, on_device, accel_of(bench));
+    Stream stream(device, false);
+    on_device.activate(stream, bench.config.image, glm::vec3(0.0f));
+    stream.finish();
+    Clock::time_point start = Clock::now();
+    accel.update(stream, on_device);
+    stream.finish();
+    times.build_ms = ms_since(start);
+    const std::uint64_t builds_before = accel.updates();
+    std::vector<double> samples;
+    for (int step = 1; step <= kWarmUp + repeat; ++step) {
+        stop_if_interrupted();
+        const std::vector<InstancePose> placed = poses_at(times.n_actors, step);
+        start = Clock::now();
+        on_device.place(stream, placed);
+        accel.move(stream, on_device);
+        stream.finish();
+        if (step > kWarmUp) samples.push_back(ms_since(start));
+    }
+    times.move_ms = spread_of(samples);
+    times.builds = accel.updates() - builds_before;
+}
+
+Spread iteration_of(const BenchResult& result) {
+    const auto row = std::ranges::find(result.phases, "iteration_wall", &BenchRow::name);
+    if (row == result.phases.end()) throw DeviceError("timing actors: found a device without timestamps, expected one that has them");
+    return row->ms;
+}
+
+std::string milliseconds(const Spread& spread) { return fmt::format("{:.2f}", spread.median); }
+
+}  // namespace
+
+std::uint64_t ActorTimes::n_surfels() const { return std::uint64_t(own_models ? n_actors : 1) * kActorSurfels; }
+
+ActorTimes measure_actors(Device& device, int n_actors, bool own_models, const BenchSettings& settings) {
+    const BenchCase bench = case_of_actors(n_actors, own_models);
+    ActorTimes times{.n_actors = n_actors, .own_models = own_models};
+    measure_moves(device, bench, settings.repeat, times);
+    BenchSettings scan = settings, step = settings;
+    scan.backward = false;
+    step.backward = true;
+    times.scan_ms = iteration_of(measure(device, bench, scan));
+    const BenchResult trained = measure(device, bench, step);
+    times.step_ms = iteration_of(trained);
+    times.memory = trained.memory.scene + trained.memory.accel + trained.memory.training + trained.memory.rays;
+    return times;
+}
+
+std::string actors_text(const std::vector<ActorTimes>& times) {
+    std::vector<std::vector<std::string>> rows{
+        {"actors", "models", "surfels", "build ms", "move ms", "scan ms", "step ms", "memory MiB", "bottom levels rebuilt"}};
+    for (const ActorTimes& t : times)
+        rows.push_back({fmt::format("{}", t.n_actors), t.own_models ? "own" : "one", fmt::format("{}", t.n_surfels()),
+                        fmt::format("{:.2f}", t.build_ms), milliseconds(t.move_ms), milliseconds(t.scan_ms), milliseconds(t.step_ms),
+                        fmt::format("{:.1f}", double(t.memory) / double(1 << 20)), fmt::format("{}", t.builds)});
+    return table(rows);
+}
+
+std::string actors_json(const std::vector<ActorTimes>& times, const Device& device, const std::string& command_line) {
+    const auto json_of = [](const Spread& s) { return nlohmann::ordered_json{{"p10", s.p10}, {"median", s.median}, {"p90", s.p90}}; };
+    nlohmann::ordered_json json = {{"format", "relidar bench actors"}, {"version", 2},
+                                   {"relidar", RELIDAR_VERSION},       {"command", command_line},
+                                   {"device", device.info().name},     {"actors", nlohmann::ordered_json::array()}};
+    for (const ActorTimes& t : times)
+        json["actors"].push_back({{"actors", t.n_actors},
+                                  {"own_models", t.own_models},
+                                  {"surfels", t.n_surfels()},
+                                  {"build_ms", t.build_ms},
+                                  {"move_ms", json_of(t.move_ms)},
+                                  {"scan_ms", json_of(t.scan_ms)},
+                                  {"step_ms", json_of(t.step_ms)},
+                                  {"memory_bytes", t.memory},
+                                  {"bottom_levels_rebuilt", t.builds}});
+    return json.dump(1) + "\n";
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,140 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "bench/floor.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <chrono>
+#include <cmath>
+
+#include <relidar/error.hpp>
+#include <relidar/stages/gpu.hpp>
+
+namespace relidar::cli {
+namespace {
+
+// Bytes of what the kernels exchange (shaders/shared).
+constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36, kTarget = 12, kUpstream = 20,
+                 kKeptHit = 8, kHitRecord = 16, kRow = 4, kMark = 4;
+constexpr double kBox = 24, kCorners = 48, kKey = 8, kIndex = 4;
+constexpr double kFewestNodes = 1.0 / 28.0;   // wide nodes a surfel: 8 children, leaves of 4
+constexpr double kNodeOperations = 150, kSurfelOperations = 40;   // shaders/traversal/software_bvh.glsl
+
+double sh(const FloorSizes& s) { return 4 * 3 * s.n_sh; }
+double sh_along_ray(const FloorSizes& s) { return s.sh_per_surfel ? 0.0 : sh(s); }
+double sh_a_surfel(const FloorSizes& s) { return s.sh_per_surfel ? sh(s) : 0.0; }
+
+/// Digits of 8 bits that n different keys have, at least.
+double digits(double n) { return std::ceil(std::bit_width(static_cast<std::uint64_t>(n)) / 8.0); }
+
+double refit(const FloorSizes& s) { return s.n_surfels * (kBox + kIndex) + kFewestNodes * s.n_surfels * (28 + kNode + kBox); }
+
+/// Boxes in; keys out; a sort of 39 bits and the model: keys read twice, values once, both written, a digit; the binary tree out and its
+/// topology in; leaf order and wide nodes out.
+double build(const FloorSizes& s) {
+    const double bits = 39 + std::bit_width(static_cast<std::uint64_t>(s.n_models) - 1);
+    const double sort = std::ceil(bits / 8) * (3 * kKey + 2 * kIndex);
+    const double tree = kBox + kKey + kIndex + (kKey + kBox + 28 + kIndex) + (kKey + kIndex);
+    return s.n_surfels * (kBox + 12 + kKey + kIndex + sort + tree + kIndex) + refit(s);
+}
+
+double backward_trace(const FloorSizes& s) {
+    const double sums = s.gather ? s.n_hits * (kHitRecord + kRow) : s.n_touched * 2 * (kRecord + sh_along_ray(s));
+    return s.n_rays * (kRay + kRendered + kUpstream) + s.n_hits_kept * kKeptHit + s.n_touched * (kRecord + sh_along_ray(s)) + sums;
+}
+
+/// Record gradients in, marks of the touched surfels out; of these parameters in, gradients out.
+double activate_vjp(const FloorSizes& s) { return s.n_surfels * (kRecord + kMark) + s.n_touched * 2 * (kGeometry + sh_a_surfel(s)); }
+
+/// Marks and the gradients that are not zero in; values and both moments in and out.
+double adam(const FloorSizes& s) {
+    const double updated = s.only_touched ? s.n_touched : s.n_surfels;
+    return s.n_surfels * kMark + (s.n_touched + 6 * updated) * (kGeometry + sh(s));
+}
+
+enum class When { always, software, training, gather };
+
+struct Row {
+    const char* kernel;
+    When when;
+    double (*bytes)(const FloorSizes&);
+};
+
+/// One row a kernel. Surfels met are those with a gradient: others need not be loaded.
+constexpr Row kFloorRows[] = {
+    {"scene/activate", When::always, [](const FloorSizes& s) { return s.n_surfels * (kGeometry + sh(s) + kRecord); }},
+    {"accel/proxies", When::always, [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.boxes ? kBox : kCorners)); }},
+    {"accel/build", When::software, build},
+    {"accel/refit", When::software, refit},
+    {"forward/trace", When::always,
+     [](const FloorSizes& s) {
+         return s.n_rays * (kRay + kRendered) + s.n_hits_written * kKeptHit + s.n_touched * (kRecord + sh_along_ray(s));
+     }},
+    {"loss/image_loss", When::training, [](const FloorSizes& s) { return s.n_rays * (kRendered + kTarget + kUpstream); }},
+    {"fill", When::training, [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.sh_per_surfel ? 0.0 : 192.0)); }},
+    {"backward/trace", When::training, backward_trace},
+    {"backward/sort", When::gather, [](const FloorSizes& s) { return s.n_hits * digits(s.n_surfels) * (kRow + 2 * (kRow + kIndex)); }},
+    {"backward/gather", When::gather,
+     [](const FloorSizes& s) { return s.n_hits * (kHitRecord + kRow + kIndex) + s.n_touched * 2 * (kRecord + sh_along_ray(s)); }},
+    {"scene/activate_vjp", When::training, activate_vjp},
+    {"optimizer/adam", When::training, adam},
+};
+
+bool runs(const Row& row, const FloorSizes& s) {
+    return row.when == When::always || (row.when == When::software && s.software) || (row.when == When::training && s.training) ||
+           (row.when == When::gather && s.training && s.gather);
+}
+
+/// Seconds of the fastest of a few copies.
+double seconds_of_copy(Device& device, std::size_t n_bytes) {
+    const Buffer from(device, n_bytes, "source of the copy"), to(device, n_bytes, "target of the copy");
+    Stream stream(device, true);
+    stream.fill(from);
+    double best = 1e30;
+    for (int i = 0; i < 8; ++i) {
+        stream.finish();
+        const auto start = std::chrono::steady_clock::now();
+        stream.copy(from, to, n_bytes);
+        stream.finish();
+        if (!device.info().timestamps)
+            best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
+    }
+    if (device.info().timestamps) best = std::ranges::min(stream.times().milliseconds.at("copy")) / 1000.0;
+    return best;
+}
+
+}  // namespace
+
+std::map<std::string, double> floor_bytes(const FloorSizes& sizes) {
+    std::map<std::string, double> bytes;
+    for (const Row& row : kFloorRows)
+        if (runs(row, sizes)) bytes[row.kernel] = row.bytes(sizes);
+    return bytes;
+}
+
+std::map<std::string, double> cache_bytes(const FloorSizes& s) {
+    std::map<std::string, double> bytes;
+    if (s.nodes_opened <= 0.0) return bytes;
+    const double search = s.nodes_opened * kNode + s.surfels_tested * kRecord;
+    const double shading = s.n_hits * (kRecord + sh_along_ray(s));
+    bytes["forward/trace"] = search + shading;
+    if (!s.training) return bytes;
+    const double searched_again = s.n_hits > 0.0 ? 1.0 - s.n_hits_kept / s.n_hits : 0.0;   // share of the hits
+    const double sums = s.gather ? kHitRecord + kRow : kRecord + sh_along_ray(s);          // 16 float atomics a hit
+    bytes["backward/trace"] = searched_again * search + shading + s.n_hits * (kRecord + sums);
+    return bytes;
+}
+
+double search_operations(const FloorSizes& s) { return s.nodes_opened * kNodeOperations + s.surfels_tested * kSurfelOperations; }
+
+std::optional<double> copy_bytes_per_s(Device& device) {
+    constexpr std::size_t kMiB = std::size_t(1) << 20;
+    for (std::size_t n_bytes = 256 * kMiB; n_bytes >= kMiB; n_bytes /= 4) {
+        try {
+            return 2.0 * static_cast<double>(n_bytes) / seconds_of_copy(device, n_bytes);
+        } catch (const DeviceError&) {   // no room for two of that size
+        }
+    }
+    return std::nullopt;
+}
+
+}  // namespace relidar::cli

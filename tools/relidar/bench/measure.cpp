@@ -1,0 +1,352 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "bench/measure.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <map>
+#include <memory>
+#include <numeric>
+#include <optional>
+#include <random>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "bench/case.hpp"
+#include "console.hpp"
+#include "interrupt.hpp"
+#include <relidar/error.hpp>
+#include <relidar/measure/forward.hpp>
+#include <relidar/stages/differentiable_renderer.hpp>
+#include <relidar/stages/optimizer.hpp>
+
+namespace relidar::cli {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+using Samples = std::map<std::string, std::vector<double>>;
+
+constexpr double kWarmUp_ms = 200.0;   // kernels are compiled and clocks raised in the first moments
+constexpr const char* kOrder[] = {"scene/activate",     "accel/proxies",  "accel/build",     "accel/refit",
+                                  "accel/top_level",    "forward/trace",  "loss/image_loss", "fill",
+                                  "backward/sort",      "backward/trace", "backward/gather", "backward/gather_heads",
+                                  "scene/activate_vjp", "optimizer/adam"};
+
+/// Row that a kernel counts in. Those of the software tree go together, under the names of the driver's builds; so do prefix sums and
+/// sorts.
+std::string row_of(const std::string& kernel, const std::string& phase) {
+    if (kernel == "accel/bvh_top") return "accel/top_level";
+    if (kernel.starts_with("accel/bvh_")) return phase == "rebuild" ? "accel/build" : "accel/refit";
+    if (kernel.starts_with("gpu/")) return phase == "rebuild" ? "accel/build" : "backward/sort";
+    return kernel;
+}
+
+/// What was rendered, with uniform noise: no gradient of the L1 terms is zero. Rays that met little are dropped ones.
+std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normalised_depth) {
+    constexpr float kRangeNoise_m = 0.1f, kIntensityNoise = 0.05f, kSolid = 0.5f;
+    std::mt19937 random(1);
+    const auto noise = [&] { return static_cast<float>(random()) / 2147483648.0f - 1.0f; };
+    std::vector<DeviceTarget> targets(rendering.size(), {.range_m = 0.0f, .intensity = 0.0f, .weight = 1.0f});
+    for (std::size_t i = 0; i < targets.size(); ++i) {
+        if (!(rendering.weight[i] > kSolid)) continue;
+        const float range_m = rendering.depth[i] / (normalised_depth ? rendering.weight[i] : 1.0f);
+        targets[i].range_m = std::max(range_m + kRangeNoise_m * noise(), 0.01f);
+        targets[i].intensity = rendering.intensity[i] + kIntensityNoise * noise();
+    }
+    return targets;
+}
+
+RendererOptions renderer_options(const BenchCase& bench) {
+    return {.accel = accel_of(bench),
+            .trace = trace_of(bench),
+            .n_rays = static_cast<std::uint32_t>(bench.rays.size())};
+}
+
+RendererOptions training_options(const BenchCase& bench, std::uint32_t keep_hits) {
+    RendererOptions options = renderer_options(bench);
+    options.trace = training_trace_options(bench.config);
+    options.trace.walk = bench.walk;
+    options.keep_hits = keep_hits;
+    return options;
+}
+
+/// Hits of a ray that a training keeps in the end.
+std::uint32_t hits_to_keep(const BenchCase& bench, const std::vector<std::uint32_t>& hits) {
+    auto keep = static_cast<std::uint32_t>(bench.config.trace.keep_hits);
+    while (bench.keeps_more_hits) {
+        const auto n_overfull = std::count_if(hits.begin(), hits.end(), [&](std::uint32_t n) { return n > keep; });
+        const std::uint32_t more = kept_hits_wanted(keep, static_cast<std::uint64_t>(n_overfull), hits.size());
+        if (more == keep) break;
+        keep = more;
+    }
+    return keep;
+}
+
+/// What one step of training runs.
+struct TrainingStep {
+    DifferentiableRenderer renderer;
+    ImageLoss loss;
+    std::optional<GeometryLoss> geometry_loss;   ///< where the case has its terms
+    Adam adam;
+    Array<DeviceTarget> targets;
+    Array<float> terms;
+    double n_returned = 0.0;
+    int step = 0;
+
+    TrainingStep(Device& device, const BenchCase& bench, std::uint32_t keep_hits, const std::vector<DeviceTarget>& wanted)
+        : renderer(device, bench.scene, bench.config.image, training_options(bench, keep_hits),
+                   {.sums = backward_options(bench.config), .zero_untouched = false}),   // Adam takes the others for zero
+          loss(device, bench.config.loss),
+          adam(device, renderer.scene().size(), {.only_touched = bench.config.train.only_touched}, renderer.scene().primitive()),
+          targets(device, std::span<const DeviceTarget>(wanted), "targets"),
+          terms(device, std::vector<float>(kLossTerms, 0.0f), "loss terms") {
+        for (const DeviceTarget& target : wanted) n_returned += target.range_m > 0.0f;
+        if (renderer.batch().geometry) geometry_loss.emplace(device, bench.config.loss, static_cast<std::uint32_t>(wanted.size()));
+    }
+
+    void run(const RayBatch& rays) {
+        constexpr LearningRates kStandStill{0.0, 0.0, 0.0, 0.0, 0.0, 0.05};
+        Stream& stream = renderer.stream();
+        const std::uint32_t columns = std::max(rays.columns, 1u);
+        const ImageShape image{rays.n_rays / columns, columns, false};
+        const TargetBatch measured{&targets, 0, 1, rays.n_rays, n_returned, static_cast<double>(rays.n_rays), image};
+        loss.compare(stream, renderer.batch(), measured, terms);
+        if (geometry_loss) geometry_loss->compare(stream, renderer.batch(), measured, terms);
+        renderer.record_backward();
+        const Gradients& gradients = renderer.gradients();
+        adam.step(stream, renderer.scene().parameters(), gradients.surfels, &gradients.touched, kStandStill, ++step,
+                  renderer.model().sh_degree);
+    }
+};
+
+/// Memory of the parts of a case, each made once for it.
+BenchMemory memory_of_parts(Device& device, const BenchCase& bench, bool training) {
+    auto since_last = [&device, last = device.allocated_bytes()]() mutable {
+        return device.allocated_bytes() - std::exchange(last, device.allocated_bytes());
+    };
+    BenchMemory memory;
+    const DeviceScene scene(device, bench.scene);
+    memory.scene = since_last();
+    const Accel accel(device, scene, accel_of(bench));
+    memory.accel = since_last();
+    if (!training) return memory;
+    const Gradients gradients(device, scene);
+    const Adam adam(device, scene.size(), {}, scene.primitive());
+    memory.training = since_last();
+    return memory;
+}
+
+class Bench {
+public:
+    Bench(Device& device, const BenchCase& bench)
+        : device_(device),
+          case_(bench),
+          allocated_before_(device.allocated_bytes()),
+          rays_(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays") {}
+
+    /// The first image; with it the targets and all that training needs.
+    void prepare(bool training) {
+        memory_ = memory_of_parts(device_, case_, training);
+        image_ = std::make_unique<Renderer>(device_, case_.scene, case_.config.image, renderer_options(case_));
+        image_->place(case_.placed, case_.view_origin_m);
+        image_->record_forward(batch());
+        image_->stream().finish();
+        const Rendering rendering = to_rendering(image_->rendered().rendered->download());
+        const std::uint32_t keep = training ? hits_to_keep(case_, rendering.hits) : 0,
+                            chunk = static_cast<std::uint32_t>(case_.config.trace.chunk);
+        for (const std::uint32_t hits : rendering.hits) {
+            sizes_.n_hits += hits;
+            sizes_.n_hits_written += std::min(hits, keep);
+            sizes_.n_hits_kept += hits <= keep ? hits : keep / chunk * chunk;
+        }
+        if (!training) return;
+        image_.reset();
+        training_ = std::make_unique<TrainingStep>(device_, case_, keep, noisy_targets(rendering, case_.config.loss.normalised_depth));
+    }
+
+    /// One repetition: rebuild, a whole iteration, an instance moved and put back.
+    void repeat() {
+        Renderer& r = renderer();
+        Stream& stream = r.stream();
+        r.accel().update(stream, r.scene(), true);
+        stream.finish();
+        take("rebuild", rebuild_kernels_);
+        const Clock::time_point start = Clock::now();
+        r.place(case_.placed, case_.view_origin_m);
+        r.record_forward(batch());
+        if (training_) training_->run(batch());
+        stream.finish();
+        phases_["iteration_wall"].push_back(ms_since(start));
+        take("iteration", kernels_);
+        const std::vector<InstancePose> before = r.scene().poses();
+        std::vector<InstancePose> moved = before;
+        moved.back().world_from_model.translation.x += 1.0;
+        r.scene().place(stream, moved);
+        r.accel().move(stream, r.scene());
+        stream.finish();
+        take("move", rebuild_kernels_);
+        r.scene().place(stream, before);   // takes effect in the next iteration
+    }
+
+    /// Without timestamps: forward alone between two waits.
+    void repeat_by_wall_clock() {
+        Renderer& r = renderer();
+        r.place(case_.placed, case_.view_origin_m);
+        r.stream().finish();
+        const Clock::time_point start = Clock::now();
+        r.record_forward(batch());
+        r.stream().finish();
+        kernels_["forward/trace"].push_back(ms_since(start));
+    }
+
+    void forget_times() {
+        renderer().stream().reset_times();
+        for (Samples* samples : {&kernels_, &rebuild_kernels_, &phases_}) samples->clear();
+    }
+
+    BenchResult result();
+    FloorSizes sizes(const BenchResult& result);
+
+private:
+    Device& device_;
+    const BenchCase& case_;
+    std::uint64_t allocated_before_;
+    Array<DeviceRay> rays_;
+    BenchMemory memory_;   ///< of the parts
+    std::unique_ptr<Renderer> image_;          ///< one of the two
+    std::unique_ptr<TrainingStep> training_;
+    FloorSizes sizes_;
+    Samples kernels_, rebuild_kernels_, phases_;
+
+    Renderer& renderer() { return training_ ? training_->renderer : *image_; }
+    RayBatch batch() const {
+        return {&rays_, 0, 1, static_cast<std::uint32_t>(rays_.size()), static_cast<std::uint32_t>(case_.columns),
+                training_ ? &training_->targets : nullptr};
+    }
+
+    /// Sums the times since the last call by kernel.
+    void take(const std::string& phase, Samples& kernels) {
+        double total = 0.0;
+        std::map<std::string, double> sums;
+        Stream& stream = renderer().stream();
+        for (const auto& [kernel, times] : stream.times().milliseconds)
+            sums[row_of(kernel, phase)] += std::accumulate(times.begin(), times.end(), 0.0);
+        for (const auto& [row, ms] : sums) {
+            kernels[row].push_back(ms);
+            total += ms;
+        }
+        phases_[phase].push_back(total);
+        stream.reset_times();
+    }
+};
+
+std::vector<BenchRow> rows_of(const Samples& samples, std::vector<std::string> order) {
+    for (const auto& [name, unused] : samples) {
+        if (std::find(order.begin(), order.end(), name) == order.end()) order.push_back(name);
+    }
+    std::vector<BenchRow> rows;
+    for (const std::string& name : order) {
+        if (const auto it = samples.find(name); it != samples.end()) rows.push_back({name, spread_of(it->second)});
+    }
+    return rows;
+}
+
+BenchResult Bench::result() {
+    Renderer& r = renderer();
+    if (const std::uint32_t capped = r.forward_pass().pass_cap_count().download()[0])
+        throw DeviceError(
+            fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, expected every ray to end",
+                        rays_.size(), capped));
+    kernels_.merge(rebuild_kernels_);   // those that an iteration has not
+    BenchResult result;
+    result.proxy = r.accel().proxy() == Proxy::boxes ? "boxes" : "triangles";
+    result.kernels = rows_of(kernels_, {std::begin(kOrder), std::end(kOrder)});
+    result.phases = rows_of(phases_, {"rebuild", "iteration", "iteration_wall", "move"});
+    const double krays = static_cast<double>(rays_.size()) / 1000.0;
+    for (const BenchRow& row : result.kernels) {
+        if (row.name == "forward/trace") result.forward_mrays_per_s = krays / row.ms.median;
+        if (row.name == "backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
+    }
+    result.hits_per_ray = sizes_.n_hits / static_cast<double>(rays_.size());
+    result.kept_hits = r.kept_hits();
+    if (const auto visits = count_visits(device_, r.scene(), r.accel(), batch(), case_.config.image, trace_of(case_)))
+        result.visits = BenchVisits{visits->nodes, visits->surfels};
+    result.memory = memory_;
+    result.memory.rays = device_.allocated_bytes() - allocated_before_ - memory_.scene - memory_.accel - memory_.training;
+    result.memory.peak = device_.peak_bytes();
+    result.sizes = sizes(result);
+    return result;
+}
+
+/// What the floors of this case follow from.
+FloorSizes Bench::sizes(const BenchResult& result) {
+    FloorSizes s = sizes_;
+    s.n_surfels = renderer().scene().size();
+    s.n_models = static_cast<double>(case_.scene.models.size());
+    s.n_rays = static_cast<double>(rays_.size());
+    s.n_sh = (case_.config.image.sh_degree + 1) * (case_.config.image.sh_degree + 1);
+    s.sh_per_surfel = case_.config.image.sh_direction == ShDirection::surfel;
+    s.training = training_ != nullptr;
+    s.gather = kernels_.contains("backward/gather");
+    s.only_touched = case_.config.train.only_touched;
+    s.boxes = renderer().accel().proxy() == Proxy::boxes;
+    s.software = device_.traversal() == Traversal::software;
+    if (result.visits) {
+        s.nodes_opened = result.visits->nodes * s.n_rays;
+        s.surfels_tested = result.visits->surfels * s.n_rays;
+    }
+    if (training_)
+        for (const std::uint32_t touched : training_->renderer.gradients().touched.download(renderer().scene().size()))
+            s.n_touched += touched;
+    return s;
+}
+
+}  // namespace
+
+double ms_since(Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); }
+
+Spread spread_of(std::vector<double> samples) {
+    std::sort(samples.begin(), samples.end());
+    const auto at = [&](double share) {
+        const double place = share * static_cast<double>(samples.size() - 1);
+        const auto low = static_cast<std::size_t>(place), high = std::min(low + 1, samples.size() - 1);
+        return std::lerp(samples[low], samples[high], place - static_cast<double>(low));
+    };
+    return {at(0.1), at(0.5), at(0.9)};
+}
+
+namespace {
+
+BenchResult measure_case(Device& device, const BenchCase& bench_case, const BenchSettings& settings) {
+    const bool device_clock = device.info().timestamps;
+    Progress(settings.quiet).show("warming up");
+    Bench bench(device, bench_case);
+    const auto repeat = [&] { device_clock ? bench.repeat() : bench.repeat_by_wall_clock(); };
+    bench.prepare(settings.backward && device_clock);
+    const Clock::time_point start = Clock::now();
+    do {
+        stop_if_interrupted();
+        repeat();
+    } while (ms_since(start) < kWarmUp_ms);
+    bench.forget_times();
+    Progress progress(settings.quiet);
+    for (int i = 0; i < settings.repeat; ++i) {
+        stop_if_interrupted();
+        repeat();
+        progress.count("repetition", static_cast<std::size_t>(i) + 1, static_cast<std::size_t>(settings.repeat));
+    }
+    BenchResult result = bench.result();
+    result.device_clock = device_clock;
+    return result;
+}
+
+}  // namespace
+
+BenchResult measure(Device& device, const BenchCase& bench_case, const BenchSettings& settings) {
+    BenchResult result = measure_case(device, bench_case, settings);
+    result.copy_bytes_per_s = copy_bytes_per_s(device);   // now that the case has left the memory
+    return result;
+}
+
+}  // namespace relidar::cli

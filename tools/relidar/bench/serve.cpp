@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "bench/serve.hpp"
+
+#include <fmt/format.h>
+
+#include "../../serve/latency.hpp"
+#include "console.hpp"
+#include <relidar/error.hpp>
+
+namespace relidar::cli {
+namespace {
+
+constexpr int kMostClients = 256, kMostCalls = 1'000'000;
+
+}  // namespace
+
+void bench_service(const ServeBench& bench) {
+    if (bench.clients < 1 || bench.clients > kMostClients)
+        throw UsageError(fmt::format("--clients: found {}, expected 1 to {}", bench.clients, kMostClients));
+    if (bench.calls < 1 || bench.calls > kMostCalls)
+        throw UsageError(fmt::format("--calls: found {}, expected 1 to {}", bench.calls, kMostCalls));
+    const serve::LatencyResult r = serve::measure_latency({bench.address, bench.scene, bench.sensor, bench.clients, bench.calls});
+    const auto row = [](const char* name, const serve::Percentiles& p) -> std::vector<std::string> {
+        return {name, fmt::format("{:.1f}", p.p50), fmt::format("{:.1f}", p.p99)};
+    };
+    print(fmt::format("{} at {}: {} calls by {} clients, {} rays and {:.0f} points a scan\n{}{:.1f} scans/s\n", r.scene, bench.address,
+                      bench.calls, bench.clients, r.rays, r.points,
+                      table({{"ms", "p50", "p99"}, row("latency", r.latency_ms), row("of it queued", r.queued_ms),
+                             row("of it rendering", r.rendered_ms)}),
+                      r.scans_per_s));
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,289 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "edit/edit_text.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <map>
+#include <optional>
+#include <sstream>
+#include <string_view>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "options.hpp"
+#include <relidar/assets.hpp>
+#include <relidar/error.hpp>
+#include <relidar/run.hpp>
+
+namespace relidar::cli {
+namespace {
+
+constexpr double kFarOff_m = 1e6;   // beyond it an offset or a speed is a slip
+
+[[noreturn]] void refuse(const TypedEdit& edit, const std::string& expected) {
+    throw UsageError(fmt::format("{}: found \"{}\", expected {}", edit.option, edit.value, expected));
+}
+
+const char* form_of(const TypedEdit& edit) {
+    const auto& known = edit_options();
+    return std::find_if(known.begin(), known.end(), [&](const EditOption& o) { return edit.option == o.option; })->form;
+}
+
+/// The parts before and after a separator, neither of them empty.
+std::pair<std::string, std::string> cut(const TypedEdit& edit, const std::string& text, std::size_t at) {
+    if (at == std::string::npos || at == 0 || at + 1 == text.size()) refuse(edit, form_of(edit));
+    return {text.substr(0, at), text.substr(at + 1)};
+}
+
+std::vector<double> numbers(const TypedEdit& edit, const std::string& text, std::size_t least, std::size_t most) {
+    const std::vector<double> values = parse_list(edit.option, text);
+    if (values.size() < least || values.size() > most) refuse(edit, form_of(edit));
+    for (const double v : values)
+        if (std::abs(v) > 1e9) refuse(edit, "numbers below 1e9");
+    return values;
+}
+
+/// x, y, z and, as far as they are there, yaw, pitch and roll in degrees.
+Pose pose_of(const std::vector<double>& v) {
+    const auto radians = [&](std::size_t i) { return i < v.size() ? v[i] * kPi / 180.0 : 0.0; };
+    return {rotation_of(radians(3), radians(4), radians(5)), {v[0], v[1], v[2]}};
+}
+
+/// "x,y,ground[,yaw_deg]"; nothing where the third is not that word.
+std::optional<GroundPlace> ground_place(const TypedEdit& edit, const std::string& text) {
+    constexpr std::string_view kWord = ",ground";
+    const std::size_t at = text.find(kWord);
+    if (at == std::string::npos) return {};
+    const std::vector<double> xy = numbers(edit, text.substr(0, at), 2, 2);
+    GroundPlace place{{xy[0], xy[1]}};
+    const std::string rest = text.substr(at + kWord.size());
+    if (!rest.empty() && rest[0] != ',') refuse(edit, form_of(edit));
+    if (!rest.empty()) place.yaw_rad = numbers(edit, rest.substr(1), 1, 1)[0] * kPi / 180.0;
+    return place;
+}
+
+/// An actor, and the scene that has it.
+struct OwnedActor {
+    const DrivingScene& owner;
+    const std::string& track;
+    std::optional<double> clearance_m;   ///< above the ground, where it is known
+};
+
+/// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]"
+Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScene& driving, const OwnedActor& actor) {
+    const std::size_t colon = text.find(':');
+    const double speed_mps = colon == std::string::npos ? 0.0 : numbers(edit, text.substr(colon + 1), 1, 1)[0];
+    if (std::abs(speed_mps) > kFarOff_m) refuse(edit, "a speed in m/s");
+    const std::string place = text.substr(0, colon);
+    if (std::optional<GroundPlace> ground = ground_place(edit, place)) {
+        ground->speed_mps = speed_mps;
+        ground->clearance_m = actor.clearance_m;
+        return start_on_ground({driving.scene, driving.sequence}, *ground, {actor.owner.scene, actor.owner.sequence}, actor.track);
+    }
+    const std::vector<double> pose = numbers(edit, place, 4, 6);
+    if (pose.size() == 5) refuse(edit, form_of(edit));
+    return {pose_of(pose), speed_mps};
+}
+
+/// Where an actor stands, for one that was put on the ground: nothing was typed of its height.
+std::string standing(const Start& start, const std::string& typed) {
+    if (typed.find(",ground") == std::string::npos) return "";
+    const glm::dvec3& p = start.dataset_from_box.translation;
+    const double tilt_deg = std::acos(std::clamp((start.dataset_from_box.rotation * glm::dvec3(0, 0, 1)).z, -1.0, 1.0)) * 180.0 / kPi;
+    return fmt::format(", on the ground at {:.2f},{:.2f},{:.2f}, tilted by {:.1f} degrees", p.x, p.y, p.z, tilt_deg);
+}
+
+const std::string& last_track(const DrivingScene& driving) { return driving.scene.instances.back().track; }
+
+AppliedEdit remove_one(DrivingScene driving, const TypedEdit& edit) {
+    return {remove_track(std::move(driving), edit.value), "removed " + edit.value, ""};
+}
+
+AppliedEdit move(DrivingScene driving, const TypedEdit& edit) {
+    const auto [track, offset] = cut(edit, edit.value, edit.value.rfind(':'));
+    return {move_track(std::move(driving), track, pose_of(numbers(edit, offset, 3, 4))), "moved " + track, ""};
+}
+
+/// Whether an actor is there at any frame of the log.
+bool is_ever_present(const DrivingScene& driving, const std::string& track) {
+    return std::any_of(driving.sequence.boxes.begin(), driving.sequence.boxes.end(), [&](const BoxTrack& b) {
+        return b.id == track && std::any_of(driving.sequence.frames.begin(), driving.sequence.frames.end(),
+                                            [&](const Frame& f) { return b.present(f.time_s); });
+    });
+}
+
+std::string absence_note(const DrivingScene& driving, const std::string& track) {
+    return is_ever_present(driving, track) ? ""
+                                           : fmt::format("track {} is there at no frame of the log now: its times lie outside it", track);
+}
+
+AppliedEdit retime(DrivingScene driving, const TypedEdit& edit) {
+    const auto [track, seconds] = cut(edit, edit.value, edit.value.rfind(':'));
+    driving = retime_track(std::move(driving), track, numbers(edit, seconds, 1, 1)[0]);
+    const std::string note = absence_note(driving, track);
+    return {std::move(driving), fmt::format("retimed {} by {} s", track, seconds), note};
+}
+
+AppliedEdit trajectory(DrivingScene driving, const TypedEdit& edit) {
+    const auto [track, file] = cut(edit, edit.value, edit.value.find(':'));
+    driving = replace_trajectory(std::move(driving), track, read_trajectory(file));
+    const std::string note = absence_note(driving, track);
+    return {std::move(driving), fmt::format("{} follows {}", track, file), note};
+}
+
+AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
+    const auto [track, place] = cut(edit, edit.value, edit.value.rfind('@'));
+    const Start start = start_of(edit, place, driving, {driving, track, {}});
+    driving = copy_track(std::move(driving), track, start);
+    return {driving, fmt::format("copied {} as {}{}", track, last_track(driving), standing(start, place)), ""};
+}
+
+/// An actor of another run, or the one of an asset.
+struct Foreigner {
+    std::string folder, track;
+    Run run;
+    DrivingScene owner;
+};
+
+/// From "RUN#TRACK" or "ASSET".
+Foreigner foreigner_of(const TypedEdit& edit, const std::string& what) {
+    const bool named = what.find('#') != std::string::npos;
+    const auto [folder, named_track] = named ? cut(edit, what, what.rfind('#')) : std::pair(what, std::string());
+    Run run = load_run(folder);
+    const std::string track = named ? named_track : only_track(run);
+    DrivingScene owner = run.driving();
+    return {folder, track, std::move(run), std::move(owner)};
+}
+
+/// Where an actor's own log was recorded by another sensor.
+std::string sensor_note(const Foreigner& actor, const DrivingScene& driving) {
+    const SpinningSensor &theirs = actor.run.sequence.lidars[0].sensor, &ours = driving.sequence.lidars[0].sensor;
+    if (theirs.name == ours.name && theirs.beams.size() == ours.beams.size()) return "";
+    return fmt::format("{} was recorded by another sensor ({}, {} beams; here {}, {} beams): shape and motion of {} are right, its "
+                       "intensities and ray-drop are those of that sensor",
+                       actor.folder, theirs.name, theirs.beams.size(), ours.name, ours.beams.size(), actor.track);
+}
+
+AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
+    const auto [what, place] = cut(edit, edit.value, edit.value.rfind('@'));
+    const Foreigner actor = foreigner_of(edit, what);
+    const Start start = start_of(edit, place, driving, {actor.owner, actor.track, asset_clearance(actor.run)});
+    const std::string note = sensor_note(actor, driving);
+    driving = insert_track(std::move(driving), actor.owner, actor.track, start);
+    const std::string placed = standing(start, place);
+    return {driving, fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, last_track(driving), placed), note};
+}
+
+bool has_track(const DrivingScene& driving, const std::string& track) {
+    return std::ranges::any_of(driving.scene.instances, [&](const Instance& i) { return !track.empty() && i.track == track; });
+}
+
+glm::dvec3 size_of(const DrivingScene& driving, const std::string& track) {
+    const auto box = std::ranges::find(driving.sequence.boxes, track, &BoxTrack::id);
+    return box == driving.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m;
+}
+
+/// Who stands for the entities of a scenario: "ENTITY=WHAT,ENTITY=WHAT".
+std::map<std::string, std::string> roles_of(const TypedEdit& edit, const std::string& text) {
+    std::map<std::string, std::string> roles;
+    std::istringstream words(text);
+    for (std::string word; std::getline(words, word, ',');) {
+        auto [entity, what] = cut(edit, word, word.find('='));
+        if (!roles.emplace(entity, what).second) refuse(edit, fmt::format("{} once", entity));
+    }
+    return roles;
+}
+
+void join_note(std::string& note, const std::string& more) {
+    if (!more.empty()) note += (note.empty() ? "" : "; ") + more;
+}
+
+/// Has an actor of the run, or one that is put into it, follow what an entity follows.
+void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::string& what, AppliedEdit& applied) {
+    DrivingScene& driving = applied.driving;
+    std::string track = what;
+    if (!has_track(driving, what)) {
+        if (what.find('#') == std::string::npos && !std::filesystem::exists(what))
+            refuse(edit, fmt::format("{}=TRACK of the run, RUN#TRACK or ASSET", entity.name));
+        const Foreigner actor = foreigner_of(edit, what);
+        join_note(applied.note, sensor_note(actor, driving));
+        driving = insert_track(std::move(driving), actor.owner, actor.track, {});
+        track = last_track(driving);
+    }
+    const double begin_s = driving.sequence.frames.front().time_s;
+    driving = replace_trajectory(std::move(driving), track, box_track(entity, begin_s, size_of(driving, track)));
+    applied.said += fmt::format("{}{} follows {} of {}", applied.said.empty() ? "" : "\n", track, entity.name,
+                                edit.value.substr(0, edit.value.find('@')));
+    join_note(applied.note, absence_note(driving, track));
+    if (!entity.ignored.empty())
+        join_note(applied.note, fmt::format("{} of {} is not read", fmt::join(entity.ignored, ", "), entity.name));
+}
+
+AppliedEdit scenario(DrivingScene driving, const TypedEdit& edit) {
+    const std::size_t at = edit.value.find('@');
+    const std::string file = edit.value.substr(0, at);
+    std::map<std::string, std::string> roles;
+    if (at != std::string::npos) roles = roles_of(edit, cut(edit, edit.value, at).second);
+    AppliedEdit applied{std::move(driving), "", ""};
+    for (const ScenarioEntity& entity : read_scenario(file)) {
+        const auto role = roles.extract(entity.name);
+        const bool follows = !entity.world_from_reference.pose.empty();
+        const std::string what = role ? role.mapped() : has_track(applied.driving, entity.name) ? entity.name : "";
+        if (role && what != "-" && !follows)
+            refuse(edit, fmt::format("an entity that follows a trajectory, which {} does not", entity.name));
+        if (what.empty() && follows)
+            refuse(edit, fmt::format("{0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=- too: the run has no actor of that name", entity.name));
+        if (follows && what != "-") follow(edit, entity, what, applied);
+        else join_note(applied.note, fmt::format("{} {}", entity.name, follows ? "is left out" : "follows no trajectory"));
+    }
+    if (!roles.empty()) refuse(edit, fmt::format("entities of the file, which {} is not", roles.begin()->first));
+    if (applied.said.empty()) refuse(edit, "a scenario in which somebody follows a trajectory");
+    return applied;
+}
+
+AppliedEdit keep(DrivingScene driving, const TypedEdit& edit) {
+    if (edit.value == "background") return {keep_background(std::move(driving)), "kept the background alone", ""};
+    if (edit.value == "actors") return {keep_actors(std::move(driving)), "kept the actors alone", ""};
+    refuse(edit, "background or actors");
+}
+
+}  // namespace
+
+const std::vector<EditOption>& edit_options() {
+    static const std::vector<EditOption> options{
+        {"--remove", "TRACK", "take an actor out; rays continue to what is behind it"},
+        {"--move", "TRACK:dx,dy,dz[,yaw_deg]", "shift an actor in its own frame (forward, left, up) and turn it left, all along its way"},
+        {"--retime", "TRACK:seconds", "let everything it does happen so much later"},
+        {"--trajectory", "TRACK:FILE.csv", "give it other poses: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]"},
+        {"--copy",
+         "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
+         "place its model once more, driving straight ahead at speed m/s; ground: height and tilt from the surface below"},
+        {"--insert",
+         "RUN#TRACK@PLACE|ASSET@PLACE",
+         "the same with an actor of another run, or an asset of `relidar assets`; PLACE as of --copy"},
+        {"--scenario",
+         "FILE.xosc[@ENTITY=TRACK,ENTITY=RUN#TRACK,ENTITY=ASSET,ENTITY=-]",
+         "let actors follow the timed polylines of an OpenSCENARIO's entities: those of the same name, those that are named here, or "
+         "inserted ones; -: leave it out"},
+        {"--keep", "background|actors", "drop the other"}};
+    return options;
+}
+
+AppliedEdit apply(DrivingScene driving, const TypedEdit& edit) {
+    using Apply = AppliedEdit (*)(DrivingScene, const TypedEdit&);
+    static const std::vector<std::pair<std::string, Apply>> functions{
+        {"--remove", remove_one}, {"--move", move},     {"--retime", retime}, {"--trajectory", trajectory},
+        {"--copy", copy},         {"--insert", insert}, {"--scenario", scenario}, {"--keep", keep}};
+    const auto function = std::find_if(functions.begin(), functions.end(), [&](const auto& f) { return f.first == edit.option; });
+    try {
+        return function->second(std::move(driving), edit);
+    } catch (const UsageError& error) {   // which of several edits it was
+        const std::string message = error.what();
+        throw UsageError(message.starts_with(edit.option) ? message : fmt::format("{} {}: {}", edit.option, edit.value, message));
+    }
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,238 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar eval: the held-out frames of a run rendered again and scored against the log it was trained on, and the baseline that
+// any rendering has to beat, for which a log is enough.
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <memory>
+#include <optional>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include "browser.hpp"
+#include "command.hpp"
+#include "console.hpp"
+#include "evaluate/evaluation.hpp"
+#include "interrupt.hpp"
+#include "options.hpp"
+#include "output_folder.hpp"
+#include "evaluate/pictures.hpp"
+#include "ranks.hpp"
+#include "render/recast.hpp"
+#include "evaluate/run_report.hpp"
+#include <relidar/export.hpp>
+#include <relidar/run.hpp>
+
+namespace relidar::cli {
+namespace {
+
+struct EvalOptions {
+    std::string target;
+    std::string out;
+    LogPart part;
+    std::string baseline;
+    std::string pictures;
+    std::string lpips;
+    std::vector<std::string> sets;
+    DeviceChoice device;
+    bool no_refine = false;
+    bool open = false;
+    bool quiet = false;
+};
+
+void apply_options(Config& config, const EvalOptions& options) {
+    apply_sets(config, options.sets);
+    if (!options.lpips.empty()) config.eval.lpips_weights = absolute_path(options.lpips);
+    config = with_lpips_weights(std::move(config));
+}
+
+void check_held_out(const Split& split, const std::string& where) {
+    if (split.test.empty()) throw DataError(fmt::format("{}: no frame was held out, expected at least one to evaluate", where));
+}
+
+/// Where results go, proved writable before the work begins: by the first process, before another goes on.
+struct Output {
+    std::filesystem::path file, pictures;      ///< empty: none
+    std::optional<OutputFolder> of_file, of_pictures;
+
+    Output(const std::filesystem::path& metrics, const std::string& picture_folder, const Ranks& ranks)
+        : file(metrics), pictures(picture_folder) {
+        if (ranks.is_first() && !file.empty()) of_file.emplace(file.has_parent_path() ? file.parent_path() : ".");
+        if (ranks.is_first() && !pictures.empty()) of_pictures.emplace(pictures);
+        ranks.wait_for_all();
+    }
+
+    void draw(const ScoredFrame& frame, const Config& config) const {
+        if (!pictures.empty()) write_strips(pictures, frame, config.dataset.max_range_m);
+    }
+};
+
+void write_results(const Output& output, const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin, bool quiet) {
+    end_progress_line();
+    if (!output.file.empty()) write_text(output.file, metrics_json(evaluation, config, origin));
+    if (quiet) return;
+    print(metric_table(evaluation, origin.baseline));
+    print(fmt::format("\n{} held-out frames", evaluation.frames.size()));
+    if (evaluation.trace_ms > 0.0)
+        print(fmt::format(", {:.1f} ms of tracing a frame, {:.3f} Mrays/s, {} of device memory", evaluation.trace_ms,
+                          evaluation.mrays_per_s, byte_size(origin.peak_device_bytes)));
+    if (!output.file.empty()) print("\nmetrics  " + absolute_path(output.file.string()));
+    print("\n");
+}
+
+double seconds_since(std::chrono::steady_clock::time_point start) {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+}
+
+/// The scores as a page beside the numbers, shown to the user.
+void open_page(const std::filesystem::path& page, const Report& report, bool quiet) {
+    write_report(page, report);
+    if (!quiet) print("page     " + absolute_path(page.string()) + "\n");
+    open_in_browser(absolute_path(page.string()));
+}
+
+/// What the scans of an edited run are worth.
+std::string edit_note(const Run& run) {
+    if (run.edits.empty()) return "";
+    if (is_recastable(run))
+        return "note: the street was cast again with the run's edits, without noise; edited/* is over the pixels they change\n";
+    return "note: the run is edited, but the log's scans show what was there before: where they differ, the numbers do not say how good "
+           "the edit is\n";
+}
+
+/// Scores of the pixels an edit changes. @param before  the street without the edit
+void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& before) {
+    frame.metrics.merge(evaluate_regions(frame.rendered.image, frame.real, {edited_region(frame.real, real_image(config, before))}));
+}
+
+/// Leaves the frames that this process scores.
+void keep_share(std::vector<int>& positions, const Ranks& ranks) {
+    const Team::Share share = ranks.team().share(positions.size());
+    positions = {positions.begin() + std::ptrdiff_t(share.begin), positions.begin() + std::ptrdiff_t(share.end)};
+}
+
+void score_run(const EvalOptions& options, const Ranks& ranks, const std::string& command_line) {
+    std::optional<FolderLock> lock;   // its metrics.json belongs to what is scored
+    if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
+    Run run = load_run(options.target, note);
+    apply_options(run.config, options);
+    if (options.no_refine) run.config.refine.enabled = false;
+    const Output output(options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out), options.pictures, ranks);
+    check_held_out(run.split, run.folder.string());
+    keep_share(run.split.test, ranks);
+    Device device(device_options(options.device));
+    const Sequence log = load_dataset(run.config, options.quiet);
+    std::vector<Scan> before;
+    if (is_recastable(run)) before = attach_recast(run);
+    else attach_scans(run, run.split.test, log);
+    if (!options.baseline.empty()) attach_scans(run, run.split.train, log);
+
+    catch_interrupts();
+    const auto start = std::chrono::steady_clock::now();
+    Progress progress(options.quiet);
+    std::optional<Evaluation> baseline;
+    if (!options.baseline.empty())
+        baseline =
+            joined(evaluate_baseline(options.baseline, run.config, run.sequence, run.split, shown_until_interrupted(progress)), ranks);
+    ScanRenderer renderer(device, run);
+    std::size_t n_seen = 0;
+    const auto see = [&](ScoredFrame& frame) {
+        if (!before.empty()) add_edited_scores(frame, run.config, before[n_seen++]);
+        output.draw(frame, run.config);
+    };
+    const Evaluation evaluation =
+        joined(evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress), see), ranks);
+    if (!ranks.is_first()) return;
+    if (!options.quiet) print(edit_note(run));
+    write_results(output, evaluation, run.config,
+                  {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds_since(start),
+                   baseline ? &*baseline : nullptr},
+                  options.quiet);
+    if (!options.open) return;
+    const Report report = make_evaluation_report(run, evaluation, device, command_line);
+    open_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
+}
+
+/// The baseline alone: a log, no run, no device.
+void score_log(const EvalOptions& options, const Ranks& ranks) {
+    Config config = make_preset("default");
+    apply_options(config, options);
+    config.dataset.path = absolute_dataset(options.target);
+    apply_log_part(config, options.part);
+    const Output output(options.out, options.pictures, ranks);
+    const Sequence log = load_dataset(config, options.quiet);
+    if (!options.quiet)
+        for (const std::string& text : log.notes) note(text);
+    Split split = split_frames(log, config.dataset.test_every, config.dataset.test_frames);
+    check_held_out(split, options.target);
+    keep_share(split.test, ranks);
+
+    catch_interrupts();
+    const auto start = std::chrono::steady_clock::now();
+    Progress progress(options.quiet);
+    const auto see = [&](const ScoredFrame& frame) { output.draw(frame, config); };
+    const Evaluation evaluation =
+        joined(evaluate_baseline(options.baseline, config, log, split, shown_until_interrupted(progress), see), ranks);
+    if (ranks.is_first()) write_results(output, evaluation, config, {"", "none", 0, seconds_since(start)}, options.quiet);
+}
+
+void run_eval(const EvalOptions& given, const std::string& command_line) {
+    const Ranks ranks;
+    EvalOptions options = given;
+    options.quiet = options.quiet || !ranks.is_first();
+    options.device = ranks.device(options.device);
+    if (options.open && ranks.size() > 1)
+        throw UsageError(fmt::format("--open: found {} processes, expected one: the page has pictures of all frames", ranks.size()));
+    if (!options.baseline.empty()) (void)find_baseline(options.baseline);   // a wrong name is found before the log is read
+    if (!options.baseline.empty() && !is_run(options.target)) {
+        if (options.open) throw UsageError("--open: found a log, expected a run: there is no page of a baseline alone");
+        return score_log(options, ranks);
+    }
+    if (!options.part.frames.empty() || !options.part.sequence.empty())
+        throw UsageError(fmt::format("{}: found it beside a run, which has its own held-out frames; expected it with --baseline and a log",
+                                     options.part.frames.empty() ? "--sequence" : "--frames"));
+    score_run(options, ranks, command_line);
+}
+
+}  // namespace
+
+void add_eval(CLI::App& app, Call& call) {
+    CLI::App* command = app.add_subcommand("eval", "score the held-out frames of a run against its log");
+    const auto options = std::make_shared<EvalOptions>();
+    command->add_option("RUN", options->target, "run folder of `relidar train`; with --baseline also a log")->required();
+    command->add_option("--out", options->out, "JSON file for the numbers (default: RUN/metrics.json; of a log: none)")->type_name("FILE");
+    command
+        ->add_option("--baseline", options->baseline,
+                     "score the two neighbouring real scans too, moved by the poses: nearest, or nearest-actors, which moves boxes with "
+                     "their tracks")
+        ->type_name("NAME");
+    add_log_part_options(*command, options->part);
+    command->add_option("--pictures", options->pictures, "folder for pictures of each held-out frame: real, rendered, error")
+        ->type_name("DIR");
+    command
+        ->add_option("--lpips-weights", options->lpips,
+                     "safetensors file with the weights of LPIPS (default: eval.lpips_weights, else RELIDAR_LPIPS_WEIGHTS)")
+        ->type_name("FILE");
+    command->add_flag("--open", options->open, "make a page of it, evaluation.html beside the JSON file, and open a browser");
+    add_set_option(*command, options->sets);
+    add_device_options(*command, options->device);
+    command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");
+    command->add_flag("--quiet", options->quiet, "print errors only");
+    command->footer(
+        "The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"
+        "Metrics: peer/* as published tables do it, strict/* over pixels returned in both, moving_boxes/* and so on by region; units in "
+        "the names.\n"
+        "An edited run of a synthetic street is scored against the street cast again with the same edits (edited/*: the pixels they "
+        "change);\n"
+        "one of a real log against the log's scans, which show what was there before.\n"
+        "Examples:\n"
+        "  relidar eval run --open\n"
+        "  relidar eval run --out median.json --set render.range=median\n"
+        "  mpirun -n 8 relidar eval run\n"
+        "  relidar eval run --baseline nearest --pictures pictures\n"
+        "  relidar eval LOG --baseline nearest --frames 0:50 --set sensor.grid=kitti360");
+    command->callback([&call, options] { call.run = [&call, options] { run_eval(*options, call.command_line); }; });
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: Apache-2.0
+// Evaluations as tables and as metrics.json. No number goes without its protocol and hit threshold.
+#include "evaluate/evaluation.hpp"
+
+#include <algorithm>
+#include <cstdlib>
+#include <set>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include "console.hpp"
+#include "interrupt.hpp"
+
+namespace relidar::cli {
+namespace {
+
+using Json = nlohmann::ordered_json;
+using Rows = std::vector<std::vector<std::string>>;
+
+constexpr const char* kPeer =
+    "all pixels, dropped ones at 0, ranges clamped to [1e-6, max_range_m], intensity to [1e-6, 1]; PSNR peak max_range_m and 1; SSIM 7 x 7 "
+    "uniform; "
+    "squared Chamfer distance and F-score at 0.05 m^2 squared distance over returned points; returned: drop_prob < 0.4";
+constexpr const char* kStrict =
+    "returned: drop_prob < 0.5; image_*: all pixels, dropped ones at 0; depth_*, intensity_*: pixels returned in both; Chamfer distance: "
+    "both ways summed; "
+    "F-score at 5 cm and 22.4 cm; drop_*: dropped is positive; drop_rmse: of the drop probabilities, all pixels, no threshold";
+constexpr const char* kPoints =
+    "as strict/depth_*, cd_* and f_*, of point clouds as files hold them: render.points, by default the dominant surface; strict/* is of "
+    "the image, render.range";
+constexpr const char* kRegions =
+    "pixels with a real return, the rendered value whatever its drop probability; `returned`: share of them with drop_prob < 0.5";
+constexpr const char* kActors =
+    "tail_share: of the returned points (drop_prob < 0.5), those above ground where a moving box is at another time of the log but none is "
+    "now; tail_share_real: of the log's";
+constexpr const char* kColumns[] = {"pixels", "returned", "depth_medae_m", "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
+
+Json protocol_json(const Config& config) {
+    const std::string& lpips = config.eval.lpips_weights;
+    return {
+        {"frames", "held out of training; mean over frames, metric by metric, over the frames that have it"},
+        {"grid", config.sensor.grid},
+        {"grid_method", config.sensor.grid == "native" ? "rays of the real scan" : config.sensor.grid_method},
+        {"range", config.render.range},
+        {"points_range", config.render.points == "median" ? "median" : config.render.range},
+        {"min_range_m", config.dataset.min_range_m},
+        {"max_range_m", config.dataset.max_range_m},
+        {"lpips", lpips.empty() ? "no weights" : "AlexNet, v0.1, on metres and intensity, x -> 2 x - 1 without a clamp; weights " + lpips},
+        {"peer", kPeer},
+        {"strict", kStrict},
+        {"points", kPoints},
+        {"regions", kRegions},
+        {"actors", kActors},
+        {"drop_threshold", {{"peer", 0.4}, {"strict", 0.5}, {"regions", 0.5}}}};
+}
+
+bool of_protocol(const std::string& name) {
+    return name.starts_with("peer/") || name.starts_with("strict/") || name.starts_with("points/") || name.starts_with("actors/");
+}
+
+/// Lowest and highest of a metric over the frames that have it.
+std::pair<double, double> spread_of(const Evaluation& evaluation, const std::string& name) {
+    double low = evaluation.mean.at(name), high = low;
+    for (const ScoredFrame& frame : evaluation.frames) {
+        const auto it = frame.metrics.find(name);
+        if (it == frame.metrics.end()) continue;
+        low = std::min(low, it->second);
+        high = std::max(high, it->second);
+    }
+    return {low, high};
+}
+
+std::string cell(const MetricRow& row, const std::string& name) { return row.contains(name) ? number(row.at(name)) : "-"; }
+
+Rows protocol_rows(const Evaluation& evaluation, const Evaluation* baseline) {
+    const bool spread = evaluation.frames.size() > 1;
+    Rows rows{{"metric", spread ? "mean" : "value"}};
+    if (spread) rows.back().insert(rows.back().end(), {"lowest", "highest"});
+    if (baseline) rows.back().push_back(baseline->title);
+    for (const auto& [name, mean_value] : evaluation.mean) {
+        if (!of_protocol(name)) continue;
+        rows.push_back({name, number(mean_value)});
+        const auto [low, high] = spread_of(evaluation, name);
+        if (spread) rows.back().insert(rows.back().end(), {number(low), number(high)});
+        if (baseline) rows.back().push_back(cell(baseline->mean, name));
+    }
+    return rows;
+}
+
+Rows region_rows(const Evaluation& evaluation) {
+    Rows rows{{evaluation.title + ", by region"}};
+    for (const char* column : kColumns) rows.back().emplace_back(column);
+    std::set<std::string> regions;
+    for (const auto& [name, value] : evaluation.mean)
+        if (!of_protocol(name)) regions.insert(name.substr(0, name.find('/')));
+    for (const std::string& region : regions) {
+        rows.push_back({region});
+        for (const char* column : kColumns) rows.back().push_back(cell(evaluation.mean, region + "/" + column));
+    }
+    return rows;
+}
+
+}  // namespace
+
+Config with_lpips_weights(Config config) {
+    const char* named = std::getenv("RELIDAR_LPIPS_WEIGHTS");
+    if (named && config.eval.lpips_weights.empty()) config.eval.lpips_weights = named;
+    return config;
+}
+
+relidar::Progress shown_until_interrupted(Progress& progress) {
+    return [show = shown_by(progress)](std::string_view what, double done) {
+        stop_if_interrupted();
+        show(what, done);
+    };
+}
+
+std::string metric_table(const Evaluation& evaluation, const Evaluation* baseline) {
+    Rows rows = protocol_rows(evaluation, baseline);
+    const bool lpips =
+        std::any_of(evaluation.mean.begin(), evaluation.mean.end(), [](const auto& metric) { return metric.first.ends_with("_lpips"); });
+    if (!lpips)
+        for (const char* name : {"peer/depth_lpips", "peer/intensity_lpips"}) {
+            rows.push_back({name, "no weights"});
+            rows.back().resize(rows.front().size());
+        }
+    std::string text = table(rows) + "\n" + table(region_rows(evaluation));
+    if (baseline) text += "\n" + table(region_rows(*baseline));
+    return text +
+           fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n", kPeer, kStrict, kPoints, kRegions, kActors);
+}
+
+Json frames_json(const Evaluation& evaluation) {
+    Json frames = Json::array();
+    for (const ScoredFrame& f : evaluation.frames)
+        frames.push_back({{"frame", f.frame},
+                          {"lidar", f.lidar},
+                          {"time_s", f.time_s},
+                          {"n_rays", f.n_rays},
+                          {"trace_ms", f.rendered.trace_ms},
+                          {"metrics", f.metrics}});
+    return frames;
+}
+
+std::string metrics_json(const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin) {
+    Json json = {{"format", "relidar metrics"},
+                 {"version", 1},
+                 {"relidar", RELIDAR_VERSION},
+                 {"scored", evaluation.title},
+                 {"run", origin.run},
+                 {"dataset", config.dataset.path},
+                 {"protocol", protocol_json(config)},
+                 {"mean", evaluation.mean},
+                 {"frames", frames_json(evaluation)},
+                 {"timings",
+                  {{"kernel_ms", evaluation.kernel_ms},
+                   {"trace_ms", evaluation.trace_ms},
+                   {"mrays_per_s", evaluation.mrays_per_s},
+                   {"seconds", origin.seconds}}},
+                 {"device", origin.device},
+                 {"peak_device_bytes", origin.peak_device_bytes}};
+    if (origin.baseline)
+        json["baseline"] = {{"scored", origin.baseline->title}, {"mean", origin.baseline->mean}, {"frames", frames_json(*origin.baseline)}};
+    return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+}  // namespace relidar::cli

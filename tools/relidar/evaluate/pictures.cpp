@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "evaluate/pictures.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "evaluate/evaluation.hpp"
+#include <relidar/math.hpp>
+#include <relidar/scan_files.hpp>
+#include <relidar/sensor.hpp>
+
+namespace relidar::cli {
+namespace {
+
+constexpr float kRangeErrorScale_m = 1.0f;
+constexpr float kIntensityErrorScale = 0.3f;
+
+std::vector<float> both(std::vector<float> a, const std::vector<float>& b) {
+    for (std::size_t i = 0; i < a.size(); ++i) a[i] *= b[i];
+    return a;
+}
+
+std::vector<float> distance(const std::vector<float>& a, const std::vector<float>& b) {
+    std::vector<float> result(a.size());
+    for (std::size_t i = 0; i < a.size(); ++i) result[i] = std::abs(a[i] - b[i]);
+    return result;
+}
+
+}  // namespace
+
+std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title, const std::string& real_caption,
+                                             double max_range_m) {
+    const RangeImage& real = frame.real;
+    const RangeImage& rendered = frame.rendered.image;
+    const std::vector<float> mask = both(returned_pixels(real), returned_pixels(rendered));
+    const auto error = [&](const std::vector<float>& a, const std::vector<float>& b, float scale, const std::vector<float>& shown) {
+        return colour_map(distance(a, b), real.rows, real.columns, 0.0f, scale, "heat", shown);
+    };
+    ReportFigure drops{title + ": ray drop", {{real_caption + ", white: dropped", drop_picture(real)}}};
+    if (const auto* of_surfels = find_values<float>(frame.rendered.channels, "surfel_drop_prob")) {
+        RangeImage surfels = rendered;
+        surfels.drop_prob = *of_surfels;
+        drops.images.emplace_back("drop probability of the surfels", drop_picture(surfels));
+        drops.images.emplace_back("its absolute error", error(real.drop_prob, surfels.drop_prob, 1.0f, {}));
+        drops.images.emplace_back("rendered drop probability, corrected by the network", drop_picture(rendered));
+    } else {
+        drops.images.emplace_back("rendered drop probability", drop_picture(rendered));
+    }
+    drops.images.emplace_back("absolute error, black 0 to white 1", error(real.drop_prob, rendered.drop_prob, 1.0f, {}));
+    return {{title + ": range",
+             {{real_caption, range_picture(real, max_range_m)},
+              {"rendered", range_picture(rendered, max_range_m)},
+              {fmt::format("absolute error where both return, black 0 to white {} m", kRangeErrorScale_m),
+               error(real.range_m, rendered.range_m, kRangeErrorScale_m, mask)}}},
+            {title + ": intensity",
+             {{real_caption, intensity_picture(real)},
+              {"rendered", intensity_picture(rendered)},
+              {fmt::format("absolute error where both return, black 0 to white {}", kIntensityErrorScale),
+               error(real.intensity, rendered.intensity, kIntensityErrorScale, mask)}}},
+            std::move(drops)};
+}
+
+void write_strips(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m) {
+    constexpr const char* kNames[] = {"range", "intensity", "drop"};   // in the order of comparison_figures
+    const std::vector<ReportFigure> figures = comparison_figures(frame, "", "real", max_range_m);
+    for (std::size_t k = 0; k < figures.size(); ++k) {
+        std::vector<Image> strip;
+        for (const auto& [caption, image] : figures[k].images) strip.push_back(image);
+        write_png(folder / fmt::format("{}_{:06}.png", kNames[k], frame.frame), stack(strip, picture_stretch(frame.real)));
+    }
+}
+
+Image range_pair(const ScoredFrame& frame, double max_range_m) {
+    return stack({range_picture(frame.real, max_range_m), range_picture(frame.rendered.image, max_range_m)}, picture_stretch(frame.real));
+}
+
+Image ray_picture(const RayTable& rays) {
+    constexpr double kSector_rad = 20.0 * kPi / 180.0, kMargin_rad = 0.5 * kPi / 180.0;
+    constexpr int kWidth = 1200, kDot = 2;
+    std::vector<glm::dvec2> angle;   // azimuth, elevation
+    for (const glm::vec3& d : rays.direction)
+        angle.emplace_back(std::atan2(double(d.y), double(d.x)), std::asin(std::clamp(double(d.z), -1.0, 1.0)));
+    glm::dvec2 low = angle.front(), high = angle.front();
+    for (const glm::dvec2& a : angle) low = glm::min(low, a), high = glm::max(high, a);
+    if (high.x - low.x > 1.9 * kPi) low.x = -kSector_rad, high.x = kSector_rad;
+    low -= kMargin_rad;
+    high += kMargin_rad;
+    const double pixels_per_rad = kWidth / (high.x - low.x);
+    const int rows = std::clamp(static_cast<int>((high.y - low.y) * pixels_per_rad), 1, 8 * kWidth);
+    std::vector<float> seconds(std::size_t(rows) * kWidth, std::numeric_limits<float>::quiet_NaN());
+    for (std::size_t i = 0; i < angle.size(); ++i) {
+        const int row = static_cast<int>((high.y - angle[i].y) * pixels_per_rad),
+                  column = static_cast<int>((high.x - angle[i].x) * pixels_per_rad);
+        for (int y = std::max(row, 0); y < std::min(row + kDot, rows); ++y)
+            for (int x = std::max(column, 0); x < std::min(column + kDot, kWidth); ++x)
+                seconds[std::size_t(y) * kWidth + std::size_t(x)] = rays.time_offset_s[i];
+    }
+    const auto drawn = [](float value) { return !std::isnan(value); };
+    const auto first = std::ranges::find_if(seconds, drawn);
+    float earliest = first == seconds.end() ? 0.0f : *first, latest = earliest;
+    for (const float value : seconds)
+        if (drawn(value)) earliest = std::min(earliest, value), latest = std::max(latest, value);
+    return colour_map(seconds, rows, kWidth, earliest, std::max(latest, std::nextafter(earliest, 1e30f)), "turbo");
+}
+
+}  // namespace relidar::cli

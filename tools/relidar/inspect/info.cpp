@@ -1,0 +1,70 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar info: what a log or a run holds.
+#include <filesystem>
+#include <memory>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include "command.hpp"
+#include "console.hpp"
+#include "inspect/info_text.hpp"
+#include "options.hpp"
+#include "output_folder.hpp"
+#include "train/training.hpp"
+
+namespace relidar::cli {
+namespace {
+
+struct InfoOptions {
+    std::string path;
+    LogPart part;
+    Settings settings;
+    bool json = false;
+};
+
+void show_run(const InfoOptions& options) {
+    const RunSummary summary = summarise(load_run(options.path, note));
+    print(options.json ? to_json(summary) : to_text(summary));
+}
+
+/// Of a run that has no scene yet: how far its training has come.
+void show_unfinished(const std::filesystem::path& folder) {
+    Config config;
+    load_config(config, folder / "config.toml", note);
+    print(fmt::format("{}: {} at iteration {} of {}, no scene yet; log {}\n", folder.string(),
+                      FolderLock::is_held(folder) ? "a run in training" : "a run that was interrupted", last_logged_iteration(folder),
+                      config.train.iterations, config.dataset.path));
+    if (!FolderLock::is_held(folder)) print(fmt::format("continue with: relidar train --resume {}\n", shell_word(folder.string())));
+}
+
+void show_log(const InfoOptions& options) {
+    Config config = resolve(options.settings);
+    config.dataset.path = options.path;
+    apply_log_part(config, options.part);
+    const LogSummary summary = summarise(load_dataset(config), config.init);
+    print(options.json ? to_json(summary) : to_text(summary));
+}
+
+}  // namespace
+
+void add_info(CLI::App& app, Call& call) {
+    CLI::App* command = app.add_subcommand("info", "say what a log or a run holds");
+    const auto options = std::make_shared<InfoOptions>();
+    command->add_option("DATASET|RUN", options->path, "log (path, or kind:path) or run folder")->required();
+    add_log_part_options(*command, options->part);
+    add_set_option(*command, options->settings.sets);
+    command->add_flag("--json", options->json, "print JSON");
+    command->footer("Examples:\n"
+                    "  relidar info data/kitti/2011_09_26/2011_09_26_drive_0005_sync --frames 0:50\n"
+                    "  relidar info run --json");
+    command->callback([&call, options] {
+        call.run = [options] {
+            if (is_run(options->path)) show_run(*options);
+            else if (holds_run(options->path)) show_unfinished(options->path);
+            else show_log(*options);
+        };
+    });
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "render/recast.hpp"
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/dataset.hpp>
+#include <relidar/error.hpp>
+#include <relidar/render.hpp>
+
+namespace relidar::cli {
+namespace {
+
+constexpr float kSameRange_m = 0.01f;
+constexpr const char* kKind = "synthetic:";
+
+/// Folder of the street, whether its kind was given or recognised.
+std::filesystem::path street_folder(const Run& run) {
+    const std::string& path = run.config.dataset.path;
+    return path.starts_with(kKind) ? path.substr(std::string(kKind).size()) : path;
+}
+
+/// A model keeps the name of the car it was trained from, wherever it is placed.
+std::size_t car_of(const Model& model, const std::string& track) {
+    std::size_t car = 0;
+    const auto [end, error] = std::from_chars(model.name.data(), model.name.data() + model.name.size(), car);
+    if (error != std::errc() || end != model.name.data() + model.name.size())
+        throw DataError(fmt::format("casting the edited street: track {} has the model \"{}\", expected the number of a car of the street",
+                                    track, model.name));
+    return car;
+}
+
+std::vector<StreetCar> cars_of(const Run& run) {
+    std::vector<StreetCar> cars;
+    for (const Instance& instance : run.scene.instances) {
+        const BoxTrack* box = find_box(run.sequence, instance.track);
+        if (box) cars.push_back({car_of(run.scene.models[instance.model], instance.track), *box});
+    }
+    return cars;
+}
+
+}  // namespace
+
+bool is_recastable(const Run& run) {
+    if (run.edits.empty()) return false;
+    const std::string& path = run.config.dataset.path;
+    return path.starts_with(kKind) || std::filesystem::exists(street_folder(run) / "street.toml");
+}
+
+std::vector<Scan> attach_recast(Run& run) {
+    const SyntheticOptions street = read_synthetic(street_folder(run));
+    const std::vector<StreetCar> cars = cars_of(run);
+    const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
+    const RangeLimits limits = configured_sensor(run.config, run.sequence).limits;
+    const PoseTrack track = run.sequence.world_from_sensor(0);   // a street that is made again has one LiDAR
+    std::vector<Scan> before;
+    for (const int position : run.split.test) {
+        Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
+        frame.scan = cast_synthetic_street(street, cars, rays, track, frame.time_s);
+        before.push_back(cast_synthetic_street(street, rays, track, frame.time_s));
+        for (Scan* scan : {&frame.scan, &before.back()}) drop_outside(*scan, limits);
+    }
+    return before;
+}
+
+Region edited_region(const RangeImage& edited, const RangeImage& before) {
+    Region region{"edited", std::vector<bool>(edited.range_m.size())};
+    for (std::size_t i = 0; i < region.pixels.size(); ++i)
+        region.pixels[i] = std::abs(edited.range_m[i] - before.range_m[i]) > kSameRange_m;
+    return region;
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "render/render_notes.hpp"
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include "console.hpp"
+
+namespace relidar::cli {
+
+void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor) {
+    if (!run.config.refine.enabled || run.drop_network.empty() || renderer.refines(sensor)) return;
+    note(fmt::format("{}: its ray-drop network looks at {} images of at least {} x {}; scans of {} stay as the surfels have them",
+                     run.folder.string(), run.drop_network.image, run.drop_network.smallest_side(), run.drop_network.smallest_side(),
+                     sensor.name));
+}
+
+void note_unseen(const std::vector<std::string>& entries, const std::string& folder) {
+    std::size_t n_unseen = 0, n_known = 0;
+    double worst = 0.0;
+    int worst_number = 0;
+    for (const std::string& entry : entries) {
+        const nlohmann::json scan = nlohmann::json::parse(entry);
+        if (!scan["unseen"].is_number()) continue;
+        ++n_known;
+        const double unseen = scan["unseen"];
+        n_unseen += unseen > kMuchUnseen;
+        if (unseen > worst) worst = unseen, worst_number = scan["frame_number"];
+    }
+    if (n_unseen == 0) return;
+    note(fmt::format("{}: in {} of {} scans more than {:.0f} % of the rays look where no ray of the log did, in number {} {:.1f} %: what "
+                     "they meet there is extrapolated (scans.json: unseen; --channels seen: by ray)",
+                     folder, n_unseen, n_known, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,381 @@
+// SPDX-License-Identifier: Apache-2.0
+// relidar train: a log becomes a run, or a run goes on. What can fail early does: settings, weights of LPIPS, output folder, checkpoint,
+// device, then the log.
+#include <memory>
+#include <optional>
+#include <string_view>
+#include <tuple>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include "command.hpp"
+#include "console.hpp"
+#include "evaluate/evaluation.hpp"
+#include "interrupt.hpp"
+#include "options.hpp"
+#include "output_folder.hpp"
+#include "evaluate/run_report.hpp"
+#include "train/train_blocks.hpp"
+#include "train/training.hpp"
+#include <relidar/stages/checkpoint.hpp>
+#include <relidar/run.hpp>
+
+namespace relidar::cli {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct TrainOptions {
+    std::string dataset;
+    std::string out;
+    LogPart part;
+    Settings settings;
+    DeviceChoice device;
+    std::string seed;
+    std::string blocks;          ///< length of a block: "60m"
+    std::string resume_folder;   ///< what stood after --resume
+    bool resume = false;
+    bool from_preset = false;    ///< --preset or --config was given: they, not the run, say where the settings start from
+    bool force = false;
+    bool no_eval = false;
+    bool quiet = false;
+};
+
+constexpr const char* kConfigFile = "config.toml";
+
+bool is_file(const fs::path& path) {
+    std::error_code failed;
+    return fs::is_regular_file(path, failed);
+}
+
+/// Which words are the log and the folder: `--resume` may stand before either.
+TrainOptions sorted_out(TrainOptions options) {
+    if (options.out.empty()) options.out = options.resume_folder;
+    else if (options.dataset.empty()) options.dataset = options.resume_folder == options.out ? "" : options.resume_folder;
+    if (!options.resume && options.dataset.empty()) throw UsageError("DATASET is required (see `relidar train --help`)");
+    if (options.out.empty()) throw UsageError("--out is required, or --resume with a run folder (see `relidar train --help`)");
+    const bool knows_log = options.resume && is_file(fs::path(options.out) / kConfigFile);
+    if (options.dataset.empty() && !knows_log)
+        throw UsageError(
+            fmt::format("DATASET is required: {} has no config.toml that would name it (see `relidar train --help`)", options.out));
+    return options;
+}
+
+/// The run's own settings where it continues and no others to start from are named.
+Config start_settings(const TrainOptions& options) {
+    const fs::path saved = fs::path(options.out) / kConfigFile;
+    if (!options.resume || options.from_preset || !is_file(saved)) return resolve(options.settings);
+    Config config;
+    load_config(config, saved, note);
+    apply_sets(config, options.settings.sets);
+    return config;
+}
+
+Config config_of(const TrainOptions& options) {
+    Config config = start_settings(options);
+    if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
+    if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
+    config.eval.lpips_weights = absolute_path(config.eval.lpips_weights);
+    apply_log_part(config, options.part);
+    if (std::string length = options.blocks; !length.empty()) {
+        if (length.ends_with('m')) length.pop_back();
+        set_key(config, "blocks.length_m", length);
+    }
+    if (!options.seed.empty()) set_key(config, "train.seed", options.seed);
+    return config;
+}
+
+/// Whether a run has everything that training leaves, at as many iterations as are wanted.
+bool is_finished(const fs::path& folder, const Config& config) {
+    return is_file(folder / "scene.json") && is_file(folder / "report.html") && last_logged_iteration(folder) >= config.train.iterations;
+}
+
+/// Whether settings of a group are the same.
+bool same_group(const Config& a, const Config& b, std::string_view group) {
+    const std::vector<ConfigKey> x = config_keys(a), y = config_keys(b);
+    for (std::size_t i = 0; i < x.size(); ++i)
+        if (x[i].key.starts_with(group) && x[i].value != y[i].value) return false;
+    return true;
+}
+
+/// Whether a run has its scene, of these settings and this log, and lacks what comes after it: the network, scores, the report.
+bool has_scene(const fs::path& folder, const Config& config) {
+    if (!is_file(folder / "scene.json") || is_file(folder / "report.html") || last_logged_iteration(folder) < config.train.iterations)
+        return false;
+    Config trained;
+    load_config(trained, folder / kConfigFile);
+    const auto log_of = [](const DatasetConfig& d) { return std::tie(d.path, d.sequence, d.poses); };
+    return log_of(trained.dataset) == log_of(config.dataset) && differing_setting(trained, config).empty();
+}
+
+/// The checkpoint to continue from. @return nothing where training starts from the beginning
+std::optional<Checkpoint> find_start(const TrainOptions& options) {
+    const fs::path folder = options.out;
+    std::optional<Checkpoint> start = load_newest_checkpoint(checkpoint_folder(folder), note);
+    if (start) return start;
+    if (is_file(folder / "report.html"))
+        throw UsageError(
+            fmt::format("resuming {}: its training has ended and left no checkpoint, expected one to go on from; --force trains anew",
+                        folder.string()));
+    note(fmt::format("{} holds no checkpoint: training starts from the beginning", folder.string()));
+    return std::nullopt;
+}
+
+void announce(const Sequence& sequence, const Split& split, const Device& device, const Checkpoint* start) {
+    print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name, sequence.frames.size(),
+                      split.train.size(), split.test.size(), device.info().name,
+                      device.traversal() == Traversal::software ? "software traversal" : "ray query"));
+    for (const std::string& note : sequence.notes) print("note    " + note + "\n");
+    if (start) print(fmt::format("resume  from iteration {}\n", start->iteration));
+    std::fflush(stdout);
+}
+
+/// What continues this training, as typed on the command line.
+std::string resume_command(const TrainOptions& options) {
+    std::string command = "relidar train --resume " + shell_word(options.out);
+    for (const std::string& word : device_words(options.device)) command += " " + word;
+    return command;
+}
+
+/// Training; whatever ends it early, the message says what is left and how to go on.
+TrainResult train_or_tell(Device& device, const Run& run, const TrainOptions& options, const Checkpoint* start, StageTimes& stages) {
+    const fs::path checkpoints = checkpoint_folder(run.folder);
+    try {
+        return train_logged(device, run.sequence, run.split, run.config, run.folder, options.quiet,
+                            {.checkpoints = checkpoints, .start = start, .stop = {}, .note = {}, .stages = &stages});
+    } catch (const Error& error) {
+        if (list_checkpoints(checkpoints).empty()) throw;
+        throw Error(error.code(), fmt::format("{}; the last checkpoint is kept, continue with: {}", error.what(), resume_command(options)));
+    }
+}
+
+/// Scores the held-out frames and writes metrics.json. @return nothing scored where no frame is held out
+Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
+    if (run.split.test.empty() || options.no_eval) return {};
+    const Config config = with_lpips_weights(run.config);
+    ScanRenderer renderer(device, run);
+    Progress progress(options.quiet);
+    const auto start = std::chrono::steady_clock::now();
+    Evaluation evaluation = evaluate_frames(renderer, config, run.sequence, run.split.test, shown_until_interrupted(progress));
+    const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    write_text(run.folder / "metrics.json",
+               metrics_json(evaluation, config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
+    return evaluation;
+}
+
+/// Report and, unless training was interrupted, scores.
+void finish(Device& device, const Run& run, const TrainResult& result, const TrainOptions& options, const std::string& command_line,
+            StageTimes& stages) {
+    stages.begin("report");
+    Report report = make_report(run, result, device, command_line);
+    if (result.interrupted) {
+        write_report(run.folder / "report.html", report);
+        throw Error(ExitCode::interrupted,
+                    fmt::format("interrupted after iteration {} of {}; {} holds the scene so far; continue with: {}", result.iterations,
+                                run.config.train.iterations, run.folder.string(), resume_command(options)));
+    }
+    stages.begin("evaluate");
+    const Evaluation evaluation = score(device, run, options);
+    stages.begin("report");
+    add_evaluation(report, evaluation, run, {"held out", "real"});
+    report.facts.emplace_back("Stages", stages_text(stages));
+    write_report(run.folder / "report.html", report);
+    stages.end();
+    log_stages(run.folder, stages);
+    if (options.quiet) return;
+    if (!evaluation.frames.empty()) print("\n" + metric_table(evaluation) + "\n");
+    print(fmt::format("{} surfels in {} of training, {} of device memory\nstages  {}\nreport  {}\n", count_surfels(run.scene),
+                      duration(result.train_s), byte_size(result.peak_device_bytes), stages_text(stages),
+                      absolute_path((run.folder / "report.html").string())));
+}
+
+/// The checkpoint that the network goes on from. One of another scene or other settings is told, and nothing is lost but its steps.
+std::optional<Checkpoint> find_network_start(const Run& run) {
+    try {
+        std::optional<Checkpoint> start = load_newest_checkpoint(network_checkpoint_folder(run.folder), note);
+        if (start) check_refine_resumable(*start, run);
+        return start;
+    } catch (const Error& error) {
+        note(fmt::format("{}; the network is trained from the beginning", error.what()));
+        return std::nullopt;
+    }
+}
+
+/// Trains the ray-drop network of a scene that has been saved, and saves it. A log that has nothing to teach it is no error, nor is a
+/// device that cannot run its layers.
+void refine_or_tell(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
+    const std::optional<Checkpoint> start = find_network_start(run);
+    if (!start) remove_network_checkpoints(run.folder);
+    else if (!options.quiet) print(fmt::format("resume  the ray-drop network from step {}\n", start->iteration));
+    const auto leave_out = [](const Error& error) {
+        end_progress_line();
+        note(error.what());
+    };
+    try {
+        if (!refine_shown(device, run, options.quiet,
+                          {.checkpoints = network_checkpoint_folder(run.folder),
+                           .start = start ? &*start : nullptr,
+                           .stages = &stages}))
+            throw Error(ExitCode::interrupted,
+                        fmt::format("interrupted while the ray-drop network was trained; {} holds the scene; continue with: {}",
+                                    run.folder.string(), resume_command(options)));
+    } catch (const DataError& error) {
+        remove_network_checkpoints(run.folder);   // it would end the same
+        return leave_out(error);
+    } catch (const DeviceError& error) {
+        return leave_out(error);
+    }
+    save_run(run);
+    remove_network_checkpoints(run.folder);
+}
+
+/// What the log of a training says of it.
+TrainResult logged_result(const fs::path& folder) {
+    TrainResult result;
+    result.log = read_log(folder);
+    if (result.log.empty()) return result;
+    result.iterations = result.log.back().iteration;
+    result.train_s = result.log.back().seconds;
+    return result;
+}
+
+/// Goes on where the scene is done: with the network, unless that is done too, scores and report.
+void finish_scene(const TrainOptions& options, const Config& config, const std::string& command_line) {
+    const RunFolder folder(options.out, Existing::keep);
+    Run run = load_run(options.out, note);
+    const bool has_network = !run.drop_network.empty() && same_group(run.config, config, "refine.");
+    run.config = config;
+    Device device(device_options(options.device));
+    check_network(device, config);
+    StageTimes stages;
+    stages.begin("read");
+    const Sequence log = load_dataset(config, options.quiet);
+    attach_scans(run, run.split.train, log);
+    attach_scans(run, run.split.test, log);
+    if (!options.quiet) {
+        announce(run.sequence, run.split, device, nullptr);
+        print("resume  behind the last iteration\n");
+    }
+    catch_interrupts();
+    if (has_network) remove_network_checkpoints(run.folder);   // where a process was killed just before it would have done so
+    else if (config.refine.enabled) refine_or_tell(device, run, options, stages);
+    TrainResult result = logged_result(run.folder);
+    result.peak_device_bytes = device.peak_bytes();
+    finish(device, run, result, options, command_line, stages);
+}
+
+/// Makes the folder of a run ready for a training, anew or where another has stopped.
+void clear_folder(const fs::path& folder, const Config& config, bool keeps_blocks, bool keeps_checkpoints) {
+    remove_run_files(folder);
+    remove_network_checkpoints(folder);
+    if (!keeps_checkpoints) remove_checkpoints(checkpoint_folder(folder));
+    if (!keeps_blocks) remove_blocks(folder);
+    write_text(folder / kConfigFile, to_toml(config));   // what a killed run is resumed from
+}
+
+void check_ranks(const Ranks& ranks, bool in_blocks) {
+    if (ranks.size() > 1 && !in_blocks)
+        throw UsageError(
+            fmt::format("training by {} processes: found a log in one piece, expected --blocks, which they share", ranks.size()));
+}
+
+void run_train(const TrainOptions& given, const std::string& command_line) {
+    const Ranks ranks;
+    TrainOptions options = sorted_out(given);
+    options.quiet = options.quiet || !ranks.is_first();
+    options.device = ranks.device(options.device);
+    const Config config = config_of(options);
+    if (options.resume && !options.force && is_finished(options.out, config)) {
+        if (!options.quiet)
+            print(fmt::format("{} has all of its {} iterations: nothing to do; raise train.iterations to go on\n", options.out,
+                              config.train.iterations));
+        return;
+    }
+    const bool resume = options.resume && !options.force;
+    if (!options.no_eval) check_lpips_weights(with_lpips_weights(config));
+    if (resume && has_scene(options.out, config)) {
+        if (ranks.is_first()) finish_scene(options, config, command_line);
+        return;
+    }
+    const bool in_blocks = config.blocks.length_m > 0.0;
+    check_ranks(ranks, in_blocks);
+    std::optional<RunFolder> folder;
+    if (ranks.is_first()) folder.emplace(options.out, resume ? Existing::keep : options.force ? Existing::replace : Existing::refuse);
+    if (resume && in_blocks) check_trained_blocks(options.out, config);
+    std::optional<Checkpoint> start = resume && !in_blocks ? find_start(options) : std::nullopt;
+    Device device(device_options(options.device));
+    check_network(device, config);
+    StageTimes stages;
+    stages.begin("read");
+    Sequence sequence = load_dataset(config, options.quiet);
+    const Split split = split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
+    if (!options.quiet) announce(sequence, split, device, start ? &*start : nullptr);
+
+    catch_interrupts();
+    prepare_log_shown(sequence, split, config, options.quiet, ranks.team(), &stages);
+    if (start) check_resumable(*start, sequence, split, config);
+    if (folder) clear_folder(folder->path(), config, resume && in_blocks, start.has_value());
+    ranks.wait_for_all();
+    Run run{options.out, config, std::move(sequence), split, {}, {}};
+    if (in_blocks) stages.begin("train");
+    TrainResult result = in_blocks ? train_blocks(device, run, {ranks, options.quiet, resume_command(options)})
+                                   : train_or_tell(device, run, options, start ? &*start : nullptr, stages);
+    if (!ranks.is_first()) return;
+    end_progress_line();
+    start.reset();
+    if (!in_blocks) take_result(run, result);
+    stages.begin("place");
+    if (!result.interrupted) place_shown(device, run, options.quiet);
+    stages.begin("save");
+    save_run(run);
+    if (config.refine.enabled && !result.interrupted) refine_or_tell(device, run, options, stages);
+    finish(device, run, result, options, command_line, stages);
+}
+
+void add_resume_option(CLI::App& command, const std::shared_ptr<TrainOptions>& options) {
+    command
+        .add_option("--resume", options->resume_folder,
+                    "continue the run in --out, or in RUN, from its newest checkpoint; log and settings are the run's unless given")
+        ->type_name("[RUN]")
+        ->expected(0, 1);
+}
+
+}  // namespace
+
+void add_train(CLI::App& app, Call& call) {
+    CLI::App* command = app.add_subcommand("train", "train a scene on a log");
+    const auto options = std::make_shared<TrainOptions>();
+    command->add_option("DATASET", options->dataset, "log: a path (format recognised), or kind:path");
+    command->add_option("--out", options->out, "run folder to make")->type_name("RUN");
+    add_log_part_options(*command, options->part);
+    add_settings_options(*command, options->settings);
+    command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")->type_name("S");
+    command
+        ->add_option("--blocks", options->blocks,
+                     "train a long log in blocks of at most so many metres of its way, as 60m: memory does not grow with the log "
+                     "(blocks.length_m)")
+        ->type_name("LENGTH");
+    add_device_options(*command, options->device);
+    add_resume_option(*command, options);
+    command->add_flag("--force", options->force, "overwrite the run in RUN");
+    command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames at the end");
+    command->add_flag("--quiet", options->quiet, "print errors only");
+    command->footer(
+        "RUN/ gets config.toml, scene.json, model.safetensors, log.jsonl, metrics.json, report.html, and checkpoints/ where training takes "
+        "long.\n"
+        "Ctrl-C stops training, saves the scene so far and a checkpoint; --resume goes on as if nothing had happened, with the ray-drop\n"
+        "network too. Settings refine.*, render.* and eval.* may be changed then; other refine.* train the network from the beginning.\n"
+        "Settings: preset, then --config, then --set, then the flags; the later one wins. `relidar config` lists them.\n"
+        "Examples:\n"
+        "  relidar train data/street --out run --preset quick\n"
+        "  relidar train --resume run\n"
+        "  relidar train data/2011_09_26_drive_0005_sync --out run --frames 0:50 --set sensor.grid=kitti360 --set dataset.poses=poses.txt");
+    command->callback([&call, options, command] {
+        options->resume = command->count("--resume") > 0;
+        options->from_preset = command->count("--preset") + command->count("--config") > 0;
+        call.run = [&call, options] { run_train(*options, call.command_line); };
+    });
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,234 @@
+// SPDX-License-Identifier: Apache-2.0
+// A block that is complete has a scene.json; one that was interrupted has a checkpoint. Nothing else has to be kept to go on.
+#include "train/train_blocks.hpp"
+
+#include <algorithm>
+#include <array>
+#include <chrono>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "console.hpp"
+#include "interrupt.hpp"
+#include "output_folder.hpp"
+#include "train/training.hpp"
+#include <relidar/blocks.hpp>
+#include <relidar/error.hpp>
+#include <relidar/stages/checkpoint.hpp>
+
+namespace relidar::cli {
+namespace {
+
+namespace fs = std::filesystem;
+using Clock = std::chrono::steady_clock;
+
+/// Of settings that a block's surfels do not depend on.
+bool is_free(const std::string& key) {
+    // a block names those actors that it has
+    constexpr std::array kFree{"preset",          "dataset.path",           "dataset.memory_mib", "train.log_every",
+                               "train.frame_memory_mib", "init.actor_classes", "init.actor_tracks"};
+    constexpr std::array kFreeGroups{"train.checkpoint_", "render.", "refine.", "eval.", "trace.", "blocks."};
+    return std::find(kFree.begin(), kFree.end(), key) != kFree.end() ||
+           std::any_of(kFreeGroups.begin(), kFreeGroups.end(), [&](const char* group) { return key.starts_with(group); });
+}
+
+/// @throws DataError where a block was trained with other settings
+void check_settings(const fs::path& block, const Config& trained, const Config& config) {
+    const std::vector<ConfigKey> was = config_keys(trained), is = config_keys(config);
+    for (std::size_t i = 0; i < is.size(); ++i)
+        if (!is_free(is[i].key) && was[i].value != is[i].value)
+            throw DataError(fmt::format("resuming: {} was trained with {} = {}, found {}, expected the same (--force trains all anew)",
+                                        block.string(), is[i].key, was[i].value, is[i].value));
+}
+
+/// @throws DataError where it was trained on other frames
+void check_frames(const Run& trained, const BlockLog& log) {
+    const auto is_same = [](const Frame& a, const Frame& b) { return a.index == b.index && a.lidar == b.lidar; };
+    const std::vector<Frame>&was = trained.sequence.frames, &is = log.sequence.frames;
+    if (trained.split.train != log.split.train || !std::equal(was.begin(), was.end(), is.begin(), is.end(), is_same))
+        throw DataError(fmt::format("resuming: {} was trained on {} frames from {} to {}, found {} from {} to {}, expected the same "
+                                    "(--force trains all anew)",
+                                    trained.folder.string(), was.size(), was.front().index, was.back().index, is.size(), is.front().index,
+                                    is.back().index));
+}
+
+/// Sums and means over blocks.
+class Total {
+public:
+    void add(const std::vector<TrainProgress>& log) {
+        ++n_;
+        if (!log.empty()) seconds_ += log.back().seconds;
+        for (std::size_t i = 0; i < log.size(); ++i) {
+            if (i == sum_.log.size()) sum_.log.emplace_back();
+            TrainProgress& line = sum_.log[i];
+            line.iteration = log[i].iteration;
+            line.loss += log[i].loss;
+            line.n_surfels += log[i].n_surfels;
+            line.seconds += log[i].seconds;
+            for (std::size_t k = 0; k < line.terms.size(); ++k) line.terms[k] += log[i].terms[k];
+        }
+    }
+    void add(const TrainResult& result) {
+        add(result.log);
+        sum_.initialise_s += result.initialise_s;
+        sum_.peak_device_bytes = std::max(sum_.peak_device_bytes, result.peak_device_bytes);
+        for (const auto& [kernel, ms] : result.times.milliseconds) {
+            std::vector<double>& all = sum_.times.milliseconds[kernel];
+            all.insert(all.end(), ms.begin(), ms.end());
+        }
+    }
+    TrainResult take(int iterations) {
+        for (TrainProgress& line : sum_.log) {
+            line.n_iterations = iterations;
+            line.loss /= double(n_);
+            for (double& term : line.terms) term /= double(n_);
+            line.iterations_per_second = double(line.iteration) * double(n_) / std::max(line.seconds, 1e-9);
+        }
+        sum_.train_s = seconds_;
+        sum_.iterations = iterations;
+        return std::move(sum_);
+    }
+
+private:
+    TrainResult sum_;
+    std::size_t n_ = 0;
+    double seconds_ = 0.0;
+};
+
+/// Trains the blocks of a run one after the other.
+class BlockTrainer {
+public:
+    BlockTrainer(Device& device, Run& run, const BlockTraining& how)
+        : device_(device), run_(run), how_(how), blocks_(plan_blocks(run.sequence, run.split, run.config.blocks)) {}
+
+    TrainResult train() {
+        if (!how_.quiet)
+            print(fmt::format("blocks  {} of {:.1f} m, with sweeps up to {:g} m beside them{}\n", blocks_.size(),
+                              blocks_.front().end_m - blocks_.front().begin_m, run_.config.blocks.halo_m,
+                              how_.ranks.size() > 1 ? fmt::format("; shared among {} processes", how_.ranks.size()) : ""));
+        std::vector<fs::path> folders;
+        std::vector<std::size_t> others;   // not trained here
+        for (std::size_t k = 0; k < blocks_.size(); ++k) {
+            folders.push_back(blocks_folder(run_.folder) / fmt::format("{:03}", k));
+            if (!train(k, folders.back())) others.push_back(k);
+        }
+        how_.ranks.wait_for_all();
+        if (!how_.ranks.is_first()) return {};
+        for (const std::size_t k : others) total_.add(read_log(folders[k]));
+        join_blocks(run_, blocks_, folders);
+        train_actors();
+        TrainResult result = total_.take(run_.config.train.iterations);
+        write_log(run_.folder, result.log);
+        return result;
+    }
+
+private:
+    /// @return whether it was trained here and now: not before, and not by another process
+    bool train(std::size_t k, const fs::path& folder) {
+        std::error_code failed;
+        fs::create_directories(folder, failed);   // taking the lock says why where it cannot be
+        const std::unique_ptr<FolderLock> lock = FolderLock::take_if_free(folder);
+        if (!lock) return false;
+        BlockLog log = block_log(run_.sequence, run_.split, blocks_[k], run_.config);
+        if (fs::is_regular_file(folder / "scene.json", failed)) {
+            const Run trained = load_run(folder);
+            check_frames(trained, log);
+            remove_checkpoints(checkpoint_folder(folder));   // where a process was killed just before it would have done so
+            return false;
+        }
+        tell(k, log);
+        const auto start = Clock::now();
+        try {
+            TrainResult result = train(k, log, folder);
+            end_progress_line();
+            total_.add(result);
+            save(k, std::move(log), folder, result);
+        } catch (const Error& error) {
+            if (error.code() == ExitCode::interrupted) throw;
+            throw Error(error.code(), kept(fmt::format("{}: {}", name_of(k), error.what())));
+        }
+        seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
+        ++trained_;
+        return true;
+    }
+
+    void train_actors() {
+        Progress progress(how_.quiet);
+        const auto start = Clock::now();
+        const auto show = [&](int step, int n_steps) {
+            const double s = std::chrono::duration<double>(Clock::now() - start).count();
+            progress.show(fmt::format("actors before the joined background, step {}/{}  {:.2f} it/s  eta {}", step, n_steps, step / s,
+                                      duration(s / step * (n_steps - step))),
+                          step == n_steps);
+        };
+        try {
+            if (!relidar::train_actors(device_, run_, {show, interrupted}))
+                throw Error(ExitCode::interrupted, "interrupted while actors learn before the joined background");
+        } catch (const Error& error) {
+            throw Error(error.code(), kept(error.what()));
+        }
+        end_progress_line();
+    }
+
+    /// What went wrong, and that nothing is lost.
+    std::string kept(const std::string& what) const {
+        return fmt::format("{}; trained blocks are kept, continue with: {}", what, how_.resume);
+    }
+
+    std::string name_of(std::size_t k) const { return fmt::format("block {} of {}", k + 1, blocks_.size()); }
+
+    void save(std::size_t k, BlockLog log, const fs::path& folder, TrainResult& result) const {
+        Run part{folder, log.config, std::move(log.sequence), log.split, {}, {}};
+        take_result(part, result);
+        keep_own_surfels(part.scene, run_.sequence, blocks_, k);
+        save_run(part);
+        remove_checkpoints(checkpoint_folder(folder));
+    }
+
+    TrainResult train(std::size_t k, const BlockLog& log, const fs::path& folder) const {
+        const fs::path checkpoints = checkpoint_folder(folder);
+        const std::optional<Checkpoint> start = load_newest_checkpoint(checkpoints, note);
+        const TrainSession session{checkpoints, start ? &*start : nullptr, {}, {}};
+        TrainResult result = train_logged(device_, log.sequence, log.split, log.config, folder, how_.quiet, session);
+        if (!result.interrupted) return result;
+        throw Error(ExitCode::interrupted, fmt::format("interrupted in {}, after iteration {} of {}; continue with: {}", name_of(k),
+                                                       result.iterations, log.config.train.iterations, how_.resume));
+    }
+
+    void tell(std::size_t k, const BlockLog& log) const {
+        if (how_.quiet) return;
+        const double left_s = trained_ > 0 ? seconds_ / double(trained_) * double(blocks_.size() - k) : 0.0;
+        print(fmt::format("block   {} of {}, metres {:.0f} to {:.0f}: {} training frames, {} held out{}\n", k + 1, blocks_.size(),
+                          blocks_[k].begin_m, blocks_[k].end_m, log.split.train.size(), log.split.test.size(),
+                          left_s > 0.0 ? fmt::format("; about {} left", duration(left_s)) : ""));
+        std::fflush(stdout);
+    }
+
+    Device& device_;
+    Run& run_;
+    const BlockTraining how_;
+    const std::vector<Block> blocks_;
+    Total total_;
+    double seconds_ = 0.0;
+    std::size_t trained_ = 0;
+};
+
+}  // namespace
+
+void check_trained_blocks(const fs::path& run, const Config& config) {
+    std::error_code failed;
+    std::vector<fs::path> folders;
+    for (const auto& entry : fs::directory_iterator(blocks_folder(run), failed))
+        if (fs::is_regular_file(entry.path() / "scene.json", failed)) folders.push_back(entry.path());
+    std::sort(folders.begin(), folders.end());
+    for (const fs::path& folder : folders) {
+        Config trained;
+        load_config(trained, folder / "config.toml");
+        check_settings(folder, trained, config);
+    }
+}
+
+TrainResult train_blocks(Device& device, Run& run, const BlockTraining& how) { return BlockTrainer(device, run, how).train(); }
+
+}  // namespace relidar::cli

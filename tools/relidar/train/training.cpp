@@ -1,0 +1,184 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "train/training.hpp"
+
+#include <algorithm>
+#include <fstream>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <nlohmann/json.hpp>
+
+#include "console.hpp"
+#include "interrupt.hpp"
+#include <relidar/error.hpp>
+#include <relidar/export.hpp>
+
+namespace relidar::cli {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::string log_line(const TrainProgress& p) {
+    nlohmann::ordered_json json = {
+        {"iteration", p.iteration}, {"seconds", p.seconds}, {"iterations_per_second", p.iterations_per_second}, {"loss", p.loss}};
+    for (std::size_t k = 0; k < p.terms.size(); ++k) json[kLossTermNames[k]] = p.terms[k];
+    json["surfels"] = p.n_surfels;
+    if (const DensifyReport& d = p.densified; d.added || d.removed())
+        json["densified"] = {{"added", d.added}, {"clones_wanted", d.clones}, {"splits_wanted", d.splits}, {"invalid", d.invalid},
+                             {"faint", d.faint}, {"large", d.large},          {"outside", d.outside}};
+    if (!p.densified.note.empty()) json["note"] = p.densified.note;
+    return json.dump() + "\n";
+}
+
+std::string log_text(const std::vector<TrainProgress>& lines) {
+    std::string text;
+    for (const TrainProgress& p : lines) text += log_line(p);
+    return text;
+}
+
+/// log.jsonl, line by line as it grows. A full disk is told once; finish() then tries to write the whole file.
+class LogFile {
+public:
+    LogFile(fs::path path, const std::vector<TrainProgress>& before) : path_(std::move(path)) {
+        write_text(path_, log_text(before));
+        file_.open(path_, std::ios::binary | std::ios::app);
+    }
+    void add(const TrainProgress& p) {
+        if (lost_ || (file_ << log_line(p)).flush()) return;
+        lost_ = true;
+        note(fmt::format("writing {}: the disk is full or the folder has gone; training goes on", path_.string()));
+    }
+    void finish(const std::vector<TrainProgress>& all) {
+        if (!lost_) return;
+        try {
+            write_text(path_, log_text(all));
+        } catch (const DataError& error) {
+            note(error.what());
+        }
+    }
+
+private:
+    fs::path path_;
+    std::ofstream file_;
+    bool lost_ = false;
+};
+
+}  // namespace
+
+void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet, const Team& team, StageTimes* stages) {
+    Progress progress(quiet);
+    const auto tell = [&](const std::string& line) {
+        if (quiet) return;
+        end_progress_line();
+        print(line + "\n");
+        std::fflush(stdout);
+    };
+    prepare_log(sequence, split, config, {tell, interrupted, shown_by(progress), stages, team});
+}
+
+TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const fs::path& folder,
+                         bool quiet, TrainSession session) {
+    LogFile log(folder / "log.jsonl", session.start ? resumed_log(*session.start, config) : std::vector<TrainProgress>{});
+    Progress progress(quiet);
+    session.progress = shown_by(progress);
+    session.stop = interrupted;
+    session.note = note;
+    const TrainResult result = train(device, sequence, split, config,
+                                     [&](const TrainProgress& p) {
+                                         if (!p.densified.note.empty()) note(p.densified.note);
+                                         progress.show(progress_text(p), p.iteration == p.n_iterations);
+                                         log.add(p);
+                                         return true;
+                                     },
+                                     session);
+    log.finish(result.log);
+    return result;
+}
+
+void place_shown(Device& device, Run& run, bool quiet) {
+    Progress progress(quiet);
+    const HeldOutPlacement placed = place_held_out(device, run, {shown_by(progress), interrupted});
+    end_progress_line();
+    if (quiet || placed.scans == 0) return;
+    print(fmt::format("{} of {} held-out scans placed on the scene: moved by {:.1f} mm (median) to {:.1f} mm\n", placed.placed,
+                      placed.scans, 1e3 * placed.median_m, 1e3 * placed.largest_m));
+    std::fflush(stdout);
+}
+
+void check_network(const Device& device, const Config& config) {
+    const DeviceInfo& info = device.info();
+    const auto check = [&](const char* key, const std::string& value, const std::string& missing) {
+        if (config.refine.enabled && value != "fp32" && !missing.empty())
+            throw DeviceError(fmt::format("training with {}={} on {}: missing {}; set {}=fp32", key, value, info.name, missing, key));
+    };
+    check("refine.precision", config.refine.precision, info.why_not_matrices);
+    check("refine.storage", config.refine.storage, info.why_not_halves);
+}
+
+bool refine_shown(Device& device, Run& run, bool quiet, RefineSession session) {
+    Progress progress(quiet);
+    session.progress = shown_by(progress);
+    session.stop = interrupted;
+    session.note = note;
+    session.step = [&](const RefineProgress& p) {
+        const double eta_s = p.seconds / p.step * (p.n_steps - p.step);
+        progress.show(fmt::format("ray-drop network, epoch {}/{}  step {}/{}  {:.2f} it/s  eta {}  entropy {}  accuracy {:.4f}", p.epoch,
+                                  p.n_epochs, p.step, p.n_steps, p.step / p.seconds, duration(eta_s), number(p.entropy), p.accuracy),
+                      p.step == p.n_steps);
+    };
+    DropNetwork network = refine_drops(device, run, session);
+    end_progress_line();
+    if (network.empty()) return false;
+    run.drop_network = std::move(network);
+    return true;
+}
+
+std::string progress_text(const TrainProgress& p) {
+    std::string terms;
+    for (std::size_t k = 0; k < p.terms.size(); ++k) {
+        if (p.terms[k] != 0.0) terms += fmt::format("{}{} {}", terms.empty() ? "" : " ", kLossTermNames[k], number(p.terms[k]));
+    }
+    return fmt::format("iteration {}/{}  {:.2f} it/s  eta {}  loss {} ({})", p.iteration, p.n_iterations, p.iterations_per_second,
+                       duration(p.eta_s), number(p.loss), terms);
+}
+
+std::string stages_text(const StageTimes& times) {
+    std::vector<std::string> words;
+    for (const StageTimes::Stage& stage : times.stages())
+        if (stage.seconds >= 0.1) words.push_back(fmt::format("{} {:.1f} s", stage.name, stage.seconds));
+    return fmt::format("{}", fmt::join(words, ", "));
+}
+
+void log_stages(const fs::path& folder, const StageTimes& times) {
+    nlohmann::ordered_json seconds = nlohmann::ordered_json::object();
+    for (const StageTimes::Stage& stage : times.stages()) seconds[stage.name] = stage.seconds;
+    std::ofstream file(folder / "log.jsonl", std::ios::binary | std::ios::app);
+    if (!(file << nlohmann::ordered_json{{"stages_s", seconds}}.dump() << "\n"))
+        note(fmt::format("writing {}: the stages are not in it", (folder / "log.jsonl").string()));
+}
+
+void write_log(const fs::path& folder, const std::vector<TrainProgress>& lines) { write_text(folder / "log.jsonl", log_text(lines)); }
+
+std::vector<TrainProgress> read_log(const fs::path& folder) {
+    std::ifstream file(folder / "log.jsonl", std::ios::binary);
+    std::vector<TrainProgress> lines;
+    for (std::string line; std::getline(file, line);) {
+        const nlohmann::json json = nlohmann::json::parse(line, nullptr, false);
+        if (!json.is_object() || !json.contains("iteration") || !json["iteration"].is_number_integer()) continue;
+        const auto number_of = [&](const char* key) { return json.contains(key) && json[key].is_number() ? json[key].get<double>() : 0.0; };
+        TrainProgress& p = lines.emplace_back();
+        p.iteration = json["iteration"].get<int>();
+        p.seconds = number_of("seconds");
+        p.loss = number_of("loss");
+        for (std::size_t k = 0; k < p.terms.size(); ++k) p.terms[k] = number_of(kLossTermNames[k]);
+        p.n_surfels = static_cast<std::uint32_t>(std::clamp(number_of("surfels"), 0.0, 4294967295.0));
+    }
+    return lines;
+}
+
+int last_logged_iteration(const fs::path& folder) {
+    const std::vector<TrainProgress> lines = read_log(folder);
+    return lines.empty() ? 0 : lines.back().iteration;
+}
+
+}  // namespace relidar::cli
