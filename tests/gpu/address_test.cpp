@@ -75,7 +75,6 @@ static_assert(!take_each_other(&shared::SurfelPointers::log_scale, &shared::Surf
 static_assert(!take_each_other(&shared::ActivateVjpParams::d_records, &shared::ActivateVjpParams::d_view));
 static_assert(!take_each_other(&shared::TraceScene::pass_cap_count, &shared::TraceScene::visits));
 static_assert(!take_each_other(&shared::CollectHitsParams::instance, &shared::CollectHitsParams::surfel));
-static_assert(!take_each_other(&shared::SplitBeamsVjpParams::d_parts, &shared::SplitBeamsVjpParams::d_beams));
 static_assert(take_each_other(&shared::ActivateVjpParams::surfels, &shared::ActivateVjpParams::d_surfels), "gradients are arranged alike");
 
 // What an array holds is said where it is made; by address_as() or as() where one memory serves several purposes, and in no other way.

@@ -102,7 +102,7 @@ constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32
 }
 
 /// Every group there is; those that not all primitives have come last. A new parameter is a member of Surfels and of SurfelArrays, a
-/// pointer for kernels (shaders/shared/scene.h), and a row here.
+/// pointer for kernels, and a row here.
 inline constexpr std::array<ParameterGroup, 6> kParameterGroups{{
     describe_group<&Surfels::mean, &SurfelArrays::mean>("mean", {3, 1}, &LearningRates::mean),
     describe_group<&Surfels::rotation, &SurfelArrays::rotation>("rotation", {4, 1}, &LearningRates::rotation),
@@ -132,7 +132,7 @@ constexpr std::uint32_t floats_per_surfel(Primitive primitive) {
 }
 
 namespace shared {
-struct SurfelPointers;   // shaders/shared/scene.h
+struct SurfelPointers;   // of kernels
 }
 /// The arrays as kernels are given them.
 shared::SurfelPointers pointers_of(const SurfelArrays& arrays);
