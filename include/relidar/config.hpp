@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -17,7 +18,6 @@
 
 namespace relidar {
 
-struct AccelOptions;
 struct BackwardOptions;
 struct TraceOptions;
 
@@ -31,12 +31,12 @@ struct DatasetConfig {
     std::string test_frames;       ///< numbers of the frames held out, with ranges: "13,26,40:45"; empty: test_every decides
     std::string poses;             ///< file with 12 numbers a line; empty = the dataset's own; kNoPoses = none at all
     std::string poses_from;        ///< of a ROS bag: the frame, or the topic, that poses are taken from; empty: guessed
-    bool allow_missing_scans = true;
     bool skip_broken = false;
     double min_range_m = 0.0;
     double max_range_m = 80.0;
     std::string waymo_intensity = "tanh";   ///< what becomes of Waymo's, which have no upper end: "tanh", or "clamp" at 1
     int memory_mib = 0;            ///< for scans; what goes beyond lies in a mapped file. 0: half of what the machine has
+    bool operator==(const DatasetConfig&) const = default;
 };
 
 struct SensorConfig {
@@ -44,20 +44,23 @@ struct SensorConfig {
     /// "project": simulate the native scan and bin its points as the real ones were; "cast": rays through cell centres
     std::string grid_method = "project";
     bool rolling_shutter = true;          ///< rays start where the sensor was when they were fired
-    bool calibrate_intensity = false;     ///< find gain and offset of each beam's intensity before training (see calibrate_intensity())
-    bool calibrate_range = false;         ///< find what each beam adds to its ranges before training (see calibrate_ranges())
+    /// "none", "range", "intensity", "range,intensity": what is found of each beam before training, see calibrate_ranges() and
+    /// calibrate_intensity()
+    std::string calibrate = "none";
     int sub_rays = 1;                     ///< rays cast for each one that is simulated, over the footprint of its beam: 1, 5 or 9
     double divergence_mrad = 0.0;         ///< full beam divergence of the simulated sensor; 0: the sensor's own
     int returns = 1;                      ///< simulated for each ray, 1 or 2; 2: the strongest and the last, with sub_rays of 5 or 9
     double return_separation_m = 0.5;     ///< surfaces nearer to each other than this are one return
-    double second_return_share = 0.1;     ///< light that a second return needs, over the strongest's
+
+    /// @param what  "range" or "intensity"
+    bool calibrates(const char* what) const { return calibrate.find(what) != std::string::npos; }
+    bool operator==(const SensorConfig&) const = default;
 };
 
 struct TrainConfig {
     int iterations = 30000;
     std::string grid = "native";     ///< what a frame is: "native", the rays fired, or "kitti360", an image of cells (published results)
     int rays_per_iteration = 0;      ///< 0 = all rays of one frame (paper)
-    std::string batch = "rays";      ///< fewer than all: "rays" (every n-th column of the frame) or "columns" (a window of whole columns)
     int sh_degree_start = 0;         ///< active from the first iteration
     int sh_degree_interval = 1000;   ///< +1 degree this often
     double mean_rate = 1.6e-4;       ///< times the extent
@@ -67,39 +70,25 @@ struct TrainConfig {
     double max_growth = 1000.0;      ///< surfels grow to so many times the standard deviation that they began with (paper: without end)
     double opacity_rate = 0.05;
     double sh_rate = 2.5e-3;
-    double sh_rest_factor = 0.05;
     double intensity_factor = 1.0;   ///< rates of the intensity's coefficients over those of the drop logits (1 = paper)
     double rate_decay = 1.0;         ///< all rates but the mean's end at this share of their start, exponentially (1 = paper)
-    double extent_m = 0.0;           ///< of the background; 0 = from the scene
-    bool own_extents = false;        ///< means of actors learn at the extent of their own box (paper), else at the background's
     bool only_touched = false;       ///< Adam leaves surfels without a gradient in this batch alone
     bool deterministic = false;      ///< bit-equal parameters from run to run on one device
-    std::string gradient_sums = "automatic";   ///< "automatic", "atomics", "gather"; gather where deterministic
-    int gather_hits = 64;            ///< hit records a ray there is room for where gradients are gathered
-    int sub_rays = 1;                ///< rays cast for each beam, over its footprint: 1, 5 or 9 (method.md M14)
-    bool second_returns = false;     ///< farther second returns are rays of their own, which start behind the first surface
     bool sensor_drop = false;        ///< learn what the sensor itself never sees apart from the scene (stands in for the paper's U-Net)
     std::string refine_poses = "none";   ///< "none", "sensor", "actors", "sensor,actors": poses that are optimised with the scene
     bool pose_register = true;           ///< refined poses start from a registration of the scans, before the scene is initialised
     bool place_held_out = true;          ///< registered held-out scans are placed once more, on the trained scene
-    double pose_largest_m = 1.0;         ///< corrections that differ more from their neighbours' are not believed
     bool allow_lost_scans = false;       ///< train on, however many scans did not find their place
-    int pose_from = 0;                   ///< poses stay as they are up to this iteration
-    double pose_rate_m = 2e-4;           ///< of the sensor's poses, at the start; poses' rates end at a tenth
-    double pose_rate_rad = 2e-5;
-    double box_rate_m = 2e-3;            ///< of the boxes' poses, which no registration has brought near
-    double box_rate_rad = 2e-4;
-    double pose_prior_per_m2 = 0.01;     ///< weights of |translation|^2 and |rotation|^2 of every correction in the loss
-    double pose_prior_per_rad2 = 0.1;
+    double pose_rate_m = 2e-4;           ///< of the sensor's translations, at the start; its turns and actors' boxes follow it
     int frame_memory_mib = 2048;       ///< device memory for rays that stay there; those of further frames come when it is their turn
     int log_every = 50;
     int checkpoint_every = 0;          ///< iterations between checkpoints; 0 = by time alone
     double checkpoint_minutes = 10.0;  ///< minutes between checkpoints; 0 = by iterations alone
-    int checkpoint_keep = 2;           ///< the newest so many stay
     std::uint64_t seed = 1;
 
     /// @param poses  "sensor" or "actors"
     bool refines(const char* poses) const { return refine_poses.find(poses) != std::string::npos; }
+    bool operator==(const TrainConfig&) const = default;
 };
 
 /// A long log is trained in blocks, each a stretch of the way with the sweeps that see it.
@@ -107,6 +96,7 @@ struct BlockConfig {
     double length_m = 0.0;   ///< of the way that the sensor has driven, a block, at most; 0 = the log is trained in one piece
     double halo_m = 40.0;    ///< sweeps that were taken so near to a block are trained on with it
     int actor_epochs = 4;    ///< so often every training frame teaches the actors before the joined background; 0 = not
+    bool operator==(const BlockConfig&) const = default;
 };
 
 struct RenderConfig {
@@ -115,21 +105,20 @@ struct RenderConfig {
     std::string channels;               ///< that scans have beside the basic ones: names of optional_channels(), separated by commas
     std::string points = "median";      ///< range of the points of point clouds: "median", the dominant surface, or "range", as above
     int memory_mib = 1024;              ///< device memory for blocks of a long scene beyond those that a scan needs
+    bool operator==(const RenderConfig&) const = default;
 };
 
 struct EvalConfig {
     std::string lpips_weights;          ///< safetensors file; empty = no LPIPS
+    bool operator==(const EvalConfig&) const = default;
 };
 
 struct TraceConfig {
     int chunk = 16;
-    std::string proxy = "automatic";   ///< "automatic", "triangles", "boxes"
     /// hits a ray that the forward pass keeps for the backward pass, at first: doubled up to 256 while one ray in a hundred has more;
     /// 0 = cast every ray again (paper)
     int keep_hits = 64;
-    std::string walk = "automatic";    ///< "automatic", "lane", "subgroup"
-    int rebuild_every = 1000;
-    double rebuild_growth = 1.3;
+    bool operator==(const TraceConfig&) const = default;
 };
 
 struct Config {
@@ -146,6 +135,10 @@ struct Config {
     RenderConfig render;
     EvalConfig eval;
     TraceConfig trace;
+
+    /// Whether a loss compares neighbouring pixels: steps then see windows of columns in the place of every n-th column.
+    bool needs_images() const { return loss.intensity * loss.intensity_ssim > 0.0f || loss.normal > 0.0f; }
+    bool operator==(const Config&) const = default;
 };
 
 /// The named preset: "paper", "released", "default" or "quick". @throws UsageError for another name, naming the nearest
@@ -156,23 +149,30 @@ struct ConfigKey {
     std::string key;
     std::string value;
     std::string help;
+    bool expert = false;   ///< nobody needs it who does not know how the program works inside
 };
 /// All settings, in the order of the TOML file.
 std::vector<ConfigKey> config_keys(const Config& config);
 
-/// Sets one field from text. @throws UsageError for an unknown key (the nearest known one is named) or a value of the wrong kind or out of
-/// range
+/// Sets one field from text. @throws UsageError for an unknown key (the nearest known one is named), one that was removed (with the
+/// reason), or a value of the wrong kind or out of range
 void set_key(Config& config, const std::string& key, const std::string& value);
 
-/// Reads a TOML file over `config`: tables are the first part of a key. @throws UsageError as set_key, DataError for a malformed or missing
-/// file
-void load_config(Config& config, const std::filesystem::path& path);
+/// Reads a TOML file over `config`: tables are the first part of a key. Settings that an earlier version had are no error where their
+/// value says what the program does now.
+/// @param note  is told in one line which those are @throws UsageError as set_key, DataError for a malformed or missing file
+void load_config(Config& config, const std::filesystem::path& path, const std::function<void(const std::string&)>& note = {});
+
+/// The same for settings by key, as checkpoints hold them: brings those of an earlier version to the keys of this one.
+/// @throws UsageError for one whose value is not what the program does now
+void update_settings(std::map<std::string, std::string>& settings);
 
 /// Every value used, as TOML with its help as comments; load_config reads it back to the same values.
 std::string to_toml(const Config& config);
+/// The same without those expert settings that are as the preset has them.
+std::string to_short_toml(const Config& config);
 
 /// Enum fields.
-AccelOptions accel_options(const Config& config);
 TraceOptions trace_options(const Config& config);
 /// The same with what the losses want of rays beside their image.
 TraceOptions training_trace_options(const Config& config);

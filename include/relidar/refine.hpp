@@ -18,7 +18,9 @@ namespace relidar {
 /// The network and its training: config.refine.
 struct RefineOptions {
     bool enabled = false;            ///< training ends with it, rendering uses it where a run has it
-    std::string network = "small";   ///< "small", "paper" (6.5 million parameters) or "pixel" (each pixel by itself)
+    /// "small", "paper" (6.5 million parameters; a tenth of its layers' values is dropped in training, and its images are turned about the
+    /// sensor by random columns) or "pixel" (each pixel by itself)
+    std::string network = "small";
     int width = 0;                   ///< channels at full size; 0: the network's own
     int levels = -1;                 ///< times that the image is halved; -1: the network's own
     std::string image = "native";    ///< what it looks at: "native", the sensor's rays, or "grid", the cells of config.sensor.grid
@@ -27,10 +29,9 @@ struct RefineOptions {
     int epochs = 4;                  ///< each of them is seen so often
     int batch = 1;                   ///< images a step
     double rate = 2e-3;              ///< Adam's, at the start; it falls to a hundredth
-    double dropout = 0.0;            ///< share of the values that a layer drops in training
-    bool turn = false;               ///< images are turned about the sensor by random columns
     std::string precision = "fp32";  ///< what convolutions multiply in training: "fp32", or "fp16" by matrix units; sums are fp32 in both
     std::string storage = "fp32";    ///< what images between the layers are kept as in training: "fp32", or "fp16" for half of the memory
+    bool operator==(const RefineOptions&) const = default;
 };
 
 /// What the network sees of a scan with image order, and what came of it.

@@ -17,7 +17,7 @@ struct RegisterOptions {
                                     ///< surface may lie for two scans before the adjustment
     bool given_motion = true;       ///< the poses say how the sensor moved from scan to scan; false: only the scans do
     std::vector<BoxTrack> movers;   ///< their points are not the street's
-    double mover_margin_m = 0.2;    ///< boxes are grown by this
+    double mover_margin_m = kMoverMargin_m;    ///< boxes are grown by this
     std::function<bool()> stop;     ///< asked before every scan and round; true ends registration with nothing changed
     Progress progress = {};         ///< of both parts
     Team team = {};                 ///< processes that register the same log

@@ -5,6 +5,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -49,11 +50,12 @@ struct Run {
 /// Writes config.toml, scene.json, model.safetensors, drop_network.safetensors, sweeps.safetensors and coverage.safetensors, each
 /// atomically. The folder is made where missing.
 /// Blocks of the scene that lie elsewhere are linked into it (copied where the file system has no links), as blocks/NNN/model.safetensors.
-/// @throws DataError where the folder cannot be made or written
+/// @throws DataError where the folder cannot be made or written, or where an option that is no setting is not as the program has it
 void save_run(const Run& run);
 
+/// @param note  is told in one line of settings that an earlier version had (load_config())
 /// @throws DataError naming the file that is missing, truncated or inconsistent
-Run load_run(const std::filesystem::path& folder);
+Run load_run(const std::filesystem::path& folder, const std::function<void(const std::string&)>& note = {});
 
 /// Saves a scene as safetensors: mean [n,3], rotation [n,4], log_scale [n,2], opacity_logit [n], sh [n,3,16], log_scale_w [n] of 3D
 /// Gaussians alone, models and instances in the metadata. @throws DataError where an array is misshapen or not finite, or the file cannot

@@ -119,6 +119,7 @@ struct ImageModel {
     ShDirection sh_direction = ShDirection::ray;
     bool single_drop_logit = false;          ///< hit logits are 0 and have no gradient: M6 is a sigmoid of the drop logit (ablation)
     Primitive primitive = Primitive::surfel; ///< what the scene is made of (ablation)
+    bool operator==(const ImageModel&) const = default;
 };
 
 /// What a labelled thing is, whatever its dataset calls it.
@@ -133,8 +134,9 @@ ObjectKind object_kind(std::string_view category);
 /// "vehicle", "cyclist", "person", "other": what settings name them by.
 const char* name_of(ObjectKind kind);
 
-/// What becomes of boxes that move: models of their own; nothing (their points and rays are left out); or background like the rest.
-enum class ActorMode { models, masked, background };
+/// What becomes of what moves without a label: it belongs to the background; its points are left out, where other training frames see
+/// through them; or that, and what is seen long enough is an actor with a track of its own (discover_tracks()).
+enum class UnlabelledMovers { background, removed, actors };
 
 /// How a scene is initialised from a log.
 struct InitialiseOptions {
@@ -143,35 +145,30 @@ struct InitialiseOptions {
     bool normals = true;               ///< surfel normals from the k nearest neighbours; false = random orientation (ablation)
     int normal_neighbours = 6;
     /// points are a surface where their variance across it is less than this share of the smaller one within; discs of others (leaves,
-    /// wires, corners) face the sensor instead of following their points; 1 = all are surfaces (paper)
+    /// wires, corners) face the sensor instead of following their points, and those of surfaces lie on the plane of their neighbours; 1 =
+    /// all follow their points as they are (paper)
     double flatness = 1.0;
-    bool smooth = false;               ///< move each mean onto the plane of its neighbours (not in the paper)
     double opacity = 0.1;
-    double hit_logit = 1.0;            ///< of new surfels; with drop_logit the ray-drop probability a surface starts from (M6)
-    double drop_logit = 0.0;
+    /// hit logit less drop logit of new surfels, whose mean is 0.5: a surface starts at a ray-drop probability of 1 / (1 + exp(it)) (M6)
+    double hit_margin = 1.0;
+    bool one_logit = false;            ///< hit logits start at 0 and drop logits at their difference (ImageModel::single_drop_logit)
     double max_scale_m = 0.5;          ///< initial standard deviations are clamped to this, but across gaps
     double scale_factor = 1.0;         ///< times the mean distance to the 3 nearest neighbours
     /// a disc on a surface reaches across the gap to the next scan lines, up to so wide a one, where that is far wider than the distance to
     /// its neighbours on its own line; 0 = discs are round (paper)
     double max_gap_m = 0.0;
     double thickness = 1.0;            ///< 3D Gaussians: along the normal over in the plane; 1 = spheres, as 3D Gaussian splatting starts
-    bool further_returns = true;       ///< second returns are points too, where the log has them
-    bool remove_unlabelled_movers = false;   ///< leave out points that other training frames see through (not in the paper)
-    bool discover_actors = false;      ///< what moves without a label gets a track of its own (see discover_tracks(); not in the paper)
-    double actor_min_step_m = 0.01;    ///< boxes moving more than this a frame hold actors: their points are left out
-    double actor_margin_m = 0.2;       ///< boxes are grown by this when points are left out
-    ActorMode actors = ActorMode::models;
+    bool second_returns = true;       ///< second returns are points too, where the log has them
+    UnlabelledMovers unlabelled_movers = UnlabelledMovers::background;   ///< (paper)
     /// comma-separated kinds (object_kind()) or classes of moving boxes that become actors of their own; all = every class, empty = none
     std::string actor_classes = "all";
     bool mask_others = true;           ///< moving boxes of other classes are left out; false = they belong to the background (paper)
     std::string actor_tracks;          ///< comma-separated tracks that do, whatever their class and motion; empty = by class
     int actor_points = 8000;           ///< an actor has at most so many surfels
     int actor_pad_to = 0;              ///< an actor with fewer is filled up with random points of its box; 0 = not (paper: 8000)
-    bool actor_symmetry = false;       ///< points of an actor are mirrored left to right (not in the paper)
-    /// a box is still left out so long before its first and after its last label, where it would be then
-    double mask_beyond_labels_s = 0.0;
     int actor_min_points = 20;        ///< a box with fewer points is masked instead
-    std::uint64_t seed = 1;
+    std::uint64_t seed = 1;           ///< of random orientations and points; a training takes train.seed
+    bool operator==(const InitialiseOptions&) const = default;
 };
 
 /// Where an instance stands, or that it is not there.
@@ -186,10 +183,10 @@ struct InstancePose {
 /// (size_guess) where one side was seen. What a label follows for a while is that box, its id, class and size, with more poses (n_before,
 /// n_after), to stand in its place; others are mover-0, mover-1, ... The same in all processes of a team. Each LiDAR is asked by itself:
 /// of a mover that several have seen the first one's track, unless another saw it half as long again.
-std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
+std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions,
                                       const Progress& progress = {}, const Team& team = {});
 
-/// Boxes whose points and rays are not the background's: those that move, and the tracks asked for; none with ActorMode::background.
+/// Boxes whose points and rays are not the background's: those that move (BoxTrack::moves), and the tracks asked for.
 /// @throws DataError for a box without a size or with a pose that is not finite, UsageError for an unknown track
 std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseOptions& options);
 

@@ -129,6 +129,8 @@ RayTable shifted_azimuths(RayTable rays, const SpinningSensor& sensor, const std
 
 /// Category of boxes that no dataset labelled (discover_tracks() in scene.hpp).
 inline constexpr const char* kDiscoveredCategory = "Discovered";
+inline constexpr double kMovingStep_m = 0.01;    ///< a box whose mean step is longer moves: 0.1 m/s at ten frames a second
+inline constexpr double kMoverMargin_m = 0.2;    ///< moving boxes are grown by this where their points are left out: labels fit loosely
 
 /// One tracked box. The box frame has x along the length, y along the width, z up, origin at the centre.
 struct BoxTrack {
@@ -142,14 +144,12 @@ struct BoxTrack {
     /// Mean motion of the box's centre from one observation to the next, metres: from the mean position in the first half of the track
     /// to that in the second, so that the jitter of labels on a parked car (9 cm a frame on KITTI) is no motion. 0 for one observation.
     double mean_step_m() const;
+    bool moves() const { return mean_step_m() > kMovingStep_m; }
     /// Whether the thing stands still as far as labels and poses can tell: its positions, averaged over a second (half of a shorter track),
     /// stay within 0.2 m of the first, or within 2 m at less than 0.5 m/s, since a log's poses drift while a parked car is seen.
     bool is_parked() const;
     /// Whether the box was observed at a time, or half a mean step beside it: a sweep takes that long to either side of its label.
     bool present(double t_s) const;
-    /// Where the box is while it is present, and for beyond_s before its first and after its last observation where the mean velocity of
-    /// its first or last second would take it. Nothing farther out.
-    std::optional<Pose> pose_near(double t_s, double beyond_s) const;
     /// The same box as the dataset labelled it, without n_before and n_after poses at its ends.
     BoxTrack labelled_part() const;
     /// Whether a world point lies in the box, grown by margin_m, at a time.

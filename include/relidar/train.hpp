@@ -86,8 +86,8 @@ struct PrepareSession {
 };
 
 /// Estimates what the log does not say and training needs from the start, in this order, as the settings ask: poses of the sensor
-/// (train.refine_poses with train.pose_register), offsets and responses of its beams (sensor.calibrate_range, sensor.calibrate_intensity),
-/// tracks of what moves without a label (init.discover_actors). From training frames alone, but for the poses of held-out ones; the same
+/// (train.refine_poses with train.pose_register), offsets and responses of its beams (sensor.calibrate),
+/// tracks of what moves without a label (init.unlabelled_movers). From training frames alone, but for the poses of held-out ones; the same
 /// for the same log and settings, so that a resumed training prepares its log anew, and in all processes of a team, of which the first one
 /// alone tells.
 /// @throws Error with exit code 130 where stopped; DataError where more than 5 % of the scans do not find their place among the others and
@@ -174,8 +174,8 @@ void take_result(Run& run, TrainResult& result);
 void compile_pipelines(Device& device, const std::function<void(const std::string&)>& progress = {});
 
 /// Whether a training may continue with this log and these settings. train.iterations may be raised: the learning rates continue where
-/// the longer schedule stands at that iteration. train.log_every, train.checkpoint_*, refine.*, render.*, eval.*, trace.chunk and
-/// trace.proxy are free.
+/// the longer schedule stands at that iteration. train.log_every, train.checkpoint_*, refine.*, render.*, eval.* and trace.chunk
+/// are free.
 /// @throws UsageError naming the setting, DataError naming the part of the log that differs
 void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split, const Config& config);
 /// A setting of two configs that differs and is not free in that sense; empty: none.

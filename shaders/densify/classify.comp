@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What becomes of each surfel (docs/method.md section 6): dropped where it is no surfel, faint, too large, outside its
-// actor's box or never seen; else it grows by its gradient (clone or split) or by its opacity (share), or stays.
+// What becomes of each surfel (docs/method.md section 6): dropped where it is no surfel, faint, too large or outside
+// its actor's box; else it grows by its gradient (clone or split) or by its opacity (share), or stays.
 // One thread a surfel of any model. Input: surfels, statistics, models, extents. Output: action, weight. Accumulated: counters.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -45,13 +45,6 @@ bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
     return true;
 }
 
-bool is_unseen(uint i) {
-    if (params.drop_unseen == 0u) return false;
-    uint any_frame = 0u;
-    for (uint k = 0u; k < params.n_words; ++k) any_frame |= params.frames.at[i * params.n_words + k];
-    return any_frame == 0u;
-}
-
 /// Clone, split or keep, by the mean norm of the gradient.
 uint grow_by_gradient(uint i, float max_scale, float extent_m) {
     uint n_seen = params.n_seen.at[i];
@@ -65,7 +58,7 @@ uint verdict(uint i, uint model, vec4 q, vec3 scale, float opacity, float max_sc
     if (opacity < params.min_opacity) return RELIDAR_DENSIFY_FAINT;
     if (max_scale > params.max_extent_share * params.extents.at[model]) return RELIDAR_DENSIFY_LARGE;
     if (is_outside(i, q, scale, params.models.at[model].half_size)) return RELIDAR_DENSIFY_OUTSIDE;
-    return is_unseen(i) ? RELIDAR_DENSIFY_UNSEEN : RELIDAR_DENSIFY_KEPT;
+    return RELIDAR_DENSIFY_KEPT;
 }
 
 void main() {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Terms of the parameters themselves, added to their gradients: actors' surfels outside their box or large against it, and the
-// entropy of opacities. One thread a surfel of any model.
+// A term of the parameters themselves, added to their gradients: actors' surfels outside their box or large against it. One thread a
+// surfel of any model.
 // Input: surfels, touched, models. Accumulated: d_surfels, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -37,21 +37,11 @@ float box_term(uint i, ModelEntry model, bool write) {
     return params.box_weight * term;
 }
 
-/// With x the logit, sigma = 1 / (1 + exp(-x)): entropy = ln(1 + exp(x)) - sigma x, derivative -x sigma (1 - sigma). @return the term
-float entropy_term(uint i, bool write) {
-    float x = params.surfels.opacity_logit.at[i], e = exp(-abs(x));
-    float smaller = e / (1.0 + e);   // of sigma and 1 - sigma
-    if (write) params.d_surfels.opacity_logit.at[i] -= params.entropy_weight * x * smaller * (1.0 - smaller);
-    return params.entropy_weight * (log(1.0 + e) + smaller * abs(x));
-}
-
 void main() {
     uint k = thread_index(), i = params.first_surfel + k;
     bool is_surfel = k < params.n_surfels;
     bool write = is_surfel && (is_null(params.touched) || params.touched.at[i] != 0u);
     float box = 0.0;
-    if (is_surfel && params.box_weight > 0.0) box = box_term(i, params.models.at[find_model(params.models, params.n_models, i)], write);
-    float entropy = is_surfel && params.entropy_weight > 0.0 ? entropy_term(i, write) : 0.0;
+    if (is_surfel) box = box_term(i, params.models.at[find_model(params.models, params.n_models, i)], write);
     add_to_sum(params.terms, kTerm_box, box);
-    add_to_sum(params.terms, kTerm_entropy, entropy);
 }

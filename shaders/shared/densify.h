@@ -20,11 +20,10 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_DENSIFY_FAINT 2     // dropped: opacity
 #define RELIDAR_DENSIFY_LARGE 3     // dropped: scale
 #define RELIDAR_DENSIFY_OUTSIDE 4   // dropped: outside the box of the actor
-#define RELIDAR_DENSIFY_UNSEEN 5    // dropped: no gradient in any training frame
-#define RELIDAR_DENSIFY_CLONES 6    // wanted
-#define RELIDAR_DENSIFY_SPLITS 7    // wanted
-#define RELIDAR_DENSIFY_WEIGHT 8    // sum of weights
-#define RELIDAR_DENSIFY_COUNTERS 9
+#define RELIDAR_DENSIFY_CLONES 5    // wanted
+#define RELIDAR_DENSIFY_SPLITS 6    // wanted
+#define RELIDAR_DENSIFY_WEIGHT 7    // sum of weights
+#define RELIDAR_DENSIFY_COUNTERS 8
 
 // What makes a surfel grow.
 #define RELIDAR_DENSIFY_BY_NOTHING 0
@@ -49,7 +48,6 @@ struct ClassifyParams {
     SurfelPointers surfels;     // input
     Floats gradient_sum;        // input [n]
     Uints n_seen;               // input [n]
-    Uints frames;               // input [n,n_words]
     Uints action;               // output [n] RELIDAR_DENSIFY_DROP ... SHARE
     Uints weight;               // output [n] share in the growth, 0 where it does not grow
     Uints counters;             // accumulated [n_models,RELIDAR_DENSIFY_COUNTERS]
@@ -61,10 +59,8 @@ struct ClassifyParams {
     float gradient_threshold;   // mean norm above: grows
     uint growth;                // RELIDAR_DENSIFY_BY_*
     uint bounded;               // 1: outside the box of the model: dropped
-    uint drop_unseen;           // 1: no bit of `frames` set: dropped
     uint n_surfels;
     uint n_models;
-    uint n_words;
     uint key;                   // of the random numbers
 };
 

@@ -31,19 +31,6 @@ struct ImageLossParams {
 
 #define RELIDAR_SSIM_FLOATS 5   // a pixel: derivatives by mean, variance (twice) and covariance over the sum of weights, both means
 
-/// Differences of ln(1 + range).
-struct LogRangeParams {
-    RenderedRays rendered;     // input [n_rays]
-    Targets targets;           // input
-    RayGradients upstream;     // accumulated [n_rays]
-    Floats terms;              // accumulated: a row
-    float weight;
-    uint n_rays;
-    uint first_ray;
-    uint ray_stride;
-    uint normalised_depth;     // 1: range D / W, 0: D
-};
-
 /// Structural similarity of the intensity image and its derivative: loss/ssim writes `statistics`, loss/ssim_vjp reads them.
 struct SsimParams {
     RenderedRays rendered;     // input [rows,columns]
@@ -127,16 +114,15 @@ struct ChamferParams {
     uint normalised_depth;
 };
 
-/// Terms of the parameters themselves: actors that leave their box, opacities between 0 and 1.
+/// A term of the parameters themselves: actors that leave their box.
 struct SurfelLossParams {
     SurfelPointers surfels;     // input
-    SurfelPointers d_surfels;   // accumulated: mean, log_scale, opacity_logit
+    SurfelPointers d_surfels;   // accumulated: mean, log_scale
     Uints touched;              // input [n] rows whose gradients are defined, or address 0 = all
     Floats terms;               // accumulated
     Models models;              // input [n_models]
     float box_scale_share;      // standard deviations beyond this share of a box's half diagonal count as outside
     float box_weight;
-    float entropy_weight;
     uint first_surfel;          // of the launch
     uint n_surfels;             // of the launch
     uint n_models;

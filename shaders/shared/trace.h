@@ -26,8 +26,7 @@ struct TraceScene {
     float alpha_min;
     float alpha_max;
     float transmittance_min;
-    float likelihood_scale_m;       // s of a ray that measured z: the first and z times the second
-    float likelihood_scale_share;
+    float likelihood_scale_m;       // of the kernel about a measured range
     uint n_instances;
     uint sh_degree;
     uint n_rays;

@@ -65,42 +65,5 @@ struct KnotGradientsParams {
     uint n_rows;
 };
 
-/// Rays of the parts of beams: part k of beam i is entry i n_parts + k.
-struct SplitBeamsParams {
-    Rays beams;              // input: beam i is entry first_beam + i beam_stride
-    Targets beam_targets;    // input, as `beams`
-    Vec2s offsets;           // input [n_parts] from the beam, in units of half its divergence
-    Rays parts;              // output [n_beams,n_parts]
-    Targets part_targets;    // output [n_beams,n_parts]
-    float half_divergence;   // rad
-    uint n_beams;
-    uint first_beam;
-    uint beam_stride;
-    uint n_parts;
-};
-
-/// dL/d(origin), dL/d(direction) of beams from those of their parts.
-struct SplitBeamsVjpParams {
-    Floats d_parts;          // input [n_beams,n_parts,6]
-    Floats d_beams;          // output [n_beams,6]
-    uint n_beams;
-    uint n_parts;
-};
-
-/// What beams render from what their parts do (M14), and the derivative.
-struct JoinBeamsParams {
-    RenderedRays parts;                   // input [n_beams,n_parts]
-    RenderedGeometries part_geometry;     // input, or address 0
-    RenderedRays beams;                   // [n_beams] output of join_beams, input of its derivative
-    RenderedGeometries beam_geometry;     // the same, or address 0
-    RayGradients d_beams;                 // input of the derivative
-    GeometryGradients d_beam_geometry;    // input of the derivative, or address 0
-    RayGradients d_parts;                 // output of the derivative [n_beams,n_parts]
-    GeometryGradients d_part_geometry;    // output of the derivative, or address 0
-    float unexplained;                    // share of a part that does not explain what was measured
-    uint n_beams;
-    uint n_parts;
-};
-
 RELIDAR_SHARED_END
 #endif

@@ -15,7 +15,7 @@ void take_measured(TraceScene scene, uint ray) {
     if (is_null(scene.targets)) return;
     DeviceTarget target = scene.targets.at[scene.first_ray + ray * scene.ray_stride];
     if (target.weight > 0.0) measured_range = target.range_m;
-    measured_per_scale = 1.0 / (scene.likelihood_scale_m + scene.likelihood_scale_share * measured_range);
+    measured_per_scale = 1.0 / scene.likelihood_scale_m;
 }
 
 /// k = 1 / (1 + ((t - z) / s)^2)

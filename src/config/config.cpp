@@ -5,17 +5,20 @@
 #include <algorithm>
 #include <array>
 #include <cctype>
+#include <map>
+#include <set>
 #include <sstream>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #define TOML_EXCEPTIONS 1
 #include <toml++/toml.h>
 
 #include "config/field_text.hpp"
+#include "config/former_keys.hpp"
 #include "core/files.hpp"
 #include "core/number_text.hpp"
 #include <relidar/channels.hpp>
-#include <relidar/stages/accel.hpp>
 #include <relidar/stages/backward.hpp>
 #include <relidar/error.hpp>
 #include <relidar/stages/toml_depth.hpp>
@@ -26,7 +29,10 @@ namespace {
 
 using config_detail::Accepts;
 using config_detail::describe;
+using config_detail::find_moved;
+using config_detail::find_removed;
 using config_detail::from_text;
+using config_detail::Help;
 using config_detail::is_text;
 using config_detail::to_text;
 using config_detail::visit;
@@ -39,7 +45,7 @@ struct Found {
 
 std::vector<std::string> all_keys() {
     std::vector<std::string> keys;
-    visit(static_cast<const Config&>(Config{}), [&](const char* key, const auto&, const Accepts&, const char*) { keys.emplace_back(key); });
+    visit(static_cast<const Config&>(Config{}), [&](const char* key, const auto&, const Accepts&, const Help&) { keys.emplace_back(key); });
     return keys;
 }
 
@@ -54,26 +60,18 @@ void assign(T& field, const std::string& key, const Accepts& accepts, const Foun
 
 void set_found(Config& config, const std::string& key, const Found& found) {
     bool known = false;
-    visit(config, [&](const char* name, auto& field, const Accepts& accepts, const char*) {
+    visit(config, [&](const char* name, auto& field, const Accepts& accepts, const Help&) {
         if (known || key != name) return;
         known = true;
         assign(field, key, accepts, found);
     });
+    if (const auto* removed = find_removed(key))
+        throw UsageError(fmt::format("setting {}: it was removed: {}", key, removed->why));
+    if (const auto* moved = find_moved(key)) throw UsageError(fmt::format("setting {}: it was removed: {} says it now", key, moved->to));
     if (!known)
         throw UsageError(fmt::format("setting {}: unknown key{}", excerpt(key),
                                      did_you_mean(key, all_keys(), "", ", expected one that `relidar config` lists")));
     if (key == "preset") config = make_preset(config.preset);
-}
-
-/// Channels had a key each in files of earlier versions. @return whether it was one
-bool take_former_key(Config& config, const std::string& key, const Found& found) {
-    const std::string channel = key == "render.normals" ? "normal" : key == "render.spread" ? "spread" : key == "render.seen" ? "seen" : "";
-    if (channel.empty()) return false;
-    bool is_wanted = false;
-    assign(is_wanted, key, {}, found);
-    std::string& channels = config.render.channels;
-    if (is_wanted) channels += (channels.empty() ? "" : ",") + channel;
-    return true;
 }
 
 /// A TOML scalar as text.
@@ -87,12 +85,38 @@ Found found_in(const toml::node& node, const std::string& key) {
     throw UsageError(fmt::format("setting {}: found a TOML {}, expected a single value", excerpt(key), kind.str()));
 }
 
-void set_table(Config& config, const toml::table& table, const std::string& prefix) {
+/// All of a table but the preset, in the order of the alphabet.
+void flatten(const toml::table& table, const std::string& prefix, std::map<std::string, Found>& settings) {
     for (const auto& [name, node] : table) {
         const std::string key = prefix + std::string(name.str());
-        if (const toml::table* inner = node.as_table()) set_table(config, *inner, key + ".");
-        else if (key != "preset" && !take_former_key(config, key, found_in(node, key))) set_found(config, key, found_in(node, key));
+        if (const toml::table* inner = node.as_table()) flatten(*inner, key + ".", settings);
+        else if (key != "preset") settings.emplace(key, found_in(node, key));
     }
+}
+
+/// Takes a setting of an earlier version over. @return whether it is one
+bool take_former(Config& config, const std::string& key, const std::string& value) {
+    if (find_removed(key)) return true;
+    const auto* moved = find_moved(key);
+    if (!moved) return false;
+    try {
+        moved->take(config, value);
+    } catch (const UsageError& error) {
+        throw UsageError(fmt::format("setting {}: {}", key, error.what()));
+    }
+    return true;
+}
+
+/// Sets all of them. @return those of an earlier version, each of which says what the program does now @throws UsageError
+std::vector<std::string> take_all(Config& config, const std::map<std::string, Found>& settings) {
+    std::vector<std::string> former;
+    for (const auto& [key, found] : settings) {
+        if (take_former(config, key, found.text)) former.push_back(key);
+        else set_found(config, key, found);
+    }
+    for (const std::string& key : former)
+        if (const auto* removed = find_removed(key)) check_removed(config, *removed, settings.at(key).text);
+    return former;
 }
 
 /// Text in TOML's basic quotes.
@@ -117,66 +141,98 @@ std::string toml_value(const T& value, const Accepts& accepts) {
 
 std::vector<ConfigKey> config_keys(const Config& config) {
     std::vector<ConfigKey> keys;
-    visit(config, [&](const char* key, const auto& field, const Accepts& accepts, const char* help) {
+    visit(config, [&](const char* key, const auto& field, const Accepts& accepts, const Help& help) {
         using T = std::decay_t<decltype(field)>;
-        keys.push_back({key, to_text(field, accepts), fmt::format("{} ({})", help, describe<T>(accepts))});
+        keys.push_back({key, to_text(field, accepts), fmt::format("{} ({})", help.text, describe<T>(accepts)), help.expert});
     });
     return keys;
 }
 
 void set_key(Config& config, const std::string& key, const std::string& value) { set_found(config, key, {value, Found::Quotes::unknown}); }
 
-void load_config(Config& config, const std::filesystem::path& path) {
+void load_config(Config& config, const std::filesystem::path& path, const std::function<void(const std::string&)>& note) {
     const std::string text = read_file(path);
     check_toml_depth(text, path.string());
     Config result = config;   // all or nothing
+    std::vector<std::string> former;
     try {
         const toml::table table = toml::parse(text, path.string());
         if (const toml::node* preset = table.get("preset")) set_found(result, "preset", found_in(*preset, "preset"));
-        set_table(result, table, "");
+        std::map<std::string, Found> settings;
+        flatten(table, "", settings);
+        former = take_all(result, settings);
     } catch (const toml::parse_error& error) {
         throw DataError(fmt::format("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line, excerpt(error.description())));
     } catch (const UsageError& error) {
         throw UsageError(fmt::format("{}: {}", path.string(), error.what()));
     }
     config = std::move(result);
+    if (!note || former.empty()) return;
+    constexpr std::size_t kNamed = 3;
+    const std::size_t n = former.size();
+    former.resize(std::min(n, kNamed));
+    note(fmt::format("{}: {} settings of an earlier version, whose values are what the program does now: {}{}", path.string(), n,
+                     fmt::join(former, ", "), n > kNamed ? fmt::format(" and {} more", n - kNamed) : ""));
 }
 
-std::string to_toml(const Config& config) {
-    std::string text = "# Settings of a relidar run: every value used. Read back by `relidar train --config`.\n";
-    std::string table;
-    visit(config, [&](const std::string& key, const auto& field, const Accepts& accepts, const char* help) {
+void update_settings(std::map<std::string, std::string>& settings) {
+    Config config;
+    std::map<std::string, Found> found;
+    for (const auto& [key, value] : settings)
+        if (key != "preset") found.emplace(key, Found{value, Found::Quotes::unknown});
+    std::map<std::string, std::string> successors;
+    for (const std::string& key : take_all(config, found)) {
+        if (const auto* moved = find_moved(key)) successors.emplace(moved->to, "");
+        settings.erase(key);
+    }
+    for (const ConfigKey& key : config_keys(config))
+        if (successors.contains(key.key)) settings[key.key] = key.value;
+}
+
+namespace {
+
+/// Settings with a comment each, by table. @param is_shown  (key)
+template <class Shown>
+std::string toml_of(const Config& config, const Shown& is_shown) {
+    std::string text, table;
+    visit(config, [&](const std::string& key, const auto& field, const Accepts& accepts, const Help& help) {
         using T = std::decay_t<decltype(field)>;
+        if (!is_shown(key)) return;
         const std::size_t dot = key.find('.');
         const std::string key_table = dot == std::string::npos ? "" : key.substr(0, dot);
         if (key_table != table) text += fmt::format("\n[{}]\n", key_table);
         table = key_table;
-        text += fmt::format("# {} ({})\n{} = {}\n", help, describe<T>(accepts), key.substr(dot + 1), toml_value(field, accepts));
+        text += fmt::format("# {} ({})\n{} = {}\n", help.text, describe<T>(accepts), key.substr(dot + 1), toml_value(field, accepts));
     });
     return text;
 }
 
-AccelOptions accel_options(const Config& config) {
-    AccelOptions options;
-    if (config.trace.proxy == "triangles") options.proxy = Proxy::triangles;
-    if (config.trace.proxy == "boxes") options.proxy = Proxy::boxes;
-    options.rebuild_every = config.trace.rebuild_every;
-    options.rebuild_growth = static_cast<float>(config.trace.rebuild_growth);
-    return options;
+}  // namespace
+
+std::string to_toml(const Config& config) {
+    return "# Settings of a relidar run: every value used. Read back by `relidar train --config`.\n" +
+           toml_of(config, [](const std::string&) { return true; });
+}
+
+std::string to_short_toml(const Config& config) {
+    std::set<std::string> left_out;
+    const std::vector<ConfigKey> keys = config_keys(config), preset = config_keys(make_preset(config.preset));
+    for (std::size_t i = 0; i < keys.size(); ++i)
+        if (keys[i].expert && keys[i].value == preset[i].value) left_out.insert(keys[i].key);
+    return toml_of(config, [&](const std::string& key) { return !left_out.contains(key); }) +
+           fmt::format("\n# {} expert settings, all as the preset has them, are not shown: relidar config --all\n", left_out.size());
 }
 
 TraceOptions trace_options(const Config& config) {
     TraceOptions options;
     options.chunk = config.trace.chunk;
-    if (config.trace.walk == "lane") options.walk = Walk::lane;
-    if (config.trace.walk == "subgroup") options.walk = Walk::subgroup;
     return options;
 }
 
 TraceOptions training_trace_options(const Config& config) {
     TraceOptions options = trace_options(config);
     options.geometry = config.loss.uses_geometry();
-    if (config.loss.likelihood > 0.0f) options.likelihood = {config.loss.likelihood_scale_m, config.loss.likelihood_scale_share};
+    if (config.loss.likelihood > 0.0f) options.likelihood = RangeKernel{config.loss.likelihood_scale_m};
     return options;
 }
 
@@ -189,9 +245,7 @@ TraceOptions rendering_trace_options(const Config& config) {
 
 BackwardOptions backward_options(const Config& config) {
     BackwardOptions options;
-    if (config.train.gradient_sums == "atomics") options.reduction = Reduction::atomics;
-    if (config.train.gradient_sums == "gather" || config.train.deterministic) options.reduction = Reduction::gather;
-    options.hits_per_ray = static_cast<std::uint32_t>(config.train.gather_hits);
+    if (config.train.deterministic) options.reduction = Reduction::gather;
     return options;
 }
 

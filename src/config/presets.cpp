@@ -14,17 +14,16 @@ Config paper() {
     Config config;
     config.preset = "paper";
     config.dataset.waymo_intensity = "clamp";
-    config.init.further_returns = false;
+    config.init.second_returns = false;
     config.init.max_scale_m = 1000.0;   // the paper does not clamp
     config.init.actor_classes = "vehicle";   // as it says; people and cyclists are left in the background
     config.init.mask_others = false;
     config.init.actor_min_points = 100;
     config.init.actor_pad_to = 8000;
     config.render.range = "expected";
-    config.train.own_extents = true;
     config.densify.strategy = DensifyStrategy::adaptive;
     config.refine = {.enabled = true, .network = "paper", .image = "grid", .rays = "origin,direction", .frames = 0, .epochs = 500,
-                     .batch = 16, .rate = 1e-3, .dropout = 0.1, .turn = true};
+                     .batch = 16, .rate = 1e-3};
     return config;
 }
 
@@ -46,18 +45,14 @@ Config standard() {
     Config config;
     config.preset = "default";
     // beams of an HDL-64E differ more than surfaces: the same places differ by 0.092 on KITTI's, 0.077 with it
-    config.sensor.calibrate_intensity = true;
-    config.sensor.calibrate_range = true;              // up to 6 cm on KITTI's HDL-64E, more than all other errors
+    config.sensor.calibrate = "range,intensity";       // ranges by up to 6 cm on KITTI's HDL-64E, more than all other errors
     config.init.voxel_m = 0.1;                         // silhouettes: surfels overhang an edge by about their size
     config.init.voxel_growth = 0.006;                  // about the distance of neighbouring rays
     config.init.normal_neighbours = 24;                // 6 points of 2 cm noise tilt a normal by some 0.1 rad
     config.init.flatness = 0.04;                       // leaves and corners: Chamfer of points 0.107 -> 0.102 m, RMSE 2.19 -> 2.10 m
-    config.init.smooth = true;
-    config.init.remove_unlabelled_movers = true;       // boxes cover the front camera's view only
-    config.init.discover_actors = true;                // ... and so do what else moves: people beside it, the car behind
+    config.init.unlabelled_movers = UnlabelledMovers::actors;   // boxes cover the front camera's view only
     config.init.opacity = 0.8;
-    config.init.hit_logit = 1.5;                       // a surface starts at 12 % drops instead of 27 %: about what sensors have
-    config.init.drop_logit = -0.5;
+    config.init.hit_margin = 2.0;                      // a surface starts at 12 % drops instead of 27 %: about what sensors have
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
     config.init.max_gap_m = 2.0;                       // else another sensor sees the road between the rings of a log of 32 beams as holes

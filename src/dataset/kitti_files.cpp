@@ -51,7 +51,7 @@ std::string note_gaps(const fs::path& folder, const std::vector<int>& frames, bo
     const std::string gaps = fmt::format("{} of the scans {} to {} missing ({}{})", n, frames.front(), frames.back(),
                                          fmt::join(shown, ", "), n > kShown ? ", ..." : "");
     if (!allow_missing)
-        throw DataError(fmt::format("{}: {}, expected all; dataset.allow_missing_scans=true leaves them out", folder.string(), gaps));
+        throw DataError(fmt::format("{}: {}, expected all", folder.string(), gaps));
     return gaps + ": left out";
 }
 

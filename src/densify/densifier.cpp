@@ -30,7 +30,6 @@ struct Rules {
     float min_opacity = 0.0f;
     float max_extent_share = kUnbounded;
     bool boxes = false;
-    bool drop_unseen = false;
 };
 
 /// What each use of random numbers is mixed with.
@@ -70,7 +69,7 @@ struct Densifier::Impl {
 };
 
 Rules Densifier::Impl::rules_at(int step) const {
-    Rules rules{RELIDAR_DENSIFY_BY_NOTHING, min_opacity, kUnbounded, true, false};
+    Rules rules{RELIDAR_DENSIFY_BY_NOTHING, min_opacity, kUnbounded, true};
     if (options.strategy == DensifyStrategy::adaptive) rules.growth = RELIDAR_DENSIFY_BY_GRADIENT;
     if (options.strategy == DensifyStrategy::mcmc) rules.growth = RELIDAR_DENSIFY_BY_OPACITY;
     else if (step > options.large_from) rules.max_extent_share = static_cast<float>(options.max_extent_share);
@@ -85,7 +84,6 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
                  {.surfels = pointers_of(scene.parameters()),
                   .gradient_sum = s.gradient_sum.address(),
                   .n_seen = s.n_seen.address(),
-                  .frames = s.frames.address(),
                   .action = arrays.action.address(),
                   .weight = arrays.weight.address(),
                   .counters = counters.address(),
@@ -97,10 +95,8 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
                   .gradient_threshold = static_cast<float>(options.gradient_threshold),
                   .growth = rules.growth,
                   .bounded = rules.boxes ? 1u : 0u,
-                  .drop_unseen = rules.drop_unseen ? 1u : 0u,
                   .n_surfels = scene.size(),
                   .n_models = static_cast<std::uint32_t>(extents.size()),
-                  .n_words = s.n_words,
                   .key = static_cast<std::uint32_t>(random(Draw::classify, step))});
     stream.finish();
     const std::vector<std::uint32_t> values = counters.download();
@@ -151,7 +147,7 @@ DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& a
     if (room < plan.size()) {
         memory_limit = room;
         plan = limited_to(plan, room);
-        note = fmt::format("densification ends at {} surfels, as with densify.max_surfels={}: {}", room, room, why);
+        note = fmt::format("densification ends at {} surfels: {}", room, why);
     }
     DensifyReport report = report_of(counted, plan);
     report.note = note;
@@ -227,17 +223,6 @@ void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int s
                   .n_surfels = scene.size()});
     stream.fill(adam.moment1().opacity_logit);
     stream.fill(adam.moment2().opacity_logit);
-}
-
-void Densifier::forget(Stream& stream) {
-    stream.fill(impl_->arrays.statistics.frames);
-    impl_->arrays.start_over(stream);
-}
-
-DensifyReport Densifier::prune_unseen(Stream& stream, DeviceScene& scene, Adam& adam) {
-    Rules rules;
-    rules.drop_unseen = true;
-    return impl_->apply(stream, scene, adam, rules, 0, 0.0);
 }
 
 }  // namespace relidar

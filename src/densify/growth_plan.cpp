@@ -49,7 +49,6 @@ DensifyReport report_of(const std::vector<ModelCounts>& counts, const GrowthPlan
         r.faint += c[RELIDAR_DENSIFY_FAINT];
         r.large += c[RELIDAR_DENSIFY_LARGE];
         r.outside += c[RELIDAR_DENSIFY_OUTSIDE];
-        r.unseen += c[RELIDAR_DENSIFY_UNSEEN];
         r.clones += c[RELIDAR_DENSIFY_CLONES];
         r.splits += c[RELIDAR_DENSIFY_SPLITS];
     }
@@ -69,7 +68,6 @@ void DensifyReport::add(const DensifyReport& later) {
     faint += later.faint;
     large += later.large;
     outside += later.outside;
-    unseen += later.unseen;
     if (!later.note.empty()) note = later.note;
 }
 

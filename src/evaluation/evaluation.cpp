@@ -27,7 +27,7 @@ SensorChoice sensor_of(const Config& config, const Sequence& sequence, const Fra
 
 /// The pixels whose return lies in a moving box: binned as the points are, with the answer in the place of the intensity.
 std::vector<bool> moving_pixels(const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
-    const std::vector<bool> moving = moving_returns(sequence, frame, config.init.actor_min_step_m, sensor_offset);
+    const std::vector<bool> moving = moving_returns(sequence, frame, kMovingStep_m, sensor_offset);
     Scan flags = frame.scan;
     std::copy(moving.begin(), moving.end(), flags.intensity.begin());
     const RangeImage binned = real_image(config, flags);
@@ -84,10 +84,10 @@ std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config
     return frames;
 }
 
-void add_tail_shares(std::vector<ScoredFrame>& frames, const Sequence& sequence, const Config& config) {
+void add_tail_shares(std::vector<ScoredFrame>& frames, const Sequence& sequence) {
     for (ScoredFrame& frame : frames)
-        frame.metrics.merge(tail_shares(frame.rendered.image, frame.real, sequence, {frame.time_s, frame.lidar, frame.start},
-                                        config.init.actor_min_step_m));
+        frame.metrics.merge(
+            tail_shares(frame.rendered.image, frame.real, sequence, {frame.time_s, frame.lidar, frame.start}, kMovingStep_m));
 }
 
 RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage& real) {
@@ -133,7 +133,7 @@ std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
             some.push_back(render(many.positions[i], many.sequence.frames.at(std::size_t(many.positions[i]))));
         }
         std::vector<ScoredFrame> done = score(std::move(some), many.config, lpips.get());
-        add_tail_shares(done, many.sequence, many.config);
+        add_tail_shares(done, many.sequence);
         for (ScoredFrame& frame : done) {
             frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
             if (many.see) many.see(frame);
@@ -190,7 +190,7 @@ Evaluation evaluate_baseline(const std::string& name, const Config& config, cons
     const BoxMotion boxes = find_baseline(name);
     const auto project = [&](int position, const Frame& frame) {
         RenderedFrame result = real_frame(config, sequence, frame, {});
-        Scan points = neighbour_points(sequence, position, split.train, boxes, config.init.actor_min_step_m);
+        Scan points = neighbour_points(sequence, position, split.train, boxes, kMovingStep_m);
         drop_outside(points, configured_sensor(config, sequence, frame.lidar).limits);
         result.frame.rendered.image = real_image(config, config.sensor.grid == "native" ? bin_onto_rays(frame.scan.rays, points) : points);
         return result;

@@ -28,8 +28,7 @@ std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights
     losses.push_back(std::make_unique<ImageLoss>(device, weights, n_rays));
     if (weights.uses_geometry() || weights.likelihood > 0.0f) losses.push_back(std::make_unique<GeometryLoss>(device, weights, n_rays));
     if (weights.chamfer > 0.0f) losses.push_back(std::make_unique<ChamferLoss>(device, weights, n_rays));
-    if (weights.log_range > 0.0f) losses.push_back(std::make_unique<LogRangeLoss>(device, weights));
-    if (weights.uses_surfels()) losses.push_back(std::make_unique<SurfelLoss>(device, weights));
+    if (weights.box > 0.0f) losses.push_back(std::make_unique<SurfelLoss>(device, weights));
     return losses;
 }
 

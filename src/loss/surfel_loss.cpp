@@ -30,15 +30,14 @@ void SurfelLoss::regularise(Stream& stream, const DeviceScene& scene, const Surf
     const LossWeights& w = impl_->weights;
     const std::vector<Model>& models = scene.layout().models;
     double n_boxed = 0.0;
-    std::uint32_t first = scene.size(), end = 0;   // of what has a box; the entropy is that of all
+    std::uint32_t first = scene.size(), end = 0;   // of what has a box
     for (const Model& m : models) {
         if (!has_box(m)) continue;
         n_boxed += m.count;
         first = std::min(first, m.first);
         end = m.first + m.count;
     }
-    if (w.opacity_entropy > 0.0f) first = 0, end = scene.size();
-    if (!w.uses_surfels() || first >= end) return;
+    if (!(w.box > 0.0f) || first >= end) return;
     relidar::run(stream, impl_->kernel, end - first,
                  {.surfels = pointers_of(scene.parameters()),
                   .d_surfels = pointers_of(*gradients.d_surfels),
@@ -47,7 +46,6 @@ void SurfelLoss::regularise(Stream& stream, const DeviceScene& scene, const Surf
                   .models = scene.models().address(),
                   .box_scale_share = w.box_scale_share,
                   .box_weight = static_cast<float>(w.box / std::max(n_boxed, 1.0)),
-                  .entropy_weight = static_cast<float>(w.opacity_entropy / std::max(double(scene.size()), 1.0)),
                   .first_surfel = first,
                   .n_surfels = end - first,
                   .n_models = static_cast<std::uint32_t>(models.size())});

@@ -15,6 +15,8 @@ namespace {
 
 constexpr int kMostWidth = 512, kMostLevels = 6;
 
+using refine::Regularisation;
+
 /// A network's channels from full size to the smallest, over those at full size.
 struct Known {
     const char* name;
@@ -22,12 +24,13 @@ struct Known {
     std::vector<std::uint32_t> factors;
     std::uint32_t heads, taps;
     bool residual;
+    Regularisation in_training;
 };
 
 const Known& find_known(const std::string& name) {
-    static const Known networks[] = {{"small", 8, {1, 2, 4, 4}, 0, 9, true},
-                                     {"paper", 32, {1, 2, 4, 8, 8}, 8, 9, false},   // docs/method.md
-                                     {"pixel", 16, {1}, 0, 1, true}};
+    static const Known networks[] = {{"small", 8, {1, 2, 4, 4}, 0, 9, true, {}},
+                                     {"paper", 32, {1, 2, 4, 8, 8}, 8, 9, false, {0.1, true}},   // docs/method.md
+                                     {"pixel", 16, {1}, 0, 1, true, {}}};
     const auto found = std::find_if(std::begin(networks), std::end(networks), [&](const Known& known) { return name == known.name; });
     if (found == std::end(networks)) throw UsageError(fmt::format("refine.network: found \"{}\", expected small, paper or pixel", name));
     return *found;
@@ -60,12 +63,14 @@ DropNetwork shape_of(const RefineOptions& options) {
         network.widths.push_back(std::uint32_t(width) * known.factors[std::min(std::size_t(l), known.factors.size() - 1)]);
     network.heads = levels > 0 ? known.heads : 0;
     if (network.heads > 0 && network.widths.back() % network.heads != 0)
-        throw UsageError(fmt::format("refine.width: found {}, expected a number whose smallest images ({} channels) {} heads can share",
+        throw UsageError(fmt::format("refine: a network of width {}, expected one whose smallest images ({} channels) {} heads can share",
                                      width, network.widths.back(), network.heads));
     network.taps = known.taps;
     network.residual = known.residual;
     return network;
 }
+
+Regularisation regularisation_of(const RefineOptions& options) { return find_known(options.network).in_training; }
 
 std::uint32_t logit_channel(const DropNetwork& network) {
     return std::uint32_t(std::find(network.inputs.begin(), network.inputs.end(), "drop_logit") - network.inputs.begin());

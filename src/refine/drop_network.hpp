@@ -13,6 +13,14 @@ namespace relidar::refine {
 /// A network of the options' shape without parameters. @throws UsageError for more channels or levels than make sense
 DropNetwork shape_of(const RefineOptions& options);
 
+/// What keeps a network in training from knowing its images by heart. Little helps small networks, and turning them cost accuracy.
+struct Regularisation {
+    double dropout = 0.0;   ///< share of the values that a layer drops
+    bool turns = false;     ///< images are turned about the sensor by random columns; what belongs to its pixels stays
+};
+/// @throws UsageError for an unknown network
+Regularisation regularisation_of(const RefineOptions& options);
+
 /// Number of the input that is the rendered drop logit.
 std::uint32_t logit_channel(const DropNetwork& network);
 

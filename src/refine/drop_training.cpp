@@ -90,7 +90,7 @@ DropScore DropTraining::step(std::span<const DropInputs::Chosen> chosen, int ste
     for (const DropInputs::Chosen& c : chosen) known += t.inputs.known(c.sample);
     const float scale = gradient_scale(known);
     t.inputs.make(t.stream, chosen, t.unet.inputs());
-    t.unet.forward(t.stream, std::uint32_t(step) * kKeysOfStep, float(t.options.dropout));
+    t.unet.forward(t.stream, std::uint32_t(step) * kKeysOfStep, float(regularisation_of(t.options).dropout));
     t.loss.run(t.stream, t.grid.all_pixels(),
               {.logit = t.unet.logit().address(),
                .start = t.network.residual ? t.inputs.start().address() : Address<float>(),

@@ -9,6 +9,7 @@
 
 #include <relidar/error.hpp>
 
+#include "refine/drop_network.hpp"
 #include "refine/drop_training.hpp"
 
 namespace relidar {
@@ -85,10 +86,11 @@ DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& ima
     Course course(training, options, start ? *start : RefineState{});
     if (start) training.restore(*start);
     const auto state = [&] { return course.put_into(training.state()); };
+    const bool turns = refine::regularisation_of(options).turns;
     std::vector<refine::DropInputs::Chosen> order;
     while (course.told.step < course.told.n_steps) {
         const std::size_t k = course.advance();
-        if (k == 0 || order.empty()) order = draw_epoch(images.size(), images[0].columns, options.turn, seed, course.epoch());
+        if (k == 0 || order.empty()) order = draw_epoch(images.size(), images[0].columns, turns, seed, course.epoch());
         const auto chosen = std::span(order).subspan(k * course.batch, course.batch);
         course.add(training.step(chosen, course.told.step, course.told.n_steps), k);
         if (progress && !progress(course.told, state)) break;

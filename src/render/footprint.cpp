@@ -101,8 +101,11 @@ float mean_of_all(const std::vector<float>& values, std::size_t first, int n) {
     return sum / static_cast<float>(n);
 }
 
+/// Light that a second return needs, over the strongest's: receivers tell echoes apart down to about a tenth of the main one.
+constexpr double kSecondReturnShare = 0.1;
+
 /// Which group is the second return, or none.
-const Group* second_of(const std::vector<Group>& groups, const Group& strongest, double share) {
+const Group* second_of(const std::vector<Group>& groups, const Group& strongest) {
     const Group* second = nullptr;
     if (&strongest != &groups.back()) {
         second = &groups.back();
@@ -110,7 +113,7 @@ const Group* second_of(const std::vector<Group>& groups, const Group& strongest,
         for (const Group& group : groups)
             if (&group != &strongest && (!second || group.light > second->light)) second = &group;
     }
-    return second && double(second->light) >= share * double(strongest.light) ? second : nullptr;
+    return second && double(second->light) >= kSecondReturnShare * double(strongest.light) ? second : nullptr;
 }
 
 /// The joined scan, to which rays are added one by one.
@@ -141,7 +144,7 @@ public:
         });
         if (scan_.further.empty()) return;
         const bool returns = returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
-        const Group* second = returns && groups.size() > 1 ? second_of(groups, strongest, config_.second_return_share) : nullptr;
+        const Group* second = returns && groups.size() > 1 ? second_of(groups, strongest) : nullptr;
         scan_.further[0].range_m.push_back(second ? mean_of(*second, parts_.median_range_m, parts_) : 0.0f);
         scan_.further[0].intensity.push_back(second ? sum_of(*second, parts_.image.intensity) / static_cast<float>(n) : 0.0f);
     }

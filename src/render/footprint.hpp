@@ -17,7 +17,7 @@ RayTable split_rays(const RayTable& rays, int n, double divergence_rad);
 /// config.return_separation_m apart, or where they lie on one plane; a group is one return, of their mean range, weighted by intensity, and
 /// of the sum of their intensities over the number of parts. The strongest group is the ray's return. With config.returns = 2 the last
 /// group is its second return where it is not the strongest, else the strongest of the others, and only where it has
-/// config.second_return_share of the strongest's intensity. The ray's probability of a drop is the mean of its parts': what comes back is
+/// a tenth of the strongest's intensity. The ray's probability of a drop is the mean of its parts': what comes back is
 /// the sum over the footprint. Weight, normal and instance are those of the strongest group's part nearest to the middle.
 /// @param parts  a scan of split_rays(rays, config.sub_rays, ...)
 RenderedScan join_footprints(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config);

@@ -178,7 +178,7 @@ struct ScanRenderer::Impl {
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
     : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_vehicle, first_origin(sequence),
                      shifted_sweeps(sequence), wanted_channels(config.render.channels),
-                     ResidentScene(device, scene, config, {.accel = accel_options(config), .trace = traced_with(config)}),
+                     ResidentScene(device, scene, config, {.accel = {}, .trace = traced_with(config)}),
                      std::vector<bool>(scene.instances.size(), true), device}) {}
 ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {
     if (run.config.refine.enabled && !run.drop_network.empty()) refine_drops(run.drop_network);

@@ -40,10 +40,10 @@ void make_folder(const fs::path& folder) {
 }
 
 /// In a run, a wrong setting is damage to a file, not a wrong command line.
-Config read_config(const fs::path& path) {
+Config read_config(const fs::path& path, const std::function<void(const std::string&)>& note) {
     Config config;
     try {
-        load_config(config, path);
+        load_config(config, path, note);
     } catch (const UsageError& error) {
         throw DataError(error.what());
     }
@@ -75,6 +75,16 @@ std::vector<SceneBlock> own_blocks(const Run& run) {
     return blocks;
 }
 
+/// Options of stages that no setting names are not kept: a run of others could not be rendered again as it was.
+void save_config(const Run& run) {
+    const fs::path path = run.folder / kConfigFile;
+    write_text(path, to_toml(run.config));
+    if (read_config(path, {}) != run.config)
+        throw DataError(fmt::format("saving {}: found an option of image, init, loss, densify or refine that is no setting and not as it "
+                                    "is by default, expected those of `relidar config --all` alone",
+                                    path.string()));
+}
+
 void save_scene(const Run& run) {
     if (run.scene.blocks.empty()) return save_model(run.folder / kModelFile, run.scene);
     Scene scene = run.scene;   // actors alone are in memory
@@ -87,7 +97,7 @@ void save_scene(const Run& run) {
 void save_run(const Run& run) {
     make_folder(run.folder);
     const std::string scene_json = run_detail::to_scene_json(run);
-    write_text(run.folder / kConfigFile, to_toml(run.config));
+    save_config(run);
     save_scene(run);
     if (!run.drop_network.empty()) save_drop_network(run.folder / kDropNetworkFile, run.drop_network);
     else fs::remove(run.folder / kDropNetworkFile);
@@ -96,7 +106,7 @@ void save_run(const Run& run) {
     write_text(run.folder / kSceneFile, scene_json);
 }
 
-Run load_run(const fs::path& folder) {
+Run load_run(const fs::path& folder, const std::function<void(const std::string&)>& note) {
     check_folder(folder, "a run folder");
     for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
         if (!path_exists(folder / name))
@@ -104,7 +114,7 @@ Run load_run(const fs::path& folder) {
     }
     Run run;
     run.folder = folder;
-    run.config = read_config(folder / kConfigFile);
+    run.config = read_config(folder / kConfigFile, note);
     const fs::path scene_path = folder / kSceneFile;
     run_detail::SceneFile scene = run_detail::parse_scene_json(read_file(scene_path), scene_path.string());
     run.sequence = std::move(scene.sequence);

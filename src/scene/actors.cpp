@@ -28,13 +28,13 @@ constexpr double kVoxel_m = 0.06;         ///< label jitter blurs anything finer
 constexpr std::string_view kEveryClass = "all";
 
 /// Adds the points of one frame that lie in boxes, each in its box's frame.
-void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes, bool further_returns,
+void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes, bool second_returns,
                std::vector<std::vector<Sample>>& samples) {
     std::vector<std::size_t> present;
     for (std::size_t b = 0; b < boxes.size(); ++b)
         if (boxes[b].present(frame.time_s)) present.push_back(b);
     if (present.empty()) return;
-    for_each_return(sequence, frame, further_returns, [&](const WorldReturn& w) {
+    for_each_return(sequence, frame, second_returns, [&](const WorldReturn& w) {
         for (const std::size_t b : present) {
             if (!boxes[b].holds(w.point_m, w.time_s, kPointMargin_m)) continue;
             const Pose box_from_world = inverse(boxes[b].world_from_box.at(w.time_s));
@@ -51,7 +51,7 @@ std::vector<std::vector<Sample>> box_samples(const Sequence& sequence, const std
     std::vector<std::vector<Sample>> samples(boxes.size());
     std::vector<std::vector<std::vector<Sample>>> of_frame(train.size(), std::vector<std::vector<Sample>>(boxes.size()));
     for_each_told(train.size(), progress, "points of actors", [&](std::size_t i) {
-        add_frame(sequence, sequence.frames[std::size_t(train[i])], boxes, options.further_returns, of_frame[i]);
+        add_frame(sequence, sequence.frames[std::size_t(train[i])], boxes, options.second_returns, of_frame[i]);
     });
     for (const std::vector<std::vector<Sample>>& frame : of_frame)
         for (std::size_t b = 0; b < boxes.size(); ++b) samples[b].insert(samples[b].end(), frame[b].begin(), frame[b].end());
@@ -86,8 +86,7 @@ bool lists(const std::string& list, const std::string& word) {
 }
 
 bool is_wanted(const BoxTrack& box, const InitialiseOptions& options) {
-    if (options.actors != ActorMode::models) return false;
-    if (options.discover_actors && box.category == kDiscoveredCategory) return true;
+    if (options.unlabelled_movers == UnlabelledMovers::actors && box.category == kDiscoveredCategory) return true;
     if (!options.actor_tracks.empty()) return lists(options.actor_tracks, box.id);
     return options.actor_classes == kEveryClass || lists(options.actor_classes, box.category) ||
            lists(options.actor_classes, name_of(object_kind(box.category)));
@@ -114,17 +113,6 @@ void check_tracks(const Sequence& sequence, const std::string& tracks) {
                                          did_you_mean(track, known, "\""), fmt::join(known, ", ")));
 }
 
-/// The other half of what is about as symmetric as vehicles are.
-void add_mirrored(std::vector<Sample>& samples) {
-    const std::size_t n = samples.size();
-    for (std::size_t i = 0; i < n; ++i) {
-        Sample mirrored = samples[i];
-        mirrored.position.y *= -1.0f;
-        mirrored.view.y *= -1.0f;
-        samples.push_back(mirrored);
-    }
-}
-
 /// Random points of the box up to a number, as bright as its own are on average and seen from outside.
 void pad(std::vector<Sample>& samples, std::size_t n, const BoxTrack& box, std::uint64_t seed) {
     double intensity = 0.0;
@@ -138,7 +126,6 @@ void pad(std::vector<Sample>& samples, std::size_t n, const BoxTrack& box, std::
 
 /// What an actor is made of, of the points in its box; too few points where it is none.
 std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& box, const InitialiseOptions& options) {
-    if (options.actor_symmetry) add_mirrored(samples);
     samples = thin_out(samples, std::size_t(options.actor_points));
     if (samples.size() >= std::size_t(options.actor_min_points))
         pad(samples, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box, options.seed);
@@ -176,9 +163,8 @@ std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseO
     std::vector<BoxTrack> boxes;
     for (const BoxTrack& box : sequence.boxes) {
         check_box(box);
-        const bool moves = box.mean_step_m() > options.actor_min_step_m;
-        if (options.actors == ActorMode::models && !options.mask_others && !is_wanted(box, options)) continue;
-        if (options.actors != ActorMode::background && (moves || lists(options.actor_tracks, box.id))) boxes.push_back(box);
+        if (!options.mask_others && !is_wanted(box, options)) continue;
+        if (box.moves() || lists(options.actor_tracks, box.id)) boxes.push_back(box);
     }
     return boxes;
 }

@@ -172,14 +172,14 @@ bool is_worth_boxing(const MoverTrack& track, const PoseTrack& world_from_vehicl
 }
 
 /// What one LiDAR has seen move.
-std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::vector<int> positions, const InitialiseOptions& options,
+std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::vector<int> positions,
                                     const Progress& progress, const Team& team) {
     std::erase_if(positions, [&](int position) { return sequence.frames[std::size_t(position)].lidar != lidar; });
     std::vector<double> times;
     for (const int position : positions) times.push_back(sequence.frames[std::size_t(position)].time_s);
     Visibility visibility(sequence, positions);
     std::vector<MoverTrack> tracks =
-        link_clusters(find_mover_clusters(sequence, positions, visibility, options, progress, team), times, sequence);
+        link_clusters(find_mover_clusters(sequence, positions, visibility, progress, team), times, sequence);
     std::erase_if(tracks, [&](const MoverTrack& track) { return !is_worth_boxing(track, sequence.world_from_vehicle); });
     join_parts(tracks);
     return without_parts(proven_boxes(visibility, tracks, sequence, progress, team));
@@ -204,11 +204,11 @@ void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
 
 }  // namespace
 
-std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
+std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions,
                                       const Progress& progress, const Team& team) {
     std::vector<BoxTrack> boxes;
     for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)   // two sweeps at one time would see a mover twice in a track
-        add_movers(boxes, discovered_by(lidar, sequence, train_positions, options, progress, team));
+        add_movers(boxes, discovered_by(lidar, sequence, train_positions, progress, team));
     std::stable_partition(boxes.begin(), boxes.end(), [](const BoxTrack& box) { return !is_continued(box); });
     int n = 0;
     for (BoxTrack& box : boxes)

@@ -46,19 +46,13 @@ struct CellHash {
     }
 };
 
-/// Whether a point lies in a box, or where the box would be beside its labels.
-bool is_in(const BoxTrack& box, const WorldReturn& w, const InitialiseOptions& options) {
-    if (box.present(w.time_s)) return box.holds(w.point_m, w.time_s, options.actor_margin_m);
-    const std::optional<Pose> pose = box.pose_near(w.time_s, options.mask_beyond_labels_s);
-    return pose && glm::all(glm::lessThanEqual(glm::abs(inverse(*pose) * w.point_m), 0.5 * box.size_m + options.actor_margin_m));
-}
-
 /// Points of one frame in the world, each from where the sensor was when it fired.
 std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& separate,
                                   const InitialiseOptions& options) {
     std::vector<Sample> samples;
-    for_each_return(sequence, frame, options.further_returns, [&](const WorldReturn& w) {
-        if (std::any_of(separate.begin(), separate.end(), [&](const BoxTrack& box) { return is_in(box, w, options); })) return;
+    for_each_return(sequence, frame, options.second_returns, [&](const WorldReturn& w) {
+        const auto is_in = [&](const BoxTrack& box) { return box.present(w.time_s) && box.holds(w.point_m, w.time_s, kMoverMargin_m); };
+        if (std::ranges::any_of(separate, is_in)) return;
         samples.push_back({glm::vec3(w.point_m), w.intensity, glm::vec3(w.direction)});
     });
     return samples;
@@ -175,7 +169,7 @@ std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Seq
 Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
                               const Progress& progress) {
     std::vector<Sample> samples = voxel_means(sequence, train_positions, options, progress);
-    if (options.remove_unlabelled_movers) samples = without_movers(samples, sequence, train_positions, progress);
+    if (options.unlabelled_movers != UnlabelledMovers::background) samples = without_movers(samples, sequence, train_positions, progress);
     if (samples.empty())
         throw DataError(fmt::format(
             "initialising the background of {}: found no return outside moving boxes in {} training frames, expected at least one",

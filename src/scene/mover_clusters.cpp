@@ -48,13 +48,13 @@ struct LabelledBox {
 
 /// What is labelled needs no discovery: where it moves, at its time; and what stands as long as it is labelled, or is parked as far as its
 /// labels tell, stands before and after as well.
-std::vector<LabelledBox> labelled_at(const Sequence& sequence, double time_s, const InitialiseOptions& options) {
+std::vector<LabelledBox> labelled_at(const Sequence& sequence, double time_s) {
     std::vector<LabelledBox> boxes;
     for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {
         const BoxTrack& box = sequence.boxes[i];
         const PoseTrack& track = box.world_from_box;
         if (track.pose.empty()) continue;
-        if (box.mean_step_m() > options.actor_min_step_m && !box.is_parked()) {
+        if (box.moves() && !box.is_parked()) {
             if (box.present(time_s)) boxes.push_back({box, static_cast<int>(i)});
             continue;
         }
@@ -77,15 +77,15 @@ MoverCluster averaged(MoverCluster sum) {
     return sum;
 }
 
-Returns returns_of(const Sequence& sequence, const Frame& frame, const InitialiseOptions& options) {
-    const std::vector<LabelledBox> labelled = labelled_at(sequence, frame.time_s, options);
+Returns returns_of(const Sequence& sequence, const Frame& frame) {
+    const std::vector<LabelledBox> labelled = labelled_at(sequence, frame.time_s);
     std::vector<MoverCluster> of_boxes(labelled.size());
     Returns result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kMaxRange_m)) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
         const auto in = std::ranges::find_if(
-            labelled, [&](const LabelledBox& l) { return l.box.holds(w.point_m, w.time_s, options.actor_margin_m); });
+            labelled, [&](const LabelledBox& l) { return l.box.holds(w.point_m, w.time_s, kMoverMargin_m); });
         if (in == labelled.end()) {
             result.others.push_back({glm::vec3(w.point_m), w.time_s, 0, Motion::rests});
         } else if (in->label != kNoLabel && in->box.holds(w.point_m, w.time_s, 0.0)) {   // the margin has ground
@@ -195,10 +195,10 @@ namespace {
 using Clusters = std::vector<std::vector<MoverCluster>>;   // [frames]
 
 /// Of some neighbouring frames.
-Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, Visibility& visibility, const InitialiseOptions& options) {
+Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, Visibility& visibility) {
     std::vector<Returns> frames(positions.size());
     run_parallel(static_cast<int>(positions.size()), [&](int i) {
-        frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])], options);
+        frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])]);
     });
     const std::vector<glm::vec3> cells = number_cells(frames);
     visibility.announce(cells);
@@ -257,7 +257,7 @@ Clusters joined(const Team& team, const Clusters& own) {
 }  // namespace
 
 std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions,
-                                                           Visibility& visibility, const InitialiseOptions& options,
+                                                           Visibility& visibility,
                                                            const Progress& progress, const Team& team) {
     const std::size_t n_stretches = std::max<std::size_t>(1, positions.size() / kStretch);
     const auto first_of = [&](std::size_t stretch) { return positions.size() * stretch / n_stretches; };
@@ -266,7 +266,7 @@ std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& seque
     for (std::size_t s = share.begin; s < share.end; ++s) {
         if (progress) progress("what moved", double(s - share.begin) / double(share.end - share.begin));
         const std::span<const int> stretch = std::span(positions).subspan(first_of(s), first_of(s + 1) - first_of(s));
-        Clusters found = clusters_of(sequence, stretch, visibility, options);
+        Clusters found = clusters_of(sequence, stretch, visibility);
         std::move(found.begin(), found.end(), std::back_inserter(own));
     }
     return joined(team, own);

@@ -28,7 +28,7 @@ struct MoverCluster {
 /// @param positions  frames that are looked at, ascending @param visibility  of these frames
 /// @return [positions] clusters of each, in all processes
 std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions,
-                                                           Visibility& visibility, const InitialiseOptions& options,
-                                                           const Progress& progress, const Team& team);
+                                                           Visibility& visibility, const Progress& progress,
+                                                           const Team& team);
 
 }  // namespace relidar

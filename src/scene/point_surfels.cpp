@@ -188,7 +188,7 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
     if (options.normals && nearest.samples.size() >= 3) place = place_of(tree, samples, i, std::move(nearest.samples), options);
     const Plane& plane = place.plane;
     surfels.mean[i] = samples[i].position;
-    if (options.smooth && plane.is_surface)
+    if (options.flatness < 1.0 && plane.is_surface)
         surfels.mean[i] -= glm::vec3(glm::dot(glm::dvec3(samples[i].position) - plane.point, plane.normal) * plane.normal);
     glm::dvec3 x = direction_within(plane.normal, random.uniform(0.0, 2.0 * kPi));
     const double width = place.gap.width_m(), round = std::min(spacing * options.scale_factor, options.max_scale_m);
@@ -200,8 +200,9 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
     surfels.opacity_logit[i] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
     float* sh = surfels.sh.data() + i * kShFloats;
     fill_intensity(sh, samples[i], plane.is_surface ? plane.normal : glm::dvec3(0.0), incidence);
-    sh[kShCoefficients] = (static_cast<float>(options.hit_logit) - 0.5f) / kSh0;
-    sh[2 * kShCoefficients] = (static_cast<float>(options.drop_logit) - 0.5f) / kSh0;
+    const double hit_logit = options.one_logit ? 0.0 : 0.5 * (1.0 + options.hit_margin), drop_logit = hit_logit - options.hit_margin;
+    sh[kShCoefficients] = (static_cast<float>(hit_logit) - 0.5f) / kSh0;
+    sh[2 * kShCoefficients] = (static_cast<float>(drop_logit) - 0.5f) / kSh0;
 }
 
 }  // namespace

@@ -33,20 +33,6 @@ bool BoxTrack::present(double t_s) const {
     return t_s >= track.time_s.front() - half_step && t_s <= track.time_s.back() + half_step;
 }
 
-std::optional<Pose> BoxTrack::pose_near(double t_s, double beyond_s) const {
-    if (present(t_s)) return world_from_box.at(t_s);
-    const PoseTrack& track = world_from_box;
-    if (track.pose.empty()) return std::nullopt;
-    const bool before = t_s < track.time_s.front();
-    const double end_s = before ? track.time_s.front() : track.time_s.back();
-    if (std::abs(t_s - end_s) > beyond_s) return std::nullopt;
-    constexpr double kSecond = 1.0;   // labels jitter: one step's velocity means nothing
-    const double inner_s = before ? std::min(end_s + kSecond, track.time_s.back()) : std::max(end_s - kSecond, track.time_s.front());
-    Pose pose = track.at(end_s);
-    if (inner_s != end_s) pose.translation += (t_s - end_s) / (inner_s - end_s) * (track.at(inner_s).translation - pose.translation);
-    return pose;
-}
-
 BoxTrack BoxTrack::labelled_part() const {
     BoxTrack part = *this;
     part.n_before = part.n_after = 0;

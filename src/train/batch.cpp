@@ -16,6 +16,7 @@ namespace relidar {
 
 struct BatchSampler::Impl {
     TrainConfig config;
+    bool windows;   ///< batches are windows of neighbouring columns
     Array<DeviceRay> rays;
     Array<DeviceTarget> targets;
     Kernel<shared::GatherColumnsParams> gather;
@@ -50,24 +51,21 @@ Columns every_nth(const FrameData& frame, const TrainConfig& config) {
     return frame.image.is_image() && stride > 1 ? Columns{stride, frame.image.columns / stride} : Columns{};
 }
 
-Columns columns_of_batch(const FrameData& frame, const TrainConfig& config) {
+Columns columns_of_batch(const FrameData& frame, const TrainConfig& config, bool windows) {
     if (config.rays_per_iteration == 0) return {};
-    return config.batch == "columns" ? window(frame, config) : every_nth(frame, config);
+    return windows ? window(frame, config) : every_nth(frame, config);
 }
 
 /// Rays of the largest batch of columns.
-std::size_t largest_gathered(const std::vector<FrameData>& frames, const TrainConfig& config) {
+std::size_t largest_gathered(const std::vector<FrameData>& frames, const Config& config) {
     std::size_t largest = 0;
     for (const FrameData& frame : frames)
-        largest = std::max(largest, std::size_t(frame_image(frame).rows) * columns_of_batch(frame, config).n);
+        largest = std::max(largest, std::size_t(frame_image(frame).rows) * columns_of_batch(frame, config.train, config.needs_images()).n);
     return largest;
 }
 
 /// @param setting  that compares neighbouring pixels
-void check_images(const char* setting, const Config& config, const std::vector<FrameData>& frames) {
-    if (config.train.batch != "columns" && config.train.rays_per_iteration > 0)
-        throw UsageError(
-            fmt::format("setting {}: found batches of single rays, expected train.batch=columns or train.rays_per_iteration=0", setting));
+void check_images(const char* setting, const std::vector<FrameData>& frames) {
     for (const FrameData& frame : frames)
         if (!frame.image.is_image())
             throw UsageError(fmt::format("setting {}: found a sensor without image order, expected rows and columns, or 0", setting));
@@ -77,11 +75,12 @@ void check_images(const char* setting, const Config& config, const std::vector<F
 
 BatchSampler::BatchSampler(Device& device, const Config& config, const std::vector<FrameData>& frames)
     : impl_(new Impl{config.train,
-                     {device, largest_gathered(frames, config.train), "batch rays"},
-                     {device, largest_gathered(frames, config.train), "batch targets"},
+                     config.needs_images(),
+                     {device, largest_gathered(frames, config), "batch rays"},
+                     {device, largest_gathered(frames, config), "batch targets"},
                      {device, "train/gather_columns"}}) {
-    if (config.loss.intensity * config.loss.intensity_ssim > 0.0f) check_images("loss.intensity_ssim", config, frames);
-    if (config.loss.normal > 0.0f) check_images("loss.normal", config, frames);
+    if (config.loss.intensity * config.loss.intensity_ssim > 0.0f) check_images("loss.intensity_ssim", frames);
+    if (config.loss.normal > 0.0f) check_images("loss.normal", frames);
     if (config.loss.normal > 0.0f && config.image.primitive == Primitive::gaussian)
         throw UsageError("setting loss.normal: found image.primitive=gaussian, which has no normal, expected surfel, or 0");
 }
@@ -89,7 +88,7 @@ BatchSampler::~BatchSampler() = default;
 
 SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random& random) {
     Impl& b = *impl_;
-    const Columns columns = columns_of_batch(frame, b.config);
+    const Columns columns = columns_of_batch(frame, b.config, b.windows);
     if (columns.n > 0) {
         const ImageShape image = frame_image(frame);
         const bool wraps = image.circular || columns.stride > 1;   // only a window must not jump
@@ -110,7 +109,7 @@ SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random
                 {&b.targets, 0, 1, n, share * frame.n_returned, share * frame.n_known, {image.rows, columns.n, false}},
                 {image.columns, first, columns.stride, columns.n}};
     }
-    const std::uint32_t stride = b.config.batch == "columns" ? 1u : stride_over_rays(frame, b.config);
+    const std::uint32_t stride = b.windows ? 1u : stride_over_rays(frame, b.config);
     const std::uint32_t first = static_cast<std::uint32_t>(random.next() % stride);
     const RayBatch rays = frame.batch(first, stride);
     return {rays,

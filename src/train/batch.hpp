@@ -30,10 +30,9 @@ struct SampledBatch {
     ColumnWindow window{};
 };
 
-/// Samples about train.rays_per_iteration rays of a frame: all of them (0), every n-th column, the first drawn from all of
-/// them (train.batch = rays), or a window of neighbouring columns (columns), as structural similarity and normal consistency want it.
-/// Both are images, so that rays which run together open the same nodes. Of a frame without image order every n-th ray is taken; a window
-/// treats it as one row.
+/// Samples about train.rays_per_iteration rays of a frame: all of them (0); every n-th column, the first drawn from all of them; or, where
+/// structural similarity or normal consistency want it (Config::needs_images), a window of neighbouring columns. Both are images, so that
+/// rays which run together open the same nodes. Of a frame without image order every n-th ray is taken.
 class BatchSampler {
 public:
     /// @throws UsageError where structural similarity or normal consistency is wanted of batches or frames that are no images

@@ -15,9 +15,13 @@
 
 namespace relidar {
 
-CheckpointFolder::CheckpointFolder(std::filesystem::path folder, int keep, int newest, std::string count,
+namespace {
+constexpr int kKept = 2;   // checkpoints: the newest, and the one before where a machine fails while it is written
+}
+
+CheckpointFolder::CheckpointFolder(std::filesystem::path folder, int newest, std::string count,
                                    const std::function<void(const std::string&)>& note)
-    : folder_(std::move(folder)), keep_(keep), newest_(newest), count_(std::move(count)), note_(note) {}
+    : folder_(std::move(folder)), newest_(newest), count_(std::move(count)), note_(note) {}
 
 void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& fill) {
     const int iteration = checkpoint.iteration;
@@ -36,7 +40,7 @@ void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Chec
         throw DataError(fmt::format("training, {} {}: {}", count_, iteration, error.what()));
     }
     try {
-        save_checkpoint(folder_, checkpoint, keep_);
+        save_checkpoint(folder_, checkpoint, kKept);
         newest_ = iteration;
     } catch (const DataError& error) {
         failed(error.what());
@@ -45,7 +49,7 @@ void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Chec
 
 CheckpointKeeper::CheckpointKeeper(const Sequence& sequence, const Split& split, const Config& config, const TrainSession& session)
     : config_(config.train),
-      folder_(session.checkpoints, config.train.checkpoint_keep, session.start ? session.start->iteration : 0, "iteration", session.note) {
+      folder_(session.checkpoints, session.start ? session.start->iteration : 0, "iteration", session.note) {
     if (folder_.wanted()) texts_ = training_texts(sequence, split, config);
 }
 

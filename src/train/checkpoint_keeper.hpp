@@ -18,9 +18,10 @@ class TrainLoop;
 /// Checkpoints of one training, written into a folder without ever stopping it.
 class CheckpointFolder {
 public:
+    /// The newest two are kept: one may be damaged where a machine fails.
     /// @param folder  none: nothing is written @param newest  iteration of the newest checkpoint in it; 0: none
     /// @param count  what iterations are called, for messages: "iteration"
-    CheckpointFolder(std::filesystem::path folder, int keep, int newest, std::string count,
+    CheckpointFolder(std::filesystem::path folder, int newest, std::string count,
                      const std::function<void(const std::string&)>& note);
 
     bool wanted() const { return !folder_.empty(); }
@@ -31,7 +32,6 @@ public:
 
 private:
     const std::filesystem::path folder_;
-    const int keep_;
     int newest_;
     const std::string count_;
     const std::function<void(const std::string&)> note_;

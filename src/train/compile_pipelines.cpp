@@ -25,21 +25,13 @@ constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
                                  {"image.sh_direction", "surfel"},
                                  {"image.primitive", "gaussian"},
                                  {"image.single_drop_logit", "true"},
-                                 {"train.gradient_sums", "atomics"},
-                                 {"train.gradient_sums", "gather"},
                                  {"train.deterministic", "true"},
                                  {"train.refine_poses", "sensor,actors"},
-                                 {"train.sub_rays", "5"},
                                  {"loss.distortion", "0.1"},
                                  {"loss.likelihood", "0.1"},
                                  {"loss.chamfer", "0.01"},
                                  {"loss.box", "0.1"},
-                                 {"loss.log_range", "0.1"},
                                  {"render.range", "mode"},
-                                 {"trace.walk", "lane"},
-                                 {"trace.walk", "subgroup"},
-                                 {"trace.proxy", "triangles"},
-                                 {"trace.proxy", "boxes"},
                                  {"trace.chunk", "16"},
                                  {"trace.chunk", "64"},
                                  {"densify.strategy", "adaptive"},
@@ -58,7 +50,20 @@ void compile(Device& device, const Sequence& street, const Config& config) {
     Split split;
     split.train = {0, 1};
     const TrainLoop loop(device, street, split, scene, config);
-    const Renderer renderer(device, scene, config.image, {.accel = accel_options(config), .trace = rendering_trace_options(config)});
+    const Renderer renderer(device, scene, config.image, {.accel = {}, .trace = rendering_trace_options(config)});
+}
+
+/// What a device chooses by itself, chosen for it.
+void compile_searches(Device& device, const Sequence& street) {
+    const Config config = make_preset("default");
+    const Scene scene = smallest_scene(street, config.image.primitive);
+    for (const Walk walk : {Walk::lane, Walk::subgroup})
+        for (const Proxy proxy : {Proxy::triangles, Proxy::boxes}) {
+            RendererOptions options{.accel = {.proxy = proxy}, .trace = training_trace_options(config)};
+            options.trace.walk = walk;
+            for (const Reduction sums : {Reduction::atomics, Reduction::gather})
+                const DifferentiableRenderer renderer(device, scene, config.image, options, {.sums = {.reduction = sums}});
+        }
 }
 
 }  // namespace
@@ -73,10 +78,11 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
     for (const Setting& setting : kSettings) {
         tell(std::string(setting.key) + "=" + setting.value);
         Config config = make_preset("default");
-        config.sensor.divergence_mrad = 1.0;   // the street's beams are ideal rays
         set_key(config, setting.key, setting.value);
         compile(device, street, config);
     }
+    tell("ways to search and to sum");
+    compile_searches(device, street);
     for (const char* network : {"small", "paper", "pixel"}) {
         tell(std::string("refine.network=") + network);
         RefineOptions options;

@@ -124,9 +124,13 @@ Mark mark_of(const Scene& scene) { return {"scene", "the scene", hash_scene(scen
 void put(const ConfigKey& setting, std::map<std::string, std::string>& texts) { texts[kSetting + setting.key] = setting.value; }
 void put(const Mark& mark, std::map<std::string, std::string>& texts) { texts[mark.key] = mark.value; }
 
-void check_same(const Checkpoint& checkpoint, const ConfigKey& setting, const std::string& doing) {
-    const std::string saved = found_in(checkpoint, kSetting + setting.key);
-    if (!same_value(saved, setting.value)) throw UsageError(differs(doing, "setting " + setting.key, setting.value, saved));
+void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint, const std::string& doing) {
+    const std::map<std::string, std::string> saved = settings_in(checkpoint);
+    for (const ConfigKey& setting : settings) {
+        const auto it = saved.find(setting.key);
+        const std::string was = it == saved.end() ? "nothing" : it->second;
+        if (!same_value(was, setting.value)) throw UsageError(differs(doing, "setting " + setting.key, setting.value, was));
+    }
 }
 
 void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::string& doing) {
@@ -134,11 +138,12 @@ void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::strin
     if (saved != mark.value) throw DataError(differs(doing, mark.what, mark.value, saved));
 }
 
-std::vector<std::pair<std::string, std::string>> settings_in(const Checkpoint& checkpoint) {
+std::map<std::string, std::string> settings_in(const Checkpoint& checkpoint) {
     const std::string prefix = kSetting;
-    std::vector<std::pair<std::string, std::string>> settings;
+    std::map<std::string, std::string> settings;
     for (const auto& [key, value] : checkpoint.texts)
-        if (key.starts_with(prefix)) settings.emplace_back(key.substr(prefix.size()), value);
+        if (key.starts_with(prefix)) settings.emplace(key.substr(prefix.size()), value);
+    update_settings(settings);
     return settings;
 }
 

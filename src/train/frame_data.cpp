@@ -11,14 +11,13 @@ namespace relidar {
 
 namespace {
 
-/// Moving boxes where they are now, or would be beside their labels, grown by the margin.
+/// Moving boxes where they are now, grown by the margin.
 std::vector<PlacedBox> masked_boxes_at(const Sequence& sequence, double t_s, const Unknown& masks) {
     std::vector<PlacedBox> placed;
     for (const BoxTrack& box : separate_boxes(sequence, masks.moving)) {
         const bool is_actor = std::find(masks.actors.begin(), masks.actors.end(), box.id) != masks.actors.end();
-        if (is_actor && box.present(t_s)) continue;
-        if (const std::optional<Pose> pose = box.pose_near(t_s, masks.moving.mask_beyond_labels_s))
-            placed.push_back({inverse(*pose), 0.5 * box.size_m + masks.moving.actor_margin_m});
+        if (is_actor || !box.present(t_s)) continue;
+        placed.push_back({inverse(box.world_from_box.at(t_s)), 0.5 * box.size_m + kMoverMargin_m});
     }
     return placed;
 }

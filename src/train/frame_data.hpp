@@ -38,7 +38,6 @@ struct FrameData {
     double n_known = 0.0;
     std::vector<InstancePose> placed;    ///< of all instances of the scene
     glm::vec3 sensor_position_m{0.0f};   ///< world, at the reference time
-    double divergence_rad = 0.0;         ///< full divergence of the beams, the largest of them; 0 = ideal rays
 
     const Array<DeviceRay>& rays() const { return moved_rays ? *moved_rays : arrays->rays; }
     const Array<DeviceTarget>& targets() const { return arrays->targets; }
@@ -51,7 +50,7 @@ std::uint32_t most_rays(std::span<const FrameData> frames);
 
 /// What training must not look at.
 struct Unknown {
-    InitialiseOptions moving;   ///< which boxes move, and their margin
+    InitialiseOptions moving;   ///< which boxes are actors, masked, or of the background
     std::vector<std::string> actors;   ///< boxes that have a model of their own: these are known
     DropTable observed_drops;   ///< rays that these call blind (is_blind); empty = none
 };

@@ -17,6 +17,12 @@ namespace relidar {
 namespace {
 
 constexpr double kFinalShare = 0.1;   // of the rates, at the end of training
+/// Rates follow train.pose_rate_m, the sensor's in metres. A turn moves what is 10 m away, where most returns are, as far as a shift does
+/// at a tenth of the rate a metre; boxes start ten times as far off as a sensor that registration has placed.
+constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
+/// Weights of the squares of every correction in the loss, per square metre and per square radian: so small that they only hold what no
+/// ray tells.
+constexpr double kPriorPerM2 = 0.01, kPriorPerRad2 = 0.1;
 
 Sequence without_scans(const Sequence& sequence) {
     Sequence result;
@@ -38,9 +44,9 @@ void drop_first(std::vector<T>& values, std::size_t n) {
     values.erase(values.begin(), values.begin() + std::ptrdiff_t(n));
 }
 
-PoseStep step_at(const TrainConfig& c, double rate_m, double rate_rad, int step) {
+PoseStep step_at(const TrainConfig& c, double rate_m, int step) {
     const double decay = exponential_schedule(1.0, kFinalShare, step, c.iterations);
-    return {rate_m * decay, rate_rad * decay, c.pose_prior_per_m2, c.pose_prior_per_rad2};
+    return {rate_m * decay, rate_m / kMetresPerRadian * decay, kPriorPerM2, kPriorPerRad2};
 }
 
 }  // namespace
@@ -81,7 +87,6 @@ void PoseRefiner::place(Stream& stream, FrameData& frame) {
 
 void PoseRefiner::record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch,
                          const Gradients& gradients, int step) {
-    if (step <= config_.pose_from) return;
     const std::size_t slot = std::size_t(step) % kReadbackLag;
     if (rays_) {
         rays_->sum_gradients(stream, frame, batch, gradients.rays);
@@ -113,14 +118,14 @@ void PoseRefiner::take_oldest_step(Stream& stream) {
     if (rays_) {
         for (const PoseGradient& g : rays_->gradients_in(gradient.first(floats_of_rays_), frames_.all()[coming_.frame.front()]))
             sensor_->add_gradient(g.pose, 1.0, g.gradient);
-        sensor_->step(step_at(config_, config_.pose_rate_m, config_.pose_rate_rad, step));
+        sensor_->step(step_at(config_, config_.pose_rate_m, step));
         sensor_->remove_common_motion();
     }
     for (std::size_t k = 0; k < actors_.size(); ++k) {
         Twist twist;
         std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6, twist.begin());
         actors_[k].correction.add_gradient(coming_.actor_time_s[k], twist);   // zeros where it was absent, which count as not seen
-        actors_[k].correction.step(step_at(config_, config_.box_rate_m, config_.box_rate_rad, step));
+        actors_[k].correction.step(step_at(config_, kBoxFactor * config_.pose_rate_m, step));
     }
     drop_first(coming_.step, 1);
     drop_first(coming_.frame, 1);

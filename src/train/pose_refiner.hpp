@@ -37,7 +37,7 @@ public:
     /// Rays, actors and view origin of a frame that is on the device, as corrected so far. Records.
     void place(Stream& stream, FrameData& frame);
     /// Records the gradients of the poses that this batch has seen, on their way to take_steps().
-    /// @param step counts from 1; nothing happens up to train.pose_from
+    /// @param step counts from 1
     void record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch, const Gradients& gradients,
                 int step);
     /// Takes the steps of all iterations up to `last` that were not taken yet, in order. Waits where gradients are not there yet.

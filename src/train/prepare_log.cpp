@@ -25,7 +25,6 @@ Sequence load_log(const Config& config, const Progress& progress) {
     options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
     options.poses_file = config.dataset.poses;
     options.poses_from = config.dataset.poses_from;
-    options.allow_missing_scans = config.dataset.allow_missing_scans;
     options.skip_broken = config.dataset.skip_broken;
     options.rolling_shutter = config.sensor.rolling_shutter;
     options.max_range_m = config.dataset.max_range_m;
@@ -117,7 +116,7 @@ void register_sensor(Sequence& sequence, const Split& split, const Config& confi
 
 void calibrate_beams(Sequence& sequence, const Split& split, const SensorConfig& config, const PrepareSession& session) {
     const std::size_t n = sequence.count_beams();
-    if (n > 1 && config.calibrate_range) {
+    if (n > 1 && config.calibrates("range")) {
         const LaserCalibration found = calibrate_ranges(sequence, split.train);
         session.tell(fmt::format(
             "ranges of {} beams compared on {:.1f} million returns: {:.1f} mm from common planes, {:.1f} mm with an offset each{}", n,
@@ -152,7 +151,7 @@ void calibrate(Sequence& sequence, const Split& split, const SensorConfig& confi
         calibrate_beams(sequence, split, config, session);
         measure_range_noise(sequence, split.train);
         tell_noise(sequence, session);
-        if (config.calibrate_intensity) calibrate_intensities(sequence, split, session);
+        if (config.calibrates("intensity")) calibrate_intensities(sequence, split, session);
     }
     const auto take_of_first = [&](auto& values) { values = session.team.of_first(std::move(values)); };
     for (Lidar& lidar : sequence.lidars) {
@@ -183,9 +182,9 @@ std::string continued(const BoxTrack& box) {
     return fmt::format("{} ({}) {}", box.id, box.category, fmt::join(sides, " and "));
 }
 
-void add_discovered(Sequence& sequence, const Split& split, const InitialiseOptions& options, const PrepareSession& session) {
+void add_discovered(Sequence& sequence, const Split& split, const PrepareSession& session) {
     std::vector<std::string> movers, beside;
-    for (BoxTrack& box : discover_tracks(sequence, split.train, options, session.progress, session.team)) {
+    for (BoxTrack& box : discover_tracks(sequence, split.train, session.progress, session.team)) {
         if (box.n_before + box.n_after > 0) {
             beside.push_back(continued(box));
             *std::ranges::find(sequence.boxes, box.id, &BoxTrack::id) = std::move(box);
@@ -199,48 +198,13 @@ void add_discovered(Sequence& sequence, const Split& split, const InitialiseOpti
     if (!beside.empty()) session.tell(fmt::format("labelled actors found beside their labels too: {}", fmt::join(beside, ", ")));
 }
 
-constexpr float kBehind_m = 0.25f;   // half of what two returns are apart: the first surface and its noise lie before it
-
-/// The scan with a ray more for each second return behind the first: it starts behind the first surface and meets the second one. It has no
-/// image order, and its second returns are rays now.
-Scan with_rays_behind(const Scan& scan) {
-    Scan all = scan;
-    all.further.clear();
-    for (const FurtherReturn& further : scan.further)
-        for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-            const float start_m = scan.range_m[i] + kBehind_m;
-            if (!(scan.range_m[i] > 0.0f && further.range_m[i] > start_m)) continue;
-            all.rays.append(scan.rays, i);
-            all.rays.origin.back() += start_m * scan.rays.direction[i];
-            all.range_m.push_back(further.range_m[i] - start_m);
-            all.intensity.push_back(further.intensity[i]);
-        }
-    all.rays.rows = 1;
-    all.rays.columns = static_cast<int>(all.range_m.size());
-    return all;
-}
-
-void add_rays_behind(Sequence& sequence, const Split& split, const PrepareSession& session) {
-    std::size_t n = 0;
-    for (const int position : split.train) {
-        Scan& scan = sequence.frames[std::size_t(position)].scan;
-        if (scan.further.empty()) continue;
-        const std::size_t before = scan.rays.size();
-        scan = with_rays_behind(scan);
-        n += scan.rays.size() - before;
-    }
-    session.tell(fmt::format("{} second returns are trained on as rays that start behind the first surface", n));
-}
-
 }  // namespace
 
 RegisterOptions register_options(const Sequence& sequence, const Config& config) {
     RegisterOptions options;
-    options.largest_m = config.train.pose_largest_m;
     options.given_motion = has_poses(sequence, config);
-    options.mover_margin_m = config.init.actor_margin_m;
     for (const BoxTrack& box : sequence.boxes)   // without poses nobody knows which boxes move
-        if (!options.given_motion || box.mean_step_m() > config.init.actor_min_step_m) options.movers.push_back(box);
+        if (!options.given_motion || box.moves()) options.movers.push_back(box);
     return options;
 }
 
@@ -255,8 +219,7 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
     begin_stage(session.stages, "calibrate");
     calibrate(sequence, split, config.sensor, session);
     begin_stage(session.stages, "movers");
-    if (config.init.discover_actors && config.init.actors != ActorMode::background) add_discovered(sequence, split, config.init, session);
-    if (config.train.second_returns) add_rays_behind(sequence, split, session);
+    if (config.init.unlabelled_movers == UnlabelledMovers::actors) add_discovered(sequence, split, session);
 }
 
 }  // namespace relidar

@@ -29,7 +29,7 @@ std::vector<Mark> marks_of(const Run& run) {
 
 RefineKeeper::RefineKeeper(const Run& run, const RefineSession& session)
     : minutes_(run.config.train.checkpoint_minutes),
-      folder_(session.checkpoints, run.config.train.checkpoint_keep, session.start ? session.start->iteration : 0,
+      folder_(session.checkpoints, session.start ? session.start->iteration : 0,
               "the ray-drop network's step", session.note) {
     if (!folder_.wanted()) return;
     for (const ConfigKey& key : config_keys(run.config))
@@ -54,8 +54,9 @@ RefineState refine_state(const Checkpoint& checkpoint) {
 
 void check_refine_resumable(const Checkpoint& checkpoint, const Run& run) {
     const std::string doing = fmt::format("resuming the ray-drop network from step {}", checkpoint.iteration);
-    for (const ConfigKey& key : config_keys(run.config))
-        if (matters(key.key)) check_same(checkpoint, key, doing);
+    std::vector<ConfigKey> settings = config_keys(run.config);
+    std::erase_if(settings, [](const ConfigKey& key) { return !matters(key.key); });
+    check_same(settings, checkpoint, doing);
     for (const Mark& mark : marks_of(run)) check_same(checkpoint, mark, doing);
     refine_state(checkpoint);   // it is whole
 }

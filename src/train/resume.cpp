@@ -30,11 +30,9 @@ constexpr std::array kFree{"preset",
                            "train.log_every",
                            "train.checkpoint_every",
                            "train.checkpoint_minutes",
-                           "train.checkpoint_keep",
                            "sensor.grid",
                            "sensor.grid_method",
-                           "trace.chunk",
-                           "trace.proxy"};
+                           "trace.chunk"};
 
 bool is_free(const std::string& key) {
     return std::find(kFree.begin(), kFree.end(), key) != kFree.end() ||
@@ -90,8 +88,9 @@ std::string differing_setting(const Config& config, const Config& other) {
 
 void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split, const Config& config) {
     const std::string doing = fmt::format("resuming from iteration {}", checkpoint.iteration);
-    for (const ConfigKey& key : config_keys(config))
-        if (!is_free(key.key)) check_same(checkpoint, key, doing);
+    std::vector<ConfigKey> settings = config_keys(config);
+    std::erase_if(settings, [](const ConfigKey& key) { return is_free(key.key); });
+    check_same(settings, checkpoint, doing);
     if (config.train.iterations < checkpoint.iteration)
         throw UsageError(fmt::format("{}: setting train.iterations: found {}, expected at least as many", doing, config.train.iterations));
     for (const Mark& mark : marks_of(sequence, split)) check_same(checkpoint, mark, doing);

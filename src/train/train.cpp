@@ -25,7 +25,8 @@ double seconds_since(Clock::time_point start) { return std::chrono::duration<dou
 /// With one drop logit it starts as the difference of the two, which is the same ray-drop probability (M6).
 InitialiseOptions start_options(const Config& config) {
     InitialiseOptions options = config.init;
-    if (config.image.single_drop_logit) options.drop_logit -= std::exchange(options.hit_logit, 0.0);
+    options.seed = config.train.seed;
+    options.one_logit = config.image.single_drop_logit;
     return options;
 }
 
@@ -116,7 +117,6 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     loop.finish();
     take_lines();
     result.interrupted = result.iterations < config.train.iterations;
-    if (config.densify.prune_unseen && !result.interrupted) loop.prune_unseen();
     result.scene = loop.download();
     result.poses = loop.refined_poses();
     begin_stage(session.stages, "drops");

@@ -176,7 +176,7 @@ StretchScene scene_of(const Run& run, const Stretch& stretch) {
 }
 
 /// The schedule of training once more, on all rays there are, without what changes poses or the number of surfels.
-Config settings_of(const Config& config, double extent_m, std::size_t n_frames) {
+Config settings_of(const Config& config, std::size_t n_frames) {
     Config c = config;
     TrainConfig& t = c.train;
     t.iterations = static_cast<int>(std::min<std::size_t>(std::size_t(config.blocks.actor_epochs) * n_frames, 1'000'000'000));
@@ -185,9 +185,7 @@ Config settings_of(const Config& config, double extent_m, std::size_t n_frames) 
     t.sensor_drop = false;   // such rays are left out before
     t.refine_poses = "none";
     t.sh_degree_start = c.image.sh_degree;
-    if (!(t.extent_m > 0.0)) t.extent_m = extent_m;
     c.densify.strategy = DensifyStrategy::none;
-    c.densify.prune_unseen = false;
     c.loss.intensity_ssim = c.loss.normal = 0.0f;   // compare neighbours in an image
     return c;
 }
@@ -208,8 +206,8 @@ bool train_actors(Device& device, Run& run, const ActorSession& session) {
         Split split;
         for (std::size_t i = 0; i < log.frames.size(); ++i) split.train.push_back(static_cast<int>(i));
         const auto [scene, extent_m] = scene_of(run, stretch);
-        const Config config = settings_of(run.config, extent_m, log.frames.size());
-        TrainLoop loop(device, log, split, scene, config, scene.models.front().count);
+        const Config config = settings_of(run.config, log.frames.size());
+        TrainLoop loop(device, log, split, scene, config, scene.models.front().count, extent_m);
         for (int step = 1; step <= config.train.iterations; ++step) {
             loop.iterate(step);
             if (session.step) session.step(static_cast<int>(done) + step, run.config.blocks.actor_epochs * static_cast<int>(n_frames));

@@ -42,6 +42,10 @@ bool FrameSampler::is_sound(std::size_t n) const {
 
 namespace {
 
+/// Rate of the other harmonics over that of the constant one: what depends on the direction is known from few views, and learns a
+/// twentieth as fast, as in 3D Gaussian splatting.
+constexpr double kShRestFactor = 0.05;
+
 constexpr int kGrowthEvery = 32;   // iterations between two looks at how the tree has grown
 
 LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
@@ -51,11 +55,12 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
             c.scale_rate * decay,
             c.opacity_rate * decay,
             c.sh_rate * decay,
-            c.sh_rest_factor,
+            kShRestFactor,
             c.intensity_factor};
 }
 
 /// Means learn at a rate in proportion to the extent of their own model: steps that suit a street would throw an actor's out of its box.
+/// Done where surfels are cloned and split by shares of that extent, as in the paper; a dense start learns at a tenth of the paper's rate.
 /// @return [models] over the background's
 std::vector<float> mean_factors(const Scene& layout, double background_extent_m) {
     std::vector<float> factors;
@@ -72,14 +77,14 @@ int sh_degree_at(const TrainConfig& c, int step) { return c.sh_degree_start + st
 /// that has just begun to be visible at all may grow by more, and is met from the next fit on.
 constexpr int kFitEvery = 4;
 
-AccelOptions tree_options(const Config& config, std::uint32_t n_fixed) {
-    AccelOptions options = accel_options(config);
+AccelOptions tree_options(std::uint32_t n_fixed) {
+    AccelOptions options;
     if (n_fixed > 0) options.margin_scale = 1.1f, options.margin_m = 0.01f;
     return options;
 }
 
 RendererOptions renderer_options(const Config& config, const TrainingFrames& frames, std::uint32_t n_fixed) {
-    return {.accel = tree_options(config, n_fixed),
+    return {.accel = tree_options(n_fixed),
             .trace = training_trace_options(config),
             .n_rays = most_rays(frames.all()),
             .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
@@ -96,15 +101,8 @@ std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
     return bounds;
 }
 
-/// What a part of a footprint counts that does not explain its beam's range. As the likelihood's own floor, it only has to be small.
-constexpr double kUnexplained = 0.01;
-
-double divergence_of(const FrameData& frame, const Config& config) {
-    return config.sensor.divergence_mrad > 0.0 ? 1e-3 * config.sensor.divergence_mrad : frame.divergence_rad;
-}
-
 /// Terms of the surfels themselves reach those that no ray has met.
-bool all_have_gradients(const Config& config) { return config.loss.uses_surfels() && !config.train.only_touched; }
+bool all_have_gradients(const Config& config) { return config.loss.box > 0.0f && !config.train.only_touched; }
 
 std::optional<PoseRefiner> make_refiner(Device& device, const Sequence& sequence, const Scene& initial, const TrainConfig& config,
                                         const TrainingFrames& frames) {
@@ -119,23 +117,10 @@ Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene
     return masks;
 }
 
-/// @throws UsageError where nothing is known of any beam
-std::optional<Footprints> make_footprints(Device& device, const Config& config, const TrainingFrames& frames) {
-    if (config.train.sub_rays == 1) return std::nullopt;
-    if (config.train.second_returns)
-        throw UsageError("setting train.sub_rays: found train.second_returns too, whose rays begin behind a surface, expected one of them");
-    const auto is_cone = [&](const FrameData& frame) { return divergence_of(frame, config) > 0.0; };
-    if (std::ranges::none_of(frames.all(), is_cone))
-        throw UsageError("setting train.sub_rays: nothing is known of the divergence of the log's beams, expected sensor.divergence_mrad");
-    return std::optional<Footprints>(std::in_place, device, config.train.sub_rays, most_rays(frames.all()), kUnexplained);
-}
-
 /// The cells that are trained on; nothing: the sensor's own rays. @throws UsageError beside what speaks of those
 std::optional<RangeGrid> trained_grid(const Config& config) {
     if (config.train.grid == "native") return std::nullopt;
     const std::pair<bool, const char*> of_own_rays[] = {{config.train.sensor_drop, "train.sensor_drop"},
-                                                        {config.train.second_returns, "train.second_returns"},
-                                                        {config.train.sub_rays > 1, "train.sub_rays"},
                                                         {config.blocks.length_m > 0.0, "blocks.length_m"}};
     for (const auto& [found, setting] : of_own_rays)
         if (found)
@@ -155,7 +140,7 @@ FrameUse frame_use(const Sequence& sequence, const Split& split, const Scene& sc
 }  // namespace
 
 TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial, const Config& config,
-                     std::uint32_t n_fixed)
+                     std::uint32_t n_fixed, std::optional<double> extent_m)
     : config_(config),
       n_fixed_(n_fixed),
       frames_(device, sequence, split.train, frame_use(sequence, split, initial, config)),
@@ -164,17 +149,16 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       renderer_(device, initial, config.image, renderer_options(config, frames_, n_fixed),
                 {backward_options(config), refiner_ ? refiner_->wanted() : WantedGradients{}, all_have_gradients(config)}),
       stream_(renderer_.stream()),
-      footprints_(make_footprints(device, config, frames_)),
       losses_(make_losses(device, config.loss, most_rays(frames_.all()))),
       adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed}, initial.surfels.primitive()),
       reports_(device),
-      extent_m_(config.train.extent_m > 0.0 ? config.train.extent_m : background_extent(initial)),
+      extent_m_(extent_m ? *extent_m : background_extent(initial)),
       sampler_(frames_.all().size(), config.train.seed) {
     for (std::size_t i = 0; i < frames_.all().size(); ++i)
         frames_[i].placed = place_instances(initial, sequence, moment_of(sequence.frames[std::size_t(frames_[i].position)]));
     if (config.densify.strategy == DensifyStrategy::none)   // else there are others soon, and large ones are split
         adam_.bound_scales(device, scale_bounds(initial.surfels, config.train.max_growth));
-    if (config.densify.strategy != DensifyStrategy::none || config.densify.prune_unseen)
+    if (config.densify.strategy != DensifyStrategy::none)
         densifier_.emplace(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.all().size()),
                            config.train.seed);
 }
@@ -204,15 +188,6 @@ void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, con
     renderer_.record_backward();                                                                                           // Eq. 9
 }
 
-void TrainLoop::learn_from_beams(const RayBatch& beams, double divergence_rad, const TargetBatch& targets, const TermRow& terms) {
-    renderer_.record_forward(footprints_->split(stream_, beams, divergence_rad));
-    const RenderedBatch parts = renderer_.batch(), joined = footprints_->join(stream_, beams, parts);
-    for (const std::unique_ptr<Loss>& loss : losses_) loss->compare(stream_, joined, targets, terms);
-    footprints_->spread(stream_, parts);
-    renderer_.record_backward();
-    if (const Array<float>& d_rays = renderer_.gradients().rays; d_rays.size() > 0) footprints_->sum_ray_gradients(stream_, d_rays);
-}
-
 void TrainLoop::iterate(int step, bool ends_line) {
     look_at_reports(step - kReadbackLag);
     if (refiner_) refiner_->take_steps(stream_, step - kReadbackLag);
@@ -223,10 +198,7 @@ void TrainLoop::iterate(int step, bool ends_line) {
     if (const std::optional<std::size_t> coming = sampler_.coming()) frames_.expect(*coming);
     const SampledBatch batch = batches_.sample(stream_, frame, sampler_.random());
     const TermRow terms = reports_.row();
-    if (const double divergence_rad = divergence_of(frame, config_); footprints_ && divergence_rad > 0.0)
-        learn_from_beams(batch.rays, divergence_rad, batch.targets, terms);
-    else
-        learn_from(batch.rays, batch.targets, terms);
+    learn_from(batch.rays, batch.targets, terms);
     Gradients& gradients = renderer_.gradients();
     if (refiner_) refiner_->record(stream_, frame_index, frame, batch, gradients, step);
     for (const std::unique_ptr<Loss>& loss : losses_)
@@ -235,7 +207,8 @@ void TrainLoop::iterate(int step, bool ends_line) {
     if (densifier_)
         densifier_->observe(stream_, scene, {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), whole_frame});
     LearningRates rates = rates_at(config_.train, extent_m_, step);
-    if (config_.train.own_extents) rates.models = &scene.models(), rates.mean_factors = mean_factors(scene.layout(), extent_m_);
+    if (config_.densify.strategy == DensifyStrategy::adaptive)
+        rates.models = &scene.models(), rates.mean_factors = mean_factors(scene.layout(), extent_m_);
     const Array<std::uint32_t>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
     adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree);
     reports_.add(step, frame.index, renderer_.rendered().rays.n_rays);
@@ -250,19 +223,6 @@ void TrainLoop::iterate(int step, bool ends_line) {
 
 void TrainLoop::change_surfels(const std::function<DensifyReport(double others_bytes)>& change) {
     renderer_.change_surfels([&](double others_bytes) { densified_.add(change(others_bytes)); });
-}
-
-void TrainLoop::prune_unseen() {
-    densifier_->forget(stream_);
-    for (std::size_t i = 0; i < frames_.all().size(); ++i) {
-        const FrameData& frame = place(i, config_.train.iterations);
-        if (i + 1 < frames_.all().size()) frames_.expect(i + 1);
-        learn_from(frame.batch(0, 1), {&frame.targets(), 0, 1, frame.n_rays, frame.n_returned, frame.n_known, frame.image}, reports_.row());
-        const Gradients& gradients = renderer_.gradients();
-        densifier_->observe(stream_, renderer_.scene(), {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(i), true});
-        stream_.submit();
-    }
-    change_surfels([&](double) { return densifier_->prune_unseen(stream_, renderer_.scene(), adam_); });
 }
 
 void TrainLoop::close_report(int step, bool ends_line) {
@@ -288,12 +248,8 @@ void TrainLoop::check_room(const IterationReports::Report& report) {
     if (report.most_hits > report.hit_capacity)
         throw DeviceError(
             fmt::format("training, iterations {} to {}, in a fixed order: found {} hits in one of them, expected at most {}; "
-                        "train.gather_hits={} makes room",
-                        report.first_step, report.last_step, report.most_hits, report.hit_capacity,
-                        report.most_hits / std::max(1u, config_.train.rays_per_iteration > 0
-                                                            ? static_cast<std::uint32_t>(config_.train.rays_per_iteration)
-                                                            : most_rays(frames_.all())) +
-                            1));
+                        "fewer rays of a step (train.rays_per_iteration) have fewer",
+                        report.first_step, report.last_step, report.most_hits, report.hit_capacity));
     if (report.most_hits <= renderer_.backward_pass().hit_capacity() / 2) return;
     close_report(last_step_, false);   // of iterations that had the room there is now
     renderer_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));   // before it is needed
@@ -329,6 +285,7 @@ void TrainLoop::save(Checkpoint& checkpoint) {
 void TrainLoop::restore(const Checkpoint& checkpoint) {
     settle();   // of the steps this state replaces
     visit_state(StateReader(checkpoint));
+    reports_.update_sums();
     last_step_ = checkpoint.iteration;
     if (!sampler_.is_sound(frames_.all().size()) || !reports_.is_sound())
         throw DataError(

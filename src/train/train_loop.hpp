@@ -16,7 +16,6 @@
 
 #include "core/random.hpp"
 #include "train/batch.hpp"
-#include "train/footprints.hpp"
 #include "train/iteration_reports.hpp"
 #include "train/pose_refiner.hpp"
 #include "train/sensor_drop.hpp"
@@ -50,9 +49,10 @@ private:
 
 class TrainLoop {
 public:
-    /// @param n_fixed  the first so many surfels stay as they are
+    /// @param n_fixed   the first so many surfels stay as they are
+    /// @param extent_m  of the background, metres; nothing: the initial scene's
     TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial, const Config& config,
-              std::uint32_t n_fixed = 0);
+              std::uint32_t n_fixed = 0, std::optional<double> extent_m = std::nullopt);
     ~TrainLoop();
     TrainLoop(const TrainLoop&) = delete;
     TrainLoop& operator=(const TrainLoop&) = delete;
@@ -72,8 +72,6 @@ public:
     void save(Checkpoint& checkpoint);
     /// Takes it back. The loop must have been made for the checkpoint's scene and log. @throws DataError for what does not fit
     void restore(const Checkpoint& checkpoint);
-    /// Removes surfels that get no gradient from any ray of any training frame (densify.prune_unseen). Blocks.
-    void prune_unseen();
     /// Sensor-level ray-drop, from rays for which the scene as it is now expects a return. Blocks.
     DropTable estimate_sensor_drop(const Sequence& sequence);
     /// Poses as they are now, where they are refined.
@@ -93,7 +91,6 @@ private:
     std::optional<PoseRefiner> refiner_;   ///< where the config wants one
     DifferentiableRenderer renderer_;
     Stream& stream_;                       ///< the renderer's
-    std::optional<Footprints> footprints_;   ///< where the config wants beams as several rays
     std::vector<std::unique_ptr<Loss>> losses_;
     Adam adam_;
     std::optional<Densifier> densifier_;   ///< where the config wants one
@@ -129,8 +126,6 @@ private:
     const FrameData& place(std::size_t frame_index, int step);
     /// Records the image of a batch, its losses, and the gradients of those.
     void learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
-    /// The same with each ray as the beam that it is.
-    void learn_from_beams(const RayBatch& beams, double divergence_rad, const TargetBatch& targets, const TermRow& terms);
     /// Looks at the reports of the iterations up to `last`.
     void look_at_reports(int last);
     void close_report(int step, bool ends_line);

@@ -43,7 +43,6 @@ FrameData describe(const Sequence& sequence, int position, const std::optional<R
     data.position = position;
     data.index = frame.index;
     data.n_rays = static_cast<std::uint32_t>(frame.scan.range_m.size());
-    data.divergence_rad = table.largest_divergence();
     const bool spins = !sequence.lidar_of(frame).sensor.beams.empty();
     if (table.rows > 1) data.image = {static_cast<std::uint32_t>(table.rows), static_cast<std::uint32_t>(table.columns), spins};
     const PoseTrack& track = sequence.world_from_vehicle;

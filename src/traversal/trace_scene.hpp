@@ -36,7 +36,6 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddre
             .alpha_max = model.alpha_max,
             .transmittance_min = model.transmittance_min,
             .likelihood_scale_m = 1.0f,
-            .likelihood_scale_share = 0.0f,
             .n_instances = static_cast<std::uint32_t>(scene.instances().size()),
             .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
             .n_rays = 0,
@@ -57,7 +56,6 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& acc
     if (options.likelihood) {
         traced.targets = address_of(batch.targets);
         traced.likelihood_scale_m = options.likelihood->scale_m;
-        traced.likelihood_scale_share = options.likelihood->scale_share;
     }
     return traced;
 }

@@ -32,7 +32,7 @@ constexpr Way kWays[] = {{"atomics", {.reduction = Reduction::atomics, .coalesce
                           {"gather, some kept hits", {.reduction = Reduction::gather}, 5},
                           {"gather without room for all", {.reduction = Reduction::gather, .coalesced_atomics = true, .hits_per_ray = 2}}};
 
-constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f, 0.02f};
+constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
 
 /// How a scene is rendered, what of it has a gradient, and how well that must agree.
 struct How {
@@ -49,7 +49,7 @@ protected:
         reference::Settings settings;
         settings.image = image;
         settings.image.primitive = options.primitive;
-        settings.likelihood_scale_m = 0.3, settings.likelihood_scale_share = 0.02;
+        settings.likelihood_scale_m = 0.3;
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         const std::vector<PixelGradient> upstream = random_upstream(scene.rays.size(), options.seed, how.outputs);

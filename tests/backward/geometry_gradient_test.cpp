@@ -94,7 +94,6 @@ struct Problem {
             targets.push_back({float(p.depth / p.weight + (unit(random) < 0.5 ? -0.1 : 0.1)), float(0.9 * unit(random))});
         targets[10].range_m = 0.0;   // dropped
         settings.likelihood_scale_m = double(weights.likelihood_scale_m);
-        settings.likelihood_scale_share = double(weights.likelihood_scale_share);
         for (std::size_t k = 0; k < targets.size(); ++k) scene.rays[k].measured_m = targets[k].range_m;
     }
 
@@ -140,7 +139,7 @@ struct Problem {
 
 TraceOptions trace_options(const LossWeights& w) {
     TraceOptions options{.chunk = 3, .geometry = w.uses_geometry()};
-    if (w.likelihood > 0.0f) options.likelihood = {w.likelihood_scale_m, w.likelihood_scale_share};
+    if (w.likelihood > 0.0f) options.likelihood = RangeKernel{w.likelihood_scale_m};
     return options;
 }
 
@@ -311,7 +310,7 @@ LossWeights geometry_weights(float image, float distortion, float normal, float 
     LossWeights w;
     w.depth = w.intensity = w.drop = image;
     w.distortion = distortion, w.normal = normal, w.likelihood = likelihood, w.chamfer = 0.0f;
-    w.likelihood_scale_m = 0.1f, w.likelihood_scale_share = 0.01f, w.likelihood_floor = 0.05f;
+    w.likelihood_scale_m = 0.1f, w.likelihood_floor = 0.05f;
     w.normalised_depth = true;
     return w;
 }
@@ -390,9 +389,9 @@ TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
         std::vector<reference::PixelGradient> upstream(1);
         upstream[0].likelihood = 1.0;
         test::Passes passes(device(), {}, scene, upstream,
-                            {.accel = {.proxy = Proxy::boxes}, .trace = {.likelihood = RangeKernel{0.1f, 0.001f}}});
+                            {.accel = {.proxy = Proxy::boxes}, .trace = {.likelihood = RangeKernel{0.1f}}});
         passes.run();
-        const double scale = 0.1 + 0.001 * t[1], d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6, w1 = 0.4 * 0.5;
+        const double scale = double(0.1f), d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6, w1 = 0.4 * 0.5;
         const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;   // of a range, by a float
         EXPECT_NEAR(passes.renderer.rendered().geometry->rendered.download()[0].likelihood, w0 * k + w1, 1e-6 + w0 * slope * resolved);
         const Surfels found = passes.gradients().surfels.download();

@@ -158,7 +158,7 @@ TEST_F(ManyActors, Train) {
 /// What an iteration launches does not depend on how many models there are.
 TEST_F(ManyActors, AreLaunchedTogether) {
     if (!device().info().timestamps) GTEST_SKIP() << "no timestamps: launches are not counted";
-    SurfelLoss surfel_loss(device(), {.box = 0.1f, .opacity_entropy = 0.1f});
+    SurfelLoss surfel_loss(device(), {.box = 0.1f});
     const Array<float> terms(device(), kLossTerms, "loss terms");
     const auto launches = [&](int n_actors) {
         test::RandomScene scene = many_actors(true, n_actors);

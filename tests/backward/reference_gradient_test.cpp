@@ -28,7 +28,7 @@ struct Problem {
         : chunk(chunk_size) {
         settings.image.sh_direction = direction;
         settings.image.single_drop_logit = single_drop_logit;
-        settings.likelihood_scale_m = 0.3, settings.likelihood_scale_share = 0.02;
+        settings.likelihood_scale_m = 0.3;
         scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         upstream = test::random_upstream(scene.rays.size(), options.seed + 1, outputs);

@@ -14,7 +14,7 @@
 namespace relidar {
 namespace {
 
-constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f, 0.02f};
+constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
 
 class Geometry : public test::DeviceTest {
 protected:
@@ -55,7 +55,7 @@ TEST_F(Geometry, AgreesWithDoubleReference) {
     many.opacity_low = 0.02, many.opacity_high = 0.2;
     for (const test::RandomSceneOptions& options : {few, many}) {
         reference::Settings settings;
-        settings.likelihood_scale_m = 0.3, settings.likelihood_scale_share = 0.02;
+        settings.likelihood_scale_m = 0.3;
         const test::RandomScene scene = test::make_random_scene(options, settings);
         const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
         std::vector<float> found;

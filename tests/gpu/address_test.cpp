@@ -13,10 +13,10 @@
 namespace relidar {
 namespace {
 
-static_assert(name_of_struct<shared::LogRangeParams>() == "LogRangeParams");
-static_assert(params_of_kernel("loss/log_range") == "LogRangeParams", "as its shader declares");
-static_assert(params_of_kernel("loss/surfel_loss") != "LogRangeParams", "so Kernel<LogRangeParams> of it does not compile");
-static_assert(params_of_kernel("loss/log_rang").empty(), "nor does a name that no kernel has");
+static_assert(name_of_struct<shared::ImageLossParams>() == "ImageLossParams");
+static_assert(params_of_kernel("loss/image_loss") == "ImageLossParams", "as its shader declares");
+static_assert(params_of_kernel("loss/surfel_loss") != "ImageLossParams", "so Kernel<ImageLossParams> of it does not compile");
+static_assert(params_of_kernel("loss/image_los").empty(), "nor does a name that no kernel has");
 
 template <class Rendered, class Targets>
 concept FillParameters = requires(Rendered rendered, Targets targets) {

@@ -20,7 +20,7 @@ except relidar.DeviceError as error:
         sys.exit(77)   # ctest's word for skipped
     raise
 
-SETTINGS = {"train.iterations": 60, "train.log_every": 10, "init.voxel_m": 0.3, "dataset.test_every": 4, "init.actor_points": 500}
+SETTINGS = {"train.iterations": 60, "train.log_every": 10, "init.voxel_m": 0.3, "dataset.test_every": 4}
 WORK = tempfile.TemporaryDirectory(prefix="relidar-python-")
 FOLDER = pathlib.Path(WORK.name)
 

@@ -32,7 +32,7 @@ glm::dvec3 point_of(const DensifiedSurfel& s, const glm::dvec2& z, double z_w) {
     return s.mean + z.x * s.scale.x * a_u + z.y * s.scale.y * a_v + z_w * s.scale_w.value_or(0.0) * glm::cross(a_u, a_v);
 }
 
-Fate fate_of(const DensifiedSurfel& s, double mean_gradient, bool seen, const DensifyRules& rules, std::uint32_t item) {
+Fate fate_of(const DensifiedSurfel& s, double mean_gradient, const DensifyRules& rules, std::uint32_t item) {
     if (!s.finite) return Fate::invalid;
     if (s.opacity < rules.min_opacity) return Fate::faint;
     const bool grows = mean_gradient > rules.gradient_threshold;
@@ -47,7 +47,6 @@ Fate fate_of(const DensifiedSurfel& s, double mean_gradient, bool seen, const De
         }
         if (outside[0] && outside[1]) return Fate::outside;
     }
-    if (rules.drop_unseen && !seen) return Fate::unseen;
     if (rules.share) return Fate::share;
     return splits ? Fate::split : grows ? Fate::clone : Fate::keep;
 }

@@ -20,7 +20,7 @@ struct DensifiedSurfel {
     std::optional<double> scale_w{};           ///< of a 3D Gaussian
 };
 
-enum class Fate { invalid, faint, large, outside, unseen, keep, clone, split, share };
+enum class Fate { invalid, faint, large, outside, keep, clone, split, share };
 
 struct DensifyRules {
     double min_opacity = 0.0;
@@ -28,13 +28,12 @@ struct DensifyRules {
     double clone_scale = 0.0;
     double gradient_threshold = 1e30;
     glm::dvec3 half_size{0.0};   ///< 0 = unbounded
-    bool drop_unseen = false;
     bool share = false;          ///< grow by opacity
     std::uint32_t key = 0;       ///< of the random numbers
 };
 
 /// @param mean_gradient mean norm over the batches that saw it, 0 where none did @param item index for random numbers
-Fate fate_of(const DensifiedSurfel& surfel, double mean_gradient, bool seen, const DensifyRules& rules, std::uint32_t item);
+Fate fate_of(const DensifiedSurfel& surfel, double mean_gradient, const DensifyRules& rules, std::uint32_t item);
 
 /// The two normal deviates of PCG4D and Box-Muller.
 glm::dvec2 random_normal2(std::uint32_t key, std::uint32_t item, std::uint32_t draw);

@@ -49,23 +49,6 @@ LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Targ
     return terms;
 }
 
-double log_range_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, DepthKind kind,
-                      std::vector<PixelGradient>* d_pixels) {
-    std::vector<PixelGradient> d(pixels.size());
-    double sum = 0.0, n_returned = 0.0;
-    for (const Target& target : targets) n_returned += target.range_m > 0.0 ? 1.0 : 0.0;
-    for (std::size_t i = 0; i < pixels.size(); ++i) {
-        const double weight = kind == DepthKind::blended ? 1.0 : pixels[i].weight;
-        if (!(targets[i].range_m > 0.0) || !(weight > 0.0)) continue;
-        const double range = pixels[i].depth / weight, difference = std::log1p(range) - std::log1p(targets[i].range_m);
-        sum += std::abs(difference) / n_returned;
-        d[i].depth = sign(difference) / (1.0 + range) / weight / n_returned;
-        if (kind == DepthKind::normalised) d[i].weight = -d[i].depth * range;
-    }
-    if (d_pixels != nullptr) *d_pixels = std::move(d);
-    return sum;
-}
-
 double likelihood_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, double floor,
                        std::vector<PixelGradient>* d_pixels) {
     std::vector<PixelGradient> d(pixels.size());

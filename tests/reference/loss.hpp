@@ -35,10 +35,6 @@ struct LossTerms {
 LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, const LossWeights& weights, DepthKind kind,
                         std::vector<PixelGradient>* d_pixels = nullptr);
 
-/// Mean |ln(1 + r) - ln(1 + range)| over returned rays, r = D or D / W (left out where W = 0). @param d_pixels [n] as above
-double log_range_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, DepthKind kind,
-                      std::vector<PixelGradient>* d_pixels = nullptr);
-
 /// Mean -ln(floor + (1 - floor) S) over returned rays, S the pixel's likelihood (M12). @param d_pixels [n] as above
 double likelihood_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, double floor,
                        std::vector<PixelGradient>* d_pixels = nullptr);

@@ -54,23 +54,6 @@ TEST(ReferenceLoss, DerivativesAgreeWithDifferences) {
     }
 }
 
-TEST(ReferenceLoss, LogRange) {
-    std::vector<Pixel> pixels{pixel(6, 0.75, 0, 0, 0), pixel(1, 0.5, 0, 0, 0), pixel(4, 1.0, 0, 0, 0)};
-    const std::vector<Target> targets{{17, 0}, {2.5, 0}, {0, 0}};
-    EXPECT_NEAR(log_range_loss(pixels, targets, DepthKind::normalised), (std::log(2.0) + std::log(3.5 / 3.0)) / 2, 1e-12);
-    for (const DepthKind kind : {DepthKind::blended, DepthKind::normalised}) {
-        std::vector<PixelGradient> d;
-        log_range_loss(pixels, targets, kind, &d);
-        test::GradientTable table;
-        const auto total = [&] { return std::vector<double>{log_range_loss(pixels, targets, kind)}; };
-        for (std::size_t i = 0; i < pixels.size(); ++i) {
-            table.add_row("depth", test::central_differences(&pixels[i].depth, 1, total), {d[i].depth});
-            table.add_row("weight", test::central_differences(&pixels[i].weight, 1, total), {d[i].weight});
-        }
-        EXPECT_LE(table.worst_error(), test::kReferenceGradient);
-    }
-}
-
 TEST(ReferenceLoss, Likelihood) {
     std::vector<Pixel> pixels(4);
     pixels[0].likelihood = 1.0, pixels[1].likelihood = 0.25, pixels[2].likelihood = 0.0, pixels[3].likelihood = 0.5;

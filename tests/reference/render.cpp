@@ -63,7 +63,7 @@ double inner_product(const PixelGradient& g, const Pixel& p) {
 
 RangeKernel range_kernel(const Settings& settings, const Ray& ray, double t) {
     if (!(ray.measured_m > 0.0)) return {};
-    const double s = settings.likelihood_scale_m + settings.likelihood_scale_share * ray.measured_m, d = t - ray.measured_m;
+    const double s = settings.likelihood_scale_m, d = t - ray.measured_m;
     const double both = s * s + d * d;
     return {s * s / both, -2.0 * d * s * s / (both * both)};
 }

@@ -15,7 +15,7 @@ namespace relidar::reference {
 struct Settings {
     ImageModel image;
     glm::dvec3 view_origin{0.0};   ///< metres, world: where ShDirection::surfel looks from
-    double likelihood_scale_m = 0.05, likelihood_scale_share = 0.0;   ///< s of M12: their sum, the second times the measured range
+    double likelihood_scale_m = 0.05;   ///< s of M12
 };
 
 /// What one ray brings back (M5).

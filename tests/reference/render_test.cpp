@@ -67,10 +67,11 @@ TEST(ReferenceRender, OneSurfelHeadOn) {
 TEST(ReferenceRender, LikelihoodOfTheMeasuredRange) {
     Case c{world_of({facing_surfel(5, 0.8, glm::dvec3(1)), facing_surfel(7, 0.5, glm::dvec3(1))})};
     EXPECT_EQ(c.image().likelihood, 0.0) << "nothing was measured";
-    c.settings.likelihood_scale_m = 0.3, c.settings.likelihood_scale_share = 0.1;
-    c.ray.measured_m = 7.0;   // s = 1: the first surfel, 2 m before, counts a fifth
+    c.settings.likelihood_scale_m = 1.0;
+    c.ray.measured_m = 7.0;   // the first surfel, 2 m before, counts a fifth
     EXPECT_NEAR(c.image().likelihood, 0.8 / 5.0 + 0.2 * 0.5, 1e-12);
-    c.ray.measured_m = 5.0;   // s = 0.8: the second, 2 m behind, 1 / (1 + 6.25)
+    c.settings.likelihood_scale_m = 0.8;
+    c.ray.measured_m = 5.0;   // the second, 2 m behind, 1 / (1 + 6.25)
     EXPECT_NEAR(c.image().likelihood, 0.8 + 0.2 * 0.5 / 7.25, 1e-12);
 }
 

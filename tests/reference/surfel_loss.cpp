@@ -24,10 +24,4 @@ double box_loss(const BoxedSurfel& surfel, const Box& box, double scale, BoxedSu
     return loss;
 }
 
-double opacity_entropy(double logit, double& derivative) {
-    const double p = 1.0 / (1.0 + std::exp(-logit)), q = 1.0 / (1.0 + std::exp(logit));
-    derivative = -logit * p * q;
-    return -(p > 0.0 ? p * std::log(p) : 0.0) - (q > 0.0 ? q * std::log(q) : 0.0);
-}
-
 }  // namespace relidar::reference

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Terms of a surfel's parameters themselves in double: leaving the box of an actor, entropy of the opacity (docs/method.md sections 5, 6).
+// A term of a surfel's parameters themselves in double: leaving the box of an actor (docs/method.md section 5).
 #pragma once
 
 #include <array>
@@ -22,8 +22,5 @@ struct BoxedSurfel {
 
 /// sum_xyz max(0, |mean| / half - 1) + sum over scales max(0, scale / largest - 1); adds scale * derivative
 double box_loss(const BoxedSurfel& surfel, const Box& box, double scale, BoxedSurfel& d);
-
-/// Entropy of sigmoid(logit). @param derivative receives d(entropy)/d(logit)
-double opacity_entropy(double logit, double& derivative);
 
 }  // namespace relidar::reference

@@ -18,11 +18,6 @@ TEST(ReferenceSurfelLoss, HandComputed) {
     EXPECT_NEAR(box_loss({{3.0, -1.5, 0.0}, {std::log(1.0), std::log(0.1)}}, kCar, 1.0, d), 0.5 + 0.5 + 1.0, 1e-12);
     EXPECT_NEAR(d.mean[0], 0.5, 1e-12);
     EXPECT_NEAR(d.mean[1], -1.0, 1e-12);
-    double slope = 0.0;
-    EXPECT_NEAR(opacity_entropy(0.0, slope), std::log(2.0), 1e-12);
-    EXPECT_EQ(slope, 0.0);
-    EXPECT_NEAR(opacity_entropy(800.0, slope), 0.0, 1e-12);
-    EXPECT_NEAR(opacity_entropy(-800.0, slope), 0.0, 1e-12);
 }
 
 TEST(ReferenceSurfelLoss, DerivativesAgreeWithDifferences) {
@@ -35,10 +30,6 @@ TEST(ReferenceSurfelLoss, DerivativesAgreeWithDifferences) {
         const auto loss = [&] { return std::vector<double>{box_loss(s, kCar, 1.0, unused)}; };
         table.add_row("mean", test::central_differences(s.mean.data(), 3, loss), {d.mean[0], d.mean[1], d.mean[2]});
         table.add_row("log_scale", test::central_differences(s.log_scale.data(), 2, loss), {d.log_scale[0], d.log_scale[1]});
-        double logit = uniform(random), slope = 0.0, ignored = 0.0;
-        opacity_entropy(logit, slope);
-        table.add_row("opacity", test::central_differences(&logit, 1, [&] { return std::vector<double>{opacity_entropy(logit, ignored)}; }),
-                      {slope});
     }
     table.print("parameter terms");
     EXPECT_LE(table.worst_error(), test::kReferenceGradient);

@@ -174,9 +174,9 @@ TEST(Footprint, TheLastOfThreeIsTheSecondReturn) {
     const std::vector<Part> parts{{20.0f, 0.5f, 0.0f}, {5.0f, 0.9f, 0.0f}, {20.0f, 0.5f, 0.0f}, {40.0f, 0.1f, 0.0f}, {20.0f, 0.5f, 0.0f}};
     EXPECT_NEAR(joined(parts).median_range_m[0], 20.0f, 1e-5f);
     EXPECT_EQ(joined(parts).further[0].range_m[0], 0.0f) << "0.1 is less than a tenth of 1.5";
-    SensorConfig faint;
-    faint.second_return_share = 0.05;
-    EXPECT_NEAR(joined(parts, faint).further[0].range_m[0], 40.0f, 1e-5f) << "the last, not the next strongest";
+    std::vector<Part> brighter = parts;
+    brighter[3].intensity = 0.2f;
+    EXPECT_NEAR(joined(brighter).further[0].range_m[0], 40.0f, 1e-5f) << "the last, not the next strongest";
     SensorConfig coarse;
     coarse.return_separation_m = 16.0;
     EXPECT_NEAR(joined(parts, coarse).median_range_m[0], (5 * 0.9f + 20 * 1.5f) / 2.4f, 1e-4f) << "one return where pulses overlap";

@@ -78,7 +78,7 @@ std::size_t n_models(const Sequence& street, InitialiseOptions options) {
     return initialise_scene(street, split_frames(street, 10).train, options).models.size();
 }
 
-TEST(Actors, AreChosenByModeClassOrTrack) {
+TEST(Actors, AreChosenByClassOrTrack) {
     const Sequence street = make_synthetic_street(street_options());
     InitialiseOptions options = with_actors();
     options.actor_tracks = "1";
@@ -88,11 +88,11 @@ TEST(Actors, AreChosenByModeClassOrTrack) {
     options.actor_tracks = "1, 7";
     EXPECT_THROW(n_models(street, options), UsageError);
     options = with_actors();
-    options.actors = ActorMode::masked;
+    options.actor_classes = "";
     EXPECT_EQ(separate_boxes(street, options).size(), 2u);
     EXPECT_EQ(n_models(street, options), 1u);
     const std::size_t masked = initialise_background(street, split_frames(street, 10).train, options).size();
-    options.actors = ActorMode::background;
+    options.mask_others = false;
     EXPECT_TRUE(separate_boxes(street, options).empty());
     EXPECT_EQ(n_models(street, options), 1u);
     EXPECT_GT(initialise_background(street, split_frames(street, 10).train, options).size(), masked + 100) << "the cars' points are in it";
@@ -115,8 +115,6 @@ TEST(Actors, WhatIsNoActorIsMaskedOrOfTheBackground) {
     EXPECT_TRUE(masked_boxes(kept, street, options).empty());
     EXPECT_TRUE(unwanted_boxes(street, options).empty());
     EXPECT_GT(kept.models[0].count, masked.models[0].count + 100) << "the other car's points are in the background";
-    options.actors = ActorMode::masked;
-    EXPECT_EQ(separate_boxes(street, options).size(), 2u) << "which is of all boxes";
 }
 
 TEST(Actors, TrackChosenByNameNeedNotMove) {
@@ -134,7 +132,7 @@ TEST(Actors, TrackChosenByNameNeedNotMove) {
     EXPECT_FALSE(place_instances(scene, street, {box.world_from_box.time_s[0] + 0.1})[1].present);
 }
 
-TEST(Actors, ArePaddedInTheirBoxAndMirrored) {
+TEST(Actors, ArePaddedInTheirBox) {
     const Sequence street = make_synthetic_street(street_options());
     const std::vector<int> train = split_frames(street, 10).train;
     const Scene plain = initialise_scene(street, train, with_actors());
@@ -153,16 +151,6 @@ TEST(Actors, ArePaddedInTheirBoxAndMirrored) {
         ++octants[(p.x > 0) + 2 * (p.y > 0) + 4 * (p.z > 0)];
     }
     for (const int n : octants) EXPECT_GT(n, 150) << "random points fill the whole box";
-    options = with_actors();
-    options.actor_symmetry = true;
-    const Scene mirrored = initialise_scene(street, train, options);
-    const Model& half = model_of_track(plain, "1"), &whole = model_of_track(mirrored, "1");
-    const auto side = [](const Scene& s, const Model& m, float sign) {
-        return std::count_if(s.surfels.mean.begin() + m.first, s.surfels.mean.begin() + m.first + m.count,
-                             [&](const glm::vec3& p) { return sign * p.y > 0.6f; });
-    };
-    EXPECT_GT(std::abs(side(plain, half, 1) - side(plain, half, -1)), 0.25 * half.count) << "the oncoming car is seen from one side";
-    EXPECT_LT(std::abs(side(mirrored, whole, 1) - side(mirrored, whole, -1)), 0.1 * whole.count);
 }
 
 TEST(Actors, BoxesThatHoldNothingAreRefused) {

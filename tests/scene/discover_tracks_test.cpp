@@ -40,7 +40,7 @@ const BoxTrack* found_in(const std::vector<BoxTrack>& found, const BoxTrack& tru
 TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
     const Street street = street_without_labels();
     ASSERT_GE(street.truth.size(), 2u);
-    const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train, {});
+    const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
     EXPECT_EQ(found.size(), street.truth.size());
     for (const BoxTrack& truth : street.truth) {
         const BoxTrack* track = found_in(found, truth);
@@ -90,7 +90,7 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
         street.log.boxes = street.truth;
         const BoxTrack& truth = street.truth[1];   // oncoming: the car ahead is hidden behind itself
         const std::vector<double> cut_s = cut_labels(street.log.boxes[1], street.log.frames, first, end);
-        const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train, {});
+        const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
         ASSERT_EQ(found.size(), 1u) << "no second actor; labels " << first << " to " << end;
         const BoxTrack& box = found[0];
         EXPECT_EQ(box.id, truth.id);
@@ -121,7 +121,7 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
                 if (const WorldReturn w = world_return(street.log, frame, ray); truth.holds(w.point_m, w.time_s, 0.1))
                     frame.scan.range_m[ray] = frame.scan.intensity[ray] = 0.0f;
     }
-    const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train, {});
+    const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
     EXPECT_EQ(found.size(), street.truth.size());
     const BoxTrack* track = found_in(found, truth);
     ASSERT_NE(track, nullptr);
@@ -132,7 +132,7 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
 /// Of the car ahead the rear alone is seen.
 TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     const Street street = street_without_labels();
-    const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train, {});
+    const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
     const BoxTrack *ahead = found_in(found, street.truth[0]), *oncoming = found_in(found, street.truth[1]);
     ASSERT_TRUE(ahead && oncoming);
     EXPECT_EQ(ahead->size_guess, "car");
@@ -163,7 +163,7 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
         street.log.lidars[0].name = "first", street.log.lidars[1].name = "second";
         street.log.frames = std::move(frames);
         check_sequence(street.log);
-        const std::vector<BoxTrack> found = discover_tracks(street.log, split_frames(street.log, 10).train, {});
+        const std::vector<BoxTrack> found = discover_tracks(street.log, split_frames(street.log, 10).train);
         EXPECT_EQ(found.size(), street.truth.size()) << first_sees_all;
         for (const BoxTrack& truth : street.truth) EXPECT_NE(found_in(found, truth), nullptr) << "box " << truth.id;
     }
@@ -172,7 +172,7 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
 TEST(DiscoverTracks, LeavesLabelledAndRestingThingsAlone) {
     Street street = street_without_labels();
     street.log.boxes = street.truth;
-    EXPECT_TRUE(discover_tracks(street.log, street.split.train, {}).empty());
+    EXPECT_TRUE(discover_tracks(street.log, street.split.train).empty());
 }
 
 /// Labels of a drive end where the camera's view does: what stood then stands before and after.
@@ -184,7 +184,7 @@ TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
         still.world_from_box.pose.push_back({});
     }
     street.log.boxes = {still};
-    EXPECT_TRUE(discover_tracks(street.log, street.split.train, {}).empty());
+    EXPECT_TRUE(discover_tracks(street.log, street.split.train).empty());
 }
 
 /// A roof rack: returns that every scan has at the same place of its own.
@@ -195,14 +195,14 @@ TEST(DiscoverTracks, LeavesItsOwnVehicleAlone) {
             const glm::vec3& d = frame.scan.rays.direction[i];
             if (d.x < -0.6f && d.y > 0.2f && d.y < 0.5f && d.z > -0.35f && d.z < -0.15f) frame.scan.range_m[i] = 1.3f;
         }
-    EXPECT_EQ(discover_tracks(street.log, street.split.train, {}).size(), street.truth.size());
+    EXPECT_EQ(discover_tracks(street.log, street.split.train).size(), street.truth.size());
 }
 
 TEST(DiscoverTracks, LooksAtTrainingFramesOnly) {
     Street street = street_without_labels();
-    const std::vector<BoxTrack> before = discover_tracks(street.log, street.split.train, {});
+    const std::vector<BoxTrack> before = discover_tracks(street.log, street.split.train);
     for (float& range : street.log.frames[10].scan.range_m) range = 5.0f;
-    const std::vector<BoxTrack> after = discover_tracks(street.log, street.split.train, {});
+    const std::vector<BoxTrack> after = discover_tracks(street.log, street.split.train);
     ASSERT_EQ(before.size(), after.size());
     for (std::size_t i = 0; i < before.size(); ++i) {
         ASSERT_EQ(before[i].world_from_box.time_s, after[i].world_from_box.time_s);
@@ -216,11 +216,11 @@ TEST(DiscoverTracks, LooksAtTrainingFramesOnly) {
 TEST(DiscoverTracks, BecomeActors) {
     Street street = street_without_labels();
     InitialiseOptions options;
-    options.discover_actors = true;
+    options.unlabelled_movers = UnlabelledMovers::actors;
     options.actor_min_points = 20;
-    for (const BoxTrack& box : discover_tracks(street.log, street.split.train, options)) street.log.boxes.push_back(box);
+    for (const BoxTrack& box : discover_tracks(street.log, street.split.train)) street.log.boxes.push_back(box);
     EXPECT_EQ(initialise_scene(street.log, street.split.train, options).models.size(), 1 + street.truth.size());
-    options.discover_actors = false;
+    options.unlabelled_movers = UnlabelledMovers::removed;
     options.actor_classes = "Car";
     EXPECT_EQ(initialise_scene(street.log, street.split.train, options).models.size(), 1u) << "no class is wanted: masked instead";
 }

@@ -129,7 +129,7 @@ TEST(Initialise, AStreetThatStandsStillStays) {
             if (lidar == n_lidars || street.frames[i].lidar == int(lidar)) train.push_back(int(i));
         InitialiseOptions options;
         const std::size_t all = initialise_background(street, train, options).size();
-        options.remove_unlabelled_movers = true;
+        options.unlabelled_movers = UnlabelledMovers::removed;
         EXPECT_GT(double(initialise_background(street, train, options).size()), 0.98 * double(all)) << "LiDAR " << lidar;
     }
 }
@@ -143,9 +143,9 @@ TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
     std::iota(train.begin(), train.end(), 0);
     InitialiseOptions options;
     const std::size_t all = initialise_background(street, train, options).size();
-    options.remove_unlabelled_movers = true;
+    options.unlabelled_movers = UnlabelledMovers::removed;
     EXPECT_GT(double(initialise_background(street, train, options).size()), 0.99 * double(all));
-    EXPECT_TRUE(discover_tracks(street, train, options).empty());
+    EXPECT_TRUE(discover_tracks(street, train).empty());
 }
 
 TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
@@ -158,7 +158,7 @@ TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
     Sequence unlabelled = street;
     unlabelled.boxes.clear();
     const std::size_t left_in = count_in_moving_boxes(street, initialise_background(unlabelled, train, options));
-    options.remove_unlabelled_movers = true;
+    options.unlabelled_movers = UnlabelledMovers::removed;
     const std::size_t removed = count_in_moving_boxes(street, initialise_background(unlabelled, train, options));
     EXPECT_GT(left_in, labelled + 50u) << "the cars leave a trail where nothing is done about it";
     EXPECT_LT(double(removed - std::min(removed, labelled)), 0.35 * double(left_in - labelled))

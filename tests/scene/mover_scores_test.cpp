@@ -100,7 +100,7 @@ void add_street(const SyntheticOptions& options, Score& score) {
     Sequence log = make_synthetic_street(options);
     const std::vector<BoxTrack> truth = std::exchange(log.boxes, {});
     const std::vector<int> train = split_frames(log, 10).train;
-    const std::vector<BoxTrack> found = discover_tracks(log, train, {});
+    const std::vector<BoxTrack> found = discover_tracks(log, train);
     std::vector<char> taken(found.size(), 0);
     score.found += found.size();
     for (const BoxTrack& thing : truth) {
@@ -174,7 +174,7 @@ TEST(MoverScores, NoParkedCarMovesWhereSidesAndPosesChange) {
             off_m += kWalk_m * glm::dvec3(random.normal(), random.normal(), 0.3 * random.normal());
             pose.translation += off_m;
         }
-        for (const BoxTrack& found : discover_tracks(log, split_frames(log, 10).train, {})) {
+        for (const BoxTrack& found : discover_tracks(log, split_frames(log, 10).train)) {
             const PoseTrack& track = found.world_from_box;
             const bool is_one = std::ranges::any_of(truth, [&](const BoxTrack& thing) {
                 std::size_t inside = 0;

@@ -301,25 +301,6 @@ TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
     refused("100,ten", "found \"ten\"");
 }
 
-TEST(BoxTrack, GoesOnBesideItsLabelsAtTheMeanVelocityOfASecond) {
-    BoxTrack car{"1", "Car", {4, 2, 1.5}, {}};
-    for (int i = 0; i <= 20; ++i) {   // 3 m/s in the first second, 5 m/s in the second, and a jitter that ends in a jump
-        car.world_from_box.time_s.push_back(0.1 * i);
-        car.world_from_box.pose.push_back({glm::dquat(1, 0, 0, 0), {i <= 10 ? 0.3 * i : 3.0 + 0.5 * (i - 10), i == 19 ? 0.3 : 0.0, 0.0}});
-    }
-    EXPECT_NEAR(car.pose_near(2.4, 0.5)->translation.x, 8.0 + 5.0 * 0.4, 1e-9);
-    EXPECT_NEAR(car.pose_near(2.4, 0.5)->translation.y, 0.0, 1e-9) << "one step's jitter is no velocity";
-    EXPECT_NEAR(car.pose_near(-0.4, 0.5)->translation.x, -3.0 * 0.4, 1e-9);
-    EXPECT_NEAR(car.pose_near(1.15, 0.0)->translation.x, 3.75, 1e-9);
-    EXPECT_FALSE(car.pose_near(2.6, 0.5));
-    EXPECT_FALSE(car.pose_near(-0.6, 0.5));
-    EXPECT_FALSE(car.pose_near(2.1, 0.0));
-    const BoxTrack once{"2", "Car", {4, 2, 1.5}, {{1.0}, {Pose{}}}};
-    EXPECT_EQ(once.pose_near(1.3, 0.5)->translation, glm::dvec3(0.0));
-    EXPECT_FALSE(once.pose_near(1.6, 0.5));
-    EXPECT_FALSE((BoxTrack{"3", "Car", {4, 2, 1.5}, {}}.pose_near(0.0, 1e9)));
-}
-
 TEST(BoxTrack, KnowsWhatOfItWasLabelled) {
     BoxTrack car{"1", "Car", {4, 2, 1.5}, {}};
     for (int i = 0; i < 6; ++i) {

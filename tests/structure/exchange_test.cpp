@@ -24,8 +24,8 @@ struct OwnElements {
     std::vector<std::string> members;
 };
 const OwnElements kOwnElements[] = {
-    {"accel/bvh_wide_scan", {"tiles"}}, {"loss/geometry_loss", {"upstream"}}, {"loss/log_range", {"upstream"}},
-    {"loss/surfel_loss", {"d_surfels.mean", "d_surfels.opacity_logit"}}, {"refine/conv", {"to.values"}},
+    {"accel/bvh_wide_scan", {"tiles"}}, {"loss/geometry_loss", {"upstream"}},
+    {"loss/surfel_loss", {"d_surfels.mean"}}, {"refine/conv", {"to.values"}},
     {"refine/conv_matrix", {"to.values"}}};
 
 TEST(Exchange, NoKernelDoesSo) {

@@ -36,7 +36,7 @@ preset = "quick"
 [defaults.settings]
 train = { pose_register = false, iterations = 2, log_every = 1 }
 refine.enabled = false
-init = { actor_min_points = 10, discover_actors = false }
+init = { actor_min_points = 10, unlabelled_movers = "removed" }
 dataset.test_every = 5
 '
 

@@ -29,6 +29,12 @@ help_tells() {
     says "^iterations = 30000$"
     good config --preset released
     says '^preset = "released"$'
+    says "^# [0-9]+ expert settings, all as the preset has them, are not shown: relidar config --all$"
+    check "an expert setting is shown" test -z "$(grep '^box = ' out)"
+    good config --set loss.box=0.5
+    says "^box = 0.5$"
+    good config --preset released --all
+    says "^box = 0.01[0-9]*$"
     says "^intensity_ssim = 0.15[0-9]*$"
 }
 
@@ -42,11 +48,12 @@ wrong_usage() {
     bad 2 "out is required, or --resume with a run folder" train --resume
     bad 2 "argument extra: not expected" info street extra
     bad 2 "setting loss.dept: unknown key, did you mean loss.depth\?" train street --out x --set loss.dept=1
+    bad 2 "setting train.sub_rays: it was removed: it gained nothing beyond noise" train street --out x --set train.sub_rays=5
     bad 2 'setting loss.depth: found "abc", expected a number >= 0' train street --out x --set loss.depth=abc
     bad 2 'setting loss.depth: found "nan"' train street --out x --set loss.depth=nan
     bad 2 '--set: found "loss.depth", expected key=value' train street --out x --set loss.depth
     bad 2 "preset 'papr': unknown, did you mean 'paper'" train street --out x --preset papr
-    bad 2 'setting init.seed: found "-1"' train street --out x --seed -1
+    bad 2 'setting train.seed: found "-1"' train street --out x --seed -1
     bad 2 'device: found "x", expected an integer' train street --out x --device x
     bad 2 'traversal: found "x", expected auto' train street --out x --traversal x
     bad 2 "dataset.sequence: found .kd1. for a synthetic street, which is one drive; expected none" info street --sequence kd1
@@ -85,7 +92,7 @@ wrong_usage() {
     bad 2 'rays: found "64x", expected waymo, kitti or' bench --rays 64x
     bad 2 'rays: found 20000x20000, expected at most' bench --rays 20000x20000
     bad 2 'trace.chunk: found "65"' bench --chunk 65
-    bad 2 'trace.proxy: found "cube"' bench --proxy cube
+    bad 2 '--proxy: found "cube", expected one of auto, triangles, boxes' bench --proxy cube
     bad 2 'sh_direction: found "normal"' bench --sh normal
     bad 2 'trace.keep_hits: found "-1"' bench --keep-hits -1
     bad 2 'actors: found 1.5 in "1,1.5"' bench --actors 1,1.5
@@ -374,13 +381,13 @@ ray_drop() {
     absent surfels/drop_network.safetensors
     good refine surfels --no-eval --quiet
     check "--quiet prints" test ! -s out -a ! -s err
-    bad 3 "network, image 0: an image of 8 x 96 pixels, expected at least 32 x 32 for a network of 5 levels" \
-        refine surfels --quiet --set refine.network=small --set refine.levels=5
+    bad 3 "network, image 0: an image of 8 x 96 pixels, expected at least 16 x 16 for a network of 4 levels" \
+        refine surfels --quiet --set refine.network=paper
     bad 2 'setting refine.network: found "large", expected one of small, paper, pixel' refine surfels --set refine.network=large
     bad 3 "nowhere: no such folder" refine nowhere
     printf 'short' >surfels/drop_network.safetensors
     bad 3 "surfels/drop_network.safetensors" render surfels --out x
-    good train street --out surfels --config run/config.toml --set refine.network=small --set refine.levels=5 --no-eval --force
+    good train street --out surfels --config run/config.toml --set refine.network=paper --no-eval --force
     check "training does not say that its network was not trained" grep -q "^relidar: note: training the ray-drop network, image 0" err
     absent surfels/drop_network.safetensors
     if "$relidar" devices --json | grep -q '"why_not_matrices": "[^"]'; then   # said before the scene is trained, not behind it
@@ -728,7 +735,7 @@ resuming() {
 
 # Ctrl-C while the network is trained: a checkpoint stays, and the network ends as it would have without.
 network_resuming() {
-    local few=(--preset quick --set train.pose_register=false --set init.actor_min_points=10 --set train.iterations=4 --set dataset.test_every=5 --set refine.network=small --set refine.levels=1)
+    local few=(--preset quick --set train.pose_register=false --set init.actor_min_points=10 --set train.iterations=4 --set dataset.test_every=5 --set refine.network=small)
     local checkpoints=half/checkpoints/drop_network
     stop_in_network train street --out half "${few[@]}" --set refine.epochs=40 --no-eval
     check "interrupted network: the message does not say how to go on" grep -Eq "^relidar: interrupted while the ray-drop network was trained; half holds the scene; continue with: relidar train --resume half$" err
@@ -748,7 +755,7 @@ network_resuming() {
     exists other/drop_network.safetensors
     stop_in_network refine other --no-eval --set refine.epochs=40
     check "interrupted refine: the message does not say how to go on" grep -Eq "^relidar: interrupted: other has the network it had; continue with: relidar refine --resume other$" err
-    bad 2 "resuming the ray-drop network from step [0-9]+: setting refine.width: found 5" refine --resume other --set refine.width=5
+    bad 2 "resuming the ray-drop network from step [0-9]+: setting refine.batch: found 5" refine --resume other --set refine.batch=5
     good refine --resume other --no-eval
     says "^resume  from step [1-9]"
     check "refine --resume ends with other bits" cmp other/drop_network.safetensors whole/drop_network.safetensors

@@ -30,8 +30,8 @@ scored() { awk -v name="\"$2\":" '$1 == name { gsub(/,/, "", $2); print $2; exit
 
 "$folders" . || { echo "FAILED: paper_folders"; exit 1; }
 rm -rf KITTI-360/data_3d_bboxes/train
-tiny=(--preset quick --set train.iterations=2 --set refine.epochs=1 --set init.discover_actors=false --set train.refine_poses=none
-    --set sensor.calibrate_range=false --set sensor.calibrate_intensity=false --set init.voxel_m=1)
+tiny=(--preset quick --set train.iterations=2 --set refine.epochs=1 --set init.unlabelled_movers=removed --set train.refine_poses=none
+    --set sensor.calibrate=none --set init.voxel_m=1)
 tables=(tables paper --kitti360 KITTI-360 --waymo waymo --out tables)
 
 # bad_rows OUT ARGS...: the tables of parts of which none is there.

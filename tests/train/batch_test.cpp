@@ -38,7 +38,7 @@ std::vector<FrameData> numbered_frame(Device& device, std::uint32_t rows, std::u
 
 Config config_for(const std::string& batch, int n_rays) {
     Config config;
-    config.train.batch = batch;
+    if (batch == "columns") config.loss.intensity_ssim = 0.15f;
     config.train.rays_per_iteration = n_rays;
     return config;
 }
@@ -146,18 +146,20 @@ TEST_F(Batch, RaysBringTheirTargets) {
     }
 }
 
-TEST_F(Batch, SimilarityAndNormalsNeedImages) {
+TEST_F(Batch, SimilarityAndNormalsSeeWindows) {
     const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true), cloud = numbered_frame(device(), 1, 50, false);
     for (const std::string setting : {"loss.intensity_ssim", "loss.normal"}) {
         Config config = config_for("rays", 40);
         set_key(config, setting, "0.15");
-        const std::string found = "setting " + setting + ": found ";
-        EXPECT_EQ(error_message<UsageError>([&] { BatchSampler(device(), config, image); }),
-                  found + "batches of single rays, expected train.batch=columns or train.rays_per_iteration=0");
-        config.train.batch = "columns";
-        BatchSampler(device(), config, image);
+        BatchSampler sampler(device(), config, image);
+        Stream stream(device());
+        Random random(3);
+        const SampledBatch batch = sampler.sample(stream, image[0], random);
+        stream.finish();
+        EXPECT_EQ(batch.targets.image.columns, 10u) << setting;
+        EXPECT_EQ(batch.window.stride, 1u) << setting;
         EXPECT_EQ(error_message<UsageError>([&] { BatchSampler(device(), config, cloud); }),
-                  found + "a sensor without image order, expected rows and columns, or 0");
+                  "setting " + setting + ": found a sensor without image order, expected rows and columns, or 0");
     }
     Config config = config_for("rays", 40);
     config.loss.distortion = 0.15f;   // a ray's own

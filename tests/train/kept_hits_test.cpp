@@ -40,7 +40,7 @@ protected:
 
     /// Share of all rays that have more than n hits in a scene, rendered on its own.
     std::vector<double> share_beyond(const Scene& scene, const std::vector<std::uint32_t>& counts) {
-        Renderer renderer(device(), scene, config.image, {.accel = accel_options(config), .trace = trace_options(config)});
+        Renderer renderer(device(), scene, config.image, {.accel = {}, .trace = trace_options(config)});
         std::vector<double> shares(counts.size(), 0.0);
         std::size_t n_rays = 0;
         for (const int position : split.train) {

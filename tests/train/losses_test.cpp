@@ -20,11 +20,10 @@ TEST_F(Losses, EveryTermIsLogged) {
         config.init.actor_min_points = 20;
         config.init.max_scale_m = 2.0;
         config.loss.intensity_ssim = batch == "columns" ? 0.15f : 0.0f;
-        config.loss.chamfer = config.loss.opacity_entropy = 0.01f;
+        config.loss.chamfer = 0.01f;
         config.loss.normal = batch == "columns" ? 0.05f : 0.0f;
-        config.loss.distortion = config.loss.box = config.loss.log_range = config.loss.likelihood = 0.01f;
+        config.loss.distortion = config.loss.box = config.loss.likelihood = 0.01f;
         config.loss.box_scale_share = 0.01f;   // so that some surfel is too large
-        config.train.batch = batch;
         config.train.iterations = 3;
         config.train.rays_per_iteration = 1024;
         const TrainResult result = train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; });

@@ -99,7 +99,7 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
     Random draw(5);
     for (const auto& [batch_kind, f] : {std::pair{"rays", 0u}, {"columns", 1u}, {"columns", 2u}}) {
         Config config;
-        config.train.batch = batch_kind, config.train.rays_per_iteration = 130;
+        config.loss.intensity_ssim = batch_kind == std::string("columns") ? 0.15f : 0.0f, config.train.rays_per_iteration = 130;
         BatchSampler sampler(device(), config, frames.all());
         rays.move(stream, correction, frames[f]);
         const SampledBatch batch = sampler.sample(stream, frames[f], draw);
@@ -209,7 +209,6 @@ TEST_F(Poses, OfTheSensorComeNearerByGradients) {
     Config config = refining("sensor", 80);
     config.train.pose_register = false;
     config.train.pose_rate_m = 1e-2;
-    config.train.pose_rate_rad = 1e-3;
     const auto [before, after] = errors_of_training(device(), config, "gradients alone");
     EXPECT_LT(after.median_m, 0.6 * before.median_m);
     EXPECT_LT(after.median_deg, 0.6 * before.median_deg);
@@ -252,8 +251,7 @@ TEST_F(Poses, OfTheActorsComeBack) {
     keep_rays_near_boxes(street, 1.5);
     for (BoxTrack& box : street.boxes) box.world_from_box = perturbed(box.world_from_box, 0.1, 0.0, 3);
     Config config = refining("actors", 160);
-    config.train.box_rate_m = 1e-2;
-    config.train.box_rate_rad = 1e-4;
+    config.train.pose_rate_m = 1e-3;
     config.init.actor_min_points = 20;
     config.init.scale_factor = 0.8;   // few points on a car: no holes between them
     const TrainResult result = train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; });
@@ -277,7 +275,7 @@ TEST_F(Poses, AreKeptWhereNoneIsRefined) {
     TrainSession session;
     session.note = [&](const std::string& note) { notes.push_back(note); };
     config = refining("actors", 2);
-    config.init.actors = ActorMode::background;
+    config.init.actor_classes = "", config.init.mask_others = false;
     train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; }, session);
     ASSERT_EQ(notes.size(), 1u);
     EXPECT_NE(notes[0].find("no actor"), std::string::npos) << notes[0];

@@ -103,7 +103,7 @@ TEST(PrepareLog, ATeamFindsWhatOneProcessFinds) {
     const Split split = split_frames(given, 10);
     Config config;
     config.train.refine_poses = "sensor";
-    config.init.discover_actors = config.sensor.calibrate_range = config.sensor.calibrate_intensity = true;
+    config.init.unlabelled_movers = UnlabelledMovers::actors, config.sensor.calibrate = "range,intensity";
     Sequence alone = given;
     std::vector<std::string> told_alone;
     prepare_log(alone, split, config, {[&](const std::string& line) { told_alone.push_back(line); }, {}, {}});

@@ -180,7 +180,6 @@ TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
     relidar::Run run = weak_run(device());
     run.config.refine.epochs = 4;
     run.config.refine.frames = 3;
-    run.config.train.checkpoint_keep = 2;
     const std::filesystem::path checkpoints = folder() / "checkpoints";
     const DropNetwork expected = refine_drops(device(), run);
     const int of_epoch = run.config.refine.frames;
@@ -220,11 +219,11 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
         return std::string("nothing thrown");
     };
     relidar::Run other = run;
-    other.config.refine.width = 24;
+    other.config.refine.rate = 0.5;
     EXPECT_EQ(message(other),
-              "2 resuming the ray-drop network from step 2: setting refine.width: found 24, expected 0 as in the checkpoint");
+              "2 resuming the ray-drop network from step 2: setting refine.rate: found 0.5, expected 0.01 as in the checkpoint");
     take_refine_settings(checkpoint, other.config);
-    EXPECT_EQ(other.config.refine.width, run.config.refine.width);
+    EXPECT_EQ(other.config.refine.rate, run.config.refine.rate);
     other.config.train.log_every = 7, other.config.train.checkpoint_minutes = 3.0, other.config.refine.enabled = false;
     check_refine_resumable(checkpoint, other);
     other = run;

@@ -129,41 +129,5 @@ TEST_F(RigStreet, ADenserSensorSeesNoHolesBetweenTheRingsOfTheLog) {
     EXPECT_GT(without, 3.0 * with);
 }
 
-TEST(SecondReturns, AreRaysThatStartBehindTheFirstSurface) {
-    const std::string rig = test::write_rig(std::filesystem::path(testing::TempDir()) / "relidar_rig_behind");
-    Sequence street = make_synthetic_street({.n_frames = 3, .rig = rig});
-    const Sequence log = street;
-    const Split split = split_frames(street, 2);   // sweep 2 is held out
-    Config config = rig_config(0);
-    config.train.second_returns = true;
-    std::string told;
-    prepare_log(street, split, config, {[&](const std::string& text) { told += text + "\n"; }, {}, {}});
-    std::size_t added = 0;
-    for (std::size_t f = 0; f < log.frames.size(); ++f) {
-        const Scan &before = log.frames[f].scan, &after = street.frames[f].scan;
-        const bool is_test = std::ranges::count(split.test, static_cast<int>(f)) > 0;
-        if (before.further.empty() || is_test) {
-            EXPECT_EQ(after.rays.size(), before.rays.size());
-            EXPECT_EQ(after.rays.rows, before.rays.rows);
-            continue;
-        }
-        std::vector<glm::vec3> behind;   // where the second returns lie that are farther
-        for (std::size_t i = 0; i < before.range_m.size(); ++i)
-            if (before.further[0].range_m[i] > before.range_m[i])
-                behind.push_back(before.rays.origin[i] + before.further[0].range_m[i] * before.rays.direction[i]);
-        const std::size_t n = before.rays.size();
-        ASSERT_EQ(after.rays.size(), n + behind.size());
-        EXPECT_EQ(after.rays.rows, 1);
-        EXPECT_TRUE(after.further.empty());
-        for (std::size_t k = 0; k < behind.size(); ++k) {
-            ASSERT_LT(glm::distance(after.point(n + k), behind[k]), 1e-4f);
-            ASSERT_GT(glm::length(after.rays.origin[n + k]), 0.2f) << "not from the sensor";
-        }
-        added += behind.size();
-    }
-    EXPECT_GT(added, 100u);
-    EXPECT_NE(told.find(std::to_string(added) + " second returns are trained on"), std::string::npos) << told;
-}
-
 }  // namespace
 }  // namespace relidar

@@ -44,7 +44,7 @@ Config make(const std::string& preset, const py::dict& values) {
 
 Config load(const std::filesystem::path& path) {
     Config config;
-    load_config(config, path);
+    load_config(config, path, warn);
     return config;
 }
 
@@ -55,6 +55,10 @@ py::dict dict_of(const Config& config) {
 }
 
 }  // namespace
+
+void warn(const std::string& text) {
+    if (PyErr_WarnEx(PyExc_UserWarning, text.c_str(), 1) != 0) throw py::error_already_set();
+}
 
 void set_value(Config& config, const std::string& key, const py::handle& value) {
     set_key(config, key, text_of(key, value));

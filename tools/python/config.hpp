@@ -2,6 +2,8 @@
 // Settings from Python: names as in `relidar config`, values as Python has them.
 #pragma once
 
+#include <string>
+
 #include <pybind11/pybind11.h>
 
 #include <relidar/config.hpp>
@@ -10,6 +12,8 @@ namespace relidar::python {
 
 /// Sets one setting from a str, bool, int, float or path. @throws UsageError as set_key(), and for a value of another type
 void set_value(Config& config, const std::string& key, const pybind11::handle& value);
+/// A note of the library as a warning of Python.
+void warn(const std::string& text);
 /// Sets all of a dict.
 void set_values(Config& config, const pybind11::dict& values);
 

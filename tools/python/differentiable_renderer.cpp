@@ -29,7 +29,7 @@ std::unique_ptr<HeldRenderer> make(const Scene& scene, const std::optional<Confi
     const Config settings = config.value_or(make_preset("default"));
     ImageModel image = settings.image;
     image.primitive = scene.surfels.primitive();
-    const RendererOptions options{accel_options(settings), trace_options(settings), 0,
+    const RendererOptions options{{}, trace_options(settings), 0,
                                   static_cast<std::uint32_t>(settings.trace.keep_hits)};
     const GradientOptions gradients{backward_options(settings), {.rays = rays, .poses = poses}};
     device = device_or_default(device);
@@ -157,7 +157,7 @@ void add_differentiable_renderer(py::module_& module) {
         .def(py::init(&make), py::arg("scene"), py::arg("config") = py::none(), py::kw_only(), py::arg("poses") = false,
              py::arg("rays") = false, py::arg("device") = py::none(),
              "scene: is copied to the device\n"
-             "config: image.*, trace.* and train.gradient_sums say how rays are rendered and gradients summed; None: preset \"default\"\n"
+             "config: image.*, trace.* and train.deterministic say how rays are rendered and gradients summed; None: preset \"default\"\n"
              "poses, rays: whether backward() gives their gradients too\n\n"
              "Raises DataError where models or instances of the scene are out of range.")
         .def("place", &place, py::arg("poses") = py::none(), py::arg("view_origin") = py::none(), py::arg("present") = py::none(),

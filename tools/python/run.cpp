@@ -99,7 +99,7 @@ std::vector<std::string> track_names(const Run& run) {
 }
 
 std::unique_ptr<LoadedRun> load(const fs::path& folder, const py::dict& settings, const SharedDevice& device) {
-    Run run = load_run(folder);
+    Run run = load_run(folder, warn);
     set_values(run.config, settings);
     return std::make_unique<LoadedRun>(std::move(run), device);
 }

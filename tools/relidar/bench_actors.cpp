@@ -71,7 +71,7 @@ BenchCase case_of_actors(int n_actors, bool own_models) {
 void measure_moves(Device& device, const BenchCase& bench, int repeat, ActorTimes& times) {
     constexpr int kWarmUp = 3;
     DeviceScene on_device(device, bench.scene);
-    Accel accel(device, on_device, accel_options(bench.config));
+    Accel accel(device, on_device, accel_of(bench));
     Stream stream(device, false);
     on_device.activate(stream, bench.config.image, glm::vec3(0.0f));
     stream.finish();

@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "bench_case.hpp"
 
+#include <algorithm>
 #include <charconv>
 #include <optional>
+#include <string>
+#include <vector>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include "options.hpp"
 #include <relidar/measure/scene.hpp>
@@ -46,13 +50,26 @@ std::optional<ImageSize> parse_rays(const std::string& text) {
 /// The image model of the paper, as the streets are described; a run has its own.
 void apply(const BenchChoice& choice, Config& config) {
     if (!choice.chunk.empty()) set_key(config, "trace.chunk", choice.chunk);
-    if (!choice.proxy.empty()) set_key(config, "trace.proxy", choice.proxy == "auto" ? "automatic" : choice.proxy);
-    if (!choice.walk.empty()) set_key(config, "trace.walk", choice.walk == "auto" ? "automatic" : choice.walk);
     if (!choice.keep_hits.empty()) set_key(config, "trace.keep_hits", choice.keep_hits);
     if (!choice.distortion.empty()) set_key(config, "loss.distortion", choice.distortion);
     if (!choice.likelihood.empty()) set_key(config, "loss.likelihood", choice.likelihood);
     if (choice.deterministic) config.train.deterministic = true;
     if (!choice.sh.empty()) set_key(config, "image.sh_direction", choice.sh);
+}
+
+/// Place of a word among those of an option. @throws UsageError for another one
+std::size_t place_of(const char* option, const std::string& word, const std::vector<std::string>& words) {
+    const auto found = std::find(words.begin(), words.end(), word);
+    if (found == words.end()) throw UsageError(fmt::format("{}: found \"{}\", expected one of {}", option, word, fmt::join(words, ", ")));
+    return std::size_t(found - words.begin());
+}
+
+/// In the order of Proxy and of Walk. @throws UsageError
+Proxy proxy_of(const BenchChoice& choice) {
+    return choice.proxy.empty() ? Proxy::automatic : Proxy(place_of("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));
+}
+Walk walk_of(const BenchChoice& choice) {
+    return choice.walk.empty() ? Walk::automatic : Walk(place_of("--walk", choice.walk, {"auto", "lane", "subgroup"}));
 }
 
 BenchCase street_case(const BenchChoice& choice) {
@@ -74,7 +91,7 @@ BenchCase street_case(const BenchChoice& choice) {
 }
 
 BenchCase run_case(const BenchChoice& choice) {
-    Run run = load_run(choice.run);
+    Run run = load_run(choice.run, note);
     if (run.sequence.frames.empty() || count_surfels(run.scene) == 0)
         throw DataError(fmt::format("{}: a run without frames or surfels, expected at least one of each", choice.run));
     const Frame& frame = run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
@@ -107,13 +124,24 @@ void check(const BenchChoice& choice) {
     parse_rays(choice.rays);
     Config unused;
     apply(choice, unused);
+    proxy_of(choice), walk_of(choice);
 }
 
 BenchCase make_case(const BenchChoice& choice) {
     BenchCase bench = choice.run.empty() ? street_case(choice) : run_case(choice);
     apply(choice, bench.config);
+    bench.proxy = proxy_of(choice);
+    bench.walk = walk_of(choice);
     bench.keeps_more_hits = choice.keep_hits.empty();
     return bench;
+}
+
+AccelOptions accel_of(const BenchCase& bench) { return {.proxy = bench.proxy}; }
+
+TraceOptions trace_of(const BenchCase& bench) {
+    TraceOptions options = trace_options(bench.config);
+    options.walk = bench.walk;
+    return options;
 }
 
 }  // namespace relidar::cli

@@ -5,6 +5,7 @@
 #include <string>
 
 #include <relidar/config.hpp>
+#include <relidar/stages/accel.hpp>
 #include <relidar/stages/traversal.hpp>
 
 namespace relidar::cli {
@@ -25,6 +26,8 @@ struct BenchCase {
     std::string name;                 ///< "street A", or the folder of the run and the frame
     Scene scene;
     Config config;
+    Proxy proxy = Proxy::automatic;
+    Walk walk = Walk::automatic;
     bool keeps_more_hits = true;      ///< than config.trace.keep_hits, as a training comes to
     WorldRays rays;
     int rows = 0;
@@ -32,6 +35,10 @@ struct BenchCase {
     glm::vec3 view_origin_m{0.0f};
     std::vector<InstancePose> placed;   ///< [instances]
 };
+
+/// What the device searches, and how, in rendering.
+AccelOptions accel_of(const BenchCase& bench);
+TraceOptions trace_of(const BenchCase& bench);
 
 /// Looks at every option without making anything. @throws UsageError naming the first one that makes no sense
 void check(const BenchChoice& choice);

@@ -58,14 +58,15 @@ std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normali
 }
 
 RendererOptions renderer_options(const BenchCase& bench) {
-    return {.accel = accel_options(bench.config),
-            .trace = trace_options(bench.config),
+    return {.accel = accel_of(bench),
+            .trace = trace_of(bench),
             .n_rays = static_cast<std::uint32_t>(bench.rays.size())};
 }
 
 RendererOptions training_options(const BenchCase& bench, std::uint32_t keep_hits) {
     RendererOptions options = renderer_options(bench);
     options.trace = training_trace_options(bench.config);
+    options.trace.walk = bench.walk;
     options.keep_hits = keep_hits;
     return options;
 }
@@ -127,7 +128,7 @@ BenchMemory memory_of_parts(Device& device, const BenchCase& bench, bool trainin
     BenchMemory memory;
     const DeviceScene scene(device, bench.scene);
     memory.scene = since_last();
-    const Accel accel(device, scene, accel_options(bench.config));
+    const Accel accel(device, scene, accel_of(bench));
     memory.accel = since_last();
     if (!training) return memory;
     const Gradients gradients(device, scene);
@@ -269,7 +270,7 @@ BenchResult Bench::result() {
     }
     result.hits_per_ray = sizes_.n_hits / static_cast<double>(rays_.size());
     result.kept_hits = r.kept_hits();
-    if (const auto visits = count_visits(device_, r.scene(), r.accel(), batch(), case_.config.image, trace_options(case_.config)))
+    if (const auto visits = count_visits(device_, r.scene(), r.accel(), batch(), case_.config.image, trace_of(case_)))
         result.visits = BenchVisits{visits->nodes, visits->surfels};
     result.memory = memory_;
     result.memory.rays = device_.allocated_bytes() - allocated_before_ - memory_.scene - memory_.accel - memory_.training;

@@ -26,10 +26,14 @@ std::string phase_text(const std::string& phase, bool training) {
     return "move of one instance";
 }
 
+std::string walk_name(const BenchCase& bench) {
+    return bench.walk == Walk::lane ? "lane" : bench.walk == Walk::subgroup ? "subgroup" : "automatic";
+}
+
 std::string traversal_of(const Device& device) { return device.traversal() == Traversal::software ? "software" : "ray_query"; }
 /// What there is to choose about a traversal.
 std::string search_of(const Device& device, const BenchCase& bench, const BenchResult& result) {
-    return device.traversal() == Traversal::software ? "walk " + bench.config.trace.walk : "proxy " + result.proxy;
+    return device.traversal() == Traversal::software ? "walk " + walk_name(bench) : "proxy " + result.proxy;
 }
 std::string sh_of(const BenchCase& bench) { return bench.config.image.sh_direction == ShDirection::ray ? "ray" : "surfel"; }
 std::string reduction_of(const BenchResult& result) { return !result.sizes.training ? "none" : result.sizes.gather ? "gather" : "atomics"; }
@@ -157,7 +161,7 @@ std::string bench_json(const BenchCase& bench, const BenchSettings& settings, co
                    {"columns", bench.columns},
                    {"chunk", bench.config.trace.chunk},
                    {"proxy", result.proxy},
-                   {"walk", bench.config.trace.walk},
+                   {"walk", walk_name(bench)},
                    {"sh", sh_of(bench)},
                    {"sh_degree", bench.config.image.sh_degree},
                    {"keep_hits", result.kept_hits},

@@ -40,7 +40,6 @@ struct DemoOptions {
 Config config_of(const DemoOptions& options, const fs::path& street) {
     Config config = make_preset("quick");
     set_key(config, "train.seed", options.seed);
-    set_key(config, "init.seed", options.seed);
     config.init.scale_factor = 0.6;   // 32 beams leave wider gaps between points than the 64 the preset is made for
     set_key(config, "train.iterations", options.iterations);
     apply_sets(config, options.sets);

@@ -67,7 +67,7 @@ void run_edit(const EditOptions& options) {
             "found no edit, expected --remove, --move, --retime, --trajectory, --copy, --insert or --keep (see `relidar edit --help`)");
     check_other_folder(options);
     const RunFolder folder(options.out, options.force ? Existing::replace : Existing::refuse);
-    Run run = load_run(options.run);
+    Run run = load_run(options.run, note);
     const std::string origin = absolute_path(options.run);
     DrivingScene driving{std::move(run.scene), std::move(run.sequence)};
     const std::vector<BoxTrack> before = driving.sequence.boxes;

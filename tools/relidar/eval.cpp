@@ -115,7 +115,7 @@ void keep_share(std::vector<int>& positions, const Ranks& ranks) {
 void score_run(const EvalOptions& options, const Ranks& ranks, const std::string& command_line) {
     std::optional<FolderLock> lock;   // its metrics.json belongs to what is scored
     if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
-    Run run = load_run(options.target);
+    Run run = load_run(options.target, note);
     apply_options(run.config, options);
     if (options.no_refine) run.config.refine.enabled = false;
     const Output output(options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out), options.pictures, ranks);

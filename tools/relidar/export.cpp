@@ -47,7 +47,7 @@ void run_export(const ExportOptions& options) {
         throw UsageError(
             fmt::format("--out {}: found {}, expected a name that ends in .ply (surfels) or .csv (the sensor's path)", options.out, found));
     }
-    const Run run = load_run(options.run);
+    const Run run = load_run(options.run, note);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     if (*format == ".ply") write_surfel_ply(out, whole_scene(run.scene));
     else write_trajectory(out, sensor_path(run.sequence));
@@ -57,7 +57,7 @@ void run_export(const ExportOptions& options) {
 
 void run_import(const ImportOptions& options) {
     const RunFolder folder(options.out, options.force ? Existing::replace : Existing::refuse);
-    Run run = load_run(options.run);
+    Run run = load_run(options.run, note);
     run.scene = read_surfel_ply(options.file, whole_scene(run.scene), run.config.image.primitive);
     remove_run_files(folder.path());
     remove_blocks(folder.path());

@@ -120,7 +120,7 @@ Json json_of(const LogSummary& log) {
 
 std::string dumped(const Json& json) { return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n"; }
 
-BoxSummary summarise(const Sequence& sequence, const BoxTrack& box, double min_step_m) {
+BoxSummary summarise(const Sequence& sequence, const BoxTrack& box) {
     BoxSummary summary;
     summary.id = box.id;
     summary.category = box.category;
@@ -137,7 +137,7 @@ BoxSummary summarise(const Sequence& sequence, const BoxTrack& box, double min_s
     if (track.pose.empty()) return summary;
     const double seconds = track.time_s.back() - track.time_s.front();
     summary.mean_speed_mps = seconds > 0.0 ? summary.path_m / seconds : 0.0;
-    summary.moves = box.mean_step_m() > min_step_m;
+    summary.moves = box.moves();
     summary.parked = box.is_parked();
     const glm::dvec3 forward = track.pose.front().rotation * glm::dvec3(1, 0, 0);
     summary.start_m = track.pose.front().translation + sequence.world_offset_m;
@@ -207,7 +207,7 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
     }
     log.path_m = path_length_m(sequence.world_from_vehicle);
     log.returns_share = returns_share(sequence);
-    for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box, options.actor_min_step_m));
+    for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box));
     log.masked = names_of(unwanted_boxes(sequence, options));
     return log;
 }

@@ -18,7 +18,7 @@ struct BoxSummary {
     std::size_t n_frames = 0;               ///< of the log, in which it is there
     int first_frame = 0, last_frame = 0;
     double path_m = 0.0, mean_speed_mps = 0.0;
-    bool moves = false;    ///< more than init.actor_min_step_m a frame
+    bool moves = false;    ///< see BoxTrack::moves()
     bool parked = false;
     glm::dvec3 start_m{0.0};                ///< box centre when it first appears, the dataset's world
     double start_yaw_deg = 0.0;

@@ -82,7 +82,7 @@ void score_both(Device& device, const Run& run, const RefineOptions& options) {
 void run_refine(const RefineOptions& options) {
     std::optional<FolderLock> lock;
     if (is_run(options.run)) lock.emplace(options.run);
-    Run run = load_run(options.run);
+    Run run = load_run(options.run, note);
     const std::optional<Checkpoint> start = find_start(options);
     if (start) take_refine_settings(*start, run.config);
     apply_sets(run.config, options.sets);

@@ -351,7 +351,7 @@ void run_render(const RenderOptions& given) {
     const PoseTrack track = drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<OutputFolder> folder;
     if (ranks.is_first()) folder.emplace(options.out);   // which goes again where nothing was written: not for each process to decide
-    Run run = load_run(options.run);
+    Run run = load_run(options.run, note);
     apply_sets(run.config, options.sets);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;

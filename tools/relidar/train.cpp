@@ -67,7 +67,7 @@ Config start_settings(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
     if (!options.resume || options.from_preset || !is_file(saved)) return resolve(options.settings);
     Config config;
-    load_config(config, saved);
+    load_config(config, saved, note);
     apply_sets(config, options.settings.sets);
     return config;
 }
@@ -82,10 +82,7 @@ Config config_of(const TrainOptions& options) {
         if (length.ends_with('m')) length.pop_back();
         set_key(config, "blocks.length_m", length);
     }
-    if (!options.seed.empty()) {
-        set_key(config, "init.seed", options.seed);
-        set_key(config, "train.seed", options.seed);
-    }
+    if (!options.seed.empty()) set_key(config, "train.seed", options.seed);
     return config;
 }
 
@@ -246,7 +243,7 @@ TrainResult logged_result(const fs::path& folder) {
 /// Goes on where the scene is done: with the network, unless that is done too, scores and report.
 void finish_scene(const TrainOptions& options, const Config& config, const std::string& command_line) {
     const RunFolder folder(options.out, Existing::keep);
-    Run run = load_run(options.out);
+    Run run = load_run(options.out, note);
     const bool has_network = !run.drop_network.empty() && same_group(run.config, config, "refine.");
     run.config = config;
     Device device(device_options(options.device));

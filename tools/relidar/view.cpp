@@ -50,7 +50,7 @@ std::filesystem::path save_folder(const ViewOptions& options, const Run& run) {
 /// By the names that were typed.
 view::OtherRuns other_runs(const std::vector<std::string>& folders) {
     view::OtherRuns runs;
-    for (const std::string& folder : folders) runs.emplace(folder, load_run(folder));
+    for (const std::string& folder : folders) runs.emplace(folder, load_run(folder, note));
     return runs;
 }
 
@@ -67,7 +67,7 @@ view::ServerOptions server_options(const ViewOptions& options) {
 
 void run_view(const ViewOptions& options) {
     const view::ServerOptions wanted = server_options(options);   // a wrong address is found before the run is read
-    Run run = load_run(options.run);
+    Run run = load_run(options.run, note);
     apply_sets(run.config, options.sets);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;

@@ -9,20 +9,19 @@
     TERM(0u, depth, depth, 0.1f, at_least(0), "weight of the range term, L1 on returned rays") \
     TERM(1u, intensity, intensity, 0.1f, at_least(0), "weight of the intensity term on returned rays") \
     TERM(2u, drop, drop, 0.01f, at_least(0), "weight of the ray-drop term, cross-entropy on all rays") \
-    TERM(3u, opacity, opacity, 0.0f, at_least(0), "weight of (1 - W)^2 on returned rays") \
+    TERM(3u, opacity, opacity, 0.0f, at_least(0), expert("weight of (1 - W)^2 on returned rays")) \
     TERM(4u, ssim, intensity_ssim, 0.0f, between(0, 1), \
-         "share of 1 - SSIM in the intensity term, the rest is L1; needs batches that are images (train.batch); 0: paper") \
-    TERM(5u, box, box, 0.0f, at_least(0), "weight of actors' surfels leaving their box; 0: paper") \
-    TERM(6u, entropy, opacity_entropy, 0.0f, at_least(0), "weight of the entropy of opacities") \
-    TERM(7u, chamfer, chamfer, 0.01f, at_least(0), "weight of the Chamfer distance between simulated and measured points, squared metres") \
-    TERM(8u, distortion, distortion, 0.0f, at_least(0), \
-         "weight of the spread of a ray's hits, the sum over pairs of w_i w_j |t_i - t_j| in metres, mean over returned rays; 0: paper") \
-    TERM(9u, normal, normal, 0.0f, at_least(0), \
-         "weight of surfel normals disagreeing with those of the rendered range image, mean over returned rays; needs batches that are " \
-         "images (train.batch); 0: paper") \
-    TERM(10u, log_range, log_range, 0.0f, at_least(0), \
-         "weight of |ln(1 + range)| differences on returned rays, ranges in metres; 0: paper") \
-    TERM(11u, likelihood, likelihood, 0.0f, at_least(0), \
-         "weight of -ln of how likely a ray's hits make the range that was measured, mean over returned rays; 0: paper")
+         expert("share of 1 - SSIM in the intensity term, the rest is L1; of a sensor with image order; 0: paper")) \
+    TERM(5u, box, box, 0.0f, at_least(0), expert("weight of actors' surfels leaving their box; 0: paper")) \
+    TERM(6u, chamfer, chamfer, 0.01f, at_least(0), \
+         expert("weight of the Chamfer distance between simulated and measured points, squared metres")) \
+    TERM(7u, distortion, distortion, 0.0f, at_least(0), \
+         expert("weight of the spread of a ray's hits, the sum over pairs of w_i w_j |t_i - t_j| in metres, mean over returned rays; 0: " \
+                "paper")) \
+    TERM(8u, normal, normal, 0.0f, at_least(0), \
+         expert("weight of surfel normals disagreeing with those of the rendered range image, mean over returned rays; of a sensor with " \
+                "image order; 0: paper")) \
+    TERM(9u, likelihood, likelihood, 0.0f, at_least(0), \
+         expert("weight of -ln of how likely a ray's hits make the range that was measured, mean over returned rays; 0: paper"))
 
 #endif

@@ -23,7 +23,6 @@ struct SurfelArrays;
 enum class DensifyStrategy {
     none,
     adaptive,     ///< the paper's: clone and split by gradient, prune, reset opacities
-    prune_only,   ///< its pruning alone, for a dense start
     mcmc          ///< "3D Gaussian Splatting as Markov Chain Monte Carlo": the dead move to the living, growth by a share, noise on means
 };
 
@@ -36,7 +35,7 @@ struct DensifyOptions {
     int every = 100;
     double gradient_threshold = 2e-4;     ///< mean norm of dL/d(mean), 1/m, above which a surfel grows; L is a mean over a frame's rays
     double clone_extent_share = 2e-4;     ///< of the extent: below, a growing surfel is cloned, above, it is split
-    double min_opacity = 0.003;           ///< fainter ones are removed; never less than image.alpha_min, below which they are not traced
+    double min_opacity = 0.003;           ///< fainter ones are removed; never less than ImageModel::alpha_min, which is traced
     double max_extent_share = 0.01;       ///< of the extent: larger ones are removed ...
     int large_from = 3000;                ///< ... after this step
     int opacity_reset_every = 3000;       ///< adaptive, until `until`; 0 = never
@@ -44,7 +43,7 @@ struct DensifyOptions {
     int max_surfels = 4000000;            ///< no growth beyond; a scene that starts larger is not cut
     double growth = 0.05;                 ///< mcmc: share of surfels added each time
     double noise = 0.2;                   ///< mcmc: standard deviation of the noise a step on the means of faint surfels, in scales
-    bool prune_unseen = false;            ///< at the end of training: remove surfels without a gradient in any training frame
+    bool operator==(const DensifyOptions&) const = default;
 };
 
 /// What one densification did.
@@ -52,16 +51,16 @@ struct DensifyReport {
     std::uint32_t before = 0, after = 0;
     std::uint32_t added = 0;                         ///< rows more than survivors: a clone, a split and a relocation add one each
     std::uint32_t clones = 0, splits = 0;            ///< wanted by their gradient; where the sum exceeds `added` there was no room for all
-    std::uint32_t invalid = 0, faint = 0, large = 0, outside = 0, unseen = 0;   ///< removed: not finite, opacity, scale, box, never seen
+    std::uint32_t invalid = 0, faint = 0, large = 0, outside = 0;   ///< removed: not finite, opacity, scale, box
     std::string note;                                ///< once, when memory ends the growth; empty otherwise
 
-    std::uint32_t removed() const { return invalid + faint + large + outside + unseen; }
+    std::uint32_t removed() const { return invalid + faint + large + outside; }
     /// Counts of another one are added; its sizes, and its note where it has one, take the place of these.
     void add(const DensifyReport& later);
 };
 
 /// All its counts by name.
-inline constexpr std::array<std::pair<const char*, std::uint32_t DensifyReport::*>, 10> kDensifyCounts{
+inline constexpr std::array<std::pair<const char*, std::uint32_t DensifyReport::*>, 9> kDensifyCounts{
     {{"before", &DensifyReport::before},
      {"after", &DensifyReport::after},
      {"added", &DensifyReport::added},
@@ -70,8 +69,7 @@ inline constexpr std::array<std::pair<const char*, std::uint32_t DensifyReport::
      {"invalid", &DensifyReport::invalid},
      {"faint", &DensifyReport::faint},
      {"large", &DensifyReport::large},
-     {"outside", &DensifyReport::outside},
-     {"unseen", &DensifyReport::unseen}}};
+     {"outside", &DensifyReport::outside}}};
 
 /// Statistics since the last densification, kept with the surfels; the arrays may have room for more than n. A checkpoint holds them.
 struct SurfelStatistics {
@@ -111,11 +109,6 @@ public:
     /// Records what happens every step or at its own times: opacity reset (adaptive), noise (mcmc).
     /// @param rate_share learning rate of the means now over that at the start
     void after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step, double rate_share);
-    /// Forgets what was observed, also which frames.
-    void forget(Stream& stream);
-    /// Removes surfels that have had no gradient in any frame observed since forget(), and nothing else. Blocks.
-    DensifyReport prune_unseen(Stream& stream, DeviceScene& scene, Adam& adam);
-
     SurfelStatistics& statistics();
     std::vector<double>& extents_m();               ///< of each model, metres
     const std::vector<double>& extents_m() const;   ///< the same

@@ -50,12 +50,11 @@ struct LossWeights {
 #undef RELIDAR_TERM
     bool normalised_depth = false;   ///< compare D / W instead of D (paper)
     float box_scale_share = 0.2f;    ///< standard deviation an actor's surfel may have, over half the diagonal of its box
-    float likelihood_scale_m = 0.05f;        ///< spread of measured ranges about what is there, at the sensor, metres
-    float likelihood_scale_share = 0.0f;     ///< what is added to it, times the measured range
+    float likelihood_scale_m = 0.05f;        ///< spread of measured ranges about what is there, metres
     float likelihood_floor = 0.01f;          ///< share of returns that may lie anywhere
 
     bool uses_geometry() const { return distortion > 0.0f || normal > 0.0f; }
-    bool uses_surfels() const { return box > 0.0f || opacity_entropy > 0.0f; }
+    bool operator==(const LossWeights&) const = default;
 };
 
 #define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) #name,
@@ -162,23 +161,8 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// |ln(1 + r) - ln(1 + measured range)| in metres, r = D / W or D (normalised_depth), mean over returned rays: near the sensor a difference
-/// in metres, far away a share of the range.
-class LogRangeLoss final : public Loss {
-public:
-    LogRangeLoss(Device& device, const LossWeights& weights);
-    ~LogRangeLoss() override;
-    void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets, const TermRow& terms) override;
-
-private:
-    struct Impl;
-    std::unique_ptr<Impl> impl_;
-};
-
-/// Terms of the parameters themselves, with mu the mean in the box frame, h the Model::half_size_m, s a standard deviation and sigma an
-/// opacity:
+/// A term of the parameters themselves, with mu the mean in the box frame, h the Model::half_size_m and s a standard deviation:
 ///   box      mean over actors' surfels of  sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)
-///   entropy  mean over all surfels of  -sigma ln sigma - (1 - sigma) ln(1 - sigma)
 class SurfelLoss final : public Loss {
 public:
     SurfelLoss(Device& device, const LossWeights& weights);

@@ -38,10 +38,9 @@ struct RayBatch {
 /// Whether each ray walks the software tree on its own or the rays of a subgroup walk it together.
 enum class Walk { automatic, lane, subgroup };
 
-/// Kernel of the likelihood of a measured range z (docs/method.md M12): k(t) = 1 / (1 + ((t - z) / s)^2), s = scale_m + scale_share z.
+/// Kernel of the likelihood of a measured range z (docs/method.md M12): k(t) = 1 / (1 + ((t - z) / scale_m)^2).
 struct RangeKernel {
     float scale_m = 0.05f;
-    float scale_share = 0.0f;
 };
 
 /// How rays are traced; none of it changes the image.
