@@ -17,6 +17,8 @@ configure_package_config_file(${PROJECT_SOURCE_DIR}/cmake/relidarConfig.cmake.in
 write_basic_package_version_file(${PROJECT_BINARY_DIR}/relidarConfigVersion.cmake COMPATIBILITY SameMinorVersion)
 install(FILES ${PROJECT_BINARY_DIR}/relidarConfig.cmake ${PROJECT_BINARY_DIR}/relidarConfigVersion.cmake DESTINATION ${RELIDAR_PACKAGE_DIR})
 install(FILES ${PROJECT_SOURCE_DIR}/LICENSE DESTINATION ${CMAKE_INSTALL_DOCDIR})
+# headers refer to them
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs DESTINATION ${CMAKE_INSTALL_DOCDIR} FILES_MATCHING PATTERN "*.md" PATTERN images EXCLUDE)
 
 if(TARGET relidar_serve)   # clients make their stubs of it
     install(FILES ${PROJECT_SOURCE_DIR}/tools/serve/relidar/v1/render.proto DESTINATION ${CMAKE_INSTALL_DATADIR}/relidar/proto/relidar/v1)

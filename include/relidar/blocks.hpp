@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A long log in blocks: stretches of the way that its sensor has driven, each trained on its own with the sweeps that see it, and joined to
+// A long log in blocks: stretches of the trajectory of its sensor, each trained on its own with the sweeps that see it, and joined to
 // one scene whose background is read block by block (Scene::blocks). The paper trains a log in one piece, and names that as its limit.
 #pragma once
 
@@ -14,15 +14,15 @@
 
 namespace relidar {
 
-/// A stretch of the way.
+/// A stretch of the trajectory.
 struct Block {
     double begin_m = 0.0, end_m = 0.0;   ///< driven since the log began
     std::vector<int> own;                ///< positions in Sequence::frames of the sweeps that were taken on it, held-out ones too
     std::vector<int> train;              ///< of the training frames that see it: its own, and those within the halo wherever they come from
 };
 
-/// Cuts the way of a log's vehicle into blocks of equal length, options.length_m at most. A stretch without a sweep, where the log has a
-/// gap, is no block. @throws DataError where a block has no training frame within its halo
+/// Cuts the trajectory of a log's vehicle into blocks of equal length, options.length_m at most. A stretch without a sweep, where the log
+/// has a gap, is no block. @throws DataError where a block has no training frame within its halo
 std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, const BlockConfig& options);
 
 /// The part of a log that a block is trained on: its training frames, its own held-out ones, and boxes that come near them.

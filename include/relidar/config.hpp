@@ -11,15 +11,12 @@
 #include <string_view>
 #include <vector>
 
-#include <relidar/stages/densify.hpp>
-#include <relidar/stages/loss.hpp>
+#include <relidar/densify.hpp>
+#include <relidar/loss.hpp>
 #include <relidar/refine.hpp>
 #include <relidar/scene.hpp>
 
 namespace relidar {
-
-struct BackwardOptions;
-struct TraceOptions;
 
 struct DatasetConfig {
     std::string path;              ///< dataset as given on the command line
@@ -91,9 +88,9 @@ struct TrainConfig {
     bool operator==(const TrainConfig&) const = default;
 };
 
-/// A long log is trained in blocks, each a stretch of the way with the sweeps that see it.
+/// A long log is trained in blocks, each a stretch of the trajectory with the sweeps that see it.
 struct BlockConfig {
-    double length_m = 0.0;   ///< of the way that the sensor has driven, a block, at most; 0 = the log is trained in one piece
+    double length_m = 0.0;   ///< of the trajectory of the sensor, a block, at most; 0 = the log is trained in one piece
     double halo_m = 40.0;    ///< sweeps that were taken so near to a block are trained on with it
     int actor_epochs = 4;    ///< so often every training frame teaches the actors before the joined background; 0 = not
     bool operator==(const BlockConfig&) const = default;
@@ -171,13 +168,5 @@ void update_settings(std::map<std::string, std::string>& settings);
 std::string to_toml(const Config& config);
 /// The same without those expert settings that are as the preset has them.
 std::string to_short_toml(const Config& config);
-
-/// Enum fields.
-TraceOptions trace_options(const Config& config);
-/// The same with what the losses want of rays beside their image.
-TraceOptions training_trace_options(const Config& config);
-/// The same with what scans want of them: normals, and the heaviest surface.
-TraceOptions rendering_trace_options(const Config& config);
-BackwardOptions backward_options(const Config& config);
 
 }  // namespace relidar

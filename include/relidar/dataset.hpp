@@ -73,7 +73,7 @@ struct FolderOptions {
     Progress progress = {};   ///< what it throws ends the writing; nothing is left
 };
 /// Writes a log as a plain folder (kind "folder", docs/datasets.md) from which load_sequence() reads it again: the same rays, dropped ones
-/// and further returns included, bit by bit; times, boxes, notes; poses to a nanometre. What is estimated of sensors later, such as the
+/// and second returns included, bit by bit; times, boxes, notes; poses to a nanometre. What is estimated of sensors later, such as the
 /// response of beams, is not part of a log. The folder appears under its name when it is complete.
 /// @throws UsageError where something of that name is there that may not be replaced, DataError where it cannot be written
 void save_folder(const Sequence& sequence, const std::filesystem::path& folder, const FolderOptions& options = {});

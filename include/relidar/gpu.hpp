@@ -91,8 +91,6 @@ public:
     /// Device memory held by arrays now / at most since the device was opened, bytes.
     std::uint64_t allocated_bytes() const;
     std::uint64_t peak_bytes() const;
-    /// Validation messages of severity warning or error seen so far (0 without validation).
-    std::size_t validation_messages() const;
     /// What was compiled so far, in that order, where the device was opened to compile only.
     const std::vector<PipelineStatistics>& pipelines() const;
 

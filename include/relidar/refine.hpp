@@ -54,7 +54,7 @@ struct DropNetwork {
     std::uint32_t taps = 9;                     ///< of its convolutions: 9, or 1 where each pixel is by itself
     bool residual = true;                       ///< its output is added to the rendered logit; false: it replaces it
     std::vector<float> normalisation;           ///< [channels, 2] scale and shift of the inputs
-    std::vector<float> parameters;              ///< in the order of src/refine/unet.cpp
+    std::vector<float> parameters;              ///< layer by layer, as the network is asked
     std::vector<float> running;                 ///< moments of the normalisations, for evaluation
 
     bool empty() const { return parameters.empty(); }

@@ -8,7 +8,7 @@
 
 #include <relidar/progress.hpp>
 #include <relidar/sequence.hpp>
-#include <relidar/team.hpp>
+#include <relidar/process_group.hpp>
 
 namespace relidar {
 
@@ -20,7 +20,7 @@ struct RegisterOptions {
     double mover_margin_m = kMoverMargin_m;    ///< boxes are grown by this
     std::function<bool()> stop;     ///< asked before every scan and round; true ends registration with nothing changed
     Progress progress = {};         ///< of both parts
-    Team team = {};                 ///< processes that register the same log
+    ProcessGroup group = {};                 ///< processes that register the same log
 };
 
 /// One round: planes are fitted to the cells of a grid, then all poses take one step towards them.
@@ -51,7 +51,7 @@ struct Registration {
 /// cannot be seen: the mean correction is zero, or without given motion the pose in the middle stays.
 /// Held-out scans shape no plane and move no other pose than their own, which is found last, on the planes of the training scans.
 /// Deterministic, whatever the number of threads and processes. One training scan is left where it is.
-/// A team shares the first step; the rest is the first process's alone, and the others return without it.
+/// A process group shares the first step; the rest is the first process's alone, and the others return without it.
 /// Of several LiDARs those take part that sweep at the same times as the one with the most returns: what they see at one time is one scan
 /// of the vehicle. Others ride along, as they are mounted.
 /// @throws DataError where no two training scans see a common surface

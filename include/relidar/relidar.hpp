@@ -26,5 +26,5 @@
 #include <relidar/sensor.hpp>
 #include <relidar/sensor_files.hpp>
 #include <relidar/sequence.hpp>
-#include <relidar/team.hpp>
+#include <relidar/process_group.hpp>
 #include <relidar/train.hpp>

@@ -30,7 +30,7 @@ struct RenderedScan {
     std::vector<std::int32_t> instance; ///< [n] whose surface was met: index into Scene::instances, -1 where none was
     std::vector<float> time_offset_s;   ///< [n] firing time of each ray
     std::vector<std::uint16_t> ring;    ///< [n] number of the beam, 0 = highest
-    std::vector<FurtherReturn> further = {};   ///< second returns with sensor.returns = 2; of the dominant surfaces
+    std::vector<SecondReturn> second_returns = {};   ///< second returns with sensor.returns = 2; of the dominant surfaces
     /// [n] each: those of config.render.channels, but for what the run does not know ("seen" without a Coverage), and what a caller adds of
     /// his own, which goes through joins, grids, merges and into every output like the others
     std::vector<ScanChannel> channels = {};

@@ -16,7 +16,7 @@
 #include <relidar/math.hpp>
 #include <relidar/progress.hpp>
 #include <relidar/sequence.hpp>
-#include <relidar/team.hpp>
+#include <relidar/process_group.hpp>
 
 namespace relidar {
 
@@ -181,10 +181,10 @@ struct InstancePose {
 /// What moves without a label: returns of training frames, within 40 m, that others see through, linked and placed as upright boxes of one
 /// size, x along a smooth path; seen in 6 frames, 0.6 m and 0.9 of its size far, no part of the sensor's vehicle. A size is a guess
 /// (size_guess) where one side was seen. What a label follows for a while is that box, its id, class and size, with more poses (n_before,
-/// n_after), to stand in its place; others are mover-0, mover-1, ... The same in all processes of a team. Each LiDAR is asked by itself:
+/// n_after), to stand in its place; others are mover-0, mover-1, ... The same in all processes of a group. Each LiDAR is asked by itself:
 /// of a mover that several have seen the first one's track, unless another saw it half as long again.
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions,
-                                      const Progress& progress = {}, const Team& team = {});
+                                      const Progress& progress = {}, const ProcessGroup& group = {});
 
 /// Boxes whose points and rays are not the background's: those that move (BoxTrack::moves), and the tracks asked for.
 /// @throws DataError for a box without a size or with a pose that is not finite, UsageError for an unknown track

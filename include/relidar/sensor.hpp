@@ -110,7 +110,7 @@ struct Beam {
     double intensity_offset = 0.0;
     double range_offset_m = 0.0;
 
-    /// What the beam measures of a surface and back (src/sensor/beam.cpp):
+    /// What the beam measures of a surface and back:
     ///   measured range = range of the surface + range_offset,
     ///   measured intensity = gain * fall * intensity of the surface + offset, cut to 0..1
     /// A range of 0, no return, stays 0. The two directions are inverse where nothing is cut.
@@ -187,7 +187,7 @@ struct DropTable {
 };
 
 /// A linear image of elevation by azimuth. Pixel (i, j) is centred on elevation fov_up - i * fov / rows and azimuth
-/// 180 - j * 360 / columns degrees. (bench/score.py's convention for the KITTI-360 grid)
+/// 180 - j * 360 / columns degrees. (as the KITTI-360 grid has it)
 struct RangeGrid {
     std::string name;
     int rows = 0;

@@ -33,8 +33,8 @@ struct PoseTrack {
     bool covers(double t_s) const { return !time_s.empty() && t_s >= time_s.front() && t_s <= time_s.back(); }
 };
 
-/// One more return of the rays of a scan.
-struct FurtherReturn {
+/// The second return of each ray of a scan, or the third, ...
+struct SecondReturn {
     std::vector<float> range_m;      ///< [n] along the ray from its origin; 0 = none
     std::vector<float> intensity;    ///< [n] 0..1; 0 where there is none
 };
@@ -44,14 +44,14 @@ struct Scan {
     RayTable rays;                   ///< a returned ray carries its own direction and origin
     ScanArray<float> range_m;      ///< [n] of the strongest return, along the ray from its origin; 0 = dropped
     ScanArray<float> intensity;    ///< [n] 0..1; 0 where dropped
-    std::vector<FurtherReturn> further = {};   ///< second, third ... return of the rays, none of a dropped one
+    std::vector<SecondReturn> second_returns = {};   ///< second, third ... return of the rays, none of a dropped one
 
     /// End point of a ray. @return [3] metres, sensor frame at the ray's firing time
     glm::vec3 point(std::size_t ray) const { return rays.origin[ray] + range_m[ray] * rays.direction[ray]; }
     std::size_t count_returns() const;
 };
 
-/// Drops the rays of a scan whose range lies outside the limits, and their further returns that do.
+/// Drops the rays of a scan whose range lies outside the limits, and their second returns that do.
 void drop_outside(Scan& scan, const RangeLimits& limits);
 
 /// Where a head pointed and how long after the frame's time when a sweep began.
@@ -235,7 +235,7 @@ struct SurfaceReturn {
     float range_m;     ///< the offset of its beam taken off; 0 where the ray was dropped
     float intensity;   ///< as the mean beam would measure it from 10 m away
 };
-/// @param ray  index of a ray of the frame @param number  of the return: 0 the strongest, then those of Scan::further
+/// @param ray  index of a ray of the frame @param number  of the return: 0 the strongest, then those of Scan::second_returns
 SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray, std::size_t number = 0);
 
 /// The end point of a returned ray in the world, range offset and intensity response of its beam taken off, and when it was seen.

@@ -12,13 +12,14 @@
 
 #include <relidar/config.hpp>
 #include <relidar/coverage.hpp>
+#include <relidar/densify.hpp>
 #include <relidar/gpu.hpp>
-#include <relidar/stages/loss.hpp>
+#include <relidar/loss.hpp>
 #include <relidar/progress.hpp>
 #include <relidar/refine.hpp>
 #include <relidar/scene.hpp>
 #include <relidar/sequence.hpp>
-#include <relidar/team.hpp>
+#include <relidar/process_group.hpp>
 
 namespace relidar {
 
@@ -82,13 +83,13 @@ struct PrepareSession {
     std::function<bool()> stop;                     ///< asked now and then; true ends it
     Progress progress = {};                         ///< of what takes longer than a moment
     StageTimes* stages = nullptr;                   ///< "register", "calibrate", "movers"
-    Team team = {};                                 ///< processes that prepare the same log
+    ProcessGroup group = {};                                 ///< processes that prepare the same log
 };
 
 /// Estimates what the log does not say and training needs from the start, in this order, as the settings ask: poses of the sensor
 /// (train.refine_poses with train.pose_register), offsets and responses of its beams (sensor.calibrate),
 /// tracks of what moves without a label (init.unlabelled_movers). From training frames alone, but for the poses of held-out ones; the same
-/// for the same log and settings, so that a resumed training prepares its log anew, and in all processes of a team, of which the first one
+/// for the same log and settings, so that a resumed training prepares its log anew, and in all processes of a group, of which the first one
 /// alone tells.
 /// @throws Error with exit code 130 where stopped; DataError where more than 5 % of the scans do not find their place among the others and
 /// train.allow_lost_scans is not set; UsageError where a log without poses is not to be registered

@@ -56,7 +56,7 @@ struct BackwardPass::Impl {
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o, const BackwardOptions& backward)
         : model(m),
           options(o),
-          trace(device, "backward/trace", accumulating_variant(device, traversal_variant(device, o)),
+          trace(device, "backward/trace", accumulating_variant(device, traversal_variant(device)),
                 constants(device, m, proxy, o, backward)),
           poses(device),
           gather(gathers(device, backward.reduction, m.sh_direction)
@@ -75,7 +75,6 @@ BackwardPass::BackwardPass(Device& device, const ImageModel& model, Proxy proxy,
 
 BackwardPass::~BackwardPass() = default;
 void BackwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
-GatheredHits BackwardPass::take_gathered_hits() { return impl_->gather ? impl_->gather->take_use() : GatheredHits{}; }
 const Array<std::uint32_t>* BackwardPass::most_hits() const { return impl_->gather ? &impl_->gather->most_hits() : nullptr; }
 std::uint64_t BackwardPass::hit_capacity() const { return impl_->gather ? impl_->gather->capacity() : 0; }
 

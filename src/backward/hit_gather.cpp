@@ -88,10 +88,4 @@ void HitGather::run(Stream& stream, const shared::BackwardParams& params) {
     relidar::run(stream, heads_kernel_, n_blocks, gather);
 }
 
-GatheredHits HitGather::take_use() {
-    const std::uint32_t most = most_hits_.download()[0];
-    most_hits_.upload(std::vector<std::uint32_t>{0u});
-    return {most, capacity()};
-}
-
 }  // namespace relidar

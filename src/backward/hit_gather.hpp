@@ -23,7 +23,6 @@ public:
     void fill(shared::BackwardParams& params) const;
     /// Sums the records by row into what the second cast was given for it.
     void run(Stream& stream, const shared::BackwardParams& params);
-    GatheredHits take_use();
     const Array<std::uint32_t>& most_hits() const { return most_hits_; }   ///< [1] of the largest batch since it was set to 0
     std::uint64_t capacity() const { return sort_ ? sort_->capacity() : 0; }
     /// Room for so many hits, at least. The device must be idle.

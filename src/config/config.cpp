@@ -18,11 +18,8 @@
 #include "config/former_keys.hpp"
 #include "core/files.hpp"
 #include "core/number_text.hpp"
-#include <relidar/channels.hpp>
-#include <relidar/stages/backward.hpp>
 #include <relidar/error.hpp>
 #include <relidar/stages/toml_depth.hpp>
-#include <relidar/stages/traversal.hpp>
 
 namespace relidar {
 namespace {
@@ -221,32 +218,6 @@ std::string to_short_toml(const Config& config) {
         if (keys[i].expert && keys[i].value == preset[i].value) left_out.insert(keys[i].key);
     return toml_of(config, [&](const std::string& key) { return !left_out.contains(key); }) +
            fmt::format("\n# {} expert settings, all as the preset has them, are not shown: relidar config --all\n", left_out.size());
-}
-
-TraceOptions trace_options(const Config& config) {
-    TraceOptions options;
-    options.chunk = config.trace.chunk;
-    return options;
-}
-
-TraceOptions training_trace_options(const Config& config) {
-    TraceOptions options = trace_options(config);
-    options.geometry = config.loss.uses_geometry();
-    if (config.loss.likelihood > 0.0f) options.likelihood = RangeKernel{config.loss.likelihood_scale_m};
-    return options;
-}
-
-TraceOptions rendering_trace_options(const Config& config) {
-    TraceOptions options = trace_options(config);
-    options.geometry = std::ranges::any_of(wanted_channels(config.render.channels), &ChannelInfo::needs_normals);
-    if (config.render.range == "mode") options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);
-    return options;
-}
-
-BackwardOptions backward_options(const Config& config) {
-    BackwardOptions options;
-    if (config.train.deterministic) options.reduction = Reduction::gather;
-    return options;
 }
 
 }  // namespace relidar

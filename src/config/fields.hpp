@@ -212,7 +212,7 @@ void visit_keeping(C& c, Visitor&& f) {
 template <class C, class Visitor>
 void visit_blocks(C& c, Visitor&& f) {
     f("blocks.length_m", c.blocks.length_m, between(0, 1e6),
-      "the log is trained in blocks of at most so many metres of its way; 0: in one piece");
+      "the log is trained in blocks of at most so many metres of its trajectory; 0: in one piece");
     f("blocks.halo_m", c.blocks.halo_m, between(0, 1e6),
       expert("training frames that were taken so near to a block are trained on with it"));
     f("blocks.actor_epochs", c.blocks.actor_epochs, between(0, 1000),

@@ -69,8 +69,8 @@ RayTable cone_rays(const RayTable& rays) {
 
 Scan receive(const RayTable& rays, const Scan& cone) {
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size()), {}};
-    FurtherReturn& further =
-        scan.further.emplace_back(FurtherReturn{std::vector<float>(rays.size()), std::vector<float>(rays.size())});
+    SecondReturn& echo =
+        scan.second_returns.emplace_back(SecondReturn{std::vector<float>(rays.size()), std::vector<float>(rays.size())});
     for (std::size_t i = 0; i < rays.size(); ++i) {
         int n_back = 0;
         const std::vector<Return> returns = returns_of(cone, i, n_back);
@@ -79,8 +79,8 @@ Scan receive(const RayTable& rays, const Scan& cone) {
         const Return second = second_of(returns, strongest);
         scan.range_m[i] = strongest->range_m;
         scan.intensity[i] = std::min(strongest->light / kConeRays, 1.0f);
-        further.range_m[i] = second.range_m;
-        further.intensity[i] = second.light / kConeRays;
+        echo.range_m[i] = second.range_m;
+        echo.intensity[i] = second.light / kConeRays;
     }
     return scan;
 }

@@ -195,9 +195,9 @@ Scan scan_of_images(const std::string& where, std::vector<NamedArray> given, con
     scan.range_m = to_scan_array(range_m);
     scan.intensity = to_scan_array(intensities_of(arrays, "intensity", range_m, head.units));
     for (std::size_t number = 2; number <= kMostReturns && arrays.find(fmt::format("range_{}", number)); ++number) {
-        FurtherReturn further{ranges_of(arrays, fmt::format("range_{}", number)), {}};
-        further.intensity = intensities_of(arrays, fmt::format("intensity_{}", number), further.range_m, head.units);
-        scan.further.push_back(std::move(further));
+        SecondReturn echo{ranges_of(arrays, fmt::format("range_{}", number)), {}};
+        echo.intensity = intensities_of(arrays, fmt::format("intensity_{}", number), echo.range_m, head.units);
+        scan.second_returns.push_back(std::move(echo));
     }
     return scan;
 }
@@ -223,9 +223,9 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan) {
     add("time", rays.time_offset_s);
     add("ring", rays.channel);
     if (!rays.ray_divergence_rad.empty()) add("divergence", rays.ray_divergence_rad);
-    for (std::size_t k = 0; k < scan.further.size(); ++k) {
-        add(fmt::format("range_{}", k + 2), scan.further[k].range_m);
-        add(fmt::format("intensity_{}", k + 2), scan.further[k].intensity);
+    for (std::size_t k = 0; k < scan.second_returns.size(); ++k) {
+        add(fmt::format("range_{}", k + 2), scan.second_returns[k].range_m);
+        add(fmt::format("intensity_{}", k + 2), scan.second_returns[k].intensity);
     }
     arrays.push_back(make_array("divergence_rad", {}, &rays.divergence_rad, 1));
     write_npz(file, arrays);

@@ -124,7 +124,7 @@ void add_noise(Scan& scan, std::uint64_t seed, double noise_m) {
             if (range_m > 0.0f) range_m = static_cast<float>(std::max(double(range_m) + noise_m * random.normal(), 0.01));
         };
         spread(scan.range_m[i]);
-        for (FurtherReturn& f : scan.further) spread(f.range_m[i]);
+        for (SecondReturn& f : scan.second_returns) spread(f.range_m[i]);
     }
 }
 

@@ -196,7 +196,7 @@ public:
             else if (scan.range_m[ray] > 0.0f)
                 place(ray, pixel_pose(*poses, ray, where_));
         if (images.second.empty()) return;
-        FurtherReturn& second = scan.further.emplace_back(FurtherReturn{to_vector(scan.range_m), to_vector(scan.intensity)});
+        SecondReturn& second = scan.second_returns.emplace_back(SecondReturn{to_vector(scan.range_m), to_vector(scan.intensity)});
         read_returns(inflated(images.second), second.range_m, second.intensity);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
             if (scan.range_m[ray] == 0.0f) second.range_m[ray] = second.intensity[ray] = 0.0f;

@@ -61,7 +61,7 @@ struct Footprint {
 
 /// Pose of the log's vehicle and sensor where it came nearest to a place, seen from above.
 const Pose& nearest_pose(const PoseTrack& track, const glm::dvec2& xy) {
-    if (track.pose.empty()) throw DataError("placing an actor on the ground: found no pose of the log's vehicle, expected its way");
+    if (track.pose.empty()) throw DataError("placing an actor on the ground: found no pose of the log's vehicle, expected its trajectory");
     return *std::ranges::min_element(track.pose, {}, [&](const Pose& p) { return glm::distance(glm::dvec2(p.translation), xy); });
 }
 

@@ -9,7 +9,7 @@ namespace relidar {
 
 std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
                                         const ImageModel& model, const TraceOptions& options) {
-    if (device.traversal() != Traversal::software || options.brute_force) return std::nullopt;
+    if (device.traversal() != Traversal::software || tests_every_surfel(device)) return std::nullopt;
     std::vector<Constant> constants = trace_constants(device, accel.proxy(), options, model);
     constants.push_back({ConstantId::COUNT_VISITS, 1u});
     const Kernel<shared::ForwardParams> trace(device, "forward/trace", KernelVariant("@software_bvh"), constants);

@@ -21,7 +21,7 @@ struct ForwardPass::Impl {
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o)
         : model(m),
           options(o),
-          trace(device, "forward/trace", traversal_variant(device, o), trace_constants(device, proxy, o, m)),
+          trace(device, "forward/trace", traversal_variant(device), trace_constants(device, proxy, o, m)),
           pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"),
           n_overfull(device, std::vector<std::uint32_t>{0u}, "rays with more hits than are kept") {}
 };

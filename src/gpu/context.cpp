@@ -190,7 +190,6 @@ const DeviceInfo& Device::info() const { return impl_->info; }
 Traversal Device::traversal() const { return impl_->traversal; }
 std::uint64_t Device::allocated_bytes() const { return impl_->allocated; }
 std::uint64_t Device::peak_bytes() const { return impl_->peak; }
-std::size_t Device::validation_messages() const { return impl_->instance->n_messages; }
 const std::vector<PipelineStatistics>& Device::pipelines() const { return impl_->compiled; }
 
 void Device::Impl::open(const std::filesystem::path& cache_folder) {

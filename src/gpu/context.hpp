@@ -11,6 +11,7 @@
 
 #include <volk.h>
 
+#include <relidar/measure/gpu.hpp>
 #include <relidar/stages/gpu.hpp>
 
 namespace relidar::gpu {
@@ -102,6 +103,7 @@ struct Device::Impl {
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;   ///< shared by all kernels: one 8-byte push constant
     std::uint64_t memory_limit_bytes = 0;   ///< 0 = none
     bool compile_only = false;
+    ForcedWays forced;                      ///< by tests
     bool pipeline_statistics = false;       ///< VK_KHR_pipeline_executable_properties is enabled
     std::vector<PipelineStatistics> compiled;   ///< where compile_only
     std::atomic<std::uint64_t> allocated{0};   ///< by arrays

@@ -136,8 +136,6 @@ KernelBase::Impl::~Impl() {
 
 KernelBase::~KernelBase() = default;
 
-bool coalesces(const Device& device) { return device.info().type != "CPU"; }
-
 bool reconverges(const Device& device) {
     const gpu::OptionalFeatures& optional = impl_of(device).optional;
     return optional.maximal_reconvergence || optional.subgroup_uniform_control_flow;

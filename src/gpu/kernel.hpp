@@ -112,6 +112,8 @@ public:
 /// Whether neighbouring threads should read neighbouring addresses, at the price of more threads or of shared memory: a GPU loads whole
 /// lines for a subgroup, a CPU for each core, where one thread a row is 1.7 times as fast for Adam.
 bool coalesces(const Device& device);
+/// Whether rays test every surfel in the place of a search: tests want it so (Forced).
+bool tests_every_surfel(const Device& device);
 
 /// Whether lanes of a subgroup that have parted are together again where the branch or loop ends, by an extension that promises it.
 bool reconverges(const Device& device);

@@ -40,7 +40,7 @@ struct Adam::Impl {
 
     Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, Primitive primitive)
         : options(o),
-          per_float(o.thread_per_float.value_or(coalesces(device))),
+          per_float(coalesces(device)),
           moment1(device, n_surfels - std::min(o.n_fixed, n_surfels), "first moment", primitive),
           moment2(device, moment1.n, "second moment", primitive),
           max_log_scale(device, 0, "bounds of scales"),

@@ -114,9 +114,9 @@ void check_sizes(const Scan& scan, const std::string& where) {
     if (!rays.ray_divergence_rad.empty()) check("rays.ray_divergence_rad", rays.ray_divergence_rad.size());
     check("range_m", scan.range_m.size());
     check("intensity", scan.intensity.size());
-    for (const FurtherReturn& f : scan.further) {
-        check("further.range_m", f.range_m.size());
-        check("further.intensity", f.intensity.size());
+    for (const SecondReturn& f : scan.second_returns) {
+        check("second_returns.range_m", f.range_m.size());
+        check("second_returns.intensity", f.intensity.size());
     }
 }
 
@@ -147,9 +147,9 @@ void check_scan(const Scan& scan, std::size_t n_beams, const std::string& where)
         if (const char* field = wrong_return(scan.range_m[i], scan.intensity[i]))
             fail(ray(field), fmt::format("range {} m, intensity {}", scan.range_m[i], scan.intensity[i]),
                  "metres and 0..1, both 0 where dropped");
-        for (const FurtherReturn& f : scan.further)
+        for (const SecondReturn& f : scan.second_returns)
             if (wrong_return(f.range_m[i], f.intensity[i]) || (scan.range_m[i] == 0.0f && f.range_m[i] != 0.0f))
-                fail(ray("further"),
+                fail(ray("second return"),
                      fmt::format("range {} m, intensity {} behind a return at {} m", f.range_m[i], f.intensity[i], scan.range_m[i]),
                      "metres and 0..1, both 0 where there is none or the ray was dropped");
     }

@@ -123,7 +123,7 @@ private:
         Cells& cells = cells_of(number);
         int point = static_cast<int>(i);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
-            if (cells.at(ring, f) != kEmpty || (number > 0 && f != firing)) continue;  // a further return belongs to its ray
+            if (cells.at(ring, f) != kEmpty || (number > 0 && f != firing)) continue;  // a second return belongs to its ray
             std::swap(cells.at(ring, f), point);
             break;
         }
@@ -155,7 +155,7 @@ std::vector<double> firing_times(const ScanPoints& points, const SpinningSensor&
     return measured;
 }
 
-void resize(Scan& scan, int rows, int columns, std::size_t n_further) {
+void resize(Scan& scan, int rows, int columns, std::size_t n_second_returns) {
     const std::size_t n = static_cast<std::size_t>(rows) * static_cast<std::size_t>(columns);
     scan.rays.rows = rows;
     scan.rays.columns = columns;
@@ -165,7 +165,7 @@ void resize(Scan& scan, int rows, int columns, std::size_t n_further) {
     scan.rays.channel.resize(n);
     scan.range_m.assign(n, 0.0f);
     scan.intensity.assign(n, 0.0f);
-    scan.further.assign(n_further, {std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
+    scan.second_returns.assign(n_second_returns, {std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
 }
 
 /// The modelled ray of a firing, with range 0.
@@ -189,12 +189,12 @@ void set_returned(Scan& scan, std::size_t at, const Beam& beam, const ScanPoints
     if (!points.time_offset_s.empty()) scan.rays.time_offset_s[at] = points.time_offset_s[i];
 }
 
-/// A further return of a ray, where it has a first one.
-void set_further(Scan& scan, std::size_t at, const ScanPoints& points, std::size_t i) {
+/// A second return of a ray, where it has a first one.
+void set_second_return(Scan& scan, std::size_t at, const ScanPoints& points, std::size_t i) {
     if (scan.range_m[at] == 0.0f) return;
-    FurtherReturn& further = scan.further[number_of(points, i) - 1];
-    further.range_m[at] = glm::distance(points.point_m[i], scan.rays.origin[at]);
-    further.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
+    SecondReturn& echo = scan.second_returns[number_of(points, i) - 1];
+    echo.range_m[at] = glm::distance(points.point_m[i], scan.rays.origin[at]);
+    echo.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
 }
 
 }  // namespace
@@ -232,7 +232,7 @@ Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const
                 if (number_of(points, std::size_t(i)) == 0)
                     set_returned(scan, at, beam, points, std::size_t(i));
                 else
-                    set_further(scan, at, points, std::size_t(i));
+                    set_second_return(scan, at, points, std::size_t(i));
             }
         }
     }
@@ -242,14 +242,14 @@ Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const
 Scan unordered_scan(const ScanPoints& points) {
     check_points(points, 0);
     std::vector<std::size_t> first;  // return of each ray
-    std::size_t n_further = 0;
+    std::size_t n_second_returns = 0;
     if (points.size() > kMaxRays) throw UsageError(fmt::format("making a scan: {} points, expected at most {}", points.size(), kMaxRays));
     for (std::size_t i = 0; i < points.size(); ++i) {
-        n_further = std::max(n_further, number_of(points, i));
+        n_second_returns = std::max(n_second_returns, number_of(points, i));
         if (number_of(points, i) == 0 && glm::length(points.point_m[i]) > float(kLeastRange_m)) first.push_back(i);
     }
     Scan scan;
-    resize(scan, 1, static_cast<int>(first.size()), n_further);
+    resize(scan, 1, static_cast<int>(first.size()), n_second_returns);
     for (std::size_t at = 0; at < first.size(); ++at) {
         const std::size_t i = first[at];
         const float range = glm::length(points.point_m[i]);
@@ -258,7 +258,7 @@ Scan unordered_scan(const ScanPoints& points) {
         scan.rays.channel[at] = points.ring.empty() ? std::uint16_t(0) : points.ring[i];
         scan.range_m[at] = range;
         scan.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
-        for (std::size_t k = i + 1; k < points.size() && number_of(points, k) > 0; ++k) set_further(scan, at, points, k);
+        for (std::size_t k = i + 1; k < points.size() && number_of(points, k) > 0; ++k) set_second_return(scan, at, points, k);
     }
     return scan;
 }

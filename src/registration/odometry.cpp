@@ -208,7 +208,7 @@ std::vector<Pose> chained(const std::vector<Stretch>& stretches, const std::vect
 
 PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options) {
     const std::vector<Stretch> stretches = stretches_of(scans.size());
-    const Team::Share share = options.team.share(stretches.size());
+    const ProcessGroup::Share share = options.group.share(stretches.size());
     std::size_t n = 0;
     for (std::size_t i = share.begin; i < share.end; ++i) n += stretches[i].end - stretches[i].begin;
     const std::thread::id caller = std::this_thread::get_id();
@@ -226,7 +226,7 @@ PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<Thi
     if (ended) return given;
     std::vector<Pose> own;
     for (const std::vector<Pose>& part : parts) own.insert(own.end(), part.begin(), part.end());
-    return {given.time_s, chained(stretches, options.team.joined(std::move(own)), scans)};
+    return {given.time_s, chained(stretches, options.group.all_gathered(std::move(own)), scans)};
 }
 
 }  // namespace relidar

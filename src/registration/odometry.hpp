@@ -8,7 +8,7 @@
 #include <optional>
 #include <vector>
 
-#include <relidar/team.hpp>
+#include <relidar/process_group.hpp>
 
 #include "registration/thin_scans.hpp"
 
@@ -18,7 +18,7 @@ struct OdometryOptions {
     RegisterRound first, last;                       ///< cells and kernels of a scan's steps, from coarse to fine
     bool given_motion = true;  ///< the given poses say how the sensor moved from scan to scan; false: it keeps its velocity
     std::function<bool(double done)> proceed;        ///< called now and then, from the calling thread; false ends it
-    Team team = {};
+    ProcessGroup group = {};
 };
 
 /// Scans that do not find their place move as predicted. @param scans  [poses] points of each scan; empty where a pose has none of its own

@@ -109,8 +109,8 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
 
     const std::vector<std::vector<ThinPoint>> scans = thin_scans(sequence, sweeps, is_train, options, thin_m);
     const PoseTrack followed =
-        follow_scans(sweeps.track, scans, {first, kLastFollowed, options.given_motion, proceed("following the scans"), options.team});
-    if (result.stopped || !options.team.is_first()) return result;
+        follow_scans(sweeps.track, scans, {first, kLastFollowed, options.given_motion, proceed("following the scans"), options.group});
+    if (result.stopped || !options.group.is_first()) return result;
     const ClosedLoops closed = close_loops(followed, scans, {first, kLastFollowed, proceed("looking for roads driven again")});
     if (result.stopped) return result;
     result.places_again = closed.places;

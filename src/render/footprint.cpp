@@ -124,7 +124,7 @@ public:
           offsets_(footprint_pattern(config.sub_rays)),
           config_(config),
           scan_(empty_scan(rays, parts)) {
-        if (config.returns == 2) scan_.further.resize(1);
+        if (config.returns == 2) scan_.second_returns.resize(1);
     }
 
     void add(std::size_t ray) {
@@ -142,11 +142,11 @@ public:
             }
             of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);   // parts go outwards from the middle
         });
-        if (scan_.further.empty()) return;
+        if (scan_.second_returns.empty()) return;
         const bool returns = returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
         const Group* second = returns && groups.size() > 1 ? second_of(groups, strongest) : nullptr;
-        scan_.further[0].range_m.push_back(second ? mean_of(*second, parts_.median_range_m, parts_) : 0.0f);
-        scan_.further[0].intensity.push_back(second ? sum_of(*second, parts_.image.intensity) / static_cast<float>(n) : 0.0f);
+        scan_.second_returns[0].range_m.push_back(second ? mean_of(*second, parts_.median_range_m, parts_) : 0.0f);
+        scan_.second_returns[0].intensity.push_back(second ? sum_of(*second, parts_.image.intensity) / static_cast<float>(n) : 0.0f);
     }
 
     RenderedScan take() { return std::move(scan_); }
@@ -200,9 +200,9 @@ void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& places, co
         for (std::size_t i = 0; i < places.size(); ++i) to[places[i]] = from[i];
     };
     for_each_pair(better, scan, [&](const ChannelInfo&, const auto& from, auto& to) { replace(from, to); });
-    for (std::size_t k = 0; k < scan.further.size(); ++k) {
-        replace(better.further[k].range_m, scan.further[k].range_m);
-        replace(better.further[k].intensity, scan.further[k].intensity);
+    for (std::size_t k = 0; k < scan.second_returns.size(); ++k) {
+        replace(better.second_returns[k].range_m, scan.second_returns[k].range_m);
+        replace(better.second_returns[k].intensity, scan.second_returns[k].intensity);
     }
     scan.trace_ms += better.trace_ms;
 }

@@ -89,10 +89,10 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
             unseen_rays += *scan.unseen_share * double(scan.instance.size());
             merged.unseen_share = unseen_rays / double(merged.instance.size());
         }
-        merged.further.resize(std::max(merged.further.size(), scan.further.size()));
-        for (std::size_t k = 0; k < scan.further.size(); ++k) {
-            append(merged.further[k].range_m, scan.further[k].range_m);
-            append(merged.further[k].intensity, scan.further[k].intensity);
+        merged.second_returns.resize(std::max(merged.second_returns.size(), scan.second_returns.size()));
+        for (std::size_t k = 0; k < scan.second_returns.size(); ++k) {
+            append(merged.second_returns[k].range_m, scan.second_returns[k].range_m);
+            append(merged.second_returns[k].intensity, scan.second_returns[k].intensity);
         }
         merged.trace_ms += scan.trace_ms;
     }

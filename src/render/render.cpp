@@ -13,6 +13,7 @@
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
 #include <relidar/stages/forward.hpp>
+#include <relidar/stages/config.hpp>
 #include "render/channel_makers.hpp"
 #include "render/empty_scan.hpp"
 #include "render/footprint.hpp"

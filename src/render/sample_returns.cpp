@@ -21,11 +21,11 @@ void sample_returns(RenderedScan& scan, const RangeNoise& noise, std::uint64_t s
         const bool returns = likely_m[i] > 0.0f && random.uniform() >= double(scan.image.drop_prob[i]);
         scan.image.drop_prob[i] = returns ? 0.0f : 1.0f;
         const double cosine = incidence_cosine(image, i), sigma_m = noise.at(double(likely_m[i]), cosine < 0.0 ? 1.0 : cosine);
-        for (FurtherReturn& further : scan.further) {
-            if (!returns) further.range_m[i] = further.intensity[i] = 0.0f;
-            if (further.range_m[i] > 0.0f)
-                further.range_m[i] =
-                    std::max(further.range_m[i] + static_cast<float>(noise.at(double(further.range_m[i]), 1.0) * random.normal()), 1e-3f);
+        for (SecondReturn& echo : scan.second_returns) {
+            if (!returns) echo.range_m[i] = echo.intensity[i] = 0.0f;
+            if (echo.range_m[i] > 0.0f)
+                echo.range_m[i] =
+                    std::max(echo.range_m[i] + static_cast<float>(noise.at(double(echo.range_m[i]), 1.0) * random.normal()), 1e-3f);
         }
         if (returns) ranges_m[i] = std::max(likely_m[i] + static_cast<float>(sigma_m * random.normal()), 1e-3f);
     }

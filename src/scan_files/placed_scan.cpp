@@ -51,13 +51,13 @@ PointCloud cloud_of(const PlacedScan& placed) {
     cloud.ring.emplace(), cloud.time.emplace(), cloud.instance.emplace();
     cloud.channels = emptied(placed.channels);
     cloud.notes = placed.notes;
-    if (!scan.further.empty()) cloud.return_number.emplace();
+    if (!scan.second_returns.empty()) cloud.return_number.emplace();
     if (placed.format.frame == PointFrame::sensor) cloud.world_from_points = scan.world_from_sensor;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         if (!is_point(scan, i, range_m[i])) continue;
         add_point(cloud, placed, i, range_m[i], scan.image.intensity[i], 1);
-        if (!scan.further.empty() && scan.further[0].range_m[i] > 0.0f)
-            add_point(cloud, placed, i, scan.further[0].range_m[i], scan.further[0].intensity[i], 2);
+        if (!scan.second_returns.empty() && scan.second_returns[0].range_m[i] > 0.0f)
+            add_point(cloud, placed, i, scan.second_returns[0].range_m[i], scan.second_returns[0].intensity[i], 2);
     }
     return cloud;
 }

@@ -33,9 +33,9 @@ void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
     visit(basic.range, scan.image.range_m), visit(basic.median_range, scan.median_range_m), visit(basic.intensity, scan.image.intensity);
     visit(basic.drop_prob, scan.image.drop_prob), visit(basic.weight, scan.weight), visit(basic.time, scan.time_offset_s);
     visit(basic.ring, scan.ring), visit(basic.instance, scan.instance);
-    if (!scan.further.empty()) {
-        visit(ChannelInfo{"range_2", "m"}, scan.further[0].range_m);
-        visit(ChannelInfo{"intensity_2"}, scan.further[0].intensity);
+    if (!scan.second_returns.empty()) {
+        visit(ChannelInfo{"range_2", "m"}, scan.second_returns[0].range_m);
+        visit(ChannelInfo{"intensity_2"}, scan.second_returns[0].intensity);
     }
     for (const auto& [info, values] : placed.channels)
         std::visit([&visit, &channel = info](const auto& v) { visit(channel, v); }, values);

@@ -94,8 +94,8 @@ struct BoxHead {
 };
 
 /// Boxes of all processes' tracks; those of labelled ones have the id and the class of their label.
-std::vector<BoxTrack> joined(const Team& team, const std::vector<MoverTrack>& tracks, const std::vector<std::optional<BoxTrack>>& found,
-                             std::size_t first, const Sequence& sequence) {
+std::vector<BoxTrack> joined(const ProcessGroup& group, const std::vector<MoverTrack>& tracks,
+                             const std::vector<std::optional<BoxTrack>>& found, std::size_t first, const Sequence& sequence) {
     std::vector<BoxHead> heads;
     std::vector<double> times_s;
     std::vector<Pose> poses;
@@ -109,7 +109,9 @@ std::vector<BoxTrack> joined(const Team& team, const std::vector<MoverTrack>& tr
         times_s.insert(times_s.end(), track.time_s.begin(), track.time_s.end());
         poses.insert(poses.end(), track.pose.begin(), track.pose.end());
     }
-    heads = team.joined(std::move(heads)), times_s = team.joined(std::move(times_s)), poses = team.joined(std::move(poses));
+    heads = group.all_gathered(std::move(heads));
+    times_s = group.all_gathered(std::move(times_s));
+    poses = group.all_gathered(std::move(poses));
     std::vector<BoxTrack> boxes;
     std::ptrdiff_t at = 0;
     for (const BoxHead& head : heads) {
@@ -123,10 +125,10 @@ std::vector<BoxTrack> joined(const Team& team, const std::vector<MoverTrack>& tr
     return boxes;
 }
 
-/// Those of all tracks, of which each process of a team looks at its share.
+/// Those of all tracks, of which each process of a process group looks at its share.
 std::vector<BoxTrack> proven_boxes(Visibility& visibility, std::vector<MoverTrack>& tracks, const Sequence& sequence,
-                                   const Progress& progress, const Team& team) {
-    const Team::Share share = team.share(tracks.size());
+                                   const Progress& progress, const ProcessGroup& group) {
+    const ProcessGroup::Share share = group.share(tracks.size());
     for (std::size_t i = share.begin; i < share.end; ++i)
         for (const Observation& o : tracks[i].seen) visibility.announce(o.cluster.points_m);
     std::vector<std::optional<BoxTrack>> found(share.end - share.begin);
@@ -135,7 +137,7 @@ std::vector<BoxTrack> proven_boxes(Visibility& visibility, std::vector<MoverTrac
         found[i] = track.label == kNoLabel ? proven_box(visibility, track)
                                            : proven_continuation(visibility, track, sequence.boxes[std::size_t(track.label)]);
     });
-    return joined(team, tracks, found, share.begin, sequence);
+    return joined(group, tracks, found, share.begin, sequence);
 }
 
 /// Whether a track is mostly inside another's box: a part of it that was a group of its own for a while.
@@ -173,16 +175,16 @@ bool is_worth_boxing(const MoverTrack& track, const PoseTrack& world_from_vehicl
 
 /// What one LiDAR has seen move.
 std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::vector<int> positions,
-                                    const Progress& progress, const Team& team) {
+                                    const Progress& progress, const ProcessGroup& group) {
     std::erase_if(positions, [&](int position) { return sequence.frames[std::size_t(position)].lidar != lidar; });
     std::vector<double> times;
     for (const int position : positions) times.push_back(sequence.frames[std::size_t(position)].time_s);
     Visibility visibility(sequence, positions);
     std::vector<MoverTrack> tracks =
-        link_clusters(find_mover_clusters(sequence, positions, visibility, progress, team), times, sequence);
+        link_clusters(find_mover_clusters(sequence, positions, visibility, progress, group), times, sequence);
     std::erase_if(tracks, [&](const MoverTrack& track) { return !is_worth_boxing(track, sequence.world_from_vehicle); });
     join_parts(tracks);
-    return without_parts(proven_boxes(visibility, tracks, sequence, progress, team));
+    return without_parts(proven_boxes(visibility, tracks, sequence, progress, group));
 }
 
 /// Adds what another LiDAR has seen move. Of a mover that is there already the box stays, unless the other saw it half as long again: the
@@ -205,10 +207,10 @@ void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
 }  // namespace
 
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions,
-                                      const Progress& progress, const Team& team) {
+                                      const Progress& progress, const ProcessGroup& group) {
     std::vector<BoxTrack> boxes;
     for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)   // two sweeps at one time would see a mover twice in a track
-        add_movers(boxes, discovered_by(lidar, sequence, train_positions, progress, team));
+        add_movers(boxes, discovered_by(lidar, sequence, train_positions, progress, group));
     std::stable_partition(boxes.begin(), boxes.end(), [](const BoxTrack& box) { return !is_continued(box); });
     int n = 0;
     for (BoxTrack& box : boxes)

@@ -221,8 +221,8 @@ Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, V
 }
 
 /// Clusters of all processes' frames.
-Clusters joined(const Team& team, const Clusters& own) {
-    if (team.size == 1) return own;
+Clusters joined(const ProcessGroup& group, const Clusters& own) {
+    if (group.size == 1) return own;
     struct Head {
         double time_s;
         glm::dvec3 centre_m;
@@ -239,7 +239,9 @@ Clusters joined(const Team& team, const Clusters& own) {
             points.insert(points.end(), cluster.points_m.begin(), cluster.points_m.end());
         }
     }
-    n_clusters = team.joined(std::move(n_clusters)), heads = team.joined(std::move(heads)), points = team.joined(std::move(points));
+    n_clusters = group.all_gathered(std::move(n_clusters));
+    heads = group.all_gathered(std::move(heads));
+    points = group.all_gathered(std::move(points));
     Clusters all;
     auto head = heads.begin();
     auto point = points.begin();
@@ -258,10 +260,10 @@ Clusters joined(const Team& team, const Clusters& own) {
 
 std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions,
                                                            Visibility& visibility,
-                                                           const Progress& progress, const Team& team) {
+                                                           const Progress& progress, const ProcessGroup& group) {
     const std::size_t n_stretches = std::max<std::size_t>(1, positions.size() / kStretch);
     const auto first_of = [&](std::size_t stretch) { return positions.size() * stretch / n_stretches; };
-    const Team::Share share = team.share(n_stretches);
+    const ProcessGroup::Share share = group.share(n_stretches);
     Clusters own;
     for (std::size_t s = share.begin; s < share.end; ++s) {
         if (progress) progress("what moved", double(s - share.begin) / double(share.end - share.begin));
@@ -269,7 +271,7 @@ std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& seque
         Clusters found = clusters_of(sequence, stretch, visibility);
         std::move(found.begin(), found.end(), std::back_inserter(own));
     }
-    return joined(team, own);
+    return joined(group, own);
 }
 
 }  // namespace relidar

@@ -24,11 +24,11 @@ struct MoverCluster {
     void take_in(const MoverCluster& other);
 };
 
-/// Looks at a long log in stretches, of which each process of a team does its share.
+/// Looks at a long log in stretches, of which each process of a process group does its share.
 /// @param positions  frames that are looked at, ascending @param visibility  of these frames
 /// @return [positions] clusters of each, in all processes
 std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions,
                                                            Visibility& visibility, const Progress& progress,
-                                                           const Team& team);
+                                                           const ProcessGroup& group);
 
 }  // namespace relidar

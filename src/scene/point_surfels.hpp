@@ -16,15 +16,15 @@ struct Sample {
     glm::vec3 view;   ///< unit, sensor to point
 };
 
-/// Calls work(WorldReturn) for the returns of a frame, ray by ray. @param further  second returns too
+/// Calls work(WorldReturn) for the returns of a frame, ray by ray. @param second_returns  they too
 template <class Work>
-void for_each_return(const Sequence& sequence, const Frame& frame, bool further, const Work& work) {
+void for_each_return(const Sequence& sequence, const Frame& frame, bool second_returns, const Work& work) {
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
         work(world_return(sequence, frame, ray));
-        for (std::size_t k = 0; further && k < scan.further.size(); ++k)
-            if (scan.further[k].range_m[ray] > 0.0f) work(world_return(sequence, frame, ray, k + 1));
+        for (std::size_t k = 0; second_returns && k < scan.second_returns.size(); ++k)
+            if (scan.second_returns[k].range_m[ray] > 0.0f) work(world_return(sequence, frame, ray, k + 1));
     }
 }
 

@@ -79,7 +79,7 @@ std::size_t Scan::count_returns() const {
 void drop_outside(Scan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         if (scan.range_m[i] > 0.0f && !limits.contains(scan.range_m[i])) scan.range_m[i] = scan.intensity[i] = 0.0f;
-        for (FurtherReturn& f : scan.further)
+        for (SecondReturn& f : scan.second_returns)
             if (scan.range_m[i] == 0.0f || !limits.contains(f.range_m[i])) f.range_m[i] = f.intensity[i] = 0.0f;
     }
 }
@@ -293,8 +293,8 @@ double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const Sw
 SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray, std::size_t number) {
     const Scan& scan = frame.scan;
     const Beam& beam = beam_of(sequence.lidar_of(frame).sensor.beams, scan.rays.channel[ray]);
-    const double measured_m = number == 0 ? scan.range_m[ray] : scan.further[number - 1].range_m[ray],
-                 measured = number == 0 ? scan.intensity[ray] : scan.further[number - 1].intensity[ray];
+    const double measured_m = number == 0 ? scan.range_m[ray] : scan.second_returns[number - 1].range_m[ray],
+                 measured = number == 0 ? scan.intensity[ray] : scan.second_returns[number - 1].intensity[ray];
     const float range_m = static_cast<float>(beam.surface_range(measured_m));
     return {range_m, static_cast<float>(beam.surface_intensity(measured, sequence.intensity_response.at_range(double(range_m))))};
 }

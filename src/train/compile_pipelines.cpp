@@ -3,7 +3,7 @@
 // needs neither a log nor a card.
 #include <relidar/train.hpp>
 
-#include <relidar/config.hpp>
+#include <relidar/stages/config.hpp>
 #include <relidar/dataset.hpp>
 #include <relidar/measure/refine.hpp>
 #include <relidar/stages/forward.hpp>

@@ -89,7 +89,7 @@ Registration registered(const Sequence& sequence, const Split& split, const Conf
         RegisterOptions options = register_options(sequence, config);
         options.stop = session.stop;
         options.progress = session.progress;
-        options.team = session.team;
+        options.group = session.group;
         found = register_scans(sequence, split, options);
     } catch (const DataError& error) {
         if (!config.train.allow_lost_scans) throw;
@@ -110,7 +110,7 @@ Registration registered(const Sequence& sequence, const Split& split, const Conf
 void register_sensor(Sequence& sequence, const Split& split, const Config& config, const PrepareSession& session) {
     Registration found = registered(sequence, split, config, session);
     if (!found.done) found.world_from_vehicle.pose.clear();
-    PoseTrack track{sequence.world_from_vehicle.time_s, session.team.of_first(std::move(found.world_from_vehicle.pose))};
+    PoseTrack track{sequence.world_from_vehicle.time_s, session.group.broadcast(std::move(found.world_from_vehicle.pose))};
     if (!track.pose.empty()) set_vehicle_poses(sequence, std::move(track));
 }
 
@@ -147,13 +147,13 @@ void tell_noise(const Sequence& sequence, const PrepareSession& session) {
 
 /// What the beams were found to be.
 void calibrate(Sequence& sequence, const Split& split, const SensorConfig& config, const PrepareSession& session) {
-    if (session.team.is_first()) {
+    if (session.group.is_first()) {
         calibrate_beams(sequence, split, config, session);
         measure_range_noise(sequence, split.train);
         tell_noise(sequence, session);
         if (config.calibrates("intensity")) calibrate_intensities(sequence, split, session);
     }
-    const auto take_of_first = [&](auto& values) { values = session.team.of_first(std::move(values)); };
+    const auto take_of_first = [&](auto& values) { values = session.group.broadcast(std::move(values)); };
     for (Lidar& lidar : sequence.lidars) {
         take_of_first(lidar.sensor.beams);
         take_of_first(lidar.range_noise.range_m);
@@ -162,7 +162,7 @@ void calibrate(Sequence& sequence, const Split& split, const SensorConfig& confi
     }
     take_of_first(sequence.intensity_response.range_m);
     take_of_first(sequence.intensity_response.factor);
-    sequence.intensity_response.incidence = session.team.of_first(std::vector{sequence.intensity_response.incidence}).front();
+    sequence.intensity_response.incidence = session.group.broadcast(std::vector{sequence.intensity_response.incidence}).front();
 }
 
 /// Its id, size and speed.
@@ -184,7 +184,7 @@ std::string continued(const BoxTrack& box) {
 
 void add_discovered(Sequence& sequence, const Split& split, const PrepareSession& session) {
     std::vector<std::string> movers, beside;
-    for (BoxTrack& box : discover_tracks(sequence, split.train, session.progress, session.team)) {
+    for (BoxTrack& box : discover_tracks(sequence, split.train, session.progress, session.group)) {
         if (box.n_before + box.n_after > 0) {
             beside.push_back(continued(box));
             *std::ranges::find(sequence.boxes, box.id, &BoxTrack::id) = std::move(box);
@@ -209,7 +209,7 @@ RegisterOptions register_options(const Sequence& sequence, const Config& config)
 }
 
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session) {
-    if (!session.tell || !session.team.is_first()) session.tell = [](const std::string&) {};
+    if (!session.tell || !session.group.is_first()) session.tell = [](const std::string&) {};
     if (!has_poses(sequence, config) && !registers_sensor(config.train))
         throw UsageError(
             "the log has no poses, or dataset.poses=none: they have to be found from the scans; expected train.refine_poses=sensor and "

@@ -12,6 +12,7 @@
 
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
+#include <relidar/stages/config.hpp>
 
 #include "train/readback_lag.hpp"
 

@@ -29,7 +29,7 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
     DeviceScene on_device(device, *placed.scene);
     on_device.set_poses(placed.world_from_instance);
     Accel accel(device, on_device, placed.accel);
-    const Kernel<shared::CollectHitsParams> kernel(device, "traversal/collect_hits", traversal_variant(device, placed.trace),
+    const Kernel<shared::CollectHitsParams> kernel(device, "traversal/collect_hits", traversal_variant(device),
                                                    trace_constants(device, accel.proxy(), placed.trace, placed.model));
     const std::size_t n = rays.size();
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");

@@ -61,8 +61,8 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& acc
 }
 
 /// Which build of a tracing kernel a device runs.
-inline KernelVariant traversal_variant(const Device& device, const TraceOptions& options) {
-    if (options.brute_force) return KernelVariant("@brute_force");
+inline KernelVariant traversal_variant(const Device& device) {
+    if (tests_every_surfel(device)) return KernelVariant("@brute_force");
     return KernelVariant(device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query");
 }
 

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <span>
 
+#include <relidar/measure/gpu.hpp>
+
 #include "passes.hpp"
 
 namespace relidar {
@@ -61,15 +63,15 @@ protected:
 
         // other ways of finding hits change nothing there
         for (const Way& way : std::span(kWays).first(how.brute_force ? 2 : std::size(kWays))) {
+            const Forced forced(device(), {.brute_force = how.brute_force});
             const TraceOptions trace{
                 .chunk = how.chunk,
-                .brute_force = how.brute_force,
                 .geometry = how.outputs != Outputs::image && how.outputs != Outputs::likelihood,
                 .likelihood = how.outputs == Outputs::likelihood || how.outputs == Outputs::all ? kKernel : std::nullopt};
             Passes passes(device(), settings.image, scene, upstream, {.accel = {.proxy = how.proxy}, .trace = trace, .keep_hits = way.kept},
                           way.options);
             passes.run();
-            const GatheredHits hits = passes.renderer.backward_pass().take_gathered_hits();
+            const test::GatheredHits hits = test::take_gathered_hits(passes);
             EXPECT_EQ(hits.most > hits.capacity, way.options.hits_per_ray == 2) << title;
             expect_rows(image, expected, d_rays, passes.gradients(), title + ", " + way.name, how);
         }

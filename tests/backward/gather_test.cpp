@@ -92,13 +92,13 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
             EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
             EXPECT_EQ(group.missing_rows(), 0u) << name;
         }
-        const GatheredHits hits = many.renderer.backward_pass().take_gathered_hits();
+        const test::GatheredHits hits = test::take_gathered_hits(many);
         EXPECT_EQ(hits.capacity, 64u * many.rays.size());
         std::uint64_t n_hits = 0;
         for (const std::uint32_t n : to_rendering(many.renderer.rendered().rendered->download()).hits) n_hits += n;
         EXPECT_EQ(hits.most, n_hits);
         EXPECT_GT(n_hits, 5000u);
-        EXPECT_EQ(many.renderer.backward_pass().take_gathered_hits().most, 0u);
+        EXPECT_EQ(test::take_gathered_hits(many).most, 0u);
     }
 }
 
@@ -125,7 +125,7 @@ TEST_F(Gather, EmptySlotsAndSmallerBatches) {
     many.renderer.backward_pass().reserve_hits(many.renderer.stream(), 1u << 20);
     many.run();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download()) << "room does not matter";
-    EXPECT_EQ(many.renderer.backward_pass().take_gathered_hits().capacity, 1u << 20);
+    EXPECT_EQ(test::take_gathered_hits(many).capacity, 1u << 20);
 }
 
 TEST_F(Gather, RoomForNothingIsRefused) {

@@ -81,6 +81,20 @@ struct Passes {
     }
 };
 
+/// Hit records of the gather; zeros with atomics.
+struct GatheredHits {
+    std::uint64_t most = 0;       ///< hits of the largest batch since they were taken last
+    std::uint64_t capacity = 0;
+};
+inline GatheredHits take_gathered_hits(Passes& passes) {
+    const BackwardPass& backward = passes.renderer.backward_pass();
+    if (!backward.most_hits()) return {};
+    const GatheredHits hits{backward.most_hits()->download()[0], backward.hit_capacity()};
+    passes.renderer.stream().fill(*backward.most_hits());
+    passes.renderer.stream().finish();
+    return hits;
+}
+
 template <class Vector>
 std::vector<double> lanes(const Vector& v, int n) {
     std::vector<double> row;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Settings: every key survives TOML, wrong keys and values get one clear line, presets are what docs/method.md says.
-#include <relidar/config.hpp>
+#include <relidar/stages/config.hpp>
 
 #include <map>
 #include <set>

@@ -65,10 +65,10 @@ struct StreetOfImages {
     StreetOfImages(const std::string& name, const std::function<bool(const std::string&)>& keep) : folder(fresh(name)) {
         for (Frame& frame : truth.frames) {
             Scan& scan = frame.scan;
-            scan.further.assign(1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});
+            scan.second_returns.assign(1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});
             for (std::size_t i = 0; i < scan.range_m.size(); i += 5)
                 if (scan.range_m[i] > 0.0f && scan.range_m[i] < 70.0f)
-                    scan.further[0].range_m[i] = scan.range_m[i] + 1.75f, scan.further[0].intensity[i] = 0.125f;
+                    scan.second_returns[0].range_m[i] = scan.range_m[i] + 1.75f, scan.second_returns[0].intensity[i] = 0.125f;
         }
         fs::remove_all(folder);
         save_folder(truth, folder);
@@ -77,8 +77,8 @@ struct StreetOfImages {
         test::write_text(folder / "sequence.json", head);
         for (const Frame& frame : truth.frames) {
             Channels channels = channels_of(frame.scan);
-            channels["range_2"] = frame.scan.further[0].range_m;
-            channels["intensity_2"] = frame.scan.further[0].intensity;
+            channels["range_2"] = frame.scan.second_returns[0].range_m;
+            channels["intensity_2"] = frame.scan.second_returns[0].intensity;
             std::erase_if(channels, [&](const auto& channel) { return !keep(channel.first); });
             const std::string stem = fmt::format("scans/{:06}", frame.index);
             fs::remove(folder / (stem + ".npz"));
@@ -95,9 +95,9 @@ void expect_same_scans(const Sequence& found, const Sequence& truth, double ray_
         ASSERT_EQ(std::tuple(a.rays.rows, a.rays.columns), std::tuple(b.rays.rows, b.rays.columns));
         EXPECT_EQ(a.rays.channel, b.rays.channel);
         EXPECT_EQ(a.intensity, b.intensity);
-        ASSERT_EQ(a.further.size(), 1u);
-        EXPECT_TRUE(a.range_m == b.range_m && a.further[0].range_m == b.further[0].range_m) << "ranges are kept bit by bit";
-        EXPECT_EQ(a.further[0].intensity, b.further[0].intensity);
+        ASSERT_EQ(a.second_returns.size(), 1u);
+        EXPECT_TRUE(a.range_m == b.range_m && a.second_returns[0].range_m == b.second_returns[0].range_m) << "ranges are kept bit by bit";
+        EXPECT_EQ(a.second_returns[0].intensity, b.second_returns[0].intensity);
         std::size_t n_returns = 0;
         for (std::size_t i = 0; i < b.range_m.size(); ++i) {
             EXPECT_LE(glm::distance(a.rays.direction[i], b.rays.direction[i]), ray_tolerance);

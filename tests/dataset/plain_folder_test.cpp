@@ -35,10 +35,10 @@ Sequence rich_street() {
     Sequence street = test::two_lidar_street({.n_frames = 5, .rows = 16, .columns = 256});
     for (Frame& frame : street.frames) {
         Scan& scan = frame.scan;
-        scan.further.assign(1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});
+        scan.second_returns.assign(1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});
         for (std::size_t i = 0; i < scan.range_m.size(); i += 7)
             if (scan.range_m[i] > 0.0f && scan.range_m[i] < 77.0f)
-                scan.further[0].range_m[i] = scan.range_m[i] + 2.5f, scan.further[0].intensity[i] = 0.125f;
+                scan.second_returns[0].range_m[i] = scan.range_m[i] + 2.5f, scan.second_returns[0].intensity[i] = 0.125f;
     }
     street.notes = {"a first note", "a second one"};
     street.world_offset_m += glm::dvec3(457123.4, 5428765.3, 112.9);  // as of a map
@@ -99,10 +99,10 @@ void expect_same_scans(const Sequence& found, const Sequence& truth) {
         EXPECT_TRUE(a.scan.range_m == b.scan.range_m && a.scan.intensity == b.scan.intensity) << "frame " << i;
         EXPECT_TRUE(a.scan.rays.origin == b.scan.rays.origin && a.scan.rays.direction == b.scan.rays.direction) << "frame " << i;
         EXPECT_TRUE(a.scan.rays.time_offset_s == b.scan.rays.time_offset_s && a.scan.rays.channel == b.scan.rays.channel) << "frame " << i;
-        ASSERT_EQ(a.scan.further.size(), b.scan.further.size());
-        for (std::size_t k = 0; k < b.scan.further.size(); ++k)
-            EXPECT_TRUE(a.scan.further[k].range_m == b.scan.further[k].range_m &&
-                        a.scan.further[k].intensity == b.scan.further[k].intensity);
+        ASSERT_EQ(a.scan.second_returns.size(), b.scan.second_returns.size());
+        for (std::size_t k = 0; k < b.scan.second_returns.size(); ++k)
+            EXPECT_TRUE(a.scan.second_returns[k].range_m == b.scan.second_returns[k].range_m &&
+                        a.scan.second_returns[k].intensity == b.scan.second_returns[k].intensity);
     }
 }
 

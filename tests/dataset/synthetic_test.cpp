@@ -230,18 +230,18 @@ TEST(SyntheticRig, EachLidarSeesTheStreetFromWhereItIsMounted) {
         EXPECT_GT(n, truth.range_m.size() / 2) << lidar.name;
     }
     EXPECT_NE(log.frames[test::kRosette].scan.rays.direction, log.frames[4 + test::kRosette].scan.rays.direction) << "other petals";
-    EXPECT_TRUE(log.frames[0].scan.further.empty());
+    EXPECT_TRUE(log.frames[0].scan.second_returns.empty());
 }
 
 TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
     const SyntheticOptions options = rig_street();
     const Sequence log = make_synthetic_street(options);
     const Frame& frame = log.frames[test::kTwoReturns];
-    ASSERT_EQ(frame.scan.further.size(), 1u);
+    ASSERT_EQ(frame.scan.second_returns.size(), 1u);
     const PoseTrack track = log.world_from_sensor(frame.lidar);
     std::size_t n = 0, met = 0;
     for (std::size_t i = 0; i < frame.scan.range_m.size() && n < 200; ++i) {
-        const float second_m = frame.scan.further[0].range_m[i];
+        const float second_m = frame.scan.second_returns[0].range_m[i];
         if (second_m == 0.0f) continue;
         ++n;
         EXPECT_GE(std::abs(second_m - frame.scan.range_m[i]), 0.4f) << "means of returns whose nearest parts are 0.5 m apart";
@@ -303,7 +303,7 @@ TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
     std::size_t differ = 0;
     for (std::size_t i = 0; i < mixed.size(); ++i) {
         EXPECT_EQ(both.range_m[i], (i % 2 ? b : a).range_m[i]) << i;
-        EXPECT_EQ(both.further[0].range_m[i], (i % 2 ? b : a).further[0].range_m[i]) << i;
+        EXPECT_EQ(both.second_returns[0].range_m[i], (i % 2 ? b : a).second_returns[0].range_m[i]) << i;
         differ += a.range_m[i] != b.range_m[i];
     }
     EXPECT_GT(differ, mixed.size() / 2);

@@ -65,8 +65,8 @@ void expect_pixels(const Sequence& log, const Frame& frame, const std::vector<Wa
         ++n;
         const WorldReturn found = world_return(log, frame, i);
         ASSERT_LT(glm::distance(found.point_m + log.world_offset_m, truth[i].point_m), 1e-3) << i;
-        if (frame.scan.further.empty()) continue;
-        ASSERT_EQ(frame.scan.further[0].range_m[i], truth[i].second_m) << i;
+        if (frame.scan.second_returns.empty()) continue;
+        ASSERT_EQ(frame.scan.second_returns[0].range_m[i], truth[i].second_m) << i;
     }
     EXPECT_GT(n, truth.size() / 2);
 }
@@ -87,8 +87,8 @@ TEST(Waymo, PointsStandInTheWorldWhereTheyWere) {
         EXPECT_EQ(top.index, int(i));
         EXPECT_EQ(top.scan.rays.rows, WaymoSegment::kTopRows);
         EXPECT_EQ(side.scan.rays.columns, WaymoSegment::kSideColumns);
-        ASSERT_EQ(top.scan.further.size(), 1u);
-        EXPECT_TRUE(side.scan.further.empty());
+        ASSERT_EQ(top.scan.second_returns.size(), 1u);
+        EXPECT_TRUE(side.scan.second_returns.empty());
         expect_pixels(log, top, segment.top[i]);
         expect_pixels(log, side, segment.side[i]);
     }

@@ -5,6 +5,7 @@
 #include <stdlib.h>
 
 #include <relidar/error.hpp>
+#include <relidar/measure/gpu.hpp>
 
 #include "../support/device.hpp"
 #include "gpu/prefix_sum.hpp"
@@ -111,10 +112,10 @@ TEST_F(StreamTest, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
     stream.copy(a.buffer(), b.buffer(), 400);
     stream.fill(a, 4u);
     stream.finish();
-    EXPECT_EQ(watched.validation_messages(), 0u) << "every launch but those of the scope waits";
+    EXPECT_EQ(validation_messages(watched), 0u) << "every launch but those of the scope waits";
     EXPECT_EQ(b.download(), Words(100, 1u));
     EXPECT_EQ(c.download(), Words(100, 3u));
-    EXPECT_EQ(watched.validation_messages(), 0u);
+    EXPECT_EQ(validation_messages(watched), 0u);
     EXPECT_EQ(stream.times().milliseconds.at("fill").size(), device().info().timestamps ? 4u : 0u);
     {
         const Concurrent scope(stream);
@@ -123,7 +124,7 @@ TEST_F(StreamTest, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
         EXPECT_THROW(stream.submit(), Error) << "in an open scope";
     }
     stream.finish();
-    EXPECT_GT(watched.validation_messages(), 0u) << "no barrier inside the scope";
+    EXPECT_GT(validation_messages(watched), 0u) << "no barrier inside the scope";
 }
 
 }  // namespace

@@ -5,6 +5,7 @@
 #include <limits>
 #include <random>
 
+#include <relidar/measure/gpu.hpp>
 #include <relidar/stages/optimizer.hpp>
 #include <relidar/stages/scene.hpp>
 
@@ -51,7 +52,8 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     entries[1].first_surfel = entries[2].first_surfel = 40;
     const Array<shared::ModelEntry> models(device(), std::span<const shared::ModelEntry>(entries), "models");
     const LearningRates rates{1e-2, 2e-3, 3e-3, 4e-2, 5e-3, 0.05, 1.0, &models, {1.0f, 7.0f, 0.25f}};
-    Adam adam(device(), n, {.n_fixed = n_fixed, .thread_per_float = GetParam()});
+    const Forced forced(device(), {.coalesces = GetParam()});
+    Adam adam(device(), n, {.n_fixed = n_fixed});
     Stream stream(device());
     SurfelArrays parameters(device(), n, "parameters"), gradients(device(), n, "gradients");
     const Surfels start = random_surfels(n, 1, Primitive::surfel);
@@ -87,7 +89,8 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
         const bool only_touched = untouched == Untouched::stay;
         const Primitive primitive = only_touched ? Primitive::gaussian : Primitive::surfel;
         const std::uint32_t n_fixed = untouched == Untouched::none ? 0 : 37;
-        Adam adam(device(), n, {.only_touched = only_touched, .n_fixed = n_fixed, .thread_per_float = GetParam()}, primitive);
+        const Forced forced(device(), {.coalesces = GetParam()});
+        Adam adam(device(), n, {.only_touched = only_touched, .n_fixed = n_fixed}, primitive);
         adam.bound_scales(device(), bounds);
         Stream stream(device());
         SurfelArrays parameters(device(), n, "parameters", primitive), gradients(device(), n, "gradients", primitive);

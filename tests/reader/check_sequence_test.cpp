@@ -42,8 +42,8 @@ std::size_t returned(const Scan& scan) {
 TEST(CheckSequence, GoodLogsPass) {
     EXPECT_NO_THROW(check_sequence(good()));
     EXPECT_EQ(error_after([](Sequence& s) {
-                  s.frames[1].scan.further.assign(1, {std::vector<float>(128, 0.0f), std::vector<float>(128, 0.0f)});
-                  s.frames[1].scan.further[0].range_m[returned(s.frames[1].scan)] = 30.0f;
+                  s.frames[1].scan.second_returns.assign(1, {std::vector<float>(128, 0.0f), std::vector<float>(128, 0.0f)});
+                  s.frames[1].scan.second_returns[0].range_m[returned(s.frames[1].scan)] = 30.0f;
               }),
               "none");
 }
@@ -85,14 +85,14 @@ TEST(CheckSequence, NamesFrameAndField) {
         {[](Sequence& s) { s.frames[2].scan.range_m[7] = -1.0f; }, "frame 2, ray 7, range_m: range -1 m"},
         {[](Sequence& s) { s.frames[2].scan.intensity[returned(s.frames[2].scan)] = 255.0f; }, "intensity: range"},
         {[](Sequence& s) { s.frames[2].scan.range_m[returned(s.frames[2].scan)] = 0.0f; }, "both 0 where dropped"},
-        {[](Sequence& s) { s.frames[2].scan.further.resize(1); }, "frame 2, further.range_m: 0 entries"},
+        {[](Sequence& s) { s.frames[2].scan.second_returns.resize(1); }, "frame 2, second_returns.range_m: 0 entries"},
         {[](Sequence& s) {
              Scan& scan = s.frames[2].scan;
              scan.range_m[3] = scan.intensity[3] = 0.0f;
-             scan.further.assign(1, {std::vector<float>(128, 0.0f), std::vector<float>(128, 0.0f)});
-             scan.further[0].range_m[3] = 9.0f;
+             scan.second_returns.assign(1, {std::vector<float>(128, 0.0f), std::vector<float>(128, 0.0f)});
+             scan.second_returns[0].range_m[3] = 9.0f;
          },
-         "frame 2, ray 3, further: range 9 m, intensity 0 behind a return at 0 m"},
+         "frame 2, ray 3, second return: range 9 m, intensity 0 behind a return at 0 m"},
         {[](Sequence& s) { s.boxes[1].id = s.boxes[0].id; }, "box '0': an empty id or one that was there before"},
         {[](Sequence& s) { s.boxes[1].size_m.y = 0.0; }, "box '1': a size of"},
         {[](Sequence& s) { s.boxes[1].world_from_box = {}; }, "box '1': 0 poses at 0 times"},

@@ -39,11 +39,12 @@ struct Truth {
         scan.rays = make_rays(s);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
-        if (second) scan.further.assign(1, {to_vector(scan.range_m), to_vector(scan.intensity)});
+        if (second) scan.second_returns.assign(1, {to_vector(scan.range_m), to_vector(scan.intensity)});
         for (std::size_t i = 0; i < scan.rays.size(); ++i) {
             if (random.uniform() < 0.2) continue;
             scan.range_m[i] = float(random.uniform(2.0, 60.0)), scan.intensity[i] = float(random.uniform());
-            if (second && random.uniform() < 0.1) scan.further[0].range_m[i] = scan.range_m[i] + 3.0f, scan.further[0].intensity[i] = 0.25f;
+            if (second && random.uniform() < 0.1)
+                scan.second_returns[0].range_m[i] = scan.range_m[i] + 3.0f, scan.second_returns[0].intensity[i] = 0.25f;
         }
         std::vector<std::size_t> order(scan.rays.size());
         std::iota(order.begin(), order.end(), std::size_t(0));
@@ -51,7 +52,8 @@ struct Truth {
         for (const std::size_t i : order) {
             if (scan.range_m[i] == 0.0f) continue;
             add(i, scan.range_m[i], scan.intensity[i], 0);
-            if (second && scan.further[0].range_m[i] > 0.0f) add(i, scan.further[0].range_m[i], scan.further[0].intensity[i], 1);
+            if (second && scan.second_returns[0].range_m[i] > 0.0f)
+                add(i, scan.second_returns[0].range_m[i], scan.second_returns[0].intensity[i], 1);
         }
     }
 
@@ -101,16 +103,16 @@ TEST(SpinningScan, CounterClockwiseHeadsRunTheOtherWay) {
 TEST(SpinningScan, KeepsSecondReturns) {
     const Truth truth(sensor(), true);
     const Scan found = spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor()));
-    ASSERT_EQ(found.further.size(), 1u);
+    ASSERT_EQ(found.second_returns.size(), 1u);
     for (std::size_t i = 0; i < truth.scan.rays.size(); ++i) {
         EXPECT_NEAR(found.range_m[i], truth.scan.range_m[i], 1e-4f);
-        EXPECT_NEAR(found.further[0].range_m[i], truth.scan.further[0].range_m[i], 1e-4f);
-        EXPECT_EQ(found.further[0].intensity[i], truth.scan.further[0].intensity[i]);
+        EXPECT_NEAR(found.second_returns[0].range_m[i], truth.scan.second_returns[0].range_m[i], 1e-4f);
+        EXPECT_EQ(found.second_returns[0].intensity[i], truth.scan.second_returns[0].intensity[i]);
     }
     Scan cut = found;
     drop_outside(cut, {0.0, 30.0});
     for (std::size_t i = 0; i < cut.range_m.size(); ++i)
-        EXPECT_TRUE(cut.further[0].range_m[i] == 0.0f || (cut.further[0].range_m[i] <= 30.0f && cut.range_m[i] > 0.0f));
+        EXPECT_TRUE(cut.second_returns[0].range_m[i] == 0.0f || (cut.second_returns[0].range_m[i] <= 30.0f && cut.range_m[i] > 0.0f));
 }
 
 TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
@@ -156,7 +158,7 @@ TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
     EXPECT_EQ(scan.rays.rows, 1);
     EXPECT_EQ(scan.rays.columns, 3) << "a point in the sensor has no direction";
     EXPECT_EQ(scan.range_m, (ScanArray<float>{5, 2, 1}));
-    EXPECT_EQ(scan.further[0].range_m, (std::vector<float>{10, 0, 0}));
+    EXPECT_EQ(scan.second_returns[0].range_m, (std::vector<float>{10, 0, 0}));
     EXPECT_EQ(scan.intensity, (ScanArray<float>{0.1f, 0.3f, 0.0f}));
     EXPECT_EQ(scan.rays.direction[1], glm::vec3(0, 0, -1));
     EXPECT_EQ(scan.rays.time_offset_s[2], 0.03f);

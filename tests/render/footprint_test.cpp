@@ -134,7 +134,7 @@ TEST(Footprint, PartsOnOneSurfaceAreOneReturnOfTheirMeanWeighedByLight) {
     EXPECT_NEAR(scan.image.range_m[0], (10.0f * 0.2f + 10.1f * 0.2f + 10.2f * 0.4f + 10.3f * 0.1f + 10.4f * 0.1f), 1e-5f);
     EXPECT_NEAR(scan.image.intensity[0], 0.2f, kNear);
     EXPECT_NEAR(scan.image.drop_prob[0], 0.1f, kNear);
-    EXPECT_EQ(scan.further[0].range_m[0], 0.0f) << "steps below the separation are one surface, however far it reaches";
+    EXPECT_EQ(scan.second_returns[0].range_m[0], 0.0f) << "steps below the separation are one surface, however far it reaches";
     EXPECT_EQ(scan.ring[0], 7);
 }
 
@@ -148,8 +148,8 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
     EXPECT_NEAR(scan.median_range_m[0], 30.0f, 1e-5f);
     EXPECT_NEAR(scan.image.intensity[0], 3 * 0.3f / 5, kNear);
     EXPECT_EQ(scan.instance[0], 0) << "of the part nearest to the middle";
-    EXPECT_NEAR(scan.further[0].range_m[0], 10.0f, 1e-5f) << "the strongest is the last: the next strongest is the second";
-    EXPECT_NEAR(scan.further[0].intensity[0], 2 * 0.2f / 5, kNear);
+    EXPECT_NEAR(scan.second_returns[0].range_m[0], 10.0f, 1e-5f) << "the strongest is the last: the next strongest is the second";
+    EXPECT_NEAR(scan.second_returns[0].intensity[0], 2 * 0.2f / 5, kNear);
 }
 
 /// A road met at a grazing angle, its ranges metres apart within one footprint, and the same with a wall in the way of its upper part.
@@ -164,19 +164,19 @@ TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
     ASSERT_GT(farthest.range_m - nearest.range_m, 4.0f);
     const RenderedScan road = joined(cast(1e6f));
     EXPECT_NEAR(road.median_range_m[0], 1.8f / std::sin(0.04f), 0.3f);
-    EXPECT_EQ(road.further[0].range_m[0], 0.0f);
+    EXPECT_EQ(road.second_returns[0].range_m[0], 0.0f);
     SensorConfig fine;
     fine.return_separation_m = 0.2;
-    EXPECT_GT(joined(cast(45.5f), fine).further[0].range_m[0], 0.0f) << "road and wall are no plane";
+    EXPECT_GT(joined(cast(45.5f), fine).second_returns[0].range_m[0], 0.0f) << "road and wall are no plane";
 }
 
 TEST(Footprint, TheLastOfThreeIsTheSecondReturn) {
     const std::vector<Part> parts{{20.0f, 0.5f, 0.0f}, {5.0f, 0.9f, 0.0f}, {20.0f, 0.5f, 0.0f}, {40.0f, 0.1f, 0.0f}, {20.0f, 0.5f, 0.0f}};
     EXPECT_NEAR(joined(parts).median_range_m[0], 20.0f, 1e-5f);
-    EXPECT_EQ(joined(parts).further[0].range_m[0], 0.0f) << "0.1 is less than a tenth of 1.5";
+    EXPECT_EQ(joined(parts).second_returns[0].range_m[0], 0.0f) << "0.1 is less than a tenth of 1.5";
     std::vector<Part> brighter = parts;
     brighter[3].intensity = 0.2f;
-    EXPECT_NEAR(joined(brighter).further[0].range_m[0], 40.0f, 1e-5f) << "the last, not the next strongest";
+    EXPECT_NEAR(joined(brighter).second_returns[0].range_m[0], 40.0f, 1e-5f) << "the last, not the next strongest";
     SensorConfig coarse;
     coarse.return_separation_m = 16.0;
     EXPECT_NEAR(joined(parts, coarse).median_range_m[0], (5 * 0.9f + 20 * 1.5f) / 2.4f, 1e-4f) << "one return where pulses overlap";
@@ -192,7 +192,7 @@ TEST(Footprint, PartsThatDropGiveNoLight) {
     const RenderedScan hardly =
         joined({{0.0f, 0.0f, 1.0f}, {10.0f, 0.5f, 0.0f}, {30.0f, 0.5f, 0.0f}, {0.0f, 0.0f, 1.0f}, {0.0f, 0.0f, 1.0f}});
     EXPECT_NEAR(hardly.image.drop_prob[0], 0.6f, kNear);
-    EXPECT_EQ(hardly.further[0].range_m[0], 0.0f) << "a dropped ray has no second return";
+    EXPECT_EQ(hardly.second_returns[0].range_m[0], 0.0f) << "a dropped ray has no second return";
     const RenderedScan nothing =
         joined({{12.0f, 0.3f, 0.9f}, {0.0f, 0.0f, 1.0f}, {0.0f, 0.0f, 1.0f}, {0.0f, 0.0f, 1.0f}, {0.0f, 0.0f, 1.0f}});
     EXPECT_NEAR(nothing.image.drop_prob[0], 0.98f, kNear);

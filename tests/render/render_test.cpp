@@ -72,14 +72,14 @@ TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
         return renderer.render(configured_sensor(config, sequence), 0.0);
     };
     EXPECT_NEAR(render(1, 1).median_range_m[0], 10.0f, 1e-3f) << "the middle of the beam meets the post";
-    EXPECT_TRUE(render(9, 1).further.empty());
+    EXPECT_TRUE(render(9, 1).second_returns.empty());
     const RenderedScan scan = render(9, 2);
     ASSERT_EQ(scan.image.range_m.size(), 1u);
     EXPECT_NEAR(scan.median_range_m[0], 14.0f, 2e-3f) << "the wider of the two";
-    EXPECT_NEAR(scan.further[0].range_m[0], 10.0f, 2e-3f);
+    EXPECT_NEAR(scan.second_returns[0].range_m[0], 10.0f, 2e-3f);
     const double opacity = 1.0 / (1.0 + std::exp(-double(post_before_wall().opacity_logit[0])));
     const double share = strip_share(0.02 * std::sqrt(2.0 * std::log(2.0 * opacity)) / 0.1);
-    EXPECT_NEAR(scan.further[0].intensity[0] / scan.image.intensity[0], share / (1.0 - share), 0.07) << "one part of forty is 0.05";
+    EXPECT_NEAR(scan.second_returns[0].intensity[0] / scan.image.intensity[0], share / (1.0 - share), 0.07) << "one part of forty is 0.05";
     EXPECT_LT(scan.image.drop_prob[0], 0.1f);
 }
 
@@ -92,7 +92,7 @@ TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
     ScanRenderer renderer(device(), make_background_scene(post_before_wall()), config, cross_sequence());
     const RenderedScan scan = renderer.render(sensor_choice({.name = "mixed", .limits = {0.0, 80.0}, .pattern = rays}), 0.0);
     EXPECT_THAT(scan.median_range_m, testing::Pointwise(testing::FloatNear(2e-3f), {10.0f, 14.0f, 10.0f}));
-    EXPECT_THAT(scan.further[0].range_m, testing::Pointwise(testing::FloatNear(2e-3f), {0.0f, 10.0f, 0.0f}));
+    EXPECT_THAT(scan.second_returns[0].range_m, testing::Pointwise(testing::FloatNear(2e-3f), {0.0f, 10.0f, 0.0f}));
 }
 
 TEST_F(Render, SubRaysNeedADivergence) {

@@ -30,7 +30,7 @@ RenderedScan four_rays() {
     scan.instance = {0, 1, -1, 0};
     scan.time_offset_s = {-0.05f, 0.05f, 0.0f, 0.025f};
     scan.ring = {1, 0, 1, 0};
-    scan.further = {{{0.0f, 14.0f, 0.0f, 0.0f}, {0.0f, 0.2f, 0.0f, 0.0f}}};
+    scan.second_returns = {{{0.0f, 14.0f, 0.0f, 0.0f}, {0.0f, 0.2f, 0.0f, 0.0f}}};
     scan.time_s = 3.0;
     return scan;
 }
@@ -55,9 +55,9 @@ TEST_F(ExrScans, AreReadAsScans) {
     EXPECT_EQ(to_vector(scan.rays.origin), truth.image.origin);
     EXPECT_EQ(to_vector(scan.rays.channel), truth.ring);
     EXPECT_EQ(to_vector(scan.rays.time_offset_s), truth.time_offset_s);
-    ASSERT_EQ(scan.further.size(), 1u);
-    EXPECT_EQ(scan.further[0].range_m, truth.further[0].range_m);
-    EXPECT_EQ(scan.further[0].intensity, truth.further[0].intensity);
+    ASSERT_EQ(scan.second_returns.size(), 1u);
+    EXPECT_EQ(scan.second_returns[0].range_m, truth.second_returns[0].range_m);
+    EXPECT_EQ(scan.second_returns[0].intensity, truth.second_returns[0].intensity);
     EXPECT_EQ(read_exr(folder / "scans" / "frame_000005.exr").channels.count("spread"), 0u) << "not asked for";
     truth.channels = {{{.name = "spread"}, range_spread(truth)}};
     write();

@@ -50,9 +50,9 @@ RenderedScan room(double time_s) {
     const std::size_t n = scan.image.range_m.size();
     scan.image.origin.assign(n, glm::vec3(0.0f));
     scan.median_range_m = scan.mean_range_m = scan.image.range_m;
-    scan.further.assign(1, {std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
+    scan.second_returns.assign(1, {std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
     for (std::size_t i = 0; i < n; i += 5)
-        if (i % 12 != 0) scan.further[0].range_m[i] = scan.image.range_m[i] + 2.0f, scan.further[0].intensity[i] = 0.2f;
+        if (i % 12 != 0) scan.second_returns[0].range_m[i] = scan.image.range_m[i] + 2.0f, scan.second_returns[0].intensity[i] = 0.2f;
     scan.time_s = time_s;
     scan.track = way();
     for (Pose& pose : scan.track.pose) pose = pose * kMounting;
@@ -79,7 +79,8 @@ std::vector<SeenPoint> truth() {
             const double t_s = scan.time_s + double(scan.time_offset_s[i]);
             const auto at = [&](float range_m) { return scan.track.at(t_s) * (double(range_m) * glm::dvec3(scan.image.direction[i])); };
             points.push_back({t_s, scan.ring[i], false, at(scan.image.range_m[i]), scan.image.intensity[i]});
-            if (scan.further[0].range_m[i] > 0.0f) points.push_back({t_s, scan.ring[i], true, at(scan.further[0].range_m[i]), 0.2f});
+            if (scan.second_returns[0].range_m[i] > 0.0f)
+                points.push_back({t_s, scan.ring[i], true, at(scan.second_returns[0].range_m[i]), 0.2f});
         }
     }
     std::ranges::sort(points, {}, &SeenPoint::key);
@@ -100,8 +101,8 @@ std::vector<SeenPoint> read_again(const Sequence& log, double zero_s) {
                                   track.at(t_s) * (glm::dvec3(frame.scan.rays.origin[i]) + double(range_m) * direction), intensity});
             };
             add(frame.scan.range_m[i], frame.scan.intensity[i], false);
-            if (!frame.scan.further.empty() && frame.scan.further[0].range_m[i] > 0.0f)
-                add(frame.scan.further[0].range_m[i], frame.scan.further[0].intensity[i], true);
+            if (!frame.scan.second_returns.empty() && frame.scan.second_returns[0].range_m[i] > 0.0f)
+                add(frame.scan.second_returns[0].range_m[i], frame.scan.second_returns[0].intensity[i], true);
         }
     std::ranges::sort(points, {}, &SeenPoint::key);
     return points;

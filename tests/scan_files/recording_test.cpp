@@ -30,7 +30,7 @@ RenderedScan two_rays(double time_s) {
     scan.instance = {0, 1};
     scan.time_offset_s = {-0.05f, 0.05f};
     scan.ring = {0, 1};
-    scan.further = {{{0.0f, 14.0f}, {0.0f, 0.2f}}};
+    scan.second_returns = {{{0.0f, 14.0f}, {0.0f, 0.2f}}};
     scan.time_s = time_s;
     return scan;
 }

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include <relidar/measure/gpu.hpp>
 #include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
 #include <relidar/stages/forward.hpp>
@@ -190,7 +191,8 @@ TEST_F(ActorsOnDevice, AbsentInstancesAreNotSeenByAnyTraversal) {
     scene.instances = {{0, ""}, {1, "car"}, {1, "copy"}};
     const auto at = [](double x, bool present) { return InstancePose{Pose{{1, 0, 0, 0}, {x, 0, 0}}, present}; };
     for (const bool brute_force : {false, true}) {
-        Renderer renderer(device(), scene, {}, {.trace = {.brute_force = brute_force}});
+        const Forced forced(device(), {.brute_force = brute_force});
+        Renderer renderer(device(), scene, {});
         const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
         renderer.move({at(20, true), at(5, true), at(8, true)}, glm::vec3(0.0f));
         EXPECT_NEAR(renderer.forward(ray).median_depth[0], 5.0f, 1e-5f);

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <set>
+#include <utility>
 
 namespace relidar::structure {
 namespace {
@@ -58,7 +59,7 @@ const std::map<std::string, Stages>& layer_table() {
 }
 
 const std::string kFaces = "include/relidar/", kUmbrella = kFaces + "relidar.hpp";
-const Stages kCoreFaces = {"error", "math", "progress", "team", "toml_depth", "version"};
+const Stages kCoreFaces = {"error", "math", "progress", "process_group", "toml_depth", "version"};
 const Stages kOpenFolders = {"core", "gpu", "traversal", "shared"};   // infrastructure: its headers are included directly
 
 /// Layer of a file: a stage; "shared"; "shaders/<folder>"; "tools/<name>"; "tests/<folder>"; or empty for others.
@@ -172,6 +173,28 @@ Violations check_include_edges(const SourceTree& tree) {
             const std::string wrong = judge(path, include.target);
             if (!wrong.empty())
                 violations.push_back(path + ":" + std::to_string(include.line) + ": includes " + include.target + ": " + wrong);
+        }
+    }
+    return violations;
+}
+
+Violations check_umbrella(const SourceTree& tree) {
+    Violations violations;
+    Stages seen{kUmbrella};
+    std::vector<std::string> open{kUmbrella};
+    while (!open.empty()) {
+        const std::string path = std::exchange(open.back(), {});
+        open.pop_back();
+        const auto file = tree.find(path);
+        if (file == tree.end()) continue;
+        for (const Include& include : includes_of(tree, file->second)) {
+            const std::string& to = include.target;
+            const bool is_deep = to.starts_with(kFaces + "stages/") || to.starts_with(kFaces + "measure/") ||
+                                 (to.starts_with(kFaces + "shared/") && to != kFaces + "shared/loss_terms.h");
+            if (is_deep)
+                violations.push_back(path + ":" + std::to_string(include.line) + ": includes " + to +
+                                     ", which <relidar/relidar.hpp> must not bring");
+            else if (seen.insert(to).second) open.push_back(to);
         }
     }
     return violations;

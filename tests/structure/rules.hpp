@@ -15,6 +15,9 @@ using Violations = std::vector<std::string>;
 Violations check_include_edges(const SourceTree& tree);
 /// No file includes itself, directly or through others; no path of includes is longer than 8 files (from a test: 10).
 Violations check_include_chains(const SourceTree& tree);
+/// What <relidar/relidar.hpp> brings, all its includes followed: faces of users alone, no <relidar/stages/...>, and of what devices hold no
+/// more than the list of loss terms.
+Violations check_umbrella(const SourceTree& tree);
 /// The table of check_include_edges has no cycle: names of stages that reach themselves.
 Violations check_layer_table();
 /// Whether the table has a stage of this name.
@@ -30,6 +33,8 @@ Violations check_budgets(const SourceTree& tree);
 Violations check_vulkan_names(const SourceTree& tree);
 /// Functions declared in include/relidar say what they do.
 Violations check_face_comments(const SourceTree& tree);
+/// Headers that are installed name no file of the checkout but documents and other headers, which are installed with them.
+Violations check_installed_names(const SourceTree& tree);
 /// Each source, shader and script names its licence in its first lines.
 Violations check_licence_lines(const SourceTree& tree);
 /// No address of a package mirror: those come from the machine's own configuration.

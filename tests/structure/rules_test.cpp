@@ -170,5 +170,24 @@ TEST(Rules, ReadmeCallingNothingIsFound) {
     EXPECT_THAT(check_readme({}), ElementsAre(HasSubstr("missing")));
 }
 
+TEST(Umbrella, BringsNoStageThroughOtherFaces) {
+    const SourceTree tree = make_tree({{"include/relidar/relidar.hpp", "#include <relidar/config.hpp>\n"},
+                                       {"include/relidar/config.hpp", "#include <relidar/loss.hpp>\n"},
+                                       {"include/relidar/loss.hpp",
+                                        "#include <relidar/shared/loss_terms.h>\n#include <relidar/stages/gpu.hpp>\n"},
+                                       {"include/relidar/shared/loss_terms.h", ""},
+                                       {"include/relidar/stages/gpu.hpp", ""}});
+    EXPECT_THAT(check_umbrella(tree), ElementsAre(HasSubstr("loss.hpp:2: includes include/relidar/stages/gpu.hpp")));
+}
+
+TEST(InstalledNames, OfSourcesAreFound) {
+    const SourceTree tree = make_tree({{"include/relidar/a.hpp", "// docs/method.md, relidar/b.hpp\n// src/a.cpp\n// docs/gone.md\n"},
+                                       {"include/relidar/b.hpp", ""},
+                                       {"include/relidar/measure/c.hpp", "// src/a.cpp\n"},
+                                       {"src/a.cpp", ""},
+                                       {"docs/method.md", ""}});
+    EXPECT_THAT(check_installed_names(tree), ElementsAre(HasSubstr("a.hpp:2: names src/a.cpp"), HasSubstr("a.hpp:3: names docs/gone.md")));
+}
+
 }  // namespace
 }  // namespace relidar::structure

@@ -19,6 +19,8 @@ void expect_none(const Violations& violations) {
 TEST(Structure, LayerTableHasNoCycle) { expect_none(check_layer_table()); }
 TEST(Structure, IncludesFollowTheLayers) { expect_none(check_include_edges(checkout())); }
 TEST(Structure, IncludeChainsAreShortAndAcyclic) { expect_none(check_include_chains(checkout())); }
+TEST(Structure, TheUmbrellaBringsNoStages) { expect_none(check_umbrella(checkout())); }
+TEST(Structure, InstalledHeadersNameInstalledFiles) { expect_none(check_installed_names(checkout())); }
 TEST(Structure, KernelsHaveBindingTestAndRow) { expect_none(check_kernels(checkout())); }
 TEST(Structure, BudgetsAreKept) { expect_none(check_budgets(checkout())); }
 TEST(Structure, VulkanStaysInGpuAndAccel) { expect_none(check_vulkan_names(checkout())); }

@@ -7,6 +7,7 @@
 #include <string>
 
 #include <relidar/error.hpp>
+#include <relidar/measure/gpu.hpp>
 
 namespace relidar::test {
 
@@ -54,7 +55,7 @@ Device* find_device() { return process_device->find(); }
 void DeviceTest::SetUp() {
     device_ = find_device();
     if (device_) {
-        messages_before_ = device_->validation_messages();
+        messages_before_ = validation_messages(*device_);
         return;
     }
     const char* required = std::getenv("RELIDAR_REQUIRE_GPU");
@@ -63,7 +64,7 @@ void DeviceTest::SetUp() {
 }
 
 void DeviceTest::TearDown() {
-    if (device_) EXPECT_EQ(device_->validation_messages(), messages_before_) << "the validation layer complained (see stderr)";
+    if (device_) EXPECT_EQ(validation_messages(*device_), messages_before_) << "the validation layer complained (see stderr)";
 }
 
 }  // namespace relidar::test

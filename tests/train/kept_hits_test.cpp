@@ -4,6 +4,7 @@
 
 #include <relidar/dataset.hpp>
 #include <relidar/train.hpp>
+#include <relidar/stages/config.hpp>
 
 #include "../support/device.hpp"
 #include "train/train_loop.hpp"

@@ -11,18 +11,18 @@
 #include <gtest/gtest.h>
 
 #include <relidar/dataset.hpp>
-#include <relidar/team.hpp>
+#include <relidar/process_group.hpp>
 #include <relidar/train.hpp>
 
 namespace relidar {
 namespace {
 
 /// Threads in the place of processes.
-class TeamOfThreads {
+class GroupOfThreads {
 public:
-    explicit TeamOfThreads(int size) : size_(size), turns_of_(std::size_t(size)) {}
+    explicit GroupOfThreads(int size) : size_(size), turns_of_(std::size_t(size)) {}
 
-    Team of(int rank) {
+    ProcessGroup of(int rank) {
         return {rank, size_, [this, rank](const std::string& own) { return gather(std::size_t(rank), own); }};
     }
     /// [size] bytes that each has given, of parts that all of them share
@@ -111,20 +111,20 @@ TEST(PrepareLog, ATeamFindsWhatOneProcessFinds) {
     ASSERT_NE(alone.lidars[0].sensor.beams[0].range_offset_m, 0.0) << "no beam is calibrated";
     ASSERT_NE(numbers(alone.world_from_vehicle.pose[50]), numbers(given.world_from_vehicle.pose[50])) << "no pose is registered";
     constexpr int kSize = 3;
-    TeamOfThreads team(kSize);
+    GroupOfThreads group(kSize);
     std::vector<Sequence> logs(std::size_t(kSize), given);
     std::vector<std::vector<std::string>> told(std::size_t(kSize), std::vector<std::string>{});
     std::vector<std::thread> processes;
     for (int rank = 0; rank < kSize; ++rank)
         processes.emplace_back([&, rank] {
             const auto tell = [&, rank](const std::string& line) { told[std::size_t(rank)].push_back(line); };
-            prepare_log(logs[std::size_t(rank)], split, config, {.tell = tell, .team = team.of(rank)});
+            prepare_log(logs[std::size_t(rank)], split, config, {.tell = tell, .group = group.of(rank)});
         });
     for (std::thread& process : processes) process.join();
     for (const Sequence& log : logs) expect_same(log, alone);
     EXPECT_EQ(told[0], told_alone);
     for (int rank = 1; rank < kSize; ++rank) EXPECT_TRUE(told[std::size_t(rank)].empty()) << "the first one tells";
-    for (const std::size_t bytes : team.shared_bytes()) EXPECT_GT(bytes, 1000u) << "a process did nothing";
+    for (const std::size_t bytes : group.shared_bytes()) EXPECT_GT(bytes, 1000u) << "a process did nothing";
 }
 
 }  // namespace

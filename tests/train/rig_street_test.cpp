@@ -33,8 +33,8 @@ void add(Score& score, const RenderedScan& scan, const Scan& truth) {
         ++score.rays;
         score.drops_right += returns == (truth.range_m[i] > 0.0f);
         if (returns && truth.range_m[i] > 0.0f) score.errors_m.push_back(std::abs(double(range_m[i]) - double(truth.range_m[i])));
-        if (truth.further.empty()) continue;
-        const float is_m = truth.further[0].range_m[i], found_m = scan.further[0].range_m[i];
+        if (truth.second_returns.empty()) continue;
+        const float is_m = truth.second_returns[0].range_m[i], found_m = scan.second_returns[0].range_m[i];
         const bool right = is_m > 0.0f && found_m > 0.0f &&
                            std::min(std::abs(found_m - is_m), std::abs(found_m - truth.range_m[i])) < 0.3f;
         score.seconds += is_m > 0.0f;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The traversal contract on the device (traversal/collect_hits): ray query over triangles and over boxes, the software tree walked by
 // lanes and by subgroups, and brute force, against the host's brute force and Embree.
+#include <relidar/measure/gpu.hpp>
 #include <relidar/measure/traversal.hpp>
 #include "device_hits.hpp"
 
@@ -28,11 +29,12 @@ struct Setting {
     const char* name;
     AccelOptions accel;
     TraceOptions trace;
+    bool brute_force = false;
 };
 
 /// What the test device's traversal can be told to do, brute force last.
 std::vector<Setting> providers(const Device& device, int chunk) {
-    const Setting brute{"brute force", {}, {.chunk = chunk, .brute_force = true}};
+    const Setting brute{"brute force", {}, {.chunk = chunk}, true};
     if (device.traversal() == Traversal::software)
         return {{"lane", {}, {.chunk = chunk, .walk = Walk::lane}}, {"subgroup", {}, {.chunk = chunk, .walk = Walk::subgroup}}, brute};
     return {{"triangles", {.proxy = Proxy::triangles}, {.chunk = chunk}}, {"boxes", {.proxy = Proxy::boxes}, {.chunk = chunk}}, brute};
@@ -44,6 +46,7 @@ void DeviceHits::expect_conformance(const std::vector<TraversalCase>& cases) {
         for (const int chunk : {1, 5, 32})
             for (const Setting& s : providers(device(), chunk)) {
                 const std::string title = c.name + ", " + s.name + ", chunk " + std::to_string(chunk);
+                const Forced forced(device(), {.brute_force = s.brute_force});
                 expect_equal(c, compare(c, brute, collect(c, s.accel, s.trace)), title);
             }
     }
@@ -60,6 +63,7 @@ TEST_P(ChunkSize, DoesNotMatter) {
     const CollectedHits expected = collect(c, {}, {.chunk = 64});
     for (const int chunk : {1, 2, 5, 8, 24, 32})
         for (const Setting& s : providers(device(), chunk)) {
+            const Forced forced(device(), {.brute_force = s.brute_force});
             const CollectedHits actual = collect(c, s.accel, s.trace);
             EXPECT_EQ(actual.counts, expected.counts) << s.name << ", chunk " << chunk;
             for (std::size_t ray = 0; ray < c.rays.size(); ++ray)

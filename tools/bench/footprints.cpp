@@ -115,7 +115,7 @@ void add(Score& score, const RenderedScan& scan, const Scan& cone) {
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         const Truth truth = truth_of(cone, i);
         const bool returns = returned(scan.image.drop_prob[i], range_m[i]);
-        const float second_m = scan.further.empty() ? 0.0f : scan.further[0].range_m[i];
+        const float second_m = scan.second_returns.empty() ? 0.0f : scan.second_returns[0].range_m[i];
         score.seconds += truth.second_m > 0.0f;
         score.reported += second_m > 0.0f;
         score.found += truth.second_m > 0.0f && second_m > 0.0f && nearest_m(truth.returns, second_m) < kOnSurface_m;

@@ -37,14 +37,15 @@ struct Returns {
 };
 
 Returns returns_of(const RenderedScan& scan) {
-    Returns r{scan.median_range_m, scan.further.empty() ? std::vector<float>{} : scan.further[0].range_m};
+    Returns r{scan.median_range_m, scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m};
     for (std::size_t i = 0; i < r.range_m.size(); ++i)
         if (!returned(scan.image.drop_prob[i], r.range_m[i])) r.range_m[i] = 0.0f;
     return r;
 }
 
 Returns returns_of(const Scan& scan) {
-    return {{scan.range_m.begin(), scan.range_m.end()}, scan.further.empty() ? std::vector<float>{} : scan.further[0].range_m};
+    const std::vector<float> second_m = scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m;
+    return {{scan.range_m.begin(), scan.range_m.end()}, second_m};
 }
 
 /// @param truth  with the second returns there are, those of a tenth of the light

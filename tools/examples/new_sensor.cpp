@@ -11,7 +11,7 @@ int main(int argc, char** argv) try {
     if (argc != 4) return std::fprintf(stderr, "usage: %s RUN TRAJECTORY.csv OUT\n", argv[0]), 2;
     Run run = load_run(argv[1]);
     if (run.scene.instances.size() > 1) run.replace(remove_track(run.driving(), run.scene.instances[1].track));   // 0 is the background
-    const PoseTrack way = read_trajectory(argv[2]);
+    const PoseTrack trajectory = read_trajectory(argv[2]);
     const SensorChoice sensor = choose_sensor("OS1-64", run.config, run.sequence);
 
     Device device;
@@ -21,7 +21,8 @@ int main(int argc, char** argv) try {
     format.trajectory = argv[2];
     ScanFolder scans(argv[3], format);
     int n = 0;
-    for (double t = way.time_s.front(); t <= way.time_s.back(); t += 0.1) scans.write(n++, renderer.render(sensor, {t, way}));
+    for (double t = trajectory.time_s.front(); t <= trajectory.time_s.back(); t += 0.1)
+        scans.write(n++, renderer.render(sensor, {t, trajectory}));
     scans.finish();
     std::printf("%d scans of %zu rays in %s\n", n, sensor.rays.size(), argv[3]);
 } catch (const std::exception& error) {

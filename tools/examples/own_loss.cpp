@@ -32,7 +32,7 @@ double compare(const Rendering& image, const Scan& scan, RenderedGradients& d) {
 int main(int argc, char** argv) try {
     if (argc != 2) return std::fprintf(stderr, "usage: %s DRIVE\n", argv[0]), 2;
     const Sequence log = load_sequence(argv[1], {});
-    const PoseTrack way = log.world_from_sensor(0);
+    const PoseTrack trajectory = log.world_from_sensor(0);
     const Split split = split_frames(log, 10);
     const Scene scene = initialise_scene(log, split.train, {});
     Device device;
@@ -44,10 +44,10 @@ int main(int argc, char** argv) try {
         const Frame& frame = log.frames[std::size_t(split.train[std::size_t(step / 10) % split.train.size()])];   // ten steps a frame
         WorldRays rays;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
-            const WorldRay ray = world_ray(way, frame.time_s, frame.scan.rays, i, log.rolling_shutter);
+            const WorldRay ray = world_ray(trajectory, frame.time_s, frame.scan.rays, i, log.rolling_shutter);
             rays.origin.push_back(glm::vec3(ray.origin_m)), rays.direction.push_back(glm::vec3(ray.direction));
         }
-        renderer.place(place_instances(scene, log, moment_of(frame)), glm::vec3(way.at(frame.time_s).translation));
+        renderer.place(place_instances(scene, log, moment_of(frame)), glm::vec3(trajectory.at(frame.time_s).translation));
         last = compare(renderer.forward(rays), frame.scan, d);
         renderer.backward(d);
         adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels, &renderer.gradients().touched, {}, step,

@@ -8,7 +8,7 @@
 
 #include <fmt/format.h>
 
-#include <relidar/config.hpp>
+#include <relidar/stages/config.hpp>
 #include <relidar/error.hpp>
 #include "device.hpp"
 #include "module.hpp"

@@ -95,8 +95,8 @@ void add_edit(py::module_& module) {
             },
             py::arg("track"), same, "Takes an actor out; rays continue to what is behind it.")
         .def("move", &move, py::arg("track"), py::arg("pose"), same,
-             "Moves an actor in its box's own frame (forward, left, up) all along its way.\n\npose: [4,4] float64, box from moved, as "
-             "relidar.pose() makes it")
+             "Moves an actor in its box's own frame (forward, left, up) all along its trajectory.\n\npose: [4,4] float64, box from moved, "
+             "as relidar.pose() makes it")
         .def(
             "retime",
             [](Edits& edits, const std::string& track, double seconds) -> Edits& {

@@ -15,6 +15,7 @@
 #include <relidar/error.hpp>
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
+#include <relidar/stages/config.hpp>
 
 namespace relidar::cli {
 namespace {

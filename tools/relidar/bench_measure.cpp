@@ -19,7 +19,9 @@
 #include <relidar/error.hpp>
 #include <relidar/measure/forward.hpp>
 #include <relidar/stages/differentiable_renderer.hpp>
+#include <relidar/stages/loss.hpp>
 #include <relidar/stages/optimizer.hpp>
+#include <relidar/stages/config.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -59,7 +59,7 @@ void add_convert(CLI::App& app, Call& call) {
     command->add_flag("--overwrite", options->overwrite, "replace a plain folder of that name");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
-        "Every ray is kept, dropped ones and further returns too, with beams, mountings, poses and boxes: the folder is read back as the "
+        "Every ray is kept, dropped ones and second returns too, with beams, mountings, poses and boxes: the folder is read back as the "
         "same\n"
         "log. docs/datasets.md has the format, which a few lines of Python write as well.\n"
         "Examples:\n"

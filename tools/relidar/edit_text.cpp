@@ -167,7 +167,7 @@ AppliedEdit keep(DrivingScene driving, const TypedEdit& edit) {
 const std::vector<EditOption>& edit_options() {
     static const std::vector<EditOption> options{
         {"--remove", "TRACK", "take an actor out; rays continue to what is behind it"},
-        {"--move", "TRACK:dx,dy,dz[,yaw_deg]", "shift an actor in its own frame (forward, left, up) and turn it left, all along its way"},
+        {"--move", "TRACK:dx,dy,dz[,yaw_deg]", "shift an actor in its own frame (forward, left, up) and turn it left, on all its path"},
         {"--retime", "TRACK:seconds", "let everything it does happen so much later"},
         {"--trajectory", "TRACK:FILE.csv", "give it other poses: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]"},
         {"--copy",

@@ -108,7 +108,7 @@ void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& bef
 
 /// Leaves the frames that this process scores.
 void keep_share(std::vector<int>& positions, const Ranks& ranks) {
-    const Team::Share share = ranks.team().share(positions.size());
+    const ProcessGroup::Share share = ranks.group().share(positions.size());
     positions = {positions.begin() + std::ptrdiff_t(share.begin), positions.begin() + std::ptrdiff_t(share.end)};
 }
 

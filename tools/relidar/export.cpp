@@ -83,7 +83,7 @@ void add_export(CLI::App& app, Call& call) {
         "it.\n"
         "Examples:\n"
         "  relidar export run --out scene.ply\n"
-        "  relidar export run --out way.csv");
+        "  relidar export run --out trajectory.csv");
     command->callback([&call, options] { call.run = [options] { run_export(*options); }; });
 }
 

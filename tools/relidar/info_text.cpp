@@ -92,7 +92,7 @@ Json json_of(const LidarSummary& l) {
             {"rows", l.n_beams},      {"columns", l.columns},
             {"top_deg", l.top_deg},   {"bottom_deg", l.bottom_deg},
             {"period_s", l.period_s}, {"max_range_m", l.max_range_m},
-            {"frames", l.n_frames},   {"further_returns", l.n_further}};
+            {"frames", l.n_frames},   {"second_returns", l.n_second_returns}};
 }
 
 Json json_of(const LogSummary& log) {
@@ -161,18 +161,18 @@ LidarSummary summarise(const Sequence& sequence, int which) {
     for (const Frame& frame : sequence.frames) {
         if (frame.lidar != which) continue;
         ++l.n_frames;
-        for (const FurtherReturn& f : frame.scan.further)
-            l.n_further += std::size_t(std::count_if(f.range_m.begin(), f.range_m.end(), [](float r) { return r > 0.0f; }));
+        for (const SecondReturn& f : frame.scan.second_returns)
+            l.n_second_returns += std::size_t(std::count_if(f.range_m.begin(), f.range_m.end(), [](float r) { return r > 0.0f; }));
     }
     return l;
 }
 
 std::string text_of(const LidarSummary& l) {
     const std::string name = l.name.empty() ? "" : fmt::format("{}, {} frames, ", l.name, l.n_frames);
-    const std::string further = l.n_further == 0 ? "" : fmt::format(", {} further returns", l.n_further);
-    if (l.n_beams == 0) return fmt::format("{}{}: no beams known, {:.4g} m{}", name, l.sensor, l.max_range_m, further);
+    const std::string second = l.n_second_returns == 0 ? "" : fmt::format(", {} second returns", l.n_second_returns);
+    if (l.n_beams == 0) return fmt::format("{}{}: no beams known, {:.4g} m{}", name, l.sensor, l.max_range_m, second);
     return fmt::format("{}{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s a sweep, {:.4g} m{}", name, l.sensor, l.n_beams,
-                       l.columns, l.top_deg, l.bottom_deg, l.period_s, l.max_range_m, further);
+                       l.columns, l.top_deg, l.bottom_deg, l.period_s, l.max_range_m, second);
 }
 
 std::string text_of(const LogSummary& log, bool of_run) {

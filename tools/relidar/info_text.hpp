@@ -35,7 +35,7 @@ struct LidarSummary {
     double top_deg = 0.0, bottom_deg = 0.0;
     double period_s = 0.0, max_range_m = 0.0;
     std::size_t n_frames = 0;
-    std::size_t n_further = 0;             ///< second, third ... returns of its rays
+    std::size_t n_second_returns = 0;             ///< second, third ... returns of its rays
 };
 
 struct LogSummary {

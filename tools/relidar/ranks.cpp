@@ -70,17 +70,17 @@ std::string gather_in_all(const std::string& own, int size) {
 Ranks::Ranks() {
     if (!launched_by_mpi()) return;
     MPI_Init(nullptr, nullptr);
-    MPI_Comm_rank(MPI_COMM_WORLD, &team_.rank);
-    MPI_Comm_size(MPI_COMM_WORLD, &team_.size);
-    team_.gather = [size = team_.size](const std::string& own) { return gather_in_all(own, size); };
+    MPI_Comm_rank(MPI_COMM_WORLD, &group_.rank);
+    MPI_Comm_size(MPI_COMM_WORLD, &group_.size);
+    group_.all_gather = [size = group_.size](const std::string& own) { return gather_in_all(own, size); };
     MPI_Comm on_this_machine;
-    MPI_Comm_split_type(MPI_COMM_WORLD, MPI_COMM_TYPE_SHARED, team_.rank, MPI_INFO_NULL, &on_this_machine);
+    MPI_Comm_split_type(MPI_COMM_WORLD, MPI_COMM_TYPE_SHARED, group_.rank, MPI_INFO_NULL, &on_this_machine);
     MPI_Comm_rank(on_this_machine, &local_rank_);
     int n_here = 1;
     MPI_Comm_size(on_this_machine, &n_here);
     MPI_Comm_free(&on_this_machine);
     share_scan_memory(n_here);
-    check_build(team_.rank);
+    check_build(group_.rank);
 }
 
 Ranks::~Ranks() {
@@ -98,8 +98,8 @@ void Ranks::wait_for_all() const {
 
 std::vector<std::string> Ranks::gather(const std::string& text) const {
     if (size() == 1) return {text};
-    const std::vector<std::size_t> sizes = team_.joined(std::vector{text.size()});
-    const std::string all = team_.gather(text);
+    const std::vector<std::size_t> sizes = group_.all_gathered(std::vector{text.size()});
+    const std::string all = group_.all_gather(text);
     if (!is_first()) return {};
     std::vector<std::string> texts;
     std::size_t begin = 0;

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/team.hpp>
+#include <relidar/process_group.hpp>
 
 #include "options.hpp"
 
@@ -22,11 +22,11 @@ public:
     Ranks(const Ranks&) = delete;
     Ranks& operator=(const Ranks&) = delete;
 
-    int size() const { return team_.size; }
+    int size() const { return group_.size; }
     /// Of them, the one that prints, and writes what they share.
-    bool is_first() const { return team_.is_first(); }
+    bool is_first() const { return group_.is_first(); }
     /// For the library's work that they share.
-    const Team& team() const { return team_; }
+    const ProcessGroup& group() const { return group_; }
     /// Brings a text of each process to the first. @return [size] there, in order of ranks; elsewhere nothing
     std::vector<std::string> gather(const std::string& text) const;
     /// Returns once all have come here. Takes no time of the processor.
@@ -35,7 +35,7 @@ public:
     DeviceChoice device(DeviceChoice chosen) const;
 
 private:
-    Team team_;
+    ProcessGroup group_;
     int local_rank_ = 0;
 };
 

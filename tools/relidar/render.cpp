@@ -371,7 +371,7 @@ void run_render(const RenderOptions& given) {
     catch_interrupts();
     Progress progress(options.quiet);
     SweepRenderer sweep_renderer(renderer, options, wanted, offset, with_fine_turns(track));
-    const Team::Share share = ranks.team().share(sweeps.size());
+    const ProcessGroup::Share share = ranks.group().share(sweeps.size());
     for (std::size_t i = share.begin; i < share.end; ++i) {
         sweep_renderer.render(sweeps[i], output);
         progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", sweeps[i].number), i + 1 - share.begin,
@@ -478,7 +478,7 @@ void add_render(CLI::App& app, Call& call) {
         "  relidar render run --out scans\n"
         "  relidar render run --out cars --only actors --format ply\n"
         "  relidar render run --out map --frames all --frame world --format pcd\n"
-        "  relidar render run --out lane --trajectory way.csv --rate 20 --format pcd\n"
+        "  relidar render run --out lane --trajectory trajectory.csv --rate 20 --format pcd\n"
         "  relidar render run --out left --frames 10:20 --offset 0,2,1,0 --format npz,ply\n"
         "  relidar render run --out small --sensor VLP-16 --format png\n"
         "  mpirun -n 8 relidar render run --out scans --frames all");

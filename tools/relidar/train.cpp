@@ -313,7 +313,7 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     if (!options.quiet) announce(sequence, split, device, start ? &*start : nullptr);
 
     catch_interrupts();
-    prepare_log_shown(sequence, split, config, options.quiet, ranks.team(), &stages);
+    prepare_log_shown(sequence, split, config, options.quiet, ranks.group(), &stages);
     if (start) check_resumable(*start, sequence, split, config);
     if (folder) clear_folder(folder->path(), config, resume && in_blocks, start.has_value());
     ranks.wait_for_all();
@@ -353,7 +353,7 @@ void add_train(CLI::App& app, Call& call) {
     command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")->type_name("S");
     command
         ->add_option("--blocks", options->blocks,
-                     "train a long log in blocks of at most so many metres of its way, as 60m: memory does not grow with the log "
+                     "train a long log in blocks of at most so many metres of its trajectory, as 60m: memory does not grow with the log "
                      "(blocks.length_m)")
         ->type_name("LENGTH");
     add_device_options(*command, options->device);

@@ -65,7 +65,8 @@ private:
 
 }  // namespace
 
-void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet, const Team& team, StageTimes* stages) {
+void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet, const ProcessGroup& group,
+                       StageTimes* stages) {
     Progress progress(quiet);
     const auto tell = [&](const std::string& line) {
         if (quiet) return;
@@ -73,7 +74,7 @@ void prepare_log_shown(Sequence& sequence, const Split& split, const Config& con
         print(line + "\n");
         std::fflush(stdout);
     };
-    prepare_log(sequence, split, config, {tell, interrupted, shown_by(progress), stages, team});
+    prepare_log(sequence, split, config, {tell, interrupted, shown_by(progress), stages, group});
 }
 
 TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const fs::path& folder,

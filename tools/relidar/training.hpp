@@ -11,7 +11,7 @@
 namespace relidar::cli {
 
 /// prepare_log(), telling what it estimates. @throws Error with exit code 130 after Ctrl-C
-void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet, const Team& team = {},
+void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet, const ProcessGroup& group = {},
                        StageTimes* stages = nullptr);
 
 /// Trains with a progress line on stderr and one JSON line of log.jsonl for each; the log of a run that continues starts with the lines

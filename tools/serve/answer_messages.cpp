@@ -89,8 +89,8 @@ void write_points(const RenderedScan& scan, const Pose& dataset_from_points, con
         if (!returned(scan.image.drop_prob[ray], range_m[ray])) continue;
         add(ray, range_m[ray], scan.image.intensity[ray], 1);
         std::uint8_t number = 1;
-        for (const FurtherReturn& further : scan.further)
-            if (++number; further.range_m[ray] > 0.0f) add(ray, further.range_m[ray], further.intensity[ray], number);
+        for (const SecondReturn& echo : scan.second_returns)
+            if (++number; echo.range_m[ray] > 0.0f) add(ray, echo.range_m[ray], echo.intensity[ray], number);
     }
     points.set_count(n);
     write_channels(channels, *points.mutable_channels());

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The software acceleration structure: wide nodes with quantised child boxes (after Ylitie et al., "Efficient Incoherent Ray
 // Traversal on GPUs Through Compressed Wide BVHs", 2017). One tree a model over its surfels, in the model's frame; one top tree
-// over the instances, in the world. Built and refitted on the device (shaders/accel), walked by traversal/software_bvh.glsl.
+// over the instances, in the world. Built and refitted on the device.
 #ifndef RELIDAR_INCLUDED_SHARED_BVH_H
 #define RELIDAR_INCLUDED_SHARED_BVH_H
 #include "lang.h"

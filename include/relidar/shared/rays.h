@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Rays on a device: what is traced, what they measured, what they render and what losses give back, one entry a ray. Kernels blend these
-// structs (shaders/forward, shaders/backward), stages hand them on as arrays.
+// structs, stages hand them on as arrays.
 #ifndef RELIDAR_INCLUDED_SHARED_RAYS_H
 #define RELIDAR_INCLUDED_SHARED_RAYS_H
 #include "lang.h"

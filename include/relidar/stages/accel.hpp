@@ -57,10 +57,11 @@ public:
     Proxy proxy() const;
     std::uint64_t memory_bytes() const;   ///< of structures, proxies and scratch
     std::uint64_t updates() const;        ///< builds and refits recorded so far
-    int refits_since_build() const;
+
+    struct Impl;
 
 private:
-    struct Impl;
+    friend const Impl& impl_of(const Accel& accel);   ///< what the library itself works with
     std::unique_ptr<Impl> impl_;
 };
 

@@ -62,12 +62,6 @@ struct BackwardOptions {
     std::uint32_t hits_per_ray = 64;
 };
 
-/// Hit records of the gather.
-struct GatheredHits {
-    std::uint64_t most = 0;       ///< hits of the largest batch since the last report
-    std::uint64_t capacity = 0;   ///< room there is; hits beyond it are added with atomics: right, but not the same in every run
-};
-
 class BackwardPass {
 public:
     /// @throws UsageError where hits_per_ray is out of range
@@ -78,10 +72,8 @@ public:
     void run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch, const glm::vec3& view_origin_m,
              Gradients& gradients);
     void set_sh_degree(int degree);
-    /// Blocks. Nothing with atomics.
-    GatheredHits take_gathered_hits();
-    /// The same without a wait: [1] `most` on the device, growing until it is set to 0, and the capacity as it is now. Null and 0 with
-    /// atomics.
+    /// Hit records of the gather: [1] of the largest batch, on the device, growing until it is set to 0; and the room that there is now.
+    /// Hits beyond it are added with atomics: right, but not the same in every run. Null and 0 with atomics.
     const Array<std::uint32_t>* most_hits() const;
     std::uint64_t hit_capacity() const;
     /// Makes room for so many hit records, at least. Waits for the stream.

@@ -10,7 +10,7 @@
 
 #include <glm/glm.hpp>
 
-#include <relidar/shared/loss_terms.h>
+#include <relidar/loss.hpp>
 #include <relidar/shared/rays.h>
 #include <relidar/stages/gpu.hpp>
 
@@ -41,33 +41,6 @@ struct TargetBatch {
     double n_known = 0.0;      ///< known rays of the batch: what ray-drop is averaged over
     ImageShape image{};        ///< of the rays, where the batch is an image
 };
-
-/// Weights of the terms (loss_terms.h says what they weigh), each a mean over its pixels, points or surfels; and what else there is to
-/// choose.
-struct LossWeights {
-#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) float setting = standard;
-    RELIDAR_LOSS_TERMS(RELIDAR_TERM)
-#undef RELIDAR_TERM
-    bool normalised_depth = false;   ///< compare D / W instead of D (paper)
-    float box_scale_share = 0.2f;    ///< standard deviation an actor's surfel may have, over half the diagonal of its box
-    float likelihood_scale_m = 0.05f;        ///< spread of measured ranges about what is there, metres
-    float likelihood_floor = 0.01f;          ///< share of returns that may lie anywhere
-
-    bool uses_geometry() const { return distortion > 0.0f || normal > 0.0f; }
-    bool operator==(const LossWeights&) const = default;
-};
-
-#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) #name,
-inline constexpr std::array kLossTermNames{RELIDAR_LOSS_TERMS(RELIDAR_TERM)};   ///< in the order of their places
-#undef RELIDAR_TERM
-inline constexpr int kLossTerms = kLossTermNames.size();
-
-/// Place of each term in a row of terms: loss_term::depth, ...
-namespace loss_term {
-#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) inline constexpr std::size_t name = index;
-RELIDAR_LOSS_TERMS(RELIDAR_TERM)   // a constant each
-#undef RELIDAR_TERM
-}  // namespace loss_term
 
 /// Where the terms of a batch are added up: a row of an array that may hold those of several batches.
 struct TermRow {

@@ -4,7 +4,6 @@
 
 #include <cstdint>
 #include <memory>
-#include <optional>
 #include <vector>
 
 #include <relidar/stages/gpu.hpp>
@@ -19,7 +18,6 @@ struct AdamOptions {
     /// surfels without a gradient in this batch keep values and moments; false: their moments decay, and move them
     bool only_touched = false;
     std::uint32_t n_fixed = 0;   ///< the first so many surfels stay as they are, and have no moments
-    std::optional<bool> thread_per_float = std::nullopt;   ///< instead of one thread a surfel and group; not given: on GPUs
 };
 
 /// Exponential interpolation from `start` at step 0 to `end` at step n_steps.

@@ -80,7 +80,7 @@ constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32
 }
 
 /// Every group there is; those that 3D Gaussians alone have come last. A new parameter is a member of Surfels and of SurfelArrays, a
-/// pointer for kernels (shaders/shared/scene.h), and a row here.
+/// pointer for kernels, and a row here.
 inline constexpr std::array<ParameterGroup, 6> kParameterGroups{{
     describe_group<&Surfels::mean>("mean", {3, 1}, &SurfelArrays::mean, &LearningRates::mean),
     describe_group<&Surfels::rotation>("rotation", {4, 1}, &SurfelArrays::rotation, &LearningRates::rotation),
@@ -107,7 +107,7 @@ constexpr std::uint32_t floats_per_surfel(Primitive primitive) {
 }
 
 namespace shared {
-struct SurfelPointers;   // shaders/shared/scene.h
+struct SurfelPointers;   // of kernels
 }
 /// The arrays as kernels are given them.
 shared::SurfelPointers pointers_of(const SurfelArrays& arrays);

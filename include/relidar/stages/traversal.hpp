@@ -47,7 +47,6 @@ struct RangeKernel {
 struct TraceOptions {
     int chunk = 16;               ///< hits sorted at a time, 1..64
     Walk walk = Walk::automatic;  ///< software traversal alone; automatic = what measures faster on the kind of device
-    bool brute_force = false;     ///< test every surfel instead of using the acceleration structure (tests)
     /// A RayGeometry is rendered too: normals of a Renderer, and of ForwardPass::run and BackwardPass::run, which must then be given one,
     /// what the geometric losses want.
     bool geometry = false;

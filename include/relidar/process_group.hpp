@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Several processes that do one piece of work together.
+// Several processes that do one piece of work together, as the ranks of MPI do.
 #pragma once
 
 #include <cstddef>
@@ -13,10 +13,10 @@ namespace relidar {
 
 /// Processes that do the same steps in the same order. What takes long in a step is cut into parts that do not depend on how many processes
 /// there are; each process does its share of them, and then all have all results. One process by itself does everything.
-struct Team {
+struct ProcessGroup {
     int rank = 0, size = 1;
     /// Bytes of all processes one after the other, in order of ranks. Returns once all have come here. Not called where size is 1.
-    std::function<std::string(const std::string& own)> gather = {};
+    std::function<std::string(const std::string& own)> all_gather = {};
 
     bool is_first() const { return rank == 0; }
 
@@ -31,19 +31,19 @@ struct Team {
 
     /// Values of all processes, in order of ranks.
     template <class T>
-    std::vector<T> joined(std::vector<T> own) const {
+    std::vector<T> all_gathered(std::vector<T> own) const {
         static_assert(std::is_trivially_copyable_v<T>);
         if (size == 1) return own;
-        const std::string all = gather({reinterpret_cast<const char*>(own.data()), own.size() * sizeof(T)});
+        const std::string all = all_gather({reinterpret_cast<const char*>(own.data()), own.size() * sizeof(T)});
         own.resize(all.size() / sizeof(T));
         if (!own.empty()) std::memcpy(own.data(), all.data(), own.size() * sizeof(T));
         return own;
     }
     /// Values of the first process, in all.
     template <class T>
-    std::vector<T> of_first(std::vector<T> own) const {
+    std::vector<T> broadcast(std::vector<T> own) const {
         if (!is_first()) own.clear();
-        return joined(std::move(own));
+        return all_gathered(std::move(own));
     }
 };
 

@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: Apache-2.0
+// What tests ask of a device and force upon it. Not installed.
+#pragma once
+
+#include <cstddef>
+#include <optional>
+
+#include <relidar/gpu.hpp>
+
+namespace relidar {
+
+/// Validation messages of severity warning or error that a device has seen so far (0 without validation).
+std::size_t validation_messages(const Device& device);
+
+/// What is done in another way than suits the device.
+struct ForcedWays {
+    bool brute_force = false;                              ///< rays test every surfel in the place of a search
+    std::optional<bool> coalesces = std::nullopt;          ///< threads beside each other read floats beside each other, as GPUs want it
+};
+
+/// While it lives, kernels that are made on a device are made so.
+class Forced {
+public:
+    Forced(Device& device, const ForcedWays& ways);
+    ~Forced();
+    Forced(const Forced&) = delete;
+    Forced& operator=(const Forced&) = delete;
+
+private:
+    Device& device_;
+    ForcedWays before_;
+};
+
+}  // namespace relidar

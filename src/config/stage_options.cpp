@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <relidar/stages/config.hpp>
+
+#include <algorithm>
+
+#include <relidar/channels.hpp>
+
+namespace relidar {
+
+TraceOptions trace_options(const Config& config) {
+    TraceOptions options;
+    options.chunk = config.trace.chunk;
+    return options;
+}
+
+TraceOptions training_trace_options(const Config& config) {
+    TraceOptions options = trace_options(config);
+    options.geometry = config.loss.uses_geometry();
+    if (config.loss.likelihood > 0.0f) options.likelihood = RangeKernel{config.loss.likelihood_scale_m};
+    return options;
+}
+
+TraceOptions rendering_trace_options(const Config& config) {
+    TraceOptions options = trace_options(config);
+    options.geometry = std::ranges::any_of(wanted_channels(config.render.channels), &ChannelInfo::needs_normals);
+    if (config.render.range == "mode") options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);
+    return options;
+}
+
+BackwardOptions backward_options(const Config& config) {
+    BackwardOptions options;
+    if (config.train.deterministic) options.reduction = Reduction::gather;
+    return options;
+}
+
+}  // namespace relidar
