@@ -7,8 +7,8 @@
 /// PRIMITIVE(number in kernels, name in files and settings, what several are called, a third scale, normals, proxy)
 ///   a third scale  a parameter log_scale_w: the standard deviation along the third axis, along which densification draws and moves too
 ///   normals        the third axis is that of a surface
-///   proxy          what its triangles are in a driver's tree (accel/proxies.comp, src/accel/hardware.cpp): rectangle, icosahedron
-/// What a ray meets is in shaders/gaussian/primitive.glsl.
+///   proxy          what its triangles are in a driver's tree: rectangle, icosahedron
+/// What a ray meets is said where kernels branch by PRIMITIVE.
 #define RELIDAR_PRIMITIVES(PRIMITIVE) \
     PRIMITIVE(0u, surfel, "surfels", false, true, rectangle) \
     PRIMITIVE(1u, gaussian, "3D Gaussians", true, false, icosahedron)
