@@ -151,9 +151,10 @@ TEST_F(Batch, SimilarityAndNormalsSeeWindows) {
     for (const std::string setting : {"loss.intensity_ssim", "loss.normal"}) {
         Config config = config_for("rays", 40);
         set_key(config, setting, "0.15");
+        BatchSampler sampler(device(), config, image);
         Stream stream(device());
         Random random(3);
-        const SampledBatch batch = BatchSampler(device(), config, image).sample(stream, image[0], random);
+        const SampledBatch batch = sampler.sample(stream, image[0], random);
         stream.finish();
         EXPECT_EQ(batch.targets.image.columns, 10u) << setting;
         EXPECT_EQ(batch.window.stride, 1u) << setting;
