@@ -53,7 +53,11 @@ PoseStep step_at(const TrainConfig& c, double rate_m, int step) {
 
 PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config,
                          const TrainingFrames& frames)
-    : config_(config), frames_(frames), layout_(layout_of(layout)), poses_(without_scans(sequence)) {
+    : config_(config),
+      is_active_(config.refine_poses != "none"),
+      frames_(frames),
+      layout_(layout_of(layout)),
+      poses_(without_scans(sequence)) {
     if (config.refines("sensor")) {
         sensor_.emplace(sequence.world_from_vehicle);
         rays_ = std::make_unique<MovedRays>(device, frames.all());

@@ -33,7 +33,7 @@ public:
     PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config, const TrainingFrames& frames);
     ~PoseRefiner();
 
-    bool is_active() const { return config_.refine_poses != "none"; }
+    bool is_active() const { return is_active_; }
     /// What record() needs of a backward pass.
     WantedGradients wanted() const;
     /// Rays, actors and view origin of a frame that is on the device, as corrected so far. Records.
@@ -77,6 +77,7 @@ private:
     };
 
     const TrainConfig& config_;
+    const bool is_active_;
     const TrainingFrames& frames_;
     Scene layout_;
     Sequence poses_;   ///< the log without its scans, as corrected so far

@@ -10,12 +10,14 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include "options.hpp"
-#include <relidar/measure/scene.hpp>
 #include <relidar/error.hpp>
+#include <relidar/measure/scene.hpp>
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
 #include <relidar/stages/config.hpp>
+
+#include "console.hpp"
+#include "options.hpp"
 
 namespace relidar::cli {
 namespace {
