@@ -26,7 +26,7 @@ double as_number(const std::string& value) {
     return *number;
 }
 
-/// Puts a word into a list, or takes it out.
+/// Puts a word that is wanted at the end of a list.
 void put(std::string& list, const char* word, bool is_wanted) {
     if (is_wanted) list += (list.empty() ? "" : ",") + std::string(word);
 }
