@@ -158,7 +158,7 @@ void visit_scene(C& c, Visitor&& f) {
 
 template <class C, class Visitor>
 void visit_losses(C& c, Visitor&& f) {
-#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) f("loss." #setting, c.loss.setting, accepts, meaning);
+#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) f("loss." #setting, c.loss.setting, accepts, meaning);
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     f("loss.normalised_depth", c.loss.normalised_depth, anything(), expert("the range term compares D / W; false: D, as the paper does"));
