@@ -29,19 +29,6 @@ struct ImageLossParams {
     uint normalised_depth;                 // 1: compare D / W, 0: compare D (paper)
 };
 
-/// Differences of ln(1 + range).
-struct RelativeRangeParams {
-    RenderedRays rendered;                 // input [n_rays]
-    Targets targets;                       // input
-    RayGradients upstream;                 // accumulated [n_rays]
-    RELIDAR_OF(Floats, LossTerms) terms;   // accumulated: a row
-    float weight;
-    uint n_rays;
-    uint first_ray;
-    uint ray_stride;
-    uint normalised_depth;                 // 1: range D / W, 0: D
-};
-
 #define RELIDAR_SSIM_FLOATS 5   // a pixel: derivatives by mean, variance (twice) and covariance over the sum of weights, both means
 
 /// Structural similarity of the intensity image and its derivative: loss/ssim writes `statistics`, loss/ssim_vjp reads them.

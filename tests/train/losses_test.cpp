@@ -22,7 +22,7 @@ TEST_F(Losses, EveryTermIsLogged) {
         config.loss.intensity_ssim = batch == "columns" ? 0.15f : 0.0f;
         config.loss.chamfer = 0.01f;
         config.loss.normal = batch == "columns" ? 0.05f : 0.0f;
-        config.loss.relative_range = config.loss.distortion = config.loss.box = config.loss.likelihood = 0.01f;
+        config.loss.distortion = config.loss.box = config.loss.likelihood = 0.01f;
         config.loss.box_scale_share = 0.01f;   // so that some surfel is too large
         config.train.iterations = 3;
         config.train.rays_per_iteration = 1024;

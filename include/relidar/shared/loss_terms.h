@@ -23,8 +23,6 @@
          expert("weight of surfel normals disagreeing with those of the rendered range image, mean over returned rays; of a sensor with " \
                 "image order; 0: paper")) \
     TERM(9u, likelihood, likelihood, geometry, 0.0f, at_least(0), \
-         expert("weight of -ln of how likely a ray's hits make the range that was measured, mean over returned rays; 0: paper")) \
-    TERM(10u, relative_range, relative_range, relative_range, 0.0f, at_least(0), \
-         expert("weight of |ln(1 + r) - ln(1 + range)| on returned rays; 0: paper"))
+         expert("weight of -ln of how likely a ray's hits make the range that was measured, mean over returned rays; 0: paper"))
 
 #endif
