@@ -134,25 +134,37 @@ std::vector<BoxTrack> boxes_at(const std::vector<BoxLabel>& labels, const std::v
     return boxes;
 }
 
+/// Whether no sweep between keyframes has its file, as where samples/ was unpacked without sweeps/.
+bool has_keyframes_alone(const SceneTables& scene, const fs::path& folder) {
+    std::size_t n_between = 0;
+    for (const SweepRecord& sweep : scene.sweeps) {
+        if (sweep.is_keyframe) continue;
+        if (path_exists(folder / sweep.file)) return false;
+        ++n_between;
+    }
+    return n_between > 0;
+}
+
 /// The frames of a range with the dataset's poses.
 struct Frames {
     std::vector<int> numbers;
     std::vector<fs::path> files;
     PoseTrack own;
 };
-Frames frames_in(const SceneTables& scene, const fs::path& folder, const FrameRange& range) {
-    const int n = int(scene.sweeps.size()), begin = std::min(range.begin, n), end = range.end < 0 ? n : std::min(range.end, n);
-    if (begin >= end)
-        throw UsageError(
-            fmt::format("frames {}:{}: no sweep of {}, expected numbers in [0, {}]", range.begin, range.end, scene.name, n - 1));
+Frames frames_in(const SceneTables& scene, const fs::path& folder, const FrameRange& range, bool keyframes_alone) {
+    const int n = int(scene.sweeps.size()), end = range.end < 0 ? n : std::min(range.end, n);
     Frames frames;
-    for (int i = begin; i < end; ++i) {
+    for (int i = range.begin; i < end; ++i) {
         const SweepRecord& sweep = scene.sweeps[std::size_t(i)];
+        if (keyframes_alone && !sweep.is_keyframe) continue;
         frames.numbers.push_back(i);
         frames.files.push_back(folder / sweep.file);
         frames.own.time_s.push_back(double(sweep.time_us - scene.sweeps[0].time_us) * 1e-6);
         frames.own.pose.push_back(sweep.world_from_ego);
     }
+    if (frames.numbers.empty())
+        throw UsageError(fmt::format("frames {}:{}: no {} of {}, expected numbers in [0, {}]", range.begin, range.end,
+                                     keyframes_alone ? "keyframe" : "sweep", scene.name, n - 1));
     return frames;
 }
 
@@ -179,7 +191,8 @@ Sequence load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
     check_folder(folder, "nuScenes (v1.0-*/, samples/, sweeps/)");
     const SceneName chosen = choose_scene(list_scenes_of(folder), options.sequence);
     const SceneTables scene = read_scene(chosen.tables, chosen.name);
-    const Frames frames = frames_in(scene, folder, options.frames);
+    const bool keyframes_alone = has_keyframes_alone(scene, folder);
+    const Frames frames = frames_in(scene, folder, options.frames, keyframes_alone);
     Sequence sequence;
     sequence.name = "nuScenes " + chosen.name;
     sequence.source = folder.string();
@@ -191,6 +204,7 @@ Sequence load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
     const Pose theirs_from_ours{glm::angleAxis(kPi / 2.0, glm::dvec3(0, 0, 1)), glm::dvec3(0.0)};
     sequence.lidars[0] = {"", hdl32e(), scene.ego_from_lidar * theirs_from_ours};
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
+    if (keyframes_alone) sequence.notes.push_back("no file of sweeps/ is there: the scene is read with its keyframes alone, 2 a second");
     if (scene.labels.empty()) sequence.notes.push_back("no annotations of this scene: nothing in it is labelled");
     for (std::size_t i = 0; i < frames.numbers.size(); ++i)
         add_frame(sequence, frames.numbers[i], frames.own.time_s[i], frames.own.pose[i]);
