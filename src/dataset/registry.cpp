@@ -45,6 +45,7 @@ constexpr Kind kKinds[] = {
     {"kitti360", "data_3d_raw", "KITTI-360", load_kitti_360, true, check_kitti_360},
     {"waymo", ".tfrecord", "a segment of Waymo Open", load_waymo, true, check_waymo},
     {"nuscenes", "v1.*", "nuScenes or TruckScenes", load_nuscenes, true},
+    {"lyft", "data/scene.json train_data/scene.json test_data/scene.json", "Lyft Level 5", load_nuscenes, true},
     {"folder", "sequence.json", "a plain folder", load_plain_folder},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
     {"rosbag", ".mcap .db3 .bag metadata.yaml", "a ROS bag", load_ros_bag},

@@ -1,13 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
-// TruckScenes: nuScenes' tables with several LiDARs, whose points are as they were measured, without rings.
+// TruckScenes and Lyft Level 5: nuScenes' tables with several LiDARs, whose points are as they were measured, without rings.
 #include <relidar/dataset.hpp>
 
+#include <algorithm>
 #include <cmath>
+#include <cstring>
+#include <map>
+#include <string>
+#include <vector>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <relidar/error.hpp>
+#include "dataset/kitti_drive.hpp"
 #include "dataset/truckscenes_folder.hpp"
 
 namespace relidar {
@@ -144,6 +151,99 @@ TEST(TruckScenes, SaysWhatIsWrong) {
     options = {};
     options.skip_broken = true;
     EXPECT_EQ(load(data, options).frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 2));
+}
+
+std::string replaced(std::string text, const std::string& from, const std::string& to) {
+    for (std::size_t at = 0; (at = text.find(from, at)) != std::string::npos; at += to.size()) text.replace(at, from.size(), to);
+    return text;
+}
+
+/// Makes a Lyft folder of it, as Kaggle has it: tables in train_data, files `lidar/NAME.bin` in train_lidar with 5 columns, of which the
+/// last two are the same everywhere; LIDAR_TOP; stamps with a fraction. @return ranges of the points by file
+std::map<std::string, std::vector<float>> make_lyft(const TruckScenesFolder& data) {
+    std::map<std::string, std::vector<float>> ranges;
+    for (const TruckScenesFolder::Lidar& lidar : data.lidars)
+        for (int s = 0; s < TruckScenesFolder::kSweeps; ++s) {
+            const fs::path file = data.sweep(lidar.channel, s);
+            if (!fs::exists(file)) continue;
+            const std::string pcd = test::read_text(file), name = fmt::format("{}_{}.bin", lidar.channel, s);
+            std::string bytes;
+            for (std::size_t at = pcd.find("DATA binary\n") + 12; at < pcd.size(); at += 24) {
+                float values[5];
+                std::memcpy(values, pcd.data() + at, 12);
+                values[3] = 100.0f, values[4] = 1.0f;
+                bytes.append(reinterpret_cast<const char*>(values), sizeof values);
+                ranges[name].push_back(std::hypot(values[0], values[1], values[2]));
+            }
+            test::write_text(data.folder / "train_lidar" / name, bytes);
+        }
+    std::string files = test::read_text(data.table("sample_data"));
+    for (const char* folder : {"samples", "sweeps"})
+        for (const char* channel : {"LIDAR_LEFT", "LIDAR_TOP_FRONT"})
+            files = replaced(files, fmt::format("{}/{}/", folder, channel), "lidar/");
+    files = replaced(replaced(files, ".pcd\"", ".bin\""), "000, \"is_key_frame\"", "000.25, \"is_key_frame\"");
+    test::write_text(data.table("sample_data"), files);
+    const std::string sensors = test::read_text(data.table("sensor"));
+    test::write_text(data.table("sensor"), replaced(sensors, "\"channel\": \"LIDAR_TOP_FRONT\"", "\"channel\": \"LIDAR_TOP\""));
+    fs::rename(data.folder / "v1.2-trainval", data.folder / "train_data");
+    for (const char* folder : {"samples", "sweeps"}) fs::remove_all(data.folder / folder);
+    return ranges;
+}
+
+TEST(Lyft, ReturnsOfBothLidars) {
+    const TruckScenesFolder data("lyft");
+    auto ranges = make_lyft(data);
+    EXPECT_EQ(recognise_dataset(data.folder), "lyft");
+    const Sequence found = load(data);
+    EXPECT_EQ(found.name, "Lyft Level 5 scene-0044384af3d8494e913fb8b14915239e-3");
+    ASSERT_EQ(found.lidars.size(), 2u);
+    EXPECT_EQ(found.lidars[0].name, "LIDAR_TOP") << "comes first";
+    EXPECT_EQ(found.lidars[1].name, "LIDAR_LEFT");
+    ASSERT_EQ(found.frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 2)) << "LIDAR_LEFT has a sweep that LIDAR_TOP lacks";
+    EXPECT_THAT(found.notes, testing::Contains("LIDAR_LEFT: 1 sweeps are left out: LIDAR_TOP has none beside them"));
+    EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr("LIDAR_LEFT: points have no times, so its sweeps, up to 0.007 s from")));
+    for (const Lidar& lidar : found.lidars) {
+        EXPECT_NEAR(lidar.period_s(), 0.1, 1e-9);
+        EXPECT_EQ(lidar.sensor.columns, TruckScenesFolder::kColumns);
+    }
+    EXPECT_EQ(found.lidars[0].sensor.beams.size(), 24u);
+    EXPECT_EQ(found.lidars[1].sensor.beams.size(), 17u);
+    for (const Frame& frame : found.frames) {
+        const int sweep = frame.index < TruckScenesFolder::kMissing ? frame.index : frame.index + 1;
+        std::vector<float> read, &written = ranges[fmt::format("{}_{}.bin", frame.lidar == 0 ? "LIDAR_TOP_FRONT" : "LIDAR_LEFT", sweep)];
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            if (frame.scan.range_m[i] == 0.0f) continue;
+            read.push_back(frame.scan.range_m[i]);
+            ASSERT_FLOAT_EQ(frame.scan.intensity[i], 100.0f / 255.0f);
+        }
+        std::ranges::sort(read), std::ranges::sort(written);
+        ASSERT_EQ(read.size(), written.size());
+        for (std::size_t i = 0; i < read.size(); ++i) ASSERT_NEAR(read[i], written[i], 1e-4f);
+    }
+    const Pose truth = TruckScenesFolder::vehicle_at(0.507);
+    EXPECT_LT(glm::distance(found.world_from_vehicle.at(0.5).translation + found.world_offset_m, truth.translation), 1e-5);
+}
+
+TEST(Lyft, PointsThatWereMovedHaveNoColumns) {
+    const TruckScenesFolder data("lyft_moved");
+    make_lyft(data);
+    const auto moved_s = [](std::size_t point) { return 0.1 * double(point % 400) / 400.0; };   // as the truck drove during the sweep
+    for (const fs::directory_entry& file : fs::directory_iterator(data.folder / "train_lidar")) {
+        std::string bytes = test::read_text(file.path());
+        for (std::size_t i = 0; i * 20 < bytes.size(); ++i) {
+            float x = 0.0f;
+            std::memcpy(&x, bytes.data() + i * 20, 4);
+            x += float(15.2 * moved_s(i));
+            std::memcpy(bytes.data() + i * 20, &x, 4);
+        }
+        test::write_text(file.path(), bytes);
+    }
+    DatasetOptions options;
+    options.lidars = {"LIDAR_TOP"};
+    const Sequence found = load(data, options);
+    EXPECT_EQ(found.frames[0].scan.rays.rows, 1) << "rays without order";
+    EXPECT_EQ(found.frames[0].scan.count_returns(), found.frames[0].scan.rays.size());
+    EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr("rays that were dropped are unknown")));
 }
 
 }  // namespace

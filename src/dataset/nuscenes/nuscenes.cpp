@@ -26,6 +26,8 @@ using namespace nuscenes;
 constexpr double kBeside = 0.6;         // steps: a LiDAR's sweep from that of the LiDAR that numbers the frames
 constexpr double kBeyondLabels = 0.5;   // steps: a box from its first and last label, whose times are near those of sweeps
 constexpr double kBrightest = 255.0;
+constexpr double kTurnOfLyft_s = 0.1;   // assumed: sweeps are 5 a second, and such LiDARs turn ten times
+constexpr double kStampsApart_s = 1e-3; // of LiDARs that sweep together, worth a note where points have no times
 
 /// Which dataset it is, by the ending of its LiDARs' files.
 struct Format {
@@ -33,13 +35,17 @@ struct Format {
     const char* dataset;
     const char* conventions;   ///< beside metres, seconds and the vehicle's axes
     bool is_compensated;       ///< columns of one HDL-32E, moved to the end of their turn
+    bool has_times;            ///< of points
 };
 constexpr Format kFormats[] = {
     {".pcd.bin", "nuScenes",
      "LiDAR x forward, y left, z up (nuScenes: x right, y forward); time = end of the turn; world: the map's frame; motion compensation "
      "undone",
+     true, false},
+    {".pcd", "TruckScenes", "LiDARs' own frames; points as they were measured; time = stamp of the first LiDAR; world: UTM 32U", false,
      true},
-    {".pcd", "TruckScenes", "LiDARs' own frames; points as they were measured; time = stamp of the first LiDAR; world: UTM 32U", false},
+    {".bin", "Lyft Level 5", "LiDARs' own frames; points as they are; time = stamp of the first LiDAR; world: the map's frame", false,
+     false},
 };
 
 /// Scenes of all tables of a dataset, each with its tables.
@@ -53,7 +59,7 @@ std::vector<SceneName> list_scenes_of(const fs::path& folder) {
         if (!path_exists(tables / "scene.json")) continue;
         for (const std::string& name : list_scenes(tables)) scenes.push_back({name, tables});
     }
-    if (scenes.empty()) throw DataError(fmt::format("{}: no scene, expected some in v1.*/scene.json", folder.string()));
+    if (scenes.empty()) throw DataError(fmt::format("{}: no scene, expected some in */scene.json", folder.string()));
     return scenes;
 }
 
@@ -105,7 +111,8 @@ public:
           options_(options),
           chosen_(choose_scene(list_scenes_of(folder), options.sequence)),
           scene_(read_scene(chosen_.tables, chosen_.name)),
-          format_(format_of(scene_.lidars[0].sweeps[0].file)) {
+          format_(format_of(scene_.lidars[0].sweeps[0].file)),
+          split_(split_of(chosen_.tables)) {
         for (const SweepRecord& sweep : scene_.lidars[0].sweeps) main_s_.push_back(scene_.seconds(sweep.time_us));
         step_s_ = usual_step_s(main_s_);
     }
@@ -138,6 +145,7 @@ private:
     const SceneName chosen_;
     const SceneTables scene_;
     const Format& format_;
+    const std::string split_;           ///< what folders of files may begin with: tables in train_data, files in train_lidar
     std::vector<double> main_s_;        ///< [sweeps of the first LiDAR]
     double step_s_ = 0.0;               ///< between them
     std::vector<std::size_t> lidars_;   ///< [sequence_.lidars] in scene_.lidars
@@ -155,7 +163,14 @@ private:
     }
 
     void note(std::string text) { sequence_.notes.push_back(std::move(text)); }
-    fs::path file_of(const SweepRecord& sweep) const { return folder_ / sweep.file; }
+    static std::string split_of(const fs::path& tables) {
+        const std::string name = tables.filename().string();
+        return name.ends_with("_data") ? name.substr(0, name.size() - 4) : "";
+    }
+    fs::path file_of(const SweepRecord& sweep) const {
+        const fs::path file = folder_ / sweep.file;
+        return split_.empty() || path_exists(file) ? file : folder_ / (split_ + sweep.file);
+    }
 
     /// Those that are asked for, all of them where none is.
     void choose_lidars() {
@@ -196,11 +211,16 @@ private:
             for (const SweepRecord& record : records) times_s.push_back(scene_.seconds(record.time_us));
             const auto beside = sweeps_beside(main_s_, times_s, kBeside * step_s_);
             std::size_t n_left = records.size();
+            double apart_s = 0.0;
             for (std::size_t k = 0; k < beside.size(); ++k) {
                 if (!beside[k]) continue;
+                apart_s = std::max(apart_s, std::abs(times_s[*beside[k]] - main_s_[k]));
                 sweeps.push_back({int(k), l, &records[*beside[k]]});
                 --n_left;
             }
+            if (!format_.has_times && apart_s > kStampsApart_s)
+                note(fmt::format("{}: points have no times, so its sweeps, up to {:.3f} s from those of {}, are taken at their times",
+                                 scene_.lidars[l].channel, apart_s, scene_.lidars[0].channel));
             if (n_left > 0)
                 note(fmt::format("{}: {} sweeps are left out: {} has none beside them", scene_.lidars[l].channel, n_left,
                                  scene_.lidars[0].channel));
@@ -241,6 +261,7 @@ private:
     void read_clouds(const std::vector<fs::path>& files) {
         folder::Head head;
         head.name = sequence_.name;
+        if (!format_.has_times) head.units.columns = {"x", "y", "z", "intensity", "-"};   // the last is 1 everywhere
         head.units.intensity_max = kBrightest;
         head.units.time_unit_s = 1e-6;
         head.units.absolute_times = true;
@@ -249,7 +270,7 @@ private:
             folder::HeadLidar& of_head = head.lidars.emplace_back();
             of_head.lidar = lidar;
             of_head.is_guessed = true;
-            of_head.turn_s = step_s_;
+            of_head.turn_s = format_.has_times ? step_s_ : kTurnOfLyft_s;
         }
         folder::read_scans(sequence_, head, files, options_);
     }
@@ -258,7 +279,7 @@ private:
 }  // namespace
 
 Sequence load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
-    check_folder(folder, "nuScenes or TruckScenes (v1.*/, samples/, sweeps/)");
+    check_folder(folder, "nuScenes, TruckScenes or Lyft Level 5 (tables in v1.*/ or *data/)");
     return NuscenesLog(folder, options).load();
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// nuScenes and MAN TruckScenes: a folder with tables in v1.*/ and files in samples/ and sweeps/. One scene of it, all its LiDARs.
+// nuScenes, MAN TruckScenes and Lyft Level 5: a folder with tables in one of its folders and files in others. One scene, all its LiDARs.
 #pragma once
 
 #include <filesystem>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the tables of nuScenes and TruckScenes say of one scene and its LiDARs.
+// What the tables of nuScenes, TruckScenes and Lyft Level 5 say of one scene and its LiDARs.
 #pragma once
 
 #include <cstdint>
