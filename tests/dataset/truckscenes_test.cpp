@@ -14,6 +14,7 @@
 #include <gtest/gtest.h>
 
 #include <relidar/error.hpp>
+#include <relidar/scene.hpp>
 #include "dataset/kitti_drive.hpp"
 #include "dataset/truckscenes_folder.hpp"
 
@@ -92,6 +93,7 @@ TEST(TruckScenes, PosesGoByTheirOwnTimesAndBoxesBySamples) {
     ASSERT_EQ(found.boxes.size(), 1u);
     const BoxTrack& box = found.boxes[0];
     EXPECT_EQ(box.category, "vehicle.other");
+    EXPECT_EQ(object_kind(box.category), ObjectKind::vehicle);
     EXPECT_EQ(box.size_m, glm::dvec3(5.5, 2.1, 2.4));
     ASSERT_EQ(box.world_from_box.pose.size(), std::size_t(TruckScenesFolder::kSweeps)) << "the first and last label are near their sweeps";
     for (std::size_t i = 0; i < box.world_from_box.pose.size(); ++i) {
