@@ -89,14 +89,4 @@ std::string jumps_text(const CloudTopic& clouds) {
     return text;
 }
 
-double usual_step_s(std::vector<double> times_s) {
-    if (times_s.size() < 2) return 0.1;
-    std::ranges::sort(times_s);
-    std::vector<double> steps;
-    for (std::size_t i = 1; i < times_s.size(); ++i) steps.push_back(times_s[i] - times_s[i - 1]);
-    const auto middle = steps.begin() + std::ptrdiff_t(steps.size() / 2);
-    std::ranges::nth_element(steps, middle);
-    return *middle > 1e-3 ? *middle : 0.1;
-}
-
 }  // namespace relidar::bag

@@ -15,6 +15,7 @@
 #include "dataset/bag/choose.hpp"
 #include "dataset/bag/describe.hpp"
 #include "dataset/kitti/kitti_files.hpp"
+#include "dataset/sweeps_beside.hpp"
 
 namespace relidar {
 namespace {
@@ -122,20 +123,17 @@ private:
     }
 
     void add_beside(std::vector<FrameCloud>& all, const std::vector<FrameCloud>& sweeps, std::size_t lidar, double most_s) {
-        std::vector<const CloudEntry*> taken(sweeps.size(), nullptr);
-        std::size_t n_left = 0;
-        const auto distance = [&](const CloudEntry& entry, std::size_t k) { return std::abs(seconds(entry) - sweeps[k].time_s); };
-        for (const CloudEntry& entry : topic_of(lidar).clouds) {
-            const auto after = std::ranges::lower_bound(sweeps, seconds(entry), {}, &FrameCloud::time_s);
-            std::size_t k = std::min(std::size_t(after - sweeps.begin()), sweeps.size() - 1);
-            if (k > 0 && distance(entry, k - 1) < distance(entry, k)) --k;
-            if (distance(entry, k) > most_s || (taken[k] && distance(*taken[k], k) <= distance(entry, k)))
-                ++n_left;
-            else
-                taken[k] = &entry;
+        const std::vector<CloudEntry>& clouds = topic_of(lidar).clouds;
+        std::vector<double> main_s, other_s;
+        for (const FrameCloud& sweep : sweeps) main_s.push_back(sweep.time_s);
+        for (const CloudEntry& entry : clouds) other_s.push_back(seconds(entry));
+        const auto beside = sweeps_beside(main_s, other_s, most_s);
+        std::size_t n_left = clouds.size();
+        for (std::size_t k = 0; k < sweeps.size(); ++k) {
+            if (!beside[k]) continue;
+            all.push_back({sweeps[k].number, main_s[k], other_s[*beside[k]], lidar, clouds[*beside[k]]});
+            --n_left;
         }
-        for (std::size_t k = 0; k < sweeps.size(); ++k)
-            if (taken[k]) all.push_back({sweeps[k].number, sweeps[k].time_s, seconds(*taken[k]), lidar, *taken[k]});
         if (n_left > 0)
             note(fmt::format("{}: {} clouds are left out: {} has no sweep beside them", name_of(topic_of(lidar)), n_left, name_of(main())));
     }

@@ -135,8 +135,9 @@ private:
         return points;
     }
 
-    /// Between the frames of a LiDAR, in the middle.
+    /// Between the frames of a LiDAR, in the middle, unless it is known.
     double frame_step_s(std::size_t lidar) const {
+        if (head_.lidars[lidar].turn_s > 0.0) return head_.lidars[lidar].turn_s;
         std::vector<double> steps;
         double before_s = NAN;
         for (const Frame& frame : sequence_.frames) {
