@@ -25,6 +25,7 @@ public:
             if (use == Use::packets) add_packets(topic, message);
             if (use == Use::transforms) add_transforms(topic, message);
             if (use == Use::pose) add_pose(topic, message);
+            if (use == Use::boxes) add_boxes(topic, message);
         } catch (const DataError& error) {
             if (facts.n_broken++ == 0) facts.broken = error.what();
         }
@@ -64,6 +65,17 @@ private:
         PoseTopic& poses = entry_of(survey_.poses, message.topic);
         if (poses.samples.empty()) poses.parent = transform.header.frame, poses.child = transform.child;
         poses.samples.push_back({transform.header.stamp_ns, message.log_ns, transform.parent_from_child});
+    }
+
+    void add_boxes(const Topic& topic, const Message& message) {
+        const BoxList list = read_boxes(topic, message.bytes);
+        BoxTopic& boxes = entry_of(survey_.boxes, message.topic);
+        boxes.n_left_out += list.n_left_out;
+        if (list.boxes.empty()) return;
+        if (boxes.frame.empty()) boxes.frame = list.boxes.front().header.frame;
+        boxes.n_boxes += list.boxes.size();
+        boxes.n_named += std::size_t(std::ranges::count_if(list.boxes, [](const Box& box) { return !box.id.empty(); }));
+        boxes.lists.push_back({list.boxes.front().header.stamp_ns, message.log_ns, message.place});
     }
 
     template <class Entry>

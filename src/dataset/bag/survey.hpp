@@ -53,10 +53,25 @@ struct PoseTopic {
     std::vector<PoseSample> samples;
 };
 
+/// A list of boxes that has some.
+struct BoxEntry {
+    std::int64_t stamp_ns = 0, log_ns = 0;
+    Place place;
+};
+
+struct BoxTopic {
+    std::size_t topic = 0;
+    std::string frame;  ///< of the first box
+    std::vector<BoxEntry> lists;
+    std::size_t n_boxes = 0, n_named = 0;  ///< and of them: with an identity
+    std::size_t n_left_out = 0;            ///< without a size or a pose
+};
+
 struct Survey {
     std::vector<TopicFacts> facts;  ///< [Bag::topics()]
     std::vector<CloudTopic> clouds;
     std::vector<PoseTopic> poses;
+    std::vector<BoxTopic> boxes;
     FrameTree frames;
 };
 
