@@ -156,10 +156,9 @@ void expect_same(const Sequence& log, bool has_second) {
         ASSERT_EQ(found[i].second, wanted[i].second) << i;
         ASSERT_NEAR(found[i].time_s, wanted[i].time_s, 2e-6) << i;
         ASSERT_NEAR(found[i].intensity, wanted[i].intensity, 1e-6) << i;
-        // A log has the poses of its frames, here at their first rays: at 10 m/s in a bend of 0.5 rad/s the chord of 0.1 s is 6 mm beside,
-        // and what goes straight on behind the last one 5 cm.
-        const bool behind = wanted[i].time_s > kFirst_s + kPeriod_s * (kFrames - 1);
-        ASSERT_LT(glm::distance(found[i].world_m, wanted[i].world_m), behind ? 0.055 : 0.008) << i;
+        // Poses of frames alone would not do: at 10 m/s in a bend of 0.5 rad/s the chord of 0.1 s is 6 mm beside, and what goes straight on
+        // behind the last frame 5 cm. The recording has a pose every 10 ms, whose chords are 0.1 mm beside.
+        ASSERT_LT(glm::distance(found[i].world_m, wanted[i].world_m), 3e-4) << i;
     }
 }
 

@@ -15,6 +15,7 @@
 #include "dataset/bag/bag_scans.hpp"
 #include "dataset/bag/choose.hpp"
 #include "dataset/bag/describe.hpp"
+#include "dataset/bag/sweep_poses.hpp"
 #include "dataset/kitti/kitti_files.hpp"
 
 namespace relidar {
@@ -57,6 +58,7 @@ public:
         DatasetOptions options = options_;
         if (!sequence_.has_poses) options.poses_file = kNoPoses;
         folder::read_scans(sequence_, head, BagScans(bag_, lidars_, frames_), options);
+        if (has_poses_) note(place_rays(sequence_, [&](double t_s) { return recentred_pose(t_s); }));
         return std::move(sequence_);
     }
 
@@ -197,6 +199,13 @@ private:
         const Pose world_from_vehicle = poses_.path->at(t_s);
         if (clouds_.lidars.size() > 1) return world_from_vehicle;
         return world_from_vehicle * *survey_.frames.fixed(poses_.vehicle, main().frame);
+    }
+
+    std::optional<Pose> recentred_pose(double t_s) const {
+        if (!poses_.path->covers(t_s)) return std::nullopt;
+        Pose pose = own_pose(t_s);
+        pose.translation -= sequence_.world_offset_m;
+        return pose;
     }
 
     /// Poses of a file, by frame numbers or by the clock of the recording.
