@@ -57,7 +57,7 @@ public:
         }
         DatasetOptions options = options_;
         if (!sequence_.has_poses) options.poses_file = kNoPoses;
-        folder::read_scans(sequence_, head, BagScans(bag_, lidars_, frames_), options);
+        folder::read_scans(sequence_, head, BagScans(bag_, lidars_, frames_, poses_.clock), options);
         if (has_poses_) note(place_rays(sequence_, [&](double t_s) { return recentred_pose(t_s); }));
         return std::move(sequence_);
     }
@@ -174,8 +174,10 @@ private:
     void find_units_of(double step_s) {
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
             const CloudTopic& clouds = topic_of(l);
-            lidars_.push_back({&clouds, units_of_topic(bag_, clouds, step_s)});
+            const std::size_t n_parts = clouds.clouds.empty() ? 1 : std::max<std::size_t>(clouds.clouds[0].parts.size(), 1);
+            lidars_.push_back({&clouds, units_of_topic(bag_, clouds, step_s / double(n_parts))});
             if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.sensor();
+            if (!clouds.parts_about.empty()) note(name_of(clouds) + ": " + clouds.parts_about);
             if (!lidars_.back().units.about.empty()) note(name_of(topic_of(l)) + ": " + lidars_.back().units.about);
         }
     }
