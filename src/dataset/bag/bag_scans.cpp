@@ -31,8 +31,28 @@ std::string BagScans::name(std::size_t frame) const {
 
 ScanPoints BagScans::points(std::size_t frame) const {
     const FrameCloud& at = clouds_[frame];
+    if (at.entry.parts.empty()) return points_of_cloud(frame, at.entry, at.cloud_s);
+    ScanPoints all;
+    for (const TurnPart& part : at.entry.parts) {
+        const CloudEntry cloud{part.stamp_ns, part.log_ns, part.n_points, part.place};
+        ScanPoints points = points_of_cloud(frame, cloud, at.cloud_s + 1e-9 * double(cloud.time_ns(clock_) - at.entry.time_ns(clock_)));
+        if (points.time_offset_s.empty())
+            throw DataError(fmt::format("{}: {}, and its points have no times that can be used, expected whole turns, or times",
+                                        name(frame), lidars_[at.lidar].clouds->parts_about));
+        const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
+        append(all.point_m, points.point_m), append(all.intensity, points.intensity), append(all.ring, points.ring);
+        append(all.time_offset_s, points.time_offset_s), append(all.return_number, points.return_number);
+    }
+    if ((!all.ring.empty() && all.ring.size() != all.size()) || (!all.return_number.empty() && all.return_number.size() != all.size()))
+        throw DataError(fmt::format(
+            "{}: some parts of its turn have rings or numbers of returns and some have none, expected the same of all", name(frame)));
+    return all;
+}
+
+ScanPoints BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const {
+    const FrameCloud& at = clouds_[frame];
     const CloudUnits& units = lidars_[at.lidar].units;
-    const std::string bytes = bag_.read(at.entry.place);
+    const std::string bytes = bag_.read(cloud.place);
     folder::PointTable table;
     try {
         table = table_of(read_cloud(bag_.topics()[lidars_[at.lidar].clouds->topic], bytes));
@@ -41,8 +61,8 @@ ScanPoints BagScans::points(std::size_t frame) const {
     }
     if (units.zero == TimeZero::none)
         for (const char* field : {"time", "t", "timestamp", "time_stamp", "offset_time"}) table.fields.erase(field);
-    double zero_s = at.time_s - at.cloud_s;  // what counts as 0 s of the frame, in times of points
-    if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(at.entry.stamp_ns);
+    double zero_s = at.time_s - cloud_s;  // what counts as 0 s of the frame, in times of points
+    if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
     if (units.zero == TimeZero::own_clock) zero_s += units.time_unit_s * first_time_of(table);
     return folder::points_of(table, {{}, units.intensity_max, units.time_unit_s, true}, zero_s, name(frame));
 }

@@ -33,6 +33,11 @@ std::string poses_text(const PoseTopic& poses) {
     return fmt::format(", frame '{}' in '{}'", poses.child.empty() ? "not said" : excerpt(poses.child), excerpt(poses.parent));
 }
 
+std::string boxes_text(const BoxTopic& boxes) {
+    return fmt::format(", frame '{}', {} boxes, {} with an identity{}", excerpt(boxes.frame), boxes.n_boxes, boxes.n_named,
+                       boxes.n_left_out == 0 ? "" : fmt::format("; {} more have no size or pose", boxes.n_left_out));
+}
+
 }  // namespace
 
 std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const std::vector<bool>& used) {
@@ -48,6 +53,8 @@ std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const
         }
         if (const auto poses = std::ranges::find(survey.poses, t, &PoseTopic::topic); poses != survey.poses.end())
             line += poses_text(*poses);
+        if (const auto boxes = std::ranges::find(survey.boxes, t, &BoxTopic::topic); boxes != survey.boxes.end())
+            line += boxes_text(*boxes);
         if (facts.n_broken > 0) line += fmt::format(", {} of them cannot be read (the first: {})", facts.n_broken, facts.broken);
         lines.push_back(line + (used[t] ? ": used" : ""));
     }

@@ -2,6 +2,10 @@
 #include "dataset/bag/survey.hpp"
 
 #include <algorithm>
+#include <optional>
+#include <utility>
+
+#include <fmt/format.h>
 
 #include <relidar/error.hpp>
 
@@ -25,6 +29,7 @@ public:
             if (use == Use::packets) add_packets(topic, message);
             if (use == Use::transforms) add_transforms(topic, message);
             if (use == Use::pose) add_pose(topic, message);
+            if (use == Use::boxes) add_boxes(topic, message);
         } catch (const DataError& error) {
             if (facts.n_broken++ == 0) facts.broken = error.what();
         }
@@ -44,6 +49,8 @@ private:
         }
         const auto n = std::uint32_t(std::min<std::size_t>(cloud.size(), UINT32_MAX));
         clouds.clouds.push_back({cloud.header.stamp_ns, message.log_ns, n, message.place});
+        if (const std::optional<Arc> arc = arc_of(cloud))
+            clouds.arcs.push_back({cloud.header.stamp_ns, message.log_ns, message.place, n, *arc});
     }
 
     void add_packets(const Topic& topic, const Message& message) {
@@ -66,6 +73,17 @@ private:
         poses.samples.push_back({transform.header.stamp_ns, message.log_ns, transform.parent_from_child});
     }
 
+    void add_boxes(const Topic& topic, const Message& message) {
+        const BoxList list = read_boxes(topic, message.bytes);
+        BoxTopic& boxes = entry_of(survey_.boxes, message.topic);
+        boxes.n_left_out += list.n_left_out;
+        if (list.boxes.empty()) return;
+        if (boxes.frame.empty()) boxes.frame = list.boxes.front().header.frame;
+        boxes.n_boxes += list.boxes.size();
+        boxes.n_named += std::size_t(std::ranges::count_if(list.boxes, [](const Box& box) { return !box.id.empty(); }));
+        boxes.lists.push_back({list.boxes.front().header.stamp_ns, message.log_ns, message.place});
+    }
+
     template <class Entry>
     static Entry& entry_of(std::vector<Entry>& entries, std::size_t topic) {
         const auto known = std::ranges::find(entries, topic, &Entry::topic);
@@ -74,6 +92,22 @@ private:
         return entries.back();
     }
 };
+
+/// Whole turns in the place of their parts. A turn's time is that of the part in its middle: turns begin at the back.
+void join_parts(CloudTopic& topic) {
+    const JoinedTurns joined = join_turns(std::exchange(topic.arcs, {}));
+    if (joined.turns.empty()) return;
+    topic.clouds.clear();
+    for (const std::vector<TurnPart>& turn : joined.turns) {
+        const TurnPart& middle = turn[turn.size() / 2];
+        CloudEntry& entry = topic.clouds.emplace_back(CloudEntry{middle.stamp_ns, middle.log_ns, 0, middle.place, 0, turn});
+        for (const TurnPart& part : turn) entry.n_points += part.n_points;
+    }
+    topic.parts_about = fmt::format("{}: put together into {} whole turns of {}{}", joined.about, joined.turns.size(),
+                                    joined.turns[joined.turns.size() / 2].size(),
+                                    joined.n_left_out == 0 ? "" : fmt::format("; {} of turns that are not whole are left out",
+                                                                              joined.n_left_out));
+}
 
 }  // namespace
 
@@ -102,6 +136,7 @@ Survey take_survey(Bag& bag, const Progress& progress) {
             clouds.clouds.push_back({turn.forward_ns, turn.log_ns, 0, clouds.packets.places(turn).front(), t});
         }
     }
+    for (CloudTopic& clouds : survey.clouds) join_parts(clouds);
     return survey;
 }
 
