@@ -46,7 +46,7 @@ struct Transform {
 };
 
 /// What a topic's messages may be used as.
-enum class Use { nothing, cloud, packets, transforms, pose };
+enum class Use { nothing, cloud, packets, calibration, transforms, pose };
 Use use_of(const Topic& topic);
 
 class MessageReader;
@@ -58,6 +58,9 @@ Header read_header(MessageReader& reader);
 Cloud read_cloud(const Topic& topic, std::string_view bytes);
 /// Points of a cloud by the names that relidar knows (point_table.hpp), numbers as they stand.
 folder::PointTable table_of(const Cloud& cloud);
+
+/// Text of std_msgs/String.
+std::string_view read_text(const Topic& topic, std::string_view bytes);
 
 /// Transforms of tf2_msgs/TFMessage or tf/tfMessage, or the one pose of nav_msgs/Odometry, geometry_msgs/PoseStamped and the like.
 /// Quaternions that have no direction are refused.

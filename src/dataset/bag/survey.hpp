@@ -12,7 +12,7 @@
 #include "dataset/bag/bag.hpp"
 #include "dataset/bag/frame_tree.hpp"
 #include "dataset/bag/messages.hpp"
-#include "dataset/bag/velodyne_packets.hpp"
+#include "dataset/packets/packet_log.hpp"
 
 namespace relidar::bag {
 
@@ -40,8 +40,9 @@ struct CloudTopic {
     std::vector<Cloud::Field> fields;  ///< of the first cloud
     std::vector<CloudEntry> clouds;    ///< that have points, as they were recorded
     std::size_t n_empty = 0;
-    PacketLog packets;  ///< of a topic of packets, whose turns are its clouds
-    std::vector<PacketTurn> turns;
+    packets::PacketLog packets;  ///< of a topic of packets, whose turns are its clouds
+    std::vector<packets::PacketTurn> turns;
+    bool awaits_calibration = false;  ///< packets that cannot be decoded before the sensor's calibration is found
 
     bool has_field(std::initializer_list<const char*> names) const;
     std::size_t usual_points() const;  ///< of a cloud: the median
