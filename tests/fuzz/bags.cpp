@@ -15,7 +15,8 @@
 
 #include "core/bytes.hpp"
 #include "dataset/bag/messages.hpp"
-#include "dataset/bag/velodyne_packets.hpp"
+#include "dataset/packets/packet_log.hpp"
+#include "dataset/packets/packet_messages.hpp"
 
 namespace relidar::fuzz {
 namespace {
@@ -270,7 +271,8 @@ void read_message(std::string_view input, const fs::path&) {
                                                 "livox_ros_driver2/CustomMsg", "nav_msgs/Odometry",  "geometry_msgs/PoseStamped",
                                                 "foxglove.PointCloud",         "foxglove.FrameTransforms",
                                                 "foxglove.SceneUpdate",        "vision_msgs/Detection3DArray",
-                                                "autoware_perception_msgs/TrackedObjects"};
+                                                "autoware_perception_msgs/TrackedObjects", "nebula_msgs/NebulaPackets",
+                                                "pandar_msgs/PandarScan"};
     if (input.empty()) return;
     const unsigned kind = static_cast<unsigned char>(input[0]);
     const std::size_t type = kind / 2 % std::size(kMessages);
@@ -281,14 +283,13 @@ void read_message(std::string_view input, const fs::path&) {
         bag::table_of(bag::read_cloud(topic, bytes));
     } else if (bag::use_of(topic) == bag::Use::packets) {
         bag::Header header;
-        bag::PacketLog log;
-        const std::vector<bag::PacketView> views = bag::read_packets(topic, bytes, header);
-        for (int k = 0; k < 2; ++k) log.add(views, 0, {});
+        packets::PacketLog log;
+        const std::vector<packets::PacketView> views = packets::read_packets(topic, bytes, 0, header);
+        for (int k = 0; k < 2; ++k) log.add(views, 0, {}, "");
         if (log.empty()) return;
         const SpinningSensor sensor = log.sensor();
-        std::vector<bag::PacketView> twice = views;
-        twice.insert(twice.end(), views.begin(), views.end());
-        for (const bag::PacketTurn& turn : log.turns()) log.scan(turn, twice, sensor, turn.forward_ns);
+        for (const packets::PacketTurn& turn : log.turns())
+            log.scan(turn, std::vector(log.messages(turn).size(), views), sensor, turn.forward_ns);
     } else if (bag::use_of(topic) == bag::Use::boxes) {
         bag::read_boxes(topic, bytes);
     } else {

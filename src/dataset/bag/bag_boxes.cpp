@@ -14,6 +14,7 @@
 
 #include "core/files.hpp"
 #include "dataset/bag/describe.hpp"
+#include "dataset/sweeps_beside.hpp"
 
 namespace relidar::bag {
 namespace {

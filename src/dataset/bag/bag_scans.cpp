@@ -8,6 +8,8 @@
 
 #include <relidar/error.hpp>
 
+#include "dataset/packets/packet_messages.hpp"
+
 namespace relidar::bag {
 namespace {
 
@@ -70,13 +72,14 @@ ScanPoints BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud,
 Scan BagScans::rays(std::size_t frame) const {
     const FrameCloud& at = clouds_[frame];
     const CloudTopic& clouds = *lidars_[at.lidar].clouds;
-    const PacketTurn& turn = clouds.turns[at.entry.turn];
+    const packets::PacketTurn& turn = clouds.turns[at.entry.turn];
+    const std::vector<packets::PacketLog::Source> sources = clouds.packets.messages(turn);
     std::vector<std::string> messages;
-    for (const Place& place : clouds.packets.places(turn)) messages.push_back(bag_.read(place));
-    std::vector<PacketView> packets;
+    for (const auto& source : sources) messages.push_back(bag_.read(source.place));
+    std::vector<std::vector<packets::PacketView>> packets;
     Header header;
-    for (const std::string& bytes : messages)
-        for (const PacketView& packet : read_packets(bag_.topics()[clouds.topic], bytes, header)) packets.push_back(packet);
+    for (std::size_t m = 0; m < messages.size(); ++m)
+        packets.push_back(relidar::packets::read_packets(bag_.topics()[clouds.topic], messages[m], sources[m].log_ns, header));
     const auto shift_ns = std::int64_t(std::llround(1e9 * (at.time_s - at.cloud_s)));
     return clouds.packets.scan(turn, packets, lidars_[at.lidar].sensor, turn.forward_ns + shift_ns);
 }

@@ -24,18 +24,13 @@ std::string topics_text(const Bag& bag) {
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
-/// Packets that relidar does not decode, and what makes clouds of them.
+/// Messages of packets that relidar does not read, and what makes clouds of them.
 struct PacketDriver {
     const char* package;
     const char* driver;
 };
 constexpr PacketDriver kDrivers[] = {
-    {"pandar_msgs/", "nebula"},
-    {"nebula_msgs/", "nebula"},
     {"hesai_ros_driver/", "hesai_ros_driver"},
-    {"ouster_ros/PacketMsg", "ouster-ros"},
-    {"ouster_msgs/", "ouster-ros"},
-    {"ouster_sensor_msgs/PacketMsg", "ouster-ros"},
     {"rslidar_msg/", "rslidar_sdk"},
     {"robosense_msgs/", "nebula"},
     {"seyond/", "seyond_ros_driver"},

@@ -19,8 +19,9 @@ constexpr double kJump_s = 0.5;  // of the stamps against the recorder's clock
 std::string clouds_text(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) {
         std::size_t n_missing = 0;
-        for (const PacketTurn& turn : clouds.turns) n_missing += turn.n_missing;
-        return fmt::format(", frame '{}', packets of a VLP-16: {} whole turns{}", excerpt(clouds.frame), clouds.turns.size(),
+        for (const packets::PacketTurn& turn : clouds.turns) n_missing += turn.n_missing;
+        return fmt::format(", frame '{}', packets of a {}: {} whole turns{}", excerpt(clouds.frame), clouds.packets.about(),
+                           clouds.turns.size(),
                            n_missing == 0 ? "" : fmt::format("; {} packets are missing, whose rays count as dropped", n_missing));
     }
     std::vector<std::string> names;

@@ -62,7 +62,7 @@ struct BoxList {
 };
 
 /// What a topic's messages may be used as. Detections without an identity are not read: they cannot be joined to tracks.
-enum class Use { nothing, cloud, packets, transforms, pose, boxes, nameless_boxes };
+enum class Use { nothing, cloud, packets, calibration, transforms, pose, boxes, nameless_boxes };
 Use use_of(const Topic& topic);
 
 class MessageReader;
@@ -80,6 +80,9 @@ Cloud read_point_cloud(MessageReader& reader);
 Cloud read_cloud(const Topic& topic, std::string_view bytes);
 /// Points of a cloud by the names that relidar knows (point_table.hpp), numbers as they stand.
 folder::PointTable table_of(const Cloud& cloud);
+
+/// Text of std_msgs/String.
+std::string_view read_text(const Topic& topic, std::string_view bytes);
 
 /// Transforms of tf2_msgs/TFMessage or tf/tfMessage, or the one pose of nav_msgs/Odometry, geometry_msgs/PoseStamped and the like.
 /// Quaternions that have no direction are refused.

@@ -13,7 +13,7 @@
 #include "dataset/bag/frame_tree.hpp"
 #include "dataset/bag/messages.hpp"
 #include "dataset/bag/turn_parts.hpp"
-#include "dataset/bag/velodyne_packets.hpp"
+#include "dataset/packets/packet_log.hpp"
 
 namespace relidar::bag {
 
@@ -44,8 +44,9 @@ struct CloudTopic {
     std::string parts_about;           ///< of clouds that are parts of turns: what they are
     std::vector<TurnPart> arcs;        ///< while the recording is surveyed
     std::size_t n_empty = 0;
-    PacketLog packets;  ///< of a topic of packets, whose turns are its clouds
-    std::vector<PacketTurn> turns;
+    packets::PacketLog packets;  ///< of a topic of packets, whose turns are its clouds
+    std::vector<packets::PacketTurn> turns;
+    bool awaits_calibration = false;  ///< packets that cannot be decoded before the sensor's calibration is found
 
     bool has_field(std::initializer_list<const char*> names) const;
     std::size_t usual_points() const;  ///< of a cloud: the median
