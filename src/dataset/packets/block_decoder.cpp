@@ -2,7 +2,8 @@
 // Packets that are blocks of (azimuth, then range and reflectivity of each laser), a row a product:
 //   Velodyne VLP-16 (manual 63-9243, chapters 6 and 9), VLP-32C (63-9325) and HDL-32E (63-9113): 12 blocks of FF EE, azimuth in 0.01
 //     degrees, 32 x (range, reflectivity); then microseconds of the hour at the first firing, mode of returns, product. A block of the
-//     VLP-16 has two firings. With two returns, two blocks are of the same firings, the last return before the strongest (or second strongest).
+//     VLP-16 has two firings. With two returns, two blocks are of the same firings, the last return before the strongest (or second
+//     strongest).
 //   Hesai Pandar40P, Pandar64 and PandarXT-32 (user manuals, "Point cloud data packet" and the appendix on absolute time): the packet's
 //     time, microseconds of its second, is behind its firings; the last block begins a fixed time from it. Azimuth 0 is the y axis.
 //     A file "Laser id,Elevation,Azimuth" in degrees, azimuth clockwise, corrects the angles of one unit.
