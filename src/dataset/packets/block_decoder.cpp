@@ -81,6 +81,7 @@ public:
         if (!calibration.empty()) angles_ = read_correction(calibration, layout.lasers);
         timing_.cycle_us = layout.cycle_us;
         timing_.wrap_us = layout.wrap_us;
+        timing_.interpolates = layout.firings > 1;  // as the VLP-16's manual does
         table_ = known_firings(layout.sensor);
         for (std::size_t k = 0; k < table_.size(); ++k) order_.push_back(k);
         if (!angles_.empty())

@@ -48,6 +48,7 @@ struct Timing {
     int columns = 0;               ///< firings of a turn, where they are always as many; else 0
     double begin_deg = 180.0;      ///< azimuth at which a turn is said to begin; with a window, shortly before it
     double idle_deg = 0.0;         ///< at the end of a turn: nothing is fired outside of a window
+    bool interpolates = false;     ///< the head is where the azimuths around tell it when a beam fires; else it turns evenly
 };
 
 class Decoder {

@@ -197,7 +197,8 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
             if (f + 1 < packet.firings.size()) step = degrees_on(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
             if (azimuth < turn.begin_deg || azimuth >= turn.begin_deg + 360.0) continue;
             const double time_s = 1e-9 * double(view.stamp_ns - zero_ns) + 1e-6 * firing.after_us;
-            add_firing(points, numbers, {azimuth, time_s, int(before) * n_slots_ + firing.slot, step / timing.cycle_us - mean_deg_us},
+            const double ahead_deg_us = timing.interpolates ? step / timing.cycle_us - mean_deg_us : 0.0;
+            add_firing(points, numbers, {azimuth, time_s, int(before) * n_slots_ + firing.slot, ahead_deg_us},
                        &packet.echoes[f * sensor.beams.size()], sensor, timing.offset_us);
         }
     }
